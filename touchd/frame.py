@@ -1,0 +1,69 @@
+"""One acquisition of the plate (`Frame`) and the geometry of all of them (`Acquisition`)."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+Counts = NDArray[np.int16]
+
+
+class Frame(NamedTuple):
+    """What the receivers heard during one chirp.
+
+    A named tuple, since one is made for each frame: it costs a third of a frozen dataclass.
+    """
+
+    counts: Counts
+    """ADC counts of shape (channels, samples). Valid until the source is read again."""
+    sequence: int
+    """The device's frame counter, unwrapped; a jump means that frames were lost."""
+    t_ns: int
+    """CLOCK_MONOTONIC at the start of the chirp, ns."""
+    received_ns: int
+    """CLOCK_MONOTONIC when the frame was complete on this host, ns."""
+
+
+class _Description(BaseModel):
+    """Part of a JSON object on disk: unknown keys are ignored, as the formats ask."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
+
+
+class Chirp(_Description):
+    """The emitted linear chirp."""
+
+    start_hz: float = Field(default=50e3, gt=0)
+    stop_hz: float = Field(default=100e3, gt=0)
+    duration_s: float = Field(default=1e-3, gt=0)
+    dac_rate_hz: float = Field(default=500e3, gt=0)
+
+
+class Plate(_Description):
+    """The touched plate."""
+
+    width_mm: float = Field(gt=0)
+    """Along x, to the right."""
+    height_mm: float = Field(gt=0)
+    """Along y, down."""
+    thickness_mm: float = Field(default=5.0, gt=0)
+    material: str = "glass"
+
+
+class Acquisition(_Description):
+    """How frames were acquired: everything a model must agree with."""
+
+    channels: int = Field(gt=0)
+    samples: int = Field(gt=0)
+    sample_rate_hz: float = Field(gt=0)
+    bits: int = Field(default=16, ge=2, le=16)
+    full_scale_v: float = Field(default=10.0, gt=0)
+    chirp: Chirp = Chirp()
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Shape of a frame's counts: (channels, samples)."""
+        return self.channels, self.samples
