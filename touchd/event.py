@@ -6,6 +6,7 @@ client reads it back with `decode`. See docs/formats.md for the meaning of the t
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -52,10 +53,10 @@ class TouchEvent:
     """The frame's sequence number."""
     contacts: list[Contact]
     """All contacts alive, and those that ended in this frame."""
-    latency_us: float = 0.0
-    """From the frame complete on the host to the message handed to the socket."""
     v: int = VERSION
     type: Literal["touch"] = "touch"
+    latency_us: float = 0.0
+    """From the frame complete on the host to the message handed to the socket; last, see `encode_at`."""
 
 
 @dataclass(slots=True)
@@ -141,6 +142,18 @@ _ADAPTERS: dict[str, TypeAdapter[Event]] = {
 def encode(event: Event) -> bytes:
     """Return the event as one UTF-8 JSON object, without the fields that are None."""
     return _ADAPTERS[event.type].dump_json(event, exclude_none=True)
+
+
+_NO_LATENCY = b'"latency_us":0.0}'
+
+
+def encode_at(event: TouchEvent, received_ns: int, clock: Callable[[], int]) -> bytes:
+    """Return `encode(event)` with the latency read off the clock (ns) after everything else is encoded.
+
+    So the encoding, the larger part of the way from the tracker to the socket, counts as latency too.
+    """
+    body = encode(event).removesuffix(_NO_LATENCY)
+    return b'%b"latency_us":%.1f}' % (body, (clock() - received_ns) * 1e-3)
 
 
 def decode(topic: str, payload: bytes) -> Event:

@@ -1,0 +1,137 @@
+"""The configuration: every setting with its unit, range, default and meaning.
+
+The models here are the only place where a default is written; docs/configuration.md and
+deploy/touchd.toml are generated from them.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+
+class _Section(BaseModel):
+    """One table of the file. Unknown keys are errors; values are never changed after loading."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, validate_default=True)
+
+
+class DeviceSettings(_Section):
+    """The DAQ, and the name under which its events are published."""
+
+    name: str = Field("touchd", description="`device` of every message; tell several plates apart by it.", min_length=1)
+    vendor_id: int = Field(0x1209, ge=0, le=0xFFFF, description="USB vendor id.")
+    product_id: int = Field(0x0001, ge=0, le=0xFFFF, description="USB product id.")
+    serial: str = Field("", description="USB serial number; empty takes the first device found.")
+    rate_hz: int = Field(125, ge=1, le=65535, description="Frames a second asked of the device.")
+
+
+class ModelSettings(_Section):
+    """The network that places touches."""
+
+    path: Path | None = Field(None, description="ONNX file with touchd's description; unset uses the shipped model.")
+    min_confidence: float = Field(
+        0.5, ge=0, le=1, description="Below this a frame is taken for something else than a finger, and not placed."
+    )
+
+
+class BaselineSettings(_Section):
+    """The untouched plate, followed as it drifts."""
+
+    learn_frames: int = Field(
+        32, ge=2, description="Frames averaged into the first baseline, before anything is sensed."
+    )
+    time_constant_s: float = Field(0.5, gt=0, description="How fast the baseline follows the untouched plate, s.")
+    absorb_s: float = Field(
+        30.0, gt=0, description="What stays on the plate this long becomes part of the baseline, and is reported, s."
+    )
+    unsteady_s: float = Field(
+        1.0,
+        gt=0,
+        description="A change without a finger that never repeats itself for this long is noise: learn it, s.",
+    )
+
+
+class GateSettings(_Section):
+    """Is anything there at all?"""
+
+    false_alarm_rate: float = Field(
+        1e-7, gt=0, lt=0.1, description="Probability that noise alone opens the gate, per frame."
+    )
+    close_ratio: float = Field(
+        0.5, gt=0, lt=1, description="The gate closes at this fraction of the excess that opens it (hysteresis)."
+    )
+    noise_frames: int = Field(1000, ge=10, description="Untouched frames over which the noise is followed.")
+
+
+class TrackerSettings(_Section):
+    """From positions to contacts."""
+
+    confirm_frames: int = Field(2, ge=1, description="Frames in a row before a contact is reported down.")
+    release_frames: int = Field(2, ge=1, description="Frames without it before a contact is reported up.")
+    max_contacts: int = Field(10, ge=1, description="Contacts alive at once; further ones are ignored.")
+    reach_mm: float = Field(25.0, gt=0, description="A contact moves at most this far from one frame to the next, mm.")
+    dead_band_mm: float = Field(0.5, ge=0, description="Movement within this is `hold`, not `move`, mm.")
+    min_cutoff_hz: float = Field(4.0, gt=0, description="One-Euro filter: cut-off for a still finger, Hz.")
+    beta: float = Field(0.05, ge=0, description="One-Euro filter: how much the cut-off opens with speed, Hz per mm/s.")
+    refresh_s: float = Field(0.1, gt=0, description="A message at least this often while a contact is down, s.")
+
+
+class KeypadSettings(_Section):
+    """Keypad mode."""
+
+    layout: Path | None = Field(
+        None, description="TOML file of keys with rectangles in mm; set, it turns keypad mode on."
+    )
+
+
+Endpoint = Annotated[str, Field(pattern=r"^(tcp|ipc)://.+$")]
+
+
+class BusSettings(_Section):
+    """Where events are published."""
+
+    bind: tuple[Endpoint, ...] = Field(
+        ("tcp://127.0.0.1:5570",), min_length=1, description="Addresses of the publisher: tcp:// or ipc://."
+    )
+    ipc_group: str = Field("", description="Group that may use ipc:// sockets (mode 0660); empty keeps them private.")
+    curve_secret_key: Path | None = Field(
+        None, description="Server key file made by `touchd keygen`; needed for any address beyond loopback."
+    )
+    curve_clients: Path | None = Field(
+        None,
+        description="Folder of the public keys that may subscribe; unset admits every client that has the server's.",
+    )
+    insecure: bool = Field(False, description="Allow an address beyond loopback without keys.")
+    high_water_mark: int = Field(1000, ge=1, description="Messages kept for a slow subscriber before it loses some.")
+
+
+class HealthSettings(_Section):
+    """The `health` topic."""
+
+    period_s: float = Field(1.0, gt=0, description="A health message at least this often, s.")
+
+
+class LogSettings(_Section):
+    """What is logged, and how."""
+
+    level: Literal["debug", "info", "warning", "error"] = Field(
+        "info", description="Least severe level that is logged."
+    )
+    format: Literal["auto", "console", "json"] = Field("auto", description="auto: console on a terminal, else JSON.")
+
+
+class Settings(_Section):
+    """The whole configuration."""
+
+    device: DeviceSettings = DeviceSettings()
+    model: ModelSettings = ModelSettings()
+    baseline: BaselineSettings = BaselineSettings()
+    gate: GateSettings = GateSettings()
+    tracker: TrackerSettings = TrackerSettings()
+    keypad: KeypadSettings = KeypadSettings()
+    bus: BusSettings = BusSettings()
+    health: HealthSettings = HealthSettings()
+    log: LogSettings = LogSettings()
