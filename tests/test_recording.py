@@ -1,0 +1,488 @@
+"""A recording survives the round trip, and nothing that is not one gets in."""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+import json
+import os
+import stat
+import struct
+import zipfile
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from touchd import npz
+from touchd.errors import (
+    OutputError,
+    RecordingError,
+    RecordingMissing,
+    RecordingShape,
+    RecordingTruncated,
+    RecordingUnsafe,
+    RecordingValues,
+    RecordingVersion,
+)
+from touchd.frame import Plate
+from touchd.recording import Device, Meta, Reader, Recording, check, read, write
+
+META = Meta(
+    sample_rate_hz=250e3, bits=16, full_scale_v=10.0, frame_rate_hz=125.0, plate=Plate(width_mm=400.0, height_mm=300.0)
+)
+FILE_SETTINGS = settings(
+    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
+)
+
+
+def make(n: int = 6, *, first: int = 0, contacts: int | None = 1, meta: Meta = META) -> Recording:
+    """Frames first, first + 1, ... of one long recording."""
+    rng = np.random.default_rng(first)
+    truth = None if contacts is None else rng.uniform(0, 300, (n, contacts, 2)).astype(np.float32)
+    if truth is not None:
+        truth[::2] = np.nan
+    return Recording(
+        meta=meta,
+        frames=rng.integers(-3000, 3000, (n, 2, 5), dtype=np.int16),
+        sequence=np.arange(first, first + n, dtype=np.int64),
+        timestamp_ns=np.arange(first, first + n, dtype=np.int64) * 8_000_000,
+        contacts_mm=truth,
+    )
+
+
+def assert_same(a: Recording, b: Recording) -> None:
+    assert a.meta == b.meta
+    for field in dataclasses.fields(Recording)[1:]:
+        x, y = getattr(a, field.name), getattr(b, field.name)
+        assert (x is None) == (y is None), field.name
+        if x is not None:
+            assert x.dtype == y.dtype
+            np.testing.assert_array_equal(x, y)
+
+
+def content(recording: Recording) -> dict[str, Any]:
+    """What `numpy.savez` would be given for a valid recording."""
+    arrays = {f.name: getattr(recording, f.name) for f in dataclasses.fields(Recording)[1:]}
+    found = {name: array for name, array in arrays.items() if array is not None}
+    return {"format": "touchd-recording", "version": 1, "meta": recording.meta.model_dump_json(), **found}
+
+
+def save(path: Path, **arrays: Any) -> Path:
+    np.savez(path, **arrays)
+    return path
+
+
+finite = st.floats(-1e3, 1e3, width=32)
+
+
+@st.composite
+def recordings(draw: st.DrawFn) -> Recording:
+    n, channels, samples, k = (draw(st.integers(1, high)) for high in (4, 3, 4, 2))
+    text = st.text(st.characters(codec="utf-8"), max_size=8)
+    meta = Meta(
+        sample_rate_hz=draw(st.floats(1, 1e7)),
+        bits=draw(st.integers(2, 16)),
+        full_scale_v=draw(st.floats(0.1, 100)),
+        frame_rate_hz=draw(st.floats(1, 1e4)),
+        plate=Plate(width_mm=draw(st.floats(1, 1e4)), height_mm=draw(st.floats(1, 1e4)), material=draw(text)),
+        receivers_mm=draw(st.none() | st.just(((1.0, 2.0),) * channels)),
+        device=Device(serial=draw(text)),
+        notes=draw(text),
+    )
+    rng = np.random.default_rng(draw(st.integers(0, 99)))
+
+    def increasing(lowest: int) -> np.ndarray[Any, np.dtype[np.int64]]:
+        values = draw(st.lists(st.integers(lowest, 2**63 - 1), min_size=n, max_size=n, unique=True))
+        return np.array(sorted(values), dtype=np.int64)
+
+    def optional(shape: tuple[int, ...]) -> Any:
+        return rng.normal(size=shape).astype(np.float32) if draw(st.booleans()) else None
+
+    contacts, force = optional((n, k, 2)), optional((n, k))
+    for truth in (contacts, force):
+        if truth is not None:
+            truth[rng.random((n, k)) < 0.4] = np.nan
+    return Recording(
+        meta=meta,
+        frames=rng.integers(-32768, 32768, (n, channels, samples)).astype(np.int16),
+        sequence=increasing(-(2**63)),
+        timestamp_ns=increasing(0),
+        contacts_mm=contacts,
+        force_n=force,
+        temperature_c=optional((n,)),
+    )
+
+
+@FILE_SETTINGS
+@given(recording=recordings(), compress=st.booleans())
+def test_every_valid_recording_survives_the_round_trip(tmp_path: Path, recording: Recording, compress: bool) -> None:
+    write(tmp_path / "a.npz", recording, compress=compress)
+    assert_same(read(tmp_path / "a.npz"), recording)
+
+
+class TestWrite:
+    def test_a_recording_is_readable_by_its_owner_only(self, tmp_path: Path) -> None:
+        write(tmp_path / "a.npz", make())
+        assert stat.S_IMODE((tmp_path / "a.npz").stat().st_mode) == 0o600
+
+    def test_plain_numpy_can_read_it(self, tmp_path: Path) -> None:
+        write(tmp_path / "a.npz", make())
+        with np.load(tmp_path / "a.npz", allow_pickle=False) as file:
+            assert file["format"].item() == "touchd-recording"
+            assert file["version"].item() == 1
+            assert json.loads(file["meta"].item())["plate"]["width_mm"] == 400.0
+
+    def test_a_failure_keeps_the_old_file_and_leaves_nothing_behind(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        write(tmp_path / "a.npz", make(3))
+
+        def full(_handle: int) -> None:
+            raise OSError(28, "No space left on device")
+
+        monkeypatch.setattr(os, "fsync", full)
+        with pytest.raises(OutputError, match="No space left on device"):
+            write(tmp_path / "a.npz", make(6))
+        monkeypatch.undo()
+        assert os.listdir(tmp_path) == ["a.npz"]
+        assert_same(read(tmp_path / "a.npz"), make(3))
+
+    def test_an_interrupt_leaves_nothing_behind(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        def interrupt(_handle: int) -> None:
+            raise KeyboardInterrupt
+
+        monkeypatch.setattr(os, "fsync", interrupt)
+        with pytest.raises(KeyboardInterrupt):
+            write(tmp_path / "a.npz", make())
+        assert os.listdir(tmp_path) == []
+
+    @pytest.mark.parametrize("name", ["missing/a.npz", "x" * 300, "nul\0.npz", "folder"])
+    def test_an_impossible_path_is_an_output_error(self, tmp_path: Path, name: str) -> None:
+        (tmp_path / "folder").mkdir()
+        with pytest.raises(OutputError):
+            write(tmp_path / name, make())
+        assert os.listdir(tmp_path) == ["folder"]
+
+    def test_an_invalid_recording_is_never_written(self, tmp_path: Path) -> None:
+        wrong = dataclasses.replace(make(), sequence=np.zeros(6, dtype=np.int64))
+        with pytest.raises(RecordingValues, match="frame 1 has 0 after 0"):
+            write(tmp_path / "a.npz", wrong)
+        assert os.listdir(tmp_path) == []
+
+
+def without(key: str) -> Callable[[dict[str, Any]], None]:
+    return lambda arrays: arrays.pop(key)
+
+
+def change(key: str, index: Any, value: Any) -> Callable[[dict[str, Any]], None]:
+    def apply(arrays: dict[str, Any]) -> None:
+        arrays[key] = arrays[key].copy()
+        arrays[key][index] = value
+
+    return apply
+
+
+def put(**arrays: Any) -> Callable[[dict[str, Any]], None]:
+    return lambda content: content.update(arrays)
+
+
+def meta_with(**keys: Any) -> Callable[[dict[str, Any]], None]:
+    return lambda arrays: arrays.update(meta=json.dumps({**json.loads(arrays["meta"]), **keys}))
+
+
+SPOILED: list[tuple[str, Callable[[dict[str, Any]], None], type[RecordingError], str]] = [
+    ("no format", without("format"), RecordingVersion, "no key 'format'"),
+    ("another format", put(format="holiday-photos"), RecordingVersion, "holiday-photos"),
+    ("newer version", put(version=2), RecordingVersion, "version 2 .* upgrade touchd"),
+    ("version as text", put(version="1"), RecordingShape, "a whole number"),
+    ("no version", without("version"), RecordingShape, "'version' is missing"),
+    ("no frames", without("frames"), RecordingShape, "'frames' is missing"),
+    ("no meta", without("meta"), RecordingShape, "'meta' is missing"),
+    ("float frames", put(frames=np.zeros((6, 2, 5))), RecordingShape, "is float64, must be int16"),
+    ("flat frames", put(frames=np.zeros((6, 10), np.int16)), RecordingShape, r"\(6, 10\), must be \(n, channels"),
+    ("zero samples", put(frames=np.zeros((6, 2, 0), np.int16)), RecordingShape, "no frames"),
+    ("short sequence", put(sequence=np.arange(5)), RecordingShape, r"\(5,\), .* frames has shape \(6, 2, 5\)"),
+    ("three coordinates", put(contacts_mm=np.zeros((6, 1, 3), np.float32)), RecordingShape, r"\(6, 1, 3\)"),
+    ("force of two", put(force_n=np.zeros((6, 2), np.float32)), RecordingShape, "contacts_mm has shape"),
+    ("3 receivers", meta_with(receivers_mm=[[0, 0]] * 3), RecordingShape, "3 receivers, .* 2 channels"),
+    ("dates", put(sequence=np.zeros(6, "M8[ns]")), RecordingShape, "sequence"),
+    ("fields", put(sequence=np.zeros(6, [("a", "i4")])), RecordingShape, "sequence"),
+    ("sequence stuck", change("sequence", 3, 2), RecordingValues, "frame 3 has 2 after 2"),
+    ("time goes back", change("timestamp_ns", 3, 5), RecordingValues, "timestamp_ns"),
+    ("negative time", change("timestamp_ns", 0, -1), RecordingValues, "negative"),
+    ("half a contact", change("contacts_mm", (0, 0, 0), 1.0), RecordingValues, "x without y"),
+    ("infinite contact", change("contacts_mm", (1, 0, 0), np.inf), RecordingValues, "infinite in frame 1"),
+    ("infinite force", put(force_n=np.full((6, 1), np.inf, np.float32)), RecordingValues, "force_n"),
+    ("NaN temperature", put(temperature_c=np.full(6, np.nan, np.float32)), RecordingValues, "temperature_c"),
+    ("meta not JSON", put(meta="{plate"), RecordingValues, "meta: .*json"),
+    ("meta a list", put(meta="[]"), RecordingValues, "meta: "),
+    ("meta with NaN", meta_with(full_scale_v=float("nan")), RecordingValues, "full_scale_v: "),
+    ("no plate", meta_with(plate=None), RecordingValues, "plate: "),
+    ("plate of no width", meta_with(plate={"width_mm": 0, "height_mm": 1}), RecordingValues, "plate.width_mm: "),
+    ("objects", put(frames=np.array([None, {}], dtype=object)), RecordingUnsafe, "pickled"),
+    ("object fields", put(frames=np.zeros(2, [("a", "O")])), RecordingUnsafe, "pickled"),
+]
+
+
+@pytest.mark.parametrize(("spoil", "error", "message"), [case[1:] for case in SPOILED], ids=[c[0] for c in SPOILED])
+def test_a_spoiled_recording_is_refused_by_name(
+    tmp_path: Path, spoil: Callable[[dict[str, Any]], None], error: type[RecordingError], message: str
+) -> None:
+    arrays = content(make())
+    spoil(arrays)
+    path = save(tmp_path / "a.npz", **arrays)
+    with pytest.raises(error, match=f"(?i){message}") as caught:
+        read(path)
+    assert str(path) in caught.value.where
+    assert caught.value.fix
+
+
+class TestRead:
+    def test_unknown_keys_are_ignored_even_unsafe_ones(self, tmp_path: Path) -> None:
+        arrays = content(make()) | {"later": np.arange(3), "odd": np.array([{}], dtype=object)}
+        meta_with(invented_later=[1, 2])(arrays)
+        assert_same(read(save(tmp_path / "a.npz", **arrays)), make())
+
+    def test_other_byte_and_index_orders_are_accepted(self, tmp_path: Path) -> None:
+        arrays = content(make())
+        arrays["frames"] = np.asfortranarray(arrays["frames"].astype(">i2"))
+        arrays["sequence"] = arrays["sequence"].astype(">i8")
+        found = read(save(tmp_path / "a.npz", **arrays))
+        assert_same(found, make())
+        assert found.frames.flags.c_contiguous
+
+    @pytest.mark.parametrize("name", ["missing.npz", "nul\0.npz", "x" * 300, "pipe", "empty"])
+    def test_what_is_not_there_is_missing(self, tmp_path: Path, name: str) -> None:
+        os.mkfifo(tmp_path / "pipe")
+        (tmp_path / "empty").mkdir()
+        with pytest.raises(RecordingMissing):
+            read(tmp_path / name)
+
+    @pytest.mark.parametrize("bytes_", [b"", b"PK", b"hello", bytes(500)])
+    def test_what_is_not_an_archive_is_truncated(self, tmp_path: Path, bytes_: bytes) -> None:
+        (tmp_path / "a.npz").write_bytes(bytes_)
+        with pytest.raises(RecordingTruncated):
+            read(tmp_path / "a.npz")
+
+    def test_a_tiny_file_that_claims_a_huge_array_costs_no_memory(self, tmp_path: Path) -> None:
+        header = b"{'descr': '<i2', 'fortran_order': False, 'shape': (1000000000000, 4, 250), }\n"
+        save(tmp_path / "a.npz", **{k: v for k, v in content(make()).items() if k != "frames"})
+        with zipfile.ZipFile(tmp_path / "a.npz", "a") as archive:
+            archive.writestr("frames.npy", b"\x93NUMPY\x01\x00" + struct.pack("<H", len(header)) + header)
+        with pytest.raises(RecordingShape, match=r"claims int16 of shape .1000000000000, 4, 250\."):
+            read(tmp_path / "a.npz")
+
+    def test_a_member_that_claims_more_than_deflate_can_hold_is_refused(self, tmp_path: Path) -> None:
+        data = bytearray(save(tmp_path / "a.npz", **content(make())).read_bytes())
+        entry = data.index(b"PK\x01\x02", data.index(b"PK\x01\x02") + 1)  # the second entry of the directory
+        data[entry + 24 : entry + 28] = struct.pack("<I", 2**31)
+        (tmp_path / "a.npz").write_bytes(data)
+        with pytest.raises(RecordingTruncated, match="claims 2147483648 bytes"):
+            read(tmp_path / "a.npz")
+
+
+class TestFolder:
+    def fill(self, folder: Path, chunks: int = 3) -> Recording:
+        """Write chunks of 4 frames; return the whole."""
+        folder.mkdir()
+        for i in range(chunks):
+            write(folder / f"{i:06d}.npz", make(4, first=4 * i))
+        parts = [make(4, first=4 * i) for i in range(chunks)]
+        arrays = {
+            f.name: np.concatenate([getattr(p, f.name) for p in parts])
+            for f in dataclasses.fields(Recording)[1:]
+            if getattr(parts[0], f.name) is not None
+        }
+        return Recording(meta=META, **arrays)
+
+    def test_a_folder_reads_as_one_recording(self, tmp_path: Path) -> None:
+        assert_same(read(self._path(tmp_path)), self.fill(tmp_path / "again"))
+
+    def _path(self, tmp_path: Path) -> Path:
+        self.fill(tmp_path / "r")
+        return tmp_path / "r"
+
+    def test_chunks_are_ordered_by_number_not_by_name(self, tmp_path: Path) -> None:
+        for i in range(11):
+            write(tmp_path / f"part-{i}.npz", make(1, first=i))
+        assert read(tmp_path).sequence.tolist() == list(range(11))
+
+    def test_a_reader_holds_one_chunk_at_a_time_and_can_start_again(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        path = self._path(tmp_path)
+        opened: list[str] = []
+        load = npz.load
+
+        def watched(path: Path, keys: Iterable[str]) -> dict[str, Any]:
+            opened.append(path.name)
+            return load(path, keys)
+
+        monkeypatch.setattr(npz, "load", watched)
+        reader = Reader(path)
+        assert opened == ["000000.npz"]
+        assert reader.meta == META
+        assert reader.acquisition.shape == (2, 5)
+        chunks = iter(reader)
+        next(chunks)
+        next(chunks)
+        assert opened == ["000000.npz", "000001.npz"]
+        assert [c.sequence[0] for c in reader] == [c.sequence[0] for c in reader] == [0, 4, 8]
+
+    def test_half_written_and_foreign_files_are_ignored(self, tmp_path: Path) -> None:
+        path = self._path(tmp_path)
+        (path / ".000003.npz.abc123.tmp").write_bytes(b"PK half")
+        (path / ".000004.npz").write_bytes(b"PK half")
+        (path / "notes.txt").write_text("wet glass")
+        assert len(read(path).sequence) == 12
+
+    def test_a_truncated_last_chunk_is_named_with_what_to_do(self, tmp_path: Path) -> None:
+        path = self._path(tmp_path)
+        last = path / "000002.npz"
+        last.write_bytes(last.read_bytes()[:-100])
+        with pytest.raises(RecordingTruncated, match=r"000002\.npz.*delete") as caught:
+            read(path)
+        assert caught.value.exit_code == 22
+        last.unlink()
+        assert len(read(path).sequence) == 8
+
+    def test_a_lost_chunk_in_the_middle_is_a_jump_in_the_sequence(self, tmp_path: Path) -> None:
+        path = self._path(tmp_path)
+        (path / "000001.npz").unlink()
+        assert read(path).sequence.tolist() == [0, 1, 2, 3, 8, 9, 10, 11]
+
+    @pytest.mark.parametrize(
+        ("odd", "error", "message"),
+        [
+            (make(4, first=2), RecordingValues, "sequence goes back from 3 to 2"),
+            (make(4, first=4, contacts=None), RecordingShape, "contacts_mm changes from shape .n, 1, 2. to absent"),
+            (make(4, first=4, contacts=2), RecordingShape, "contacts_mm changes"),
+            (make(4, first=4, meta=META.model_copy(update={"bits": 12})), RecordingShape, "acquisition changes"),
+            (
+                make(4, first=4, meta=META.model_copy(update={"plate": Plate(width_mm=1, height_mm=1)})),
+                RecordingShape,
+                "plate changes",
+            ),
+        ],
+    )
+    def test_a_chunk_that_does_not_follow_names_both(
+        self, tmp_path: Path, odd: Recording, error: type[RecordingError], message: str
+    ) -> None:
+        write(tmp_path / "000000.npz", make(4))
+        write(tmp_path / "000001.npz", odd)
+        with pytest.raises(error, match=message) as caught:
+            read(tmp_path)
+        assert "000001.npz, after 000000.npz" in caught.value.where
+
+
+def _bytes(compress: bool) -> bytes:
+    file = io.BytesIO()
+    (np.savez_compressed if compress else np.savez)(file, **content(make()))
+    return file.getvalue()
+
+
+WHOLE = {compress: _bytes(compress) for compress in (False, True)}
+
+
+def assert_valid_or_refused(path: Path) -> None:
+    refusal = None
+    try:
+        check(read(path))
+    except RecordingError as error:
+        refusal = error
+    assert type(refusal) is not RecordingError, "always one of the subclasses"
+
+
+@pytest.mark.parametrize("compress", [False, True])
+def test_a_file_cut_anywhere_is_refused(tmp_path: Path, compress: bool) -> None:
+    whole = WHOLE[compress]
+    for length in range(0, len(whole), 7):
+        (tmp_path / "a.npz").write_bytes(whole[:length])
+        with pytest.raises(RecordingTruncated):
+            read(tmp_path / "a.npz")
+
+
+@settings(FILE_SETTINGS, max_examples=400)
+@given(data=st.data(), compress=st.booleans())
+def test_flipped_bytes_give_a_recording_or_a_typed_error(tmp_path: Path, data: st.DataObject, compress: bool) -> None:
+    spoiled = bytearray(WHOLE[compress])
+    for _ in range(data.draw(st.integers(1, 3))):
+        spoiled[data.draw(st.integers(0, len(spoiled) - 1))] = data.draw(st.integers(0, 255))
+    (tmp_path / "a.npz").write_bytes(spoiled)
+    assert_valid_or_refused(tmp_path / "a.npz")
+
+
+@settings(FILE_SETTINGS, max_examples=100)
+@given(noise=st.binary(max_size=200))
+def test_random_bytes_are_refused(tmp_path: Path, noise: bytes) -> None:
+    (tmp_path / "a.npz").write_bytes(noise)
+    with pytest.raises(RecordingError):
+        read(tmp_path / "a.npz")
+
+
+@settings(FILE_SETTINGS, max_examples=150)
+@given(
+    key=st.sampled_from(sorted(content(make()))),
+    head=st.text(st.characters(max_codepoint=255), max_size=60)
+    | st.builds(
+        "{{'descr': {}, 'fortran_order': {}, 'shape': {}}}".format,
+        st.sampled_from(
+            ["'<i2'", "'|O'", "'<U3'", "'V8'", "[('a','<f4')]", "'i2,(2,)i4'", "'a9'", "'<U99999999999'", "3"]
+        ),
+        st.sampled_from(["True", "False", "None", "[]"]),
+        st.sampled_from(
+            ["()", "(3,)", "(-1,)", "(0, 10**9)", "(0, 99999999999999999999)", "(True,)", "(2, 2, 2)", "5"]
+        ),
+    ),
+    body=st.binary(max_size=40),
+)
+def test_any_array_header_gives_a_recording_or_a_typed_error(tmp_path: Path, key: str, head: str, body: bytes) -> None:
+    # The archive is sound, checksums and all: only the array inside is made up.
+    text = head.encode("latin-1")
+    with zipfile.ZipFile(io.BytesIO(WHOLE[False])) as whole, zipfile.ZipFile(tmp_path / "a.npz", "w") as spoiled:
+        for name in whole.namelist():
+            array = b"\x93NUMPY\x01\x00" + struct.pack("<H", len(text)) + text + body
+            spoiled.writestr(name, array if name == f"{key}.npy" else whole.read(name))
+    assert_valid_or_refused(tmp_path / "a.npz")
+
+
+@settings(FILE_SETTINGS, max_examples=150)
+@given(data=st.data())
+def test_any_array_under_any_key_gives_a_recording_or_a_typed_error(tmp_path: Path, data: st.DataObject) -> None:
+    arrays = content(make())
+    dtypes = ["i2", "i8", "f4", "f8", "u1", "U4", "S3", "?", "c8", "O", "M8[s]"]
+    for _ in range(data.draw(st.integers(1, 3))):
+        key = data.draw(st.sampled_from([*sorted(arrays), "force_n", "temperature_c"]))
+        shape = tuple(data.draw(st.lists(st.sampled_from([0, 1, 2, 5, 6]), max_size=4)))
+        array = np.zeros(shape, data.draw(st.sampled_from(dtypes)))
+        if array.dtype.kind == "f" and array.size:
+            array.flat[0] = data.draw(st.sampled_from([np.nan, np.inf, -np.inf, 0.0]))
+        arrays[key] = array
+    assert_valid_or_refused(save(tmp_path / "a.npz", **arrays))
+
+
+JSON = st.recursive(
+    st.none() | st.booleans() | st.floats() | st.integers() | st.text(max_size=5),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
+    max_leaves=6,
+)
+
+
+@settings(FILE_SETTINGS, max_examples=150)
+@given(keys=st.dictionaries(st.sampled_from(sorted(Meta.model_fields)), JSON, max_size=4), cut=st.integers(0, 400))
+def test_any_meta_gives_a_recording_or_a_typed_error(tmp_path: Path, keys: dict[str, Any], cut: int) -> None:
+    arrays = content(make())
+    text = json.dumps({**json.loads(arrays["meta"]), **keys})
+    arrays["meta"] = text[:cut] if cut < 100 else text
+    assert_valid_or_refused(save(tmp_path / "a.npz", **arrays))
+
+
+def test_deeply_nested_meta_is_refused(tmp_path: Path) -> None:
+    arrays = content(make()) | {"meta": "[" * 100_000}
+    with pytest.raises(RecordingValues):
+        read(save(tmp_path / "a.npz", **arrays))
