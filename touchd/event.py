@@ -144,7 +144,7 @@ def encode(event: Event) -> bytes:
     return _ADAPTERS[event.type].dump_json(event, exclude_none=True)
 
 
-_NO_LATENCY = b'"latency_us":0.0}'
+_LATENCY = b'"latency_us":'
 
 
 def encode_at(event: TouchEvent, received_ns: int, clock: Callable[[], int]) -> bytes:
@@ -152,8 +152,9 @@ def encode_at(event: TouchEvent, received_ns: int, clock: Callable[[], int]) -> 
 
     So the encoding, the larger part of the way from the tracker to the socket, counts as latency too.
     """
-    body = encode(event).removesuffix(_NO_LATENCY)
-    return b'%b"latency_us":%.1f}' % (body, (clock() - received_ns) * 1e-3)
+    body = encode(event)
+    end = body.rindex(_LATENCY) + len(_LATENCY)  # the last field; inside a string its quotes would be escaped
+    return b"%b%.1f}" % (body[:end], (clock() - received_ns) * 1e-3)
 
 
 def decode(topic: str, payload: bytes) -> Event:
