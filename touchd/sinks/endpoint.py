@@ -1,0 +1,152 @@
+"""Addresses of the bus: which ones stay on this computer, and whose a socket file is. No sockets of ZeroMQ here."""
+
+from __future__ import annotations
+
+import contextlib
+import grp
+import ipaddress
+import os
+import socket
+import stat
+from collections.abc import Iterator
+from pathlib import Path
+
+from touchd.errors import AddressInUse, BusError, InsecureBind
+
+
+def is_file(address: str) -> bool:
+    """Return whether the address is a socket file, `ipc://`."""
+    return address.startswith("ipc://")
+
+
+def split(address: str) -> tuple[str, str]:
+    """Return host and port of a `tcp://` address, IPv6 hosts without their brackets.
+
+    Raises
+    ------
+    BusError
+        If there is no host or no port.
+    """
+    host, _, port = address.removeprefix("tcp://").rpartition(":")
+    host = host.removeprefix("[").removesuffix("]")
+    if not host or not (port == "*" or (port.isascii() and port.isdigit() and int(port) <= 65535)):
+        raise BusError("not an address", address, "write tcp://HOST:PORT, for example tcp://127.0.0.1:5570")
+    return host, port
+
+
+def is_loopback(host: str) -> bool:
+    """Return whether only this computer can reach the host; names other than localhost count as beyond."""
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+def refuse_insecure(address: str) -> None:
+    """Let an address without keys pass if the computer itself decides who may use it.
+
+    Raises
+    ------
+    InsecureBind
+        If others can reach it.
+    """
+    if is_file(address):
+        if address.startswith("ipc://@"):
+            raise InsecureBind(
+                "an abstract socket has no permissions: every local user can read the touches",
+                address,
+                "use the path of a file, or set bus.insecure = true to allow it",
+            )
+    elif not is_loopback(split(address)[0]):
+        raise InsecureBind(
+            "anybody on the network could read the touches, and with them a PIN",
+            address,
+            "run `touchd keygen` and set bus.curve_secret_key, or bus.insecure = true to allow it",
+        )
+
+
+@contextlib.contextmanager
+def private_file(address: str, group: str) -> Iterator[None]:
+    """Around the binding of an `ipc://` address: refuse a taken path, and give the new file its mode and group.
+
+    The file is 0600 from its first moment; with a group it is handed over first and opened, to 0660, last. The umask
+    that does this is the whole process's: bind before other threads make files.
+
+    Raises
+    ------
+    AddressInUse
+        If a live publisher holds the path.
+    BusError
+        If the path holds anything else, or the group cannot be used.
+    """
+    if address.startswith("ipc://@"):
+        yield
+        return
+    path = Path(address.removeprefix("ipc://"))
+    if path.name == "*":
+        raise BusError("a socket file needs a path", address, "write ipc:///run/touchd/bus, for example")
+    gid = _group_id(address, group) if group else None
+    _refuse_taken(address, path)
+    umask = os.umask(0o177)
+    try:
+        yield
+    finally:
+        os.umask(umask)
+    if gid is None:
+        return
+    try:
+        os.chown(path, -1, gid)
+        path.chmod(0o660)
+    except OSError as error:
+        raise BusError(
+            f"the socket cannot be given to the group {group!r} ({error.strerror})",
+            address,
+            "run touchd as a member of bus.ipc_group",
+        ) from error
+
+
+def _group_id(address: str, group: str) -> int:
+    try:
+        return grp.getgrnam(group).gr_gid
+    except KeyError:
+        raise BusError(
+            f"there is no group {group!r}", address, f"correct bus.ipc_group, or create it: groupadd {group}"
+        ) from None
+
+
+def _refuse_taken(address: str, path: Path) -> None:
+    """Ask whoever listens at the path to answer: libzmq would unlink the file without asking."""
+    try:
+        mode = path.lstat().st_mode
+    except FileNotFoundError:
+        return
+    except OSError as error:
+        raise BusError(
+            f"the socket's folder cannot be used ({error.strerror})", address, "check the path and its permissions"
+        ) from error
+    if not stat.S_ISSOCK(mode):
+        raise BusError(
+            "there is something else than a socket, and it is not replaced", address, "bind elsewhere, or move it away"
+        )
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+        probe.setblocking(False)  # a full queue of a live publisher is an answer too
+        try:
+            probe.connect(str(path))
+        except ConnectionRefusedError:
+            return  # left behind by a process that is gone
+        except FileNotFoundError:
+            return
+        except PermissionError as error:
+            raise AddressInUse(
+                "a socket of another user lies there", address, "stop its owner and remove it, or bind elsewhere"
+            ) from error
+        except OSError as error:
+            if not isinstance(error, BlockingIOError):
+                raise BusError(
+                    f"the socket cannot be used ({error.strerror or error})", address, "take a shorter path"
+                ) from error
+    raise AddressInUse(
+        "another process publishes there", address, "stop it (is the daemon running already?), or set another bus.bind"
+    )

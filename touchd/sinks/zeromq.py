@@ -1,0 +1,236 @@
+"""The event bus: a ZeroMQ publisher that never makes the daemon wait.
+
+Nothing in this module logs a payload: key events are secret.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import zmq
+from zmq.auth.thread import ThreadAuthenticator
+
+from touchd import curve
+from touchd.config import BusSettings
+from touchd.errors import AddressInUse, BusError, BusTimeout
+from touchd.event import TOPICS, Event, TouchEvent, encode, encode_at
+from touchd.sinks import endpoint
+
+_LOG = logging.getLogger(__name__)
+
+_LINGER_MS = 1000
+_MOST_PER_POLL = 64  # subscription messages taken in at once: a flood of them must not hold up a frame
+_MOST_RECEIVED_BYTES = 4096  # subscriptions and handshakes
+# Plain integers: an operation on zmq's flags makes an object, and takes longer than the call it is for.
+_EVENTS, _POLLIN = int(zmq.EVENTS), int(zmq.POLLIN)
+_MORE, _NOBLOCK = int(zmq.SNDMORE | zmq.NOBLOCK), int(zmq.NOBLOCK)
+_SUBSCRIBE, _UNSUBSCRIBE = b"\x01", b"\x00"
+
+
+class ZeromqSink:
+    """Publishes events on an XPUB socket, with a last-value cache.
+
+    A subscriber that reads too slowly loses messages once `high_water_mark` of them wait for it; a gap in `seq` shows
+    it. XPUB cannot address one subscriber, so the cached message that a new one gets reaches all of that topic once
+    more, byte for byte: the same `seq` tells the repeat.
+
+    Parameters
+    ----------
+    settings : BusSettings
+        Addresses, keys, permissions and the high-water mark.
+    clock : Callable
+        CLOCK_MONOTONIC in ns, for the latency.
+
+    Raises
+    ------
+    AddressInUse
+        If another process publishes at one of the addresses.
+    InsecureBind
+        If an address beyond loopback was asked for without keys.
+    BusError
+        If a key, a group or an address cannot be used.
+    """
+
+    def __init__(self, settings: BusSettings, clock: Callable[[], int] = time.monotonic_ns) -> None:
+        self._clock = clock
+        self._open = True
+        self._last: dict[str, Event | bytes] = {}
+        # The prefixes subscribed to, and the topics they stand for. The prefixes alone tell when a topic is dropped.
+        self._prefixes: set[bytes] = set()
+        self._wanted: frozenset[str] = frozenset()
+        self._topic_frames = {topic: topic.encode() for topic in TOPICS}
+        self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
+        self._socket = self._context.socket(zmq.XPUB)
+        self._authenticator: ThreadAuthenticator | None = None
+        try:
+            # Verbose for subscriptions: each one asks for the last value. Not for their ends: libzmq then reports
+            # only that of a prefix's last one, which is right even for a client that subscribed twice.
+            self._socket.setsockopt(zmq.XPUB_VERBOSE, 1)
+            self._socket.setsockopt(zmq.SNDHWM, settings.high_water_mark)
+            self._socket.setsockopt(zmq.LINGER, _LINGER_MS)
+            self._socket.setsockopt(zmq.MAXMSGSIZE, _MOST_RECEIVED_BYTES)
+            # A subscriber whose cable was pulled is found out after half a minute.
+            for option, value in ((zmq.TCP_KEEPALIVE, 1), (zmq.TCP_KEEPALIVE_IDLE, 15), (zmq.TCP_KEEPALIVE_INTVL, 5),
+                                  (zmq.TCP_KEEPALIVE_CNT, 3)):  # fmt: skip
+                self._socket.setsockopt(option, value)
+            self.addresses = self._bind_all(settings)
+        except BaseException:
+            self.close()
+            raise
+
+    addresses: tuple[str, ...]
+    """The addresses bound, in the order of the settings, with the port chosen where one was left open."""
+
+    def wants(self, topic: str) -> bool:
+        """Return whether somebody is subscribed to the topic, as of the last `poll`."""
+        return topic in self._wanted
+
+    def publish(self, event: Event, received_ns: int) -> None:
+        """Send the event to its topic's subscribers, and keep it for those to come; it must not change afterwards."""
+        topic = event.type
+        if topic not in self._wanted:
+            self._last[topic] = event
+            return
+        body = encode_at(event, received_ns, self._clock) if isinstance(event, TouchEvent) else encode(event)
+        self._send(topic, body)
+        self._last[topic] = body
+
+    def poll(self) -> None:
+        """Take in subscriptions that have come or gone, and give new ones the last message of their topics."""
+        # Asking for the state costs a microsecond; an attempt to receive that fails costs several.
+        if not self._open or not int(self._socket.getsockopt(_EVENTS)) & _POLLIN:
+            return
+        new: set[str] = set()
+        for _ in range(_MOST_PER_POLL):
+            try:
+                message = self._socket.recv(_NOBLOCK)
+            except zmq.Again:
+                break
+            kind, prefix = message[:1], message[1:]
+            topics = {topic for topic, frame in self._topic_frames.items() if frame.startswith(prefix)}
+            if not topics:
+                continue
+            if kind == _SUBSCRIBE:
+                self._prefixes.add(prefix)
+                new |= topics
+            elif kind == _UNSUBSCRIBE:
+                self._prefixes.discard(prefix)
+        self._wanted = frozenset(
+            topic for topic, frame in self._topic_frames.items() if frame.startswith(tuple(self._prefixes))
+        )
+        for topic in sorted(new & self._last.keys() & self._wanted):
+            self._send_last(topic)
+
+    def wait_for_subscriber(self, timeout_s: float, topic: str = "touch") -> None:
+        """Return once somebody is subscribed to the topic: for scripts that publish at full speed.
+
+        Raises
+        ------
+        BusTimeout
+            If nobody has subscribed after `timeout_s`.
+        """
+        deadline_s = time.monotonic() + timeout_s
+        self.poll()
+        while not self.wants(topic):
+            left_s = deadline_s - time.monotonic()
+            if left_s <= 0:
+                raise BusTimeout(
+                    f"nobody subscribed to {topic!r} within {timeout_s:g} s",
+                    ", ".join(self.addresses),
+                    "start the subscriber, and check its address and keys",
+                )
+            self._socket.poll(int(left_s * 1000) + 1)
+            self.poll()
+
+    def close(self) -> None:
+        """Send what is waiting, for at most a second, and free the addresses; further calls do nothing."""
+        if not self._open:
+            return
+        self._open = False
+        self._wanted = frozenset()
+        self._last.clear()
+        if self._authenticator is not None:
+            self._authenticator.stop()
+        self._socket.close()
+        self._context.term()
+
+    def _send(self, topic: str, body: bytes) -> None:
+        """Hand one message to the socket, which drops it for every subscriber that is behind."""
+        self._socket.send(self._topic_frames[topic], _MORE)
+        self._socket.send(body, _NOBLOCK)
+
+    def _send_last(self, topic: str) -> None:
+        """Send a topic's last message again, or for the first time if nobody was there when it happened."""
+        last = self._last[topic]
+        if not isinstance(last, bytes):
+            # Not `encode_at`: how long it lay here is no latency, and the field stays 0.
+            last = self._last[topic] = encode(last)
+        self._send(topic, last)
+
+    def _bind_all(self, settings: BusSettings) -> tuple[str, ...]:
+        """Bind every address, and return what was bound in the order of the settings."""
+        secret_key = settings.curve_secret_key
+        if secret_key is None and not settings.insecure:
+            for address in settings.bind:
+                endpoint.refuse_insecure(address)
+        bound = dict.fromkeys(range(len(settings.bind)), "")
+        # A listener copies the options that hold when it is bound. So files come first, and keys concern TCP alone.
+        for index, address in enumerate(settings.bind):
+            if endpoint.is_file(address):
+                with endpoint.private_file(address, settings.ipc_group):
+                    bound[index] = self._bind(address, address)
+        if secret_key is not None:
+            self._require_keys(curve.load_secret(secret_key), settings.curve_clients)
+        for index, address in enumerate(settings.bind):
+            if not endpoint.is_file(address):
+                host, port = endpoint.split(address)
+                self._socket.setsockopt(zmq.IPV6, int(":" in host))
+                bound[index] = self._bind(address, f"tcp://[{host}]:{port}" if ":" in host else f"tcp://{host}:{port}")
+        return tuple(bound.values())
+
+    def _bind(self, address: str, zmq_address: str) -> str:
+        try:
+            self._socket.bind(zmq_address)
+        except zmq.ZMQError as error:
+            if error.errno == zmq.EADDRINUSE:
+                raise AddressInUse(
+                    "another process holds the address",
+                    address,
+                    "stop it (is the daemon running already?), or set another bus.bind",
+                ) from error
+            raise BusError(
+                f"cannot publish there ({error.strerror})",
+                address,
+                "check that the interface or folder exists, and who may use it",
+            ) from error
+        return self._socket.getsockopt_string(zmq.LAST_ENDPOINT).rstrip("\0")
+
+    def _require_keys(self, pair: curve.KeyPair, clients: Path | None) -> None:
+        """Encrypt from here on; with a folder of clients admit only those."""
+        self._socket.setsockopt(zmq.CURVE_SERVER, 1)
+        self._socket.setsockopt(zmq.CURVE_PUBLICKEY, pair.public)
+        self._socket.setsockopt(zmq.CURVE_SECRETKEY, pair.secret)
+        if clients is None:
+            return
+        curve.load_folder(clients)  # now, so that a mistake in it is seen at the start
+        self._socket.setsockopt_string(zmq.ZAP_DOMAIN, "touchd")
+        self._authenticator = ThreadAuthenticator(self._context)
+        self._authenticator.start()
+        self._authenticator.configure_curve_callback("touchd", _Clients(clients))
+
+
+class _Clients:
+    """Who may subscribe: asked at every handshake, so that keys come and go without a restart."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+
+    def callback(self, _domain: str, key: bytes) -> bool:
+        try:
+            return key in curve.load_folder(self._folder)
+        except BusError as error:
+            _LOG.error("subscriber refused, as the clients' keys cannot be read: %s", error)
+            return False
