@@ -1,0 +1,115 @@
+"""`touchd listen`: see what the bus carries."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+from collections.abc import Iterator
+from datetime import datetime
+from pathlib import Path
+
+import click
+
+from touchd.client import DEFAULT_ADDRESS, Subscriber
+from touchd.event import TOPICS, Event, HealthEvent, KeyEvent, TouchEvent, encode
+
+
+@click.command(name="listen", short_help="Print the events of a running touchd.")
+@click.argument("address", default=DEFAULT_ADDRESS)
+@click.option(
+    "--topic", "topics", type=click.Choice(TOPICS), multiple=True, default=("touch",), show_default=True,
+    help="What to listen to; may be repeated.",
+)  # fmt: skip
+@click.option("--json", "as_json", is_flag=True, help="Print JSON lines.")
+@click.option("--count", type=click.IntRange(min=1), help="Stop after this many messages.")
+@click.option(
+    "--timeout", "timeout_s", type=click.FloatRange(min=0, min_open=True), metavar="S",
+    help="Fail if no message comes for this long, in seconds.",
+)  # fmt: skip
+@click.option("--until-stopped", is_flag=True, help="Stop when the daemon says that it stops.")
+@click.option(
+    "--server-key", type=click.Path(dir_okay=False, path_type=Path), metavar="FILE", help="The daemon's public key."
+)
+@click.option("--client-key", type=click.Path(dir_okay=False, path_type=Path), metavar="FILE", help="Your secret key.")
+def command(
+    address: str,
+    topics: tuple[str, ...],
+    as_json: bool,
+    count: int | None,
+    timeout_s: float | None,
+    until_stopped: bool,
+    server_key: Path | None,
+    client_key: Path | None,
+) -> None:
+    """Print the events that a running touchd publishes at ADDRESS (default: tcp://127.0.0.1:5570).
+
+    One line for each contact that goes down, moves or goes up, with the time in UTC. The first line of a topic can be
+    older than the command: the bus keeps the last message for newcomers. Ctrl-C ends it.
+    """
+    wanted = (*topics, "health") if until_stopped and "health" not in topics else topics
+    with Subscriber(address, wanted, timeout_s, server_key, client_key) as events, _ending_quietly():
+        try:
+            _print_all(events, topics, as_json, count, until_stopped)
+        finally:
+            if lost := sum(events.lost[topic] for topic in topics):
+                click.echo(f"{lost} message{'s' if lost > 1 else ''} lost on the way (a jump of seq)", err=True)
+
+
+def _print_all(
+    events: Subscriber[Event], topics: tuple[str, ...], as_json: bool, count: int | None, until_stopped: bool
+) -> None:
+    printed = 0
+    for event in events:
+        if event.type in topics:
+            for line in [encode(event).decode()] if as_json else _lines(event):
+                click.echo(line)  # flushes
+            printed += 1
+        if printed == count:
+            return
+        # Messages arrive in the order they were sent, over all topics: no touch comes after this one.
+        if until_stopped and isinstance(event, HealthEvent) and event.state == "stopping":
+            return
+
+
+@contextlib.contextmanager
+def _ending_quietly() -> Iterator[None]:
+    """Take Ctrl-C, and a reader that has had enough (`| head`), for the ordinary end that they are."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        pass
+    except BrokenPipeError:
+        # What is left in the buffer would fail once more when the interpreter ends.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _lines(event: Event) -> Iterator[str]:
+    """Yield the lines for people; none for contacts that only stay where they are."""
+    at = _time_of_day(event.wall)
+    if isinstance(event, TouchEvent):
+        for c in event.contacts:
+            if c.phase != "hold":
+                yield (
+                    f"{at} {c.phase:4} #{c.id:<4} {c.x_mm:7.1f} {c.y_mm:7.1f} mm  force {c.force:4.2f}"
+                    f"  sigma {c.sigma_mm:4.1f} mm  confidence {c.confidence:4.2f}" + (f"  {c.key}" if c.key else "")
+                )
+    elif isinstance(event, KeyEvent):
+        yield f"{at} {event.phase:7} {event.key}  confidence {event.confidence:4.2f}"
+    elif isinstance(event, HealthEvent):
+        skipped = sum(event.skipped.values())
+        yield (
+            f"{at} {event.state:9} {event.frames} frames, {event.inferred} inferred, {skipped} skipped,"
+            f" {event.lost} lost, {event.corrupt} corrupt  latency p99 {event.latency_us.p99:.0f} us"
+            f"  noise {event.noise:.2f}"
+        )
+    else:
+        peak = max((abs(value) for value in event.features), default=0.0)
+        yield f"{at} frame {event.frame}  {len(event.features)} features  largest {peak:.1f}"
+
+
+def _time_of_day(wall: str) -> str:
+    try:
+        return datetime.fromisoformat(wall).strftime("%H:%M:%S.%f")[:-3]
+    except ValueError:
+        return wall
