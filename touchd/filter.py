@@ -1,0 +1,42 @@
+"""The One-Euro filter: smooth while still, quick while moving."""
+
+from __future__ import annotations
+
+import math
+
+
+class OneEuro:
+    """A low-pass of first order for a point, whose cut-off grows with the point's speed.
+
+    After Casiez, Roussel and Vogel, "1 Euro filter", CHI 2012. The speed of the two axes is taken
+    together, so that a diagonal stroke is not smoothed more than a straight one.
+    """
+
+    __slots__ = ("_beta", "_min_cutoff_hz", "_raw_x_mm", "_raw_y_mm", "vx_mm_s", "vy_mm_s", "x_mm", "y_mm")
+
+    _SPEED_CUTOFF_HZ = 8.0
+
+    def __init__(self, x_mm: float, y_mm: float, min_cutoff_hz: float, beta: float) -> None:
+        self._min_cutoff_hz = min_cutoff_hz
+        self._beta = beta
+        self.x_mm = self._raw_x_mm = x_mm
+        self.y_mm = self._raw_y_mm = y_mm
+        self.vx_mm_s = 0.0
+        self.vy_mm_s = 0.0
+
+    def update(self, x_mm: float, y_mm: float, elapsed_s: float) -> None:
+        """Take in the next position, this long (> 0) after the one before."""
+        weight = _weight(self._SPEED_CUTOFF_HZ, elapsed_s)
+        self.vx_mm_s += weight * ((x_mm - self._raw_x_mm) / elapsed_s - self.vx_mm_s)
+        self.vy_mm_s += weight * ((y_mm - self._raw_y_mm) / elapsed_s - self.vy_mm_s)
+        self._raw_x_mm = x_mm
+        self._raw_y_mm = y_mm
+        speed_mm_s = math.hypot(self.vx_mm_s, self.vy_mm_s)
+        weight = _weight(self._min_cutoff_hz + self._beta * speed_mm_s, elapsed_s)
+        self.x_mm += weight * (x_mm - self.x_mm)
+        self.y_mm += weight * (y_mm - self.y_mm)
+
+
+def _weight(cutoff_hz: float, elapsed_s: float) -> float:
+    turn = 2 * math.pi * cutoff_hz * elapsed_s
+    return turn / (turn + 1.0)

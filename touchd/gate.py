@@ -1,0 +1,73 @@
+"""Is anything there? A threshold on the residual's energy that follows the noise."""
+
+from __future__ import annotations
+
+import math
+from statistics import NormalDist
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchd.config import GateSettings
+
+
+class Gate:
+    """Open while the residual holds more energy than the noise explains, closed otherwise.
+
+    The cube root of an energy (a sum of squares) is very nearly normal, whatever its degrees of
+    freedom (Wilson and Hilferty, PNAS 17:684, 1931). So the mean and the deviation of that root over
+    untouched frames give the threshold for a stated false-alarm rate a frame, for white noise and for
+    coloured noise (trigger jitter, interference) alike.
+    """
+
+    def __init__(self, settings: GateSettings) -> None:
+        self._quantile = NormalDist().inv_cdf(1.0 - settings.false_alarm_rate)
+        self._close_ratio = settings.close_ratio
+        self._memory = settings.noise_frames
+        self._count = 0
+        self._mean = 0.0
+        self._variance = 0.0
+        self._open_above = math.inf
+        self._close_below = math.inf
+        self.is_open = False
+
+    def learn(self, energies: NDArray[np.float64]) -> None:
+        """Start afresh from the energies of untouched frames, shape (n,), n >= 2. Closes the gate."""
+        roots = np.cbrt(energies)
+        self._count = len(roots)
+        self._mean = float(roots.mean())
+        self._variance = float(roots.var(ddof=1))
+        self.is_open = False
+        self._set_thresholds()
+
+    def decide(self, energy: float) -> bool:
+        """Return whether the gate is open for a frame whose residual holds this energy (counts squared)."""
+        self.is_open = energy > (self._close_below if self.is_open else self._open_above)
+        return self.is_open
+
+    def follow(self, energy: float) -> None:
+        """Take in the energy of one more untouched frame."""
+        self._count = min(self._count + 1, self._memory)
+        weight = 1.0 / self._count
+        step = energy ** (1 / 3) - self._mean
+        self._mean += weight * step
+        # The exact update of an exponentially weighted variance (West, CACM 22:532, 1979).
+        self._variance = (1.0 - weight) * (self._variance + weight * step * step)
+        self._set_thresholds()
+
+    @property
+    def noise_energy(self) -> float:
+        """The energy of the residual of an untouched frame, ADC counts squared."""
+        return self._mean**3
+
+    @property
+    def threshold_energy(self) -> float:
+        """The energy above which a closed gate opens, ADC counts squared."""
+        return self._open_above
+
+    def _set_thresholds(self) -> None:
+        # The deviation is known from few frames at first: its upper confidence limit keeps the stated rate.
+        deviation = math.sqrt(self._variance) * (1.0 + 2.0 / math.sqrt(2.0 * self._count))
+        excess = self._quantile * deviation
+        self._open_above = (self._mean + excess) ** 3
+        self._close_below = (self._mean + self._close_ratio * excess) ** 3

@@ -1,0 +1,211 @@
+"""READ FIRST: one frame's way through touchd, from counts to events.
+
+source -> frame -> baseline -> gate -> features -> model -> tracker -> event -> sink
+
+`Pipeline.process` is the middle of that line, stage by stage and with no way back. It knows no
+hardware, no socket and no clock: time is the frames' own, so a recording gives the same events at any
+speed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from touchd.baseline import Baseline
+from touchd.config import Settings
+from touchd.event import Event
+from touchd.features import make_features
+from touchd.frame import Acquisition, Frame
+from touchd.gate import Gate
+from touchd.keypad import Layout
+from touchd.message import Messages
+from touchd.model import Model
+from touchd.standing import Standing, Verdict
+from touchd.tracker import Touch, Tracker
+
+NOTHING: list[Event] = []
+# The baseline moves by at most this much time at once: after a gap it must not swallow a single frame whole.
+_LONGEST_STEP_S = 0.1
+
+
+@dataclass(slots=True)
+class Counters:
+    """What became of the frames."""
+
+    frames: int = 0
+    lost: int = 0
+    repeated: int = 0
+    inferred: int = 0
+    skipped: dict[str, int] = field(default_factory=lambda: {"learning": 0, "gate": 0})
+
+
+class Pipeline:
+    """All stages between a source and the sinks, for one plate.
+
+    Parameters
+    ----------
+    acquisition : Acquisition
+        The geometry of the frames to come; the model must fit it (ModelMismatch).
+    model : Model
+    settings : Settings
+    layout : Layout, optional
+        The keys, in keypad mode.
+    messages : Messages
+        Makes the events: knows the device's name and the wall clock.
+    wants : callable
+        Whether anybody would see a message of a topic.
+    notify : callable
+        Told of each change of the baseline that is not mere drift: the reason, and fields for the log.
+    """
+
+    def __init__(
+        self,
+        acquisition: Acquisition,
+        model: Model,
+        settings: Settings,
+        messages: Messages,
+        layout: Layout | None = None,
+        wants: Callable[[str], bool] = lambda _topic: True,
+        notify: Callable[[str, dict[str, float]], None] = lambda _reason, _fields: None,
+    ) -> None:
+        model.check(acquisition)
+        self.counters = Counters()
+        self.baseline = Baseline(acquisition.shape, settings.baseline)
+        self.gate = Gate(settings.gate)
+        self.tracker = Tracker(settings.tracker)
+        self._standing = Standing(acquisition.shape, settings.baseline)
+        self._features = make_features(model.description.domain, acquisition)
+        self._model = model
+        self._of_residual = model.description.input == "residual"
+        self._raw = np.zeros(acquisition.shape, np.float32)
+        self._min_confidence = settings.model.min_confidence
+        self._force_full_scale = settings.tracker.force_full_scale
+        self._small = 10 ** (settings.baseline.drift_below_db / 10)
+        self._layout = layout
+        self._messages = messages
+        self._wants = wants
+        self._notify = notify
+        self._learning = True
+        self._signal_energy = 1.0
+        self._last_sequence: int | None = None
+        self._last_ns = 0
+        self.followed_ns = 0
+        """Time of the last frame that went into the baseline."""
+
+    def process(self, frame: Frame) -> list[Event]:
+        """Take one frame through every stage and return the events it causes, mostly none."""
+        if not self._in_order(frame):
+            return NOTHING
+        elapsed_s = min((frame.t_ns - self._last_ns) * 1e-9, _LONGEST_STEP_S)
+        self._last_ns = frame.t_ns
+
+        if self._learning:
+            return self._learn(frame)
+        energy = self.baseline.subtract(frame.counts)
+        if not self.gate.decide(energy):
+            self._untouched(frame, energy, elapsed_s)
+            return self._track(frame, ()) if self.tracker.busy else NOTHING
+
+        touch = self._locate(frame, energy)
+        events = self._track(frame, (touch,) if touch else ())
+        self._settle(frame, energy, elapsed_s, found=touch is not None)
+        return events
+
+    def lose(self, t_ns: int) -> list[Event]:
+        """End all contacts because no further frame comes, and return the events."""
+        contacts = self.tracker.release_all(t_ns)
+        return self._messages.touch(t_ns, self._last_sequence or 0, contacts) if contacts else NOTHING
+
+    # -- the stages that need more than one call ---------------------------------------------------
+
+    def _in_order(self, frame: Frame) -> bool:
+        """Count what is missing before a frame; a frame that was seen already is dropped."""
+        counters = self.counters
+        last = self._last_sequence
+        if last is None:
+            self._last_ns = frame.t_ns
+        elif frame.sequence <= last:
+            counters.repeated += 1
+            return False
+        else:
+            counters.lost += frame.sequence - last - 1
+        self._last_sequence = frame.sequence
+        counters.frames += 1
+        return True
+
+    def _learn(self, frame: Frame) -> list[Event]:
+        """Learn the untouched plate and its noise before anything is sensed."""
+        self.counters.skipped["learning"] += 1
+        energies = self.baseline.learn(frame.counts)
+        if energies is not None:
+            self.gate.learn(energies)
+            self._standing.clear()
+            self._signal_energy = self.baseline.energy()
+            self._learning = False
+            self.followed_ns = frame.t_ns
+        return self._track(frame, ()) if self.tracker.busy else NOTHING
+
+    def _untouched(self, frame: Frame, energy: float, elapsed_s: float) -> None:
+        """The gate is closed: neither features nor network run; the plate's drift and noise are followed."""
+        self.counters.skipped["gate"] += 1
+        self._standing.clear()
+        self.gate.follow(energy)
+        if not self.tracker.busy:
+            self.baseline.follow(elapsed_s)
+            self.followed_ns = frame.t_ns
+
+    def _locate(self, frame: Frame, energy: float) -> Touch | None:
+        """Features and network: where the finger is, or None if this does not look like one."""
+        signal = self.baseline.residual
+        if not self._of_residual:
+            signal = self._raw
+            np.copyto(signal, frame.counts)
+        self._features.extract(signal, self._model.features[0])
+        self.counters.inferred += 1
+        estimate = self._model.estimate()
+        if estimate.confidence < self._min_confidence:
+            return None
+        force = min(1.0, (energy / self._signal_energy) ** 0.5 / self._force_full_scale)
+        key = self._layout.at(estimate.x_mm, estimate.y_mm) if self._layout else estimate.key
+        return Touch(estimate.x_mm, estimate.y_mm, estimate.sigma_mm, estimate.confidence, force, key)
+
+    def _track(self, frame: Frame, touches: tuple[Touch, ...]) -> list[Event]:
+        contacts = self.tracker.update(frame.t_ns, touches)
+        events: list[Event] = []
+        if contacts:
+            events = self._messages.touch(frame.t_ns, frame.sequence, contacts)
+        if touches and self._wants("spectrum"):
+            events.append(self._messages.spectrum(frame.t_ns, frame.sequence, self._model.features[0].tolist()))
+        return events
+
+    def _settle(self, frame: Frame, energy: float, elapsed_s: float, *, found: bool) -> None:
+        """The gate is open: decide whether the plate as it is now has become the untouched one."""
+        finger = found or self.tracker.alive
+        if not finger and energy < self._small * self._signal_energy:
+            # Less than any finger does: the plate has drifted while it was touched.
+            self.baseline.follow(elapsed_s)
+            self.followed_ns = frame.t_ns
+        leaving = not finger and self._looks_like_leaving()
+        verdict = self._standing.watch(frame.t_ns, self.baseline.residual, energy, finger=finger, leaving=leaving)
+        if verdict is not None:
+            self._relearn(frame, verdict, energy)
+
+    def _looks_like_leaving(self) -> bool:
+        """Return whether the negative of the residual is a finger: one that the baseline held has gone."""
+        if not self._of_residual:
+            return False
+        features = self._model.features
+        features *= -1.0
+        leaving = self._model.estimate().confidence >= self._min_confidence
+        features *= -1.0
+        return leaving
+
+    def _relearn(self, frame: Frame, verdict: Verdict, energy: float) -> None:
+        level_db = 10 * math.log10(energy / self._signal_energy)
+        self._notify(verdict.value, {"frame": frame.sequence, "level_db": round(level_db, 1)})
+        self.baseline.restart()
+        self._learning = True

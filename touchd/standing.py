@@ -1,0 +1,92 @@
+"""What stays on the plate: when a change that is no moving finger becomes part of the baseline."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+
+import numpy as np
+
+from touchd.baseline import Signal
+from touchd.config import BaselineSettings
+
+
+class Verdict(StrEnum):
+    """Why the plate as it now is shall be the new baseline."""
+
+    ABSORBED = "absorbed"
+    """It has stayed the same for `absorb_s`: a thing left on the plate, or a finger that rests there."""
+    LIFTED = "lifted"
+    """The negative of the change is a finger: one that was part of the baseline has gone."""
+    NOISE = "noise"
+    """It never repeats itself: the noise has grown."""
+
+
+# The change counts as the same while what differs is under this share of its energy, and as noise while
+# one frame differs from the one before by more than this share (2 on average for independent frames).
+_SAME_BELOW = 0.25
+_NOISE_ABOVE = 1.5
+# One odd frame during a press must not cost the baseline.
+_LIFTED_FRAMES = 3
+
+
+class Standing:
+    """Follows the residual while the gate is open, and says when it has become the normal state."""
+
+    def __init__(self, shape: tuple[int, int], settings: BaselineSettings) -> None:
+        self._absorb_ns = round(settings.absorb_s * 1e9)
+        self._unsteady_ns = round(settings.unsteady_s * 1e9)
+        self._reference = np.zeros(shape, np.float32)
+        self._previous = np.zeros(shape, np.float32)
+        self._difference = np.zeros(shape, np.float32)
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget everything: the gate has closed."""
+        self._same_since_ns: int | None = None
+        self._noise_since_ns: int | None = None
+        self._unlike = 0.0
+        self._lifted = 0
+
+    def watch(self, t_ns: int, residual: Signal, energy: float, *, finger: bool, leaving: bool) -> Verdict | None:
+        """Take in one frame seen with the gate open.
+
+        Parameters
+        ----------
+        t_ns : int
+            Time of the frame.
+        residual, energy : array of shape (channels, samples), float
+            The frame less the baseline, and its energy.
+        finger : bool
+            Whether a finger was found in it, or is still being tracked.
+        leaving : bool
+            Whether the negative of the residual looks like a finger.
+        """
+        if self._same_since_ns is None:
+            self._begin(t_ns, residual)
+            self._previous[:] = residual
+            return None
+        if self._distance(residual, self._reference) > _SAME_BELOW * energy:
+            self._begin(t_ns, residual)
+        # A running mean over some ten frames: one frame alone can resemble the one before by chance.
+        self._unlike += 0.1 * (self._distance(residual, self._previous) / energy - self._unlike)
+        if finger or self._unlike < _NOISE_ABOVE or self._noise_since_ns is None:
+            self._noise_since_ns = t_ns
+        self._previous[:] = residual
+        self._lifted = self._lifted + 1 if leaving and not finger else 0
+
+        if self._lifted >= _LIFTED_FRAMES:
+            return Verdict.LIFTED
+        if t_ns - self._same_since_ns >= self._absorb_ns:
+            return Verdict.ABSORBED
+        if t_ns - self._noise_since_ns >= self._unsteady_ns:
+            return Verdict.NOISE
+        return None
+
+    def _begin(self, t_ns: int, residual: Signal) -> None:
+        self._same_since_ns = t_ns
+        self._reference[:] = residual
+
+    def _distance(self, a: Signal, b: Signal) -> float:
+        np.subtract(a, b, out=self._difference)
+        flat = self._difference.reshape(-1)
+        return float(flat.dot(flat))

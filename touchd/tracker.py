@@ -1,0 +1,165 @@
+"""From positions, frame by frame, to contacts that go down, move, hold and come up."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import copy
+from math import dist
+from typing import NamedTuple
+
+from touchd.assignment import assign
+from touchd.config import TrackerSettings
+from touchd.event import Contact
+from touchd.filter import OneEuro
+
+_NEVER = 1e9  # mm: finite, as the assignment asks
+
+
+class Touch(NamedTuple):
+    """A finger found in one frame."""
+
+    x_mm: float
+    y_mm: float
+    sigma_mm: float
+    confidence: float
+    force: float
+    key: str | None = None
+
+
+class _Track:
+    """One finger from its first frame to its last."""
+
+    __slots__ = ("contact", "filter", "missing", "seen")
+
+    def __init__(self, touch: Touch, settings: TrackerSettings) -> None:
+        self.filter = OneEuro(touch.x_mm, touch.y_mm, settings.min_cutoff_hz, settings.beta)
+        self.seen = 1
+        self.missing = 0
+        self.contact: Contact | None = None  # until it is confirmed
+
+
+class Tracker:
+    """Keeps the contacts of a plate.
+
+    A finger is reported `down` once it was found in `confirm_frames` frames in a row, and `up` once it
+    was missing from `release_frames` of them. Which finger is which is decided by the assignment of
+    positions to contacts with the smallest total distance, none farther than `reach_mm`.
+    """
+
+    def __init__(self, settings: TrackerSettings) -> None:
+        self._settings = settings
+        self._refresh_ns = round(settings.refresh_s * 1e9)
+        self._tracks: list[_Track] = []
+        self._next_id = 1
+        self._last_ns = 0
+        self._reported_ns = 0
+
+    @property
+    def busy(self) -> bool:
+        """Whether any finger is being followed, confirmed or not."""
+        return bool(self._tracks)
+
+    @property
+    def alive(self) -> bool:
+        """Whether any contact is down."""
+        return any(track.contact is not None for track in self._tracks)
+
+    def update(self, t_ns: int, touches: Sequence[Touch]) -> list[Contact] | None:
+        """Take in the fingers of one frame.
+
+        Returns
+        -------
+        list of Contact or None
+            All contacts alive and those that ended in this frame, if a message is due: a contact went
+            down, moved beyond the dead band or went up, or `refresh_s` have passed. Else None.
+        """
+        elapsed_s = max(t_ns - self._last_ns, 1) * 1e-9
+        self._last_ns = t_ns
+        due = False
+        matched = self._match(touches)
+        for track, touch in zip(self._tracks, matched, strict=True):
+            due |= self._miss(track) if touch is None else self._advance(track, touch, elapsed_s)
+        for touch in touches:
+            if touch not in matched and len(self._tracks) < self._settings.max_contacts:
+                self._tracks.append(_Track(touch, self._settings))
+                due |= self._confirm(self._tracks[-1], touch)
+        return self._report(t_ns, due)
+
+    def release_all(self, t_ns: int) -> list[Contact] | None:
+        """End every contact, as when the frames stop. Returns the same as `update`."""
+        self._last_ns = t_ns
+        for track in self._tracks:
+            track.missing = self._settings.release_frames - 1
+        ends = [self._miss(track) for track in self._tracks]
+        return self._report(t_ns, any(ends))
+
+    def _match(self, touches: Sequence[Touch]) -> list[Touch | None]:
+        """Return, for each track, the touch that continues it."""
+        tracks = self._tracks
+        if not tracks or not touches:
+            return [None] * len(tracks)
+        # A track may also stay without a touch, at the price of the reach: a column of its own for each.
+        alone = [self._settings.reach_mm] * len(tracks)
+        columns = assign([[self._cost(track, touch) for touch in touches] + alone for track in tracks])
+        return [touches[j] if j < len(touches) else None for j in columns]
+
+    def _cost(self, track: _Track, touch: Touch) -> float:
+        distance_mm = dist((track.filter.x_mm, track.filter.y_mm), (touch.x_mm, touch.y_mm))
+        return distance_mm if distance_mm <= self._settings.reach_mm else _NEVER
+
+    def _advance(self, track: _Track, touch: Touch, elapsed_s: float) -> bool:
+        track.missing = 0
+        track.filter.update(touch.x_mm, touch.y_mm, elapsed_s)
+        contact = track.contact
+        if contact is None:
+            track.seen += 1
+            return self._confirm(track, touch)
+        at = track.filter
+        contact.sigma_mm, contact.confidence, contact.force = touch.sigma_mm, touch.confidence, touch.force
+        contact.vx_mm_s, contact.vy_mm_s = at.vx_mm_s, at.vy_mm_s
+        if dist((contact.x_mm, contact.y_mm), (at.x_mm, at.y_mm)) <= self._settings.dead_band_mm:
+            contact.phase = "hold"
+            return False
+        contact.phase = "move"
+        contact.x_mm, contact.y_mm, contact.key = at.x_mm, at.y_mm, touch.key
+        return True
+
+    def _confirm(self, track: _Track, touch: Touch) -> bool:
+        if track.seen < self._settings.confirm_frames:
+            return False
+        at = track.filter
+        track.contact = Contact(
+            self._next_id, "down", at.x_mm, at.y_mm, touch.force, touch.sigma_mm, touch.confidence,
+            at.vx_mm_s, at.vy_mm_s, touch.key,
+        )  # fmt: skip
+        self._next_id += 1
+        return True
+
+    def _miss(self, track: _Track) -> bool:
+        track.missing += 1
+        contact = track.contact
+        if contact is None:
+            return False
+        contact.phase = "hold"
+        if track.missing < self._settings.release_frames:
+            return False
+        contact.phase = "up"
+        contact.vx_mm_s = contact.vy_mm_s = 0.0
+        return True
+
+    def _report(self, t_ns: int, due: bool) -> list[Contact] | None:
+        due = due or t_ns - self._reported_ns >= self._refresh_ns
+        # Copies: a message must not change after it was handed on.
+        contacts = [copy(track.contact) for track in self._tracks if track.contact is not None] if due else []
+        self._tracks = [track for track in self._tracks if _lives(track)]
+        if not contacts:
+            return None
+        self._reported_ns = t_ns
+        return contacts
+
+
+def _lives(track: _Track) -> bool:
+    if track.contact is None:
+        # An unconfirmed finger that misses one frame was none.
+        return track.missing == 0
+    return track.contact.phase != "up"

@@ -1,0 +1,170 @@
+"""What a training set cannot hold: fresh noise, other strengths and phases, and all that is no finger.
+
+Everything works on features, which are linear in the samples; so each disturbance is added where the
+instrument would add it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from touchd.features import make_features
+from touchd.training.dataset import Dataset
+
+# Phases relative to the recorded touches, rad. The driving impedances of silicone and of human fingers lie
+# within 0.25 of one another (their phase hardly depends on the area); a drop of water, a pure mass, is 0.6
+# ahead, and a finger that leaves the plate is pi away. See docs/data-path.md.
+FINGER_PHASE = 0.35
+OTHER_PHASE = 0.55
+
+
+@dataclass(frozen=True, slots=True)
+class Bank:
+    """A dataset as tensors, with noise to draw from."""
+
+    residual: Tensor
+    untouched: Tensor
+    stretch: Tensor
+    delay: Tensor
+    position: Tensor
+    """In plate sizes from the centre, shape (n, 2)."""
+    noise: Tensor
+    """Features of white noise of the recording's level, shape (m, inputs)."""
+    channels: int
+    bins: int
+    """Bins a channel; 0 in the time domain, where phase means nothing."""
+    neighbours: Tensor
+    """Indices of the touches nearest to each touch, shape (n, k)."""
+
+
+def make_bank(dataset: Dataset, indices: Tensor, generator: torch.Generator, pool: int = 8192) -> Bank:
+    """Return the touches of some indices of a dataset, ready to draw from."""
+    a = dataset.acquisition
+    features = make_features(dataset.domain, a)
+    white = torch.randn((pool, a.channels, a.samples), generator=generator).numpy() * dataset.noise
+    noise = torch.empty((pool, features.size)).numpy()
+    for signal, out in zip(white, noise, strict=True):
+        features.extract(signal, out)
+    size_mm = torch.tensor([dataset.meta.plate.width_mm, dataset.meta.plate.height_mm])
+    place_mm = torch.from_numpy(dataset.position_mm)[indices]
+    nearest = torch.cdist(place_mm, place_mm).topk(min(24, len(indices)), largest=False).indices
+    return Bank(
+        residual=torch.from_numpy(dataset.residual)[indices],
+        untouched=torch.from_numpy(dataset.untouched)[indices],
+        stretch=torch.from_numpy(dataset.stretch)[indices],
+        delay=torch.from_numpy(dataset.delay)[indices],
+        position=place_mm / size_mm - 0.5,
+        noise=torch.from_numpy(noise),
+        channels=a.channels,
+        bins=features.size // a.channels // 2 if dataset.domain == "frequency" else 0,
+        neighbours=nearest,
+    )
+
+
+class Augmenter:
+    """Draws batches of fingers and of other things from a bank."""
+
+    def __init__(self, bank: Bank, generator: torch.Generator) -> None:
+        self._bank = bank
+        self._generator = generator
+
+    def fingers(self, indices: Tensor) -> Tensor:
+        """Return touches as another finger, hour and plate temperature would have given them, (n, inputs)."""
+        n = len(indices)
+        residual = self._strength(self._bank.residual[indices], FINGER_PHASE * self._symmetric(n))
+        residual = residual * self._log_uniform(n, 0.7, 3.0)
+        residual = residual + self._instrument(indices, share=0.3)
+        return residual + self._noise(n, self._uniform(n, 0.0, 1.5))
+
+    def others(self, n: int) -> Tensor:
+        """Return residuals that are no single finger, shape (n, inputs): one of the kinds below for each row."""
+        kinds = [self._nothing, self._out_of_phase, self._moved_baseline, self._two_fingers, self._palm, self._drift]
+        each = -(-n // len(kinds))
+        batch = torch.cat([kind(each) for kind in kinds])
+        keep = torch.randperm(len(batch), generator=self._generator)[:n]
+        return batch[keep] + self._noise(n, self._uniform(n, 0.2, 1.5))
+
+    # -- what is no finger -------------------------------------------------------------------------
+
+    def _nothing(self, n: int) -> Tensor:
+        """Noise alone, and tones that are not locked to the chirp."""
+        tones = self._bank.untouched[self._draw(n)] * 0.02 * self._uniform(n, 0.0, 1.0)
+        scrambled = tones[:, torch.randperm(tones.shape[1], generator=self._generator)]
+        return self._noise(n, self._uniform(n, 0.5, 2.0)) + scrambled * (self._uniform(n, 0.0, 1.0) < 0.3)
+
+    def _out_of_phase(self, n: int) -> Tensor:
+        """Water, dirt, and a finger that leaves a baseline which held it."""
+        sign = torch.where(self._symmetric(n) < 0, -1.0, 1.0)
+        phase = sign * self._uniform(n, OTHER_PHASE, torch.pi)
+        # A finger that leaves is by far the most usual of them.
+        phase = torch.where(self._uniform(n, 0.0, 1.0) < 0.4, torch.pi + FINGER_PHASE * self._symmetric(n), phase)
+        return self._strength(self._bank.residual[self._draw(n)], phase) * self._log_uniform(n, 0.5, 3.0)
+
+    def _moved_baseline(self, n: int) -> Tensor:
+        """A finger at one place while the baseline holds another."""
+        weight = self._log_uniform(n, 0.5, 2.0)
+        return self._bank.residual[self._draw(n)] - weight * self._bank.residual[self._draw(n)]
+
+    def _two_fingers(self, n: int) -> Tensor:
+        first, second = self._draw(n), self._draw(n)
+        weight = self._log_uniform(n, 0.5, 2.0)
+        return self._bank.residual[first] + weight * self._bank.residual[second]
+
+    def _palm(self, n: int) -> Tensor:
+        """Many contacts side by side."""
+        centre = self._bank.neighbours[self._draw(n)]
+        weight = torch.rand((n, centre.shape[1], 1), generator=self._generator)
+        return (self._bank.residual[centre] * weight).sum(dim=1) * self._log_uniform(n, 0.3, 1.5)
+
+    def _drift(self, n: int) -> Tensor:
+        """Temperature, trigger jitter and gains that have changed since the baseline was taken."""
+        return self._instrument(self._draw(n), share=1.0) * self._log_uniform(n, 1.0, 10.0)
+
+    # -- disturbances ------------------------------------------------------------------------------
+
+    def _instrument(self, indices: Tensor, share: float) -> Tensor:
+        """Return what a stretch of 5e-7, a delay of 0.5 ns and gains of 5e-4 (all deviations) add, times share."""
+        n, bank = len(indices), self._bank
+        gains = torch.randn((n, bank.channels), generator=self._generator) * 5e-4 * self._uniform(n, 0.0, 1.0)
+        gains = gains.repeat_interleave(bank.untouched.shape[1] // bank.channels, dim=1)
+        return share * (
+            gains * bank.untouched[indices]
+            + self._normal(n) * 5e-7 * bank.stretch[indices]
+            + self._normal(n) * 0.5e-9 * bank.delay[indices]
+        )
+
+    def _strength(self, residual: Tensor, phase: Tensor) -> Tensor:
+        """Multiply by a complex strength of this phase, (n, 1), whose phase and size change along the band."""
+        bank = self._bank
+        if not bank.bins:
+            return residual * torch.where(phase.abs() > torch.pi / 2, -1.0, 1.0)
+        n = len(residual)
+        along = torch.linspace(-0.5, 0.5, bank.bins)
+        angle = phase + 0.4 * self._symmetric(n) * along
+        size = 1.0 + 0.6 * self._symmetric(n) * along
+        real, imaginary = (size * angle.cos())[:, None], (size * angle.sin())[:, None]
+        parts = residual.reshape(n, bank.channels, 2, bank.bins)
+        a, b = parts[:, :, 0], parts[:, :, 1]
+        return torch.stack([a * real - b * imaginary, a * imaginary + b * real], dim=2).reshape(n, -1)
+
+    def _noise(self, n: int, level: Tensor) -> Tensor:
+        rows = torch.randint(len(self._bank.noise), (n,), generator=self._generator)
+        return self._bank.noise[rows] * level * torch.where(self._symmetric(n) < 0, -1.0, 1.0)
+
+    def _draw(self, n: int) -> Tensor:
+        return torch.randint(len(self._bank.residual), (n,), generator=self._generator)
+
+    def _uniform(self, n: int, low: float, high: float) -> Tensor:
+        return low + (high - low) * torch.rand((n, 1), generator=self._generator)
+
+    def _symmetric(self, n: int) -> Tensor:
+        return self._uniform(n, -1.0, 1.0)
+
+    def _normal(self, n: int) -> Tensor:
+        return torch.randn((n, 1), generator=self._generator)
+
+    def _log_uniform(self, n: int, low: float, high: float) -> Tensor:
+        return torch.exp(self._uniform(n, 0.0, 1.0) * torch.tensor(high / low).log()) * low

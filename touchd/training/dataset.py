@@ -1,0 +1,158 @@
+"""From a labelled recording to features and positions, split for training, validation and test."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchd.errors import TrainingError
+from touchd.features import Domain, make_features
+from touchd.frame import Acquisition
+from touchd.recording import Meta, Recording
+
+Array = NDArray[np.float32]
+
+MIN_TOUCHES = 100
+
+
+@dataclass(frozen=True, slots=True)
+class Dataset:
+    """n touches of one finger, with the untouched plate beside each: all features in ADC counts."""
+
+    meta: Meta
+    acquisition: Acquisition
+    domain: Domain
+    residual: Array
+    """Features of touched less untouched, shape (n, inputs): bit for bit what the daemon would compute."""
+    untouched: Array
+    """Features of the untouched plate beside each touch, shape (n, inputs)."""
+    stretch: Array
+    """Derivative of `untouched` by a stretch of time, shape (n, inputs): what a warmer plate adds."""
+    delay: Array
+    """Derivative of `untouched` by a delay, shape (n, inputs), per second: what trigger jitter adds."""
+    position_mm: Array
+    """Shape (n, 2)."""
+    noise: float
+    """Standard deviation of one sample's noise, ADC counts."""
+    sha256: str
+    """Digest of the recording's frames and truth."""
+
+    def __len__(self) -> int:
+        return len(self.residual)
+
+
+@dataclass(frozen=True, slots=True)
+class Split:
+    """Indices of the touches of each part."""
+
+    train: NDArray[np.int64]
+    validation: NDArray[np.int64]
+    test: NDArray[np.int64]
+
+
+def split(count: int, seed: int) -> Split:
+    """Return a random split into 70, 20 and 10 % (the paper's), the same for the same seed."""
+    order = np.random.default_rng([seed, 0x5B117]).permutation(count)
+    train, validation = round(0.7 * count), round(0.9 * count)
+    return Split(order[:train], order[train:validation], order[validation:])
+
+
+def residual_of(counts: NDArray[np.int16], baseline: Array) -> Array:
+    """Return a frame less its baseline, in the arithmetic of `touchd.baseline.Baseline.subtract`."""
+    return np.subtract(counts, baseline, dtype=np.float32)
+
+
+def make_dataset(recording: Recording, domain: Domain = "frequency") -> Dataset:
+    """Return the features of all single touches of a labelled recording.
+
+    Raises
+    ------
+    TrainingError
+        If the recording is not labelled, has too few touches or no untouched frames, or touches lie outside
+        the plate.
+    """
+    position_mm, touched, untouched = _labels(recording)
+    before = np.searchsorted(untouched, touched) - 1
+    before, after = np.clip(before, 0, None), np.clip(before + 1, None, len(untouched) - 1)
+
+    acquisition = recording.acquisition
+    features = make_features(domain, acquisition)
+    residual = np.empty((len(touched), features.size), np.float32)
+    plain, stretch, delay = (np.empty_like(residual) for _ in range(3))
+    seconds = np.arange(acquisition.samples) / acquisition.sample_rate_hz
+    for i, frame in enumerate(touched):
+        # Two untouched frames, one on each side: half the noise, and a steady drift cancels.
+        pair = recording.frames[[untouched[before[i]], untouched[after[i]]]]
+        baseline = pair.mean(axis=0, dtype=np.float32)
+        features.extract(residual_of(recording.frames[frame], baseline), residual[i])
+        features.extract(baseline, plain[i])
+        slope = _derivative(baseline, acquisition.sample_rate_hz)
+        features.extract((slope * seconds).astype(np.float32), stretch[i])
+        features.extract(slope.astype(np.float32), delay[i])
+    return Dataset(
+        meta=recording.meta,
+        acquisition=acquisition,
+        domain=domain,
+        residual=residual,
+        untouched=plain,
+        stretch=stretch,
+        delay=delay,
+        position_mm=position_mm,
+        noise=_noise(recording.frames[untouched]),
+        sha256=digest(recording),
+    )
+
+
+def digest(recording: Recording) -> str:
+    """Return the SHA-256 of a recording's frames and truth, in hexadecimal."""
+    state = hashlib.sha256(np.ascontiguousarray(recording.frames).tobytes())
+    if recording.contacts_mm is not None:
+        state.update(np.ascontiguousarray(recording.contacts_mm).tobytes())
+    return state.hexdigest()
+
+
+def _labels(recording: Recording) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
+    """Return the positions (n, 2) of single touches, their frames, and the untouched frames."""
+    truth = recording.contacts_mm
+    if truth is None:
+        raise TrainingError("the recording has no `contacts_mm`", fix="record with the touches' true positions")
+    down = np.isfinite(truth[:, :, 0])
+    fingers = down.sum(axis=1)
+    touched, untouched = np.flatnonzero(fingers == 1), np.flatnonzero(fingers == 0)
+    if len(touched) < MIN_TOUCHES:
+        raise TrainingError(
+            f"{len(touched)} touches of a single finger are too few, at least {MIN_TOUCHES} are needed",
+            fix="record more touches; several thousand are usual",
+        )
+    if not len(untouched):
+        raise TrainingError("no untouched frame", fix="record the untouched plate between touches")
+    position_mm = truth[touched, down[touched].argmax(axis=1)]
+    plate = recording.meta.plate
+    outside = ((position_mm < 0) | (position_mm > [plate.width_mm, plate.height_mm])).any(axis=1)
+    if outside.any():
+        first = position_mm[outside][0]
+        raise TrainingError(
+            f"{outside.sum()} touches lie outside the plate of {plate.width_mm:g} x {plate.height_mm:g} mm, "
+            f"the first at ({first[0]:.1f}, {first[1]:.1f})",
+            "contacts_mm",
+            "correct the truth or the plate's size",
+        )
+    return position_mm, touched, untouched
+
+
+def _derivative(signal: Array, sample_rate_hz: float) -> NDArray[np.float64]:
+    """Return the time derivative of a band-limited signal of shape (channels, samples), per second."""
+    samples = signal.shape[-1]
+    omega = 2j * np.pi * np.fft.rfftfreq(samples, 1 / sample_rate_hz)
+    return np.fft.irfft(omega * np.fft.rfft(signal, axis=-1), samples, axis=-1)
+
+
+def _noise(untouched: NDArray[np.int16]) -> float:
+    """Return the deviation of a sample's noise: the lower quartile over pairs of successive untouched frames."""
+    if len(untouched) < 2:
+        return 0.0
+    pairs = untouched[: 2 * (len(untouched) // 2)].astype(np.float32)
+    return float(np.percentile((pairs[1::2] - pairs[::2]).std(axis=(1, 2)), 25) / np.sqrt(2))
