@@ -54,9 +54,22 @@ class Messages:
     ) -> HealthEvent:
         """Return the message on the daemon's own state."""
         return HealthEvent(
-            self._device, self._next("health"), t_ns, self._wall(t_ns), state, frames, lost, corrupt, dict(skipped),
-            inferred, latency_us, noise, baseline_age_s, model, version,
-        )  # fmt: skip
+            self._device,
+            self._next("health"),
+            t_ns,
+            self._wall(t_ns),
+            state,
+            frames,
+            lost,
+            corrupt,
+            dict(skipped),
+            inferred,
+            latency_us,
+            noise,
+            baseline_age_s,
+            model,
+            version,
+        )
 
     def _keys(self, t_ns: int, wall: str, contacts: Sequence[Contact]) -> list[Event]:
         """A key is pressed where a finger goes down, and released when that finger comes up, wherever it slid."""
@@ -65,9 +78,7 @@ class Messages:
             if contact.phase == "down" and contact.key is not None:
                 self._pressed[contact.id] = contact.key
                 events.append(
-                    KeyEvent(
-                        self._device, self._next("key"), t_ns, wall, contact.key, "press", contact.confidence
-                    )  # fmt: skip
+                    KeyEvent(self._device, self._next("key"), t_ns, wall, contact.key, "press", contact.confidence)
                 )
             elif contact.phase == "up" and (key := self._pressed.pop(contact.id, None)) is not None:
                 events.append(KeyEvent(self._device, self._next("key"), t_ns, wall, key, "release", contact.confidence))

@@ -208,7 +208,7 @@ def _load(path: Path) -> Any:
     options.log_severity_level = 4
     try:
         return ort.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
-    except Exception as error:  # noqa: BLE001 - onnxruntime's own classes differ from release to release
+    except Exception as error:
         raise ModelInvalid(
             f"not a usable ONNX model ({str(error).splitlines()[0][:120]})", str(path), "export the model again"
         ) from error

@@ -115,6 +115,10 @@ class Pipeline:
         self._settle(frame, energy, elapsed_s, found=touch is not None)
         return events
 
+    def noise_counts(self) -> float:
+        """Return the RMS of an untouched frame against the baseline, ADC counts; 0 before it is known."""
+        return math.sqrt(self.gate.noise_energy / self._raw.size)
+
     def lose(self, t_ns: int) -> list[Event]:
         """End all contacts because no further frame comes, and return the events."""
         contacts = self.tracker.release_all(t_ns)

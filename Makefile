@@ -1,0 +1,51 @@
+# `make demo` and `make test` do all the set-up they need on a fresh machine (Debian 12, python3, make).
+PYTHON ?= python3
+BIN := .venv/bin
+
+.PHONY: setup demo test lint bench golden docs lock packages test-packages clean
+
+setup: .venv/.ready
+
+# Everything at the exact versions of requirements.lock; touchd itself is installed in place.
+.venv/.ready: requirements.lock pyproject.toml | packages
+	test -x $(BIN)/python || $(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	touch $@
+
+packages:
+	@deploy/debian-packages.sh run
+
+test-packages:
+	@deploy/debian-packages.sh test
+
+demo: setup
+	@$(BIN)/touchd demo $(ARGS)
+
+test: setup test-packages lint
+	$(BIN)/python -m pytest $(ARGS)
+
+lint: setup
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+# Time against error, beside the bare network in the same process.
+bench: setup
+	$(BIN)/python -m tests.bench
+
+# Rebuild the checked-in results and pages.
+golden: setup
+	$(BIN)/python -m tests.golden.rebuild
+
+docs: setup
+	$(BIN)/python docs/generate.py
+
+lock: setup
+	$(BIN)/pip-compile --quiet --all-extras --strip-extras --no-emit-index-url --no-emit-find-links \
+		--no-emit-trusted-host --allow-unsafe --output-file requirements.lock pyproject.toml
+	# Any build of this torch will do: which libraries it brings depends on the machine.
+	sed -i 's/^\(torch==[0-9.]*\)+.*/\1/' requirements.lock
+
+clean:
+	rm -rf .venv build dist .mypy_cache .pytest_cache .ruff_cache .hypothesis

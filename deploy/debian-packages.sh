@@ -1,0 +1,35 @@
+#!/bin/sh
+# Install the Debian packages that touchd needs: `run` for the daemon and the demo, `test` for all tests as well.
+# Does nothing, at once, when they are there.
+set -eu
+
+case "${1:-run}" in
+run) wanted="python3-venv" ;;
+test) wanted="python3-venv gcc libc6-dev libzmq3-dev" ;;
+*) echo "usage: $0 run|test" >&2; exit 2 ;;
+esac
+
+# A python3 of another origin may bring venv and pip without Debian's package.
+if python3 -c 'import ensurepip, venv' 2>/dev/null; then
+    wanted=$(printf '%s\n' $wanted | grep -v '^python3-venv$' || true)
+fi
+
+missing=""
+for package in $wanted; do
+    dpkg-query -W -f '${Status}' "$package" 2>/dev/null | grep -q 'install ok installed' || missing="$missing $package"
+done
+[ -n "$missing" ] || exit 0
+
+as_root=""
+if [ "$(id -u)" -ne 0 ]; then
+    if ! command -v sudo >/dev/null; then
+        echo "touchd needs these packages; as root: apt-get install$missing" >&2
+        exit 1
+    fi
+    as_root=sudo
+fi
+echo "installing:$missing" >&2
+export DEBIAN_FRONTEND=noninteractive
+$as_root apt-get update -qq
+# shellcheck disable=SC2086 # a list of words is meant
+$as_root apt-get install -qq -y --no-install-recommends $missing >/dev/null

@@ -1,0 +1,117 @@
+"""Puts a source, the pipeline and sinks together. Every verb that runs frames comes through here."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import structlog
+
+from touchd.config import Settings
+from touchd.errors import SourceError
+from touchd.keypad import load_layout
+from touchd.message import Messages
+from touchd.model import Model, default_model_path
+from touchd.pipeline import Pipeline
+from touchd.service import Service, stop_on_signals
+from touchd.sources import Source
+
+if TYPE_CHECKING:
+    from touchd.sinks import Sink
+    from touchd.sinks.zeromq import ZeromqSink
+
+log = structlog.get_logger()
+
+
+@dataclass(frozen=True, slots=True)
+class SourceChoice:
+    """Which source the command line asked for."""
+
+    replay: Path | None = None
+    simulate: str | None = None
+    speed: float = 1.0
+    """Relative to the recording; infinite is as fast as frames are taken."""
+    loop: bool = False
+    seed: int = 0
+
+
+def open_source(choice: SourceChoice) -> Source:
+    """Return the source that was asked for; each backend is imported on use.
+
+    Raises
+    ------
+    SourceError
+        If none or several were named.
+    """
+    if choice.replay is not None and choice.simulate is not None:
+        raise SourceError("two sources were named", "--replay and --simulate", "name one of them")
+    if choice.replay is not None:
+        from touchd.sources.replay import ReplaySource
+
+        return ReplaySource(choice.replay, speed=choice.speed, loop=choice.loop)
+    if choice.simulate is not None:
+        from touchd.sources.simulated import SimulatedSource
+
+        return SimulatedSource(
+            choice.simulate, seed=choice.seed, paced=choice.speed != float("inf"), loop=choice.loop
+        )  # fmt: skip
+    raise SourceError("no source of frames was named", fix="add --replay FILE or --simulate SCENE")
+
+
+def make_pipeline(
+    source: Source, settings: Settings, messages: Messages, sinks: Sequence[Sink] = ()
+) -> tuple[Pipeline, Model]:
+    """Return the pipeline for a source, with the model that the settings name."""
+    model = Model(settings.model.path or default_model_path())
+    layout = load_layout(settings.keypad.layout) if settings.keypad.layout else model.description.layout
+
+    def wants(topic: str) -> bool:
+        return any(sink.wants(topic) for sink in sinks)
+
+    def notify(reason: str, fields: dict[str, float]) -> None:
+        log.info("baseline learned anew", reason=reason, **fields)
+
+    pipeline = Pipeline(source.acquisition, model, settings, messages, layout, wants, notify)
+    return pipeline, model
+
+
+def make_messages(settings: Settings) -> Messages:
+    """Return the maker of this device's messages."""
+    return Messages(settings.device.name, time.time_ns() - time.monotonic_ns())
+
+
+def run(settings: Settings, choice: SourceChoice, *, echo: bool = False, await_subscriber_s: float = 0.0) -> None:
+    """Run the daemon until its source ends or a signal comes.
+
+    Parameters
+    ----------
+    echo : bool
+        Also print each event as a line of JSON on standard output.
+    await_subscriber_s : float
+        Hold the first frame back until somebody subscribes to `touch`, for at most so long (BusTimeout).
+    """
+    from touchd.sinks.jsonl import JsonlSink
+    from touchd.sinks.zeromq import ZeromqSink
+
+    source = open_source(choice)
+    bus: ZeromqSink | None = None
+    try:
+        bus = ZeromqSink(settings.bus)
+        sinks: list[Sink] = [bus]
+        if echo:
+            sinks.append(JsonlSink(sys.stdout))
+        messages = make_messages(settings)
+        pipeline, model = make_pipeline(source, settings, messages, sinks)
+        service = Service(source, pipeline, sinks, messages, settings.health, model.description.name)
+        stop_on_signals(service)
+        if await_subscriber_s:
+            bus.wait_for_subscriber(await_subscriber_s)
+        service.run()
+    finally:
+        source.close()
+        if bus is not None:
+            bus.close()

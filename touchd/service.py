@@ -1,0 +1,156 @@
+"""Runs a pipeline between a source and its sinks: time, state, health, signals, and an orderly end."""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Callable, Sequence
+from types import FrameType
+
+import numpy as np
+import structlog
+
+from touchd import __version__
+from touchd.config import HealthSettings
+from touchd.event import Event, HealthEvent, Latency, State
+from touchd.message import Messages
+from touchd.pipeline import Pipeline
+from touchd.sinks import Sink
+from touchd.sources import EndOfStream, Source
+
+READ_TIMEOUT_S = 0.05  # how long a new subscriber waits at most for its last value while no frame comes
+STALL_NS = 1_000_000_000
+_LATENCIES = 8192  # kept for one health period; more messages than that a second are sampled by overwriting
+
+log = structlog.get_logger()
+
+
+class Service:
+    """The loop from the source's `read` to the sinks' `publish`."""
+
+    def __init__(
+        self,
+        source: Source,
+        pipeline: Pipeline,
+        sinks: Sequence[Sink],
+        messages: Messages,
+        settings: HealthSettings,
+        model_name: str,
+        clock: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
+        self._source = source
+        self._pipeline = pipeline
+        self._sinks = sinks
+        self._messages = messages
+        self._period_ns = round(settings.period_s * 1e9)
+        self._model_name = model_name
+        self._clock = clock
+        self._state: State = "starting"
+        self._stop = False
+        self._latencies_us = np.zeros(_LATENCIES, np.float32)
+        self._sent = 0
+        self._health_ns = 0
+        self._seen_ns = 0
+        self._stream_ns = 0
+        self._lost_logged = 0
+
+    def stop(self) -> None:
+        """Have `run` end after the frame in hand; safe to call from a signal handler."""
+        self._stop = True
+
+    def run(self) -> None:
+        """Pass frames on until the source ends or `stop` is called; contacts are lifted, sinks flushed."""
+        log.info("starting", model=self._model_name, version=__version__)
+        self._seen_ns = self._clock()
+        self._publish_health()
+        try:
+            while not self._stop:
+                self._step()
+        except EndOfStream:
+            log.info("end of stream", frames=self._pipeline.counters.frames)
+        finally:
+            self._publish(self._pipeline.lose(self._stream_ns), self._clock())
+            self._enter("stopping")
+            self._source.close()
+            for sink in self._sinks:
+                sink.close()
+
+    def _step(self) -> None:
+        """Take at most one frame, and do what is due beside it."""
+        frame = self._source.read(READ_TIMEOUT_S)
+        for sink in self._sinks:
+            sink.poll()
+        if frame is not None:
+            self._stream_ns = frame.t_ns
+            self._seen_ns = frame.received_ns
+            if self._state != "streaming":
+                self._enter("streaming")
+            events = self._pipeline.process(frame)
+            if events:
+                self._publish(events, frame.received_ns)
+        now_ns = self._clock() if frame is None else frame.received_ns
+        if frame is None and self._state == "streaming" and now_ns - self._seen_ns > STALL_NS:
+            self._publish(self._pipeline.lose(self._stream_ns), now_ns)
+            self._enter("stalled")
+        if now_ns - self._health_ns >= self._period_ns:
+            self._publish_health()
+
+    def _publish(self, events: Sequence[Event], received_ns: int) -> None:
+        for event in events:
+            for sink in self._sinks:
+                sink.publish(event, received_ns)
+        if events:
+            self._latencies_us[self._sent % _LATENCIES] = (self._clock() - received_ns) * 1e-3
+            self._sent += 1
+
+    def _enter(self, state: State) -> None:
+        log.info("state", state=state, was=self._state)
+        self._state = state
+        self._publish_health()
+
+    def _publish_health(self) -> None:
+        now_ns = self._clock()
+        self._health_ns = now_ns
+        event = self._health()
+        self._sent = 0
+        for sink in self._sinks:
+            sink.publish(event, now_ns)
+        if event.lost > self._lost_logged:
+            log.warning("frames lost", lost=event.lost - self._lost_logged, lost_in_all=event.lost)
+            self._lost_logged = event.lost
+
+    def _health(self) -> HealthEvent:
+        pipeline = self._pipeline
+        counters = pipeline.counters
+        return self._messages.health(
+            self._stream_ns or self._clock(),
+            state=self._state,
+            frames=counters.frames,
+            lost=counters.lost,
+            corrupt=0,
+            skipped=counters.skipped | ({"repeated": counters.repeated} if counters.repeated else {}),
+            inferred=counters.inferred,
+            latency_us=self._latency(),
+            noise=pipeline.noise_counts(),
+            baseline_age_s=max(0.0, (self._stream_ns - pipeline.followed_ns) * 1e-9),
+            model=self._model_name,
+            version=__version__,
+        )
+
+    def _latency(self) -> Latency:
+        latencies_us = self._latencies_us[: min(self._sent, _LATENCIES)]
+        if not len(latencies_us):
+            return Latency()
+        p50, p99, highest = np.percentile(latencies_us, (50, 99, 100)).round(1).tolist()
+        return Latency(p50, p99, highest)
+
+
+def stop_on_signals(service: Service) -> None:
+    """Have SIGTERM and SIGINT end the service in order; a second one ends it at once."""
+
+    def handle(number: int, _frame: FrameType | None) -> None:
+        service.stop()
+        signal.signal(number, signal.SIG_DFL)
+
+    signal.signal(signal.SIGTERM, handle)
+    signal.signal(signal.SIGINT, handle)
