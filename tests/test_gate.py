@@ -1,0 +1,85 @@
+"""The gate: a stated false-alarm rate, whatever the noise."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from touchd.config import GateSettings
+from touchd.gate import Gate
+
+SAMPLES = 1000
+
+
+def learned(energies: np.ndarray, **settings: float) -> Gate:
+    gate = Gate(GateSettings(**settings))  # type: ignore[arg-type]  # numbers of either kind
+    gate.learn(energies)
+    return gate
+
+
+def alarms(gate: Gate, energies: np.ndarray) -> int:
+    """Untouched frames that open the gate; each is taken for what it is, noise."""
+    count = 0
+    for energy in energies.tolist():
+        count += gate.decide(energy)
+        gate.is_open = False
+        gate.follow(energy)
+    return count
+
+
+@pytest.mark.parametrize("rate", [1e-2, 1e-3])
+@pytest.mark.parametrize("degrees", [SAMPLES, 20])
+def test_false_alarms_come_at_the_stated_rate(rate: float, degrees: int) -> None:
+    """White noise, and noise of few degrees of freedom such as trigger jitter and interference."""
+    frames = 100_000
+    energies = np.random.default_rng(3).chisquare(degrees, frames + 2000)
+    gate = learned(energies[:32], false_alarm_rate=rate)
+    alarms(gate, energies[32:2000])
+    seen = alarms(gate, energies[2000:])
+    # The threshold keeps to the safe side by the confidence of its deviation, so fewer are allowed.
+    assert 0.3 * rate * frames < seen < 1.2 * rate * frames + 4
+
+
+def test_a_million_frames_of_noise_open_a_gate_of_1e_7_not_once() -> None:
+    energies = np.random.default_rng(4).chisquare(SAMPLES, 1_000_000)
+    gate = learned(energies[:32])
+    assert alarms(gate, energies[32:]) == 0
+
+
+def test_the_first_frames_after_learning_are_no_riskier() -> None:
+    """A deviation known from 32 frames alone must not let noise through: 2,000 starts, 100 frames each."""
+    rng = np.random.default_rng(5)
+    seen = sum(
+        alarms(learned(energies[:32], false_alarm_rate=1e-4), energies[32:])
+        for energies in rng.chisquare(SAMPLES, (2000, 132))
+    )
+    assert seen < 2 * 1e-4 * 2000 * 100
+
+
+def test_the_threshold_follows_the_noise_up_and_down() -> None:
+    energies = np.random.default_rng(6).chisquare(SAMPLES, 20_000)
+    gate = learned(energies[:32])
+    slow = np.exp(np.linspace(0, 3, len(energies)))
+    assert alarms(gate, energies * slow) == 0
+    assert alarms(gate, energies * slow[::-1]) == 0
+    # It lags by the memory of 1,000 frames, over which this noise has fallen by 15 %.
+    assert gate.noise_energy == pytest.approx(SAMPLES, rel=0.2)
+
+
+def test_hysteresis_an_open_gate_closes_below_where_it_opened() -> None:
+    gate = learned(np.random.default_rng(7).chisquare(SAMPLES, 100))
+    above = gate.threshold_energy
+    assert gate.decide(above * 1.001)
+    assert gate.decide(above * 0.999), "just below the threshold it stays open"
+    assert not gate.decide(gate.noise_energy)
+    assert not gate.decide(above * 0.999), "and once closed it needs the full threshold again"
+
+
+@given(st.lists(st.floats(0, 1e12), min_size=2, max_size=50), st.lists(st.floats(0, 1e12), max_size=50))
+@settings(max_examples=100, deadline=None)
+def test_any_energies_keep_the_threshold_finite_and_above_the_noise(first: list[float], then: list[float]) -> None:
+    gate = learned(np.array(first))
+    for energy in then:
+        gate.follow(energy)
+    assert np.isfinite(gate.threshold_energy)
+    assert gate.threshold_energy >= gate.noise_energy * (1 - 1e-12)
