@@ -1,0 +1,1 @@
+"""The digital twin: a plate, its transducers, what touches it, and the instrument that listens."""

@@ -1,0 +1,145 @@
+"""From the receivers' signals to ADC counts: gains, noise, interference, faults and quantisation."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchd.errors import SimulationError
+from touchd.frame import Acquisition
+from touchd.twin.chirp import waveform
+
+Floats = NDArray[np.float64]
+
+
+class Tone(NamedTuple):
+    """A sine from elsewhere, such as a charger's, that is not locked to the chirp."""
+
+    frequency_hz: float
+    level_db: float
+    """RMS against the untouched plate's signal."""
+    start_s: float = 0.0
+    stop_s: float = np.inf
+
+
+class Dead(NamedTuple):
+    """A receiver whose wire breaks."""
+
+    channel: int
+    start_s: float = 0.0
+
+
+class Electronics(NamedTuple):
+    """Everything between the receivers and the counts."""
+
+    noise_db: float = 60.0
+    """How far white noise lies below the untouched plate's RMS; inf for none."""
+    peak: float = 0.6
+    """Largest value of the untouched plate's signal, as a part of full scale; over 1 it clips."""
+    gains: tuple[float, ...] = ()
+    """One a channel; empty for all 1."""
+    gain_drift_per_s: tuple[float, ...] = ()
+    """Relative change of each channel's gain per second; empty for none."""
+    jitter_s: float = 0.0
+    """Standard deviation of the trigger's time."""
+    tones: tuple[Tone, ...] = ()
+    dead: tuple[Dead, ...] = ()
+    image_db: float | None = None
+    """Level of the chirp's image about the DAC's rate, against the signal; 15 dB below it before the transducer."""
+
+
+class Digitiser:
+    """Turns signals into counts, frame after frame: R channels, S samples.
+
+    Noise is drawn frame by frame from one stream, so how frames are cut into chunks makes no difference.
+
+    Parameters
+    ----------
+    electronics : Electronics
+    acquisition : Acquisition
+    untouched : array of shape (R, S)
+        The untouched plate's signal at the reference temperature, largest value 1.
+    seed : SeedSequence
+
+    Raises
+    ------
+    SimulationError
+        When a setting does not fit the channels.
+    """
+
+    def __init__(
+        self,
+        electronics: Electronics,
+        acquisition: Acquisition,
+        untouched: Floats,
+        seed: np.random.SeedSequence,
+    ) -> None:
+        channels = acquisition.channels
+        for name in ("gains", "gain_drift_per_s"):
+            given = len(getattr(electronics, name))
+            if given not in (0, channels):
+                raise SimulationError(f"{given} {name} for {channels} channels", "electronics", "give one a channel")
+        if any(not 0 <= dead.channel < channels for dead in electronics.dead):
+            raise SimulationError("no such channel to be dead", "electronics", f"use 0 .. {channels - 1}")
+        if electronics.peak <= 0 or electronics.jitter_s < 0:
+            raise SimulationError("a negative peak or jitter", "electronics", "use positive numbers")
+        self._e = electronics
+        self._a = acquisition
+        self._rms = float(np.sqrt(np.mean(untouched**2)))
+        noise, fixed = seed.spawn(2)
+        self._noise = np.random.default_rng(noise)
+        rng = np.random.default_rng(fixed)
+        self._phases = rng.uniform(0, 2 * np.pi, len(electronics.tones))
+        self._image = _image(acquisition, electronics.image_db, self._rms, rng)
+
+    def counts(self, signal: Floats, time_s: Floats) -> NDArray[np.int16]:
+        """Digitise the next frames.
+
+        Parameters
+        ----------
+        signal : array of shape (n, R, S), in units of the untouched plate's largest value; is overwritten
+        time_s : array of shape (n,)
+            Start of each chirp.
+
+        Returns
+        -------
+        int16 array of shape (n, R, S).
+        """
+        e, a = self._e, self._a
+        signal += self._image
+        if e.gains:
+            signal *= np.array(e.gains)[:, None]
+        if e.gain_drift_per_s:
+            signal *= (1 + time_s[:, None] * np.array(e.gain_drift_per_s))[..., None]
+        moment = time_s[:, None] + np.arange(a.samples) / a.sample_rate_hz
+        for tone, phase in zip(e.tones, self._phases, strict=True):
+            on = (time_s >= tone.start_s) & (time_s < tone.stop_s)
+            amplitude = np.sqrt(2) * self._rms * 10 ** (tone.level_db / 20)
+            # Whole turns go first: at 1e8 radians a sine has lost half of its digits.
+            turn = np.modf(tone.frequency_hz * moment)[0]
+            signal += (on[:, None] * amplitude * np.sin(2 * np.pi * turn + phase))[:, None, :]
+        full_scale = 2 ** (a.bits - 1)
+        for dead in e.dead:
+            signal[time_s >= dead.start_s, dead.channel] = 0.0
+        noise = self._noise.standard_normal(signal.shape)
+        signal += self._rms * 10 ** (-e.noise_db / 20) * noise
+        rounded = np.rint(signal * (e.peak * full_scale))
+        return np.asarray(np.clip(rounded, -full_scale, full_scale - 1), dtype=np.int16)
+
+
+def _image(acquisition: Acquisition, level_db: float | None, rms: float, rng: np.random.Generator) -> Floats:
+    """Make a stand-in for the chirp's image at 400 .. 450 kHz that aliases onto the band, shape (R, S).
+
+    The twin's plate ends at half the sample rate, so the image runs through a random reverberation of 1 ms instead.
+    What matters to touchd is kept: it is locked to the chirp, inside the band, and a touch does not change it.
+    """
+    shape = (acquisition.channels, acquisition.samples)
+    if level_db is None:
+        return np.zeros(shape)
+    time_s = np.arange(acquisition.samples) / acquisition.sample_rate_hz
+    played = waveform(acquisition.chirp.model_copy(update={"dac_rate_hz": acquisition.sample_rate_hz}))
+    room = rng.standard_normal(shape) * np.exp(-time_s / 1e-3)
+    wave = np.array([np.convolve(played, row)[: shape[1]] for row in room])
+    return np.asarray(wave / np.sqrt(np.mean(wave**2)) * rms * 10 ** (level_db / 20))

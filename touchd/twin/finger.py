@@ -1,0 +1,142 @@
+"""What touches the plate: the mechanical impedance of fingers, palms and drops."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from touchd.errors import SimulationError
+
+Floats = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+_NODE, _WEIGHT = np.polynomial.legendre.leggauss(16)
+_SINE = np.sin(np.pi / 4 * (_NODE + 1))
+_COSINE2 = (1 - _SINE**2) * _WEIGHT * np.pi / 4
+
+
+def bessel_struve(x: ArrayLike) -> Complex:
+    """J1(x) - i H1(x), Bessel's and Struve's functions of order one, at real or complex x up to about 12.
+
+    Poisson's integral (DLMF 10.9.4 and 11.5.1) with t = sin(theta): (2 x / pi) times the integral of
+    cos^2(theta) exp(-i x sin theta) over 0 .. pi/2, by 16 Gauss-Legendre nodes.
+    """
+    x = np.asarray(x)
+    return np.asarray(2 * x / np.pi * _poisson(x))
+
+
+def _poisson(x: NDArray[np.generic]) -> Complex:
+    total = np.zeros(x.shape, dtype=complex)
+    for sine, weight in zip(_SINE, _COSINE2, strict=True):
+        total += weight * np.exp(-1j * sine * x)
+    return total
+
+
+class Tissue(NamedTuple):
+    """What a finger is made of."""
+
+    rho_kg_m3: float
+    c_m_s: float
+    """Speed of sound, m/s."""
+    area_mm2: float
+    """Contact area at 1 N, mm^2; it grows as the root of the force."""
+
+
+TISSUES = {
+    # Silicone rubber, 5 mm across: stiff enough that the area hardly grows.
+    "silicone": Tissue(1100.0, 1000.0, 14.0),
+    # Soft tissue. Area against force after Serina et al. (J. Biomech. 30, 1997), as a root.
+    "human": Tissue(1050.0, 1500.0, 100.0),
+}
+
+
+def piston(omega_rad_s: ArrayLike, area_mm2: ArrayLike, tissue: Tissue) -> Complex:
+    """Impedance of a baffled piston, rho c A (R1(2ka) + i X1(2ka)), N s/m (Kinsler & Frey, Fundamentals of Acoustics).
+
+    Parameters
+    ----------
+    omega_rad_s : array_like
+        Angular frequency, real or complex; time goes as exp(i omega t).
+    area_mm2 : array_like, broadcast against `omega_rad_s`
+    tissue : Tissue
+    """
+    area_m2 = np.asarray(area_mm2, dtype=float) * 1e-6
+    x = 2 * np.asarray(omega_rad_s) / tissue.c_m_s * np.sqrt(area_m2 / np.pi)
+    # R1 + i X1 = 1 - 2 (J1 - i H1) / x
+    return np.asarray(tissue.rho_kg_m3 * tissue.c_m_s * area_m2 * (1 - 4 / np.pi * _poisson(x)))
+
+
+def drop_mass_mg(area_mm2: ArrayLike) -> Floats:
+    """Mass of a half sphere of water that wets an area, mg."""
+    return np.asarray(2 / 3 * np.asarray(area_mm2, dtype=float) ** 1.5 / np.sqrt(np.pi))
+
+
+def impedance(kind: str, omega_rad_s: ArrayLike, area_mm2: ArrayLike) -> Complex:
+    """Impedance of a contact in N s/m: a piston on tissue, or a mass i omega m for a drop.
+
+    Parameters
+    ----------
+    kind : "silicone", "human" or "drop"
+    omega_rad_s, area_mm2 : array_like
+        Broadcast against each other.
+
+    Raises
+    ------
+    SimulationError
+        When there is no such kind.
+    """
+    if kind == "drop":
+        return np.asarray(1j * np.asarray(omega_rad_s) * drop_mass_mg(area_mm2) * 1e-6)
+    return piston(omega_rad_s, area_mm2, tissue_of(kind))
+
+
+def tissue_of(kind: str) -> Tissue:
+    """Look up a kind of finger.
+
+    Raises
+    ------
+    SimulationError
+        When there is no such kind.
+    """
+    try:
+        return TISSUES[kind]
+    except KeyError:
+        raise SimulationError(f"unknown finger {kind!r}", "finger", f"use one of {', '.join(TISSUES)}") from None
+
+
+def area_of(kind: str, force_n: ArrayLike) -> Floats:
+    """Contact area of a finger in mm^2 at a force in N."""
+    return np.asarray(tissue_of(kind).area_mm2 * np.sqrt(np.asarray(force_n, dtype=float)))
+
+
+def force_of(kind: str, area_mm2: ArrayLike) -> Floats:
+    """Force in N at which a finger's contact has an area in mm^2."""
+    return np.asarray((np.asarray(area_mm2, dtype=float) / tissue_of(kind).area_mm2) ** 2)
+
+
+class Contact(NamedTuple):
+    """One thing that lies on the plate in one frame."""
+
+    x_mm: float
+    y_mm: float
+    area_mm2: float
+    """Of a palm: of each of its patches."""
+    kind: str
+    """"silicone", "human", "drop" or "palm"."""
+
+
+# A palm touches with its heel and the balls of the fingers. One disc of its size would average a whole wavelength
+# away, so it is many patches, which scatter among each other.
+_PALM_MM = (
+    (-26.0, 12.0), (-13.0, 21.0), (2.0, 24.0), (17.0, 20.0), (28.0, 9.0), (-30.0, -3.0),
+    (-25.0, -18.0), (25.0, -8.0), (-12.0, -25.0), (19.0, -22.0), (4.0, -28.0), (-14.0, 3.0),
+)  # fmt: skip
+
+
+def patches(contact: Contact) -> list[Contact]:
+    """Split a palm into patches of human tissue; anything else is its own single patch."""
+    if contact.kind != "palm":
+        return [contact]
+    return [Contact(contact.x_mm + x, contact.y_mm + y, contact.area_mm2, "human") for x, y in _PALM_MM]

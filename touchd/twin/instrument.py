@@ -1,0 +1,237 @@
+"""What the receivers hear of one chirp, at any temperature, before electronics: the twin without noise.
+
+Signals are computed on a record a few times longer than a frame, at complex frequencies, so that what rings on beyond
+the record does not wrap around into the frame: damping the record by exp(-12) and undoing that afterwards leaves
+-100 dB of it. Only the frame at the start of the record is kept.
+
+A change of temperature scales all modes' frequencies by one factor s. Then the response at omega = s nu is that at nu,
+so the plate is computed once, on a fixed grid of nu; the emission and the contacts are taken at s nu, and the time
+signal at s t, by a Taylor series about t. That is exact, and costs a few inverse transforms.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from touchd.errors import SimulationError
+from touchd.frame import Acquisition, Plate
+from touchd.twin import chirp
+from touchd.twin.finger import Contact, patches
+from touchd.twin.response import Response
+from touchd.twin.transducer import Layout, default_layout, loaded_modes
+
+Floats = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+REFERENCE_C = 22.0
+NODES = 10
+"""Chebyshev nodes in temperature: over +-20 K the phase of the last wave turns by under 0.8 rad, so 1e-9."""
+TAYLOR_ERROR = 1e-7
+MOST_SHIFT_S = 2e-6
+"""Furthest that a time signal is shifted by a Taylor series; nothing real shifts a trigger so far."""
+
+
+class Instrument:
+    """The plate, its discs and the chirp: touches in, signals out. R receivers, S samples.
+
+    Signals are in units of the largest value of the untouched plate's at the reference temperature.
+
+    Parameters
+    ----------
+    plate : Plate
+    layout : Layout, optional
+        Where the discs are; by default one emitter and four receivers.
+    acquisition : Acquisition, optional
+        Its channels must be as many as the receivers; by default 250 samples at 250 kHz.
+    loss : float
+        Loss factor: 2e-3 .. 1e-2 for a mounted plate with bonded discs.
+    temperature_per_k : float
+        Relative change of the modes' frequencies per kelvin: -2e-4 .. -2e-5.
+    span_k : float
+        Largest distance from the reference temperature.
+    tail_period_s : float, optional
+        Include what still rings from all the previous chirps, one each so many seconds. Costs a record that long.
+
+    Raises
+    ------
+    SimulationError
+        When the twin cannot make such an instrument.
+    """
+
+    def __init__(
+        self,
+        plate: Plate,
+        *,
+        layout: Layout | None = None,
+        acquisition: Acquisition | None = None,
+        loss: float = 5e-3,
+        temperature_per_k: float = -4.5e-5,
+        span_k: float = 20.0,
+        tail_period_s: float | None = None,
+    ) -> None:
+        self.plate = plate
+        self.layout = layout or default_layout(plate)
+        receivers = len(self.layout.receivers_mm)
+        self.acquisition = acquisition or Acquisition(channels=receivers, samples=250, sample_rate_hz=250e3)
+        self.temperature_per_k = temperature_per_k
+        self.span_k = span_k
+        a = self.acquisition
+        frame_s = a.samples / a.sample_rate_hz
+        if a.channels != receivers:
+            raise SimulationError(f"{a.channels} channels but {receivers} receivers", "acquisition", "make them agree")
+        if a.chirp.duration_s > frame_s * (1 + 1e-9):
+            raise SimulationError("the chirp is longer than the frame", "acquisition", "record more samples")
+        if tail_period_s is not None and tail_period_s < frame_s:
+            raise SimulationError("chirps follow each other faster than frames last", "tail", "lower the frame rate")
+        if not 0 <= loss < 0.2:
+            raise SimulationError(f"a loss factor of {loss:g}", "loss", "use 0 .. 0.2; glass with discs has 0.005")
+        # With the previous chirps wanted, a record of one period that wraps around is just what happens.
+        record_s, damping = (2 * frame_s, 12.0) if tail_period_s is None else (tail_period_s, 0.0)
+        self._record = round(record_s * a.sample_rate_hz / 2) * 2
+        self._decay_per_s = damping / record_s
+        grid_hz = np.arange(self._record // 2 + 1) * a.sample_rate_hz / self._record
+        nu = np.asarray(2 * np.pi * grid_hz - 1j * max(self._decay_per_s, 1e-3), dtype=np.complex128)
+        modes = loaded_modes(plate, self.layout, a.sample_rate_hz / 2)
+        self.response = Response(plate, modes, nu, loss)
+        self._t = np.arange(a.samples) / a.sample_rate_hz
+        self._tables()
+
+    def scale(self, temperature_c: ArrayLike) -> Floats:
+        """Factor of all modes' frequencies at a temperature.
+
+        Raises
+        ------
+        SimulationError
+            When the temperature is further from the reference than the instrument was made for.
+        """
+        off = np.asarray(temperature_c, dtype=float) - REFERENCE_C
+        if not np.all(np.abs(off) <= self.span_k):
+            raise SimulationError(
+                f"temperatures beyond {REFERENCE_C:g} +- {self.span_k:g} C", "temperature", "raise span_k"
+            )
+        return np.asarray(1 + self.temperature_per_k * off)
+
+    def untouched(self, temperature_c: ArrayLike, late_s: ArrayLike = 0.0) -> Floats:
+        """Signals of the untouched plate.
+
+        Parameters
+        ----------
+        temperature_c : array_like of shape (n,)
+        late_s : array_like of shape (n,) or ()
+            How late the ADC was triggered.
+
+        Returns
+        -------
+        Array of shape (n, R, S).
+        """
+        weights = self._weights(self.scale(temperature_c))
+        late = np.broadcast_to(np.asarray(late_s, dtype=float), weights.shape[:1])
+        orders = np.arange(1 if not np.any(late) else self._orders(float(np.abs(late).max())))
+        powers = late[:, None] ** orders
+        _, K, R, S = self._untouched.shape
+        combined = (powers[:, :, None] * weights[:, None, :]).reshape(-1, len(orders) * K)
+        return np.asarray(combined @ self._untouched[: len(orders)].reshape(-1, R * S)).reshape(-1, R, S)
+
+    def change(self, touches: Sequence[Sequence[Contact]], temperature_c: ArrayLike, late_s: ArrayLike = 0.0) -> Floats:
+        """Change of the signals by what touches the plate.
+
+        Parameters
+        ----------
+        touches : n sequences of contacts, some of which may be empty
+        temperature_c : array_like of shape (n,)
+        late_s : array_like of shape (n,) or ()
+
+        Returns
+        -------
+        Array of shape (n, R, S), to be added to the untouched plate's signals.
+
+        Raises
+        ------
+        SimulationError
+            When a contact reaches over the edge.
+        """
+        scale = self.scale(temperature_c)
+        late = np.broadcast_to(np.asarray(late_s, dtype=float), scale.shape)
+        split = [[patch for contact in touch for patch in patches(contact)] for touch in touches]
+        counts = np.array([len(touch) for touch in split])
+        result = np.zeros((len(split), self.acquisition.channels, self.acquisition.samples))
+        for count in np.unique(counts[counts > 0]):
+            rows = np.flatnonzero(counts == count)
+            # Keep the products of modes in cache and in memory.
+            for part in np.array_split(rows, math.ceil(len(rows) * (count + 5) ** 2 / 2000)):
+                spectrum = self.response.change([split[i] for i in part], scale[part])
+                spectrum *= (self._weights(scale[part]) @ self._emission)[:, None, :]
+                result[part] = self._to_time(spectrum, scale[part], late[part])
+        return result / self._peak
+
+    def _tables(self) -> None:
+        """Compute the emission, and the untouched plate with its time derivatives, at the nodes in temperature."""
+        angle = np.pi * (np.arange(NODES) + 0.5) / NODES
+        self._node_scale = 1 + abs(self.temperature_per_k) * self.span_k * np.cos(angle)
+        self._node_weight = (-1.0) ** np.arange(NODES) * np.sin(angle)
+        nu = self.response.nu_rad_s
+        a = self.acquisition
+        self._emission = np.array(
+            [chirp.spectrum(a.chirp, s * nu) * anti_alias(s * nu.real, a.sample_rate_hz) for s in self._node_scale]
+        )
+        s = self._node_scale
+        heard = self.response.untouched() * self._emission[:, None, :] / s[:, None, None] ** 2
+        # A derivative by the trigger's time is s times one by the record's time.
+        orders = [
+            self._to_time(heard * (1j * nu) ** k, s, np.zeros(NODES)) * s[:, None, None] ** k / math.factorial(k)
+            for k in range(self._orders(MOST_SHIFT_S))
+        ]
+        self._untouched = np.stack(orders)
+        self._peak = 1.0
+        self._peak = float(np.abs(self.untouched([REFERENCE_C])).max())
+        self._untouched /= self._peak
+
+    def _weights(self, scale: Floats) -> Floats:
+        """Weights of the nodes at factors of shape (n,), shape (n, NODES): barycentric interpolation."""
+        distance = scale[:, None] - self._node_scale
+        exact = distance == 0
+        with np.errstate(divide="ignore", invalid="ignore"):
+            w = self._node_weight / distance
+            w /= w.sum(axis=1, keepdims=True)
+        return np.where(exact.any(axis=1, keepdims=True), exact, w)
+
+    def _orders(self, shift_s: float) -> int:
+        """Terms of a Taylor series that shifts a time signal so far, to `TAYLOR_ERROR`."""
+        x = np.pi * self.acquisition.sample_rate_hz * shift_s
+        k, term = 1, x
+        while term > TAYLOR_ERROR:
+            k += 1
+            term *= x / k
+        return k
+
+    def _to_time(self, spectrum: Complex, scale: Floats, late_s: Floats) -> Floats:
+        """Time signals at s (t + late) of spectra over nu, of shape (n, R, F); result (n, R, S)."""
+        a = self.acquisition
+        at = scale[:, None] * (self._t + late_s[:, None])
+        shift = at - self._t
+        largest = float(np.abs(shift).max())
+        if largest > MOST_SHIFT_S:
+            raise SimulationError(
+                f"a trigger off by {np.abs(late_s).max() * 1e6:.1f} us", "jitter", "keep it under 1 us"
+            )
+        nu = self.response.nu_rad_s
+        result = np.zeros((*spectrum.shape[:2], a.samples))
+        power = np.ones_like(shift)
+        for k in range(self._orders(largest)):
+            if k:
+                spectrum = spectrum * (1j * nu)
+                power = power * shift / k
+            wave = np.fft.irfft(spectrum, self._record, axis=-1)[..., : a.samples]
+            result += wave * power[:, None, :]
+        undamp = scale[:, None] * np.exp(self._decay_per_s * self._t)
+        return result * undamp[:, None, :] * a.sample_rate_hz
+
+
+def anti_alias(omega_rad_s: Floats, sample_rate_hz: float) -> Floats:
+    """Gain of the ADC's filter: a cosine roll-off over the last eighth below half the sample rate."""
+    f = np.abs(omega_rad_s) / (np.pi * sample_rate_hz)
+    return np.asarray(0.5 + 0.5 * np.cos(np.pi * np.clip((f - 0.875) * 8, 0, 1)))

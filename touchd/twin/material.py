@@ -1,0 +1,74 @@
+"""What plates are made of."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from touchd.errors import SimulationError
+from touchd.frame import Plate
+
+
+class Material(NamedTuple):
+    """An isotropic elastic solid."""
+
+    E_pa: float
+    """Young's modulus, Pa."""
+    nu: float
+    """Poisson's ratio."""
+    rho_kg_m3: float
+    """Density, kg/m^3."""
+
+    @property
+    def G_pa(self) -> float:
+        """Shear modulus, Pa."""
+        return self.E_pa / (2 * (1 + self.nu))
+
+
+MATERIALS = {
+    "glass": Material(72e9, 0.23, 2500.0),
+    "aluminium": Material(70e9, 0.33, 2700.0),
+    "steel": Material(200e9, 0.29, 7850.0),
+    # At ultrasonic frequencies PMMA is stiffer than in a slow test: c_L = 2730 m/s, c_T = 1380 m/s.
+    "pmma": Material(5.9e9, 0.33, 1180.0),
+}
+"""Handbook values at room temperature."""
+
+
+class Stiffness(NamedTuple):
+    """A Mindlin plate's stiffnesses and inertias per unit of area."""
+
+    bending: float
+    """D = E h^3 / 12 (1 - nu^2), N m."""
+    shear: float
+    """kappa G h with kappa = 5 / (6 - nu), N/m."""
+    mass: float
+    """rho h, kg/m^2."""
+    rotary: float
+    """rho h^3 / 12, kg."""
+
+
+def material_of(plate: Plate) -> Material:
+    """Look up a plate's material.
+
+    Raises
+    ------
+    SimulationError
+        When the twin does not know it.
+    """
+    try:
+        return MATERIALS[plate.material.lower()]
+    except KeyError:
+        known = ", ".join(MATERIALS)
+        raise SimulationError(f"unknown material {plate.material!r}", "plate", f"use one of {known}") from None
+
+
+def stiffness_of(plate: Plate) -> Stiffness:
+    """Stiffnesses and inertias of a plate per unit of area (Mindlin 1951; kappa after Stephen 1997)."""
+    material = material_of(plate)
+    h = plate.thickness_mm * 1e-3
+    return Stiffness(
+        bending=material.E_pa * h**3 / (12 * (1 - material.nu**2)),
+        shear=5 / (6 - material.nu) * material.G_pa * h,
+        mass=material.rho_kg_m3 * h,
+        rotary=material.rho_kg_m3 * h**3 / 12,
+    )

@@ -1,0 +1,196 @@
+"""From a scene to frames: all at once as a recording, or block by block for a live source."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from datetime import UTC, datetime
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchd.errors import SimulationError
+from touchd.frame import Plate
+from touchd.recording import Device, Meta, Recording
+from touchd.twin.acts import Key
+from touchd.twin.electronics import Digitiser, Electronics
+from touchd.twin.instrument import REFERENCE_C, Instrument
+from touchd.twin.scenes import write_scene
+from touchd.twin.stage import Stage
+from touchd.twin.training_set import TOUCH_RATE_HZ, write_touches
+
+Progress = Callable[[int], object]
+"""Called with the number of frames just finished."""
+
+BLOCK = 64
+"""Frames computed at a time, always from the scene's first frame on, so that results do not depend on who asks."""
+
+DEFAULT_PLATE = Plate(width_mm=200, height_mm=200, thickness_mm=5, material="glass")
+
+
+def stream(stage: Stage, instrument: Instrument, seed: int, block: int = BLOCK) -> Iterator[NDArray[np.int16]]:
+    """Yield a scene's frames in blocks: int16 arrays of shape (up to `block`, channels, samples).
+
+    Every block is computed when it is asked for. Noise and jitter come from streams of their own.
+    """
+    jitter_seed, digitiser_seed = np.random.SeedSequence(seed).spawn(3)[1:]
+    jitter = np.random.default_rng(jitter_seed)
+    reference = instrument.untouched([REFERENCE_C])[0]
+    digitiser = Digitiser(stage.electronics, instrument.acquisition, reference, digitiser_seed)
+    time_s = stage.time_s
+    for start in range(0, len(time_s), block):
+        stop = min(start + block, len(time_s))
+        late_s = stage.electronics.jitter_s * jitter.standard_normal(stop - start)
+        temperature_c = stage.temperature_c[start:stop]
+        signal = instrument.untouched(temperature_c, late_s)
+        touches = stage.touches(start, stop)
+        if any(touches):
+            signal += instrument.change(touches, temperature_c, late_s)
+        yield digitiser.counts(signal, time_s[start:stop])
+
+
+def stage_scene(
+    name: str,
+    plate: Plate,
+    *,
+    seed: int = 0,
+    frames: int | None = None,
+    rate_hz: float | None = None,
+    electronics: Electronics | None = None,
+    finger: str | None = None,
+    keys: Sequence[Key] | None = None,
+    code: str | None = None,
+) -> Stage:
+    """Write down a named scene; see `simulate_scene`."""
+    rng = np.random.default_rng(np.random.SeedSequence(seed).spawn(3)[0])
+    return write_scene(name, plate, rng, frames, rate_hz, electronics or Electronics(), finger, keys, code)
+
+
+def simulate_scene(
+    name: str,
+    *,
+    seed: int = 0,
+    frames: int | None = None,
+    rate_hz: float | None = None,
+    plate: Plate = DEFAULT_PLATE,
+    instrument: Instrument | None = None,
+    electronics: Electronics | None = None,
+    finger: str | None = None,
+    keys: Sequence[Key] | None = None,
+    code: str | None = None,
+    progress: Progress | None = None,
+) -> Recording:
+    """Simulate a named scene.
+
+    Parameters
+    ----------
+    name : str
+        One of `touchd.twin.scenes.SCENES`.
+    seed : int
+        The same seed gives the same recording, to the bit.
+    frames : int, optional
+        By default as many as the scene needs.
+    rate_hz : float, optional
+        Frames a second; by default 125, and 100 for the demo.
+    plate : Plate
+    instrument : Instrument, optional
+        Instead of the default one on `plate`, which is then ignored.
+    electronics : Electronics, optional
+    finger : str, optional
+        "silicone" or "human" instead of the scene's own.
+    keys : sequence of (name, x_mm, y_mm), optional
+        Centres of the keys of the scene `keypad`; by default 3 x 4 about the plate's centre.
+    code : str, optional
+        Names of the keys that are typed, a character each.
+    progress : callable, optional
+        Called with the number of frames just finished.
+
+    Raises
+    ------
+    SimulationError
+        When the scene is unknown, too short, or does not fit the plate.
+    """
+    instrument = instrument or Instrument(plate)
+    stage = stage_scene(
+        name, instrument.plate, seed=seed, frames=frames, rate_hz=rate_hz, electronics=electronics,
+        finger=finger, keys=keys, code=code,
+    )  # fmt: skip
+    return _record(stage, instrument, seed, progress)
+
+
+def simulate_touches(
+    count: int = 6404,
+    *,
+    seed: int = 0,
+    plate: Plate = DEFAULT_PLATE,
+    instrument: Instrument | None = None,
+    electronics: Electronics | None = None,
+    finger: str = "silicone",
+    margin_mm: float = 5.0,
+    progress: Progress | None = None,
+) -> Recording:
+    """Simulate a robot's training set: an untouched frame, a touch, an untouched frame, a touch, and so on.
+
+    Parameters
+    ----------
+    count : int
+        Touches; the recording has twice as many frames.
+    seed : int
+        The same seed gives the same recording, to the bit.
+    plate : Plate
+    instrument : Instrument, optional
+        Instead of the default one on `plate`, which is then ignored.
+    electronics : Electronics, optional
+    finger : "silicone" (12-28 mm^2) or "human" (40-100 mm^2)
+    margin_mm : float
+        Least distance of a touch's centre from the plate's edge.
+    progress : callable, optional
+        Called with the number of frames just finished.
+
+    Raises
+    ------
+    SimulationError
+        When the count, margin or finger is impossible.
+    """
+    instrument = instrument or Instrument(plate)
+    rng = np.random.default_rng(np.random.SeedSequence(seed).spawn(3)[0])
+    stage = write_touches(count, instrument.plate, rng, electronics or Electronics(), finger, margin_mm)
+    return _record(stage, instrument, seed, progress)
+
+
+def meta_of(instrument: Instrument, rate_hz: float, notes: str) -> Meta:
+    """Describe simulated frames."""
+    a, layout = instrument.acquisition, instrument.layout
+    return Meta(
+        sample_rate_hz=a.sample_rate_hz, bits=a.bits, full_scale_v=a.full_scale_v, frame_rate_hz=rate_hz,
+        plate=instrument.plate, chirp=a.chirp, emitter_mm=layout.emitter_mm, receivers_mm=layout.receivers_mm,
+        source="simulated", device=Device(serial="twin", firmware=""),
+        created=datetime.now(UTC).isoformat(timespec="seconds"), notes=notes,
+    )  # fmt: skip
+
+
+def _record(stage: Stage, instrument: Instrument, seed: int, progress: Progress | None) -> Recording:
+    """Compute all frames of a scene."""
+    a, n = instrument.acquisition, len(stage.sequence)
+    try:
+        frames = np.empty((n, *a.shape), dtype=np.int16)
+    except MemoryError:
+        raise SimulationError(f"{n} frames do not fit into memory", "frames", "simulate fewer at a time") from None
+    done = 0
+    for block in stream(stage, instrument, seed):
+        frames[done : done + len(block)] = block
+        done += len(block)
+        if progress is not None:
+            progress(len(block))
+    contacts_mm, force_n = stage.truth()
+    return Recording(
+        meta=meta_of(instrument, stage.rate_hz, stage.notes),
+        frames=frames,
+        sequence=stage.sequence.astype(np.int64),
+        timestamp_ns=np.rint(stage.time_s * 1e9).astype(np.int64),
+        contacts_mm=contacts_mm,
+        force_n=force_n,
+        temperature_c=stage.temperature_c.astype(np.float32),
+    )
+
+
+__all__ = ["DEFAULT_PLATE", "TOUCH_RATE_HZ", "meta_of", "simulate_scene", "simulate_touches", "stage_scene", "stream"]
