@@ -1,0 +1,177 @@
+"""Models: one file that says what it is, and is refused where it does not fit."""
+
+from pathlib import Path
+
+import numpy as np
+import onnx
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from touchd.errors import ModelInvalid, ModelMismatch, ModelMissing
+from touchd.frame import Acquisition, Chirp, Plate
+from touchd.keypad import PHONE, load_layout
+from touchd.model import METADATA_KEY, Description, Model
+from touchd.training.export import check, export, fold
+from touchd.training.network import Classifier, Regression
+
+RIG = Acquisition(channels=4, samples=250, sample_rate_hz=250e3)
+PLATE = Plate(width_mm=200, height_mm=150)
+
+
+def description(**changes: object) -> Description:
+    values: dict[str, object] = {
+        "name": "test", "head": "regression", "domain": "frequency", "input": "residual",
+        "acquisition": RIG, "plate": PLATE, "scores": {"rmse_mm": 1.0},
+    }  # fmt: skip
+    return Description.model_validate(values | changes)
+
+
+def seen(network: torch.nn.Module) -> torch.nn.Module:
+    """A network whose batch normalisations have seen some data."""
+    torch.manual_seed(1)
+    network.train()
+    for _ in range(3):
+        network(torch.randn(64, 392) * 50)
+    return network.eval()
+
+
+@pytest.fixture(scope="module")
+def regression(tmp_path_factory: pytest.TempPathFactory) -> Model:
+    path = tmp_path_factory.mktemp("model") / "regression.onnx"
+    return export(seen(Regression(392, (200.0, 150.0))), description(), path)
+
+
+def test_a_model_says_what_it_is(regression: Model) -> None:
+    assert Model(regression.path).description == description()
+
+
+def test_what_is_exported_is_what_was_trained(tmp_path: Path) -> None:
+    network = seen(Regression(392, (200.0, 150.0)))
+    model = export(network, description(), tmp_path / "model.onnx")
+    features = np.random.default_rng(1).standard_normal((500, 392)).astype(np.float32) * 50
+    assert check(network, model, features, 1e-3) < 1e-3
+
+
+def test_folding_leaves_no_normalisation_and_the_same_function() -> None:
+    network = seen(Regression(392, (200.0, 150.0))).double()
+    features = torch.randn(100, 392, dtype=torch.float64) * 50
+    folded = fold(network)
+    assert not any(isinstance(m, torch.nn.BatchNorm1d) for m in folded.modules())
+    for mine, theirs in zip(folded(features), network(features), strict=True):
+        torch.testing.assert_close(mine, theirs, rtol=1e-9, atol=1e-9)
+
+
+def test_bound_buffers_give_what_a_batch_gives(regression: Model) -> None:
+    features = np.random.default_rng(2).standard_normal((20, 392)).astype(np.float32) * 50
+    batch = regression.run(features)
+    for i, row in enumerate(features):
+        regression.features[0] = row
+        estimate = regression.estimate()
+        np.testing.assert_allclose((estimate.x_mm, estimate.y_mm), batch["position_mm"][i], atol=1e-3)
+        assert estimate.sigma_mm == pytest.approx(float(batch["sigma_mm"][i, 0]), rel=1e-4)
+
+
+@given(hnp.arrays(np.float32, (392,), elements=st.floats(-(2.0**30), 2.0**30, width=32)))
+@settings(max_examples=100, deadline=None)
+def test_whatever_it_is_fed_a_model_answers_with_a_place_on_the_plate(regression: Model, features: np.ndarray) -> None:
+    regression.features[0] = features
+    estimate = regression.estimate()
+    assert 0 <= estimate.x_mm <= 200
+    assert 0 <= estimate.y_mm <= 150
+    assert 0 < estimate.sigma_mm < 200
+    assert 0 <= estimate.confidence <= 1
+
+
+def test_a_louder_touch_is_at_the_same_place(regression: Model) -> None:
+    """Normalisation lives inside the graph: what is given are plain residuals."""
+    features = np.random.default_rng(3).standard_normal(392).astype(np.float32)
+    network = Regression(392, (200.0, 150.0)).eval()
+    with torch.inference_mode():
+        quiet, loud = (network.normalise(torch.from_numpy(features * gain)[None]) for gain in (1, 1000))
+    torch.testing.assert_close(quiet[0], loud[0])
+    torch.testing.assert_close(loud[1] - quiet[1], torch.full((1, 1), float(np.log(1000))))
+
+
+def test_a_grid_head_answers_with_the_centre_of_its_zone(tmp_path: Path) -> None:
+    model = export(seen(Classifier(392, 25)), description(head="grid", grid=5), tmp_path / "grid.onnx")
+    model.features[0] = np.random.default_rng(4).standard_normal(392).astype(np.float32)
+    estimate = model.estimate()
+    zone = int(model.outputs["probability"].argmax())
+    assert (estimate.x_mm, estimate.y_mm) == ((zone % 5 + 0.5) * 40, (zone // 5 + 0.5) * 30)
+
+
+def test_a_keypad_head_answers_with_a_key_or_none(tmp_path: Path) -> None:
+    layout = load_layout(PHONE)
+    network = Classifier(392, 13, (100, 50))
+    torch.nn.init.normal_(network.head.weight)  # untrained, it would prefer one class whatever comes
+    model = export(seen(network), description(head="keypad", layout=layout), tmp_path / "keypad.onnx")
+    keys = set()
+    for seed in range(200):
+        model.features[0] = np.random.default_rng(seed).standard_normal(392).astype(np.float32)
+        estimate = model.estimate()
+        best = int(model.outputs["probability"].argmax())
+        assert estimate.key == (layout.key[best].name if best < 12 else None)
+        keys.add(estimate.key)
+    assert len(keys) > 3
+
+
+def test_a_model_for_other_frames_is_refused_with_both_shapes(regression: Model) -> None:
+    with pytest.raises(ModelMismatch) as caught:
+        regression.check(Acquisition(channels=3, samples=200, sample_rate_hz=250e3))
+    assert "(4, 250)" in str(caught.value)
+    assert "(3, 200)" in str(caught.value)
+
+
+@pytest.mark.parametrize("other", [{"sample_rate_hz": 200e3}, {"chirp": Chirp(start_hz=40e3)}])
+def test_a_model_for_another_rate_or_chirp_is_refused(regression: Model, other: dict[str, object]) -> None:
+    with pytest.raises(ModelMismatch, match=next(iter(other))):
+        regression.check(RIG.model_copy(update=other))
+
+
+def test_a_missing_file_is_told_from_a_wrong_one(tmp_path: Path) -> None:
+    with pytest.raises(ModelMissing):
+        Model(tmp_path / "none.onnx")
+    wrong = tmp_path / "wrong.onnx"
+    wrong.write_bytes(b"no model at all")
+    with pytest.raises(ModelInvalid, match="not a usable ONNX model"):
+        Model(wrong)
+
+
+@pytest.mark.parametrize(
+    ("entry", "says"),
+    [
+        (None, "carries no touchd description"),
+        ("{}", "name: Field required"),
+        ("not json", "unusable"),
+        (description(head="grid", grid=3).model_dump_json(), "its grid head means"),
+        (description(domain="time").model_dump_json(), r"\(n, 1000\)"),
+        (description().model_copy(update={"version": 2}).model_dump_json(), "version"),
+    ],
+)
+def test_a_model_whose_description_is_wrong_is_refused(
+    regression: Model, tmp_path: Path, entry: str | None, says: str
+) -> None:
+    proto = onnx.load(regression.path)
+    del proto.metadata_props[:]
+    if entry is not None:
+        proto.metadata_props.add(key=METADATA_KEY, value=entry)
+    path = tmp_path / "changed.onnx"
+    path.write_bytes(proto.SerializeToString())
+    with pytest.raises(ModelInvalid, match=says):
+        Model(path)
+
+
+@given(at=st.integers(0, 10_000), keep=st.booleans())
+@settings(max_examples=30, deadline=None)
+def test_a_damaged_model_is_refused_or_whole(
+    regression: Model, tmp_path_factory: pytest.TempPathFactory, at: int, keep: bool
+) -> None:
+    """Truncated anywhere in its first or last 10,000 bytes: never anything but ModelInvalid."""
+    content = regression.path.read_bytes()
+    path = tmp_path_factory.mktemp("damaged") / "model.onnx"
+    path.write_bytes(content[:at] if keep else content[: len(content) - 1 - at])
+    with pytest.raises(ModelInvalid):
+        Model(path)
