@@ -6,16 +6,49 @@ deploy/touchd.toml are generated from them.
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo, field_validator
+from pydantic_core import PydanticCustomError
 
 
 class _Section(BaseModel):
     """One table of the file. Unknown keys are errors; values are never changed after loading."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, validate_default=True)
+
+    @field_validator("*", mode="before")
+    @classmethod
+    def _refuse_bool_for_number(cls, value: Any, info: ValidationInfo) -> Any:
+        # Pydantic would take `rate_hz = true` for 1.
+        if isinstance(value, bool) and cls.model_fields[str(info.field_name)].annotation in (int, float):
+            raise PydanticCustomError("number_type", "must be a number")
+        return value
+
+
+def _empty_is_unset(value: Any) -> Any:
+    # TOML has no null: this is how a file says "none", and how it takes back what a lower layer set.
+    return None if value == "" else value
+
+
+def _is_nameable(path: Path | None) -> Path | None:
+    text = str(path)
+    if "\0" in text or any("\ud800" <= character <= "\udfff" for character in text):
+        raise ValueError("holds characters that no file name can have")
+    return path
+
+
+def _is_no_key(path: Path | None) -> Path | None:
+    text = str(path)
+    if re.fullmatch(r"[^/\s,;'\"\\|`~_][^\s,;'\"\\|`~_]{39}", text) and not text.endswith(".key"):
+        raise ValueError("looks like a key itself, must be the path of the file that holds it")
+    return path
+
+
+OptionalPath = Annotated[Path | None, BeforeValidator(_empty_is_unset), AfterValidator(_is_nameable)]
+"""A path, or None; an empty text means None."""
 
 
 class DeviceSettings(_Section):
@@ -31,7 +64,7 @@ class DeviceSettings(_Section):
 class ModelSettings(_Section):
     """The network that places touches."""
 
-    path: Path | None = Field(None, description="ONNX file with touchd's description; unset uses the shipped model.")
+    path: OptionalPath = Field(None, description="ONNX file with touchd's description; unset uses the shipped model.")
     min_confidence: float = Field(
         0.5, ge=0, le=1, description="Below this a frame is taken for something else than a finger, and not placed."
     )
@@ -47,6 +80,11 @@ class BaselineSettings(_Section):
     absorb_s: float = Field(
         30.0, gt=0, description="What stays on the plate this long becomes part of the baseline, and is reported, s."
     )
+    drift_below_db: float = Field(
+        -50.0,
+        lt=0,
+        description="Without a finger, a change smaller than this share of the signal is drift and followed, dB.",
+    )
     unsteady_s: float = Field(
         1.0,
         gt=0,
@@ -55,7 +93,7 @@ class BaselineSettings(_Section):
 
 
 class GateSettings(_Section):
-    """Is anything there at all?"""
+    """Whether anything is there at all."""
 
     false_alarm_rate: float = Field(
         1e-7, gt=0, lt=0.1, description="Probability that noise alone opens the gate, per frame."
@@ -75,14 +113,17 @@ class TrackerSettings(_Section):
     reach_mm: float = Field(25.0, gt=0, description="A contact moves at most this far from one frame to the next, mm.")
     dead_band_mm: float = Field(0.5, ge=0, description="Movement within this is `hold`, not `move`, mm.")
     min_cutoff_hz: float = Field(4.0, gt=0, description="One-Euro filter: cut-off for a still finger, Hz.")
-    beta: float = Field(0.05, ge=0, description="One-Euro filter: how much the cut-off opens with speed, Hz per mm/s.")
+    beta: float = Field(0.2, ge=0, description="One-Euro filter: how much the cut-off opens with speed, Hz per mm/s.")
+    force_full_scale: float = Field(
+        0.1, gt=0, description="Change of the signal, as a share of its size, that counts as `force` 1."
+    )
     refresh_s: float = Field(0.1, gt=0, description="A message at least this often while a contact is down, s.")
 
 
 class KeypadSettings(_Section):
     """Keypad mode."""
 
-    layout: Path | None = Field(
+    layout: OptionalPath = Field(
         None, description="TOML file of keys with rectangles in mm; set, it turns keypad mode on."
     )
 
@@ -97,10 +138,10 @@ class BusSettings(_Section):
         ("tcp://127.0.0.1:5570",), min_length=1, description="Addresses of the publisher: tcp:// or ipc://."
     )
     ipc_group: str = Field("", description="Group that may use ipc:// sockets (mode 0660); empty keeps them private.")
-    curve_secret_key: Path | None = Field(
+    curve_secret_key: Annotated[OptionalPath, AfterValidator(_is_no_key)] = Field(
         None, description="Server key file made by `touchd keygen`; needed for any address beyond loopback."
     )
-    curve_clients: Path | None = Field(
+    curve_clients: OptionalPath = Field(
         None,
         description="Folder of the public keys that may subscribe; unset admits every client that has the server's.",
     )
