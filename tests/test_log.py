@@ -1,0 +1,178 @@
+"""The log says what happened, in a form that fits its reader, and can never hold a PIN."""
+
+from __future__ import annotations
+
+import io
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+import structlog
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from touchd.config import LogSettings
+from touchd.log import PRIVATE, REDACTED, configure, redact
+
+
+@pytest.fixture(autouse=True)
+def _own_configuration() -> Iterator[None]:
+    yield
+    structlog.reset_defaults()
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def logged(stream: io.StringIO) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in stream.getvalue().splitlines()]
+
+
+def test_without_a_terminal_each_event_is_one_line_of_json_in_utc() -> None:
+    stream = io.StringIO()
+    configure(LogSettings(), stream)
+    structlog.get_logger().info("streaming", rate_hz=125)
+    (line,) = logged(stream)
+    assert (line["event"], line["level"], line["rate_hz"]) == ("streaming", "info", 125)
+    assert line["timestamp"].endswith("Z")
+
+
+def test_on_a_terminal_it_is_for_people() -> None:
+    stream = Terminal()
+    configure(LogSettings(), stream)
+    structlog.get_logger().info("streaming", rate_hz=125)
+    assert "streaming" in stream.getvalue()
+    assert not stream.getvalue().startswith("{")
+
+
+@pytest.mark.parametrize(("form", "json_"), [("console", False), ("json", True)])
+def test_the_form_can_be_chosen(form: str, json_: bool) -> None:
+    for stream in (Terminal(), io.StringIO()):
+        configure(LogSettings.model_validate({"format": form}), stream)
+        structlog.get_logger().info("streaming")
+        assert stream.getvalue().startswith("{") == json_
+
+
+def test_standard_error_is_where_it_goes(capsys: pytest.CaptureFixture[str]) -> None:
+    configure(LogSettings())
+    structlog.get_logger().warning("frames lost", lost=3)
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert json.loads(captured.err)["lost"] == 3
+
+
+@pytest.mark.parametrize(
+    ("level", "seen"),
+    [
+        ("debug", ["debug", "info", "warning", "error"]),
+        ("info", ["info", "warning", "error"]),
+        ("warning", ["warning", "error"]),
+        ("error", ["error"]),
+    ],
+)
+def test_only_the_asked_for_levels_are_logged_even_by_loggers_made_before(level: str, seen: list[str]) -> None:
+    early = structlog.get_logger()
+    stream = io.StringIO()
+    configure(LogSettings.model_validate({"level": level}), stream)
+    for name in ("debug", "info", "warning", "error"):
+        getattr(early, name)("hello")
+    assert [line["level"] for line in logged(stream)] == seen
+
+
+def test_a_disabled_call_touches_nothing_it_is_given() -> None:
+    class Untouchable:
+        def __getattribute__(self, name: str) -> Any:
+            raise AssertionError("looked at")
+
+    stream = io.StringIO()
+    configure(LogSettings(level="info"), stream)
+    log = structlog.get_logger().bind()
+    log.debug("frame %s", Untouchable(), detail=Untouchable())
+    assert stream.getvalue() == ""
+
+
+@pytest.mark.parametrize("name", sorted(PRIVATE))
+@pytest.mark.parametrize("form", ["json", "console"])
+def test_no_private_value_reaches_the_log_however_it_is_given(name: str, form: str) -> None:
+    stream = io.StringIO()
+    configure(LogSettings.model_validate({"format": form}), stream)
+    structlog.get_logger().info("a", **{name: "7391"})
+    structlog.get_logger().bind(**{name: "7391"}).info("b")
+    structlog.get_logger().info("c", payload={"device": "door", name.upper(): "7391"}, deep=[{"a": ({name: 7391},)}])
+    with structlog.contextvars.bound_contextvars(**{name: "7391"}):
+        structlog.get_logger().info("d")
+    assert "7391" not in stream.getvalue()
+    assert stream.getvalue().count(REDACTED) == 5
+
+
+def test_objects_are_named_not_printed() -> None:
+    @dataclass
+    class Contact:
+        x_mm: float = 7391.0
+
+    class Frame(NamedTuple):
+        counts: int = 7391
+
+    stream = io.StringIO()
+    configure(LogSettings(), stream)
+    structlog.get_logger().info("odd", a=Contact(), b=Frame(), c=np.full(3, 7391), d=[Contact()], e=b"7391")
+    (line,) = logged(stream)
+    assert "7391" not in stream.getvalue()
+    named = {"a": "<Contact>", "b": "<Frame>", "c": "<ndarray>", "d": ["<Contact>"], "e": "<bytes>"}
+    assert line | named == line
+
+
+@pytest.mark.parametrize("form", ["json", "console"])
+def test_a_traceback_never_shows_the_variables_it_went_through(form: str) -> None:
+    stream = io.StringIO()
+    configure(LogSettings.model_validate({"format": form}), stream)
+
+    def fail(x_mm: int) -> None:
+        raise RuntimeError(f"no model{'' if x_mm else '!'}")
+
+    try:
+        fail(int("73" + "91"))
+    except RuntimeError:
+        structlog.get_logger().exception("inference failed")
+    assert "no model" in stream.getvalue()
+    assert "7391" not in stream.getvalue()
+
+
+def test_what_is_harmless_is_kept() -> None:
+    kept = {"event": "x", "exit_code": 3, "path": "a", "lost": 1, "none": None, "list": [1, "b"], "ok": True}
+    assert redact(None, "info", dict(kept)) == kept
+    assert redact(None, "info", {"lost": np.int64(3), "rms": np.float32(0.5)}) == {"lost": 3, "rms": 0.5}
+
+
+def test_odd_keys_do_not_break_a_line() -> None:
+    stream = io.StringIO()
+    configure(LogSettings(), stream)
+    structlog.get_logger().info("odd", by_reason={(1, 2): 3, None: 4, "pin": 5})
+    (line,) = logged(stream)
+    assert line["by_reason"] == {"(1, 2)": 3, "None": 4, "pin": REDACTED}
+
+
+values = st.recursive(
+    st.none() | st.integers() | st.text(max_size=4) | st.binary(max_size=2),
+    lambda inner: (
+        st.lists(inner, max_size=2) | st.dictionaries(st.sampled_from([*sorted(PRIVATE), "n"]), inner, max_size=2)
+    ),
+    max_leaves=8,
+)
+
+
+def holds_private(value: Any) -> bool:
+    if isinstance(value, dict):
+        return any((k in PRIVATE and v != REDACTED) or holds_private(v) for k, v in value.items())
+    return isinstance(value, list) and any(map(holds_private, value))
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.dictionaries(st.sampled_from([*sorted(PRIVATE), "payload"]), values))
+def test_whatever_is_logged_nothing_private_is_left(event: dict[str, Any]) -> None:
+    assert not holds_private(redact(None, "info", event))
