@@ -28,6 +28,7 @@ from pydantic import ValidationError
 from touchd import curve
 from touchd.errors import BusError, BusTimeout
 from touchd.event import TOPICS, VERSION, Event, TouchEvent, decode
+from touchd.sinks import endpoint
 
 DEFAULT_ADDRESS = "tcp://127.0.0.1:5570"
 
@@ -166,6 +167,8 @@ class Subscriber(Generic[E]):
         self._context.term()
 
     def _connect(self) -> None:
+        if self.address.startswith("tcp://"):
+            endpoint.split(self.address)  # libzmq would try an impossible port for ever
         try:
             self._socket.connect(self.address)
         except zmq.ZMQError as error:

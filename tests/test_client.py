@@ -1,0 +1,216 @@
+"""What a Python program that listens can rely on."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator
+
+import pytest
+import zmq
+
+from touchd.client import Subscriber
+from touchd.config import BusSettings
+from touchd.errors import BusError, BusTimeout
+from touchd.event import Contact, Event, KeyEvent, TouchEvent, encode
+from touchd.sinks.zeromq import ZeromqSink
+
+
+def touch(seq: int, t_ns: int = 0, device: str = "plate") -> TouchEvent:
+    contact = Contact(1, "move", 12.5, 50.0, 0.5, 1.5, 0.99, 0.0, 0.0)
+    return TouchEvent(device, seq, t_ns, "2025-01-01T00:00:00.000000Z", seq, [contact])
+
+
+class Wire:
+    """A publisher that sends whatever it is told to."""
+
+    def __init__(self) -> None:
+        self.context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
+        self.socket = self.context.socket(zmq.XPUB)
+        self.socket.setsockopt(zmq.LINGER, 0)
+        self.socket.bind("tcp://127.0.0.1:*")
+        self.address = self.socket.getsockopt_string(zmq.LAST_ENDPOINT)
+
+    def wait(self) -> None:
+        """Return when somebody has subscribed."""
+        assert self.socket.poll(60_000)
+        self.socket.recv()
+
+    def send(self, *events: Event) -> None:
+        for event in events:
+            self.socket.send_multipart([event.type.encode(), encode(event)])
+
+
+@pytest.fixture
+def wire() -> Iterator[Wire]:
+    wire = Wire()
+    yield wire
+    wire.socket.close()
+    wire.context.term()
+
+
+def test_events_come_typed_and_in_order(wire: Wire) -> None:
+    with Subscriber(wire.address, timeout_s=60) as events:
+        wire.wait()
+        wire.send(touch(1), touch(2), touch(3))
+        for seq, event in zip((1, 2, 3), events, strict=False):
+            assert event == touch(seq)
+            for c in event.contacts:
+                assert (c.id, c.phase, c.x_mm, c.y_mm) == (1, "move", 12.5, 50.0)
+        assert events.lost.total() == 0
+
+
+def test_a_repeated_message_is_dropped(wire: Wire) -> None:
+    with Subscriber(wire.address, timeout_s=60) as events:
+        wire.wait()
+        wire.send(touch(1), touch(1), touch(1), touch(2), touch(2), touch(3))
+        assert [next(events).seq for _ in range(3)] == [1, 2, 3]
+        assert events.lost.total() == 0
+
+
+def test_lost_messages_are_counted_by_topic(wire: Wire) -> None:
+    with Subscriber(wire.address, topics=("",), timeout_s=60) as events:
+        wire.wait()
+        wire.send(touch(100), touch(101), KeyEvent("plate", 7, 0, "", "1", "press", 1.0), touch(105), touch(107))
+        for _ in range(5):
+            next(events)
+        assert events.lost == {"touch": 4}  # 102, 103, 104 and 106; what was before the first is no loss
+
+
+def test_plates_that_share_an_address_are_counted_apart(wire: Wire) -> None:
+    with Subscriber(wire.address, timeout_s=60) as events:
+        wire.wait()
+        wire.send(
+            touch(5, device="left"), touch(900, device="right"), touch(6, device="left"), touch(901, device="right")
+        )
+        assert [next(events).device for _ in range(4)] == ["left", "right", "left", "right"]
+        assert events.lost.total() == 0
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [([500, 501], [1, 2, 3]), ([1], [1, 2]), ([2, 3], [3, 4])],
+    ids=["counter falls", "same number at another time", "same number, not the first"],
+)
+def test_a_restarted_daemon_is_not_taken_for_repeats_or_loss(wire: Wire, before: list[int], after: list[int]) -> None:
+    with Subscriber(wire.address, timeout_s=60) as events:
+        wire.wait()
+        wire.send(*(touch(seq, t_ns=seq) for seq in before), *(touch(seq, t_ns=10**12 + seq) for seq in after))
+        assert [next(events).seq for _ in before + after] == before + after
+        assert events.lost.total() == 0
+
+
+def heard(sink: ZeromqSink, events: Subscriber[TouchEvent]) -> TouchEvent:
+    """Return the next event, polling the sink meanwhile as the daemon does."""
+    give_up_s = time.monotonic() + 60
+    while time.monotonic() < give_up_s:
+        sink.poll()
+        try:
+            return events.receive(0.01)
+        except BusTimeout:
+            pass
+    raise AssertionError("no event")
+
+
+def test_a_subscription_outlives_the_daemon_and_hears_its_successor() -> None:
+    first = ZeromqSink(BusSettings(bind=("tcp://127.0.0.1:*",)))
+    with Subscriber(*first.addresses) as events:
+        first.publish(touch(3, t_ns=1), 0)
+        assert heard(first, events).seq == 3
+        first.close()
+        successor = ZeromqSink(BusSettings(bind=first.addresses))
+        successor.publish(touch(1, t_ns=2), 0)
+        assert heard(successor, events).seq == 1
+        successor.close()
+
+
+def test_a_second_subscriber_repeats_nothing_to_the_first() -> None:
+    sink = ZeromqSink(BusSettings(bind=("tcp://127.0.0.1:*",)))
+    with Subscriber(*sink.addresses) as first, Subscriber(*sink.addresses) as second:
+        sink.publish(touch(1), 0)
+        for events in (first, second):
+            assert heard(sink, events).seq == 1
+        sink.publish(touch(2), 0)
+        for events in (first, second):
+            assert heard(sink, events).seq == 2
+            assert events.lost.total() == 0
+    sink.close()
+
+
+def test_topics_and_keys_of_a_later_release_are_passed_over(wire: Wire) -> None:
+    content = json.loads(encode(touch(1))) | {"mood": "sunny"}
+    with Subscriber(wire.address, topics=("",), timeout_s=60) as events:
+        wire.wait()
+        wire.socket.send_multipart([b"weather", b"rain"])
+        wire.socket.send_multipart([b"touchscreen", b"\xff"])
+        wire.socket.send_multipart([b"touch", json.dumps(content).encode()])
+        assert next(events) == touch(1)
+
+
+@pytest.mark.parametrize(
+    ("parts", "problem"),
+    [
+        ([b"touch", b"not json"], "not a touch message"),
+        ([b"touch", b"\xff\xfe"], "not a touch message"),
+        ([b"touch", b"[1]"], "not a touch message"),
+        ([b"touch", encode(KeyEvent("plate", 1, 0, "", "hush-7", "press", 1.0))], "not a touch message"),
+        ([b"key", b'{"v":1,"type":"key","key":["hush-7"]}'], "not a key message"),
+        ([b"touch"], "1 parts instead of 2"),
+        ([b"touch", b"{}", b"{}"], "3 parts instead of 2"),
+        ([b"touch", encode(touch(1)).replace(b'"v":1', b'"v":2')], "of version 2.*upgrade"),
+        ([b"touch", b'{"v":2}'], "of version 2.*upgrade"),
+    ],
+)
+def test_a_malformed_message_is_explained_without_quoting_it(wire: Wire, parts: list[bytes], problem: str) -> None:
+    with Subscriber(wire.address, topics=("touch", "key"), timeout_s=60) as events:
+        wire.wait()
+        wire.wait()
+        wire.socket.send_multipart(parts)
+        wire.send(touch(9))
+        with pytest.raises(BusError, match=problem) as failed:
+            next(events)
+        assert failed.value.where == wire.address
+        assert "hush-7" not in str(failed.value)
+        assert failed.value.__cause__ is None  # pydantic's own error quotes what it was given
+        assert next(events).seq == 9  # and the iteration can go on
+
+
+def test_silence_ends_in_a_timeout_that_says_what_to_check(wire: Wire) -> None:
+    with Subscriber(wire.address, timeout_s=0.02) as events:
+        with pytest.raises(BusTimeout, match=r"no 'touch' message within 0\.02 s.*the daemon runs.*bus\.bind.*keys"):
+            next(events)
+        with pytest.raises(BusTimeout):
+            events.receive(0)
+
+
+def test_repeats_do_not_put_the_timeout_off(wire: Wire) -> None:
+    with Subscriber(wire.address) as events:
+        wire.wait()
+        wire.send(touch(1))
+        next(events)
+        for _ in range(100):
+            wire.send(touch(1))
+        started_s = time.monotonic()
+        with pytest.raises(BusTimeout):
+            events.receive(0.05)
+        assert time.monotonic() - started_s >= 0.05
+
+
+def test_a_closed_subscription_ends_the_loop(wire: Wire) -> None:
+    events = Subscriber(wire.address, timeout_s=60)
+    wire.wait()
+    wire.send(touch(1))
+    for _ in events:
+        events.close()
+    events.close()
+
+
+@pytest.mark.parametrize("address", ["", "127.0.0.1:5570", "tcp://127.0.0.1", "tcp://127.0.0.1:99999", "http://x:1"])
+def test_what_is_no_address_is_refused_at_once(address: str) -> None:
+    with pytest.raises(BusError, match="write tcp://HOST:PORT"):
+        Subscriber(address)
+
+
+def test_a_misspelt_topic_is_refused_rather_than_waited_for() -> None:
+    with pytest.raises(BusError, match=r"no topic 'tuoch'.*touch, key, health, spectrum"):
+        Subscriber(topics=("tuoch",))
