@@ -77,6 +77,8 @@ class Recorder:
         self.path = path
         self.frames = 0
         """Frames kept so far."""
+        self.lost = 0
+        """Frames that the source's counter jumped over."""
         self.dropped = 0
         """Frames passed on but not kept, since their counter or time did not go forward."""
         self._source = source
@@ -141,6 +143,8 @@ class Recorder:
             )  # fmt: skip
         if not self._blocks or self._blocks[-1].size == self._chunk_frames:
             self._blocks.append(_Block(self._chunk_frames, self.acquisition))
+        if self._last is not None:
+            self.lost += frame.sequence - self._last.sequence - 1
         self._blocks[-1].append(frame, frame.t_ns - self._epoch_ns)
         self._last = frame
         self.frames += 1

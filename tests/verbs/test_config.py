@@ -1,0 +1,58 @@
+"""`touchd config` prints what is in effect, and nothing that could not be loaded."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from touchd import configfile
+from touchd.config import DeviceSettings, Settings
+from touchd.configfile import load
+from touchd.configtext import render
+from touchd.errors import ConfigError
+from touchd.verbs.config import command
+
+
+@pytest.fixture(autouse=True)
+def _only_this_tests_settings(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    for name in list(os.environ):
+        if name.upper().startswith("TOUCHD_"):
+            monkeypatch.delenv(name)
+    monkeypatch.setattr(configfile, "DEFAULT_PATH", tmp_path / "no" / "touchd.toml")
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    path = tmp_path / "touchd.toml"
+    path.write_text("[device]\nrate_hz = 60\n")
+    return path
+
+
+def test_it_prints_what_the_file_and_the_environment_make_of_the_defaults(
+    file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TOUCHD_DEVICE__NAME", "door")
+    result = CliRunner().invoke(command, ["--config", str(file)])
+    assert result.exit_code == 0
+    printed = tmp_path / "printed.toml"
+    printed.write_text(result.output)
+    monkeypatch.delenv("TOUCHD_DEVICE__NAME")
+    assert load(printed) == Settings(device=DeviceSettings(rate_hz=60, name="door"))
+
+
+def test_the_file_named_before_the_verb_counts_too(file: Path) -> None:
+    assert "\nrate_hz = 60\n" in CliRunner().invoke(command, [], obj={"config": file}).output
+
+
+def test_the_defaults_can_be_printed_whatever_is_configured(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("TOUCHD_DEVICE__NAME", "door")
+    assert CliRunner().invoke(command, ["--default", "--config", str(file)]).output == render(Settings())
+
+
+def test_a_wrong_file_is_explained(tmp_path: Path) -> None:
+    result = CliRunner().invoke(command, ["--config", str(tmp_path / "nowhere.toml")])
+    assert isinstance(result.exception, ConfigError)
+    assert result.output == ""
