@@ -141,10 +141,10 @@ def keypad(stage: Stage, cast: Cast) -> None:
 
 
 def drift(stage: Stage, cast: Cast) -> None:
-    """Warm the plate, and tap now and then."""
-    # 0.1 K a second is a plate in the sun: one kelvin is a centimetre to a baseline that does not follow.
-    rise = np.clip(stage.time_s - IDLE_S, 0, None) * 0.1
-    stage.temperature_c += 8 * np.sin(rise / 8)
+    """Warm the plate and let it cool, and tap now and then."""
+    # 0.1 K a second: one kelvin is a centimetre to a baseline that does not follow.
+    turn = np.clip((stage.time_s - IDLE_S) / (stage.end_s - IDLE_S), 0, 1)
+    stage.temperature_c += 1.5 - 1.5 * np.cos(2 * np.pi * turn)
     _tap_from(stage, cast.finger, IDLE_S + 2, stage.end_s - END_S, pause_s=1.5)
 
 

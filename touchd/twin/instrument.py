@@ -1,8 +1,8 @@
 """What the receivers hear of one chirp, at any temperature, before electronics: the twin without noise.
 
 Signals are computed on a record a few times longer than a frame, at complex frequencies, so that what rings on beyond
-the record does not wrap around into the frame: damping the record by exp(-12) and undoing that afterwards leaves
--100 dB of it. Only the frame at the start of the record is kept.
+the record does not wrap around into the frame: damping the record by exp(-13) and undoing that afterwards leaves
+-110 dB of it. Only the frame at the start of the record is kept.
 
 A change of temperature scales all modes' frequencies by one factor s. Then the response at omega = s nu is that at nu,
 so the plate is computed once, on a fixed grid of nu; the emission and the contacts are taken at s nu, and the time
@@ -87,10 +87,12 @@ class Instrument:
             raise SimulationError("the chirp is longer than the frame", "acquisition", "record more samples")
         if tail_period_s is not None and tail_period_s < frame_s:
             raise SimulationError("chirps follow each other faster than frames last", "tail", "lower the frame rate")
+        if tail_period_s is not None and loss < 1e-4:
+            raise SimulationError("without loss, all chirps ring on for ever", "tail", "use a loss factor")
         if not 0 <= loss < 0.2:
             raise SimulationError(f"a loss factor of {loss:g}", "loss", "use 0 .. 0.2; glass with discs has 0.005")
         # With the previous chirps wanted, a record of one period that wraps around is just what happens.
-        record_s, damping = (2 * frame_s, 12.0) if tail_period_s is None else (tail_period_s, 0.0)
+        record_s, damping = (2 * frame_s, 13.0) if tail_period_s is None else (tail_period_s, 0.0)
         self._record = round(record_s * a.sample_rate_hz / 2) * 2
         self._decay_per_s = damping / record_s
         grid_hz = np.arange(self._record // 2 + 1) * a.sample_rate_hz / self._record
@@ -176,7 +178,7 @@ class Instrument:
         nu = self.response.nu_rad_s
         a = self.acquisition
         self._emission = np.array(
-            [chirp.spectrum(a.chirp, s * nu) * anti_alias(s * nu.real, a.sample_rate_hz) for s in self._node_scale]
+            [chirp.spectrum(a.chirp, s * nu) * anti_alias(s * nu, a.sample_rate_hz) for s in self._node_scale]
         )
         s = self._node_scale
         heard = self.response.untouched() * self._emission[:, None, :] / s[:, None, None] ** 2
@@ -231,7 +233,10 @@ class Instrument:
         return result * undamp[:, None, :] * a.sample_rate_hz
 
 
-def anti_alias(omega_rad_s: Floats, sample_rate_hz: float) -> Floats:
-    """Gain of the ADC's filter: a cosine roll-off over the last eighth below half the sample rate."""
-    f = np.abs(omega_rad_s) / (np.pi * sample_rate_hz)
-    return np.asarray(0.5 + 0.5 * np.cos(np.pi * np.clip((f - 0.875) * 8, 0, 1)))
+def anti_alias(omega_rad_s: Complex, sample_rate_hz: float) -> Complex:
+    """Gain of the filter before the ADC: all up to 80 % of half the sample rate, -87 dB there.
+
+    An analytic function, since at complex frequencies any other would be another filter.
+    """
+    f = omega_rad_s / (np.pi * sample_rate_hz)
+    return np.asarray(1 / (1 + np.exp((f - 0.92) / 0.008)))

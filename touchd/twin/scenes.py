@@ -72,8 +72,8 @@ def write_scene(
 
 
 def default_keys(plate: Plate) -> list[Key]:
-    """Keys of a telephone, 3 x 4, 30 mm apart where the plate has the room, about its centre."""
-    pitch = min(30.0, (plate.width_mm - 20) / 3, (plate.height_mm - 20) / 4)
+    """Keys of a telephone, 3 x 4, 32 mm apart where the plate has the room, about its centre."""
+    pitch = min(32.0, (plate.width_mm - 20) / 3, (plate.height_mm - 20) / 4)
     return [
         (name, plate.width_mm / 2 + (i % 3 - 1) * pitch, plate.height_mm / 2 + (i // 3 - 1.5) * pitch)
         for i, name in enumerate("123456789*0#")
@@ -100,7 +100,7 @@ SCENES: dict[str, Scene] = {
     "swipe": Scene(acts.swipe, 4.0, "swipes across the plate"),
     "pinch": Scene(acts.pinch, 4.0, "two fingers move together"),
     "keypad": Scene(acts.keypad, 4.1, "a code is typed"),
-    "drift": Scene(acts.drift, 30.0, "the plate warms by 3 K; a tap now and then", "silicone"),
+    "drift": Scene(acts.drift, 60.0, "the plate warms by 3 K and cools again; a tap now and then", "silicone"),
     "palm": Scene(acts.palm, 4.0, "a palm lies on the plate"),
     "drop": Scene(acts.drop, 5.0, "a drop of water falls on the plate and stays; taps beside it"),
     "interference": Scene(acts.interference, 6.0, "tones from elsewhere; taps", "silicone"),

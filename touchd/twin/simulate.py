@@ -27,7 +27,9 @@ BLOCK = 64
 DEFAULT_PLATE = Plate(width_mm=200, height_mm=200, thickness_mm=5, material="glass")
 
 
-def stream(stage: Stage, instrument: Instrument, seed: int, block: int = BLOCK) -> Iterator[NDArray[np.int16]]:
+def stream(
+    stage: Stage, instrument: Instrument, seed: int | Sequence[int], block: int = BLOCK
+) -> Iterator[NDArray[np.int16]]:
     """Yield a scene's frames in blocks: int16 arrays of shape (up to `block`, channels, samples).
 
     Every block is computed when it is asked for. Noise and jitter come from streams of their own.

@@ -1,0 +1,183 @@
+"""Frames live from the digital twin, computed ahead of the time at which they are due."""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from collections.abc import Callable, Sequence
+
+from touchd.errors import SimulationError
+from touchd.frame import Counts, Frame, Plate
+from touchd.sources import EndOfStream
+from touchd.twin.acts import Key
+from touchd.twin.electronics import Electronics
+from touchd.twin.instrument import Instrument
+from touchd.twin.simulate import DEFAULT_PLATE, meta_of, stage_scene, stream
+
+_AHEAD = 2
+"""Blocks of frames that wait to be read."""
+_MAX_WAIT_S = 1e6
+
+
+class SimulatedSource:
+    """A scene as if it happened now; late frames are caught up with, never skipped.
+
+    A frame's `t_ns` is the clock at the first read plus the scene's own time, whatever the speed, so events do not
+    depend on how fast this computer is. The first lap is, to the bit, what `simulate_scene` returns for the seed;
+    later laps repeat the scene with other noise.
+
+    Parameters
+    ----------
+    scene : str
+        One of `touchd.twin.scenes.SCENES`.
+    seed : int
+    rate_hz : float, optional
+        Frames a second; by default the scene's own, 125 or 100.
+    frames : int, optional
+        Of one lap; by default as many as the scene needs.
+    paced : bool
+        Hand out each frame when it is due; otherwise as soon as it is computed.
+    loop : bool
+        Begin again at the end. Sequence and time go on counting.
+    plate, instrument, electronics, finger, keys, code
+        As for `simulate_scene`.
+    clock : callable
+        Monotonic time, ns.
+    sleep : callable
+        Waits for so many seconds.
+
+    Raises
+    ------
+    SimulationError
+        When the scene is unknown, too short, or does not fit the plate.
+    """
+
+    def __init__(
+        self,
+        scene: str,
+        *,
+        seed: int = 0,
+        rate_hz: float | None = None,
+        frames: int | None = None,
+        paced: bool = True,
+        loop: bool = True,
+        plate: Plate = DEFAULT_PLATE,
+        instrument: Instrument | None = None,
+        electronics: Electronics | None = None,
+        finger: str | None = None,
+        keys: Sequence[Key] | None = None,
+        code: str | None = None,
+        clock: Callable[[], int] = time.monotonic_ns,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        self._stage = stage_scene(
+            scene, instrument.plate if instrument else plate, seed=seed, frames=frames, rate_hz=rate_hz,
+            electronics=electronics, finger=finger, keys=keys, code=code,
+        )  # fmt: skip
+        self._instrument = instrument or Instrument(plate)
+        self.acquisition = self._instrument.acquisition
+        self.meta = meta_of(self._instrument, self._stage.rate_hz, self._stage.notes)
+        self._seed, self._paced, self._loop = seed, paced, loop
+        self._clock, self._sleep = clock, sleep
+        self._complete_ns = round(self.acquisition.samples / self.acquisition.sample_rate_hz * 1e9)
+        self._epoch_ns: int | None = None
+        self._block: Counts | None = None
+        self._next = 0  # in the block
+        self._frame = 0  # in the lap
+        self._lap = 0
+        self._sequence: list[int] = self._stage.sequence.tolist()
+        self._blocks: queue.Queue[Counts | Exception] = queue.Queue(_AHEAD)
+        self._closed = threading.Event()
+        self._thread = threading.Thread(target=self._compute, name="twin", daemon=True)
+        self._thread.start()
+
+    def read(self, timeout_s: float) -> Frame | None:
+        """Return the next frame once it is due and computed, or None if that takes longer than `timeout_s`.
+
+        Raises
+        ------
+        EndOfStream
+            After the last frame, unless the scene loops; or after `close`.
+        SimulationError
+            When the twin failed.
+        """
+        if self._closed.is_set():
+            raise EndOfStream
+        now_ns = self._clock()
+        if self._epoch_ns is None:
+            self._epoch_ns = now_ns
+        deadline_ns = now_ns + round(min(max(timeout_s, 0.0), _MAX_WAIT_S) * 1e9)
+        if not self._take_block((deadline_ns - now_ns) / 1e9):
+            return None
+        assert self._block is not None
+        laps_ahead = self._lap * (self._sequence[-1] + 1 - self._sequence[0])
+        sequence = laps_ahead + self._sequence[self._frame]
+        t_ns = self._epoch_ns + round((sequence - self._sequence[0]) * 1e9 / self._stage.rate_hz)
+        now_ns = self._clock()
+        if self._paced:
+            due_ns = t_ns + self._complete_ns
+            while now_ns < min(due_ns, deadline_ns):
+                self._sleep((min(due_ns, deadline_ns) - now_ns) / 1e9)
+                now_ns = self._clock()
+            if now_ns < due_ns:
+                return None
+        counts = self._block[self._next]
+        self._next += 1
+        self._frame += 1
+        if self._frame == len(self._sequence):
+            self._frame, self._lap = 0, self._lap + 1
+        return Frame(counts, sequence, t_ns, now_ns)
+
+    def close(self) -> None:
+        """Stop computing; further calls do nothing."""
+        self._closed.set()
+        while True:  # whoever waits to put a block finds room, and then the flag
+            try:
+                self._blocks.get_nowait()
+            except queue.Empty:
+                break
+        self._thread.join()
+
+    def _take_block(self, timeout_s: float) -> bool:
+        """Make sure that a frame is at hand; return False if none came in time."""
+        if self._block is not None and self._next < len(self._block):
+            return True
+        try:
+            block = self._blocks.get(timeout=timeout_s) if timeout_s > 0 else self._blocks.get_nowait()
+        except queue.Empty:
+            return False
+        if isinstance(block, Exception):
+            self._closed.set()
+            if isinstance(block, EndOfStream | SimulationError):
+                raise block
+            raise SimulationError(f"the twin failed: {block!r}", "source") from block
+        self._block, self._next = block, 0
+        return True
+
+    def _compute(self) -> None:
+        """Compute blocks until there is no further one; every failure travels to the reader."""
+        last: Exception = EndOfStream()
+        try:
+            lap = 0
+            while lap == 0 or self._loop:
+                seed = self._seed if lap == 0 else (self._seed, lap)
+                for block in stream(self._stage, self._instrument, seed):
+                    # A stage that wrote into a frame would not be caught by any other source.
+                    block.flags.writeable = False
+                    if not self._put(block):
+                        return
+                lap += 1
+        except Exception as error:
+            last = error
+        self._put(last)
+
+    def _put(self, item: Counts | Exception) -> bool:
+        """Hand over a block; return False once nobody wants it."""
+        while not self._closed.is_set():
+            try:
+                self._blocks.put(item, timeout=0.1)
+                return True
+            except queue.Full:
+                continue
+        return False

@@ -1,0 +1,111 @@
+"""`touchd simulate`: a recording made by the digital twin."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import click
+
+from touchd import recording
+from touchd.errors import OutputError, SimulationError
+from touchd.frame import Plate
+from touchd.twin.electronics import Electronics
+from touchd.twin.finger import TISSUES
+from touchd.twin.instrument import Instrument
+from touchd.twin.material import MATERIALS
+from touchd.twin.scenes import SCENES
+from touchd.twin.simulate import simulate_scene, simulate_touches, stage_scene
+
+TOUCHES = "touches"
+COUNT = 6404
+_SCENE_LINES = "\n".join(f"  {name:13} {scene.what}" for name, scene in SCENES.items())
+
+
+def parse_plate(_ctx: click.Context, _param: click.Parameter, value: str) -> tuple[float, float, float]:
+    """Return WIDTHxHEIGHTxTHICKNESS as three lengths in mm."""
+    try:
+        width, height, thickness = (float(part) for part in value.lower().split("x"))
+    except ValueError:
+        raise click.BadParameter("three lengths in mm such as 200x200x5") from None
+    if not all(0 < length < math.inf for length in (width, height, thickness)):
+        raise click.BadParameter("lengths above 0")
+    return width, height, thickness
+
+
+@click.command(
+    epilog=f"\b\nScenes:\n  {TOUCHES:13} a robot's training set: an untouched frame before each touch\n{_SCENE_LINES}"
+)
+@click.argument("scene", type=click.Choice([TOUCHES, *SCENES]), metavar="SCENE")
+@click.option("-o", "--output", type=click.Path(path_type=Path), required=True, help="The recording to write (.npz).")
+@click.option(
+    "--seed", default=0, show_default=True, type=click.IntRange(min=0), help="The same seed, the same counts."
+)
+@click.option("--frames", type=click.IntRange(min=1), help="Frames of a scene.  [default: as it needs]")
+@click.option("--rate-hz", type=float, help="Frames a second of a scene.  [default: 125; demo 100]")
+@click.option("--count", type=click.IntRange(min=1), help=f"Touches of a training set.  [default: {COUNT}]")
+@click.option("--finger", type=click.Choice(list(TISSUES)), help="Another finger than the scene's own.")
+@click.option("--code", help="What is typed on the keypad.")
+@click.option("--plate", default="200x200x5", show_default=True, callback=parse_plate, metavar="WxHxT", help="In mm.")
+@click.option("--material", default="glass", show_default=True, type=click.Choice(list(MATERIALS)))
+@click.option("--loss", default=5e-3, show_default=True, help="Loss factor of the plate.")
+@click.option("--noise-db", default=60.0, show_default=True, help="White noise, so far below the untouched signal.")
+@click.option("--jitter-ns", default=0.0, show_default=True, help="Standard deviation of the trigger.")
+@click.option("--tail", is_flag=True, help="Include what still rings from the chirps before.")
+@click.option("--force", is_flag=True, help="Replace the recording if it exists.")
+def command(
+    scene: str,
+    output: Path,
+    seed: int,
+    frames: int | None,
+    rate_hz: float | None,
+    count: int | None,
+    finger: str | None,
+    code: str | None,
+    plate: tuple[float, float, float],
+    material: str,
+    loss: float,
+    noise_db: float,
+    jitter_ns: float,
+    tail: bool,
+    force: bool,
+) -> None:
+    """Write a recording of SCENE, computed from the physics of a plate, with its truth."""
+    if scene == TOUCHES and not (frames is None and rate_hz is None and code is None):
+        raise click.UsageError("--frames, --rate-hz and --code are for scenes; use --count")
+    if scene != TOUCHES and count is not None:
+        raise click.UsageError("--count is for touches; use --frames")
+    if output.exists() and not force:
+        raise OutputError("already there", str(output), "choose another name, or add --force")
+    width, height, thickness = plate
+    described = Plate(width_mm=width, height_mm=height, thickness_mm=thickness, material=material)
+    electronics = Electronics(noise_db=noise_db, jitter_s=jitter_ns * 1e-9)
+    if scene == TOUCHES:
+        total = 2 * (count or COUNT)
+        period_s = 0.5
+    else:
+        stage = stage_scene(scene, described, seed=seed, frames=frames, rate_hz=rate_hz, code=code)
+        total = len(stage.sequence)
+        period_s = 1 / stage.rate_hz
+    if tail and period_s > MOST_TAIL_S:
+        raise SimulationError(
+            f"a tail of {period_s:g} s", "tail", f"frames {MOST_TAIL_S:g} s apart or more hear nothing of it"
+        )
+    instrument = Instrument(described, loss=loss, tail_period_s=period_s if tail else None)
+    with click.progressbar(length=total, label=scene, file=click.get_text_stream("stderr")) as bar:
+        if scene == TOUCHES:
+            made = simulate_touches(
+                count or COUNT, seed=seed, instrument=instrument, electronics=electronics,
+                finger=finger or "silicone", progress=bar.update,
+            )  # fmt: skip
+        else:
+            made = simulate_scene(
+                scene, seed=seed, frames=frames, rate_hz=rate_hz, instrument=instrument, electronics=electronics,
+                finger=finger, code=code, progress=bar.update,
+            )  # fmt: skip
+    recording.write(output, made)
+    click.echo(f"{output}: {len(made.frames)} frames, {output.stat().st_size / 1e6:.1f} MB")
+
+
+MOST_TAIL_S = 0.05
+"""After that long even a loss factor of 1e-3 leaves nothing above -60 dB."""
