@@ -277,6 +277,14 @@ class TestRead:
         with pytest.raises(RecordingShape, match=r"claims int16 of shape .1000000000000, 4, 250\)"):
             read(tmp_path / "a.npz")
 
+    def test_what_does_not_fit_into_memory_is_refused_before_it_is_tried(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        write(tmp_path / "a.npz", make(200))
+        monkeypatch.setattr(npz, "_MEMORY_BYTES", 3000)
+        with pytest.raises(RecordingShape, match="larger than this machine's memory"):
+            read(tmp_path / "a.npz")
+
     def test_a_member_that_claims_more_than_deflate_can_hold_is_refused(self, tmp_path: Path) -> None:
         data = bytearray(save(tmp_path / "a.npz", **content(make())).read_bytes())
         entry = data.index(b"PK\x01\x02", data.index(b"PK\x01\x02") + 1)  # the second entry of the directory
@@ -307,10 +315,11 @@ class TestFolder:
         self.fill(tmp_path / "r")
         return tmp_path / "r"
 
-    def test_chunks_are_ordered_by_number_not_by_name(self, tmp_path: Path) -> None:
-        for i in range(11):
-            write(tmp_path / f"part-{i}.npz", make(1, first=i))
-        assert read(tmp_path).sequence.tolist() == list(range(11))
+    @pytest.mark.parametrize("name", ["{}.npz", "part-{}.npz", "2024-{:03d}.npz", "v1.2.{}.npz", "a\n{}.npz"])
+    def test_chunks_are_ordered_by_number_not_by_name(self, tmp_path: Path, name: str) -> None:
+        for i in range(12):
+            write(tmp_path / name.format(i), make(1, first=i))
+        assert read(tmp_path).sequence.tolist() == list(range(12))
 
     def test_a_reader_holds_one_chunk_at_a_time_and_can_start_again(
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

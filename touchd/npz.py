@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ast
 import math
+import os
 import re
 import struct
 import zipfile
@@ -26,6 +27,8 @@ _MAX_HEADER_BYTES = 4096
 _READ_BYTES = 1 << 20
 # Deflate cannot do better than 1032 to 1: an archive that claims more is lying.
 _MAX_DEFLATE_RATIO = 1032
+# A system that overcommits would grant more, and kill the process when it is used.
+_MEMORY_BYTES = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
 _DESCR = re.compile(r"[<>=|]?[biufcUS][0-9]*")
 # What zipfile and zlib raise on damaged input; NotImplementedError is a RuntimeError.
 _DAMAGE = (
@@ -86,6 +89,8 @@ def _load(archive: zipfile.ZipFile, key: str, path: Path, size_bytes: int) -> ND
             if claimed_bytes != held_bytes:
                 problem = f"claims {dtype} of shape {shape}, {claimed_bytes} bytes, but holds {held_bytes}"
                 raise RecordingShape(problem, where, "write the recording again")
+            if claimed_bytes > _MEMORY_BYTES:
+                raise MemoryError
             array = np.empty(shape[::-1] if fortran else shape, dtype)
             data = array.reshape(-1).view(np.uint8).data if claimed_bytes else memoryview(b"")
             done = 0

@@ -28,7 +28,7 @@ from touchd.recordingcheck import ARRAYS, REQUIRED, check, check_continues
 
 FORMAT = "touchd-recording"
 VERSION = 1
-_CHUNK_NAME = re.compile(r"[^.].*?(\d{1,18})\.npz|(\d{1,18})\.npz")
+_CHUNK_NAME = re.compile(r"(?!\.)(?:.*[^0-9])?([0-9]+)\.npz", re.DOTALL)
 
 
 class Device(BaseModel):
@@ -197,7 +197,7 @@ def _chunk_paths(path: Path) -> list[Path]:
         raise RecordingMissing(
             "this folder holds no numbered .npz chunks", str(path), "name a recording: a .npz file, or its folder"
         )
-    return [entry for _, entry in sorted(matches, key=lambda m: (int(m[0][1] or m[0][2]), m[1].name))]
+    return [entry for _, entry in sorted(matches, key=lambda m: (int(m[0][1]), m[1].name))]
 
 
 def _read_file(path: Path) -> Recording:
