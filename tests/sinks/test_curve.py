@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+from structlog.testing import capture_logs
 
 from touchd import curve
 from touchd.client import Subscriber
@@ -96,6 +97,26 @@ def test_a_client_is_admitted_without_a_restart_once_its_key_is_there(bus: Bus, 
     (keys.parent / "clients/stranger.key").write_bytes((keys / "stranger.key").read_bytes())
     with subscriber(sink, keys, "stranger") as newcomer:
         assert is_served(sink, newcomer)
+
+
+def test_a_client_whose_key_was_taken_away_cannot_come_back(bus: Bus, keys: Path) -> None:
+    sink = bus(curve_clients=keys.parent / "clients")
+    (keys.parent / "clients/friend.key").replace(keys.parent / "clients/stranger.key")
+    (keys.parent / "clients/stranger.key").write_bytes((keys / "stranger.key").read_bytes())
+    with subscriber(sink, keys, "friend") as former, subscriber(sink, keys, "stranger") as newcomer:
+        assert is_served(sink, newcomer)
+        assert gets_nothing(former)
+
+
+def test_clients_are_refused_while_their_keys_cannot_be_read(bus: Bus, keys: Path) -> None:
+    sink = bus(curve_clients=keys.parent / "clients")
+    (keys.parent / "clients/friend.key").write_text("damaged")
+    with capture_logs() as logs, subscriber(sink, keys, "friend") as friend:
+        assert gets_nothing(friend)
+        give_up_s = time.monotonic() + 60
+        while not any("friend.key" in line["error"] for line in logs):
+            assert time.monotonic() < give_up_s
+            time.sleep(0.01)
 
 
 def test_without_a_folder_of_clients_the_servers_key_is_enough_and_needed(bus: Bus, keys: Path) -> None:

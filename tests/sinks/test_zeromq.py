@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import logging
+import socket
 import subprocess
 import sys
 import time
@@ -55,29 +56,29 @@ def sink() -> Iterator[ZeromqSink]:
 def subscribe() -> Iterator[Subscribe]:
     """Return a function that makes subscribers of a sink, closed when the test ends."""
     context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
-    sockets = []
+    made = []
 
     def subscribe(sink: ZeromqSink, *prefixes: bytes) -> zmq.Socket[bytes]:
-        socket = context.socket(zmq.SUB)
-        sockets.append(socket)
+        listener = context.socket(zmq.SUB)
+        made.append(listener)
         for prefix in prefixes:
-            socket.setsockopt(zmq.SUBSCRIBE, prefix)
-        socket.connect(sink.addresses[0])
-        return socket
+            listener.setsockopt(zmq.SUBSCRIBE, prefix)
+        listener.connect(sink.addresses[0])
+        return listener
 
     yield subscribe
-    for socket in sockets:
-        socket.close(linger=0)
+    for listener in made:
+        listener.close(linger=0)
     context.term()
 
 
-def receive(sink: ZeromqSink, socket: zmq.Socket[bytes]) -> list[bytes]:
+def receive(sink: ZeromqSink, listener: zmq.Socket[bytes]) -> list[bytes]:
     """Wait for a message as the daemon would, polling the sink meanwhile."""
     give_up_s = time.monotonic() + PATIENCE_S
     while time.monotonic() < give_up_s:
         sink.poll()
-        if socket.poll(5):
-            return socket.recv_multipart()
+        if listener.poll(5):
+            return listener.recv_multipart()
     raise AssertionError("no message")
 
 
@@ -109,11 +110,11 @@ def test_a_new_subscriber_at_once_gets_the_last_message_of_its_topics_only(
 ) -> None:
     for event in (touch(1), touch(2), health(1), key(1)):
         sink.publish(event, 0)
-    socket = subscribe(sink, b"touch")
-    topic, payload = receive(sink, socket)
+    listener = subscribe(sink, b"touch")
+    topic, payload = receive(sink, listener)
     assert (topic, json.loads(payload)["seq"]) == (b"touch", 2)
     sink.publish(touch(3), 0)
-    assert json.loads(receive(sink, socket)[1])["seq"] == 3
+    assert json.loads(receive(sink, listener)[1])["seq"] == 3
 
 
 def test_what_a_new_subscriber_gets_is_byte_for_byte_what_the_others_got(
@@ -146,12 +147,12 @@ def test_nothing_is_serialised_while_nobody_listens(sink: ZeromqSink, encoded: l
 def test_only_what_somebody_listens_to_is_serialised_and_only_as_long(
     sink: ZeromqSink, subscribe: Subscribe, encoded: list[Event]
 ) -> None:
-    socket = subscribe(sink, b"health")
+    listener = subscribe(sink, b"health")
     sink.wait_for_subscriber(PATIENCE_S, "health")
     sink.publish(touch(1), 0)
     sink.publish(health(1), 0)
     assert encoded == [health(1)]
-    socket.close()
+    listener.close()
     poll_until_wanted(sink, set())
     sink.publish(health(2), 0)
     assert encoded == [health(1)]
@@ -174,9 +175,9 @@ def test_a_subscription_wants_every_topic_that_begins_with_it(
 
 
 def test_a_client_that_subscribes_twice_leaves_nothing_behind(sink: ZeromqSink, subscribe: Subscribe) -> None:
-    socket = subscribe(sink, b"touch", b"touch")
+    listener = subscribe(sink, b"touch", b"touch")
     poll_until_wanted(sink, {"touch"})
-    socket.close()
+    listener.close()
     poll_until_wanted(sink, set())
 
 
@@ -193,13 +194,39 @@ def test_one_of_two_subscribers_leaving_takes_nothing_from_the_other(sink: Zerom
         pass
 
 
+def test_no_client_can_silence_the_others(sink: ZeromqSink, subscribe: Subscribe) -> None:
+    honest = subscribe(sink, b"touch")
+    sink.publish(touch(1), 0)
+    receive(sink, honest)
+    port = int(sink.addresses[0].rpartition(":")[2])
+    with socket.create_connection(("127.0.0.1", port), PATIENCE_S) as hostile, hostile.makefile("rb") as answers:
+        # ZMTP 3.0 by hand, as no library sends this: the end of a subscription that never was.
+        hostile.sendall(b"\xff" + bytes(8) + b"\x7f")
+        answers.read(10)
+        hostile.sendall(b"\x03\x00" + b"NULL".ljust(20, b"\0") + bytes(32))
+        answers.read(54)
+        ready = b"\x05READY\x0bSocket-Type\x00\x00\x00\x03SUB"
+        hostile.sendall(b"\x04" + bytes([len(ready)]) + ready)
+        hostile.sendall(b"\x00\x06\x00touch" + b"\x00\x04\x01key")
+        poll_until_wanted(sink, {"touch", "key"})
+    sink.publish(touch(2), 0)
+    assert json.loads(receive(sink, honest)[1])["seq"] == 2
+
+
+def test_a_spectrum_is_made_no_longer_than_somebody_wants_it(sink: ZeromqSink, subscribe: Subscribe) -> None:
+    listener = subscribe(sink, b"spectrum", b"touch")
+    poll_until_wanted(sink, {"spectrum", "touch"})
+    listener.setsockopt(zmq.UNSUBSCRIBE, b"spectrum")
+    poll_until_wanted(sink, {"touch"})
+
+
 def test_the_latency_is_read_when_the_message_is_ready(subscribe: Subscribe) -> None:
     sink = ZeromqSink(LOCAL, clock=lambda: 5_250_000)
     try:
-        socket = subscribe(sink, b"touch")
+        listener = subscribe(sink, b"touch")
         sink.wait_for_subscriber(PATIENCE_S)
         sink.publish(touch(1), received_ns=5_000_000)
-        assert json.loads(receive(sink, socket)[1])["latency_us"] == 250.0
+        assert json.loads(receive(sink, listener)[1])["latency_us"] == 250.0
     finally:
         sink.close()
 
@@ -251,14 +278,14 @@ def test_a_subscriber_that_never_reads_delays_nobody_costs_little_and_sees_its_l
 
 def test_closing_sends_what_is_waiting(subscribe: Subscribe) -> None:
     sink = ZeromqSink(LOCAL)
-    socket = subscribe(sink, b"touch")
+    listener = subscribe(sink, b"touch")
     sink.wait_for_subscriber(PATIENCE_S)
     for seq in range(500):
         sink.publish(touch(seq), 0)
     sink.close()
     for seq in range(500):
-        assert socket.poll(int(PATIENCE_S * 1000))
-        assert json.loads(socket.recv_multipart()[1])["seq"] == seq
+        assert listener.poll(int(PATIENCE_S * 1000))
+        assert json.loads(listener.recv_multipart()[1])["seq"] == seq
 
 
 def test_a_closed_sink_does_nothing_more(sink: ZeromqSink) -> None:
@@ -276,9 +303,9 @@ def test_waiting_for_a_subscriber_ends_with_an_explanation(sink: ZeromqSink) -> 
 
 def test_no_key_press_reaches_a_log(sink: ZeromqSink, subscribe: Subscribe, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.DEBUG)
-    socket = subscribe(sink, b"")
+    listener = subscribe(sink, b"")
     sink.wait_for_subscriber(PATIENCE_S)
     sink.publish(key(1), 0)
-    assert b"hush-7" in receive(sink, socket)[1]
+    assert b"hush-7" in receive(sink, listener)[1]
     sink.close()
     assert "hush-7" not in caplog.text

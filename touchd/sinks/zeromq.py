@@ -5,11 +5,11 @@ Nothing in this module logs a payload: key events are secret.
 
 from __future__ import annotations
 
-import logging
 import time
 from collections.abc import Callable
 from pathlib import Path
 
+import structlog
 import zmq
 from zmq.auth.thread import ThreadAuthenticator
 
@@ -19,7 +19,7 @@ from touchd.errors import AddressInUse, BusError, BusTimeout
 from touchd.event import TOPICS, Event, TouchEvent, encode, encode_at
 from touchd.sinks import endpoint
 
-_LOG = logging.getLogger(__name__)
+log = structlog.get_logger()
 
 _LINGER_MS = 1000
 _MOST_PER_POLL = 64  # subscription messages taken in at once: a flood of them must not hold up a frame
@@ -106,17 +106,17 @@ class ZeromqSink:
         new: set[str] = set()
         for _ in range(_MOST_PER_POLL):
             try:
-                message = self._socket.recv(_NOBLOCK)
+                message = self._socket.recv(_NOBLOCK, copy=False)
             except zmq.Again:
                 break
-            kind, prefix = message[:1], message[1:]
+            kind, prefix = message.bytes[:1], message.bytes[1:]
             topics = {topic for topic, frame in self._topic_frames.items() if frame.startswith(prefix)}
             if not topics:
                 continue
             if kind == _SUBSCRIBE:
                 self._prefixes.add(prefix)
                 new |= topics
-            elif kind == _UNSUBSCRIBE:
+            elif kind == _UNSUBSCRIBE and (topics == {"spectrum"} or not _is_from_peer(message)):
                 self._prefixes.discard(prefix)
         self._wanted = frozenset(
             topic for topic, frame in self._topic_frames.items() if frame.startswith(tuple(self._prefixes))
@@ -222,6 +222,18 @@ class ZeromqSink:
         self._authenticator.configure_curve_callback("touchd", _Clients(clients))
 
 
+def _is_from_peer(message: zmq.Frame) -> bool:
+    """Return whether a peer sent the message, rather than libzmq noting that the last one has gone.
+
+    libzmq passes on the unsubscription of a peer that never subscribed, too. Believing it would let one client silence
+    all others; not believing an honest one costs the encoding of messages for nobody. Only a spectrum is too dear.
+    """
+    try:
+        return bool(message.get("Socket-Type"))
+    except zmq.ZMQError:
+        return False
+
+
 class _Clients:
     """Who may subscribe: asked at every handshake, so that keys come and go without a restart."""
 
@@ -232,5 +244,5 @@ class _Clients:
         try:
             return key in curve.load_folder(self._folder)
         except BusError as error:
-            _LOG.error("subscriber refused, as the clients' keys cannot be read: %s", error)
+            log.error("subscriber refused: the clients' keys cannot be read", error=str(error))
             return False
