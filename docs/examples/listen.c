@@ -1,0 +1,45 @@
+/* Print every touch message. Build: cc -o listen listen.c -lzmq */
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <zmq.h>
+
+/* Receive one part of a message as a string; a part that is too long is cut. Returns its length, or -1. */
+static int receive(void *socket, char *text, size_t size)
+{
+    int length = zmq_recv(socket, text, size - 1, 0);
+    if (length >= 0)
+        text[(size_t)length < size ? (size_t)length : size - 1] = '\0';
+    return length;
+}
+
+int main(int argc, char **argv)
+{
+    const char *address = argc > 1 ? argv[1] : "tcp://127.0.0.1:5570";
+    char topic[32], payload[65536];
+    long long last_seq = -1;
+    void *context = zmq_ctx_new();
+    void *socket = zmq_socket(context, ZMQ_SUB);
+
+    if (zmq_connect(socket, address) != 0) {
+        fprintf(stderr, "%s: %s\n", address, zmq_strerror(zmq_errno()));
+        return 1;
+    }
+    zmq_setsockopt(socket, ZMQ_SUBSCRIBE, "touch", strlen("touch"));
+
+    while (receive(socket, topic, sizeof topic) >= 0 && receive(socket, payload, sizeof payload) >= 0) {
+        /* For brevity: a real program hands the payload to its JSON parser. */
+        const char *field = strstr(payload, "\"seq\":");
+        long long seq = field ? strtoll(field + strlen("\"seq\":"), NULL, 10) : -1;
+        if (seq == last_seq)
+            continue; /* sent once more for another subscriber's sake */
+        if (last_seq >= 0 && seq > last_seq + 1)
+            fprintf(stderr, "%lld messages lost\n", seq - last_seq - 1);
+        last_seq = seq;
+        puts(payload);
+        fflush(stdout);
+    }
+    zmq_close(socket);
+    zmq_ctx_term(context);
+    return 0;
+}

@@ -1,0 +1,14 @@
+// Print every contact that touchd sees. Once: npm install zeromq
+import { Subscriber } from "zeromq";
+
+const socket = new Subscriber();
+socket.connect(process.argv[2] ?? "tcp://127.0.0.1:5570");
+socket.subscribe("touch");
+
+let lastSeq;
+for await (const [, payload] of socket) {
+  const event = JSON.parse(payload.toString());
+  if (event.seq === lastSeq) continue; // sent once more for another subscriber's sake
+  lastSeq = event.seq;
+  for (const c of event.contacts) console.log(c.id, c.phase, c.x_mm.toFixed(1), c.y_mm.toFixed(1));
+}

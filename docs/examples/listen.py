@@ -1,0 +1,10 @@
+"""Print every contact that touchd sees."""
+
+import sys
+
+from touchd.client import DEFAULT_ADDRESS, Subscriber
+
+with Subscriber(sys.argv[1] if sys.argv[1:] else DEFAULT_ADDRESS) as events:
+    for event in events:
+        for c in event.contacts:
+            print(c.id, c.phase, f"{c.x_mm:.1f} {c.y_mm:.1f}", flush=True)
