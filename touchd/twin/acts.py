@@ -158,7 +158,7 @@ def palm(stage: Stage, _cast: Cast) -> None:
 def drop(stage: Stage, cast: Cast) -> None:
     """Let a drop fall, and tap beside it."""
     # 18.1 mm^2 hold a half sphere of 29 mg. It stays; a finger taps beside it.
-    stage.lay("drop", IDLE_S, stage.end_s, _still(*_anywhere(stage, 30.0)), area_mm2=18.1, column=1)
+    stage.lay("drop", IDLE_S, stage.end_s + 1, _still(*_anywhere(stage, 30.0)), area_mm2=18.1, column=1)
     before = len(stage.kinds)
     _tap_from(stage, cast.finger, IDLE_S + 1.0, stage.end_s - END_S)
     if len(stage.kinds) == before:

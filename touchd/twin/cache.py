@@ -41,8 +41,9 @@ def remember(name: str, parameters: Mapping[str, Any], compute: Callable[[], Arr
     digest = hashlib.sha256(json.dumps(parameters, sort_keys=True).encode()).hexdigest()[:24]
     try:
         path = folder() / f"{name}-{digest}.npz"
-        with np.load(path, allow_pickle=False) as file:
-            return {key: file[key] for key in file.files}
+        # Opened here: numpy leaves its own file open when the archive is damaged.
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
+            return {key: stored[key] for key in stored.files}
     except (OSError, RuntimeError, ValueError, EOFError, KeyError, zipfile.BadZipFile):
         pass  # absent, damaged, or no home folder: all the same here
     arrays = compute()

@@ -28,11 +28,10 @@ Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 REFERENCE_C = 22.0
-NODES = 10
-"""Chebyshev nodes in temperature: over +-20 K the phase of the last wave turns by under 0.8 rad, so 1e-9."""
-TAYLOR_ERROR = 1e-7
-MOST_SHIFT_S = 2e-6
-"""Furthest that a time signal is shifted by a Taylor series; nothing real shifts a trigger so far."""
+ERROR = 1e-11
+"""Of series in time and in temperature, against the signal: far below a count, however frames are grouped."""
+MOST_LATE_S = 1e-6
+"""Latest trigger. A Taylor series shifts the signal; nothing real shifts it so far."""
 
 
 class Instrument:
@@ -96,7 +95,7 @@ class Instrument:
         self._record = round(record_s * a.sample_rate_hz / 2) * 2
         self._decay_per_s = damping / record_s
         grid_hz = np.arange(self._record // 2 + 1) * a.sample_rate_hz / self._record
-        nu = np.asarray(2 * np.pi * grid_hz - 1j * max(self._decay_per_s, 1e-3), dtype=np.complex128)
+        nu = 2 * np.pi * grid_hz - 1j * max(self._decay_per_s, 1e-3)
         modes = loaded_modes(plate, self.layout, a.sample_rate_hz / 2)
         self.response = Response(plate, modes, nu, loss)
         self._t = np.arange(a.samples) / a.sample_rate_hz
@@ -131,8 +130,8 @@ class Instrument:
         Array of shape (n, R, S).
         """
         weights = self._weights(self.scale(temperature_c))
-        late = np.broadcast_to(np.asarray(late_s, dtype=float), weights.shape[:1])
-        orders = np.arange(1 if not np.any(late) else self._orders(float(np.abs(late).max())))
+        late = _late(late_s, len(weights))
+        orders = np.arange(self._orders(float(np.abs(late).max(initial=0.0))))
         powers = late[:, None] ** orders
         _, K, R, S = self._untouched.shape
         combined = (powers[:, :, None] * weights[:, None, :]).reshape(-1, len(orders) * K)
@@ -157,7 +156,7 @@ class Instrument:
             When a contact reaches over the edge.
         """
         scale = self.scale(temperature_c)
-        late = np.broadcast_to(np.asarray(late_s, dtype=float), scale.shape)
+        late = _late(late_s, len(scale))
         split = [[patch for contact in touch for patch in patches(contact)] for touch in touches]
         counts = np.array([len(touch) for touch in split])
         result = np.zeros((len(split), self.acquisition.channels, self.acquisition.samples))
@@ -172,11 +171,14 @@ class Instrument:
 
     def _tables(self) -> None:
         """Compute the emission, and the untouched plate with its time derivatives, at the nodes in temperature."""
-        angle = np.pi * (np.arange(NODES) + 0.5) / NODES
-        self._node_scale = 1 + abs(self.temperature_per_k) * self.span_k * np.cos(angle)
-        self._node_weight = (-1.0) ** np.arange(NODES) * np.sin(angle)
         nu = self.response.nu_rad_s
         a = self.acquisition
+        span = max(abs(self.temperature_per_k) * self.span_k, 1e-9)
+        # A Chebyshev series of n terms leaves as much as a Taylor series over half the span, and to be sure one more.
+        n = self._orders(span * float(self._t[-1]) / 2) + 1
+        angle = np.pi * (np.arange(n) + 0.5) / n
+        self._node_scale = 1 + span * np.cos(angle)
+        self._node_weight = (-1.0) ** np.arange(n) * np.sin(angle)
         self._emission = np.array(
             [chirp.spectrum(a.chirp, s * nu) * anti_alias(s * nu, a.sample_rate_hz) for s in self._node_scale]
         )
@@ -184,8 +186,8 @@ class Instrument:
         heard = self.response.untouched() * self._emission[:, None, :] / s[:, None, None] ** 2
         # A derivative by the trigger's time is s times one by the record's time.
         orders = [
-            self._to_time(heard * (1j * nu) ** k, s, np.zeros(NODES)) * s[:, None, None] ** k / math.factorial(k)
-            for k in range(self._orders(MOST_SHIFT_S))
+            self._to_time(heard * (1j * nu) ** k, s, np.zeros(n)) * s[:, None, None] ** k / math.factorial(k)
+            for k in range(self._orders(MOST_LATE_S))
         ]
         self._untouched = np.stack(orders)
         self._peak = 1.0
@@ -193,7 +195,7 @@ class Instrument:
         self._untouched /= self._peak
 
     def _weights(self, scale: Floats) -> Floats:
-        """Weights of the nodes at factors of shape (n,), shape (n, NODES): barycentric interpolation."""
+        """Weights of the nodes at factors of shape (n,), shape (n, nodes): barycentric interpolation."""
         distance = scale[:, None] - self._node_scale
         exact = distance == 0
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -202,10 +204,10 @@ class Instrument:
         return np.where(exact.any(axis=1, keepdims=True), exact, w)
 
     def _orders(self, shift_s: float) -> int:
-        """Terms of a Taylor series that shifts a time signal so far, to `TAYLOR_ERROR`."""
+        """Terms of a Taylor series that shifts a time signal so far, to `ERROR`."""
         x = np.pi * self.acquisition.sample_rate_hz * shift_s
         k, term = 1, x
-        while term > TAYLOR_ERROR:
+        while term > ERROR:
             k += 1
             term *= x / k
         return k
@@ -215,15 +217,10 @@ class Instrument:
         a = self.acquisition
         at = scale[:, None] * (self._t + late_s[:, None])
         shift = at - self._t
-        largest = float(np.abs(shift).max())
-        if largest > MOST_SHIFT_S:
-            raise SimulationError(
-                f"a trigger off by {np.abs(late_s).max() * 1e6:.1f} us", "jitter", "keep it under 1 us"
-            )
         nu = self.response.nu_rad_s
         result = np.zeros((*spectrum.shape[:2], a.samples))
         power = np.ones_like(shift)
-        for k in range(self._orders(largest)):
+        for k in range(self._orders(float(np.abs(shift).max()))):
             if k:
                 spectrum = spectrum * (1j * nu)
                 power = power * shift / k
@@ -231,6 +228,14 @@ class Instrument:
             result += wave * power[:, None, :]
         undamp = scale[:, None] * np.exp(self._decay_per_s * self._t)
         return result * undamp[:, None, :] * a.sample_rate_hz
+
+
+def _late(late_s: ArrayLike, n: int) -> Floats:
+    """Spread the triggers' delays over n frames, if they are small enough."""
+    late = np.broadcast_to(np.asarray(late_s, dtype=float), (n,))
+    if not np.all(np.abs(late) <= MOST_LATE_S):
+        raise SimulationError("a trigger off by more than 1 us", "jitter", "use 200 ns or less")
+    return late
 
 
 def anti_alias(omega_rad_s: Complex, sample_rate_hz: float) -> Complex:

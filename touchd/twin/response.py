@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from touchd.errors import SimulationError
 from touchd.frame import Plate
@@ -27,17 +27,17 @@ class Response:
     ----------
     plate : Plate
     modes : LoadedModes
-    nu_rad_s : complex array of shape (F,)
-        Angular frequencies; a negative imaginary part damps the time signal.
+    nu_rad_s : array_like of shape (F,)
+        Angular frequencies, real or complex; a negative imaginary part damps the time signal.
     loss : float
         Loss factor of the mounted plate.
     """
 
-    def __init__(self, plate: Plate, modes: LoadedModes, nu_rad_s: Complex, loss: float) -> None:
+    def __init__(self, plate: Plate, modes: LoadedModes, nu_rad_s: ArrayLike, loss: float) -> None:
         self.plate = plate
         self.modes = modes
-        self.nu_rad_s = nu_rad_s
-        H = 1 / (modes.omega_rad_s**2 * (1 + 1j * loss) - nu_rad_s[:, None] ** 2)
+        self.nu_rad_s = np.asarray(nu_rad_s, dtype=np.complex128)
+        H = 1 / (modes.omega_rad_s**2 * (1 + 1j * loss) - self.nu_rad_s[:, None] ** 2)
         # Shapes are real: stacking the parts makes one real product of what would be two.
         self._kernel = np.concatenate([H.real, H.imag])
         self._w = modes.w.reshape(len(modes.w), -1)

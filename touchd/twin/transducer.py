@@ -12,6 +12,7 @@ from touchd.errors import SimulationError
 from touchd.frame import Plate
 from touchd.twin import legendre
 from touchd.twin.cache import remember
+from touchd.twin.material import material_of
 from touchd.twin.plate import Modes, polynomials_for, size_m, solve
 
 Floats = NDArray[np.float64]
@@ -87,6 +88,7 @@ def loaded_modes(plate: Plate, layout: Layout, frequency_hz: float = 125e3) -> L
     parameters = {
         "version": VERSION,
         "plate": plate.model_dump(),
+        "material": material_of(plate),
         "layout": layout.model_dump(),
         "frequency_hz": frequency_hz,
         "counts": counts,

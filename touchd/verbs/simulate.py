@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from pathlib import Path
 
 import click
@@ -10,6 +11,7 @@ import click
 from touchd import recording
 from touchd.errors import OutputError, SimulationError
 from touchd.frame import Plate
+from touchd.keypad import load_layout
 from touchd.twin.electronics import Electronics
 from touchd.twin.finger import TISSUES
 from touchd.twin.instrument import Instrument
@@ -45,6 +47,7 @@ def parse_plate(_ctx: click.Context, _param: click.Parameter, value: str) -> tup
 @click.option("--rate-hz", type=float, help="Frames a second of a scene.  [default: 125; demo 100]")
 @click.option("--count", type=click.IntRange(min=1), help=f"Touches of a training set.  [default: {COUNT}]")
 @click.option("--finger", type=click.Choice(list(TISSUES)), help="Another finger than the scene's own.")
+@click.option("--keypad", type=click.Path(path_type=Path), help="Layout of the keys (TOML).  [default: 3 x 4 keys]")
 @click.option("--code", help="What is typed on the keypad.")
 @click.option("--plate", default="200x200x5", show_default=True, callback=parse_plate, metavar="WxHxT", help="In mm.")
 @click.option("--material", default="glass", show_default=True, type=click.Choice(list(MATERIALS)))
@@ -61,6 +64,7 @@ def command(
     rate_hz: float | None,
     count: int | None,
     finger: str | None,
+    keypad: Path | None,
     code: str | None,
     plate: tuple[float, float, float],
     material: str,
@@ -71,20 +75,21 @@ def command(
     force: bool,
 ) -> None:
     """Write a recording of SCENE, computed from the physics of a plate, with its truth."""
-    if scene == TOUCHES and not (frames is None and rate_hz is None and code is None):
-        raise click.UsageError("--frames, --rate-hz and --code are for scenes; use --count")
+    if scene == TOUCHES and not (frames is None and rate_hz is None and keypad is None and code is None):
+        raise click.UsageError("--frames, --rate-hz, --keypad and --code are for scenes; use --count")
     if scene != TOUCHES and count is not None:
         raise click.UsageError("--count is for touches; use --frames")
     if output.exists() and not force:
         raise OutputError("already there", str(output), "choose another name, or add --force")
     width, height, thickness = plate
+    keys = [(key.name, *key.centre_mm) for key in load_layout(keypad).key] if keypad else None
     described = Plate(width_mm=width, height_mm=height, thickness_mm=thickness, material=material)
     electronics = Electronics(noise_db=noise_db, jitter_s=jitter_ns * 1e-9)
     if scene == TOUCHES:
         total = 2 * (count or COUNT)
         period_s = 0.5
     else:
-        stage = stage_scene(scene, described, seed=seed, frames=frames, rate_hz=rate_hz, code=code)
+        stage = stage_scene(scene, described, seed=seed, frames=frames, rate_hz=rate_hz, keys=keys, code=code)
         total = len(stage.sequence)
         period_s = 1 / stage.rate_hz
     if tail and period_s > MOST_TAIL_S:
@@ -92,7 +97,7 @@ def command(
             f"a tail of {period_s:g} s", "tail", f"frames {MOST_TAIL_S:g} s apart or more hear nothing of it"
         )
     instrument = Instrument(described, loss=loss, tail_period_s=period_s if tail else None)
-    with click.progressbar(length=total, label=scene, file=click.get_text_stream("stderr")) as bar:
+    with click.progressbar(length=total, label=scene, file=sys.stderr) as bar:
         if scene == TOUCHES:
             made = simulate_touches(
                 count or COUNT, seed=seed, instrument=instrument, electronics=electronics,
@@ -101,7 +106,7 @@ def command(
         else:
             made = simulate_scene(
                 scene, seed=seed, frames=frames, rate_hz=rate_hz, instrument=instrument, electronics=electronics,
-                finger=finger, code=code, progress=bar.update,
+                finger=finger, keys=keys, code=code, progress=bar.update,
             )  # fmt: skip
     recording.write(output, made)
     click.echo(f"{output}: {len(made.frames)} frames, {output.stat().st_size / 1e6:.1f} MB")

@@ -1,0 +1,98 @@
+"""The plate vibrates as theory and literature say."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from touchd.errors import SimulationError
+from touchd.frame import Plate
+from touchd.twin import material
+from touchd.twin.legendre import derivative, disc_average, values
+from touchd.twin.material import Material, stiffness_of
+from touchd.twin.plate import Modes, polynomials_for, solve
+
+THIN = [13.468, 19.596, 24.270, 34.801, 34.801, 61.093, 61.093, 63.686, 69.265, 77.172, 105.46, 105.46]
+UPPER_BOUNDS = [13.49, 19.79, 24.43, 35.02, 35.02]
+
+
+@pytest.fixture
+def thin(monkeypatch: pytest.MonkeyPatch) -> list[float]:
+    """Frequency parameters of a square plate a thousand times wider than thick, nu = 0.3."""
+    monkeypatch.setitem(material.MATERIALS, "ideal", Material(1e11, 0.3, 1000.0))
+    plate = Plate(width_mm=1000, height_mm=1000, thickness_mm=1, material="ideal")
+    s = stiffness_of(plate)
+    omega = solve(plate, (24, 24)).omega_rad_s[3:15]
+    return [float(x) for x in omega * np.sqrt(s.mass / s.bending)]
+
+
+def test_a_thin_free_square_plate_has_the_known_frequencies(thin: list[float]) -> None:
+    np.testing.assert_allclose(thin, THIN, rtol=3e-4)
+
+
+def test_no_frequency_lies_above_the_published_upper_bounds(thin: list[float]) -> None:
+    assert all(0.985 * bound < x < bound for x, bound in zip(thin, UPPER_BOUNDS, strict=False))
+
+
+def test_this_plate_has_three_rigid_motions_and_the_stated_frequencies(bare: Modes) -> None:
+    np.testing.assert_array_equal(bare.omega_rad_s[:3], 0)
+    np.testing.assert_allclose(bare.frequency_hz[3:9], [441.1, 642.6, 755.2, 1123.6, 1123.6, 1930.2], atol=0.06)
+
+
+@pytest.mark.parametrize(("below_hz", "count"), [(50e3, 172), (100e3, 377)])
+def test_this_plate_has_the_stated_number_of_modes(bare: Modes, below_hz: float, count: int) -> None:
+    assert (bare.frequency_hz < below_hz).sum() == count
+
+
+def test_48_polynomials_are_converged_at_100_khz(glass: Plate, bare: Modes) -> None:
+    finer = solve(glass, (52, 52), 100e3).omega_rad_s[3:377]
+    assert np.abs(bare.omega_rad_s[3:377] / finer - 1).max() < 1e-6
+
+
+def test_a_plate_turned_by_90_degrees_sounds_the_same() -> None:
+    upright = solve(Plate(width_mm=100, height_mm=60, thickness_mm=4, material="aluminium"), (16, 12))
+    turned = solve(Plate(width_mm=60, height_mm=100, thickness_mm=4, material="aluminium"), (12, 16))
+    np.testing.assert_allclose(upright.omega_rad_s, turned.omega_rad_s, rtol=1e-9)
+
+
+def test_a_stiffer_material_moves_all_modes_by_one_factor(monkeypatch: pytest.MonkeyPatch) -> None:
+    plate = Plate(width_mm=100, height_mm=60, thickness_mm=4)
+    before = solve(plate, (12, 12)).omega_rad_s
+    soft = material.MATERIALS["glass"]
+    monkeypatch.setitem(material.MATERIALS, "glass", soft._replace(E_pa=soft.E_pa * 1.21))
+    np.testing.assert_allclose(solve(plate, (12, 12)).omega_rad_s, 1.1 * before, rtol=1e-9)
+
+
+def test_modes_are_orthogonal_with_unit_mass(glass: Plate, bare: Modes) -> None:
+    s = stiffness_of(glass)
+    w, x, y = (field[:200].reshape(200, -1) for field in bare[1:])
+    mass = s.mass * w @ w.T + s.rotary * (x @ x.T + y @ y.T)
+    np.testing.assert_allclose(mass, np.eye(200), atol=1e-10)
+
+
+def test_polynomials_are_orthonormal_and_differentiate_exactly() -> None:
+    node, weight = np.polynomial.legendre.leggauss(40)
+    x = (node + 1) * 0.1
+    p = values(x, 0.2, 20)
+    np.testing.assert_allclose((p * weight[:, None] * 0.1).T @ p, np.eye(20), atol=1e-12)
+    step = 1e-7
+    slope = (values(x + step, 0.2, 20) - values(x - step, 0.2, 20)) / (2 * step)
+    np.testing.assert_allclose(p @ derivative(0.2, 20), slope, rtol=1e-5, atol=1e-3)
+
+
+def test_a_disc_average_is_the_mean_of_many_points() -> None:
+    rng = np.random.default_rng(1)
+    r, a = 0.004 * np.sqrt(rng.uniform(size=400_000)), rng.uniform(0, 2 * np.pi, 400_000)
+    px, py = values(0.05 + r * np.cos(a), 0.2, 30), values(0.12 + r * np.sin(a), 0.2, 30)
+    average = disc_average([[0.05, 0.12]], [0.004], (0.2, 0.2), (30, 30))[0]
+    np.testing.assert_allclose(average, px.T @ py / len(r), atol=0.05 * np.abs(average).max() / 10)
+
+
+def test_unknown_materials_are_refused_by_name() -> None:
+    with pytest.raises(SimulationError, match="cheese"):
+        solve(Plate(width_mm=100, height_mm=60, thickness_mm=4, material="cheese"), (8, 8))
+
+
+def test_a_plate_of_too_many_wavelengths_is_refused() -> None:
+    with pytest.raises(SimulationError, match="wavelengths"):
+        polynomials_for(Plate(width_mm=2000, height_mm=1000, thickness_mm=2), 100e3)

@@ -1,0 +1,199 @@
+"""Scenes and training sets are reproducible recordings with valid truth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from touchd.errors import SimulationError
+from touchd.frame import Plate
+from touchd.recording import Recording, read, write
+from touchd.twin.electronics import Electronics
+from touchd.twin.instrument import REFERENCE_C, Instrument
+from touchd.twin.scenes import SCENES, default_keys
+from touchd.twin.simulate import simulate_scene, simulate_touches, stage_scene, stream
+
+SQUARE = Plate(width_mm=200, height_mm=200, thickness_mm=5)
+
+
+def touching(recording: Recording) -> np.ndarray[tuple[int, int], np.dtype[np.bool_]]:
+    assert recording.contacts_mm is not None
+    return ~np.isnan(recording.contacts_mm[..., 0])
+
+
+def same(one: Recording, other: Recording) -> bool:
+    names = ("frames", "sequence", "timestamp_ns", "contacts_mm", "force_n", "temperature_c")
+    return all(np.array_equal(getattr(one, n), getattr(other, n), equal_nan=n[0] in "cf") for n in names)
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_each_scene_has_valid_truth_and_begins_untouched(name: str, instrument: Instrument) -> None:
+    frames = 250 if name in ("palm", "hold") else 2000 if name == "drift" else None
+    recording = simulate_scene(name, seed=2, frames=frames, instrument=instrument)
+    on = touching(recording)
+    assert recording.contacts_mm is not None
+    assert recording.force_n is not None
+    assert recording.temperature_c is not None
+    n = len(recording.frames)
+    assert recording.frames.shape == (n, 4, 250)
+    assert recording.frames.dtype == np.int16
+    assert recording.contacts_mm.shape == (n, on.shape[1], 2)
+    assert recording.force_n.shape == on.shape
+    assert np.isnan(recording.force_n[~on]).all()
+    assert np.array_equal(np.isnan(recording.contacts_mm[..., 1]), ~on)
+    places = recording.contacts_mm[on]
+    assert ((places > 5) & (places < 195)).all()
+    assert not on[recording.timestamp_ns < 0.6e9].any()
+    assert on.any() == (name != "idle")
+    assert (np.diff(recording.sequence) >= 1).all()
+    assert (np.diff(recording.sequence) > 1).any() == (name == "lostframes")
+    period_ns = 1e9 / recording.meta.frame_rate_hz
+    np.testing.assert_allclose(recording.timestamp_ns, recording.sequence * period_ns, atol=1)
+    assert recording.meta.source == "simulated"
+
+
+def test_pinch_has_two_fingers_at_once_and_drop_a_drop(instrument: Instrument) -> None:
+    assert (touching(simulate_scene("pinch", instrument=instrument)).sum(axis=1) == 2).any()
+    drop = simulate_scene("drop", instrument=instrument)
+    assert drop.force_n is not None
+    on = touching(drop)
+    assert on[-1].tolist() == [False, True]
+    assert np.isnan(drop.force_n[on[:, 1], 1]).all()
+    assert (drop.force_n[on[:, 0], 0] > 0).all()
+
+
+def test_a_touch_is_seen_where_the_truth_says_so(instrument: Instrument) -> None:
+    recording = simulate_scene("tap", seed=5, instrument=instrument)
+    on = touching(recording)[:, 0]
+    counts = recording.frames.astype(float)
+    change = np.sqrt(((counts - counts[:60].mean(axis=0)) ** 2).mean(axis=(1, 2)))
+    noise = change[:60].mean()
+    assert change[~on].max() < 1.5 * noise
+    settled = on & np.roll(on, 4) & np.roll(on, -4)
+    assert change[settled].min() > 3 * noise
+
+
+def test_the_same_seed_gives_the_same_recording_and_another_another(small: Instrument) -> None:
+    one, two, three = (simulate_scene("tap", seed=s, frames=200, instrument=small) for s in (4, 4, 5))
+    assert same(one, two)
+    assert not same(one, three)
+
+
+def test_noise_and_truth_have_seeds_of_their_own(small: Instrument) -> None:
+    plain = simulate_scene("tap", seed=4, frames=200, instrument=small)
+    other = simulate_scene("tap", seed=4, frames=200, instrument=small, electronics=Electronics(jitter_s=1e-8))
+    np.testing.assert_array_equal(plain.contacts_mm, other.contacts_mm)
+    assert not np.array_equal(plain.frames, other.frames)
+
+
+@pytest.mark.parametrize("block", [1, 7, 500])
+def test_how_frames_are_cut_into_blocks_makes_no_difference(small: Instrument, block: int) -> None:
+    electronics = Electronics(jitter_s=5e-9)
+    stage = stage_scene("tap", small.plate, seed=3, frames=200, electronics=electronics)
+    whole = np.concatenate(list(stream(stage, small, 3)))
+    np.testing.assert_array_equal(np.concatenate(list(stream(stage, small, 3, block))), whole)
+
+
+def test_a_code_is_typed_on_the_given_keys(instrument: Instrument) -> None:
+    keys = [("A", 50.0, 60.0), ("B", 150.0, 140.0)]
+    recording = simulate_scene("keypad", instrument=instrument, keys=keys, code="ABA")
+    on = touching(recording)[:, 0]
+    assert recording.contacts_mm is not None
+    begins = np.flatnonzero(on & ~np.roll(on, 1))
+    places = recording.contacts_mm[begins, 0]
+    assert np.abs(places - [[50, 60], [150, 140], [50, 60]]).max() <= 4
+
+
+def test_a_code_with_an_unknown_key_is_refused(small: Instrument) -> None:
+    with pytest.raises(SimulationError, match="'C'"):
+        simulate_scene("keypad", instrument=small, code="12C")
+
+
+def test_the_default_keys_are_a_telephones() -> None:
+    places = {name: (x, y) for name, x, y in default_keys(SQUARE)}
+    assert places["5"] == pytest.approx((100, 84))
+    assert places["1"] == pytest.approx((68, 52))
+    assert places["#"] == pytest.approx((132, 148))
+
+
+def test_a_circle_is_round_and_a_hold_keeps_growing(instrument: Instrument) -> None:
+    circle = simulate_scene("circle", instrument=instrument)
+    assert circle.contacts_mm is not None
+    place = circle.contacts_mm[touching(circle)[:, 0], 0] - 100
+    np.testing.assert_allclose(np.hypot(*place.T), 60, atol=0.01)
+    hold = simulate_scene("hold", instrument=instrument, frames=750)
+    counts = hold.frames.astype(float)
+    change = np.sqrt(((counts - counts[:60].mean(axis=0)) ** 2).mean(axis=(1, 2)))
+    assert change[650:690].mean() > 1.15 * change[120:160].mean()
+
+
+def test_the_demo_is_small_and_survives_being_written(instrument: Instrument, tmp_path: Path) -> None:
+    demo = simulate_scene("demo", instrument=instrument)
+    assert demo.meta.frame_rate_hz == 100
+    assert len(demo.frames) == 900
+    assert not touching(demo)[:100].any()
+    path = tmp_path / "demo.npz"
+    write(path, demo)
+    assert path.stat().st_size < 2.5e6
+    assert same(demo, read(path))
+
+
+def test_a_training_set_alternates_untouched_frames_and_touches(instrument: Instrument) -> None:
+    told: list[int] = []
+    recording = simulate_touches(300, seed=9, instrument=instrument, progress=told.append)
+    on = touching(recording)
+    assert sum(told) == 600
+    assert on.shape == (600, 1)
+    np.testing.assert_array_equal(on[:, 0], np.arange(600) % 2 == 1)
+    np.testing.assert_array_equal(recording.sequence, np.arange(600))
+    assert recording.meta.frame_rate_hz == 2
+    assert recording.contacts_mm is not None
+    assert recording.temperature_c is not None
+    assert recording.force_n is not None
+    places = recording.contacts_mm[1::2, 0]
+    assert places.min() >= 5
+    assert places.max() <= 195
+    assert np.ptp(places, axis=0).min() > 180
+    assert np.abs(recording.temperature_c - REFERENCE_C).max() == pytest.approx(1, abs=1e-5)
+    area = 14 * np.sqrt(recording.force_n[1::2, 0])
+    assert area.min() >= 12
+    assert area.max() <= 28
+
+
+def test_a_touch_and_its_untouched_frame_differ_by_the_touch(instrument: Instrument) -> None:
+    recording = simulate_touches(300, seed=9, instrument=instrument, electronics=Electronics(noise_db=np.inf))
+    counts = recording.frames.astype(float)
+    touch = np.sqrt(((counts[1::2] - counts[::2]) ** 2).mean(axis=(1, 2)))
+    signal = np.sqrt((counts[::2] ** 2).mean())
+    level = 20 * np.log10(touch / signal)
+    assert -52 < level.min() < level.max() < -25
+
+
+def test_training_sets_are_reproducible(small: Instrument) -> None:
+    one, two, three = (simulate_touches(40, seed=s, instrument=small) for s in (1, 1, 2))
+    assert same(one, two)
+    assert not same(one, three)
+
+
+def test_other_plates_work_too() -> None:
+    plate = Plate(width_mm=120, height_mm=70, thickness_mm=6, material="aluminium")
+    recording = simulate_scene("swipe", plate=plate, frames=250)
+    assert recording.meta.plate == plate
+    assert np.nanmax(recording.contacts_mm[..., 1]) < 70  # type: ignore[index]
+
+
+def test_impossible_scenes_are_refused(small: Instrument) -> None:
+    with pytest.raises(SimulationError, match="no scene 'dance'"):
+        simulate_scene("dance", instrument=small)
+    with pytest.raises(SimulationError, match="too few"):
+        simulate_scene("tap", frames=20, instrument=small)
+    with pytest.raises(SimulationError, match="rate_hz"):
+        simulate_scene("tap", rate_hz=0, instrument=small)
+    with pytest.raises(SimulationError, match="unknown finger"):
+        simulate_scene("tap", finger="toe", instrument=small)
+    with pytest.raises(SimulationError, match="margin"):
+        simulate_touches(10, instrument=small, margin_mm=1.0)
+    with pytest.raises(SimulationError, match="0 touches"):
+        simulate_touches(0, instrument=small)

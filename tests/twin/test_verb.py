@@ -1,0 +1,72 @@
+"""`touchd simulate` writes what it was asked for, and overwrites nothing unasked."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner, Result
+
+from touchd.errors import OutputError, SimulationError
+from touchd.recording import read
+from touchd.verbs.simulate import command
+
+SMALL = ["--plate", "90x80x5"]
+
+
+def call(*arguments: str | Path) -> Result:
+    result = CliRunner().invoke(command, [str(argument) for argument in arguments])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result
+
+
+def test_a_scene_is_written_with_one_closing_line(tmp_path: Path) -> None:
+    path = tmp_path / "tap.npz"
+    result = call("tap", "-o", path, "--frames", "200", "--rate-hz", "100", "--seed", "3", *SMALL)
+    assert result.exit_code == 0
+    assert result.stdout.startswith(f"{path}: 200 frames, ")
+    assert result.stdout.count("\n") == 1
+    recording = read(path)
+    assert recording.frames.shape == (200, 4, 250)
+    assert recording.meta.frame_rate_hz == 100
+    assert recording.meta.plate.width_mm == 90
+
+
+def test_a_training_set_has_two_frames_a_touch(tmp_path: Path) -> None:
+    path = tmp_path / "touches.npz"
+    assert call("touches", "-o", path, "--count", "12", *SMALL).exit_code == 0
+    assert len(read(path).frames) == 24
+
+
+def test_an_existing_recording_is_replaced_only_by_force(tmp_path: Path) -> None:
+    path = tmp_path / "idle.npz"
+    path.write_text("precious")
+    with pytest.raises(OutputError, match="already there"):
+        call("idle", "-o", path, "--frames", "10", *SMALL)
+    assert path.read_text() == "precious"
+    assert call("idle", "-o", path, "--frames", "10", "--force", *SMALL).exit_code == 0
+    assert len(read(path).frames) == 10
+
+
+def test_options_of_the_other_kind_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "x.npz"
+    assert call("touches", "-o", path, "--frames", "10").exit_code == 2
+    assert call("tap", "-o", path, "--count", "10").exit_code == 2
+    assert call("tap", "-o", path, "--plate", "20x30").exit_code == 2
+    assert not path.exists()
+
+
+def test_a_keypad_file_places_the_keys(tmp_path: Path) -> None:
+    layout = tmp_path / "keys.toml"
+    layout.write_text('[[key]]\nname = "Z"\nx_mm = 20\ny_mm = 30\nwidth_mm = 20\nheight_mm = 20\n')
+    path = tmp_path / "typed.npz"
+    assert call("keypad", "-o", path, "--keypad", layout, "--code", "Z", *SMALL).exit_code == 0
+    contacts_mm = read(path).contacts_mm
+    assert contacts_mm is not None
+    assert abs(contacts_mm[125, 0] - [30, 40]).max() <= 4
+
+
+def test_a_plate_that_is_too_large_is_explained(tmp_path: Path) -> None:
+    with pytest.raises(SimulationError, match="wavelengths"):
+        call("idle", "-o", tmp_path / "x.npz", "--plate", "2000x900x2")
