@@ -23,7 +23,7 @@ _MAX_WAIT_S = 1e6
 class SimulatedSource:
     """A scene as if it happened now; late frames are caught up with, never skipped.
 
-    A frame's `t_ns` is the clock at the first read plus the scene's own time, whatever the speed, so events do not
+    A frame's `t_ns` is the clock at the first frame plus the scene's own time, whatever the speed, so events do not
     depend on how fast this computer is. The first lap is, to the bit, what `simulate_scene` returns for the seed;
     later laps repeat the scene with other noise.
 
@@ -105,12 +105,12 @@ class SimulatedSource:
         if self._closed.is_set():
             raise EndOfStream
         now_ns = self._clock()
-        if self._epoch_ns is None:
-            self._epoch_ns = now_ns
         deadline_ns = now_ns + round(min(max(timeout_s, 0.0), _MAX_WAIT_S) * 1e9)
         if not self._take_block((deadline_ns - now_ns) / 1e9):
             return None
         assert self._block is not None
+        if self._epoch_ns is None:  # once the first frame is at hand, so that it is not late
+            self._epoch_ns = self._clock()
         laps_ahead = self._lap * (self._sequence[-1] + 1 - self._sequence[0])
         sequence = laps_ahead + self._sequence[self._frame]
         t_ns = self._epoch_ns + round((sequence - self._sequence[0]) * 1e9 / self._stage.rate_hz)
