@@ -12,7 +12,7 @@ SAMPLES = 1000
 
 
 def learned(energies: np.ndarray, **settings: float) -> Gate:
-    gate = Gate(GateSettings(**settings))  # type: ignore[arg-type]  # numbers of either kind
+    gate = Gate(GateSettings(**settings))
     gate.learn(energies)
     return gate
 

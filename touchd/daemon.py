@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -62,8 +62,17 @@ def open_source(choice: SourceChoice) -> Source:
     raise SourceError("no source of frames was named", fix="add --replay FILE or --simulate SCENE")
 
 
+def log_notice(reason: str, fields: dict[str, float]) -> None:
+    """Log that the baseline is learned anew."""
+    log.info("baseline learned anew", reason=reason, **fields)
+
+
 def make_pipeline(
-    source: Source, settings: Settings, messages: Messages, sinks: Sequence[Sink] = ()
+    source: Source,
+    settings: Settings,
+    messages: Messages,
+    sinks: Sequence[Sink] = (),
+    notify: Callable[[str, dict[str, float]], None] = log_notice,
 ) -> tuple[Pipeline, Model]:
     """Return the pipeline for a source, with the model that the settings name."""
     model = Model(settings.model.path or default_model_path())
@@ -71,9 +80,6 @@ def make_pipeline(
 
     def wants(topic: str) -> bool:
         return any(sink.wants(topic) for sink in sinks)
-
-    def notify(reason: str, fields: dict[str, float]) -> None:
-        log.info("baseline learned anew", reason=reason, **fields)
 
     pipeline = Pipeline(source.acquisition, model, settings, messages, layout, wants, notify)
     return pipeline, model

@@ -19,6 +19,8 @@ class Outcome:
 
     events: list[Event]
     counters: Counters
+    notices: list[tuple[str, dict[str, float]]]
+    """Each change of the baseline that was no mere drift: the reason, and its figures."""
 
     @property
     def touches(self) -> list[TouchEvent]:
@@ -33,7 +35,10 @@ def replay(path: Path, settings: Settings) -> Outcome:
 
 def run_through(source: Source, settings: Settings) -> Outcome:
     """Return the events of a source that ends."""
-    pipeline, _ = make_pipeline(source, settings, make_messages(settings))
+    notices: list[tuple[str, dict[str, float]]] = []
+    pipeline, _ = make_pipeline(
+        source, settings, make_messages(settings), notify=lambda reason, fields: notices.append((reason, fields))
+    )
     events: list[Event] = []
     last_ns = 0
     try:
@@ -46,4 +51,4 @@ def run_through(source: Source, settings: Settings) -> Outcome:
         events += pipeline.lose(last_ns)
     finally:
         source.close()
-    return Outcome(events, pipeline.counters)
+    return Outcome(events, pipeline.counters, notices)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from touchd.features import make_features
+from touchd.features import Features, make_features
 from touchd.training.dataset import Dataset
 
 # Phases relative to the recorded touches, rad. The driving impedances of silicone and of human fingers lie
@@ -33,6 +33,8 @@ class Bank:
     """In plate sizes from the centre, shape (n, 2)."""
     noise: Tensor
     """Features of white noise of the recording's level, shape (m, inputs)."""
+    tones: Tensor
+    """Features of tones of unit norm that are not locked to the chirp, shape (m, inputs)."""
     channels: int
     bins: int
     """Bins a channel; 0 in the time domain, where phase means nothing."""
@@ -44,10 +46,8 @@ def make_bank(dataset: Dataset, indices: Tensor, generator: torch.Generator, poo
     """Return the touches of some indices of a dataset, ready to draw from."""
     a = dataset.acquisition
     features = make_features(dataset.domain, a)
-    white = torch.randn((pool, a.channels, a.samples), generator=generator).numpy() * dataset.noise
-    noise = torch.empty((pool, features.size)).numpy()
-    for signal, out in zip(white, noise, strict=True):
-        features.extract(signal, out)
+    white = torch.randn((pool, a.channels, a.samples), generator=generator) * dataset.noise
+    tones = _features_of(features, _tones(pool, dataset, generator))
     size_mm = torch.tensor([dataset.meta.plate.width_mm, dataset.meta.plate.height_mm])
     place_mm = torch.from_numpy(dataset.position_mm)[indices]
     nearest = torch.cdist(place_mm, place_mm).topk(min(24, len(indices)), largest=False).indices
@@ -57,11 +57,32 @@ def make_bank(dataset: Dataset, indices: Tensor, generator: torch.Generator, poo
         stretch=torch.from_numpy(dataset.stretch)[indices],
         delay=torch.from_numpy(dataset.delay)[indices],
         position=place_mm / size_mm - 0.5,
-        noise=torch.from_numpy(noise),
+        noise=_features_of(features, white),
+        tones=tones / tones.norm(dim=1, keepdim=True).clamp_min(1e-6),
         channels=a.channels,
         bins=features.size // a.channels // 2 if dataset.domain == "frequency" else 0,
         neighbours=nearest,
     )
+
+
+def _features_of(features: Features, signals: Tensor) -> Tensor:
+    """Return the features of signals of shape (m, channels, samples)."""
+    rows = torch.empty((len(signals), features.size))
+    for signal, out in zip(signals.numpy(), rows.numpy(), strict=True):
+        features.extract(signal, out)
+    return rows
+
+
+def _tones(count: int, dataset: Dataset, generator: torch.Generator) -> Tensor:
+    """Return tones of any frequency about the chirp's band, each channel with its own size and phase."""
+    a = dataset.acquisition
+    low_hz, high_hz = 0.9 * a.chirp.start_hz, 1.1 * a.chirp.stop_hz
+    f_hz = low_hz + (high_hz - low_hz) * torch.rand((count, 1, 1), generator=generator)
+    phase = 2 * torch.pi * torch.rand((count, a.channels, 1), generator=generator)
+    size = 0.3 + torch.rand((count, a.channels, 1), generator=generator)
+    seconds = torch.arange(a.samples) / a.sample_rate_hz
+    signal: Tensor = size * torch.cos(2 * torch.pi * f_hz * seconds + phase)
+    return signal
 
 
 class Augmenter:
@@ -71,13 +92,14 @@ class Augmenter:
         self._bank = bank
         self._generator = generator
 
-    def fingers(self, indices: Tensor) -> Tensor:
-        """Return touches as another finger, hour and plate temperature would have given them, (n, inputs)."""
-        n = len(indices)
-        residual = self._strength(self._bank.residual[indices], FINGER_PHASE * self._symmetric(n))
-        residual = residual * self._log_uniform(n, 0.7, 3.0)
-        residual = residual + self._instrument(indices, share=0.3)
-        return residual + self._noise(n, self._uniform(n, 0.0, 1.5))
+    def fingers(self, residual: Tensor) -> Tensor:
+        """Return residuals of touches as another finger, hour and instrument would have given them, (n, inputs)."""
+        n = len(residual)
+        residual = self._strength(residual, FINGER_PHASE * self._symmetric(n)) * self._log_uniform(n, 0.7, 3.0)
+        disturbed = residual + self._instrument(self._draw(n), share=0.3)
+        tone = self._tone(n) * self._log_uniform(n, 0.05, 0.7) * residual.norm(dim=1, keepdim=True)
+        disturbed = disturbed + tone * self._chance(n, 0.15)
+        return self._deaf(disturbed + self._noise(n, self._uniform(n, 0.0, 1.5)), share=0.1)
 
     def others(self, n: int) -> Tensor:
         """Return residuals that are no single finger, shape (n, inputs): one of the kinds below for each row."""
@@ -85,15 +107,15 @@ class Augmenter:
         each = -(-n // len(kinds))
         batch = torch.cat([kind(each) for kind in kinds])
         keep = torch.randperm(len(batch), generator=self._generator)[:n]
-        return batch[keep] + self._noise(n, self._uniform(n, 0.2, 1.5))
+        return self._deaf(batch[keep] + self._noise(n, self._uniform(n, 0.2, 1.5)), share=0.1)
 
     # -- what is no finger -------------------------------------------------------------------------
 
     def _nothing(self, n: int) -> Tensor:
         """Noise alone, and tones that are not locked to the chirp."""
-        tones = self._bank.untouched[self._draw(n)] * 0.02 * self._uniform(n, 0.0, 1.0)
-        scrambled = tones[:, torch.randperm(tones.shape[1], generator=self._generator)]
-        return self._noise(n, self._uniform(n, 0.5, 2.0)) + scrambled * (self._uniform(n, 0.0, 1.0) < 0.3)
+        level: Tensor = self._bank.noise.square().sum(dim=1).mean().sqrt()
+        tone = self._tone(n) * self._log_uniform(n, 0.1, 30.0) * level
+        return self._noise(n, self._uniform(n, 0.5, 2.0)) + tone * self._chance(n, 0.6)
 
     def _out_of_phase(self, n: int) -> Tensor:
         """Water, dirt, and a finger that leaves a baseline which held it."""
@@ -109,9 +131,11 @@ class Augmenter:
         return self._bank.residual[self._draw(n)] - weight * self._bank.residual[self._draw(n)]
 
     def _two_fingers(self, n: int) -> Tensor:
-        first, second = self._draw(n), self._draw(n)
-        weight = self._log_uniform(n, 0.5, 2.0)
-        return self._bank.residual[first] + weight * self._bank.residual[second]
+        """Two fingers, and now and then a third."""
+        weight = self._log_uniform(n, 0.3, 1.0)
+        both = self._bank.residual[self._draw(n)] + weight * self._bank.residual[self._draw(n)]
+        third = self._bank.residual[self._draw(n)] * self._uniform(n, 0.3, 1.0) * self._chance(n, 0.3)
+        return (both + third) * self._log_uniform(n, 0.7, 4.0)
 
     def _palm(self, n: int) -> Tensor:
         """Many contacts side by side."""
@@ -149,6 +173,21 @@ class Augmenter:
         parts = residual.reshape(n, bank.channels, 2, bank.bins)
         a, b = parts[:, :, 0], parts[:, :, 1]
         return torch.stack([a * real - b * imaginary, a * imaginary + b * real], dim=2).reshape(n, -1)
+
+    def _deaf(self, residual: Tensor, share: float) -> Tensor:
+        """Silence one channel in this share of the rows: dead, or without a disc."""
+        n, channels = len(residual), self._bank.channels
+        if channels < 3:
+            return residual
+        dead = torch.randint(channels, (n, 1), generator=self._generator) == torch.arange(channels)
+        heard = 1.0 - dead.float() * self._chance(n, share)
+        return residual * heard.repeat_interleave(residual.shape[1] // channels, dim=1)
+
+    def _tone(self, n: int) -> Tensor:
+        return self._bank.tones[torch.randint(len(self._bank.tones), (n,), generator=self._generator)]
+
+    def _chance(self, n: int, share: float) -> Tensor:
+        return (self._uniform(n, 0.0, 1.0) < share).float()
 
     def _noise(self, n: int, level: Tensor) -> Tensor:
         rows = torch.randint(len(self._bank.noise), (n,), generator=self._generator)

@@ -74,10 +74,13 @@ def _received(recording: Path, speed: str, model: Path | None) -> Iterator[Event
         replay += ["--await-subscriber", str(_PATIENCE_S), *(["--model", str(model)] if model else [])]
         listen = [*touchd, "listen", address, "--topic", "touch", "--topic", "health", "--json", "--until-stopped"]
         complaints = stack.enter_context(tempfile.TemporaryFile("w+"))
-        daemon = stack.enter_context(subprocess.Popen(replay, stderr=complaints, stdin=subprocess.DEVNULL))
+        # Both are this very program, given file names only.
+        daemon = stack.enter_context(subprocess.Popen(replay, stderr=complaints, stdin=subprocess.DEVNULL))  # noqa: S603
         stack.callback(daemon.terminate)
         listener = stack.enter_context(
-            subprocess.Popen([*listen, "--timeout", str(_PATIENCE_S)], stdout=subprocess.PIPE, stderr=complaints)
+            subprocess.Popen(  # noqa: S603
+                [*listen, "--timeout", str(_PATIENCE_S)], stdout=subprocess.PIPE, stderr=complaints
+            )
         )
         stack.callback(listener.terminate)
         assert listener.stdout is not None

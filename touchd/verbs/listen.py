@@ -62,7 +62,7 @@ def _print_all(
     printed = 0
     for event in events:
         if event.type in topics:
-            for line in [encode(event).decode()] if as_json else _lines(event):
+            for line in [encode(event).decode()] if as_json else describe(event):
                 click.echo(line)  # flushes
             printed += 1
         if printed == count:
@@ -84,7 +84,7 @@ def _ending_quietly() -> Iterator[None]:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def _lines(event: Event) -> Iterator[str]:
+def describe(event: Event) -> Iterator[str]:
     """Yield the lines for people; none for contacts that only stay where they are."""
     at = _time_of_day(event.wall)
     if isinstance(event, TouchEvent):

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import shlex
-import sys
+import math
 from pathlib import Path
 
 import click
@@ -15,7 +14,7 @@ from touchd.errors import OutputError
 @click.argument("recording", type=click.Path(path_type=Path))
 @click.option("-o", "--output", type=click.Path(path_type=Path), required=True, help="The model to write (ONNX).")
 @click.option("--seed", default=0, show_default=True, help="Seed of the split, the weights and the augmentation.")
-@click.option("--epochs", default=200, show_default=True, type=click.IntRange(min=1), help="Passes over the touches.")
+@click.option("--epochs", default=300, show_default=True, type=click.IntRange(min=1), help="Passes over the touches.")
 @click.option("--force", is_flag=True, help="Replace the model if it exists.")
 def command(recording: Path, output: Path, seed: int, epochs: int, force: bool) -> None:
     """Train a model on RECORDING, a labelled recording of single touches.
@@ -31,27 +30,27 @@ def command(recording: Path, output: Path, seed: int, epochs: int, force: bool) 
     if output.exists() and not force:
         raise OutputError("already there", str(output), "choose another name, or add --force")
     with Progress(
-        TextColumn("training"),
+        TextColumn("{task.description:8}"),
         BarColumn(),
         MofNCompleteColumn(),
-        TextColumn("validation {task.fields[rmse_mm]:.2f} mm"),
+        TextColumn("{task.fields[note]}"),
         TimeRemainingColumn(),
     ) as bar:
-        task = bar.add_task("", total=epochs, rmse_mm=float("nan"))
+        tasks = {what: bar.add_task(what, total=None, note="") for what in ("field", "network")}
+
+        def progress(what: str, done: int, steps: int, rmse_mm: float) -> None:
+            note = "" if math.isnan(rmse_mm) else f"validation {rmse_mm:.2f} mm"
+            bar.update(tasks[what], completed=done, total=steps, note=note)
+
         result = train_regression(
             read(recording),
             output,
             seed=seed,
             epochs=epochs,
-            command=shlex.join(["touchd", "train", recording.name, "-o", output.name, *_options(seed, epochs)]),
-            progress=lambda done, _all, rmse_mm: bar.update(task, completed=done, rmse_mm=rmse_mm),
+            command=f"touchd train {recording.name} -o {output.name} --seed {seed} --epochs {epochs}",
+            progress=progress,
         )
     click.echo(f"{output}: on {result.scores['n']:.0f} touches never seen in training:")
     for name, value in result.scores.items():
         if name != "n":
             click.echo(f"  {name:13} {value:8.3f}")
-    sys.stdout.flush()
-
-
-def _options(seed: int, epochs: int) -> list[str]:
-    return ["--seed", str(seed), "--epochs", str(epochs)]

@@ -1,0 +1,80 @@
+"""Scenes that the command line does not offer, and a source that plays any of them block by block."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchd.config import Settings
+from touchd.evaluation.replay import Outcome, run_through
+from touchd.evaluation.stream import StreamScores, score_stream
+from touchd.frame import Acquisition, Frame
+from touchd.recording import Meta, Recording
+from touchd.sources import EndOfStream
+from touchd.twin.electronics import Electronics
+from touchd.twin.instrument import REFERENCE_C, Instrument
+from touchd.twin.simulate import DEFAULT_PLATE, stream
+from touchd.twin.stage import Path, Stage
+
+RATE_HZ = 125.0
+
+
+def empty_stage(seconds: float, seed: int = 0, rate_hz: float = RATE_HZ) -> Stage:
+    """An untouched plate at one temperature."""
+    sequence = np.arange(round(seconds * rate_hz))
+    temperature_c = np.full(len(sequence), REFERENCE_C)
+    return Stage(DEFAULT_PLATE, rate_hz, sequence, temperature_c, np.random.default_rng(seed), Electronics())
+
+
+def at(x_mm: float, y_mm: float) -> Path:
+    """A path that stays where it is."""
+    return lambda t: (np.full(len(t), x_mm), np.full(len(t), y_mm))
+
+
+class Player:
+    """A source of a stage's frames."""
+
+    def __init__(self, stage: Stage, instrument: Instrument, seed: int) -> None:
+        self.acquisition: Acquisition = instrument.acquisition
+        self._stage = stage
+        self._blocks: Iterator[NDArray[np.int16]] = stream(stage, instrument, seed)
+        self._block: NDArray[np.int16] = np.empty((0, *self.acquisition.shape), np.int16)
+        self._row = 0
+        self._frame = 0
+
+    def read(self, timeout_s: float) -> Frame | None:  # noqa: ARG002 - frames are always there
+        if self._row == len(self._block):
+            block = next(self._blocks, None)
+            if block is None:
+                raise EndOfStream
+            self._block, self._row = block, 0
+        i = self._frame
+        frame = Frame(self._block[self._row], int(self._stage.sequence[i]), round(self._stage.time_s[i] * 1e9), 0)
+        self._row += 1
+        self._frame += 1
+        return frame
+
+    def close(self) -> None:
+        self._blocks = iter(())
+
+
+def play(stage: Stage, instrument: Instrument, seed: int = 1, settings: Settings | None = None) -> Outcome:
+    """A stage through the whole pipeline."""
+    return run_through(Player(stage, instrument, seed), settings or Settings())
+
+
+def score(stage: Stage, outcome: Outcome) -> StreamScores:
+    """What was found of a stage's touches."""
+    contacts_mm, force_n = stage.truth()
+    n = len(stage.sequence)
+    truth = Recording(
+        meta=Meta(sample_rate_hz=250e3, bits=16, full_scale_v=10, frame_rate_hz=RATE_HZ, plate=DEFAULT_PLATE),
+        frames=np.zeros((n, 1, 1), np.int16),
+        sequence=stage.sequence,
+        timestamp_ns=np.round(stage.time_s * 1e9).astype(np.int64),
+        contacts_mm=contacts_mm,
+        force_n=force_n,
+    )
+    return score_stream(truth, outcome.touches)

@@ -1,0 +1,131 @@
+"""What the plate goes through in use, from the twin's frames to the events: found once each, and no ghosts."""
+
+import numpy as np
+import pytest
+
+from tests.scenes.stages import at, empty_stage, play, score
+from touchd.config import Settings
+from touchd.evaluation.metrics import position_scores
+from touchd.evaluation.replay import Outcome, replay
+from touchd.evaluation.stream import StreamScores, score_stream
+from touchd.event import TouchEvent
+from touchd.recording import read
+from touchd.twin.electronics import Electronics
+from touchd.twin.instrument import REFERENCE_C, Instrument
+from touchd.twin.simulate import DEFAULT_PLATE, stage_scene
+from touchd.verbs.demo import SESSION
+
+
+def scene(name: str, instrument: Instrument, seed: int) -> tuple[StreamScores, Outcome]:
+    """What was found in a scene of the command line, and all that came of it."""
+    stage = stage_scene(name, DEFAULT_PLATE, seed=seed)
+    outcome = play(stage, instrument, seed)
+    return score(stage, outcome), outcome
+
+
+@pytest.mark.parametrize("name", ["tap", "swipe", "keypad", "circle", "hold", "lostframes", "clipping", "drift"])
+@pytest.mark.parametrize("seed", [11, 12])
+def test_every_touch_is_found_once_and_nothing_else(name: str, seed: int, instrument: Instrument) -> None:
+    result, _ = scene(name, instrument, seed)
+    print(f"{name} {seed}: {result.found} of {result.touches}, {position_scores(result.error_mm)}")
+    assert (result.missed, result.ghosts, result.split) == (0, 0, 0)
+    assert result.clean
+    assert np.median(np.linalg.norm(result.error_mm, axis=1)) < 3.0
+
+
+def test_lost_frames_are_counted(instrument: Instrument) -> None:
+    stage = stage_scene("lostframes", DEFAULT_PLATE, seed=11)
+    outcome = play(stage, instrument)
+    gaps = int(np.diff(stage.sequence).sum() - (len(stage.sequence) - 1))
+    assert gaps > 0
+    assert outcome.counters.lost == gaps
+
+
+def test_ten_minutes_of_idle_frames_with_5_k_of_drift_bring_no_ghost(instrument: Instrument) -> None:
+    stage = empty_stage(600.0)
+    stage.temperature_c = REFERENCE_C + 5.0 * stage.time_s / 600.0
+    outcome = play(stage, instrument)
+    print(f"{outcome.counters.frames} idle frames, {outcome.counters.inferred} of them opened the gate")
+    assert outcome.counters.frames == 75_000
+    assert outcome.touches == []
+    assert outcome.counters.inferred == 0
+
+
+@pytest.mark.parametrize("jitter_ns", [1.0, 10.0])
+def test_trigger_jitter_raises_the_threshold_instead_of_ghosts(jitter_ns: float, instrument: Instrument) -> None:
+    stage = empty_stage(60.0)
+    stage.electronics = Electronics(jitter_s=jitter_ns * 1e-9)
+    assert play(stage, instrument).touches == []
+
+
+@pytest.mark.parametrize("place", [(60.0, 140.0), (100.0, 100.0), (150.0, 60.0), (170.0, 170.0)])
+def test_a_finger_on_the_plate_at_the_start_is_no_touch_when_it_leaves(
+    place: tuple[float, float], instrument: Instrument
+) -> None:
+    """It is taken for a part of the plate; once it has gone, touches are found as ever."""
+    stage = empty_stage(8.0)
+    stage.lay("human", -1.0, 3.0, at(*place))
+    stage.lay("human", 5.0, 6.0, at(60.0, 60.0), column=1)
+    outcome = play(stage, instrument)
+    downs = [c for event in outcome.touches for c in event.contacts if c.phase == "down"]
+    assert len(downs) == 1, "the touch after it, and nothing else"
+    assert np.hypot(downs[0].x_mm - 60.0, downs[0].y_mm - 60.0) < 3.0
+
+
+def test_a_finger_put_down_while_the_baseline_is_learned_brings_no_ghost(instrument: Instrument) -> None:
+    stage = empty_stage(6.0)
+    stage.lay("human", 0.1, 1.5, at(80.0, 120.0))
+    stage.lay("human", 3.5, 4.5, at(60.0, 60.0), column=1)
+    outcome = play(stage, instrument)
+    downs = [c for event in outcome.touches for c in event.contacts if c.phase == "down"]
+    places = [(round(c.x_mm), round(c.y_mm)) for c in downs]
+    assert all(np.hypot(x - 60, y - 60) < 4 or np.hypot(x - 80, y - 120) < 4 for x, y in places), places
+    assert any(np.hypot(x - 60, y - 60) < 4 for x, y in places)
+
+
+def test_what_stays_for_its_time_becomes_part_of_the_plate_and_that_is_reported(instrument: Instrument) -> None:
+    settings = Settings.model_validate({"baseline": {"absorb_s": 3.0}})
+    stage = empty_stage(12.0)
+    stage.lay("human", 1.0, 8.0, at(70.0, 130.0))
+    stage.lay("human", 10.0, 11.0, at(120.0, 60.0), column=1)
+    outcome = play(stage, instrument, settings=settings)
+    phases = [
+        (event.frame, c.id, c.phase) for event in outcome.touches for c in event.contacts if c.phase in ("down", "up")
+    ]
+    assert [(i, phase) for _, i, phase in phases] == [(1, "down"), (1, "up"), (2, "down"), (2, "up")]
+    up_s = phases[1][0] / 125.0
+    assert up_s == pytest.approx(4.1, abs=0.3), "absorbed after 3 s"
+    assert [reason for reason, _ in outcome.notices] == ["absorbed", "lifted"]
+
+
+@pytest.mark.parametrize("seed", [11, 12, 13])
+def test_a_palm_is_not_placed(seed: int, instrument: Instrument) -> None:
+    _, outcome = scene("palm", instrument, seed)
+    assert outcome.touches == []
+
+
+@pytest.mark.parametrize("seed", [11, 12])
+def test_interference_brings_no_ghost(seed: int, instrument: Instrument) -> None:
+    result, _ = scene("interference", instrument, seed)
+    print(f"interference {seed}: {result.found} of {result.touches} found")
+    assert result.ghosts == 0
+
+
+@pytest.mark.parametrize("seed", [11, 12])
+def test_a_channel_that_dies_brings_no_ghost(seed: int, instrument: Instrument) -> None:
+    result, _ = scene("deadchannel", instrument, seed)
+    print(f"deadchannel {seed}: {result.found} of {result.touches} found")
+    assert result.ghosts == 0
+
+
+def test_the_shipped_recording_meets_its_promise() -> None:
+    """Every touch found once, with one down and one up, no ghost, RMSE at most 3 mm."""
+    truth = read(SESSION)
+    outcome = replay(SESSION, Settings())
+    result = score_stream(truth, outcome.touches)
+    rmse_mm = position_scores(result.error_mm)["rmse_mm"]
+    print(f"demo: {result.found} of {result.touches}, RMSE {rmse_mm:.2f} mm")
+    assert (result.found, result.missed, result.ghosts, result.split) == (6, 0, 0, 0)
+    assert result.clean
+    assert rmse_mm <= 3.0
+    assert all(isinstance(event, TouchEvent) for event in outcome.touches)

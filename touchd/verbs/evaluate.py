@@ -1,0 +1,86 @@
+"""`touchd evaluate`: how good a model is on a labelled recording."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+
+from touchd.config import Settings
+from touchd.configfile import load
+from touchd.errors import RecordingValues
+from touchd.evaluation.metrics import position_scores
+from touchd.evaluation.replay import replay
+from touchd.evaluation.stream import score_stream
+from touchd.model import Model
+from touchd.recording import Recording, read
+from touchd.training.dataset import make_dataset
+
+STREAM_HZ = 20.0
+"""Slower recordings hold touches one by one, each judged on its own frame."""
+
+
+@click.command()
+@click.argument("model", type=click.Path(path_type=Path))
+@click.argument("recording", type=click.Path(path_type=Path))
+@click.option("--json", "as_json", is_flag=True, help="Print the scores as one JSON object.")
+def command(model: Path, recording: Path, as_json: bool) -> None:
+    """Score MODEL on RECORDING, which must hold the truth (`contacts_mm`).
+
+    A recording of 20 frames a second or more is replayed through the whole pipeline: its touches are found, missed,
+    invented or split. In a slower one each touch is judged on its own frame, against the untouched frames beside it.
+    """
+    truth = read(recording)
+    if truth.contacts_mm is None:
+        raise RecordingValues("there is no truth to compare with", str(recording), "use a recording with contacts_mm")
+    if truth.meta.frame_rate_hz >= STREAM_HZ:
+        scores = _score_replay(recording, truth, load(None, {"model": {"path": model}}))
+    else:
+        scores = _score_touches(truth, Model(model))
+    if as_json:
+        click.echo(json.dumps(scores))
+        return
+    for name, value in scores.items():
+        click.echo(
+            f"{name:12} {value:8.3f}"
+            if isinstance(value, float)
+            else f"{name:12} {value if value is not None else '-':>8}"
+        )
+
+
+def _score_replay(path: Path, truth: Recording, settings: Settings) -> dict[str, Any]:
+    result = score_stream(truth, replay(path, settings).touches)
+    return _positions(result.error_mm) | {
+        "touches": result.touches,
+        "found": result.found,
+        "missed": result.missed,
+        "ghosts": result.ghosts,
+        "split": result.split,
+    }
+
+
+def _score_touches(truth: Recording, model: Model) -> dict[str, Any]:
+    model.check(truth.acquisition)
+    data = make_dataset(truth, model.description.domain)
+    features = data.residual if model.description.input == "residual" else data.residual + data.untouched
+    estimates = []
+    for row in features:
+        model.features[0] = row
+        estimates.append(model.estimate())
+    place_mm = np.array([[estimate.x_mm, estimate.y_mm] for estimate in estimates])
+    sigma_mm = np.array([[estimate.sigma_mm] for estimate in estimates])
+    error_mm = place_mm - data.position_mm
+    return _positions(error_mm) | {
+        "within_sigma": float((np.abs(error_mm) <= sigma_mm).mean()),
+        "confident": float(np.mean([estimate.confidence >= 0.5 for estimate in estimates])),
+    }
+
+
+def _positions(error_mm: np.ndarray) -> dict[str, Any]:
+    if not len(error_mm):
+        return {"n": 0, "rmse_mm": None}
+    scores: dict[str, Any] = dict(position_scores(error_mm))
+    return scores | {"n": int(scores["n"])}
