@@ -7,7 +7,7 @@ from typing import Protocol
 from touchd.frame import Acquisition, Frame
 
 
-class EndOfStream(Exception):  # noqa: N818 - not an error: a recording has been read to its end
+class EndOfStream(Exception):
     """There will be no further frame."""
 
 
