@@ -18,6 +18,7 @@ packages:
 
 test-packages:
 	@deploy/debian-packages.sh test
+	@sh docs/examples/install-node-zeromq.sh
 
 demo: setup
 	@$(BIN)/touchd demo $(ARGS)

@@ -14,6 +14,12 @@ if python3 -c 'import ensurepip, venv' 2>/dev/null; then
     wanted=$(printf '%s\n' $wanted | grep -v '^python3-venv$' || true)
 fi
 
+# The Node.js example runs on any Node; Debian's is only needed where there is none.
+if [ "${1:-run}" = test ]; then
+    command -v node >/dev/null || wanted="$wanted nodejs"
+    command -v npm >/dev/null || wanted="$wanted npm"
+fi
+
 missing=""
 for package in $wanted; do
     dpkg-query -W -f '${Status}' "$package" 2>/dev/null | grep -q 'install ok installed' || missing="$missing $package"
