@@ -13,12 +13,16 @@ from torch import Tensor
 
 from touchd.features import Features, make_features
 from touchd.training.dataset import Dataset
+from touchd.training.synthetic import Synthesiser
 
-# Phases relative to the recorded touches, rad. The driving impedances of silicone and of human fingers lie
-# within 0.25 of one another (their phase hardly depends on the area); a drop of water, a pure mass, is 0.6
-# ahead, and a finger that leaves the plate is pi away. See docs/data-path.md.
-FINGER_PHASE = 0.35
-OTHER_PHASE = 0.55
+# Phases relative to the recorded touches, rad. On the reference plate the strengths of human fingers of
+# 25-100 mm^2 lie between -0.3 and 0.2 of that of the silicone finger, turning by under 0.1 over the band; a
+# drop of water, a pure mass, is 0.5 ahead at its lower end and 0.8 at its upper one; and a finger that leaves
+# the plate is pi away.
+FINGER_PHASE = 0.28
+FINGER_TURN = 0.2
+OTHER_PHASE = 0.52
+OTHER_TURN = 0.6
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,18 +90,20 @@ def _tones(count: int, dataset: Dataset, generator: torch.Generator) -> Tensor:
 
 
 class Augmenter:
-    """Draws batches of fingers and of other things from a bank."""
+    """Draws batches of fingers and of other things from a bank and, where there is one, from the learned field."""
 
-    def __init__(self, bank: Bank, generator: torch.Generator) -> None:
+    def __init__(self, bank: Bank, synthesiser: Synthesiser | None, generator: torch.Generator) -> None:
         self._bank = bank
+        self._synthesiser = synthesiser
         self._generator = generator
 
     def fingers(self, residual: Tensor) -> Tensor:
         """Return residuals of touches as another finger, hour and instrument would have given them, (n, inputs)."""
         n = len(residual)
-        residual = self._strength(residual, FINGER_PHASE * self._symmetric(n)) * self._log_uniform(n, 0.7, 3.0)
+        phase = FINGER_PHASE * self._symmetric(n)
+        residual = self._strength(residual, phase, FINGER_TURN) * self._log_uniform(n, 0.7, 3.0)
         disturbed = residual + self._instrument(self._draw(n), share=0.3)
-        tone = self._tone(n) * self._log_uniform(n, 0.05, 0.7) * residual.norm(dim=1, keepdim=True)
+        tone = self._tone(n) * self._log_uniform(n, 0.02, 0.4) * residual.norm(dim=1, keepdim=True)
         disturbed = disturbed + tone * self._chance(n, 0.15)
         return self._deaf(disturbed + self._noise(n, self._uniform(n, 0.0, 1.5)), share=0.1)
 
@@ -114,8 +120,10 @@ class Augmenter:
     def _nothing(self, n: int) -> Tensor:
         """Noise alone, and tones that are not locked to the chirp."""
         level: Tensor = self._bank.noise.square().sum(dim=1).mean().sqrt()
-        tone = self._tone(n) * self._log_uniform(n, 0.1, 30.0) * level
-        return self._noise(n, self._uniform(n, 0.5, 2.0)) + tone * self._chance(n, 0.6)
+        several = self._tone(n) + self._tone(n) * self._uniform(n, 0.0, 1.0) * self._chance(n, 0.6)
+        several = several + self._tone(n) * self._uniform(n, 0.0, 1.0) * self._chance(n, 0.3)
+        tones = several * self._log_uniform(n, 0.1, 100.0) * level
+        return self._noise(n, self._uniform(n, 0.5, 2.0)) + tones * self._chance(n, 0.8)
 
     def _out_of_phase(self, n: int) -> Tensor:
         """Water, dirt, and a finger that leaves a baseline which held it."""
@@ -123,18 +131,18 @@ class Augmenter:
         phase = sign * self._uniform(n, OTHER_PHASE, torch.pi)
         # A finger that leaves is by far the most usual of them.
         phase = torch.where(self._uniform(n, 0.0, 1.0) < 0.4, torch.pi + FINGER_PHASE * self._symmetric(n), phase)
-        return self._strength(self._bank.residual[self._draw(n)], phase) * self._log_uniform(n, 0.5, 3.0)
+        return self._strength(self._touches(n), phase, OTHER_TURN) * self._log_uniform(n, 0.5, 3.0)
 
     def _moved_baseline(self, n: int) -> Tensor:
         """A finger at one place while the baseline holds another."""
         weight = self._log_uniform(n, 0.5, 2.0)
-        return self._bank.residual[self._draw(n)] - weight * self._bank.residual[self._draw(n)]
+        return self._touches(n) - weight * self._touches(n)
 
     def _two_fingers(self, n: int) -> Tensor:
         """Two fingers, and now and then a third."""
         weight = self._log_uniform(n, 0.3, 1.0)
-        both = self._bank.residual[self._draw(n)] + weight * self._bank.residual[self._draw(n)]
-        third = self._bank.residual[self._draw(n)] * self._uniform(n, 0.3, 1.0) * self._chance(n, 0.3)
+        both = self._touches(n) + weight * self._touches(n)
+        third = self._touches(n) * self._uniform(n, 0.3, 1.0) * self._chance(n, 0.3)
         return (both + third) * self._log_uniform(n, 0.7, 4.0)
 
     def _palm(self, n: int) -> Tensor:
@@ -160,14 +168,23 @@ class Augmenter:
             + self._normal(n) * 0.5e-9 * bank.delay[indices]
         )
 
-    def _strength(self, residual: Tensor, phase: Tensor) -> Tensor:
+    def _touches(self, n: int) -> Tensor:
+        """Draw touches, recorded and from the field, shape (n, inputs)."""
+        if self._synthesiser is None:
+            return self._bank.residual[self._draw(n)]
+        recorded = n // 3
+        drawn, _ = self._synthesiser.draw(n - recorded)
+        mixed = torch.cat([self._bank.residual[self._draw(recorded)], drawn])
+        return mixed[torch.randperm(n, generator=self._generator)]
+
+    def _strength(self, residual: Tensor, phase: Tensor, turn: float) -> Tensor:
         """Multiply by a complex strength of this phase, (n, 1), whose phase and size change along the band."""
         bank = self._bank
         if not bank.bins:
             return residual * torch.where(phase.abs() > torch.pi / 2, -1.0, 1.0)
         n = len(residual)
         along = torch.linspace(-0.5, 0.5, bank.bins)
-        angle = phase + 0.4 * self._symmetric(n) * along
+        angle = phase + turn * self._symmetric(n) * along
         size = 1.0 + 0.6 * self._symmetric(n) * along
         real, imaginary = (size * angle.cos())[:, None], (size * angle.sin())[:, None]
         parts = residual.reshape(n, bank.channels, 2, bank.bins)

@@ -28,7 +28,7 @@ LEARNING_RATE = 3e-3  # the peak of a one-cycle schedule with AdamW
 WEIGHT_DECAY = 0.01
 SPREAD_BINS = 0.75  # of the target histograms: the HL-Gauss paper's choice
 WITHIN_SIGMA = 0.683  # of the errors of either axis: what a standard error means for Gaussian ones
-FINGER_SHARE = 0.3  # weight of the finger-or-not cross-entropy
+FINGER_SHARE = 0.5  # weight of the finger-or-not cross-entropy
 EXPORT_TOLERANCE_MM = 1e-3  # float32 on two runtimes, summed in different orders
 
 Progress = Callable[[str, int, int, float], None]
@@ -100,7 +100,7 @@ def _fit(
     progress: Progress,
 ) -> list[float]:
     bank = make_bank(data, torch.from_numpy(parts.train), generator)
-    augmenter = Augmenter(bank, generator)
+    augmenter = Augmenter(bank, synthesiser, generator)
     count = len(parts.train)
     recorded = round(BATCH * (1 - SYNTHETIC))
     steps = -(-count // BATCH) * 2
