@@ -1,0 +1,65 @@
+"""One thread of linear algebra a process, and scenes of the twin that many tests share."""
+
+# ruff: noqa: E402 - the environment has to be set before anything imports numpy
+
+from __future__ import annotations
+
+import os
+
+# Before numpy is imported, and inherited by every process that a test starts: two busy threads of BLAS on two busy
+# cores wait for each other for milliseconds.
+for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ[_name] = "1"
+
+from collections.abc import Callable, Iterator
+from functools import cache
+from pathlib import Path
+
+import pytest
+import structlog
+
+from touchd.model import Model, default_model_path
+from touchd.recording import Recording, write
+from touchd.twin.instrument import Instrument
+from touchd.twin.simulate import DEFAULT_PLATE, simulate_scene
+
+Scene = Callable[[str], Recording]
+
+
+@pytest.fixture(autouse=True)
+def fresh_log() -> Iterator[None]:
+    """No test leaves its log's stream behind, which may be closed by then."""
+    yield
+    structlog.reset_defaults()
+
+
+@pytest.fixture(scope="session")
+def model() -> Model:
+    """The shipped model."""
+    return Model(default_model_path())
+
+
+@pytest.fixture(scope="session")
+def instrument() -> Instrument:
+    """The default plate."""
+    return Instrument(DEFAULT_PLATE)
+
+
+@pytest.fixture(scope="session")
+def scene(instrument: Instrument) -> Scene:
+    """A scene of the twin by its name, computed once."""
+    return cache(lambda name: simulate_scene(name, seed=21, instrument=instrument))
+
+
+@pytest.fixture(scope="session")
+def scene_file(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """A scene of the twin as a file."""
+    folder = tmp_path_factory.mktemp("scenes")
+
+    def path_of(name: str) -> Path:
+        path = folder / f"{name}.npz"
+        if not path.exists():
+            write(path, scene(name), compress=False)
+        return path
+
+    return path_of

@@ -1,0 +1,81 @@
+"""touchd in processes of its own, as its users run it."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+PATIENCE_S = 60.0
+"""How long anything may take, on a computer that is busy with something else."""
+ROOT = Path(__file__).resolve().parent.parent
+Message = dict[str, Any]
+
+
+class Ended(NamedTuple):
+    """What is left of a process."""
+
+    code: int
+    out: str
+    err: str
+
+    @property
+    def messages(self) -> list[Message]:
+        """Its output as lines of JSON."""
+        return [json.loads(line) for line in self.out.splitlines()]
+
+
+def environment(**variables: str) -> dict[str, str]:
+    """This process's environment with no setting of touchd but the given ones."""
+    own = {name: value for name, value in os.environ.items() if not name.upper().startswith("TOUCHD_")}
+    return own | {"OPENBLAS_NUM_THREADS": "1"} | variables
+
+
+def command(*arguments: object) -> list[str]:
+    """The command line of touchd."""
+    return [sys.executable, "-m", "touchd", *map(str, arguments)]
+
+
+def touchd(*arguments: object, cwd: Path = ROOT, **variables: str) -> Ended:
+    """Run touchd to its end."""
+    done = subprocess.run(
+        command(*arguments), capture_output=True, text=True, timeout=PATIENCE_S, cwd=cwd, env=environment(**variables)
+    )
+    return Ended(done.returncode, done.stdout, done.stderr)
+
+
+@contextmanager
+def started(*arguments: object, **variables: str) -> Iterator[subprocess.Popen[str]]:
+    """Run touchd beside the test; it is ended with the test whatever happens."""
+    process = subprocess.Popen(
+        command(*arguments), stdout=subprocess.PIPE, stderr=subprocess.PIPE, stdin=subprocess.DEVNULL, text=True,
+        cwd=ROOT, env=environment(**variables),
+    )  # fmt: skip
+    with process:
+        try:
+            yield process
+        finally:
+            if process.poll() is None:
+                process.kill()
+
+
+def end(process: subprocess.Popen[str]) -> Ended:
+    """Wait for a process, and return what it said beyond what was read already."""
+    out, err = process.communicate(timeout=PATIENCE_S)
+    return Ended(process.returncode, out, err)
+
+
+def through_the_bus(folder: Path, recording: Path, *options: object, **variables: str) -> tuple[Ended, Ended]:
+    """Replay a recording in a daemon process as fast as it goes, and listen in another: (daemon, listener)."""
+    address = f"ipc://{folder}/bus"
+    replay = ("--replay", recording, "--speed", "max", "--bind", address, "--await-subscriber", PATIENCE_S)
+    topics = [part for topic in ("touch", "key", "health") for part in ("--topic", topic)]
+    listen = ("listen", address, *topics, "--json", "--until-stopped", "--timeout", PATIENCE_S)
+    with started(*replay, *options, **variables) as daemon, started(*listen) as listener:
+        heard = end(listener)
+        return end(daemon), heard

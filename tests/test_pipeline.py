@@ -1,0 +1,349 @@
+"""One frame's way: the same frames give the same events, whoever plays them and however fast."""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.conftest import Scene
+from touchd.config import Settings
+from touchd.errors import ModelMismatch
+from touchd.event import Event, KeyEvent, SpectrumEvent, TouchEvent
+from touchd.features import FrequencyFeatures
+from touchd.frame import Frame
+from touchd.keypad import PHONE, load_layout
+from touchd.message import Messages
+from touchd.model import Model
+from touchd.pipeline import Pipeline
+from touchd.recording import Recording, write
+from touchd.sources import EndOfStream, Source
+from touchd.sources.replay import ReplaySource
+from touchd.sources.simulated import SimulatedSource
+from touchd.training.dataset import make_dataset
+from touchd.twin.instrument import Instrument
+from touchd.twin.simulate import simulate_touches
+
+PERIOD_NS = 8_000_000
+
+
+@pytest.fixture
+def make(model: Model) -> Callable[..., Pipeline]:
+    """A pipeline for the model's own acquisition."""
+
+    def make(settings: Settings | None = None, **options: Any) -> Pipeline:
+        acquisition = options.pop("acquisition", model.description.acquisition)
+        return Pipeline(acquisition, model, settings or Settings(), Messages("plate", 0), **options)
+
+    return make
+
+
+def frames_of(recording: Recording) -> list[Frame]:
+    rows = zip(recording.frames, recording.sequence.tolist(), recording.timestamp_ns.tolist(), strict=True)
+    return [Frame(counts, sequence, t_ns, t_ns) for counts, sequence, t_ns in rows]
+
+
+def run(pipeline: Pipeline, frames: Iterable[Frame]) -> list[Event]:
+    return [event for frame in frames for event in pipeline.process(frame)]
+
+
+def drain(source: Source) -> list[Frame]:
+    """All frames of a source, which may hand out views that it uses again."""
+    frames: list[Frame] = []
+    try:
+        while True:
+            frame = source.read(1.0)
+            if frame is not None:
+                frames.append(frame._replace(counts=frame.counts.copy()))
+    except EndOfStream:
+        source.close()
+        return frames
+
+
+def contents(events: list[Event], first_ns: int) -> list[dict[str, Any]]:
+    """Events without what depends on when they were played."""
+    found = []
+    for event in events:
+        content = asdict(event)
+        del content["wall"]
+        content["t_ns"] -= first_ns
+        found.append(content)
+    return found
+
+
+def phases(events: Iterable[Event]) -> list[tuple[int, str]]:
+    """Contacts that go down or up, in order."""
+    return [
+        (c.id, c.phase) for e in events if isinstance(e, TouchEvent) for c in e.contacts if c.phase in ("down", "up")
+    ]
+
+
+# -- time ------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="session")
+def chunks(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The taps as a folder of chunks of 37 frames."""
+    whole, folder = scene("tap"), tmp_path_factory.mktemp("chunks")
+    names = ("frames", "sequence", "timestamp_ns", "contacts_mm", "force_n", "temperature_c")
+    for number, start in enumerate(range(0, len(whole.frames), 37)):
+        part = {name: getattr(whole, name)[start : start + 37] for name in names}
+        write(folder / f"{number:06}.npz", replace(whole, **part), compress=False)
+    return folder
+
+
+@pytest.mark.parametrize("speed", [float("inf"), 20.0])
+@pytest.mark.parametrize("chunked", [False, True])
+def test_the_same_frames_give_the_same_events_at_any_speed_and_in_any_chunks(
+    speed: float,
+    chunked: bool,
+    scene: Scene,
+    scene_file: Callable[[str], Path],
+    chunks: Path,
+    make: Callable[..., Pipeline],
+) -> None:
+    expected = contents(run(make(), frames_of(scene("tap"))), 0)
+    assert sum(len(e["contacts"]) for e in expected if e["type"] == "touch") > 10
+    frames = drain(ReplaySource(chunks if chunked else scene_file("tap"), speed=speed))
+    assert contents(run(make(), frames), frames[0].t_ns) == expected
+
+
+def test_a_live_scene_gives_the_events_of_its_recording(
+    scene: Scene, instrument: Instrument, make: Callable[..., Pipeline]
+) -> None:
+    source = SimulatedSource("tap", seed=21, paced=False, loop=False, instrument=instrument)
+    frames = drain(source)
+    assert contents(run(make(), frames), frames[0].t_ns) == contents(run(make(), frames_of(scene("tap"))), 0)
+
+
+def test_a_message_bears_the_time_of_its_frame(scene: Scene, make: Callable[..., Pipeline]) -> None:
+    frames = frames_of(scene("tap"))
+    time_ns = {frame.sequence: frame.t_ns for frame in frames}
+    events = [event for event in run(make(), frames) if isinstance(event, TouchEvent)]
+    assert events
+    for event in events:
+        assert event.t_ns == time_ns[event.frame]
+        # The messages were told that the monotonic clock began with 1970.
+        wall = datetime.fromisoformat(event.wall) - datetime.fromtimestamp(0, UTC)
+        assert wall.total_seconds() == pytest.approx(event.t_ns * 1e-9, abs=2e-6)
+
+
+# -- what becomes of a frame -----------------------------------------------------------------------
+
+
+def test_a_frame_is_never_taken_twice(scene: Scene, make: Callable[..., Pipeline]) -> None:
+    frames = frames_of(scene("tap"))
+    once, twice = make(), make()
+    expected = run(once, frames)
+    assert run(twice, [frame for frame in frames for _ in range(2)]) == expected
+    assert (twice.counters.frames, twice.counters.repeated) == (len(frames), len(frames))
+    assert (once.counters.frames, once.counters.repeated) == (len(frames), 0)
+    run(twice, frames[-5:-3])
+    assert twice.counters.repeated == len(frames) + 2, "a late frame is as old as a repeated one"
+
+
+def test_lost_frames_are_counted_and_every_frame_is_accounted_for(scene: Scene, make: Callable[..., Pipeline]) -> None:
+    frames = frames_of(scene("tap"))
+    pipeline = make()
+    run(pipeline, [frame for frame in frames if not 300 <= frame.sequence < 317])
+    counters = pipeline.counters
+    assert (counters.lost, counters.frames) == (17, len(frames) - 17)
+    assert sum(counters.skipped.values()) + counters.inferred == counters.frames
+
+
+def test_the_first_frame_may_bear_any_number(scene: Scene, make: Callable[..., Pipeline]) -> None:
+    pipeline = make()
+    pipeline.process(frames_of(scene("idle"))[0]._replace(sequence=123_456))
+    assert pipeline.counters.lost == 0
+
+
+def test_with_the_gate_closed_neither_features_nor_network_run(
+    scene: Scene, make: Callable[..., Pipeline], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls: Counter[str] = Counter()
+
+    def counting(name: str, function: Callable[..., None]) -> Callable[..., None]:
+        def counted(*arguments: Any) -> None:
+            calls[name] += 1
+            function(*arguments)
+
+        return counted
+
+    monkeypatch.setattr(Model, "infer", counting("infer", Model.infer))
+    monkeypatch.setattr(FrequencyFeatures, "extract", counting("extract", FrequencyFeatures.extract))
+    pipeline = make()
+    closed = opened = 0
+    for frame in frames_of(scene("tap")):
+        calls.clear()
+        pipeline.process(frame)
+        if pipeline.gate.is_open:
+            opened += 1
+            assert calls["extract"] == 1
+            assert 1 <= calls["infer"] <= 2
+        else:
+            closed += 1
+            assert not calls
+    assert opened > 100
+    assert closed > 100
+    assert pipeline.counters.inferred == opened
+    assert sum(pipeline.counters.skipped.values()) == closed
+
+
+def test_an_idle_plate_says_nothing(scene: Scene, make: Callable[..., Pipeline]) -> None:
+    pipeline = make()
+    assert run(pipeline, frames_of(scene("idle"))) == []
+    assert pipeline.counters.inferred == 0
+    assert pipeline.noise_counts() > 0
+
+
+def test_a_model_for_other_frames_is_refused_before_the_first(make: Callable[..., Pipeline], model: Model) -> None:
+    other = model.description.acquisition.model_copy(update={"samples": 251})
+    with pytest.raises(ModelMismatch):
+        make(acquisition=other)
+
+
+def test_the_daemon_computes_bit_for_bit_what_the_model_was_trained_on(
+    instrument: Instrument, make: Callable[..., Pipeline], model: Model
+) -> None:
+    """A pipeline that has learned the untouched frames beside a touch, against the training set."""
+    touches = simulate_touches(120, seed=5, instrument=instrument)
+    dataset = make_dataset(touches, model.description.domain)
+    settings = Settings.model_validate({"baseline": {"learn_frames": 2}})
+    assert model.description.input == "residual"
+    checked = 0
+    for i, row in enumerate(dataset.residual[:-1]):
+        pipeline = make(settings)
+        # An untouched frame, the touch, an untouched frame: learned are the first and the last.
+        for sequence, at in enumerate((2 * i, 2 * i + 2, 2 * i + 1)):
+            pipeline.process(Frame(touches.frames[at], sequence, sequence * PERIOD_NS, 0))
+        assert pipeline.counters.inferred == 1
+        assert model.features[0].tobytes() == row.tobytes()
+        checked += 1
+    assert checked == 119
+
+
+# -- messages --------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def keypad() -> dict[str, Any]:
+    return {"settings": Settings(), "layout": load_layout(PHONE)}
+
+
+def test_the_code_that_is_typed_is_the_code_that_arrives(
+    scene: Scene, make: Callable[..., Pipeline], keypad: dict[str, Any]
+) -> None:
+    keys = [event for event in run(make(**keypad), frames_of(scene("keypad"))) if isinstance(event, KeyEvent)]
+    assert [(event.key, event.phase) for event in keys] == [
+        (key, phase) for key in "2580#" for phase in ("press", "release")
+    ]
+    assert all(0.5 <= event.confidence <= 1 for event in keys)
+
+
+def test_in_keypad_mode_a_contact_goes_down_on_its_key_and_otherwise_on_none(
+    scene: Scene, make: Callable[..., Pipeline], keypad: dict[str, Any]
+) -> None:
+    def keys_of(pipeline: Pipeline) -> set[str | None]:
+        events = run(pipeline, frames_of(scene("keypad")))
+        contacts = [c for event in events if isinstance(event, TouchEvent) for c in event.contacts]
+        return {c.key for c in contacts if c.phase == "down"}
+
+    assert keys_of(make(**keypad)) == set("2580#")
+    assert keys_of(make()) == {None}
+
+
+def test_a_release_names_the_key_that_was_pressed_wherever_the_finger_slid(
+    scene: Scene, make: Callable[..., Pipeline], keypad: dict[str, Any]
+) -> None:
+    keys = [event for event in run(make(**keypad), frames_of(scene("swipe"))) if isinstance(event, KeyEvent)]
+    assert all(
+        press.key == release.key and (press.phase, release.phase) == ("press", "release")
+        for press, release in zip(keys[::2], keys[1::2], strict=True)
+    )
+
+
+def test_each_topic_counts_its_own_messages_from_one(
+    scene: Scene, make: Callable[..., Pipeline], keypad: dict[str, Any]
+) -> None:
+    events = run(make(**keypad), frames_of(scene("keypad")))
+    for topic in ("touch", "key", "spectrum"):
+        numbers = [event.seq for event in events if event.type == topic]
+        assert numbers == list(range(1, len(numbers) + 1))
+        assert numbers
+
+
+def test_a_spectrum_is_made_only_while_somebody_wants_it(
+    scene: Scene, make: Callable[..., Pipeline], model: Model
+) -> None:
+    wanted: set[str] = set()
+    pipeline = make(wants=wanted.__contains__)
+    frames = frames_of(scene("tap"))
+    assert not any(isinstance(event, SpectrumEvent) for event in run(pipeline, frames[:400]))
+    wanted.add("spectrum")
+    spectra = [event for event in run(pipeline, frames[400:]) if isinstance(event, SpectrumEvent)]
+    assert spectra
+    assert {len(event.features) for event in spectra} == {model.description.inputs}
+    assert spectra[0].seq == 1
+
+
+def test_contacts_go_down_once_and_up_once_and_an_id_never_comes_again(
+    scene: Scene, make: Callable[..., Pipeline]
+) -> None:
+    changes = phases(run(make(), frames_of(scene("tap"))))
+    count = len(changes) // 2
+    assert count > 2
+    assert changes == [(i + 1, phase) for i in range(count) for phase in ("down", "up")]
+
+
+def test_when_the_frames_stop_every_contact_is_lifted(scene: Scene, make: Callable[..., Pipeline]) -> None:
+    pipeline = make()
+    frames = frames_of(scene("circle"))
+    assert phases(run(pipeline, frames[:300])) == [(1, "down")]
+    (event,) = pipeline.lose(frames[299].t_ns)
+    assert isinstance(event, TouchEvent)
+    assert [(c.id, c.phase) for c in event.contacts] == [(1, "up")]
+    assert (event.t_ns, event.frame) == (frames[299].t_ns, frames[299].sequence)
+    assert pipeline.lose(frames[299].t_ns) == [], "nothing is lifted twice"
+    assert phases(run(pipeline, frames[300:400])) == [(2, "down")], "it goes on, under another id"
+
+
+# -- cost ------------------------------------------------------------------------------------------
+
+
+def test_an_idle_frame_costs_less_than_a_third_of_a_touched_one(scene: Scene, make: Callable[..., Pipeline]) -> None:
+    """By the median over rounds in which both kinds take turns, so that another load hits both alike."""
+    settings = Settings.model_validate({"baseline": {"absorb_s": 1e6}})
+    frames = frames_of(scene("circle"))
+    idle, touched = make(settings), make(settings)
+    run(idle, frames[:40])
+    run(touched, frames[:300])
+    assert touched.tracker.alive
+
+    def cost_s(pipeline: Pipeline, frame: Frame, round_: int) -> float:
+        batch = [frame._replace(sequence=n, t_ns=n * PERIOD_NS) for n in range(1000 + 25 * round_, 1025 + 25 * round_)]
+        started_s = time.perf_counter()
+        for frame in batch:
+            pipeline.process(frame)
+        return time.perf_counter() - started_s
+
+    ratios = [cost_s(idle, frames[38], r) / cost_s(touched, frames[299], r) for r in range(60)]
+    print(f"an idle frame costs {statistics.median(ratios):.2f} of a touched one")
+    assert idle.counters.inferred == 0
+    assert touched.tracker.alive
+    assert statistics.median(ratios) < 1 / 3
+
+
+def test_counts_are_never_changed(scene: Scene, make: Callable[..., Pipeline]) -> None:
+    recording = scene("tap")
+    counts = recording.frames.copy()
+    counts.flags.writeable = False
+    run(make(), frames_of(replace(recording, frames=counts)))
+    np.testing.assert_array_equal(counts, recording.frames)
