@@ -1,0 +1,261 @@
+"""The loop around the pipeline: states, health, latency, and an orderly end, by a clock that the test moves."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from tests.conftest import Scene
+from touchd.config import HealthSettings, Settings
+from touchd.errors import DeviceLost
+from touchd.event import Event, HealthEvent, Latency, TouchEvent
+from touchd.frame import Frame
+from touchd.message import Messages
+from touchd.model import Model
+from touchd.pipeline import Pipeline
+from touchd.recording import Recording
+from touchd.service import READ_TIMEOUT_S, STALL_NS, Service
+from touchd.sources import EndOfStream
+
+START_NS = 5_000_000_000
+PERIOD_NS = 8_000_000
+TIMEOUT_NS = round(READ_TIMEOUT_S * 1e9)
+
+Step = Frame | None | Exception
+
+
+class Clock:
+    """Monotonic time that stands still unless it is moved."""
+
+    def __init__(self) -> None:
+        self.now_ns = START_NS
+
+    def __call__(self) -> int:
+        return self.now_ns
+
+
+class Script:
+    """A source that does what is written down: a frame each 8 ms, None after the timeout, or an error."""
+
+    def __init__(self, recording: Recording, steps: Sequence[Step], clock: Clock) -> None:
+        self.acquisition = recording.acquisition
+        self.closed = 0
+        self._steps = list(steps)
+        self._clock = clock
+
+    def read(self, timeout_s: float) -> Frame | None:
+        step = self._steps.pop(0) if self._steps else EndOfStream()
+        if isinstance(step, Exception):
+            raise step
+        if step is None:
+            self._clock.now_ns += round(timeout_s * 1e9)
+            return None
+        self._clock.now_ns += PERIOD_NS
+        return step._replace(t_ns=self._clock.now_ns, received_ns=self._clock.now_ns)
+
+    def close(self) -> None:
+        self.closed += 1
+
+
+class Keeper:
+    """A sink that keeps what it gets, and at what time."""
+
+    def __init__(self, clock: Clock, heard: Callable[[Event], None] = lambda _event: None) -> None:
+        self.events: list[Event] = []
+        self.times_ns: list[int] = []
+        self.closed = 0
+        self.polls = 0
+        self._clock = clock
+        self._heard = heard
+
+    def wants(self, topic: str) -> bool:
+        return topic != "spectrum"
+
+    def publish(self, event: Event, received_ns: int) -> None:
+        assert not self.closed
+        assert received_ns <= self._clock()
+        self.events.append(event)
+        self.times_ns.append(self._clock())
+        self._heard(event)
+
+    def poll(self) -> None:
+        self.polls += 1
+
+    def close(self) -> None:
+        self.closed += 1
+
+    @property
+    def health(self) -> list[HealthEvent]:
+        return [event for event in self.events if isinstance(event, HealthEvent)]
+
+    def states(self) -> list[str]:
+        """The states in order, each once."""
+        states = [event.state for event in self.health]
+        return [state for before, state in pairwise(["", *states]) if state != before]
+
+    def phases(self) -> list[tuple[int, str]]:
+        touches = [event for event in self.events if isinstance(event, TouchEvent)]
+        return [(c.id, c.phase) for event in touches for c in event.contacts if c.phase in ("down", "up")]
+
+
+class Bench:
+    """A service with a source of its own and sinks that keep everything."""
+
+    def __init__(self, recording: Recording, model: Model, steps: Sequence[Step], period_s: float = 1.0) -> None:
+        self.clock = Clock()
+        self.source = Script(recording, steps, self.clock)
+        self.sink = Keeper(self.clock, self._heard)
+        self.other = Keeper(self.clock)
+        self.when: Callable[[Event], None] = lambda _event: None
+        messages = Messages("plate", 0)
+        self.pipeline = Pipeline(recording.acquisition, model, Settings(), messages, wants=self.sink.wants)
+        self.service = Service(
+            self.source,
+            self.pipeline,
+            [self.sink, self.other],
+            messages,
+            HealthSettings(period_s=period_s),
+            "the model",
+            self.clock,
+        )
+
+    def _heard(self, event: Event) -> None:
+        self.when(event)
+
+
+@pytest.fixture
+def circle(scene: Scene) -> list[Frame]:
+    """Untouched frames, then a finger that stays on the plate."""
+    recording = scene("circle")
+    return [Frame(counts, i, 0, 0) for i, counts in enumerate(recording.frames[:300])]
+
+
+@pytest.fixture
+def make(scene: Scene, model: Model) -> Callable[..., Bench]:
+    return lambda steps, **options: Bench(scene("circle"), model, steps, **options)
+
+
+def test_each_state_is_published_at_once(make: Callable[..., Bench], circle: list[Frame]) -> None:
+    silence: list[Step] = [None] * (STALL_NS // TIMEOUT_NS + 5)
+    bench = make([None, *circle[:40], *silence, *circle[40:80]], period_s=1e6)
+    bench.service.run()
+    assert [event.state for event in bench.sink.health] == ["starting", "streaming", "stalled", "streaming", "stopping"]
+    starting, streaming, stalled, again, stopping = (t - START_NS for t in bench.sink.times_ns)
+    assert starting == 0
+    assert streaming == TIMEOUT_NS + PERIOD_NS, "with the first frame"
+    last_frame = streaming + 39 * PERIOD_NS
+    assert STALL_NS < stalled - last_frame <= STALL_NS + TIMEOUT_NS
+    assert again == last_frame + len(silence) * TIMEOUT_NS + PERIOD_NS
+    assert stopping == again + 39 * PERIOD_NS
+    assert bench.other.events == bench.sink.events
+
+
+def test_a_source_that_never_speaks_is_not_said_to_have_stalled(make: Callable[..., Bench]) -> None:
+    bench = make([None] * 100)
+    bench.service.run()
+    assert bench.sink.states() == ["starting", "stopping"]
+    assert bench.sink.polls == 100, "sinks are looked after while no frame comes"
+
+
+def test_health_comes_every_period(make: Callable[..., Bench], circle: list[Frame]) -> None:
+    bench = make([*circle[:250], *[None] * 15], period_s=0.2)
+    bench.service.run()
+    health_ns = [t for event, t in zip(bench.sink.events, bench.sink.times_ns, strict=True) if event.type == "health"]
+    gaps_ns = np.diff(health_ns)
+    assert len(gaps_ns) > 10
+    assert gaps_ns.max() <= 200_000_000 + TIMEOUT_NS
+    # "starting" and "streaming", and "stopping" at the end, come when they come.
+    assert gaps_ns[1:-1].min() >= 200_000_000
+
+
+def test_health_tells_what_became_of_the_frames(make: Callable[..., Bench], circle: list[Frame]) -> None:
+    bench = make([*circle[:150], *circle[148:160], *circle[165:]])
+    bench.service.run()
+    last, counters = bench.sink.health[-1], bench.pipeline.counters
+    assert (last.frames, last.lost, last.corrupt) == (295, 5, 0)
+    assert last.skipped == {"learning": 32, "gate": counters.skipped["gate"], "repeated": 2}
+    assert last.inferred == counters.inferred > 0
+    assert last.frames == last.inferred + last.skipped["learning"] + last.skipped["gate"]
+    assert last.noise > 0
+    assert (last.model, last.device) == ("the model", "plate")
+    touched_s = counters.inferred * PERIOD_NS * 1e-9
+    assert touched_s <= last.baseline_age_s < 3, "the baseline stands still under a finger"
+
+
+def test_at_the_end_of_the_stream_contacts_are_lifted_and_then_it_says_that_it_stops(
+    make: Callable[..., Bench], circle: list[Frame]
+) -> None:
+    bench = make(circle)
+    bench.service.run()
+    assert bench.sink.phases() == [(1, "down"), (1, "up")]
+    up, stopping = bench.sink.events[-2:]
+    assert isinstance(up, TouchEvent)
+    assert up.frame == circle[-1].sequence
+    assert isinstance(stopping, HealthEvent)
+    assert stopping.state == "stopping"
+    assert (bench.sink.closed, bench.other.closed, bench.source.closed) == (1, 1, 1)
+
+
+def test_contacts_are_lifted_when_the_source_stalls(make: Callable[..., Bench], circle: list[Frame]) -> None:
+    bench = make([*circle, *[None] * 25])
+    bench.service.run()
+    up = next(i for i, e in enumerate(bench.sink.events) if isinstance(e, TouchEvent) and e.contacts[0].phase == "up")
+    stalled = bench.sink.events[up + 1]
+    assert isinstance(stalled, HealthEvent)
+    assert stalled.state == "stalled"
+    assert bench.sink.phases() == [(1, "down"), (1, "up")]
+
+
+def test_stop_ends_it_after_the_frame_in_hand_and_lifts_contacts(
+    make: Callable[..., Bench], circle: list[Frame]
+) -> None:
+    bench = make(circle)
+
+    def stop(event: Event) -> None:
+        if isinstance(event, TouchEvent):
+            bench.service.stop()
+
+    bench.when = stop
+    bench.service.run()
+    assert bench.sink.phases() == [(1, "down"), (1, "up")]
+    assert len([event for event in bench.sink.events if isinstance(event, TouchEvent)]) == 2
+    assert bench.sink.states() == ["starting", "streaming", "stopping"]
+    assert bench.pipeline.counters.frames < len(circle)
+    assert (bench.sink.closed, bench.source.closed) == (1, 1)
+
+
+def test_a_source_that_fails_is_reported_after_an_orderly_end(make: Callable[..., Bench], circle: list[Frame]) -> None:
+    bench = make([*circle, DeviceLost("the DAQ is gone")])
+    with pytest.raises(DeviceLost):
+        bench.service.run()
+    assert bench.sink.phases() == [(1, "down"), (1, "up")]
+    assert bench.sink.states()[-1] == "stopping"
+    assert (bench.sink.closed, bench.other.closed, bench.source.closed) == (1, 1, 1)
+
+
+def test_latency_is_measured_up_to_the_last_sink_and_told_for_each_period(
+    make: Callable[..., Bench], circle: list[Frame]
+) -> None:
+    bench = make(circle, period_s=0.5)
+    steps_us = iter(range(10, 100_000, 10))
+    told: list[int] = []
+    periods: list[tuple[list[int], Latency]] = []
+
+    def take_time(event: Event) -> None:
+        if isinstance(event, TouchEvent):
+            told.append(next(steps_us))
+            bench.clock.now_ns += told[-1] * 1000
+        elif isinstance(event, HealthEvent):
+            periods.append((told.copy(), event.latency_us))
+            told.clear()
+
+    bench.when = take_time
+    bench.service.run()
+    assert sum(bool(latencies) for latencies, _ in periods) >= 3
+    assert any(not latencies for latencies, _ in periods)
+    for latencies, latency in periods:
+        expected = np.percentile(latencies, (50, 99, 100)) if latencies else (0, 0, 0)
+        np.testing.assert_allclose((latency.p50, latency.p99, latency.max), expected, atol=0.06)
