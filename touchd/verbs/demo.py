@@ -6,6 +6,7 @@ import json
 import subprocess
 import sys
 import tempfile
+import threading
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -18,6 +19,7 @@ from touchd.errors import BusError
 from touchd.evaluation.metrics import position_scores
 from touchd.evaluation.stream import score_stream
 from touchd.event import Event, HealthEvent, TouchEvent, decode
+from touchd.model import Model
 from touchd.recording import read
 from touchd.verbs.listen import describe
 
@@ -26,10 +28,18 @@ SESSION = Path(__file__).resolve().parent.parent / "demo" / "session.npz"
 _PATIENCE_S = 30
 
 
+def _speed(ctx: click.Context, param: click.Parameter, value: str) -> str:
+    """Return the speed as it was written, for the daemon, once it is known to be one."""
+    from touchd.cli import parse_speed
+
+    parse_speed(ctx, param, value)
+    return value
+
+
 @click.command()
 @click.argument("recording", type=click.Path(path_type=Path), default=SESSION)
 @click.option("--json", "as_json", is_flag=True, help="Print the summary as one JSON object, and nothing else.")
-@click.option("--speed", default="1", metavar="N|max", help="Speed of the replay.  [default: 1]")
+@click.option("--speed", default="1", callback=_speed, metavar="N|max", help="Speed of the replay.  [default: 1]")
 @click.option("--model", type=click.Path(path_type=Path), help="The model to use.")
 def command(recording: Path, as_json: bool, speed: str, model: Path | None) -> None:
     """Replay a recording through the daemon, print what a separate subscriber receives, and sum up.
@@ -38,6 +48,8 @@ def command(recording: Path, as_json: bool, speed: str, model: Path | None) -> N
     subscriber are processes of their own, which meet over ZeroMQ.
     """
     truth = read(recording)
+    if model:
+        Model(model).check(truth.acquisition)  # its own words and exit status, which the daemon's would hide
     events: list[Event] = []
     for event in _received(recording, speed, model):
         events.append(event)
@@ -83,6 +95,12 @@ def _received(recording: Path, speed: str, model: Path | None) -> Iterator[Event
             )
         )
         stack.callback(listener.terminate)
+
+        def end_with_the_daemon() -> None:
+            if daemon.wait():  # it failed: nobody will tell the subscriber to stop
+                listener.terminate()
+
+        threading.Thread(target=end_with_the_daemon, daemon=True).start()
         assert listener.stdout is not None
         for line in listener.stdout:
             yield decode(json.loads(line)["type"], line)
