@@ -1,6 +1,7 @@
 """Models: one file that says what it is, and is refused where it does not fit."""
 
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import onnx
@@ -29,13 +30,17 @@ def description(**changes: object) -> Description:
     return Description.model_validate(values | changes)
 
 
-def seen(network: torch.nn.Module) -> torch.nn.Module:
-    """A network whose batch normalisations have seen some data."""
+N = TypeVar("N", Regression, Classifier)
+
+
+def seen(network: N) -> N:
+    """A network whose batch normalisations have seen some data, and are therefore no identities."""
     torch.manual_seed(1)
     network.train()
     for _ in range(3):
         network(torch.randn(64, 392) * 50)
-    return network.eval()
+    network.eval()
+    return network
 
 
 @pytest.fixture(scope="module")

@@ -68,6 +68,17 @@ class ModelSettings(_Section):
     min_confidence: float = Field(
         0.5, ge=0, le=1, description="Below this a frame is taken for something else than a finger, and not placed."
     )
+    keep_confidence: float = Field(
+        0.2, ge=0, le=1, description="The same while a contact is down: hysteresis, so that none is split."
+    )
+    min_snr_db: float = Field(
+        3.0,
+        ge=0,
+        description="A change less than this above the noise tells that something is there, but not where, dB.",
+    )
+    max_sigma_mm: float = Field(
+        5.0, gt=0, description="A finger placed less surely than this is not placed (yet); regression only, mm."
+    )
 
 
 class BaselineSettings(_Section):

@@ -40,7 +40,7 @@ class Counters:
     lost: int = 0
     repeated: int = 0
     inferred: int = 0
-    skipped: dict[str, int] = field(default_factory=lambda: {"learning": 0, "gate": 0})
+    skipped: dict[str, int] = field(default_factory=lambda: {"learning": 0, "gate": 0, "faint": 0})
 
 
 class Pipeline:
@@ -83,6 +83,10 @@ class Pipeline:
         self._of_residual = model.description.input == "residual"
         self._raw = np.zeros(acquisition.shape, np.float32)
         self._min_confidence = settings.model.min_confidence
+        self._keep_confidence = settings.model.keep_confidence
+        self._min_snr = 10 ** (settings.model.min_snr_db / 10)
+        # The other heads' sigma is the size of a zone or a key, whatever the frame.
+        self._max_sigma_mm = settings.model.max_sigma_mm if model.description.head == "regression" else math.inf
         self._force_full_scale = settings.tracker.force_full_scale
         self._small = 10 ** (settings.baseline.drift_below_db / 10)
         self._layout = layout
@@ -110,9 +114,12 @@ class Pipeline:
             self._untouched(frame, energy, elapsed_s)
             return self._track(frame, ()) if self.tracker.busy else NOTHING
 
-        touch = self._locate(frame, energy)
+        # So little above the noise, a change tells that something is there, but not where.
+        faint = energy < self._min_snr * self.gate.noise_energy
+        self.counters.skipped["faint"] += faint
+        touch = None if faint else self._locate(frame, energy)
         events = self._track(frame, (touch,) if touch else ())
-        self._settle(frame, energy, elapsed_s, found=touch is not None)
+        self._settle(frame, energy, elapsed_s, found=touch is not None, faint=faint)
         return events
 
     def noise_counts(self) -> float:
@@ -148,7 +155,7 @@ class Pipeline:
         if energies is not None:
             self.gate.learn(energies)
             self._standing.clear()
-            self._signal_energy = self.baseline.energy()
+            self._signal_energy = max(self.baseline.energy(), 1.0)  # a dead DAQ sends zeros
             self._learning = False
             self.followed_ns = frame.t_ns
         return self._track(frame, ()) if self.tracker.busy else NOTHING
@@ -171,7 +178,8 @@ class Pipeline:
         self._features.extract(signal, self._model.features[0])
         self.counters.inferred += 1
         estimate = self._model.estimate()
-        if estimate.confidence < self._min_confidence:
+        confident = self._keep_confidence if self.tracker.alive else self._min_confidence
+        if estimate.confidence < confident or estimate.sigma_mm > self._max_sigma_mm:
             return None
         force = min(1.0, (energy / self._signal_energy) ** 0.5 / self._force_full_scale)
         key = self._layout.at(estimate.x_mm, estimate.y_mm) if self._layout else estimate.key
@@ -186,14 +194,14 @@ class Pipeline:
             events.append(self._messages.spectrum(frame.t_ns, frame.sequence, self._model.features[0].tolist()))
         return events
 
-    def _settle(self, frame: Frame, energy: float, elapsed_s: float, *, found: bool) -> None:
+    def _settle(self, frame: Frame, energy: float, elapsed_s: float, *, found: bool, faint: bool) -> None:
         """The gate is open: decide whether the plate as it is now has become the untouched one."""
         finger = found or self.tracker.alive
         if not finger and energy < self._small * self._signal_energy:
             # Less than any finger does: the plate has drifted while it was touched.
             self.baseline.follow(elapsed_s)
             self.followed_ns = frame.t_ns
-        leaving = not finger and self._looks_like_leaving()
+        leaving = not finger and not faint and self._looks_like_leaving()
         verdict = self._standing.watch(frame.t_ns, self.baseline.residual, energy, finger=finger, leaving=leaving)
         if verdict is not None:
             self._relearn(frame, verdict, energy)

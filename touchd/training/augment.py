@@ -19,7 +19,7 @@ from touchd.training.synthetic import Synthesiser
 # 25-100 mm^2 lie between -0.3 and 0.2 of that of the silicone finger, turning by under 0.1 over the band; a
 # drop of water, a pure mass, is 0.5 ahead at its lower end and 0.8 at its upper one; and a finger that leaves
 # the plate is pi away.
-FINGER_PHASE = 0.28
+FINGER_PHASE = 0.33
 FINGER_TURN = 0.2
 OTHER_PHASE = 0.52
 OTHER_TURN = 0.6
@@ -101,7 +101,10 @@ class Augmenter:
         """Return residuals of touches as another finger, hour and instrument would have given them, (n, inputs)."""
         n = len(residual)
         phase = FINGER_PHASE * self._symmetric(n)
-        residual = self._strength(residual, phase, FINGER_TURN) * self._log_uniform(n, 0.7, 3.0)
+        # Mostly fingers of all sizes, and some that are just being put down or lifted.
+        weak = self._chance(n, 0.2)
+        size = weak * self._log_uniform(n, 0.05, 0.5) + (1 - weak) * self._log_uniform(n, 0.5, 5.0)
+        residual = self._strength(residual, phase, FINGER_TURN) * size
         disturbed = residual + self._instrument(self._draw(n), share=0.3)
         tone = self._tone(n) * self._log_uniform(n, 0.02, 0.4) * residual.norm(dim=1, keepdim=True)
         disturbed = disturbed + tone * self._chance(n, 0.15)

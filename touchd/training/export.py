@@ -11,16 +11,18 @@ from pathlib import Path
 import numpy as np
 import onnx
 import torch
+from numpy.typing import NDArray
 from torch import nn
 
 from touchd.errors import OutputError, TrainingError
 from touchd.model import METADATA_KEY, Description, Model
+from touchd.training.network import Network
 
 OPSET = 17
 _OUTPUTS = {"regression": ["position_mm", "sigma_mm", "confidence"], "grid": ["probability"], "keypad": ["probability"]}
 
 
-def export(network: nn.Module, description: Description, path: Path) -> Model:
+def export(network: Network, description: Description, path: Path) -> Model:
     """Write the network with its description to `path`, whole or not at all, and return it loaded.
 
     Raises
@@ -44,37 +46,38 @@ def export(network: nn.Module, description: Description, path: Path) -> Model:
     return Model(path)
 
 
-def fold(network: nn.Module) -> nn.Module:
-    """Return a copy in which each batch normalisation is folded into the linear layer after it.
+def fold(network: Network) -> Network:
+    """Return a copy in which each batch normalisation is folded into the linear layers after it.
 
     The same function with fewer operations: W (g (x - m) / s + b) + c is W' x + c'.
     """
     folded = copy.deepcopy(network).eval()
-    previous: tuple[nn.Module, str, nn.BatchNorm1d] | None = None
-    for parent in [m for m in folded.modules() if not isinstance(m, nn.Linear)]:
-        for name, child in list(parent.named_children()):
-            if isinstance(child, nn.BatchNorm1d):
-                previous = (parent, name, child)
-            elif isinstance(child, nn.Linear) and previous is not None:
-                _fold_into(child, previous[2])
-                setattr(previous[0], previous[1], nn.Identity())
-                previous = None
+    stages = folded.trunk
+    for i in range(len(stages) - 1):
+        norm, linear = stages[i], stages[i + 1]
+        if isinstance(norm, nn.BatchNorm1d) and isinstance(linear, nn.Linear):
+            _fold_into(linear, norm)
+            stages[i] = nn.Identity()
+    if isinstance(folded.last, nn.BatchNorm1d):
+        for head in folded.heads():
+            _fold_into(head, folded.last)
+        folded.last = nn.Identity()
     return folded
 
 
-def check(network: nn.Module, model: Model, features: np.ndarray, tolerance: float) -> float:
-    """Return the largest difference between a network's and its exported model's first output.
+def check(network: Network, model: Model, features: NDArray[np.float32], tolerance: float) -> float:
+    """Return the largest difference between what a network and its exported model say, over all outputs.
 
     Raises
     ------
     TrainingError
-        If it is more than the tolerance (mm for a position, else probability).
+        If it is more than the tolerance (mm, or probability).
     """
     with torch.inference_mode():
-        trained = network.eval()(torch.from_numpy(features))
-    first = trained[0] if isinstance(trained, tuple) else trained
-    exported = next(iter(model.run(features).values()))
-    difference = float(np.abs(first.numpy() - exported).max())
+        said = network.eval()(torch.from_numpy(features))
+    trained = said if isinstance(said, tuple) else (said,)
+    exported = model.run(features).values()
+    difference = max(float(np.abs(a.numpy() - b).max()) for a, b in zip(trained, exported, strict=True))
     if difference > tolerance:
         raise TrainingError(
             f"the exported model differs from the trained network by {difference:.2g} (at most {tolerance:g})",
@@ -84,7 +87,7 @@ def check(network: nn.Module, model: Model, features: np.ndarray, tolerance: flo
     return difference
 
 
-def _to_onnx(network: nn.Module, description: Description) -> onnx.ModelProto:
+def _to_onnx(network: Network, description: Description) -> onnx.ModelProto:
     names = _OUTPUTS[description.head]
     with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
         # The TorchScript exporter needs no package beyond torch and onnx; its notice of age is no news to the user.

@@ -69,7 +69,7 @@ class Regression(nn.Module):
         self.normalise = Normalise()
         self.trunk = trunk(inputs, widths, dropout=0.0)
         # The log-norm joins the last stage: weak touches are placed less well and look more like noise.
-        self.last = nn.BatchNorm1d(widths[-1] + 1)
+        self.last: nn.Module = nn.BatchNorm1d(widths[-1] + 1)
         self.head = nn.Linear(widths[-1] + 1, 2 * bins)
         self.finger = nn.Linear(widths[-1] + 1, 1)
         self.log_sigma = nn.Linear(widths[-1] + 1, 1)
@@ -81,6 +81,10 @@ class Regression(nn.Module):
         edges = torch.linspace(-reach, reach, bins + 1)
         self.register_buffer("edges", edges)
         self.register_buffer("centres", (edges[1:] + edges[:-1]) / 2)
+
+    def heads(self) -> tuple[nn.Linear, ...]:
+        """Return the layers that `last` feeds."""
+        return self.head, self.log_sigma, self.finger
 
     def raw(self, features: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Return logits of the histograms (n, 2, bins), log of sigma in mm (n, 1), and finger logit (n, 1)."""
@@ -126,8 +130,12 @@ class Classifier(nn.Module):
         super().__init__()
         self.normalise = Normalise()
         self.trunk = trunk(inputs, widths, dropout)
-        self.last = nn.BatchNorm1d(widths[-1])
+        self.last: nn.Module = nn.BatchNorm1d(widths[-1])
         self.head = nn.Linear(widths[-1], classes)
+
+    def heads(self) -> tuple[nn.Linear, ...]:
+        """Return the layer that `last` feeds."""
+        return (self.head,)
 
     def raw(self, features: Tensor) -> Tensor:
         """Return logits of shape (n, classes)."""
@@ -138,3 +146,6 @@ class Classifier(nn.Module):
     def forward(self, features: Tensor) -> Tensor:
         """Return probabilities of shape (n, classes)."""
         return self.raw(features).softmax(dim=1)
+
+
+Network = Regression | Classifier
