@@ -1,0 +1,351 @@
+"""Every failure a user can cause ends in one line that says what, where and what to do, with a status of its own."""
+
+from __future__ import annotations
+
+import json
+import re
+import socket
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.conftest import Scene
+from tests.processes import PATIENCE_S, ROOT, Ended, environment, touchd
+from touchd import cli, errors
+from touchd.cli import VERBS, main
+from touchd.errors import TouchdError
+from touchd.recording import write
+
+
+class World:
+    """A folder with whatever is wrong in it."""
+
+    def __init__(self, folder: Path, good: Path) -> None:
+        self.folder = folder
+        self.good = good
+        with np.load(good) as arrays:
+            self._arrays = dict(arrays)
+
+    def broken(self, **changes: Any) -> Path:
+        """The good recording with some keys replaced."""
+        path = self.folder / "broken.npz"
+        np.savez(path, **(self._arrays | changes))
+        return path
+
+    def file(self, name: str, content: str | bytes) -> Path:
+        path = self.folder / name
+        path.write_bytes(content.encode() if isinstance(content, str) else content)
+        return path
+
+
+@pytest.fixture(scope="session")
+def good(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A short recording with nothing wrong."""
+    whole = scene("idle")
+    path = tmp_path_factory.mktemp("good") / "good.npz"
+    names = ("frames", "sequence", "timestamp_ns", "temperature_c")
+    write(path, type(whole)(whole.meta, **{name: getattr(whole, name)[:40] for name in names}))
+    return path
+
+
+@pytest.fixture
+def world(tmp_path: Path, good: Path) -> World:
+    return World(tmp_path, good)
+
+
+@pytest.fixture
+def taken() -> Iterator[str]:
+    """An address that another program holds."""
+    with socket.socket() as holder:
+        holder.bind(("127.0.0.1", 0))
+        holder.listen()
+        yield f"tcp://127.0.0.1:{holder.getsockname()[1]}"
+
+
+def explained(ended: Ended, error: type[TouchdError], *words: str) -> None:
+    """One line on standard error with what to do, the error's own status, and no traceback."""
+    assert ended.code == error.exit_code, ended.err
+    assert "touchd: " not in ended.out
+    (line,) = ended.err.splitlines()
+    assert line.startswith("touchd: ")
+    assert re.fullmatch(r".+ -> \S.+", line)
+    for word in words:
+        assert word in line
+    assert "Traceback" not in line
+
+
+Arguments = Callable[[World], tuple[object, ...]]
+
+
+def replay(make: Callable[[World], object]) -> Arguments:
+    return lambda world: ("--replay", make(world), "--bind", f"ipc://{world.folder}/bus", "--speed", "max")
+
+
+def configured(text: str | bytes) -> Arguments:
+    return lambda world: ("--config", world.file("touchd.toml", text), "--replay", world.good)
+
+
+def bound(*options: object) -> Arguments:
+    return lambda world: ("--replay", world.good, "--speed", "max", *options)
+
+
+CASES: dict[str, tuple[type[TouchdError], Arguments, tuple[str, ...]]] = {
+    "a missing recording": (errors.RecordingMissing, replay(lambda w: w.folder / "nowhere.npz"), ("nowhere.npz",)),
+    "a folder without chunks": (errors.RecordingMissing, replay(lambda w: w.folder), ("no numbered",)),
+    "a truncated recording": (
+        errors.RecordingTruncated,
+        replay(lambda w: w.file("cut.npz", w.good.read_bytes()[:-5000])),
+        ("cut.npz",),
+    ),
+    "a file that is no recording": (errors.RecordingTruncated, replay(lambda w: w.file("a.npz", "hello")), ("a.npz",)),
+    "a newer version": (
+        errors.RecordingVersion,
+        replay(lambda w: w.broken(version=2)),
+        ("version 2", "upgrade touchd"),
+    ),
+    "another format": (errors.RecordingVersion, replay(lambda w: w.broken(format="other")), ("'other'",)),
+    "frames of two axes": (
+        errors.RecordingShape,
+        replay(lambda w: w.broken(frames=np.zeros((40, 1000), np.int16))),
+        ("(40, 1000)", "(n, channels, samples)"),
+    ),
+    "frames of another type": (
+        errors.RecordingShape,
+        replay(lambda w: w.broken(frames=np.zeros((40, 4, 250)))),
+        ("float64", "int16"),
+    ),
+    "pickled objects": (
+        errors.RecordingUnsafe,
+        replay(lambda w: w.broken(sequence=np.array([{}] * 40, object))),
+        ("sequence",),
+    ),
+    "a number that is none": (
+        errors.RecordingValues,
+        replay(lambda w: w.broken(temperature_c=np.full(40, np.nan, np.float32))),
+        ("temperature_c", "frame 0"),
+    ),
+    "time that goes back": (
+        errors.RecordingValues,
+        replay(lambda w: w.broken(timestamp_ns=np.arange(40, 0, -1))),
+        ("timestamp_ns",),
+    ),
+    "a missing model": (errors.ModelMissing, bound("--model", "nowhere.onnx"), ("nowhere.onnx",)),
+    "a model that is none": (
+        errors.ModelInvalid,
+        lambda w: ("--replay", w.good, "--model", w.file("bad.onnx", "hello")),
+        ("bad.onnx",),
+    ),
+    "a model for other frames": (
+        errors.ModelMismatch,
+        replay(lambda w: w.broken(frames=np.zeros((40, 4, 200), np.int16))),
+        ("(4, 250)", "(4, 200)", "touchd train"),
+    ),
+    "an address beyond loopback": (
+        errors.InsecureBind,
+        bound("--bind", "tcp://0.0.0.0:5570"),
+        ("tcp://0.0.0.0:5570", "keygen"),
+    ),
+    "an address that is none": (errors.BusError, bound("--bind", "tcp://127.0.0.1:99999"), ("tcp://127.0.0.1:99999",)),
+    "nobody who listens": (
+        errors.BusTimeout,
+        lambda w: ("--replay", w.good, "--bind", f"ipc://{w.folder}/bus", "--await-subscriber", "0.01"),
+        ("/bus",),
+    ),
+    "nobody who publishes": (
+        errors.BusTimeout,
+        lambda w: ("listen", f"ipc://{w.folder}/bus", "--timeout", "0.01"),
+        ("/bus",),
+    ),
+    "an unknown key": (
+        errors.ConfigError,
+        configured("[tracker]\nconfirm_frame = 3"),
+        ("touchd.toml", "did you mean tracker.confirm_frames?"),
+    ),
+    "a key out of range": (errors.ConfigError, configured("[gate]\nclose_ratio = 2"), ("gate.close_ratio", "2")),
+    "invalid TOML": (errors.ConfigError, configured("[gate\n"), ("not valid TOML", "line 1")),
+    "a missing configuration": (errors.ConfigError, bound("--config", "nowhere.toml"), ("nowhere.toml",)),
+    "a bind that is no address": (errors.ConfigError, bound("--bind", "loopback"), ("'loopback'", "tcp://")),
+    "a missing keypad": (
+        errors.ConfigError,
+        configured('[keypad]\nlayout = "nowhere.toml"'),
+        ("nowhere.toml", "keypad.layout"),
+    ),
+    "no source": (errors.SourceError, lambda _w: (), ("--replay",)),
+    "two sources": (errors.SourceError, bound("--simulate", "tap"), ("--simulate",)),
+    "an unknown scene": (errors.SimulationError, lambda _w: ("--simulate", "dance"), ("'dance'", "swipe")),
+    "an output that is there": (
+        errors.OutputError,
+        lambda w: ("simulate", "idle", "-o", w.file("there.npz", "precious")),
+        ("there.npz", "--force"),
+    ),
+    "a folder that is not there": (
+        errors.OutputError,
+        lambda w: ("record", "--replay", w.good, "-o", w.folder / "no" / "where.npz"),
+        ("/no: ",),
+    ),
+    "a recording without truth": (
+        errors.TrainingError,
+        lambda w: ("train", w.good, "-o", w.folder / "new.onnx"),
+        ("contacts_mm",),
+    ),
+    "truth asked of a recording without": (
+        errors.RecordingValues,
+        lambda w: ("evaluate", ROOT / "models/regression.onnx", w.good),
+        ("contacts_mm",),
+    ),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_failure_is_one_line_with_its_own_status(case: str, world: World) -> None:
+    error, arguments, words = CASES[case]
+    explained(touchd(*arguments(world)), error, *words)
+
+
+def test_an_address_in_use_is_named(world: World, taken: str) -> None:
+    explained(touchd("--replay", world.good, "--bind", taken), errors.AddressInUse, taken)
+
+
+def test_a_wrong_variable_is_named_and_the_right_one_with_it(world: World) -> None:
+    ended = touchd("--replay", world.good, TOUCHD_TRACKER__CONFIRM_FRAME="3")
+    explained(ended, errors.ConfigError, "TOUCHD_TRACKER__CONFIRM_FRAME", "did you mean TOUCHD_TRACKER__CONFIRM_FRAMES")
+
+
+def test_all_that_is_wrong_in_a_configuration_is_said_at_once(world: World) -> None:
+    config = world.file("touchd.toml", "[tracker]\nreach = 3\n[gate]\nnoise_frames = 1\n")
+    explained(touchd("--config", config), errors.ConfigError, "2 problems", "tracker.reach", "gate.noise_frames")
+
+
+def test_an_output_that_is_there_stays_as_it_was(world: World) -> None:
+    there = world.file("there.npz", "precious")
+    for arguments in (
+        ("record", "--replay", world.good, "-o", there),
+        ("train", world.good, "-o", there),
+        ("simulate", "idle", "-o", there),
+    ):
+        assert touchd(*arguments).code == errors.OutputError.exit_code
+        assert there.read_bytes() == b"precious"
+
+
+@pytest.mark.parametrize("how", ["--debug", "TOUCHD_DEBUG"])
+def test_with_debug_the_traceback_comes_before_the_line(how: str, world: World) -> None:
+    options = ["--debug"] if how == "--debug" else []
+    variables: dict[str, Any] = {} if options else {how: "1"}
+    ended = touchd("--replay", world.folder / "nowhere.npz", *options, **variables)
+    assert ended.code == errors.RecordingMissing.exit_code
+    assert "Traceback (most recent call last)" in ended.err
+    assert ended.err.splitlines()[-1].startswith(f"touchd: {world.folder}/nowhere.npz: ")
+
+
+@pytest.mark.parametrize(
+    ("verb", "package"), [("train", "torch"), ("train", "rich"), ("train", "scipy"), ("draw", "matplotlib")]
+)
+def test_a_verb_whose_packages_are_missing_says_what_to_install(verb: str, package: str, world: World) -> None:
+    arguments = {
+        "train": ["train", world.good, "-o", world.folder / "new.onnx"],
+        "draw": ["draw", world.good, "-o", world.folder / "new.png"],
+    }[verb]
+    program = (
+        "import sys, importlib.abc\n"
+        "class Absent(importlib.abc.MetaPathFinder):\n"
+        "    def find_spec(self, name, path, target=None):\n"
+        f"        if name.partition('.')[0] == {package!r}:\n"
+        "            raise ModuleNotFoundError(f'No module named {name!r}', name=name)\n"
+        "sys.meta_path.insert(0, Absent())\n"
+        "from touchd.cli import main\n"
+        "sys.exit(main(sys.argv[1:]))\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program, *map(str, arguments)],
+        capture_output=True, text=True, timeout=PATIENCE_S, cwd=ROOT, env=environment(),
+    )  # fmt: skip
+    explained(
+        Ended(done.returncode, done.stdout, done.stderr), errors.MissingExtra, package, "pip install 'touchd[train]'"
+    )
+    assert not list(world.folder.iterdir())
+
+
+def all_errors(of: type[TouchdError] = TouchdError) -> Iterator[type[TouchdError]]:
+    for error in of.__subclasses__():
+        yield error
+        yield from all_errors(error)
+
+
+def test_every_error_has_a_status_of_its_own() -> None:
+    codes = [TouchdError.exit_code, *(error.exit_code for error in all_errors())]
+    assert len(codes) == len(set(codes))
+    # 0 is success, 2 wrong use, 126 and above the shell's.
+    assert all(code not in (0, 2) and code < 126 for code in codes)
+
+
+def test_the_tree_at_the_top_of_errors_is_the_tree() -> None:
+    drawn = dict(re.findall(r"── (\w+) +(\d+) ", errors.__doc__ or ""))
+    assert drawn == {error.__name__: str(error.exit_code) for error in all_errors()}
+
+
+@pytest.mark.parametrize("debug", [False, True])
+def test_what_nobody_foresaw_is_called_an_internal_error(
+    debug: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(**_options: Any) -> None:
+        raise ZeroDivisionError("by accident")
+
+    monkeypatch.delenv("TOUCHD_DEBUG", raising=False)
+    monkeypatch.setattr(cli.touchd, "callback", fail)
+    monkeypatch.setattr(cli.touchd, "invoke", lambda _context: fail())
+    assert main(["--debug"] if debug else []) == 1
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[-1].startswith("touchd: internal error: ZeroDivisionError('by accident') -> ")
+    assert ("Traceback (most recent call last):" in lines) == debug
+    assert debug or len(lines) == 1
+
+
+def test_wrong_use_is_status_2_and_shows_how() -> None:
+    ended = touchd("--sped", "max")
+    assert ended.code == 2
+    assert ended.out == ""
+    assert "--speed" in ended.err
+    assert "Traceback" not in ended.err
+
+
+@pytest.mark.parametrize("speed", ["0", "-1", "nan", "inf", "fast"])
+def test_an_impossible_speed_is_wrong_use(speed: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--speed", speed, "--replay", "nowhere.npz"]) == 2
+    assert "a number above 0, or max" in capsys.readouterr().err
+
+
+def test_a_reader_that_has_had_enough_is_no_failure() -> None:
+    process = subprocess.Popen(
+        f"{sys.executable} -m touchd config --default | head -n 1",
+        shell=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT, env=environment(),
+    )  # fmt: skip
+    out, err = process.communicate(timeout=PATIENCE_S)
+    assert len(out.splitlines()) == 1
+    assert err == ""
+
+
+def test_the_help_names_every_verb_and_imports_none() -> None:
+    program = (
+        "import json, sys\n"
+        "from touchd.cli import main\n"
+        "main(['--help'])\n"
+        "print(json.dumps([name for name in sys.modules if name.startswith('touchd.verbs.')]))\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=PATIENCE_S, cwd=ROOT, env=environment()
+    )
+    *lines, imported = done.stdout.splitlines()
+    assert json.loads(imported) == []
+    named = {line.split()[0] for line in lines if line.startswith("  ") and line.split()}
+    assert set(VERBS) <= named
+
+
+@pytest.mark.parametrize("verb", sorted(VERBS))
+def test_every_verb_has_a_help_and_its_line_in_the_list_is_true(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([verb, "--help"]) == 0
+    assert capsys.readouterr().out.startswith(f"Usage: touchd {verb} ")
