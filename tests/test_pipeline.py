@@ -184,17 +184,19 @@ def test_with_the_gate_closed_neither_features_nor_network_run(
     for frame in frames_of(scene("tap")):
         calls.clear()
         pipeline.process(frame)
-        if pipeline.gate.is_open:
-            opened += 1
-            assert calls["extract"] == 1
-            assert 1 <= calls["infer"] <= 2
-        else:
+        if not pipeline.gate.is_open:
             closed += 1
             assert not calls
+        elif pipeline.counters.inferred > opened:
+            opened += 1
+            assert calls["extract"] == 1
+            assert 1 <= calls["infer"] <= 2, "the second for its negative: is it a finger that has gone?"
+        else:
+            assert not calls, "too faint to be looked at"
     assert opened > 100
     assert closed > 100
     assert pipeline.counters.inferred == opened
-    assert sum(pipeline.counters.skipped.values()) == closed
+    assert pipeline.counters.skipped["learning"] + pipeline.counters.skipped["gate"] == closed
 
 
 def test_an_idle_plate_says_nothing(scene: Scene, make: Callable[..., Pipeline]) -> None:
