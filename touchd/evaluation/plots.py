@@ -40,6 +40,7 @@ def draw_session(recording: Recording, events: list[TouchEvent], path: Path) -> 
         colour = COLOURS[number % len(COLOURS)]
         place_mm = np.asarray(contact.position_mm)
         plate_axes.plot(*place_mm.T, color=colour, lw=1.2, marker="o", ms=2.5, label=f"contact {number + 1}")
+        plate_axes.plot(*place_mm[0], color=colour, marker="o", ms=6)  # where it went down; a tap is hardly more
         when = [seconds[frame] for frame in contact.frames]
         for axes, values in zip((x_axes, y_axes), place_mm.T, strict=True):
             axes.plot(when, values, color=colour, lw=1.2, marker="o", ms=2.5)
