@@ -90,7 +90,7 @@ def test_whatever_it_is_fed_a_model_answers_with_a_place_on_the_plate(regression
     assert 0 <= estimate.confidence <= 1
 
 
-def test_a_louder_touch_is_at_the_same_place(regression: Model) -> None:
+def test_a_louder_touch_is_at_the_same_place() -> None:
     """Normalisation lives inside the graph: what is given are plain residuals."""
     features = np.random.default_rng(3).standard_normal(392).astype(np.float32)
     network = Regression(392, (200.0, 150.0)).eval()
