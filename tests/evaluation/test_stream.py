@@ -107,3 +107,33 @@ def test_the_place_where_a_contact_ended_is_no_position_of_a_finger() -> None:
     (found,) = found_contacts(contact(7, 12, 15, 50, 60))
     assert found.frames == [FIRST + 12, FIRST + 13, FIRST + 14]
     assert (found.downs, found.ups) == (1, 1)
+
+
+def test_down_latency_is_the_time_from_the_touchs_first_frame_to_the_first_message() -> None:
+    scores = score_stream(TWO, contact(1, 12, 30, 50, 60) + contact(2, 56, 70, 150, 100))
+    assert scores.down_latency_ms == pytest.approx((16 + 48) / 2)
+
+
+def test_jitter_is_the_scatter_of_a_still_finger_and_no_constant_error() -> None:
+    still = truth([(0, 100, 50, 60)])
+    events = [message(frame, (1, "move", 57 + (-1) ** frame, 60)) for frame in range(50)]
+    scores = score_stream(still, events)
+    assert scores.jitter_mm == pytest.approx(1.0)
+    assert not scores.moving.any()
+
+
+def test_a_moving_finger_has_an_error_but_no_jitter() -> None:
+    stroke = truth([(0, 100, 50, 60)])
+    assert stroke.contacts_mm is not None
+    stroke.contacts_mm[:, 0, 0] = np.linspace(20, 180, 100)
+    events = [message(frame, (1, "move", 20 + frame * 160 / 99, 62)) for frame in range(100)]
+    scores = score_stream(stroke, events)
+    assert scores.moving.all()
+    assert scores.jitter_mm is None
+    np.testing.assert_allclose(scores.error_mm, [[0, 2]] * 100, atol=1e-4)
+
+
+def test_without_a_contact_there_is_neither_latency_nor_jitter() -> None:
+    scores = score_stream(TWO, [])
+    assert scores.down_latency_ms is None
+    assert scores.jitter_mm is None

@@ -15,12 +15,18 @@ NEAR_MM = 25.0
 """A contact farther than this from a touch is not that touch."""
 SLACK_FRAMES = 10
 """A contact may end so many frames after its touch: release and filter take their time."""
+STILL_MM_S = 5.0
+"""A finger slower than this is still; a faster one moves."""
 
 
 @dataclass(frozen=True, slots=True)
 class TrueTouch:
     """One touch of the truth: a run of frames of one finger."""
 
+    start_s: float
+    """Time of its first frame."""
+    moving: NDArray[np.bool_]
+    """Whether the finger moves in each frame, shape (n,)."""
     frames: NDArray[np.int64]
     """Sequence numbers, shape (n,)."""
     position_mm: NDArray[np.float32]
@@ -53,6 +59,12 @@ class StreamScores:
     """Whether each contact has exactly one down and one up."""
     error_mm: NDArray[np.float64]
     """Position less truth for each contact of each message, shape (n, 2)."""
+    moving: NDArray[np.bool_]
+    """Whether the finger was moving, for each error, shape (n,)."""
+    jitter_mm: float | None
+    """RMS distance of a still finger's positions from their own mean, over all touches."""
+    down_latency_ms: float | None
+    """Median time from a touch's first frame to that of its contact's first message."""
 
 
 def true_touches(recording: Recording) -> list[TrueTouch]:
@@ -63,9 +75,12 @@ def true_touches(recording: Recording) -> list[TrueTouch]:
     for finger in range(recording.contacts_mm.shape[1]):
         position_mm = recording.contacts_mm[:, finger]
         down = np.isfinite(position_mm[:, 0])
+        moving = _moving(position_mm, recording.timestamp_ns)
         edges = np.flatnonzero(np.diff(np.concatenate([[False], down, [False]])))
         for first, after in edges.reshape(-1, 2):
-            touches.append(TrueTouch(recording.sequence[first:after], position_mm[first:after]))
+            run = slice(first, after)
+            start_s = float(recording.timestamp_ns[first]) * 1e-9
+            touches.append(TrueTouch(start_s, moving[run], recording.sequence[run], position_mm[run]))
     return sorted(touches, key=lambda touch: int(touch.frames[0]))
 
 
@@ -86,28 +101,33 @@ def found_contacts(events: Iterable[TouchEvent]) -> list[FoundContact]:
 def score_stream(recording: Recording, events: Iterable[TouchEvent]) -> StreamScores:
     """Match the contacts of a replay's touch messages with the recording's truth."""
     touches, contacts = true_touches(recording), found_contacts(events)
-    owners: list[list[int]] = [[] for _ in touches]
+    seconds = dict(zip(recording.sequence.tolist(), (recording.timestamp_ns * 1e-9).tolist(), strict=True))
+    owners: list[list[FoundContact]] = [[] for _ in touches]
     ghosts = 0
-    errors_mm: list[NDArray[np.float64]] = []
-    for number, contact in enumerate(contacts):
-        matches = [
-            (i, distance) for i, touch in enumerate(touches) if (distance := _apart_mm(contact, touch)) is not None
-        ]
-        if not matches:
+    for contact in contacts:
+        apart = [_apart_mm(contact, touch) for touch in touches]
+        matches = [(distance_mm, i) for i, distance_mm in enumerate(apart) if distance_mm is not None]
+        if matches:
+            owners[min(matches)[1]].append(contact)
+        else:
             ghosts += 1
-            continue
-        owner = min(matches, key=lambda match: match[1])[0]
-        owners[owner].append(number)
-        errors_mm.append(_errors_mm(contact, touches[owner]))
-    found = sum(bool(owned) for owned in owners)
+    pairs = [(contact, touch) for touch, owned in zip(touches, owners, strict=True) for contact in owned]
+    together = [_together(contact, touch) for contact, touch in pairs]
+    firsts = [(owned[0], touch) for touch, owned in zip(touches, owners, strict=True) if owned]
+    latency_ms = [1e3 * (seconds[contact.frames[0]] - touch.start_s) for contact, touch in firsts]
+    wander_mm = [_wander_mm(contact, touch) for contact, touch in pairs]
+    square_mm = np.concatenate([np.square(w).sum(axis=1) for w in wander_mm]) if wander_mm else np.empty(0)
     return StreamScores(
         touches=len(touches),
-        found=found,
-        missed=len(touches) - found,
+        found=len(firsts),
+        missed=len(touches) - len(firsts),
         ghosts=ghosts,
-        split=sum(len(owned) - 1 for owned in owners if owned),
+        split=len(pairs) - len(firsts),
         clean=all(contact.downs == 1 and contact.ups == 1 for contact in contacts),
-        error_mm=np.concatenate(errors_mm) if errors_mm else np.empty((0, 2)),
+        error_mm=np.concatenate([error_mm for error_mm, _ in together]) if together else np.empty((0, 2)),
+        moving=np.concatenate([moving for _, moving in together]) if together else np.empty(0, bool),
+        jitter_mm=float(np.sqrt(square_mm.mean())) if len(square_mm) else None,
+        down_latency_ms=float(np.median(latency_ms)) if latency_ms else None,
     )
 
 
@@ -115,14 +135,33 @@ def _apart_mm(contact: FoundContact, touch: TrueTouch) -> float | None:
     """Return the median distance while both are down, or None if they are not the same touch."""
     if not contact.frames or not touch.frames[0] <= contact.frames[0] <= touch.frames[-1] + SLACK_FRAMES:
         return None
-    errors_mm = _errors_mm(contact, touch)
-    if not len(errors_mm):
+    error_mm, _ = _together(contact, touch)
+    if not len(error_mm):
         return None
-    distance_mm = float(np.median(np.linalg.norm(errors_mm, axis=1)))
+    distance_mm = float(np.median(np.linalg.norm(error_mm, axis=1)))
     return distance_mm if distance_mm <= NEAR_MM else None
 
 
-def _errors_mm(contact: FoundContact, touch: TrueTouch) -> NDArray[np.float64]:
-    """Return position less truth in the frames in which both are down, shape (n, 2)."""
+def _together(contact: FoundContact, touch: TrueTouch) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Return position less truth in the frames in which both are down, (n, 2), and whether the finger moved, (n,)."""
     _, mine, its = np.intersect1d(contact.frames, touch.frames, assume_unique=True, return_indices=True)
-    return np.asarray(contact.position_mm, float).reshape(-1, 2)[mine] - touch.position_mm[its]
+    place_mm = np.asarray(contact.position_mm, float).reshape(-1, 2)[mine]
+    return place_mm - touch.position_mm[its], touch.moving[its]
+
+
+def _wander_mm(contact: FoundContact, touch: TrueTouch) -> NDArray[np.float64]:
+    """Return a still finger's errors less their mean, shape (n, 2): what is seen of it is jitter."""
+    error_mm, moving = _together(contact, touch)
+    still_mm = error_mm[~moving]
+    return still_mm - still_mm.mean(axis=0) if len(still_mm) else still_mm
+
+
+def _moving(position_mm: NDArray[np.float32], timestamp_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Return in which frames a finger is faster than `STILL_MM_S`, shape (n,)."""
+    moving = np.zeros(len(position_mm), bool)
+    if len(position_mm) > 1:
+        speed_mm_s = np.linalg.norm(np.diff(position_mm, axis=0), axis=1) / (np.diff(timestamp_ns) * 1e-9)
+        fast = np.nan_to_num(speed_mm_s) > STILL_MM_S
+        moving[1:] |= fast
+        moving[:-1] |= fast
+    return moving

@@ -28,10 +28,12 @@ STREAM_HZ = 20.0
 @click.argument("recording", type=click.Path(path_type=Path))
 @click.option("--json", "as_json", is_flag=True, help="Print the scores as one JSON object.")
 def command(model: Path, recording: Path, as_json: bool) -> None:
-    """Score MODEL on RECORDING, which must hold the truth (`contacts_mm`).
+    """Score MODEL on RECORDING, which must hold the truth.
 
     A recording of 20 frames a second or more is replayed through the whole pipeline: its touches are found, missed,
-    invented or split. In a slower one each touch is judged on its own frame, against the untouched frames beside it.
+    invented (ghosts) or split, down_latency_ms is the median time from a touch's first frame to its first message, and
+    jitter_mm is how far the positions of a still finger scatter. In a slower recording each touch is judged on its own
+    frame, against the untouched frames beside it.
     """
     truth = read(recording)
     if truth.contacts_mm is None:
@@ -59,6 +61,9 @@ def _score_replay(path: Path, truth: Recording, settings: Settings) -> dict[str,
         "missed": result.missed,
         "ghosts": result.ghosts,
         "split": result.split,
+        "down_latency_ms": result.down_latency_ms,
+        "jitter_mm": result.jitter_mm,
+        "moving_rmse_mm": _positions(result.error_mm[result.moving])["rmse_mm"],
     }
 
 
