@@ -6,6 +6,7 @@ import json
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -66,6 +67,26 @@ def test_a_signal_lifts_the_finger_says_that_it_stops_and_ends_with_status_0(
     assert [c.phase for c in touches[-1].contacts] == ["up"]
     assert isinstance(heard[-1], HealthEvent)
     assert heard[-1].state == "stopping"
+
+
+def test_a_signal_ends_it_also_while_it_waits_for_a_subscriber(tmp_path: Path) -> None:
+    address = f"ipc://{tmp_path}/bus"
+    options = ("--replay", SESSION, "--bind", address, "--await-subscriber", 10 * PATIENCE_S)
+    with started(*options, "--print") as daemon:
+        until = time.monotonic() + PATIENCE_S
+        # It handles signals, and is inside the wait or about to be.
+        while not handles_sigterm(daemon.pid) and time.monotonic() < until:
+            time.sleep(0.01)
+        daemon.terminate()
+        ended = end(daemon)
+    assert ended.code == 0
+    assert [message["state"] for message in ended.messages] == ["starting", "stopping"]
+
+
+def handles_sigterm(pid: int) -> bool:
+    status = Path(f"/proc/{pid}/status").read_text()
+    caught = int(status.partition("SigCgt:")[2].split()[0], 16)
+    return bool(caught >> (signal.SIGTERM - 1) & 1)
 
 
 def until_stopping(events: Subscriber[Any]) -> list[Any]:

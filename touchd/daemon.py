@@ -115,7 +115,7 @@ def run(settings: Settings, choice: SourceChoice, *, echo: bool = False, await_s
         service = Service(source, pipeline, sinks, messages, settings.health, model.description.name)
         stop_on_signals(service)
         if await_subscriber_s:
-            bus.wait_for_subscriber(await_subscriber_s)
+            bus.wait_for_subscriber(await_subscriber_s, stopped=lambda: service.stopped)
         service.run()
     finally:
         source.close()

@@ -58,6 +58,11 @@ class Service:
         """Have `run` end after the frame in hand; safe to call from a signal handler."""
         self._stop = True
 
+    @property
+    def stopped(self) -> bool:
+        """Whether `stop` was called."""
+        return self._stop
+
     def run(self) -> None:
         """Pass frames on until the source ends or `stop` is called; contacts are lifted, sinks flushed."""
         log.info("starting", model=self._model_name, version=__version__)

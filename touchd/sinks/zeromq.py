@@ -24,6 +24,7 @@ log = structlog.get_logger()
 _LINGER_MS = 1000
 _MOST_PER_POLL = 64  # subscription messages taken in at once: a flood of them must not hold up a frame
 _MOST_RECEIVED_BYTES = 4096  # subscriptions and handshakes
+_LOOK_S = 0.1  # how long a wait goes on at most once it shall end
 # Plain integers: an operation on zmq's flags makes an object, and takes longer than the call it is for.
 _EVENTS, _POLLIN = int(zmq.EVENTS), int(zmq.POLLIN)
 _MORE, _NOBLOCK = int(zmq.SNDMORE | zmq.NOBLOCK), int(zmq.NOBLOCK)
@@ -124,8 +125,12 @@ class ZeromqSink:
         for topic in sorted(new & self._last.keys() & self._wanted):
             self._send_last(topic)
 
-    def wait_for_subscriber(self, timeout_s: float, topic: str = "touch") -> None:
-        """Return once somebody is subscribed to the topic: for scripts that publish at full speed.
+    def wait_for_subscriber(
+        self, timeout_s: float, topic: str = "touch", stopped: Callable[[], bool] = lambda: False
+    ) -> None:
+        """Return once somebody is subscribed to the topic, or nobody shall wait any more.
+
+        For scripts that publish at full speed.
 
         Raises
         ------
@@ -134,7 +139,7 @@ class ZeromqSink:
         """
         deadline_s = time.monotonic() + timeout_s
         self.poll()
-        while not self.wants(topic):
+        while not self.wants(topic) and not stopped():
             left_s = deadline_s - time.monotonic()
             if left_s <= 0:
                 raise BusTimeout(
@@ -142,7 +147,7 @@ class ZeromqSink:
                     ", ".join(self.addresses),
                     "start the subscriber, and check its address and keys",
                 )
-            self._socket.poll(int(left_s * 1000) + 1)
+            self._socket.poll(int(min(left_s, _LOOK_S) * 1000) + 1)
             self.poll()
 
     def close(self) -> None:
