@@ -16,7 +16,8 @@ from touchd.model import Model
 from touchd.recording import Recording
 from touchd.training.dataset import Dataset, digest
 from touchd.training.network import Regression
-from touchd.training.train import SPREAD_BINS, Result, train_regression
+from touchd.training.task import SPREAD_BINS
+from touchd.training.train import Result, train
 
 NETWORK = Regression(8, (200.0, 100.0), (4,))
 HALF = st.floats(-0.5, 0.5, width=32)
@@ -62,7 +63,7 @@ def few(touches: Recording) -> Recording:
 
 @pytest.fixture(scope="module")
 def trained(few: Recording, tmp_path_factory: pytest.TempPathFactory) -> Result:
-    return train_regression(few, tmp_path_factory.mktemp("model") / "a.onnx", seed=4, epochs=2, command="as a test")
+    return train(few, tmp_path_factory.mktemp("model") / "a.onnx", seed=4, epochs=2, command="as a test")
 
 
 def test_what_is_trained_is_written_as_a_model_that_knows_where_it_comes_from(trained: Result, few: Recording) -> None:
@@ -77,7 +78,7 @@ def test_what_is_trained_is_written_as_a_model_that_knows_where_it_comes_from(tr
 
 
 def test_the_same_seed_gives_the_same_model(trained: Result, few: Recording, dataset: Dataset, tmp_path: Path) -> None:
-    again = train_regression(few, tmp_path / "a.onnx", seed=4, epochs=2, command="as a test")
+    again = train(few, tmp_path / "a.onnx", seed=4, epochs=2, command="as a test")
     assert again.scores == trained.scores
     for one, two in zip(
         trained.model.run(dataset.residual).values(), again.model.run(dataset.residual).values(), strict=True
@@ -87,14 +88,14 @@ def test_the_same_seed_gives_the_same_model(trained: Result, few: Recording, dat
 
 
 def test_another_seed_gives_another_model(trained: Result, few: Recording, dataset: Dataset, tmp_path: Path) -> None:
-    other = train_regression(few, tmp_path / "a.onnx", seed=5, epochs=1)
+    other = train(few, tmp_path / "a.onnx", seed=5, epochs=1)
     one, two = (m.run(dataset.residual)["position_mm"] for m in (trained.model, other.model))
     assert not np.array_equal(one, two)
 
 
 def test_progress_counts_up_to_the_end(few: Recording, tmp_path: Path) -> None:
     told: list[tuple[str, int, int]] = []
-    train_regression(
+    train(
         few,
         tmp_path / "a.onnx",
         epochs=1,
@@ -107,5 +108,5 @@ def test_progress_counts_up_to_the_end(few: Recording, tmp_path: Path) -> None:
 
 def test_what_cannot_be_learned_from_leaves_no_file(few: Recording, tmp_path: Path) -> None:
     with pytest.raises(TrainingError):
-        train_regression(replace(few, contacts_mm=None), tmp_path / "a.onnx")
+        train(replace(few, contacts_mm=None), tmp_path / "a.onnx")
     assert list(tmp_path.iterdir()) == []

@@ -27,6 +27,8 @@ class Dataset:
     domain: Domain
     residual: Array
     """Features of touched less untouched, shape (n, inputs): bit for bit what the daemon would compute."""
+    signal: Array
+    """Features of the touched frame itself, shape (n, inputs): the paper's input."""
     untouched: Array
     """Features of the untouched plate beside each touch, shape (n, inputs)."""
     stretch: Array
@@ -81,13 +83,14 @@ def make_dataset(recording: Recording, domain: Domain = "frequency") -> Dataset:
     acquisition = recording.acquisition
     features = make_features(domain, acquisition)
     residual = np.empty((len(touched), features.size), np.float32)
-    plain, stretch, delay = (np.empty_like(residual) for _ in range(3))
+    signal, plain, stretch, delay = (np.empty_like(residual) for _ in range(4))
     seconds = np.arange(acquisition.samples) / acquisition.sample_rate_hz
     for i, frame in enumerate(touched):
         # Two untouched frames, one on each side: half the noise, and a steady drift cancels.
         pair = recording.frames[[untouched[before[i]], untouched[after[i]]]]
         baseline = pair.mean(axis=0, dtype=np.float32)
         features.extract(residual_of(recording.frames[frame], baseline), residual[i])
+        features.extract(recording.frames[frame].astype(np.float32), signal[i])
         features.extract(baseline, plain[i])
         slope = _derivative(baseline, acquisition.sample_rate_hz)
         features.extract((slope * seconds).astype(np.float32), stretch[i])
@@ -97,6 +100,7 @@ def make_dataset(recording: Recording, domain: Domain = "frequency") -> Dataset:
         acquisition=acquisition,
         domain=domain,
         residual=residual,
+        signal=signal,
         untouched=plain,
         stretch=stretch,
         delay=delay,

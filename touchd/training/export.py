@@ -53,7 +53,9 @@ def fold(network: Network) -> Network:
     """
     folded = copy.deepcopy(network).eval()
     stages = folded.trunk
-    for i in range(len(stages) - 1):
+    # Plain spectra lie far from zero for what they vary: the mean has to go before the product, or digits do.
+    plain = getattr(folded, "normalise", None) is None
+    for i in range(int(plain), len(stages) - 1):
         norm, linear = stages[i], stages[i + 1]
         if isinstance(norm, nn.BatchNorm1d) and isinstance(linear, nn.Linear):
             _fold_into(linear, norm)

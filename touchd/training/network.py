@@ -8,10 +8,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-TRUNK = (400, 300, 200, 100)
-"""Widths of the paper's regression and grid networks."""
-KEYPAD_TRUNK = (100, 50)
-"""Widths of the paper's keypad network."""
+from touchd.training.recipe import TRUNK
 
 
 class Normalise(nn.Module):
@@ -117,6 +114,46 @@ class Regression(nn.Module):
         return share / share.sum(dim=2, keepdim=True)
 
 
+class PlainRegression(nn.Module):
+    """The paper's regression network: features in, x and y out, trained on the squared error alone.
+
+    It knows neither how sure it is nor what is no finger; so its sigma is one number, set after training,
+    and its confidence is always 1.
+    """
+
+    size_mm: Tensor
+    sigma_mm: Tensor
+
+    def __init__(
+        self,
+        inputs: int,
+        size_mm: tuple[float, float],
+        widths: tuple[int, ...] = TRUNK,
+        dropout: float = 0.3,
+    ) -> None:
+        super().__init__()
+        self.trunk = trunk(inputs, widths, dropout)
+        self.last: nn.Module = nn.BatchNorm1d(widths[-1])
+        self.head = nn.Linear(widths[-1], 2)
+        self.register_buffer("size_mm", torch.tensor(size_mm))
+        self.register_buffer("sigma_mm", torch.ones(1, 1))
+
+    def heads(self) -> tuple[nn.Linear, ...]:
+        """Return the layer that `last` feeds."""
+        return (self.head,)
+
+    def raw(self, features: Tensor) -> Tensor:
+        """Return the position in plate sizes from the centre, shape (n, 2)."""
+        position: Tensor = self.head(self.last(self.trunk(features)))
+        return position
+
+    def forward(self, features: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Return position in mm (n, 2), sigma in mm (n, 1), and confidence (n, 1)."""
+        position = self.raw(features)
+        same = torch.zeros_like(position[:, :1])
+        return (position.clamp(-0.5, 0.5) + 0.5) * self.size_mm, same + self.sigma_mm, same + 1.0
+
+
 class Classifier(nn.Module):
     """Probabilities of zones or keys: the paper's grid and keypad heads.
 
@@ -124,11 +161,20 @@ class Classifier(nn.Module):
     ----------
     classes : int
         N^2 zones, row by row, or the keys and the zone beside them.
+    normalised : bool
+        Whether only the direction of the features counts; the paper takes them as they are.
     """
 
-    def __init__(self, inputs: int, classes: int, widths: tuple[int, ...] = TRUNK, dropout: float = 0.0) -> None:
+    def __init__(
+        self,
+        inputs: int,
+        classes: int,
+        widths: tuple[int, ...] = TRUNK,
+        dropout: float = 0.0,
+        normalised: bool = True,
+    ) -> None:
         super().__init__()
-        self.normalise = Normalise()
+        self.normalise = Normalise() if normalised else None
         self.trunk = trunk(inputs, widths, dropout)
         self.last: nn.Module = nn.BatchNorm1d(widths[-1])
         self.head = nn.Linear(widths[-1], classes)
@@ -139,8 +185,9 @@ class Classifier(nn.Module):
 
     def raw(self, features: Tensor) -> Tensor:
         """Return logits of shape (n, classes)."""
-        direction, _ = self.normalise(features)
-        logits: Tensor = self.head(self.last(self.trunk(direction)))
+        if self.normalise is not None:
+            features, _ = self.normalise(features)
+        logits: Tensor = self.head(self.last(self.trunk(features)))
         return logits
 
     def forward(self, features: Tensor) -> Tensor:
@@ -148,4 +195,9 @@ class Classifier(nn.Module):
         return self.raw(features).softmax(dim=1)
 
 
-Network = Regression | Classifier
+Network = Regression | PlainRegression | Classifier
+
+
+def multiply_adds(network: Network) -> int:
+    """Return the multiply-adds of one inference: those of the linear layers."""
+    return sum(layer.weight.numel() for layer in network.modules() if isinstance(layer, nn.Linear))

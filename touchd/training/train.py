@@ -1,38 +1,49 @@
-"""Train the regression network on a labelled recording. Reads from top to bottom."""
+"""Train a model on a labelled recording, by a recipe. Reads from top to bottom."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import copy
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
-from torch import Tensor, nn
+from torch import Tensor
 
-from touchd.evaluation.metrics import position_scores
+from touchd.errors import SimulationError
+from touchd.keypad import Layout
 from touchd.model import Description, Model
 from touchd.recording import Recording
 from touchd.training.augment import Augmenter, make_bank
 from touchd.training.dataset import Dataset, Split, make_dataset, split
 from touchd.training.export import check, export
 from touchd.training.field import learn_field
-from touchd.training.network import Regression
+from touchd.training.network import PlainRegression
+from touchd.training.recipe import RECIPES, Recipe
 from touchd.training.synthetic import Synthesiser
+from touchd.training.task import Task, make_task
 
 BATCH = 512  # fingers a step
 SYNTHETIC = 0.8  # of them, the share drawn from the learned field; the others are the recorded touches
 OTHERS = 384  # and things that are no finger
 LEARNING_RATE = 3e-3  # the peak of a one-cycle schedule with AdamW
 WEIGHT_DECAY = 0.01
-SPREAD_BINS = 0.75  # of the target histograms: the HL-Gauss paper's choice
-WITHIN_SIGMA = 0.683  # of the errors of either axis: what a standard error means for Gaussian ones
-FINGER_SHARE = 0.5  # weight of the finger-or-not cross-entropy
-EXPORT_TOLERANCE_MM = 1e-3  # float32 on two runtimes, summed in different orders
+PAPER_BATCH = 64
+PAPER_LEARNING_RATE = 1e-3  # Adam's usual one; the paper names neither
+EXPORT_TOLERANCE = 1e-3  # mm or probability: float32 on two runtimes, summed in different orders
 
 Progress = Callable[[str, int, int, float], None]
 """Told of each step: what is done, steps done, steps in all, validation RMSE in mm (NaN before the first)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Batches:
+    """What a network is shown in an epoch."""
+
+    steps: int
+    epoch: Callable[[], Iterator[tuple[Tensor, Tensor]]]
+    """Yields features, and the positions of their first rows in plate sizes from the centre."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,18 +54,23 @@ class Result:
     scores: dict[str, float]
     curve_mm: list[float]
     """Validation RMSE after each epoch."""
+    notes: list[str]
+    """What the user should know, such as that the field could not be learned."""
 
 
-def train_regression(
+def train(
     recording: Recording,
     path: Path,
+    recipe: Recipe = RECIPES["best"],
     *,
+    grid: int = 10,
+    layout: Layout | None = None,
     seed: int = 0,
-    epochs: int = 300,
+    epochs: int | None = None,
     command: str = "",
     progress: Progress = lambda _what, _done, _all, _rmse_mm: None,
 ) -> Result:
-    """Train the paper's regression trunk on normalised residuals and write it as an ONNX file.
+    """Train a model by a recipe and write it as an ONNX file.
 
     The same recording, seed and number of threads give the same network.
 
@@ -64,92 +80,132 @@ def train_regression(
     """
     torch.manual_seed(seed)
     generator = torch.Generator().manual_seed(seed)
-    data = make_dataset(recording)
+    data = make_dataset(recording, recipe.domain)
     parts = split(len(data), seed)
-    field = learn_field(data, parts.train, lambda done, all_: progress("field", done, all_, float("nan")))
     plate = recording.meta.plate
-    size_mm = (plate.width_mm, plate.height_mm)
-    network = Regression(data.residual.shape[1], size_mm)
-    curve_mm = _fit(network, data, parts, Synthesiser(field, size_mm, generator), generator, epochs, progress)
+    features = data.signal if recipe.paper else data.residual
+    task = make_task(recipe, features.shape[1], plate, grid, layout)
+    notes: list[str] = []
+    if recipe.paper:
+        batches = _paper_batches(data, parts, generator)
+        optimiser = torch.optim.Adam(task.network.parameters(), lr=PAPER_LEARNING_RATE)
+    else:
+        synthesiser = _synthesiser(data, parts, generator, progress, notes)
+        batches = _augmented_batches(data, parts, synthesiser, generator, others=task.wants_others)
+        optimiser = torch.optim.AdamW(task.network.parameters(), lr=LEARNING_RATE, weight_decay=WEIGHT_DECAY)
 
-    scores = _scores(network, data, parts.test)
+    def validate() -> float:
+        return task.scores(features[parts.validation], data.position_mm[parts.validation])["rmse_mm"]
+
+    curve_mm = _fit(task, batches, optimiser, epochs or recipe.epochs, validate, progress, cycle=not recipe.paper)
+    if isinstance(task.network, PlainRegression):
+        task.network.sigma_mm.fill_(validate() / np.sqrt(2))  # per axis
+
+    scores = task.scores(features[parts.test], data.position_mm[parts.test])
     description = Description(
-        name="regression",
-        head="regression",
-        domain=data.domain,
-        input="residual",
+        name=recipe.name,
+        head=recipe.head,
+        domain=recipe.domain,
+        input="signal" if recipe.paper else "residual",
         acquisition=data.acquisition,
         plate=plate,
         data_sha256=data.sha256,
         command=command,
         seed=seed,
         scores={name: round(value, 4) for name, value in scores.items()},
+        **task.description(),
     )
-    model = export(network, description, path)
-    check(network, model, data.residual[parts.test], EXPORT_TOLERANCE_MM)
-    return Result(model, scores, curve_mm)
+    model = export(task.network, description, path)
+    check(task.network, model, features[parts.test], EXPORT_TOLERANCE)
+    return Result(model, scores, curve_mm, notes)
 
 
-def _fit(
-    network: Regression,
-    data: Dataset,
-    parts: Split,
-    synthesiser: Synthesiser,
-    generator: torch.Generator,
-    epochs: int,
-    progress: Progress,
-) -> list[float]:
+def _synthesiser(
+    data: Dataset, parts: Split, generator: torch.Generator, progress: Progress, notes: list[str]
+) -> Synthesiser | None:
+    """Return the source of drawn touches, or None with a note where the field cannot be learned."""
+    if data.domain != "frequency":
+        notes.append("in the time domain no field is learned: trained on the recorded touches alone")
+        return None
+    try:
+        field = learn_field(data, parts.train, lambda done, all_: progress("field", done, all_, float("nan")))
+    except SimulationError as error:
+        notes.append(f"no field was learned ({error}): trained on the recorded touches alone, which costs accuracy")
+        return None
+    plate = data.meta.plate
+    return Synthesiser(field, (plate.width_mm, plate.height_mm), generator)
+
+
+def _augmented_batches(
+    data: Dataset, parts: Split, synthesiser: Synthesiser | None, generator: torch.Generator, *, others: bool
+) -> Batches:
+    """Return batches of drawn and recorded touches under all disturbances, and of what is no finger."""
     bank = make_bank(data, torch.from_numpy(parts.train), generator)
     augmenter = Augmenter(bank, synthesiser, generator)
     count = len(parts.train)
-    recorded = round(BATCH * (1 - SYNTHETIC))
-    steps = -(-count // BATCH) * 2
-    optimiser = torch.optim.AdamW(network.parameters(), lr=LEARNING_RATE, weight_decay=WEIGHT_DECAY)
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, LEARNING_RATE, total_steps=epochs * steps)
-    curve_mm: list[float] = []
-    for epoch in range(epochs):
-        network.train()
+    recorded = BATCH if synthesiser is None else round(BATCH * (1 - SYNTHETIC))
+    steps = 2 * -(-count // BATCH)
+
+    def epoch() -> Iterator[tuple[Tensor, Tensor]]:
         for _ in range(steps):
             some = torch.randint(count, (recorded,), generator=generator)
-            drawn, place = synthesiser.draw(BATCH - recorded)
-            fingers = augmenter.fingers(torch.cat([bank.residual[some], drawn]))
+            residual, position = bank.residual[some], bank.position[some]
+            if synthesiser is not None:
+                drawn, place = synthesiser.draw(BATCH - recorded)
+                residual, position = torch.cat([residual, drawn]), torch.cat([position, place])
+            fingers = augmenter.fingers(residual)
+            yield (torch.cat([fingers, augmenter.others(OTHERS)]) if others else fingers), position
+
+    return Batches(steps, epoch)
+
+
+def _paper_batches(data: Dataset, parts: Split, generator: torch.Generator) -> Batches:
+    """Return batches of the recorded touches, each once an epoch, as the paper has them."""
+    plate = data.meta.plate
+    size_mm = torch.tensor([plate.width_mm, plate.height_mm])
+    features = torch.from_numpy(data.signal[parts.train])
+    position = torch.from_numpy(data.position_mm[parts.train]) / size_mm - 0.5
+
+    steps = len(features) // PAPER_BATCH  # the few that are left over wait for another epoch
+
+    def epoch() -> Iterator[tuple[Tensor, Tensor]]:
+        order = torch.randperm(len(features), generator=generator)
+        for some in torch.split(order[: steps * PAPER_BATCH], PAPER_BATCH):
+            yield features[some], position[some]
+
+    return Batches(steps, epoch)
+
+
+def _fit(
+    task: Task,
+    batches: Batches,
+    optimiser: torch.optim.Optimizer,
+    epochs: int,
+    validate: Callable[[], float],
+    progress: Progress,
+    *,
+    cycle: bool,
+) -> list[float]:
+    """Train and return the validation RMSE after each epoch. Without a cycle the best epoch's weights are kept."""
+    schedule = None
+    if cycle:
+        total = epochs * batches.steps
+        schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, LEARNING_RATE, total_steps=total)
+    curve_mm: list[float] = []
+    best: dict[str, Tensor] = {}
+    for epoch in range(epochs):
+        task.network.train()
+        for features, position in batches.epoch():
             optimiser.zero_grad()
-            loss = _loss(network, fingers, augmenter.others(OTHERS), torch.cat([bank.position[some], place]))
+            loss = task.loss(features, position)
             loss.backward()  # type: ignore[no-untyped-call]  # torch leaves it unannotated
             optimiser.step()
-            schedule.step()
-        curve_mm.append(_scores(network, data, parts.validation)["rmse_mm"])
+            if schedule is not None:
+                schedule.step()
+        curve_mm.append(validate())
+        if not cycle and curve_mm[-1] == min(curve_mm):
+            best = copy.deepcopy(task.network.state_dict())
         progress("network", epoch + 1, epochs, curve_mm[-1])
+    if best:
+        task.network.load_state_dict(best)
     return curve_mm
-
-
-def _loss(network: Regression, fingers: Tensor, others: Tensor, target: Tensor) -> Tensor:
-    """Return cross-entropy of the position, likelihood of sigma, and cross-entropy of finger or not."""
-    n = len(fingers)
-    votes, log_sigma, logit = network.raw(torch.cat([fingers, others]))
-    votes = votes[:n]
-    position = -(network.targets(target, SPREAD_BINS) * votes.log_softmax(dim=2)).sum(dim=2).mean()
-    error_mm = (network.place_mm(votes.detach()) - (target + 0.5) * network.size_mm).abs()
-    sigma = _pinball((error_mm + 1e-3).log() - log_sigma[:n], WITHIN_SIGMA)
-    truth = (torch.arange(n + len(others)) < n).float()[:, None]
-    finger = nn.functional.binary_cross_entropy_with_logits(logit, truth)
-    return position + sigma + FINGER_SHARE * finger
-
-
-def _pinball(excess: Tensor, share: float) -> Tensor:
-    """Return the loss that is least where this share of the excesses is negative (Koenker and Bassett 1978).
-
-    Unlike the likelihood of a Gaussian it is not ruled by the few touches placed in the wrong lobe.
-    """
-    return torch.maximum(share * excess, (share - 1) * excess).mean()
-
-
-def _scores(network: Regression, data: Dataset, indices: NDArray[np.int64]) -> dict[str, float]:
-    network.eval()
-    with torch.inference_mode():
-        position_mm, sigma_mm, confidence = network(torch.from_numpy(data.residual[indices]))
-    error_mm = position_mm.numpy() - data.position_mm[indices]
-    scores = position_scores(error_mm)
-    scores["within_sigma"] = float((np.abs(error_mm) <= sigma_mm.numpy()).mean())
-    scores["confident"] = float((confidence.numpy() >= 0.5).mean())
-    return scores

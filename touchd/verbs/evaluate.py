@@ -70,7 +70,7 @@ def _score_replay(path: Path, truth: Recording, settings: Settings) -> dict[str,
 def _score_touches(truth: Recording, model: Model) -> dict[str, Any]:
     model.check(truth.acquisition)
     data = make_dataset(truth, model.description.domain)
-    features = data.residual if model.description.input == "residual" else data.residual + data.untouched
+    features = data.residual if model.description.input == "residual" else data.signal
     estimates = []
     for row in features:
         model.features[0] = row

@@ -8,49 +8,85 @@ from pathlib import Path
 import click
 
 from touchd.errors import OutputError
+from touchd.training.recipe import RECIPES
+
+_RECIPES = "\n".join(["\b", "Recipes:", *(f"  {recipe.name:16}  {recipe.what}" for recipe in RECIPES.values())])
 
 
-@click.command()
+@click.command(epilog=_RECIPES)
 @click.argument("recording", type=click.Path(path_type=Path))
 @click.option("-o", "--output", type=click.Path(path_type=Path), required=True, help="The model to write (ONNX).")
+@click.option(
+    "--recipe", type=click.Choice(list(RECIPES)), default="best", show_default=True, metavar="NAME",
+    help="What to train, and how: see below.",
+)  # fmt: skip
+@click.option("--n", "grid", default=10, show_default=True, help="Zones along each side, for the grid recipes.")
+@click.option(
+    "--layout", type=click.Path(path_type=Path), help="Keys (TOML), for the keypad recipes.  [default: 3 x 4]"
+)
 @click.option("--seed", default=0, show_default=True, help="Seed of the split, the weights and the augmentation.")
-@click.option("--epochs", default=300, show_default=True, type=click.IntRange(min=1), help="Passes over the touches.")
+@click.option("--epochs", type=click.IntRange(min=1), help="Passes over the touches.  [default: the recipe's]")
 @click.option("--force", is_flag=True, help="Replace the model if it exists.")
-def command(recording: Path, output: Path, seed: int, epochs: int, force: bool) -> None:
+def command(
+    recording: Path,
+    output: Path,
+    recipe: str,
+    grid: int,
+    layout: Path | None,
+    seed: int,
+    epochs: int | None,
+    force: bool,
+) -> None:
     """Train a model on RECORDING, a labelled recording of single touches.
 
     The touches are split at random into 70 % for training, 20 % for validation and 10 % for the test; the scores
     printed at the end, and stored in the model, are those of the test.
     """
+    from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+    from touchd.keypad import PHONE, load_layout
     from touchd.recording import read
-    from touchd.training.train import train_regression
+    from touchd.training.train import train
 
+    chosen = RECIPES[recipe]
     if output.exists() and not force:
         raise OutputError("already there", str(output), "choose another name, or add --force")
+    epochs = epochs or chosen.epochs
+    options = f" --n {grid}" * (chosen.head == "grid")
+    options += f" --layout {layout.name}" if layout and chosen.head == "keypad" else ""
+    touches = read(recording)
     with Progress(
         TextColumn("{task.description:8}"),
         BarColumn(),
         MofNCompleteColumn(),
         TextColumn("{task.fields[note]}"),
         TimeRemainingColumn(),
+        console=Console(stderr=True),
     ) as bar:
-        tasks = {what: bar.add_task(what, total=None, note="") for what in ("field", "network")}
+        tasks = {"network": bar.add_task("network", total=epochs, note="")}
 
         def progress(what: str, done: int, steps: int, rmse_mm: float) -> None:
+            if what not in tasks:
+                tasks[what] = bar.add_task(what, note="")
             note = "" if math.isnan(rmse_mm) else f"validation {rmse_mm:.2f} mm"
             bar.update(tasks[what], completed=done, total=steps, note=note)
 
-        result = train_regression(
-            read(recording),
+        result = train(
+            touches,
             output,
+            chosen,
+            grid=grid,
+            layout=load_layout(layout or PHONE) if chosen.head == "keypad" else None,
             seed=seed,
             epochs=epochs,
-            command=f"touchd train {recording.name} -o {output.name} --seed {seed} --epochs {epochs}",
+            command=f"touchd train {recording.name} -o {output.name} --recipe {recipe}{options} "
+            f"--seed {seed} --epochs {epochs}",
             progress=progress,
         )
+    for note in result.notes:
+        click.echo(f"touchd: {note}", err=True)
     click.echo(f"{output}: on {result.scores['n']:.0f} touches never seen in training:")
     for name, value in result.scores.items():
         if name != "n":
-            click.echo(f"  {name:13} {value:8.3f}")
+            click.echo(f"  {name:17} {value:8.3f}")

@@ -1,0 +1,47 @@
+"""The recipes of `touchd train`: what each trains, on what, and how."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from touchd.features import Domain
+from touchd.model import Head
+
+TRUNK = (400, 300, 200, 100)
+"""Widths of the paper's regression and grid networks."""
+KEYPAD_TRUNK = (100, 50)
+"""Widths of the paper's keypad network."""
+
+
+@dataclass(frozen=True, slots=True)
+class Recipe:
+    """One way to train a model."""
+
+    name: str
+    head: Head
+    what: str
+    """One line for the help text."""
+    domain: Domain = "frequency"
+    widths: tuple[int, ...] = TRUNK
+    paper: bool = False
+    """As the paper describes it: features as they are, dropout, Adam, no augmentation. Else the residual of
+    unit length, with touches drawn from the learned field and every disturbance that the plate will meet."""
+    epochs: int = 300
+
+
+RECIPES = {
+    recipe.name: recipe
+    for recipe in (
+        Recipe("best", "regression", "position, standard error and confidence: what we recommend"),
+        # A tenth of the multiply-adds, by the widths alone.
+        Recipe("small", "regression", "the same with a tenth of the multiply-adds", widths=(64, 48, 48, 40)),
+        Recipe("grid", "grid", "zones of an N x N grid, trained like best"),
+        Recipe("keypad", "keypad", "keys of a layout, trained like best", widths=KEYPAD_TRUNK),
+        Recipe("paper-regression", "regression", "the paper's regression network", paper=True, epochs=120),
+        Recipe("paper-grid", "grid", "the paper's C-N", paper=True, epochs=120),
+        Recipe("paper-keypad", "keypad", "the paper's keypad", widths=KEYPAD_TRUNK, paper=True, epochs=120),
+        Recipe("time-regression", "regression", "the paper's, in the time domain", "time", paper=True, epochs=120),
+        Recipe("time-grid", "grid", "the paper's C-N in the time domain", "time", paper=True, epochs=120),
+        Recipe("time-keypad", "keypad", "the paper's keypad in the time domain", "time", KEYPAD_TRUNK, True, 120),
+    )
+}

@@ -1,0 +1,184 @@
+"""What a network is trained for: its loss, its scores, and what its model says of itself."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from touchd.errors import TrainingError
+from touchd.evaluation.metrics import position_scores
+from touchd.frame import Plate
+from touchd.keypad import Layout
+from touchd.training.network import Classifier, Network, PlainRegression, Regression
+from touchd.training.recipe import Recipe
+
+DROPOUT = 0.3  # the paper's
+SPREAD_BINS = 0.75  # of the target histograms: the HL-Gauss paper's choice
+WITHIN_SIGMA = 0.683  # of the errors of either axis: what a standard error means for Gaussian ones
+FINGER_SHARE = 0.5  # weight of the finger-or-not cross-entropy beside the position's
+
+Positions = NDArray[np.float32]
+
+
+class Task(Protocol):
+    """What the training loop asks of a task. Positions are in plate sizes from the centre, shape (n, 2)."""
+
+    wants_others: bool
+    """Whether it learns what is no finger."""
+
+    @property
+    def network(self) -> Network:
+        """What is trained."""
+        ...
+
+    def loss(self, features: Tensor, position: Tensor) -> Tensor:
+        """Return the loss of features whose first rows are touches at the positions, and the rest no finger."""
+        ...
+
+    def scores(self, features: NDArray[np.float32], position_mm: Positions) -> dict[str, float]:
+        """Return scores on touches; `rmse_mm` is always among them."""
+        ...
+
+    def description(self) -> dict[str, Any]:
+        """Return the fields of the model's description that are the task's."""
+        ...
+
+
+class PositionTask:
+    """Position by histograms, standard error, and finger or not."""
+
+    wants_others = True
+
+    def __init__(self, inputs: int, plate: Plate, recipe: Recipe) -> None:
+        self.network = Regression(inputs, (plate.width_mm, plate.height_mm), recipe.widths)
+
+    def loss(self, features: Tensor, position: Tensor) -> Tensor:
+        """Return cross-entropy of the position, quantile loss of sigma, and cross-entropy of finger or not."""
+        network, n = self.network, len(position)
+        votes, log_sigma, logit = network.raw(features)
+        votes = votes[:n]
+        place = -(network.targets(position, SPREAD_BINS) * votes.log_softmax(dim=2)).sum(dim=2).mean()
+        error_mm = (network.place_mm(votes.detach()) - (position + 0.5) * network.size_mm).abs()
+        sigma = _pinball((error_mm + 1e-3).log() - log_sigma[:n], WITHIN_SIGMA)
+        truth = (torch.arange(len(features)) < n).float()[:, None]
+        finger = nn.functional.binary_cross_entropy_with_logits(logit, truth)
+        return place + sigma + FINGER_SHARE * finger
+
+    def scores(self, features: NDArray[np.float32], position_mm: Positions) -> dict[str, float]:
+        """Return the scores of the position, and the shares of errors within sigma and of confident touches."""
+        with torch.inference_mode():
+            place_mm, sigma_mm, confidence = self.network.eval()(torch.from_numpy(features))
+        error_mm = place_mm.numpy() - position_mm
+        within = float((np.abs(error_mm) <= sigma_mm.numpy()).mean())
+        confident = float((confidence.numpy() >= 0.5).mean())
+        return position_scores(error_mm) | {"within_sigma": within, "confident": confident}
+
+    def description(self) -> dict[str, Any]:
+        """Return nothing: the head says it all."""
+        return {}
+
+
+class PaperPositionTask:
+    """The paper's regression: the mean squared error of x and y."""
+
+    wants_others = False
+
+    def __init__(self, inputs: int, plate: Plate, recipe: Recipe) -> None:
+        self.network = PlainRegression(inputs, (plate.width_mm, plate.height_mm), recipe.widths, DROPOUT)
+
+    def loss(self, features: Tensor, position: Tensor) -> Tensor:
+        """Return the mean squared error, in plate sizes."""
+        return nn.functional.mse_loss(self.network.raw(features), position)
+
+    def scores(self, features: NDArray[np.float32], position_mm: Positions) -> dict[str, float]:
+        """Return the scores of the position."""
+        with torch.inference_mode():
+            place_mm, _, _ = self.network.eval()(torch.from_numpy(features))
+        return position_scores(place_mm.numpy() - position_mm)
+
+    def description(self) -> dict[str, Any]:
+        """Return nothing: the head says it all."""
+        return {}
+
+
+class ClassTask:
+    """Zones of a grid, or keys of a layout and the zone beside them: cross-entropy.
+
+    A position is the centre of the likeliest zone, or of the likeliest key; beside the keys, the plate's centre.
+    """
+
+    wants_others = False
+
+    def __init__(self, inputs: int, plate: Plate, recipe: Recipe, grid: int, layout: Layout | None) -> None:
+        self._size_mm = np.array([plate.width_mm, plate.height_mm])
+        self._grid, self._layout = grid, layout
+        if layout is None:
+            step_mm = self._size_mm / grid
+            rows, columns = np.divmod(np.arange(grid**2), grid)
+            self._centres_mm = (np.stack([columns, rows], axis=1) + 0.5) * step_mm
+        else:
+            self._centres_mm = np.array([*(key.centre_mm for key in layout.key), tuple(self._size_mm / 2)])
+        classes, dropout = len(self._centres_mm), DROPOUT if recipe.paper else 0.0
+        self.network = Classifier(inputs, classes, recipe.widths, dropout, normalised=not recipe.paper)
+
+    def loss(self, features: Tensor, position: Tensor) -> Tensor:
+        """Return the cross-entropy of zone or key."""
+        labels = self.labels((position.numpy() + 0.5) * self._size_mm)
+        return nn.functional.cross_entropy(self.network.raw(features), torch.from_numpy(labels))
+
+    def labels(self, position_mm: NDArray[np.floating[Any]]) -> NDArray[np.int64]:
+        """Return the class of each position, shape (n,)."""
+        if self._layout is None:
+            place = np.clip(position_mm / self._size_mm * self._grid, 0, self._grid - 1e-6).astype(np.int64)
+            return np.asarray(place[:, 1] * self._grid + place[:, 0])
+        beside = len(self._layout.key)
+        labels = np.full(len(position_mm), beside)
+        for number, key in enumerate(self._layout.key):
+            offset_mm = position_mm - [key.x_mm, key.y_mm]
+            labels[((offset_mm >= 0) & (offset_mm < [key.width_mm, key.height_mm])).all(axis=1)] = number
+        return labels
+
+    def scores(self, features: NDArray[np.float32], position_mm: Positions) -> dict[str, float]:
+        """Return accuracy, the scores of the position, and for keys the touches taken for another key."""
+        with torch.inference_mode():
+            best = self.network.eval().raw(torch.from_numpy(features)).argmax(dim=1).numpy()
+        truth = self.labels(position_mm)
+        scores = position_scores(self._centres_mm[best] - position_mm) | {"accuracy": float((best == truth).mean())}
+        if self._layout is not None:
+            beside = len(self._layout.key)
+            wrong = (best != truth) & (best != beside) & (truth != beside)
+            scores["key_to_key_errors"] = float(wrong.sum())
+        return scores
+
+    def description(self) -> dict[str, Any]:
+        """Return the grid or the layout."""
+        return {"grid": self._grid} if self._layout is None else {"layout": self._layout}
+
+
+def make_task(recipe: Recipe, inputs: int, plate: Plate, grid: int, layout: Layout | None) -> Task:
+    """Return the task of a recipe.
+
+    Raises
+    ------
+    TrainingError
+        If the grid has no zones, or a keypad no layout.
+    """
+    if recipe.head == "regression":
+        return PaperPositionTask(inputs, plate, recipe) if recipe.paper else PositionTask(inputs, plate, recipe)
+    if recipe.head == "keypad" and layout is None:
+        raise TrainingError("a keypad needs its keys", "--layout", "name a TOML file of keys")
+    if recipe.head == "grid" and grid < 2:
+        raise TrainingError(f"a grid of {grid} x {grid} zones tells nothing", "--n", "use 2 or more")
+    return ClassTask(inputs, plate, recipe, grid, layout if recipe.head == "keypad" else None)
+
+
+def _pinball(excess: Tensor, share: float) -> Tensor:
+    """Return the loss that is least where this share of the excesses is negative (Koenker and Bassett 1978).
+
+    Unlike the likelihood of a Gaussian it is not ruled by the few touches placed in the wrong lobe.
+    """
+    return torch.maximum(share * excess, (share - 1) * excess).mean()
