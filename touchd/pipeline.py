@@ -104,7 +104,7 @@ class Pipeline:
         """Take one frame through every stage and return the events it causes, mostly none."""
         if not self._in_order(frame):
             return NOTHING
-        elapsed_s = min((frame.t_ns - self._last_ns) * 1e-9, _LONGEST_STEP_S)
+        elapsed_s = min(max(frame.t_ns - self._last_ns, 0) * 1e-9, _LONGEST_STEP_S)
         self._last_ns = frame.t_ns
 
         if self._learning:
