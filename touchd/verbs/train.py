@@ -43,7 +43,7 @@ def command(
     printed at the end, and stored in the model, are those of the test.
     """
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
     from touchd.keypad import PHONE, load_layout
     from touchd.recording import read
@@ -56,22 +56,25 @@ def command(
     options = f" --n {grid}" * (chosen.head == "grid")
     options += f" --layout {layout.name}" if layout and chosen.head == "keypad" else ""
     touches = read(recording)
-    with Progress(
+    bar = Progress(
         TextColumn("{task.description:8}"),
         BarColumn(),
         MofNCompleteColumn(),
         TextColumn("{task.fields[note]}"),
         TimeRemainingColumn(),
         console=Console(stderr=True),
-    ) as bar:
-        tasks = {"network": bar.add_task("network", total=epochs, note="")}
+    )
+    tasks: dict[str, TaskID] = {}
 
-        def progress(what: str, done: int, steps: int, rmse_mm: float) -> None:
-            if what not in tasks:
-                tasks[what] = bar.add_task(what, note="")
-            note = "" if math.isnan(rmse_mm) else f"validation {rmse_mm:.2f} mm"
-            bar.update(tasks[what], completed=done, total=steps, note=note)
+    def progress(what: str, done: int, steps: int, rmse_mm: float) -> None:
+        # Started by the first step: what is refused before it is refused in one line.
+        bar.start()
+        if what not in tasks:
+            tasks[what] = bar.add_task(what, note="")
+        note = "" if math.isnan(rmse_mm) else f"validation {rmse_mm:.2f} mm"
+        bar.update(tasks[what], completed=done, total=steps, note=note)
 
+    try:
         result = train(
             touches,
             output,
@@ -84,6 +87,9 @@ def command(
             f"--seed {seed} --epochs {epochs}",
             progress=progress,
         )
+    finally:
+        if tasks:
+            bar.stop()
     for note in result.notes:
         click.echo(f"touchd: {note}", err=True)
     click.echo(f"{output}: on {result.scores['n']:.0f} touches never seen in training:")
