@@ -28,9 +28,9 @@ def band_bins(acquisition: Acquisition) -> NDArray[np.int64]:
 
     51..99 for the paper's 250 samples at 250 kHz and 50 -> 100 kHz, that is 49 bins (Bahrami et al. 2022, features).
     """
-    spacing_hz = acquisition.sample_rate_hz / acquisition.samples
     k = np.arange(acquisition.samples // 2 + 1)
-    f_hz = k * spacing_hz
+    # Multiplied first: a rounded spacing would push a bin that lies on the edge over it.
+    f_hz = k * acquisition.sample_rate_hz / acquisition.samples
     return k[(f_hz > acquisition.chirp.start_hz) & (f_hz < acquisition.chirp.stop_hz)]
 
 
