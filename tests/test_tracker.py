@@ -70,6 +70,26 @@ def test_one_missing_frame_does_not_split_a_contact() -> None:
     assert stroke.phases().count("down") == 1
 
 
+@pytest.mark.parametrize(("period_ns", "most_ns"), [(8_000_000, 96_000_000), (10_000_000, 100_000_000)])
+def test_no_two_reports_of_a_still_finger_are_more_than_100_ms_apart(period_ns: int, most_ns: int) -> None:
+    tracker, reported_ns = Tracker(SETTINGS), []
+    for t_ns in range(period_ns, 2_000_000_000, period_ns):
+        if tracker.update(t_ns, (at(50, 60),)):
+            reported_ns.append(t_ns)
+    assert set(np.diff(reported_ns)) == {most_ns}
+
+
+def test_a_still_finger_is_reported_although_the_clock_steps_back() -> None:
+    stroke = Stroke()
+    stroke.t_ns = 10**15
+    stroke.feed(at(50, 60), frames=20)
+    stroke.t_ns = 0
+    before = len(stroke.reports)
+    stroke.feed(at(50, 60), frames=50)
+    assert len(stroke.reports) > before + 3
+    assert set(stroke.phases()) == {"down", "hold"}
+
+
 def test_a_still_finger_is_reported_every_100_ms_and_held_where_it_was() -> None:
     stroke = Stroke()
     rng = np.random.default_rng(1)
@@ -77,7 +97,7 @@ def test_a_still_finger_is_reported_every_100_ms_and_held_where_it_was() -> None
         stroke.feed(at(*(np.array([50, 60]) + 0.05 * rng.standard_normal(2))))
     assert stroke.phases() == ["down"] + ["hold"] * (len(stroke.reports) - 1)
     assert len({(c.x_mm, c.y_mm) for report in stroke.reports for c in report}) == 1
-    assert len(stroke.reports) == pytest.approx(250 * 0.008 / 0.104, abs=1)
+    assert len(stroke.reports) == pytest.approx(250 * 0.008 / 0.096, abs=1)
 
 
 def test_a_moving_finger_moves_with_its_velocity() -> None:

@@ -71,7 +71,8 @@ class Tracker:
         -------
         list of Contact or None
             All contacts alive and those that ended in this frame, if a message is due: a contact went
-            down, moved beyond the dead band or went up, or `refresh_s` have passed. Else None.
+            down, moved beyond the dead band or went up, or the next frame would come later than `refresh_s`
+            after the last message. Else None.
         """
         elapsed_s = max(t_ns - self._last_ns, 1) * 1e-9
         self._last_ns = t_ns
@@ -83,7 +84,7 @@ class Tracker:
             if touch not in matched and len(self._tracks) < self._settings.max_contacts:
                 self._tracks.append(_Track(touch, self._settings))
                 due |= self._confirm(self._tracks[-1], touch)
-        return self._report(t_ns, due)
+        return self._report(t_ns, due, elapsed_s)
 
     def release_all(self, t_ns: int) -> list[Contact] | None:
         """End every contact, as when the frames stop. Returns the same as `update`."""
@@ -91,7 +92,7 @@ class Tracker:
         for track in self._tracks:
             track.missing = self._settings.release_frames - 1
         ends = [self._miss(track) for track in self._tracks]
-        return self._report(t_ns, any(ends))
+        return self._report(t_ns, any(ends), 0.0)
 
     def _match(self, touches: Sequence[Touch]) -> list[Touch | None]:
         """Return, for each track, the touch that continues it."""
@@ -147,8 +148,11 @@ class Tracker:
         contact.vx_mm_s = contact.vy_mm_s = 0.0
         return True
 
-    def _report(self, t_ns: int, due: bool) -> list[Contact] | None:
-        due = due or t_ns - self._reported_ns >= self._refresh_ns
+    def _report(self, t_ns: int, due: bool, elapsed_s: float) -> list[Contact] | None:
+        # The next frame is expected as long after this one as this one came after the last.
+        quiet_ns = t_ns - self._reported_ns
+        # Below 0 the clock stepped back: waiting until it has caught up could take for ever.
+        due = due or quiet_ns < 0 or quiet_ns + round(elapsed_s * 1e9) > self._refresh_ns
         # Copies: a message must not change after it was handed on.
         contacts = [copy(track.contact) for track in self._tracks if track.contact is not None] if due else []
         self._tracks = [track for track in self._tracks if _lives(track)]
