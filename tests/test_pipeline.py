@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import statistics
 import time
 from collections import Counter
@@ -9,7 +10,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import asdict, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -148,6 +149,33 @@ def test_a_frame_is_never_taken_twice(scene: Scene, make: Callable[..., Pipeline
     assert (once.counters.frames, once.counters.repeated) == (len(frames), 0)
     run(twice, frames[-5:-3])
     assert twice.counters.repeated == len(frames) + 2, "a late frame is as old as a repeated one"
+
+
+def test_a_device_that_counts_from_the_start_again_is_followed_after_it_was_learned_anew(
+    scene: Scene, make: Callable[..., Pipeline]
+) -> None:
+    frames = frames_of(scene("tap"))
+    notices: list[str] = []
+    pipeline = make(notify=lambda reason, _fields: notices.append(reason))
+    once = phases(run(pipeline, frames))
+    later_ns = frames[-1].t_ns + PERIOD_NS
+    again = phases(run(pipeline, [frame._replace(t_ns=frame.t_ns + later_ns) for frame in frames]))
+    assert notices == ["restarted"]
+    assert [phase for _, phase in again] == [phase for _, phase in once], "every touch is found again"
+    assert {i for i, _ in again}.isdisjoint({i for i, _ in once}), "under an id of its own"
+    counters = pipeline.counters
+    assert (counters.frames, counters.lost, counters.repeated) == (2 * len(frames), 0, 0)
+
+
+@pytest.mark.parametrize("field", ["confidence", "sigma_mm"])
+def test_a_network_that_says_nan_places_nothing(
+    field: str, scene: Scene, make: Callable[..., Pipeline], model: Model, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    estimate, wrong = model.estimate, cast(Any, {field: math.nan})
+    monkeypatch.setattr(model, "estimate", lambda: estimate()._replace(**wrong))
+    pipeline = make()
+    assert run(pipeline, frames_of(scene("tap"))) == []
+    assert pipeline.counters.inferred
 
 
 def test_lost_frames_are_counted_and_every_frame_is_accounted_for(scene: Scene, make: Callable[..., Pipeline]) -> None:

@@ -139,11 +139,15 @@ class Pipeline:
         last = self._last_sequence
         if last is None:
             self._last_ns = frame.t_ns
-        elif frame.sequence <= last:
+        elif frame.sequence > last:
+            counters.lost += frame.sequence - last - 1
+        elif frame.sequence < last and frame.t_ns > self._last_ns:
+            # A low number in a new frame: the device counts from the start again. What it hears may have changed.
+            self._notify("restarted", {"frame": frame.sequence, "after": last})
+            self._learn_anew()
+        else:
             counters.repeated += 1
             return False
-        else:
-            counters.lost += frame.sequence - last - 1
         self._last_sequence = frame.sequence
         counters.frames += 1
         return True
@@ -179,7 +183,8 @@ class Pipeline:
         self.counters.inferred += 1
         estimate = self._model.estimate()
         confident = self._keep_confidence if self.tracker.alive else self._min_confidence
-        if estimate.confidence < confident or estimate.sigma_mm > self._max_sigma_mm:
+        # Asked this way round, so that a network that says NaN places nothing.
+        if not (estimate.confidence >= confident and estimate.sigma_mm <= self._max_sigma_mm):
             return None
         force = min(1.0, (energy / self._signal_energy) ** 0.5 / self._force_full_scale)
         key = self._layout.at(estimate.x_mm, estimate.y_mm) if self._layout else estimate.key
@@ -219,5 +224,8 @@ class Pipeline:
     def _relearn(self, frame: Frame, verdict: Verdict, energy: float) -> None:
         level_db = 10 * math.log10(energy / self._signal_energy)
         self._notify(verdict.value, {"frame": frame.sequence, "level_db": round(level_db, 1)})
+        self._learn_anew()
+
+    def _learn_anew(self) -> None:
         self.baseline.restart()
         self._learning = True
