@@ -193,6 +193,12 @@ CASES: dict[str, tuple[type[TouchdError], Arguments, tuple[str, ...]]] = {
         lambda w: ("train", w.good, "-o", w.folder / "new.onnx"),
         ("contacts_mm",),
     ),
+    "a demo without truth": (errors.RecordingValues, lambda w: ("demo", w.good), ("contacts_mm", "--replay")),
+    "a speed for a live scene": (
+        errors.SourceError,
+        lambda _w: ("--simulate", "tap", "--speed", "2"),
+        ("--speed 2", "max"),
+    ),
     "truth asked of a recording without": (
         errors.RecordingValues,
         lambda w: ("evaluate", ROOT / "models/regression.onnx", w.good),

@@ -45,7 +45,7 @@ def open_source(choice: SourceChoice) -> Source:
     Raises
     ------
     SourceError
-        If none or several were named.
+        If none or several were named, or a scene shall run at a speed of its own.
     """
     if choice.replay is not None and choice.simulate is not None:
         raise SourceError("two sources were named", "--replay and --simulate", "name one of them")
@@ -56,6 +56,10 @@ def open_source(choice: SourceChoice) -> Source:
     if choice.simulate is not None:
         from touchd.sources.simulated import SimulatedSource
 
+        if choice.speed not in (1.0, float("inf")):
+            raise SourceError(
+                "a live scene has no other speed", f"--speed {choice.speed:g}", "leave it out, or say max"
+            )
         return SimulatedSource(
             choice.simulate, seed=choice.seed, paced=choice.speed != float("inf"), loop=choice.loop
         )  # fmt: skip

@@ -15,7 +15,7 @@ from typing import Any
 import click
 import numpy as np
 
-from touchd.errors import BusError
+from touchd.errors import BusError, RecordingValues
 from touchd.evaluation.metrics import position_scores
 from touchd.evaluation.stream import score_stream
 from touchd.event import Event, HealthEvent, TouchEvent, decode
@@ -44,10 +44,15 @@ def _speed(ctx: click.Context, param: click.Parameter, value: str) -> str:
 def command(recording: Path, as_json: bool, speed: str, model: Path | None) -> None:
     """Replay a recording through the daemon, print what a separate subscriber receives, and sum up.
 
-    RECORDING must hold the truth (`contacts_mm`); without it the shipped one is replayed. The daemon and the
-    subscriber are processes of their own, which meet over ZeroMQ.
+    RECORDING, the shipped one if none is named, must hold the truth (`contacts_mm`). The daemon and the subscriber are
+    processes of their own, which meet over ZeroMQ.
     """
     truth = read(recording)
+    if truth.contacts_mm is None:
+        raise RecordingValues(
+            "there is no truth to compare with", str(recording),
+            "use a recording with contacts_mm, or replay it: touchd --replay FILE --print",
+        )  # fmt: skip
     if model:
         Model(model).check(truth.acquisition)  # its own words and exit status, which the daemon's would hide
     events: list[Event] = []
