@@ -117,6 +117,22 @@ def test_print_shows_every_message_as_a_line_of_json(tmp_path: Path) -> None:
     assert [m["state"] for m in messages if m["type"] == "health"][-1] == "stopping"
 
 
+@pytest.mark.parametrize("full", ["stdout", "stderr"])
+def test_a_full_disk_under_its_output_or_log_does_not_end_it(full: str, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "touchd", "--replay", str(SESSION), "--speed", "max", "--print"]
+    with open("/dev/full", "w") as disk:
+        done = subprocess.run(
+            [*command, "--bind", f"ipc://{tmp_path}/bus"], text=True, timeout=PATIENCE_S, cwd=ROOT, env=environment(),
+            stdout=disk if full == "stdout" else subprocess.PIPE, stderr=disk if full == "stderr" else subprocess.PIPE,
+        )  # fmt: skip
+    if full == "stderr":
+        assert (done.returncode, len(done.stdout.splitlines()) > 300) == (0, True)
+    else:
+        lines = [json.loads(line) for line in done.stderr.splitlines() if line.startswith("{")]
+        assert [line["error"] for line in lines if line["level"] == "warning"] == ["No space left on device"]
+        assert lines[-1]["state"] == "stopping"
+
+
 def test_its_log_is_lines_of_json_that_tell_of_states_and_not_of_touches(tmp_path: Path) -> None:
     ended = touchd("--replay", SESSION, "--speed", "max", "--bind", f"ipc://{tmp_path}/bus", "--debug")
     lines = [json.loads(line) for line in ended.err.splitlines()]

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any, TextIO, cast
 
 import numpy as np
 import structlog
@@ -45,6 +46,22 @@ def _redact(key: object, value: Any) -> Any:
     return f"<{type(value).__name__}>"
 
 
+class _Unfailing:
+    """A text stream to which a line that cannot be written is lost: a full disk must not end the daemon."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        with contextlib.suppress(OSError, ValueError):  # ValueError: the stream was closed
+            self._stream.write(text)
+        return len(text)
+
+    def flush(self) -> None:
+        with contextlib.suppress(OSError, ValueError):
+            self._stream.flush()
+
+
 def configure(settings: LogSettings, stream: TextIO | None = None) -> None:
     """Send all log events of this process to `stream`, standard error unless told otherwise.
 
@@ -68,7 +85,7 @@ def configure(settings: LogSettings, stream: TextIO | None = None) -> None:
             *render,
         ],
         wrapper_class=structlog.make_filtering_bound_logger(getattr(logging, settings.level.upper())),
-        logger_factory=structlog.WriteLoggerFactory(stream),
+        logger_factory=structlog.WriteLoggerFactory(cast(TextIO, _Unfailing(stream))),
         # Not cached: a logger made at import would keep the level and stream of a time before this call.
         cache_logger_on_first_use=False,
     )

@@ -6,14 +6,18 @@ import time
 from collections.abc import Callable, Collection
 from typing import TextIO
 
+import structlog
+
 from touchd.event import Event, TouchEvent, encode, encode_at
+
+log = structlog.get_logger()
 
 
 class JsonlSink:
     """One line of JSON per event, flushed at once.
 
     A terminal or a pipe that is not read makes the writer wait, unlike the bus: this is for looking, not for
-    production. When the reader has gone, the sink falls silent.
+    production. When the reader has gone, or the disk is full, the sink falls silent; the bus goes on.
 
     Parameters
     ----------
@@ -49,6 +53,9 @@ class JsonlSink:
             self._stream.flush()
         except (BrokenPipeError, ValueError):  # ValueError: the stream was closed
             self._topics = frozenset()
+        except OSError as error:
+            self._topics = frozenset()
+            log.warning("events are printed no more", error=error.strerror)
 
     def poll(self) -> None:
         """Do nothing: lines have no subscribers."""
