@@ -30,6 +30,8 @@ from touchd.tracker import Touch, Tracker
 NOTHING: list[Event] = []
 # The baseline moves by at most this much time at once: after a gap it must not swallow a single frame whole.
 _LONGEST_STEP_S = 0.1
+LATE_FRAMES = 32
+"""A frame numbered at most so much lower than the last is a repetition, not a device that starts again."""
 
 
 @dataclass(slots=True)
@@ -141,8 +143,9 @@ class Pipeline:
             self._last_ns = frame.t_ns
         elif frame.sequence > last:
             counters.lost += frame.sequence - last - 1
-        elif frame.sequence < last and frame.t_ns > self._last_ns:
+        elif frame.sequence < last - LATE_FRAMES and frame.t_ns > self._last_ns:
             # A low number in a new frame: the device counts from the start again. What it hears may have changed.
+            # A little lower is a frame sent twice or come late; a device that restarts so early soon overtakes it.
             self._notify("restarted", {"frame": frame.sequence, "after": last})
             self._learn_anew()
         else:
