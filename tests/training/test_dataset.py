@@ -14,7 +14,7 @@ from tests.training.conftest import COUNT
 from touchd.errors import TrainingError
 from touchd.features import make_features
 from touchd.recording import Recording
-from touchd.training.dataset import MIN_TOUCHES, Dataset, digest, make_dataset, split
+from touchd.training.dataset import MIN_TOUCHES, Dataset, digest, make_dataset, split, thin
 
 
 def truth_of(touches: Recording) -> Any:
@@ -121,3 +121,21 @@ def test_a_split_is_disjoint_complete_and_reproducible(count: int, seed: int) ->
 
 def test_another_seed_splits_otherwise() -> None:
     assert set(split(1000, 1).test.tolist()) != set(split(1000, 2).test.tolist())
+
+
+@given(st.integers(100, 5000), st.floats(0.05, 1.0), st.floats(0.05, 1.0))
+def test_a_share_thins_the_training_part_alone_and_a_larger_one_holds_the_smaller(
+    count: int, one: float, two: float
+) -> None:
+    whole = split(count, 0)
+    small, large = (thin(whole, share) for share in sorted((one, two)))
+    assert len(small.train) == round(min(one, two) * len(whole.train))
+    np.testing.assert_array_equal(large.train[: len(small.train)], small.train)
+    for name in ("validation", "test"):
+        np.testing.assert_array_equal(getattr(small, name), getattr(whole, name))
+
+
+@pytest.mark.parametrize("share", [0.0, -0.5, 1.01, float("nan"), 1e-9])
+def test_a_share_of_nothing_or_of_more_than_all_is_refused(share: float) -> None:
+    with pytest.raises(TrainingError, match="share"):
+        thin(split(1000, 0), share)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,6 +60,22 @@ def split(count: int, seed: int) -> Split:
     order = np.random.default_rng([seed, 0x5B117]).permutation(count)
     train, validation = round(0.7 * count), round(0.9 * count)
     return Split(order[:train], order[train:validation], order[validation:])
+
+
+def thin(parts: Split, share: float) -> Split:
+    """Return the split with this share of its training part; a larger share holds all of a smaller one.
+
+    Raises
+    ------
+    TrainingError
+        If the share is not above 0 and at most 1, or leaves less than two touches.
+    """
+    count = round(share * len(parts.train)) if 0 < share <= 1 else 0
+    if not count:
+        raise TrainingError(
+            f"a share of {share:g} of {len(parts.train)} touches", "share", "use one above 0, at most 1"
+        )
+    return replace(parts, train=parts.train[:count])
 
 
 def residual_of(counts: NDArray[np.int16], baseline: Array) -> Array:

@@ -16,7 +16,7 @@ from touchd.keypad import Layout
 from touchd.model import Description, Model
 from touchd.recording import Recording
 from touchd.training.augment import Augmenter, make_bank
-from touchd.training.dataset import Dataset, Split, make_dataset, split
+from touchd.training.dataset import Dataset, Split, make_dataset, split, thin
 from touchd.training.export import check, export
 from touchd.training.field import learn_field
 from touchd.training.network import PlainRegression
@@ -67,12 +67,14 @@ def train(
     layout: Layout | None = None,
     seed: int = 0,
     epochs: int | None = None,
+    share: float = 1.0,
     command: str = "",
     progress: Progress = lambda _what, _done, _all, _rmse_mm: None,
 ) -> Result:
     """Train a model by a recipe and write it as an ONNX file.
 
-    The same recording, seed and number of threads give the same network.
+    The same recording, seed and number of threads give the same network. A `share` under 1 trains on so much of
+    the training part, with validation and test unchanged, as a learning curve needs it.
 
     Raises
     ------
@@ -81,7 +83,7 @@ def train(
     torch.manual_seed(seed)
     generator = torch.Generator().manual_seed(seed)
     data = make_dataset(recording, recipe.domain)
-    parts = split(len(data), seed)
+    parts = thin(split(len(data), seed), share)
     plate = recording.meta.plate
     features = data.signal if recipe.paper else data.residual
     task = make_task(recipe, features.shape[1], plate, grid, layout)
@@ -166,7 +168,7 @@ def _paper_batches(data: Dataset, parts: Split, generator: torch.Generator) -> B
     features = torch.from_numpy(data.signal[parts.train])
     position = torch.from_numpy(data.position_mm[parts.train]) / size_mm - 0.5
 
-    steps = len(features) // PAPER_BATCH  # the few that are left over wait for another epoch
+    steps = max(1, len(features) // PAPER_BATCH)  # the few that are left over wait for another epoch
 
     def epoch() -> Iterator[tuple[Tensor, Tensor]]:
         order = torch.randperm(len(features), generator=generator)
