@@ -1,0 +1,80 @@
+"""Estimators that keep every recorded touch and look up the one most like the frame: kNN and GCC.
+
+They need no training, and the memory and the time of all they keep: the source paper argues against both.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from sklearn.neighbors import NearestNeighbors
+
+Rows = NDArray[np.float32]
+
+LAGS_S = np.arange(-8, 9, 2) * 1e-6
+"""Delays at which two signals are compared: two samples of the reference acquisition to either side."""
+
+
+class Nearest:
+    """kNN: the mean position of the k recorded touches at the least distance.
+
+    Parameters
+    ----------
+    features : array of shape (n, inputs)
+    position_mm : array of shape (n, 2)
+    k : int
+        The paper takes 1.
+    """
+
+    def __init__(self, features: Rows, position_mm: Rows, k: int = 1) -> None:
+        self._search = NearestNeighbors(n_neighbors=k, algorithm="brute").fit(features)
+        self._position_mm = position_mm
+        self.bytes = features.nbytes
+
+    def locate(self, features: Rows) -> Rows:
+        """Return the positions (m, 2) in mm for features (m, inputs)."""
+        nearest = self._search.kneighbors(features, return_distance=False)
+        return np.asarray(self._position_mm[nearest].mean(axis=1))
+
+
+class Correlation:
+    """GCC: the position of the recorded touch with the highest generalised cross-correlation.
+
+    All bins count alike (the phase transform, PHAT: Knapp and Carter, IEEE Trans. ASSP 24(4), 1976), the
+    channels' correlations are added, and their peak is looked for within `LAGS_S`.
+
+    Parameters
+    ----------
+    features : array of shape (n, inputs)
+        In the frequency domain: real and imaginary parts of the bins, channel by channel.
+    position_mm : array of shape (n, 2)
+    channels : int
+    f_hz : array of shape (bins,)
+        Frequencies of the bins.
+    """
+
+    def __init__(self, features: Rows, position_mm: Rows, channels: int, f_hz: NDArray[np.floating]) -> None:
+        self._channels = channels
+        self._position_mm = position_mm
+        turn = np.exp(2j * np.pi * LAGS_S[:, None] * f_hz).astype(np.complex64)
+        self._turns = np.tile(turn, channels)
+        self._kept = self._whitened(features)
+        self.bytes = self._kept.nbytes
+
+    def locate(self, features: Rows) -> Rows:
+        """Return the positions (m, 2) in mm for features (m, inputs)."""
+        return np.asarray(self._position_mm[self.correlate(features).argmax(axis=1)])
+
+    def correlate(self, features: Rows) -> Rows:
+        """Return the peaks of the correlation with each recorded touch, shape (m, n); 1 for the same signal."""
+        white = self._whitened(features)
+        peak = np.full((len(white), len(self._kept)), -np.inf, np.float32)
+        for turn in self._turns:
+            np.maximum(peak, ((white * turn) @ self._kept.conj().T).real, out=peak)
+        return peak
+
+    def _whitened(self, features: Rows) -> NDArray[np.complex64]:
+        parts = features.reshape(len(features), self._channels, 2, -1)
+        bins = (parts[:, :, 0] + 1j * parts[:, :, 1]).reshape(len(features), -1)
+        white = bins / np.maximum(np.abs(bins), np.finfo(np.float32).tiny)
+        return np.asarray(white / np.sqrt(white.shape[1]), np.complex64)
