@@ -1,0 +1,111 @@
+"""The device's clock becomes this computer's: without drift, without the jitter of arrival, and never backwards."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from touchd.deviceclock import DeviceClock
+
+COMPLETE_NS = 1_000_000
+LEAST_DELAY_NS = 120_000  # of a transfer; nothing on this side can tell it from an offset of the clocks
+
+
+class Link:
+    """Chirps at a steady rate by the device's clock, which is off and fast; frames that arrive late by chance."""
+
+    def __init__(
+        self, seconds: float, *, rate_hz: float = 125.0, ppm: float, jitter_us: float, seed: int, start_us: int = 12345
+    ) -> None:
+        rng = np.random.default_rng(seed)
+        n = round(seconds * rate_hz)
+        self.true_ns: NDArray[np.float64] = 7e12 + np.arange(n) * 1e9 / rate_hz
+        device_ns = (self.true_ns - self.true_ns[0]) * (1 + ppm * 1e-6)
+        self.timestamp_us = start_us + np.floor(device_ns / 1000).astype(np.int64)
+        delay_ns = LEAST_DELAY_NS + rng.exponential(jitter_us * 1000, n)
+        # A busy computer: now and then nothing is fetched for a while, and then all that waited at once.
+        for at in rng.integers(0, n, n // 200):
+            burst = min(n - at, int(rng.integers(1, 20)))
+            delay_ns[at : at + burst] += np.maximum(0, 40e6 - np.arange(burst) * 1e9 / rate_hz)
+        arrival = np.maximum.accumulate(self.true_ns + COMPLETE_NS + delay_ns)
+        self.received_ns: NDArray[np.int64] = arrival.astype(np.int64)
+
+    def through(self, clock: DeviceClock) -> NDArray[np.float64]:
+        """Mapped times less the true ones, ns."""
+        mapped = [clock.map(int(t), int(r)) for t, r in zip(self.timestamp_us, self.received_ns, strict=True)]
+        assert all(b > a for a, b in pairwise(mapped)), "time increases"
+        return np.array(mapped) - self.true_ns - LEAST_DELAY_NS
+
+
+@settings(deadline=None, max_examples=40)
+@given(
+    ppm=st.floats(-300, 300),
+    jitter_us=st.floats(10, 500),
+    rate_hz=st.sampled_from([50.0, 125.0, 500.0]),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_times_are_right_to_a_fraction_of_a_millisecond_and_do_not_drift(
+    ppm: float, jitter_us: float, rate_hz: float, seed: int
+) -> None:
+    link = Link(60, rate_hz=rate_hz, ppm=ppm, jitter_us=jitter_us, seed=seed)
+    error_ns = link.through(DeviceClock(COMPLETE_NS))
+    settled = error_ns[round(20 * rate_hz) :]
+    assert np.abs(settled).max() < 100_000 + jitter_us * 200
+    # By arrival alone the worst of these frames would be 40 ms off.
+    assert (link.received_ns - link.true_ns).max() > 20e6
+
+
+@pytest.mark.parametrize("ppm", [-100.0, 0.0, 100.0])
+def test_after_an_hour_the_clocks_are_as_near_as_after_a_minute(ppm: float) -> None:
+    link = Link(3600, rate_hz=20, ppm=ppm, jitter_us=100, seed=3)
+    error_ns = np.abs(link.through(DeviceClock(COMPLETE_NS)))
+    assert error_ns[1200:].max() < 200_000
+    assert error_ns[-1200:].max() < 200_000
+
+
+def test_the_distance_of_frames_is_the_devices_whatever_the_jitter() -> None:
+    link = Link(40, ppm=50, jitter_us=300, seed=5)
+    error_ns = link.through(DeviceClock(COMPLETE_NS))[1250:]
+    assert np.abs(np.diff(error_ns)).max() < 10_000, "steps of 8 ms are right to 10 us"
+
+
+def test_a_first_frame_that_was_late_is_made_up_for_within_seconds_and_without_a_jump() -> None:
+    link = Link(10, ppm=20, jitter_us=50, seed=6)
+    link.received_ns[:5] += 80_000_000
+    link.received_ns = np.maximum.accumulate(link.received_ns)
+    error_ns = link.through(DeviceClock(COMPLETE_NS))
+    assert error_ns[0] > 70e6
+    assert abs(error_ns[-1]) < 1e6
+    assert np.abs(np.diff(error_ns)).max() <= 0.1 * 8e6 + 10_000
+
+
+@pytest.mark.parametrize("jump_us", [-10_000_000, 50_000_000, 2**50])
+def test_a_device_clock_that_is_set_is_followed_at_once(jump_us: int) -> None:
+    link = Link(20, ppm=20, jitter_us=50, seed=7, start_us=20_000_000)
+    link.timestamp_us[1250:] += jump_us
+    error_ns = link.through(DeviceClock(COMPLETE_NS))
+    assert np.abs(error_ns[1250:]).max() < 45e6
+    assert np.abs(error_ns[2000:]).max() < 1e6
+
+
+def test_a_device_without_a_clock_gets_times_of_arrival_that_increase() -> None:
+    clock = DeviceClock(COMPLETE_NS)
+    times = [clock.map(0, received_ns) for received_ns in (10_000_000, 18_000_000, 18_000_000, 17_000_000, 26_000_000)]
+    assert times[:2] == [9_000_000, 17_000_000]
+    assert all(b > a for a, b in pairwise(times))
+
+
+def test_a_late_frame_is_known_by_its_delay() -> None:
+    link = Link(20, ppm=0, jitter_us=1, seed=8)
+    link.received_ns = link.true_ns.astype(np.int64) + COMPLETE_NS + LEAST_DELAY_NS
+    clock = DeviceClock(COMPLETE_NS)
+    for t, r in zip(link.timestamp_us[:-1], link.received_ns[:-1], strict=True):
+        clock.map(int(t), int(r))
+        assert abs(clock.delay_ns) < 10_000
+    clock.map(int(link.timestamp_us[-1]), int(link.received_ns[-1]) + 30_000_000)
+    assert clock.delay_ns == pytest.approx(30e6, abs=10_000)

@@ -1,0 +1,138 @@
+"""Frames cross from one thread to another in order; who reads too slowly loses the oldest, and it is counted."""
+
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.processes import PATIENCE_S
+from touchd.framering import FrameRing
+
+SHAPE = (2, 3)
+
+
+def put(ring: FrameRing[str], number: int) -> None:
+    ring.put(np.full(SHAPE, number % 1000, np.int16), number, number * 10, number * 10 + 5)
+
+
+def drain(ring: FrameRing[str]) -> list[int | str]:
+    """Everything that waits, in order."""
+    found: list[int | str] = []
+    while True:
+        frame = ring.take(0.0)
+        if frame is not None:
+            assert (frame.counts == frame.sequence % 1000).all()
+            assert (frame.t_ns, frame.received_ns) == (frame.sequence * 10, frame.sequence * 10 + 5)
+            found.append(frame.sequence)
+            continue
+        marks = ring.marks()
+        if not marks:
+            return found
+        found += marks
+
+
+@given(st.integers(1, 6), st.lists(st.one_of(st.just("put"), st.just("mark"), st.just("take")), max_size=60))
+def test_it_is_a_queue_that_loses_its_oldest_frames_only(capacity: int, steps: list[str]) -> None:
+    ring: FrameRing[str] = FrameRing(capacity, SHAPE)
+    waiting: list[int | str] = []
+    held = dropped = 0
+    for number, step in enumerate(steps):
+        if step == "put":
+            frames = [item for item in waiting if isinstance(item, int)]
+            if len(frames) == capacity + 1 - held:
+                waiting.remove(frames[0])
+                dropped += 1
+            put(ring, number)
+            waiting.append(number)
+        elif step == "mark":
+            ring.mark(str(number))
+            waiting.append(str(number))
+        else:
+            frame = ring.take(0.0)
+            if waiting and isinstance(waiting[0], int):
+                assert frame is not None
+                assert frame.sequence == waiting.pop(0)
+                held = 1
+            else:
+                assert frame is None
+    assert ring.dropped == dropped
+    assert drain(ring) == waiting
+
+
+def test_a_frame_in_the_readers_hands_is_not_written_over() -> None:
+    ring: FrameRing[str] = FrameRing(2, SHAPE)
+    put(ring, 1)
+    frame = ring.take(0.0)
+    assert frame is not None
+    for number in range(2, 20):
+        put(ring, number)
+    assert (frame.counts == 1).all()
+    assert drain(ring) == [18, 19]
+    assert ring.dropped == 16
+
+
+def test_a_frame_cannot_be_written_to_by_its_reader() -> None:
+    ring: FrameRing[str] = FrameRing(2, SHAPE)
+    put(ring, 1)
+    frame = ring.take(0.0)
+    assert frame is not None
+    with pytest.raises(ValueError, match="read-only"):
+        frame.counts[0, 0] = 5
+
+
+def test_samples_that_stand_in_another_order_are_put_into_channels() -> None:
+    ring: FrameRing[str] = FrameRing(2, SHAPE)
+    interleaved = np.array([[1, 11], [2, 12], [3, 13]], np.int16)
+    ring.put(interleaved.T, 0, 0, 0)
+    frame = ring.take(0.0)
+    assert frame is not None
+    assert frame.counts.tolist() == [[1, 2, 3], [11, 12, 13]]
+    assert frame.counts.flags.c_contiguous
+
+
+@pytest.mark.parametrize("what", ["frame", "mark"])
+def test_a_reader_who_waits_is_woken(what: str) -> None:
+    ring: FrameRing[str] = FrameRing(2, SHAPE)
+    waker = threading.Timer(0.01, lambda: put(ring, 7) if what == "frame" else ring.mark("seven"))
+    waker.start()
+    frame = ring.take(PATIENCE_S)  # had it slept on, the test would take as long
+    waker.join()
+    assert [frame.sequence if frame else None, ring.marks()] == ([7, []] if what == "frame" else [None, ["seven"]])
+
+
+def test_memory_is_allocated_once() -> None:
+    ring: FrameRing[str] = FrameRing(3, SHAPE)
+    seen = set()
+    for number in range(100):
+        put(ring, number)
+        frame = ring.take(0.0)
+        assert frame is not None
+        seen.add(frame.counts.ctypes.data)
+    assert len(seen) <= 4
+
+
+def test_two_threads_lose_nothing_that_is_not_counted() -> None:
+    ring: FrameRing[str] = FrameRing(8, SHAPE)
+    total = 20_000
+
+    def produce() -> None:
+        for number in range(total):
+            put(ring, number)
+        ring.mark("end")
+
+    producer = threading.Thread(target=produce)
+    producer.start()
+    last, count = -1, 0
+    while ring.marks() != ["end"]:
+        frame = ring.take(1.0)
+        if frame is not None:
+            assert frame.sequence > last
+            assert (frame.counts == frame.sequence % 1000).all()
+            last = frame.sequence
+            count += 1
+    producer.join()
+    assert count + ring.dropped == total

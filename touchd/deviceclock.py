@@ -1,0 +1,128 @@
+"""A device's clock mapped to this computer's: no drift, no jitter, never backwards."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import NamedTuple
+
+BUCKET_NS = 500_000_000
+"""One frame of each such span, the quickest, is remembered."""
+BUCKETS = 60
+"""Spans that the fit looks back on: 30 s, over which a crystal's rate hardly changes."""
+MAX_SKEW = 1e-3
+"""No clock is faster or slower than this; a crystal's limit is nearer to 1e-4."""
+_FIT_BUCKETS = 8  # with fewer the rate is noise, and taken to be right
+_SETTLE_NS = 1_000_000_000
+_MAX_SLEW = 0.1
+_JUMP_NS = 1_000_000_000  # clocks that part by so much between two frames: the device's was set
+
+
+class _Point(NamedTuple):
+    x_ns: int
+    """Device time."""
+    y_ns: int
+    """What was to be added to it to get the time of arrival: the offset of the clocks, plus this frame's delay."""
+
+
+class DeviceClock:
+    """Turns the device's time of a chirp into CLOCK_MONOTONIC.
+
+    A frame arrives late by a delay that varies but is never negative, so the offset of the clocks is the lower envelope
+    of (arrival less device time). The envelope is a straight line while the rates are constant; the line under all
+    points with the least distance to them is the edge of their lower convex hull above the mean of x (S. Moon, P.
+    Skelly, D. Towsley, "Estimation and removal of clock skew from network delay measurements", INFOCOM 1999). The
+    output follows that line without steps.
+
+    Parameters
+    ----------
+    complete_ns : int
+        From the start of a chirp to its last sample: no frame can arrive sooner.
+    """
+
+    def __init__(self, complete_ns: int) -> None:
+        self.delay_ns = 0
+        """How much later than the quickest frames the last frame arrived."""
+        self._complete_ns = complete_ns
+        self._epoch_ns: int | None = None
+        self._last_ns = 0
+        self._last_t_ns = -1
+        self._last_received_ns = 0
+
+    def map(self, timestamp_us: int, received_ns: int) -> int:
+        """Return when a frame's chirp began, CLOCK_MONOTONIC in ns; it increases from call to call.
+
+        Parameters
+        ----------
+        timestamp_us : int
+            The device's clock at the start of the chirp.
+        received_ns : int
+            CLOCK_MONOTONIC when the frame was complete on this computer.
+        """
+        device_ns = timestamp_us * 1000
+        step_ns = device_ns - self._last_ns
+        if self._epoch_ns is None or step_ns <= 0 or abs(received_ns - self._last_received_ns - step_ns) > _JUMP_NS:
+            self._begin(device_ns, received_ns)
+            step_ns = 0
+        assert self._epoch_ns is not None
+        self._last_ns, self._last_received_ns = device_ns, received_ns
+        x_ns = device_ns - self._epoch_ns
+        y_ns = received_ns - self._complete_ns - x_ns
+        self._remember(_Point(x_ns, y_ns))
+        self._follow(x_ns, step_ns)
+        t_ns = x_ns + round(self._offset_ns)
+        self.delay_ns = received_ns - self._complete_ns - t_ns
+        self._last_t_ns = max(t_ns, self._last_t_ns + 1)
+        return self._last_t_ns
+
+    def _begin(self, device_ns: int, received_ns: int) -> None:
+        self._epoch_ns = device_ns
+        self._minima: deque[_Point] = deque(maxlen=BUCKETS)
+        self._bucket = 0
+        self._skew = 0.0
+        # The line: its height at x = 0. And what is in fact added to device time, which follows it.
+        self._intercept_ns = self._offset_ns = float(received_ns - self._complete_ns)
+
+    def _remember(self, point: _Point) -> None:
+        bucket = point.x_ns // BUCKET_NS
+        if bucket != self._bucket or not self._minima:
+            if self._minima:
+                self._fit()
+            self._bucket = bucket
+            self._minima.append(point)
+        elif point.y_ns < self._minima[-1].y_ns:
+            self._minima[-1] = point
+        # Sooner than the line allows: the line was too high.
+        self._intercept_ns = min(self._intercept_ns, point.y_ns - self._skew * point.x_ns)
+
+    def _fit(self) -> None:
+        """Draw the line anew under what is remembered."""
+        points = list(self._minima)
+        if len(points) < _FIT_BUCKETS:
+            self._skew = 0.0
+        else:
+            low, high = _edge_above_mean(points)
+            skew = (high.y_ns - low.y_ns) / (high.x_ns - low.x_ns)
+            self._skew = min(max(skew, -MAX_SKEW), MAX_SKEW)
+        self._intercept_ns = min(y - self._skew * x for x, y in points)
+
+    def _follow(self, x_ns: int, step_ns: int) -> None:
+        """Let the offset move towards the line, so slowly that time neither jumps nor runs backwards."""
+        self._offset_ns += self._skew * step_ns
+        error_ns = self._intercept_ns + self._skew * x_ns - self._offset_ns
+        limit_ns = _MAX_SLEW * step_ns
+        self._offset_ns += min(max(error_ns * min(1.0, step_ns / _SETTLE_NS), -limit_ns), limit_ns)
+
+
+def _edge_above_mean(points: list[_Point]) -> tuple[_Point, _Point]:
+    """Return the edge of the lower convex hull that the mean of x lies in; x increases (Andrew's monotone chain)."""
+    hull: list[_Point] = []
+    for p in points:
+        while len(hull) >= 2:
+            (ax, ay), (bx, by) = hull[-2:]
+            if (bx - ax) * (p.y_ns - ay) > (by - ay) * (p.x_ns - ax):
+                break
+            hull.pop()
+        hull.append(p)
+    mean_ns = sum(p.x_ns for p in points) / len(points)
+    at = next(i for i, p in enumerate(hull) if p.x_ns >= mean_ns)
+    return hull[max(at - 1, 0)], hull[max(at, 1)]
