@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,7 +25,7 @@ class Link:
     ) -> None:
         rng = np.random.default_rng(seed)
         n = round(seconds * rate_hz)
-        self.true_ns: NDArray[np.float64] = 7e12 + np.arange(n) * 1e9 / rate_hz
+        self.true_ns: NDArray[np.floating[Any]] = 7e12 + np.arange(n) * 1e9 / rate_hz
         device_ns = (self.true_ns - self.true_ns[0]) * (1 + ppm * 1e-6)
         self.timestamp_us = start_us + np.floor(device_ns / 1000).astype(np.int64)
         delay_ns = LEAST_DELAY_NS + rng.exponential(jitter_us * 1000, n)
@@ -35,11 +36,12 @@ class Link:
         arrival = np.maximum.accumulate(self.true_ns + COMPLETE_NS + delay_ns)
         self.received_ns: NDArray[np.int64] = arrival.astype(np.int64)
 
-    def through(self, clock: DeviceClock) -> NDArray[np.float64]:
+    def through(self, clock: DeviceClock) -> NDArray[np.floating[Any]]:
         """Mapped times less the true ones, ns."""
         mapped = [clock.map(int(t), int(r)) for t, r in zip(self.timestamp_us, self.received_ns, strict=True)]
         assert all(b > a for a, b in pairwise(mapped)), "time increases"
-        return np.array(mapped) - self.true_ns - LEAST_DELAY_NS
+        error_ns: NDArray[np.floating[Any]] = np.array(mapped) - self.true_ns - LEAST_DELAY_NS
+        return error_ns
 
 
 @settings(deadline=None, max_examples=40)

@@ -59,6 +59,12 @@ class DeviceSettings(_Section):
     product_id: int = Field(0x0001, ge=0, le=0xFFFF, description="USB product id.")
     serial: str = Field("", description="USB serial number; empty takes the first device found.")
     rate_hz: int = Field(125, ge=1, le=65535, description="Frames a second asked of the device.")
+    stall_s: float = Field(
+        1.0, ge=0.05, le=10, description="Without a frame for so long contacts are lifted and the stream begun anew, s."
+    )
+    queue_frames: int = Field(
+        64, ge=2, le=10000, description="Frames that wait at most when the computer is busy; the oldest are dropped."
+    )
 
 
 class ModelSettings(_Section):

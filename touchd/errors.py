@@ -20,7 +20,8 @@
     │   ├── InsecureBind             42  beyond loopback without keys: configure CURVE keys
     │   └── BusTimeout               43  nobody answered in time: check that the other side runs
     ├── SourceError                  50  frames cannot be read
-    │   └── DeviceLost               51  the DAQ is gone: look at the cable
+    │   ├── DeviceLost               51  the DAQ is gone: look at the cable
+    │   └── ReaderFailed             52  the thread that reads the DAQ died or hangs: restart touchd
     ├── MissingExtra                 60  an optional package is needed: install the named extra
     ├── TrainingError                70  a model cannot be trained from this recording
     ├── SimulationError              80  a scene, plate or count that the twin cannot make
@@ -162,6 +163,12 @@ class DeviceLost(SourceError):
     """The DAQ has gone."""
 
     exit_code = 51
+
+
+class ReaderFailed(SourceError):
+    """The thread that reads the DAQ has died, or hangs."""
+
+    exit_code = 52
 
 
 class MissingExtra(TouchdError):
