@@ -25,7 +25,9 @@
     ├── MissingExtra                 60  an optional package is needed: install the named extra
     ├── TrainingError                70  a model cannot be trained from this recording
     ├── SimulationError              80  a scene, plate or count that the twin cannot make
-    └── OutputError                  90  a file cannot be written: check folder, space and permissions
+    ├── OutputError                  90  a file cannot be written: check folder, space and permissions
+    └── JobError                    100  a part of a long computation failed: the line names it; what is done is kept
+        └── ClusterError            101  a Dask cluster cannot be used: check the address, its workers and versions
 """
 
 from __future__ import annotations
@@ -193,3 +195,15 @@ class OutputError(TouchdError):
     """A file cannot be written."""
 
     exit_code = 90
+
+
+class JobError(TouchdError):
+    """A part of a long computation failed."""
+
+    exit_code = 100
+
+
+class ClusterError(JobError):
+    """A Dask cluster cannot be reached or used."""
+
+    exit_code = 101
