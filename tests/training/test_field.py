@@ -9,9 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.training.conftest import KNOWN
+from touchd.keypad import Key, Layout
 from touchd.training.dataset import Dataset
 from touchd.training.field import STEP_MM, Field
-from touchd.training.synthetic import Synthesiser
+from touchd.training.synthetic import BORDER_MM, Synthesiser
 
 SIZE_MM = (200.0, 200.0)
 
@@ -101,3 +102,18 @@ def test_touches_are_drawn_inside_the_touched_part_with_strengths_that_occurred(
     assert nearest.max() < 2e-3
     again, _ = synthesiser(field).draw(2000)
     assert torch.equal(residual, again), "the same seed, the same touches"
+
+
+def test_for_a_keypad_four_in_ten_are_drawn_about_the_borders_of_keys(field: Field) -> None:
+    key = Key(name="1", x_mm=90, y_mm=85, width_mm=24, height_mm=30)
+    made = Synthesiser(field, SIZE_MM, torch.Generator().manual_seed(0), Layout(key=(key,)))
+    _, place = made.draw(2000)
+    place_mm = (place + 0.5) * torch.tensor(SIZE_MM)
+    assert (place_mm >= torch.tensor(field.low_mm) - 1e-3).all()
+    assert (place_mm <= torch.tensor(field.high_mm) + 1e-3).all()
+    offset_mm = torch.stack([place_mm[:, 0] - 90, 114 - place_mm[:, 0], place_mm[:, 1] - 85, 115 - place_mm[:, 1]])
+    at_border = (offset_mm.min(dim=0).values.abs() < 2 * BORDER_MM).float()
+    assert at_border[:800].mean() > 0.9
+    assert at_border[800:].mean() < 0.7
+    each = (offset_mm.abs() < BORDER_MM)[:, :800].float().mean(dim=1)
+    assert (each > 0.1).all(), "all four borders"

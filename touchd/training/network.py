@@ -5,6 +5,8 @@ What is exported is these very modules, so a trained network and its ONNX file c
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import Tensor, nn
 
@@ -12,14 +14,28 @@ from touchd.training.recipe import TRUNK
 
 
 class Normalise(nn.Module):
-    """A residual as its direction (unit length) and its log-norm.
+    """A residual without the plate's own drift, as its direction (unit length) and its log-norm.
 
     The direction says where a finger is, the norm how hard it presses: separated, the first does not
     depend on the second.
+
+    Parameters
+    ----------
+    drift : tensor of shape (k, inputs), optional
+        Orthonormal directions in which the untouched plate moves by itself: what lies along them is left out.
     """
+
+    drift: Tensor
+
+    def __init__(self, drift: Tensor | None = None) -> None:
+        super().__init__()
+        self.directions = 0 if drift is None else drift.shape[0]
+        self.register_buffer("drift", torch.zeros(0, 1) if drift is None else drift)
 
     def forward(self, features: Tensor) -> tuple[Tensor, Tensor]:
         """Return the direction (n, inputs) and the natural logarithm of the norm (n, 1)."""
+        if self.directions:
+            features = features - (features @ self.drift.T) @ self.drift
         norm = features.square().sum(dim=1, keepdim=True).clamp_min(1e-12).sqrt()
         return features / norm, norm.log()
 
@@ -49,6 +65,8 @@ class Regression(nn.Module):
         Length of the feature vector.
     size_mm : tuple of two floats
         Width and height of the plate; no position lies outside.
+    drift : tensor of shape (k, inputs), optional
+        See `Normalise`.
     """
 
     size_mm: Tensor
@@ -61,9 +79,10 @@ class Regression(nn.Module):
         size_mm: tuple[float, float],
         widths: tuple[int, ...] = TRUNK,
         bins: int = 32,
+        drift: Tensor | None = None,
     ) -> None:
         super().__init__()
-        self.normalise = Normalise()
+        self.normalise = Normalise(drift)
         self.trunk = trunk(inputs, widths, dropout=0.0)
         # The log-norm joins the last stage: weak touches are placed less well and look more like noise.
         self.last: nn.Module = nn.BatchNorm1d(widths[-1] + 1)
@@ -163,6 +182,8 @@ class Classifier(nn.Module):
         N^2 zones, row by row, or the keys and the zone beside them.
     normalised : bool
         Whether only the direction of the features counts; the paper takes them as they are.
+    drift : tensor of shape (k, inputs), optional
+        See `Normalise`.
     """
 
     def __init__(
@@ -172,9 +193,10 @@ class Classifier(nn.Module):
         widths: tuple[int, ...] = TRUNK,
         dropout: float = 0.0,
         normalised: bool = True,
+        drift: Tensor | None = None,
     ) -> None:
         super().__init__()
-        self.normalise = Normalise() if normalised else None
+        self.normalise = Normalise(drift) if normalised else None
         self.trunk = trunk(inputs, widths, dropout)
         self.last: nn.Module = nn.BatchNorm1d(widths[-1])
         self.head = nn.Linear(widths[-1], classes)
@@ -195,9 +217,52 @@ class Classifier(nn.Module):
         return self.raw(features).softmax(dim=1)
 
 
+class Keypad(Regression):
+    """Probabilities of keys, from a position and its standard error.
+
+    A key's probability is that of a Gaussian about the position to lie on it. So any layout can be laid over
+    what was learned of the whole plate, and a touch that comes to lie on a key's border is not called sure.
+    All probabilities add up to the confidence that there is a finger at all.
+
+    Parameters
+    ----------
+    keys_mm : tensor of shape (keys, 4)
+        Left and upper edges, right and lower edges.
+    """
+
+    low_mm: Tensor
+    high_mm: Tensor
+
+    def __init__(
+        self,
+        inputs: int,
+        size_mm: tuple[float, float],
+        keys_mm: Tensor,
+        widths: tuple[int, ...] = TRUNK,
+        bins: int = 32,
+        drift: Tensor | None = None,
+    ) -> None:
+        super().__init__(inputs, size_mm, widths, bins, drift)
+        self.register_buffer("low_mm", keys_mm[:, :2])
+        self.register_buffer("high_mm", keys_mm[:, 2:])
+
+    def forward(self, features: Tensor) -> Tensor:  # type: ignore[override]  # keys are read from the position
+        """Return probabilities of shape (n, keys + 1): the last one is beside all keys."""
+        place_mm, sigma_mm, confidence = super().forward(features)
+        reach = math.sqrt(2) * sigma_mm[:, :, None]
+        on = (
+            torch.erf((self.high_mm - place_mm[:, None]) / reach) - torch.erf((self.low_mm - place_mm[:, None]) / reach)
+        ) / 2
+        key = on[:, :, 0] * on[:, :, 1]
+        beside = (1 - key.sum(dim=1, keepdim=True)).clamp_min(0)
+        return torch.cat([key, beside], dim=1) * confidence
+
+
 Network = Regression | PlainRegression | Classifier
 
 
 def multiply_adds(network: Network) -> int:
-    """Return the multiply-adds of one inference: those of the linear layers."""
-    return sum(layer.weight.numel() for layer in network.modules() if isinstance(layer, nn.Linear))
+    """Return the multiply-adds of one inference: those of the linear layers, and of leaving drift out."""
+    layers = sum(layer.weight.numel() for layer in network.modules() if isinstance(layer, nn.Linear))
+    drift = sum(2 * part.drift.numel() for part in network.modules() if isinstance(part, Normalise))
+    return layers + drift

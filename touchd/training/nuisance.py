@@ -32,4 +32,4 @@ def drift_directions(untouched: NDArray[np.float32]) -> NDArray[np.float32]:
     rows -= rows.mean(axis=0)
     _, _, patterns = np.linalg.svd(rows[::2], full_matrices=False)
     along = np.mean((rows[1::2] @ patterns[:MOST].T) ** 2, axis=0)
-    return patterns[:MOST][along > STANDS_OUT * noise].astype(np.float32)
+    return np.asarray(patterns[:MOST][along > STANDS_OUT * noise], np.float32)

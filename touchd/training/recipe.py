@@ -9,6 +9,11 @@ from touchd.model import Head
 
 TRUNK = (400, 300, 200, 100)
 """Widths of the paper's regression and grid networks."""
+BEST_TRUNK = (400, 300, 200, 64)
+"""The paper's but for the last stage, which makes room for two histograms, sigma and confidence: with them, and one
+direction of drift left out, no more multiply-adds than the paper's regression."""
+SMALL_TRUNK = (64, 48, 40, 40)
+"""A tenth of them."""
 KEYPAD_TRUNK = (100, 50)
 """Widths of the paper's keypad network."""
 
@@ -32,11 +37,12 @@ class Recipe:
 RECIPES = {
     recipe.name: recipe
     for recipe in (
-        Recipe("best", "regression", "position, standard error and confidence: what we recommend"),
-        # A tenth of the multiply-adds, by the widths alone.
-        Recipe("small", "regression", "the same with a tenth of the multiply-adds", widths=(64, 48, 48, 40)),
+        Recipe("best", "regression", "position, standard error and confidence: what we recommend", widths=BEST_TRUNK),
+        Recipe("small", "regression", "the same with a tenth of the multiply-adds", widths=SMALL_TRUNK),
         Recipe("grid", "grid", "zones of an N x N grid, trained like best"),
-        Recipe("keypad", "keypad", "keys of a layout, trained like best", widths=KEYPAD_TRUNK),
+        Recipe(
+            "keypad", "keypad", "keys of a layout, trained like best and most about their borders", widths=BEST_TRUNK
+        ),
         Recipe("paper-regression", "regression", "the paper's regression network", paper=True, epochs=120),
         Recipe("paper-grid", "grid", "the paper's C-N", paper=True, epochs=120),
         Recipe("paper-keypad", "keypad", "the paper's keypad", widths=KEYPAD_TRUNK, paper=True, epochs=120),

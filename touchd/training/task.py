@@ -13,7 +13,7 @@ from touchd.errors import TrainingError
 from touchd.evaluation.metrics import position_scores
 from touchd.frame import Plate
 from touchd.keypad import Layout
-from touchd.training.network import Classifier, Network, PlainRegression, Regression
+from touchd.training.network import Classifier, Keypad, Network, PlainRegression, Regression
 from touchd.training.recipe import Recipe
 
 DROPOUT = 0.3  # the paper's
@@ -53,8 +53,8 @@ class PositionTask:
 
     wants_others = True
 
-    def __init__(self, inputs: int, plate: Plate, recipe: Recipe) -> None:
-        self.network = Regression(inputs, (plate.width_mm, plate.height_mm), recipe.widths)
+    def __init__(self, inputs: int, plate: Plate, recipe: Recipe, drift: Tensor) -> None:
+        self.network = Regression(inputs, (plate.width_mm, plate.height_mm), recipe.widths, drift=drift)
 
     def loss(self, features: Tensor, position: Tensor) -> Tensor:
         """Return cross-entropy of the position, quantile loss of sigma, and cross-entropy of finger or not."""
@@ -105,6 +105,35 @@ class PaperPositionTask:
         return {}
 
 
+class KeyTask(PositionTask):
+    """Keys, read from a position: learned as a position, scored by keys."""
+
+    network: Keypad
+
+    def __init__(self, inputs: int, plate: Plate, recipe: Recipe, drift: Tensor, layout: Layout) -> None:
+        self._layout = layout
+        keys_mm = torch.tensor([[k.x_mm, k.y_mm, k.x_mm + k.width_mm, k.y_mm + k.height_mm] for k in layout.key])
+        self.network = Keypad(inputs, (plate.width_mm, plate.height_mm), keys_mm, recipe.widths, drift=drift)
+
+    def scores(self, features: NDArray[np.float32], position_mm: Positions) -> dict[str, float]:
+        """Return the scores of the position behind the keys, the accuracy, and touches taken for another key."""
+        network = self.network.eval()
+        with torch.inference_mode():
+            place_mm, _, _ = Regression.forward(network, torch.from_numpy(features))
+            probability = network(torch.from_numpy(features)).numpy()
+        truth = labels_of(position_mm, self._layout)
+        confident = float((probability.sum(axis=1) >= 0.5).mean())
+        return (
+            position_scores(place_mm.numpy() - position_mm)
+            | key_scores(probability.argmax(axis=1), truth, len(self._layout.key))
+            | {"confident": confident}
+        )
+
+    def description(self) -> dict[str, Any]:
+        """Return the layout."""
+        return {"layout": self._layout}
+
+
 class ClassTask:
     """Zones of a grid, or keys of a layout and the zone beside them: cross-entropy.
 
@@ -113,7 +142,9 @@ class ClassTask:
 
     wants_others = False
 
-    def __init__(self, inputs: int, plate: Plate, recipe: Recipe, grid: int, layout: Layout | None) -> None:
+    def __init__(
+        self, inputs: int, plate: Plate, recipe: Recipe, drift: Tensor, grid: int, layout: Layout | None
+    ) -> None:
         self._size_mm = np.array([plate.width_mm, plate.height_mm])
         self._grid, self._layout = grid, layout
         if layout is None:
@@ -123,7 +154,7 @@ class ClassTask:
         else:
             self._centres_mm = np.array([*(key.centre_mm for key in layout.key), tuple(self._size_mm / 2)])
         classes, dropout = len(self._centres_mm), DROPOUT if recipe.paper else 0.0
-        self.network = Classifier(inputs, classes, recipe.widths, dropout, normalised=not recipe.paper)
+        self.network = Classifier(inputs, classes, recipe.widths, dropout, not recipe.paper, drift)
 
     def loss(self, features: Tensor, position: Tensor) -> Tensor:
         """Return the cross-entropy of zone or key."""
@@ -135,12 +166,7 @@ class ClassTask:
         if self._layout is None:
             place = np.clip(position_mm / self._size_mm * self._grid, 0, self._grid - 1e-6).astype(np.int64)
             return np.asarray(place[:, 1] * self._grid + place[:, 0])
-        beside = len(self._layout.key)
-        labels = np.full(len(position_mm), beside)
-        for number, key in enumerate(self._layout.key):
-            offset_mm = position_mm - [key.x_mm, key.y_mm]
-            labels[((offset_mm >= 0) & (offset_mm < [key.width_mm, key.height_mm])).all(axis=1)] = number
-        return labels
+        return labels_of(position_mm, self._layout)
 
     def scores(self, features: NDArray[np.float32], position_mm: Positions) -> dict[str, float]:
         """Return accuracy, the scores of the position, and for keys the touches taken for another key."""
@@ -149,9 +175,7 @@ class ClassTask:
         truth = self.labels(position_mm)
         scores = position_scores(self._centres_mm[best] - position_mm) | {"accuracy": float((best == truth).mean())}
         if self._layout is not None:
-            beside = len(self._layout.key)
-            wrong = (best != truth) & (best != beside) & (truth != beside)
-            scores["key_to_key_errors"] = float(wrong.sum())
+            scores |= key_scores(best, truth, len(self._layout.key))
         return scores
 
     def description(self) -> dict[str, Any]:
@@ -159,21 +183,47 @@ class ClassTask:
         return {"grid": self._grid} if self._layout is None else {"layout": self._layout}
 
 
-def make_task(recipe: Recipe, inputs: int, plate: Plate, grid: int, layout: Layout | None) -> Task:
-    """Return the task of a recipe.
+def labels_of(position_mm: NDArray[np.floating[Any]], layout: Layout) -> NDArray[np.int64]:
+    """Return the number of the key under each position (n, 2), that of the keys where there is none."""
+    labels = np.full(len(position_mm), len(layout.key))
+    for number, key in enumerate(layout.key):
+        offset_mm = position_mm - [key.x_mm, key.y_mm]
+        labels[((offset_mm >= 0) & (offset_mm < [key.width_mm, key.height_mm])).all(axis=1)] = number
+    return labels
+
+
+def key_scores(found: NDArray[np.int64], truth: NDArray[np.int64], keys: int) -> dict[str, float]:
+    """Return the accuracy, and how many touches of a key were taken for another key; class `keys` is no key."""
+    wrong = (found != truth) & (found != keys) & (truth != keys)
+    return {"accuracy": float((found == truth).mean()), "key_to_key_errors": float(wrong.sum())}
+
+
+def make_task(
+    recipe: Recipe, inputs: int, plate: Plate, grid: int, layout: Layout | None, drift: NDArray[np.float32]
+) -> Task:
+    """Return the task of a recipe; `drift`, of shape (k, inputs), is what its network shall not see.
 
     Raises
     ------
     TrainingError
         If the grid has no zones, or a keypad no layout.
     """
-    if recipe.head == "regression":
-        return PaperPositionTask(inputs, plate, recipe) if recipe.paper else PositionTask(inputs, plate, recipe)
     if recipe.head == "keypad" and layout is None:
         raise TrainingError("a keypad needs its keys", "--layout", "name a TOML file of keys")
     if recipe.head == "grid" and grid < 2:
         raise TrainingError(f"a grid of {grid} x {grid} zones tells nothing", "--n", "use 2 or more")
-    return ClassTask(inputs, plate, recipe, grid, layout if recipe.head == "keypad" else None)
+    directions = torch.from_numpy(drift)
+    if recipe.head == "regression":
+        return (
+            PaperPositionTask(inputs, plate, recipe)
+            if recipe.paper
+            else PositionTask(inputs, plate, recipe, directions)
+        )
+    if recipe.head == "keypad" and layout is not None:
+        if not recipe.paper:
+            return KeyTask(inputs, plate, recipe, directions, layout)
+        return ClassTask(inputs, plate, recipe, directions, grid, layout)
+    return ClassTask(inputs, plate, recipe, directions, grid, None)
 
 
 def _pinball(excess: Tensor, share: float) -> Tensor:

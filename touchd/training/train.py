@@ -21,6 +21,7 @@ from touchd.training.exactness import TOLERANCE, Exactness, check_graph
 from touchd.training.export import make_graph, write_model
 from touchd.training.field import learn_field
 from touchd.training.network import PlainRegression
+from touchd.training.nuisance import drift_directions
 from touchd.training.recipe import RECIPES, Recipe
 from touchd.training.synthetic import Synthesiser
 from touchd.training.task import Task, make_task
@@ -88,7 +89,9 @@ def train(
     parts = thin(split(len(data), seed), share)
     plate = recording.meta.plate
     features = data.signal if recipe.paper else data.residual
-    task = make_task(recipe, features.shape[1], plate, grid, layout)
+    # Every other row: neighbours share a frame.
+    drift = drift_directions(data.untouched[np.sort(parts.train)][::2])
+    task = make_task(recipe, features.shape[1], plate, grid, layout, drift)
     notes: list[str] = []
     if recipe.paper:
         batches = _paper_batches(data, parts, generator)
