@@ -175,7 +175,11 @@ CASES: dict[str, tuple[type[TouchdError], Arguments, tuple[str, ...]]] = {
         configured('[keypad]\nlayout = "nowhere.toml"'),
         ("nowhere.toml", "keypad.layout"),
     ),
-    "no source": (errors.SourceError, lambda _w: (), ("--replay",)),
+    "no DAQ": (
+        errors.DeviceLost,
+        lambda w: ("record", "-o", w.folder / "a.npz", "--config", w.file("none.toml", '[device]\nserial = "none"')),
+        ("plug it in", "--replay"),
+    ),
     "two sources": (errors.SourceError, bound("--simulate", "tap"), ("--simulate",)),
     "an unknown scene": (errors.SimulationError, lambda _w: ("--simulate", "dance"), ("'dance'", "swipe")),
     "an output that is there": (

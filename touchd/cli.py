@@ -26,7 +26,7 @@ VERBS = {
     "train": "Train a model on a labelled recording.",
 }
 EXTRAS = {"torch": "train", "scipy": "train", "sklearn": "train", "joblib": "train", "onnx": "train",
-          "matplotlib": "train", "rich": "train"}  # fmt: skip
+          "matplotlib": "train", "rich": "train", "dask": "cluster", "distributed": "cluster"}  # fmt: skip
 
 
 class Verbs(click.Group):
@@ -93,7 +93,8 @@ def touchd(
 ) -> None:
     """Find touches on a plate by ultrasound and publish them.
 
-    Without a verb this is the daemon: it reads frames, finds touches, and publishes events over ZeroMQ.
+    Without a verb this is the daemon: it reads frames, finds touches, and publishes events over ZeroMQ. Frames come
+    from the DAQ on USB, which may be plugged in later, unless another source is named.
     """
     ctx.obj = {"debug": debug, "config": config}
     if ctx.invoked_subcommand is not None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import structlog
 
-from touchd.config import Settings
+from touchd.config import DeviceSettings, Settings
 from touchd.errors import SourceError
 from touchd.keypad import load_layout
 from touchd.message import Messages
@@ -29,7 +29,7 @@ log = structlog.get_logger()
 
 @dataclass(frozen=True, slots=True)
 class SourceChoice:
-    """Which source the command line asked for."""
+    """Which source the command line asked for: the DAQ on USB unless it names another."""
 
     replay: Path | None = None
     simulate: str | None = None
@@ -39,13 +39,22 @@ class SourceChoice:
     seed: int = 0
 
 
-def open_source(choice: SourceChoice) -> Source:
+def open_source(choice: SourceChoice, device: DeviceSettings, model: Model | None = None) -> Source:
     """Return the source that was asked for; each backend is imported on use.
+
+    Parameters
+    ----------
+    choice : SourceChoice
+    device : DeviceSettings
+        The DAQ to use if no other source was named.
+    model : Model, optional
+        What the DAQ's frames are for: it may then be plugged in later, and one that the model does not fit is refused.
+        Without a model the DAQ has to be there.
 
     Raises
     ------
     SourceError
-        If none or several were named, or a scene shall run at a speed of its own.
+        If several were named, or a scene shall run at a speed of its own; or the DAQ cannot be used.
     """
     if choice.replay is not None and choice.simulate is not None:
         raise SourceError("two sources were named", "--replay and --simulate", "name one of them")
@@ -63,7 +72,11 @@ def open_source(choice: SourceChoice) -> Source:
         return SimulatedSource(
             choice.simulate, seed=choice.seed, paced=choice.speed != float("inf"), loop=choice.loop
         )  # fmt: skip
-    raise SourceError("no source of frames was named", fix="add --replay FILE or --simulate SCENE")
+    from touchd.sources.usb import open_usb
+
+    if model is None:
+        return open_usb(device)
+    return open_usb(device, model.description.acquisition, model.check)
 
 
 def log_notice(reason: str, fields: dict[str, float]) -> None:
@@ -77,9 +90,10 @@ def make_pipeline(
     messages: Messages,
     sinks: Sequence[Sink] = (),
     notify: Callable[[str, dict[str, float]], None] = log_notice,
+    model: Model | None = None,
 ) -> tuple[Pipeline, Model]:
-    """Return the pipeline for a source, with the model that the settings name."""
-    model = Model(settings.model.path or default_model_path())
+    """Return the pipeline for a source, with the model that the settings name unless it is loaded already."""
+    model = model or load_model(settings)
     layout = load_layout(settings.keypad.layout) if settings.keypad.layout else model.description.layout
 
     def wants(topic: str) -> bool:
@@ -87,6 +101,11 @@ def make_pipeline(
 
     pipeline = Pipeline(source.acquisition, model, settings, messages, layout, wants, notify)
     return pipeline, model
+
+
+def load_model(settings: Settings) -> Model:
+    """Return the model that the settings name."""
+    return Model(settings.model.path or default_model_path())
 
 
 def make_messages(settings: Settings) -> Messages:
@@ -107,7 +126,8 @@ def run(settings: Settings, choice: SourceChoice, *, echo: bool = False, await_s
     from touchd.sinks.jsonl import JsonlSink
     from touchd.sinks.zeromq import ZeromqSink
 
-    source = open_source(choice)
+    model = load_model(settings)
+    source = open_source(choice, settings.device, model)
     bus: ZeromqSink | None = None
     try:
         bus = ZeromqSink(settings.bus)
@@ -115,7 +135,7 @@ def run(settings: Settings, choice: SourceChoice, *, echo: bool = False, await_s
         if echo:
             sinks.append(JsonlSink(sys.stdout))
         messages = make_messages(settings)
-        pipeline, model = make_pipeline(source, settings, messages, sinks)
+        pipeline, _ = make_pipeline(source, settings, messages, sinks, model=model)
         service = Service(source, pipeline, sinks, messages, settings.health, model.description.name)
         stop_on_signals(service)
         if await_subscriber_s:

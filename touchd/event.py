@@ -95,7 +95,7 @@ class HealthEvent:
     frames: int
     """Frames taken in since the start."""
     lost: int
-    """Frames the device counted but this host never saw."""
+    """Frames the device counted but this host never saw, less the corrupt ones where the device can tell them apart."""
     corrupt: int
     """Frames that failed a check and were dropped."""
     skipped: dict[str, int]
@@ -111,6 +111,12 @@ class HealthEvent:
     version: str
     v: int = VERSION
     type: Literal["health"] = "health"
+    clipped: int = 0
+    """Frames taken in although the ADC clipped."""
+    late: int = 0
+    """Frames taken in that came more than a frame's period later than the quickest ones."""
+    reason: str | None = None
+    """Why the device is in this state, for a person."""
 
 
 @dataclass(slots=True)

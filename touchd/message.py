@@ -51,6 +51,9 @@ class Messages:
         baseline_age_s: float,
         model: str,
         version: str,
+        clipped: int = 0,
+        late: int = 0,
+        reason: str | None = None,
     ) -> HealthEvent:
         """Return the message on the daemon's own state."""
         return HealthEvent(
@@ -69,6 +72,9 @@ class Messages:
             baseline_age_s,
             model,
             version,
+            clipped=clipped,
+            late=late,
+            reason=reason,
         )
 
     def _keys(self, t_ns: int, wall: str, contacts: Sequence[Contact]) -> list[Event]:

@@ -133,6 +133,12 @@ class Pipeline:
         contacts = self.tracker.release_all(t_ns)
         return self._messages.touch(t_ns, self._last_sequence or 0, contacts) if contacts else NOTHING
 
+    def restart(self) -> None:
+        """Learn the plate anew: the device was away, and what it hears may have changed."""
+        self._notify("reconnected", {})
+        self._last_sequence = None
+        self._learn_anew()
+
     # -- the stages that need more than one call ---------------------------------------------------
 
     def _in_order(self, frame: Frame) -> bool:

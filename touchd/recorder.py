@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from touchd import recording
 from touchd.errors import OutputError
 from touchd.frame import Acquisition, Frame, Plate
-from touchd.recording import Meta, Recording
+from touchd.recording import Device, Meta, Recording
 from touchd.sources import Source
 
 CHUNK_FRAMES = 5000
@@ -23,7 +23,15 @@ MAX_FILE_FRAMES = 60_000
 """Frames in a single file, which is kept in memory until the end: 120 MB of 4 x 250 counts."""
 
 
-def describe(acquisition: Acquisition, plate: Plate, frame_rate_hz: float, *, source: str, notes: str = "") -> Meta:
+def describe(
+    acquisition: Acquisition,
+    plate: Plate,
+    frame_rate_hz: float,
+    *,
+    source: str,
+    device: Device | None = None,
+    notes: str = "",
+) -> Meta:
     """Return a recording's description, dated now."""
     return Meta(
         sample_rate_hz=acquisition.sample_rate_hz,
@@ -33,6 +41,7 @@ def describe(acquisition: Acquisition, plate: Plate, frame_rate_hz: float, *, so
         frame_rate_hz=frame_rate_hz,
         plate=plate,
         source=source,
+        device=device or Device(),
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         notes=notes,
     )

@@ -16,7 +16,7 @@ from touchd.event import Event, HealthEvent, Latency, State
 from touchd.message import Messages
 from touchd.pipeline import Pipeline
 from touchd.sinks import Sink
-from touchd.sources import EndOfStream, Source
+from touchd.sources import Change, EndOfStream, LiveSource, Source, Tally
 
 READ_TIMEOUT_S = 0.05  # how long a new subscriber waits at most for its last value while no frame comes
 STALL_NS = 1_000_000_000
@@ -39,6 +39,8 @@ class Service:
         clock: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         self._source = source
+        # A device has states of its own; of any other source only its silence is known.
+        self._live = source if isinstance(source, LiveSource) else None
         self._pipeline = pipeline
         self._sinks = sinks
         self._messages = messages
@@ -46,13 +48,15 @@ class Service:
         self._model_name = model_name
         self._clock = clock
         self._state: State = "starting"
+        self._reason: str | None = None
+        self._away = False
         self._stop = False
         self._latencies_us = np.zeros(_LATENCIES, np.float32)
         self._sent = 0
         self._health_ns = 0
         self._seen_ns = 0
         self._stream_ns = 0
-        self._lost_logged = 0
+        self._logged: dict[str, int] = {}
 
     def stop(self) -> None:
         """Have `run` end after the frame in hand; safe to call from a signal handler."""
@@ -94,7 +98,10 @@ class Service:
             if events:
                 self._publish(events, frame.received_ns)
         now_ns = self._clock() if frame is None else frame.received_ns
-        if frame is None and self._state == "streaming" and now_ns - self._seen_ns > STALL_NS:
+        if frame is None and self._live is not None:
+            for change in self._live.changes():
+                self._follow(change, now_ns)
+        elif frame is None and self._state == "streaming" and now_ns - self._seen_ns > STALL_NS:
             self._publish(self._pipeline.lose(self._stream_ns), now_ns)
             self._enter("stalled")
         if now_ns - self._health_ns >= self._period_ns:
@@ -108,9 +115,20 @@ class Service:
             self._latencies_us[self._sent % _LATENCIES] = (self._clock() - received_ns) * 1e-3
             self._sent += 1
 
-    def _enter(self, state: State) -> None:
-        log.info("state", state=state, was=self._state)
-        self._state = state
+    def _follow(self, change: Change, now_ns: int) -> None:
+        """Take over a device's state; without frames nobody knows where the fingers are."""
+        if change.state != "streaming":
+            self._publish(self._pipeline.lose(self._stream_ns), now_ns)
+            self._away |= change.state == "lost" and self._stream_ns > 0
+        elif self._away:
+            self._away = False
+            self._pipeline.restart()
+        self._enter(change.state, change.reason)
+
+    def _enter(self, state: State, reason: str | None = None) -> None:
+        say = log.warning if state in ("stalled", "lost") else log.info
+        say("state", state=state, was=self._state, **({"reason": reason} if reason else {}))
+        self._state, self._reason = state, reason
         self._publish_health()
 
     def _publish_health(self) -> None:
@@ -120,26 +138,36 @@ class Service:
         self._sent = 0
         for sink in self._sinks:
             sink.publish(event, now_ns)
-        if event.lost > self._lost_logged:
-            log.warning("frames lost", lost=event.lost - self._lost_logged, lost_in_all=event.lost)
-            self._lost_logged = event.lost
+        # Here, and so at most once a period, however many there are.
+        counts = {"lost": event.lost, "corrupt": event.corrupt, "clipped": event.clipped, **event.skipped}
+        for name in ("lost", "corrupt", "clipped", "behind", "emitter_fault", "test_pattern"):
+            in_all, before = counts.get(name, 0), self._logged.get(name, 0)
+            if in_all > before:
+                log.warning(f"frames {name}", **{name: in_all - before, f"{name}_in_all": in_all})
+                self._logged[name] = in_all
 
     def _health(self) -> HealthEvent:
         pipeline = self._pipeline
         counters = pipeline.counters
+        # What the pipeline misses, a device's source can tell apart.
+        tally = self._live.tally if self._live is not None else Tally(lost=counters.lost)
+        dropped = {"repeated": counters.repeated, "behind": tally.behind, **tally.withheld}
         return self._messages.health(
             self._stream_ns or self._clock(),
             state=self._state,
             frames=counters.frames,
-            lost=counters.lost,
-            corrupt=0,
-            skipped=counters.skipped | ({"repeated": counters.repeated} if counters.repeated else {}),
+            lost=tally.lost,
+            corrupt=tally.corrupt,
+            skipped=counters.skipped | {why: count for why, count in dropped.items() if count},
             inferred=counters.inferred,
             latency_us=self._latency(),
             noise=pipeline.noise_counts(),
             baseline_age_s=max(0.0, (self._stream_ns - pipeline.followed_ns) * 1e-9),
             model=self._model_name,
             version=__version__,
+            clipped=tally.clipped,
+            late=tally.late,
+            reason=self._reason,
         )
 
     def _latency(self) -> Latency:

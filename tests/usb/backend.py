@@ -199,7 +199,7 @@ class _Handle:
         self.generation = daq.generation
 
 
-class FakeBus(usb.backend.IBackend):  # type: ignore[misc] - pyusb has no types
+class FakeBus(usb.backend.IBackend):  # type: ignore[misc]  # pyusb has no types
     """A pyusb backend with these devices on its bus."""
 
     def __init__(self, *daqs: FakeDaq) -> None:

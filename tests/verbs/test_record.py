@@ -14,6 +14,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from touchd import daemon
+from touchd.config import DeviceSettings
 from touchd.daemon import SourceChoice
 from touchd.errors import ConfigError, DeviceLost, OutputError, SourceError, TouchdError
 from touchd.frame import Acquisition, Frame, Plate
@@ -111,7 +112,7 @@ class Flaky:
 
 
 def live(monkeypatch: pytest.MonkeyPatch, source: Flaky) -> None:
-    def open_source(choice: SourceChoice) -> Flaky:
+    def open_source(choice: SourceChoice, _device: DeviceSettings) -> Flaky:
         assert choice.simulate == "scene"
         return source
 

@@ -28,6 +28,7 @@ from touchd.errors import ConfigError, ReaderFailed, TouchdError
 from touchd.event import State
 from touchd.frame import Acquisition, Chirp, Frame
 from touchd.framering import FrameRing
+from touchd.recording import Device
 from touchd.sources import Change, EndOfStream, Tally
 from touchd.usbframe import SEQUENCE_SPAN, Flag, FrameReader, Header, Info
 
@@ -36,7 +37,7 @@ READ_TIMEOUT_S = 0.1
 RETRY_S = 0.1
 MAX_RETRY_S = 0.5
 """A device that is not there is looked for at this interval, after a few quicker looks."""
-HANG_S = 15.0
+HANG_S = 10.0
 """A thread that has not come round for so long hangs in the kernel, and only a new process helps."""
 _JOIN_S = 2.0
 _HALT_PAUSE_S = 0.01
@@ -130,8 +131,8 @@ class DaqSource:
     ) -> None:
         self.acquisition = acquisition
         self.tally = Tally()
-        self.daq: tuple[str, Info] | None = None
-        """Serial number and description of the device that was opened last."""
+        self.device = Device()
+        """The one that was opened last."""
         self._find, self._settings, self._check, self._clock = find, settings, check, clock
         self._stall_ns = round(settings.stall_s * 1e9)
         self._ring: FrameRing[Change] = FrameRing(settings.queue_frames, acquisition.shape)
@@ -227,8 +228,8 @@ class DaqSource:
                 f"is {rate_hz}, but the DAQ takes {info.min_frame_rate_hz} to {info.max_frame_rate_hz} frames a second",
                 "device.rate_hz", "set it within this range",
             )  # fmt: skip
-        self.daq = daq.serial, info
-        log.info("device opened", serial=daq.serial, firmware=".".join(map(str, info.firmware)), rate_hz=rate_hz)
+        self.device = Device(serial=daq.serial, firmware=".".join(map(str, info.firmware)))
+        log.info("device opened", serial=daq.serial, firmware=self.device.firmware, rate_hz=rate_hz)
 
     def _stream(self, daq: Daq) -> None:
         """Pass frames on until the source is to be closed, or the device is gone."""

@@ -73,7 +73,7 @@ def command(
     notes: str,
     config: Path | None,
 ) -> None:
-    """Write the frames of a source to a file.
+    """Write the frames of the DAQ, or of another source, to a file.
 
     A recording can reveal a PIN: whoever has it can find every touch. It is created readable by you only. Ctrl-C and
     SIGTERM end it and save what there is. Frames alone are kept, not the true contacts of a labelled recording.
@@ -88,10 +88,11 @@ def command(
             "record into a folder: give -o a name that does not end in .npz",
         )  # fmt: skip
     settings = load(config or (ctx.obj or {}).get("config"))
-    source = open_source(SourceChoice(replay, simulate, speed, loop, seed))
+    source = open_source(SourceChoice(replay, simulate, speed, loop, seed), settings.device)
     with ExitStack() as stack:
         stack.callback(source.close)
-        meta = _meta(source, plate, settings.device.rate_hz, "simulated" if simulate else "replay", notes)
+        kind = "simulated" if simulate else "replay" if replay else "usb"
+        meta = _meta(source, plate, settings.device.rate_hz, kind, notes)
         recorder = Recorder(source, output, meta, chunk_frames=chunk_frames)
         click.echo(f"recording to {output}: it can reveal a PIN, and only you can read it")
         try:
@@ -146,7 +147,8 @@ def _meta(source: Source, plate: Plate | None, rate_hz: float, kind: str, notes:
     if not isinstance(known, Meta):
         if plate is None:
             raise ConfigError("the plate's size is not known", "--plate", "add --plate WIDTHxHEIGHT, in mm")
-        return describe(source.acquisition, plate, rate_hz, source=kind, notes=notes)
+        device = getattr(source, "device", None)
+        return describe(source.acquisition, plate, rate_hz, source=kind, device=device, notes=notes)
     fresh = describe(source.acquisition, plate or known.plate, known.frame_rate_hz, source=known.source or kind)
     changes = {"plate": fresh.plate, "source": fresh.source, "created": fresh.created, "notes": notes or known.notes}
     return known.model_copy(update=changes)
