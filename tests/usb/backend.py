@@ -46,7 +46,9 @@ def usb_error(number: int) -> USBError:
 class FakeDaq:
     """A device of the protocol. It sends what is queued, then what `source` returns, then nothing."""
 
-    def __init__(self, info: Info, serial: str = "SN0001", *, vendor_id: int = 0x1209, product_id: int = 0x0001) -> None:
+    def __init__(
+        self, info: Info, serial: str = "SN0001", *, vendor_id: int = 0x1209, product_id: int = 0x0001
+    ) -> None:
         self.info = info
         self.present = True
         self.configuration = 1

@@ -1,0 +1,54 @@
+"""Reads a live source as the service does, and keeps what comes out of it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+from tests.processes import PATIENCE_S
+from touchd.event import State
+from touchd.frame import Frame
+from touchd.sources import Change
+from touchd.sources.daq import DaqSource
+from touchd.usbframe import Info
+
+INFO = Info(channels=4, samples=250, sample_rate_hz=250_000, min_frame_rate_hz=10, firmware=(1, 2, 3))
+"""What the shipped model was trained with."""
+
+
+class Reader:
+    """What comes out of a source, in order."""
+
+    def __init__(self, source: DaqSource) -> None:
+        self.source = source
+        self.states: list[State] = []
+        self.changes: list[Change] = []
+        self.frames: list[Frame] = []
+
+    def step(self) -> Frame | None:
+        frame = self.source.read(0.05)
+        if frame is not None:
+            self.frames.append(frame._replace(counts=frame.counts.copy()))
+        for change in self.source.changes():
+            self.changes.append(change)
+            if not self.states or change.state != self.states[-1]:
+                self.states.append(change.state)
+        return frame
+
+    def until(self, done: Callable[[], Any], what: str = "") -> None:
+        """Read until it is so."""
+        until = time.monotonic() + PATIENCE_S
+        while not done():
+            assert time.monotonic() < until, what or f"after {self.changes} and {len(self.frames)} frames"
+            self.step()
+
+    def until_state(self, state: State, count: int = 1) -> None:
+        self.until(lambda: self.states.count(state) >= count, f"never {state}: {self.changes}")
+
+    def until_frames(self, count: int) -> None:
+        self.until(lambda: len(self.frames) >= count)
+
+    @property
+    def sequence(self) -> list[int]:
+        return [frame.sequence for frame in self.frames]
