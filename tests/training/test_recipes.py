@@ -83,8 +83,7 @@ def test_a_label_is_the_key_that_the_layout_names(places: list[tuple[float, floa
 def test_a_plate_of_unknown_material_is_trained_with_a_loud_note(few: Recording, tmp_path: Path) -> None:
     meta = few.meta.model_copy(update={"plate": few.meta.plate.model_copy(update={"material": "unobtainium"})})
     result = train(replace(few, meta=meta), tmp_path / "a.onnx", epochs=1)
-    assert len(result.notes) == 1
-    assert "unobtainium" in result.notes[0]
+    assert sum("unobtainium" in note for note in result.notes) == 1
 
 
 def test_a_grid_of_one_zone_and_a_keypad_without_keys_are_refused(few: Recording, tmp_path: Path) -> None:

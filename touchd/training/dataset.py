@@ -16,6 +16,9 @@ from touchd.recording import Meta, Recording
 Array = NDArray[np.float32]
 
 MIN_TOUCHES = 100
+PAUSE_S = 10.0
+PAUSE_RATIO = 3.0
+"""An untouched frame so much farther than the one on the other side lies beyond a pause, in which the plate changed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,19 +95,15 @@ def make_dataset(recording: Recording, domain: Domain = "frequency") -> Dataset:
         If the recording is not labelled, has too few touches or no untouched frames, or touches lie outside
         the plate.
     """
-    position_mm, touched, untouched = _labels(recording)
-    before = np.searchsorted(untouched, touched) - 1
-    before, after = np.clip(before, 0, None), np.clip(before + 1, None, len(untouched) - 1)
-
+    position_mm, touched, untouched = labels(recording)
+    pairs = baseline_frames(recording.timestamp_ns, touched, untouched)
     acquisition = recording.acquisition
     features = make_features(domain, acquisition)
     residual = np.empty((len(touched), features.size), np.float32)
     signal, plain, stretch, delay = (np.empty_like(residual) for _ in range(4))
     seconds = np.arange(acquisition.samples) / acquisition.sample_rate_hz
     for i, frame in enumerate(touched):
-        # Two untouched frames, one on each side: half the noise, and a steady drift cancels.
-        pair = recording.frames[[untouched[before[i]], untouched[after[i]]]]
-        baseline = pair.mean(axis=0, dtype=np.float32)
+        baseline = recording.frames[pairs[i]].mean(axis=0, dtype=np.float32)
         features.extract(residual_of(recording.frames[frame], baseline), residual[i])
         features.extract(recording.frames[frame].astype(np.float32), signal[i])
         features.extract(baseline, plain[i])
@@ -121,7 +120,7 @@ def make_dataset(recording: Recording, domain: Domain = "frequency") -> Dataset:
         stretch=stretch,
         delay=delay,
         position_mm=position_mm,
-        noise=_noise(recording.frames[untouched]),
+        noise=noise_of(recording.frames[untouched]),
         sha256=digest(recording),
     )
 
@@ -134,8 +133,30 @@ def digest(recording: Recording) -> str:
     return state.hexdigest()
 
 
-def _labels(recording: Recording) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
-    """Return the positions (n, 2) of single touches, their frames, and the untouched frames."""
+def baseline_frames(
+    timestamp_ns: NDArray[np.int64], touched: NDArray[np.int64], untouched: NDArray[np.int64]
+) -> NDArray[np.int64]:
+    """Return the two untouched frames beside each touched one, shape (n, 2).
+
+    One on each side: half the noise, and a steady drift cancels. Across a pause only the near one counts, twice.
+    """
+    after = np.searchsorted(untouched, touched)
+    pairs = untouched[np.stack([np.clip(after - 1, 0, None), np.clip(after, None, len(untouched) - 1)], axis=1)]
+    apart_s = np.abs(timestamp_ns[pairs] - timestamp_ns[touched][:, None]) * 1e-9
+    near, far = apart_s.min(axis=1), apart_s.max(axis=1)
+    alone = (far > PAUSE_S) & (far > PAUSE_RATIO * near)
+    pairs[alone] = pairs[alone, apart_s[alone].argmin(axis=1)][:, None]
+    return pairs
+
+
+def labels(recording: Recording) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
+    """Return the positions (n, 2) of single touches, their frames (n,), and the untouched frames (m,).
+
+    Raises
+    ------
+    TrainingError
+        As `make_dataset`.
+    """
     truth = recording.contacts_mm
     if truth is None:
         raise TrainingError("the recording has no `contacts_mm`", fix="record with the touches' true positions")
@@ -170,7 +191,7 @@ def _derivative(signal: Array, sample_rate_hz: float) -> NDArray[np.float64]:
     return np.fft.irfft(omega * np.fft.rfft(signal, axis=-1), samples, axis=-1)
 
 
-def _noise(untouched: NDArray[np.int16]) -> float:
+def noise_of(untouched: NDArray[np.int16]) -> float:
     """Return the deviation of a sample's noise: the lower quartile over pairs of successive untouched frames."""
     if len(untouched) < 2:
         return 0.0

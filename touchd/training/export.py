@@ -38,8 +38,14 @@ def make_graph(network: Network, description: Description) -> onnx.ModelProto:
             dynamic_axes={name: {0: "n"} for name in ["features", *names]},
         )
         graph: onnx.ModelProto = onnx.load(file)
-    graph.metadata_props.add(key=METADATA_KEY, value=description.model_dump_json())
+    describe(graph, description)
     return graph
+
+
+def describe(graph: onnx.ModelProto, description: Description) -> None:
+    """Put a description into a graph, in place of any there."""
+    del graph.metadata_props[:]
+    graph.metadata_props.add(key=METADATA_KEY, value=description.model_dump_json())
 
 
 def write_model(graph: onnx.ModelProto, path: Path) -> Model:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import copy
+import tempfile
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,19 +13,22 @@ import torch
 from torch import Tensor
 
 from touchd.errors import SimulationError
+from touchd.evaluation.score import Judgement, judge, scores
 from touchd.keypad import Layout
 from touchd.model import Description, Model
 from touchd.recording import Recording
 from touchd.training.augment import Augmenter, make_bank
 from touchd.training.dataset import Dataset, Split, make_dataset, split, thin
 from touchd.training.exactness import TOLERANCE, Exactness, check_graph
-from touchd.training.export import make_graph, write_model
+from touchd.training.export import describe, make_graph, write_model
 from touchd.training.field import learn_field
+from touchd.training.fit import Batches, Curve, Progress, fit
+from touchd.training.inspection import inspect
 from touchd.training.network import PlainRegression
 from touchd.training.nuisance import drift_directions
 from touchd.training.recipe import RECIPES, Recipe
 from touchd.training.synthetic import Synthesiser
-from touchd.training.task import Task, make_task
+from touchd.training.task import Positions, make_task
 
 BATCH = 512  # fingers a step
 SYNTHETIC = 0.8  # of them, the share drawn from the learned field; the others are the recorded touches
@@ -33,18 +37,9 @@ LEARNING_RATE = 3e-3  # the peak of a one-cycle schedule with AdamW
 WEIGHT_DECAY = 0.01
 PAPER_BATCH = 64
 PAPER_LEARNING_RATE = 1e-3  # Adam's usual one; the paper names neither
+GUESSED = 0.95  # an error above this share of that of a constant answer
 
-Progress = Callable[[str, int, int, float], None]
-"""Told of each step: what is done, steps done, steps in all, validation RMSE in mm (NaN before the first)."""
-
-
-@dataclass(frozen=True, slots=True)
-class Batches:
-    """What a network is shown in an epoch."""
-
-    steps: int
-    epoch: Callable[[], Iterator[tuple[Tensor, Tensor]]]
-    """Yields features, and the positions of their first rows in plate sizes from the centre."""
+Say = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,12 +48,20 @@ class Result:
 
     model: Model
     scores: dict[str, float]
-    curve_mm: list[float]
-    """Validation RMSE after each epoch."""
+    curve: Curve
+    """The loss and the validation RMSE after each epoch."""
     notes: list[str]
     """What the user should know, such as that the field could not be learned."""
     exactness: Exactness
     """How far the exported model is from the trained network, on the test touches."""
+    judged: Judgement
+    """What the exported model says of the test touches."""
+    duration_s: float
+
+    @property
+    def curve_mm(self) -> list[float]:
+        """Validation RMSE after each epoch."""
+        return self.curve.validation_mm
 
 
 def train(
@@ -71,18 +74,22 @@ def train(
     seed: int = 0,
     epochs: int | None = None,
     share: float = 1.0,
+    patience: int | None = None,
     command: str = "",
     progress: Progress = lambda _what, _done, _all, _rmse_mm: None,
+    warn: Say = lambda _note: None,
 ) -> Result:
     """Train a model by a recipe and write it as an ONNX file.
 
     The same recording, seed and number of threads give the same network. A `share` under 1 trains on so much of
-    the training part, with validation and test unchanged, as a learning curve needs it.
+    the training part, with validation and test unchanged, as a learning curve needs it. `patience` is that of `fit`;
+    `warn` is told each note as soon as it is known. The file is written only if all went well.
 
     Raises
     ------
     TrainingError, OutputError
     """
+    started_s = time.monotonic()
     torch.manual_seed(seed)
     generator = torch.Generator().manual_seed(seed)
     data = make_dataset(recording, recipe.domain)
@@ -93,22 +100,32 @@ def train(
     drift = drift_directions(data.untouched[np.sort(parts.train)][::2])
     task = make_task(recipe, features.shape[1], plate, grid, layout, drift)
     notes: list[str] = []
+
+    def note(text: str) -> None:
+        notes.append(text)
+        warn(text)
+
+    for text in inspect(recording, len(parts.train) / len(data)):
+        note(text)
+    peak = None
     if recipe.paper:
         batches = _paper_batches(data, parts, generator)
         optimiser = torch.optim.Adam(task.network.parameters(), lr=PAPER_LEARNING_RATE)
     else:
-        synthesiser = _synthesiser(data, parts, generator, progress, notes)
+        synthesiser = _synthesiser(data, parts, generator, progress, note)
         batches = _augmented_batches(data, parts, synthesiser, generator, others=task.wants_others)
         optimiser = torch.optim.AdamW(task.network.parameters(), lr=LEARNING_RATE, weight_decay=WEIGHT_DECAY)
+        peak = LEARNING_RATE
 
     def validate() -> float:
         return task.scores(features[parts.validation], data.position_mm[parts.validation])["rmse_mm"]
 
-    curve_mm = _fit(task, batches, optimiser, epochs or recipe.epochs, validate, progress, cycle=not recipe.paper)
+    curve = fit(
+        task, batches, optimiser, epochs or recipe.epochs, validate, progress, peak=peak, patience=patience
+    )  # fmt: skip
     if isinstance(task.network, PlainRegression):
         task.network.sigma_mm.fill_(validate() / np.sqrt(2))  # per axis
 
-    scores = task.scores(features[parts.test], data.position_mm[parts.test])
     description = Description(
         name=recipe.name,
         head=recipe.head,
@@ -119,27 +136,40 @@ def train(
         data_sha256=data.sha256,
         command=command,
         seed=seed,
-        scores={name: round(value, 4) for name, value in scores.items()},
         **task.description(),
     )
+    test_mm = data.position_mm[parts.test]
     graph = make_graph(task.network, description)
     exactness = check_graph(task.network, graph, features[parts.test])
     if exactness.rounding > TOLERANCE:
-        notes.append(f"float32 rounds this network's answers by up to {exactness.rounding:.2g} mm")
-    return Result(write_model(graph, path), scores, curve_mm, notes, exactness)
+        note(f"float32 rounds this network's answers by up to {exactness.rounding:.2g} mm")
+    # The scores are those of the exported model, so it is asked before they can stand in it.
+    with tempfile.TemporaryDirectory() as folder:
+        judged = judge(write_model(graph, Path(folder) / "model.onnx"), features[parts.test], test_mm)
+    found = task.scores(features[parts.test], test_mm) | scores(judged)
+    if found["rmse_mm"] > GUESSED * _guess_mm(data.position_mm[parts.train], test_mm):
+        note("the model places touches no better than the middle of all of them: it has learned nothing")
+    describe(graph, description.model_copy(update={"scores": {name: round(value, 4) for name, value in found.items()}}))
+    seconds = time.monotonic() - started_s
+    return Result(write_model(graph, path), found, curve, notes, exactness, judged, seconds)
+
+
+def _guess_mm(known_mm: Positions, test_mm: Positions) -> float:
+    """Return the RMSE of one who says the middle of the known touches whatever comes."""
+    return float(np.sqrt(np.square(test_mm - known_mm.mean(axis=0)).sum(axis=1).mean()))
 
 
 def _synthesiser(
-    data: Dataset, parts: Split, generator: torch.Generator, progress: Progress, notes: list[str]
+    data: Dataset, parts: Split, generator: torch.Generator, progress: Progress, note: Say
 ) -> Synthesiser | None:
     """Return the source of drawn touches, or None with a note where the field cannot be learned."""
     if data.domain != "frequency":
-        notes.append("in the time domain no field is learned: trained on the recorded touches alone")
+        note("in the time domain no field is learned: trained on the recorded touches alone")
         return None
     try:
         field = learn_field(data, parts.train, lambda done, all_: progress("field", done, all_, float("nan")))
     except SimulationError as error:
-        notes.append(f"no field was learned ({error}): trained on the recorded touches alone, which costs accuracy")
+        note(f"no field was learned ({error}): trained on the recorded touches alone, which costs accuracy")
         return None
     plate = data.meta.plate
     return Synthesiser(field, (plate.width_mm, plate.height_mm), generator)
@@ -183,38 +213,3 @@ def _paper_batches(data: Dataset, parts: Split, generator: torch.Generator) -> B
             yield features[some], position[some]
 
     return Batches(steps, epoch)
-
-
-def _fit(
-    task: Task,
-    batches: Batches,
-    optimiser: torch.optim.Optimizer,
-    epochs: int,
-    validate: Callable[[], float],
-    progress: Progress,
-    *,
-    cycle: bool,
-) -> list[float]:
-    """Train and return the validation RMSE after each epoch. Without a cycle the best epoch's weights are kept."""
-    schedule = None
-    if cycle:
-        total = epochs * batches.steps
-        schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, LEARNING_RATE, total_steps=total)
-    curve_mm: list[float] = []
-    best: dict[str, Tensor] = {}
-    for epoch in range(epochs):
-        task.network.train()
-        for features, position in batches.epoch():
-            optimiser.zero_grad()
-            loss = task.loss(features, position)
-            loss.backward()  # type: ignore[no-untyped-call]  # torch leaves it unannotated
-            optimiser.step()
-            if schedule is not None:
-                schedule.step()
-        curve_mm.append(validate())
-        if not cycle and curve_mm[-1] == min(curve_mm):
-            best = copy.deepcopy(task.network.state_dict())
-        progress("network", epoch + 1, epochs, curve_mm[-1])
-    if best:
-        task.network.load_state_dict(best)
-    return curve_mm

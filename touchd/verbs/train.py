@@ -14,7 +14,7 @@ _RECIPES = "\n".join(["\b", "Recipes:", *(f"  {recipe.name:16}  {recipe.what}" f
 
 
 @click.command(epilog=_RECIPES)
-@click.argument("recording", type=click.Path(path_type=Path))
+@click.argument("recording", type=click.Path(path_type=Path), nargs=-1, required=True)
 @click.option("-o", "--output", type=click.Path(path_type=Path), required=True, help="The model to write (ONNX).")
 @click.option(
     "--recipe", type=click.Choice(list(RECIPES)), default="best", show_default=True, metavar="NAME",
@@ -26,19 +26,26 @@ _RECIPES = "\n".join(["\b", "Recipes:", *(f"  {recipe.name:16}  {recipe.what}" f
 )
 @click.option("--seed", default=0, show_default=True, help="Seed of the split, the weights and the augmentation.")
 @click.option("--epochs", type=click.IntRange(min=1), help="Passes over the touches.  [default: the recipe's]")
+@click.option(
+    "--patience", type=click.IntRange(min=1),
+    help="Epochs without a better validation RMSE after which training stops: for the paper's recipes, whose rate is "
+    "constant.  [default: 30]",
+)  # fmt: skip
 @click.option("--force", is_flag=True, help="Replace the model if it exists.")
 def command(
-    recording: Path,
+    recording: tuple[Path, ...],
     output: Path,
     recipe: str,
     grid: int,
     layout: Path | None,
     seed: int,
     epochs: int | None,
+    patience: int | None,
     force: bool,
 ) -> None:
-    """Train a model on RECORDING, a labelled recording of single touches.
+    """Train a model on RECORDING, a labelled recording of single touches, or several of one plate taken alike.
 
+    What looks wrong with them, such as a dead channel or too few touches, is said before training begins.
     The touches are split at random into 70 % for training, 20 % for validation and 10 % for the test; the scores
     printed at the end, and stored in the model, are those of the test.
     """
@@ -47,6 +54,7 @@ def command(
 
     from touchd.keypad import PHONE, load_layout
     from touchd.recording import read
+    from touchd.training.join import join
     from touchd.training.train import train
 
     chosen = RECIPES[recipe]
@@ -55,7 +63,9 @@ def command(
     epochs = epochs or chosen.epochs
     options = f" --n {grid}" * (chosen.head == "grid")
     options += f" --layout {layout.name}" if layout and chosen.head == "keypad" else ""
-    touches = read(recording)
+    options += f" --patience {patience}" if patience else ""
+    names = " ".join(path.name for path in recording)
+    touches = join([read(path) for path in recording], [str(path) for path in recording])
     bar = Progress(
         TextColumn("{task.description:8}"),
         BarColumn(),
@@ -74,6 +84,12 @@ def command(
         note = "" if math.isnan(rmse_mm) else f"validation {rmse_mm:.2f} mm"
         bar.update(tasks[what], completed=done, total=steps, note=note)
 
+    def warn(note: str) -> None:
+        # At once, not after minutes of training; the console keeps it clear of the bar.
+        bar.console.print(
+            f"touchd: warning: {note}", style="bold yellow", markup=False, highlight=False, soft_wrap=True
+        )
+
     try:
         result = train(
             touches,
@@ -83,15 +99,14 @@ def command(
             layout=load_layout(layout or PHONE) if chosen.head == "keypad" else None,
             seed=seed,
             epochs=epochs,
-            command=f"touchd train {recording.name} -o {output.name} --recipe {recipe}{options} "
-            f"--seed {seed} --epochs {epochs}",
+            patience=patience,
+            command=f"touchd train {names} -o {output.name} --recipe {recipe}{options} --seed {seed} --epochs {epochs}",
             progress=progress,
+            warn=warn,
         )
     finally:
         if tasks:
             bar.stop()
-    for note in result.notes:
-        click.echo(f"touchd: {note}", err=True)
     click.echo(f"{output}: on {result.scores['n']:.0f} touches never seen in training:")
     for name, value in result.scores.items():
         if name != "n":

@@ -1,0 +1,66 @@
+"""The training loop: when it stops, what it keeps, and that it never ends in numbers that are none."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import pytest
+import torch
+from torch import Tensor
+
+from touchd.errors import TrainingError
+from touchd.frame import Plate
+from touchd.training.fit import Batches, Curve, fit
+from touchd.training.recipe import RECIPES
+from touchd.training.task import PaperPositionTask
+
+PLATE = Plate(width_mm=200, height_mm=200)
+
+
+def run(errors_mm: list[float], *, spoilt: bool = False, **how: float | int | None) -> tuple[Curve, list[Tensor]]:
+    """A training whose validation says what it is told to; returns the curve, and the weights after each epoch."""
+    torch.manual_seed(0)
+    task = PaperPositionTask(8, PLATE, RECIPES["paper-regression"])
+    weights: list[Tensor] = []
+
+    def epoch() -> Iterator[tuple[Tensor, Tensor]]:
+        yield torch.randn(16, 8) * (float("nan") if spoilt else 1.0), torch.rand(16, 2) - 0.5
+
+    def validate() -> float:
+        weights.append(task.network.head.weight.detach().clone())
+        return errors_mm[len(weights) - 1]
+
+    optimiser = torch.optim.Adam(task.network.parameters())
+    curve = fit(task, Batches(1, epoch), optimiser, len(errors_mm), validate, lambda *_step: None, **how)  # type: ignore[arg-type]
+    return curve, [*weights, task.network.head.weight.detach()]
+
+
+def test_at_a_constant_rate_training_stops_when_nothing_improves_and_keeps_the_best_epoch() -> None:
+    curve, (*weights, result) = run([9.0, 5.0, 6.0, 5.5, 5.1, 1.0], patience=3)
+    assert (curve.validation_mm, curve.kept) == ([9.0, 5.0, 6.0, 5.5, 5.1], 2)
+    assert torch.equal(result, weights[1])
+    assert not torch.equal(result, weights[-1])
+
+
+def test_a_better_epoch_begins_the_patience_anew() -> None:
+    curve, _ = run([9.0, 9.5, 8.0, 8.5, 7.0, 7.5], patience=2)
+    assert (len(curve.validation_mm), len(curve.loss), curve.kept) == (6, 6, 5)
+
+
+def test_a_cycle_runs_to_its_end_and_keeps_its_last_epoch() -> None:
+    curve, (*weights, result) = run([1.0, 5.0, 6.0, 7.0], peak=1e-3)
+    assert curve.kept == 4
+    assert torch.equal(result, weights[-1])
+
+
+def test_patience_with_a_cycle_is_refused() -> None:
+    with pytest.raises(TrainingError, match="one-cycle"):
+        run([1.0], peak=1e-3, patience=3)
+
+
+@pytest.mark.parametrize(
+    "how", [lambda: run([1.0, 1.0], spoilt=True), lambda: run([1.0, float("nan")]), lambda: run([float("inf")])]
+)
+def test_a_training_that_diverges_ends_at_once_with_its_epoch(how: Callable[[], object]) -> None:
+    with pytest.raises(TrainingError, match=r"diverged in epoch \d"):
+        how()

@@ -1,0 +1,92 @@
+"""A model judged on single touches: what it says of each, and its scores."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchd.evaluation.metrics import position_scores
+from touchd.keypad import Layout
+from touchd.model import Description, Model
+
+
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """What a model said of n touches, beside the truth."""
+
+    true_mm: NDArray[np.float32]
+    """Shape (n, 2)."""
+    place_mm: NDArray[np.float64]
+    """Shape (n, 2)."""
+    sigma_mm: NDArray[np.float64]
+    """Predicted standard error of either axis, shape (n,)."""
+    confidence: NDArray[np.float64]
+    """Shape (n,)."""
+    true_class: NDArray[np.int64] | None = None
+    """Grid and keypad heads: number of the zone or key, shape (n,); beside all keys it is that of the keys."""
+    found_class: NDArray[np.int64] | None = None
+    keys: int = 0
+    """Keypad head: how many keys there are."""
+
+    @property
+    def error_mm(self) -> NDArray[np.float64]:
+        """Position less truth, shape (n, 2)."""
+        return np.asarray(self.place_mm - self.true_mm)
+
+    @property
+    def distance_mm(self) -> NDArray[np.float64]:
+        """Shape (n,)."""
+        return np.asarray(np.linalg.norm(self.error_mm, axis=1))
+
+
+def judge(model: Model, features: NDArray[np.float32], true_mm: NDArray[np.float32]) -> Judgement:
+    """Return what a model says of features of shape (n, inputs), one by one as the daemon asks it."""
+    d = model.description
+    rows = np.empty((len(features), 4))
+    found = np.zeros(len(features), np.int64)
+    for i, row in enumerate(features):
+        model.features[0] = row
+        estimate = model.estimate()
+        rows[i] = estimate[:4]
+        if d.head != "regression":
+            found[i] = int(model.outputs["probability"][0].argmax())
+    plain = Judgement(true_mm, rows[:, :2], rows[:, 2], rows[:, 3])
+    if d.head == "regression":
+        return plain
+    keys = len(d.layout.key) if d.layout and d.head == "keypad" else 0
+    return Judgement(true_mm, plain.place_mm, plain.sigma_mm, plain.confidence, classes(true_mm, d), found, keys)
+
+
+def classes(true_mm: NDArray[np.float32], description: Description) -> NDArray[np.int64]:
+    """Return the zone of a grid, or the key of a layout, under each position (n, 2)."""
+    if description.head == "keypad" and description.layout is not None:
+        return _key_numbers(true_mm, description.layout)
+    n, plate = description.grid, description.plate
+    place = true_mm / np.array([plate.width_mm, plate.height_mm]) * n
+    column, row = np.clip(place, 0, n - 1e-6).astype(np.int64).T
+    return np.asarray(row * n + column)
+
+
+def scores(judged: Judgement) -> dict[str, float]:
+    """Return the scores of a judgement: of the position, and by head of its sigma or its classes."""
+    found = position_scores(judged.error_mm)
+    if judged.true_class is None or judged.found_class is None:
+        within = np.abs(judged.error_mm) <= judged.sigma_mm[:, None]
+        return found | {
+            "within_sigma": float(within.mean()),
+            "confident": float((judged.confidence >= 0.5).mean()),
+        }
+    wrong = judged.found_class != judged.true_class
+    found["accuracy"] = float(1 - wrong.mean())
+    if judged.keys:
+        on_keys = (judged.found_class < judged.keys) & (judged.true_class < judged.keys)
+        found["key_to_key_errors"] = float((wrong & on_keys).sum())
+    return found
+
+
+def _key_numbers(true_mm: NDArray[np.float32], layout: Layout) -> NDArray[np.int64]:
+    numbers = {key.name: i for i, key in enumerate(layout.key)}
+    found = (layout.at(float(x_mm), float(y_mm)) for x_mm, y_mm in true_mm)
+    return np.array([len(numbers) if name is None else numbers[name] for name in found], np.int64)
