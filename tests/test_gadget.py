@@ -130,7 +130,7 @@ def test_stop_stops_and_start_goes_on(gadget: Gadget, clock: Clock) -> None:
 def test_when_the_recording_ends_so_does_the_stream(clock: Clock) -> None:
     gadget = Gadget(INFO, iter([bytes(1000)]), clock)
     start(gadget)
-    clock.now_ns += 20 * PERIOD_NS
+    clock.now_ns += COMPLETE_NS + PERIOD_NS
     assert isinstance(gadget.next_transfer(), bytes)
     assert gadget.next_transfer() is None
     assert not gadget.running
