@@ -14,6 +14,7 @@ from touchd.twin.electronics import Electronics
 from touchd.twin.instrument import REFERENCE_C, Instrument
 from touchd.twin.scenes import SCENES, default_keys
 from touchd.twin.simulate import simulate_scene, simulate_touches, stage_scene, stream
+from touchd.twin.training_set import AREAS_MM2
 
 SQUARE = Plate(width_mm=200, height_mm=200, thickness_mm=5)
 
@@ -197,3 +198,20 @@ def test_impossible_scenes_are_refused(small: Instrument) -> None:
         simulate_touches(10, instrument=small, margin_mm=1.0)
     with pytest.raises(SimulationError, match="0 touches"):
         simulate_touches(0, instrument=small)
+
+
+@pytest.mark.parametrize("finger", ["silicone", "human"])
+def test_any_finger_has_a_margin_that_its_contact_fits_into(finger: str, instrument: Instrument) -> None:
+    recording = simulate_touches(50, instrument=instrument, finger=finger)
+    assert recording.contacts_mm is not None
+    place_mm = recording.contacts_mm[1::2, 0]
+    low_mm = np.sqrt(AREAS_MM2[finger][1] / np.pi)
+    assert place_mm.min() >= low_mm
+    assert place_mm.max() <= 200 - low_mm
+
+
+def test_a_stale_baseline_is_a_plate_that_is_warmer_in_each_touch(instrument: Instrument) -> None:
+    fresh, stale = (simulate_touches(5, instrument=instrument, stale_k=k).temperature_c for k in (0.0, 1.5))
+    assert fresh is not None
+    assert stale is not None
+    np.testing.assert_allclose(stale - fresh, [0, 1.5] * 5, atol=1e-5)

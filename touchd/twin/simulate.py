@@ -127,7 +127,8 @@ def simulate_touches(
     instrument: Instrument | None = None,
     electronics: Electronics | None = None,
     finger: str = "silicone",
-    margin_mm: float = 5.0,
+    margin_mm: float | None = None,
+    stale_k: float = 0.0,
     progress: Progress | None = None,
 ) -> Recording:
     """Simulate a robot's training set: an untouched frame, a touch, an untouched frame, a touch, and so on.
@@ -143,8 +144,10 @@ def simulate_touches(
         Instead of the default one on `plate`, which is then ignored.
     electronics : Electronics, optional
     finger : "silicone" (12-28 mm^2) or "human" (40-100 mm^2)
-    margin_mm : float
-        Least distance of a touch's centre from the plate's edge.
+    margin_mm : float, optional
+        Least distance of a touch's centre from the plate's edge; by default the least that the finger's contact needs.
+    stale_k : float
+        By how many kelvin the plate is warmer in each touch than in the untouched frames beside it.
     progress : callable, optional
         Called with the number of frames just finished.
 
@@ -155,7 +158,7 @@ def simulate_touches(
     """
     instrument = instrument or Instrument(plate)
     rng = np.random.default_rng(np.random.SeedSequence(seed).spawn(3)[0])
-    stage = write_touches(count, instrument.plate, rng, electronics or Electronics(), finger, margin_mm)
+    stage = write_touches(count, instrument.plate, rng, electronics or Electronics(), finger, margin_mm, stale_k)
     return _record(stage, instrument, seed, progress)
 
 

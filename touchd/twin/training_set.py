@@ -16,15 +16,24 @@ TOUCH_RATE_HZ = 2.0
 """A robot is slow."""
 AREAS_MM2 = {"silicone": (12.0, 28.0), "human": (40.0, 100.0)}
 """Range of the contact area, which the force varies."""
+MARGIN_MM = {"silicone": 5.0, "human": 6.0}
+"""Least distance of a touch's centre from the plate's edge: the whole contact lies on the plate."""
 WALK_K = 1.0
 """The temperature's walk over the session stays within +- this."""
 
 
 def write_touches(
-    count: int, plate: Plate, rng: np.random.Generator, electronics: Electronics, finger: str, margin_mm: float
+    count: int,
+    plate: Plate,
+    rng: np.random.Generator,
+    electronics: Electronics,
+    finger: str,
+    margin_mm: float | None,
+    stale_k: float,
 ) -> Stage:
     """Write down a session; see `touchd.twin.simulate.simulate_touches`."""
     tissue_of(finger)
+    margin_mm = MARGIN_MM[finger] if margin_mm is None else margin_mm
     low, high = AREAS_MM2[finger]
     span = np.array([plate.width_mm, plate.height_mm]) - 2 * margin_mm
     if count < 1:
@@ -37,6 +46,7 @@ def write_touches(
         )
     walk = np.cumsum(rng.standard_normal(2 * count))
     walk *= WALK_K / np.abs(walk).max()
+    walk[1::2] += stale_k
     stage = Stage(plate, TOUCH_RATE_HZ, np.arange(2 * count), REFERENCE_C + walk, rng, electronics)
     stage.notes = f"{count} simulated touches of a {finger} finger, each after an untouched frame"
     touched = np.arange(2 * count) % 2 == 1

@@ -54,6 +54,9 @@ def parse_plate(_ctx: click.Context, _param: click.Parameter, value: str) -> tup
 @click.option("--loss", default=5e-3, show_default=True, help="Loss factor of the plate.")
 @click.option("--noise-db", default=60.0, show_default=True, help="White noise, so far below the untouched signal.")
 @click.option("--jitter-ns", default=0.0, show_default=True, help="Standard deviation of the trigger.")
+@click.option(
+    "--stale-k", default=0.0, show_default=True, help="Touches: so much warmer is the plate than beside each touch."
+)
 @click.option("--tail", is_flag=True, help="Include what still rings from the chirps before.")
 @click.option("--force", is_flag=True, help="Replace the recording if it exists.")
 def command(
@@ -71,14 +74,15 @@ def command(
     loss: float,
     noise_db: float,
     jitter_ns: float,
+    stale_k: float,
     tail: bool,
     force: bool,
 ) -> None:
     """Write a recording of SCENE, computed from the physics of a plate, with its truth."""
     if scene == TOUCHES and not (frames is None and rate_hz is None and keypad is None and code is None):
         raise click.UsageError("--frames, --rate-hz, --keypad and --code are for scenes; use --count")
-    if scene != TOUCHES and count is not None:
-        raise click.UsageError("--count is for touches; use --frames")
+    if scene != TOUCHES and not (count is None and stale_k == 0):
+        raise click.UsageError("--count and --stale-k are for touches; use --frames")
     if output.exists() and not force:
         raise OutputError("already there", str(output), "choose another name, or add --force")
     width, height, thickness = plate
@@ -101,7 +105,7 @@ def command(
         if scene == TOUCHES:
             made = simulate_touches(
                 count or COUNT, seed=seed, instrument=instrument, electronics=electronics,
-                finger=finger or "silicone", progress=bar.update,
+                finger=finger or "silicone", stale_k=stale_k, progress=bar.update,
             )  # fmt: skip
         else:
             made = simulate_scene(
