@@ -19,6 +19,7 @@ VERBS = {
     "demo": "Replay the shipped recording and sum up.",
     "draw": "Draw a replayed session.",
     "evaluate": "Score a model on a labelled recording.",
+    "gadget": "Be a DAQ on a USB cable.",
     "keygen": "Make a key pair for a bus beyond loopback.",
     "listen": "Print the events of a running daemon.",
     "record": "Write frames to a file.",

@@ -26,6 +26,7 @@
     ├── TrainingError                70  a model cannot be trained from this recording
     ├── SimulationError              80  a scene, plate or count that the twin cannot make
     ├── OutputError                  90  a file cannot be written: check folder, space and permissions
+    ├── GadgetError                  95  this computer cannot be a USB device: it needs a port for that, and root
     └── JobError                    100  a part of a long computation failed: the line names it; what is done is kept
         └── ClusterError            101  a Dask cluster cannot be used: check the address, its workers and versions
 """
@@ -195,6 +196,12 @@ class OutputError(TouchdError):
     """A file cannot be written."""
 
     exit_code = 90
+
+
+class GadgetError(TouchdError):
+    """This computer cannot be a USB device."""
+
+    exit_code = 95
 
 
 class JobError(TouchdError):
