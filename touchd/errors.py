@@ -199,7 +199,7 @@ class OutputError(TouchdError):
 
 
 class GadgetError(TouchdError):
-    """This computer cannot be a USB device."""
+    """A computer that cannot be a USB device."""
 
     exit_code = 95
 

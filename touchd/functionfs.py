@@ -28,7 +28,7 @@ _FULL_SPEED, _HIGH_SPEED, _SUPER_SPEED, _ALL_CONTROL = 1, 2, 4, 64
 _EVENT = struct.Struct("<BBHHHB3x")  # a setup packet, and the type of the event
 _DISABLE, _SETUP = 3, 4
 _BULK, _ENGLISH = 2, 0x0409
-_IDLE_S = 0.02  # how soon a start is noticed
+_IDLE_S = 0.02
 # While nobody is connected, or a transfer is cut off: to be tried again.
 _AWAY = (errno.ESHUTDOWN, errno.ECONNRESET, errno.EAGAIN, errno.EINTR, errno.ENODEV, errno.EIO, errno.EBADFD)
 
@@ -82,6 +82,7 @@ class FunctionFs:
             raise GadgetError(
                 f"FunctionFS cannot be used ({error.strerror})", str(folder), "mount it: mount -t functionfs NAME DIR"
             ) from error
+        self._asked = threading.Event()
         self.error: GadgetError | None = None
         """Why a thread has ended."""
         for serve in (self.serve_control, self.serve_frames):
@@ -97,6 +98,7 @@ class FunctionFs:
                 answer = self._gadget.control(kind, request, value, length)
                 log.debug("request", kind=kind, request=request, value=value, stalled=answer is None)
                 self._answer(answer, to_host=bool(kind & 0x80))
+                self._asked.set()
 
     def serve_frames(self) -> None:
         """Send what is due for as long as the process lives."""
@@ -108,7 +110,8 @@ class FunctionFs:
         transfer = self._gadget.next_transfer()
         try:
             if transfer is None:
-                time.sleep(min(self._gadget.wait_s(), _IDLE_S))
+                self._asked.wait(min(self._gadget.wait_s(), _IDLE_S))
+                self._asked.clear()
             elif isinstance(transfer, int):
                 os.read(self._ep1, 1)  # in the wrong direction: halts the endpoint
             else:
@@ -188,6 +191,8 @@ class ConfigFs:
         """
         for module in ("libcomposite", "usb_f_fs"):  # may be built in
             subprocess.run(["modprobe", "-q", module], check=False)  # noqa: S603, S607 - fixed names
+        if not self._gadget.parent.is_dir():
+            _run("mount", "-t", "configfs", "none", str(self._gadget.parent.parent))
         self.remove()
         try:
             for folder in ("strings/0x409", "configs/c.1/strings/0x409"):

@@ -66,11 +66,13 @@ def command(
         stack.callback(source.close)
         gadget = Gadget(info_of(source.acquisition), samples_of(source))
         device: ConfigFs | None = None
-        if functionfs is None:
+        folder = functionfs
+        if folder is None:
             device = ConfigFs(serial, settings.device.vendor_id, settings.device.product_id)
             stack.callback(device.remove)
             device.create()
-        endpoints = FunctionFs(functionfs or device.folder if device else functionfs or Path(), gadget)
+            folder = device.folder
+        endpoints = FunctionFs(folder, gadget)
         if device is not None:
             udc = udc or first_udc()
             device.plug(udc)
