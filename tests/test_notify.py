@@ -59,8 +59,16 @@ def test_a_reload_is_framed_by_its_time_and_a_new_ready(manager: Manager) -> Non
     notifier = Notifier(manager.address, clock=lambda: 1_234_567_890_123)
     notifier.ready()
     notifier.reloading()
-    notifier.ready()
+    notifier.reloaded()
     assert manager.heard() == ["READY=1", "RELOADING=1\nMONOTONIC_USEC=1234567890", "READY=1"]
+    notifier.close()
+
+
+def test_a_reload_before_it_is_ready_does_not_say_that_it_is(manager: Manager) -> None:
+    notifier = Notifier(manager.address)
+    notifier.reloading()
+    notifier.reloaded()
+    assert manager.heard() == []
     notifier.close()
 
 

@@ -28,11 +28,15 @@ class Baseline:
         """The last frame less the baseline; valid until the next frame."""
         self._flat = self.residual.reshape(-1)
         self._step = np.zeros(shape, np.float32)
-        self._time_constant_s = settings.time_constant_s
+        self.retune(settings)
         self._patience = _PATIENCE_WINDOWS * settings.learn_frames
         self._window = np.zeros((settings.learn_frames, *shape), np.float32)
         self._filled = 0
         self._tried = 0
+
+    def retune(self, settings: BaselineSettings) -> None:
+        """Follow the plate with another time constant."""
+        self._time_constant_s = settings.time_constant_s
 
     def learn(self, counts: Counts) -> NDArray[np.float64] | None:
         """Take in one frame while learning.

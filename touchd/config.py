@@ -181,6 +181,20 @@ class LogSettings(_Section):
     format: Literal["auto", "console", "json"] = Field("auto", description="auto: console on a terminal, else JSON.")
 
 
+class RealtimeSettings(_Section):
+    """Optional: what makes latency steadier on a busy computer; docs/deployment.md has the measured benefit."""
+
+    cpus: tuple[Annotated[int, Field(ge=0)], ...] = Field(
+        (), description="Processors that the daemon may run on; empty leaves it to the kernel."
+    )
+    fifo_priority: int = Field(
+        0, ge=0, le=99, description="Priority under SCHED_FIFO, ahead of all ordinary programs; 0 is ordinary."
+    )
+    nice: int = Field(0, ge=-20, le=19, description="Among ordinary programs, lower is ahead.")
+    lock_memory: bool = Field(False, description="Keep all of the daemon's memory from being swapped out.")
+    freeze_gc: bool = Field(True, description="Leave what was loaded at the start out of Python's garbage collection.")
+
+
 class Settings(_Section):
     """The whole configuration."""
 
@@ -193,3 +207,4 @@ class Settings(_Section):
     bus: BusSettings = BusSettings()
     health: HealthSettings = HealthSettings()
     log: LogSettings = LogSettings()
+    realtime: RealtimeSettings = RealtimeSettings()

@@ -17,7 +17,7 @@ from pydantic.fields import FieldInfo
 from pydantic_settings import BaseSettings, EnvSettingsSource, SettingsConfigDict
 
 from touchd.config import Settings
-from touchd.configtext import expected, fields, is_secret, section, toml_value, variable
+from touchd.configtext import expected, expected_item, fields, is_secret, section, toml_value, variable
 from touchd.errors import ConfigError
 
 DEFAULT_PATH = Path("/etc/touchd/touchd.toml")
@@ -184,7 +184,7 @@ def _explain(
     fix = f"correct it, or leave it out for the default, {toml_value(field.default)}"
     if kind == "value_error":
         return _Problem(where, message.removeprefix("Value error, "), fix)
-    wanted = expected(field) if len(loc) == 2 else "an address, tcp:// or ipc://"
+    wanted = expected(field) if len(loc) == 2 else expected_item(field)
     return _Problem(where, f"is {_shown(key, value)}, must be {wanted}", fix)
 
 

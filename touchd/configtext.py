@@ -70,8 +70,18 @@ def _kind(annotation: Any) -> str:
     if origin in (Union, types.UnionType):
         return " or ".join("empty" if part is type(None) else _kind(part) for part in arguments)
     if origin is tuple:
-        return "a list of addresses, tcp:// or ipc://"
+        return "a list of whole numbers" if _of_numbers(annotation) else "a list of addresses, tcp:// or ipc://"
     return _NAMES.get(annotation, str(annotation))
+
+
+def expected_item(field: FieldInfo) -> str:
+    """Return what the items of a list must be, in words."""
+    return "a whole number, at least 0" if _of_numbers(field.annotation) else "an address, tcp:// or ipc://"
+
+
+def _of_numbers(annotation: Any) -> bool:
+    item = get_args(annotation)[0]
+    return get_args(item)[:1] == (int,)
 
 
 def toml_value(value: Any, key: str = "") -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import faulthandler
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -11,13 +12,16 @@ from typing import TYPE_CHECKING
 
 import structlog
 
+from touchd import realtime
 from touchd.config import DeviceSettings, Settings
 from touchd.errors import SourceError
-from touchd.keypad import load_layout
+from touchd.keypad import Layout, load_layout
 from touchd.message import Messages
 from touchd.model import Model, default_model_path
+from touchd.notify import Notifier
 from touchd.pipeline import Pipeline
-from touchd.service import Service, stop_on_signals
+from touchd.reload import Reloader
+from touchd.service import Service, reload_on_hangup, stop_on_signals
 from touchd.sources import Source
 
 if TYPE_CHECKING:
@@ -94,7 +98,7 @@ def make_pipeline(
 ) -> tuple[Pipeline, Model]:
     """Return the pipeline for a source, with the model that the settings name unless it is loaded already."""
     model = model or load_model(settings)
-    layout = load_layout(settings.keypad.layout) if settings.keypad.layout else model.description.layout
+    layout = layout_of(settings, model)
 
     def wants(topic: str) -> bool:
         return any(sink.wants(topic) for sink in sinks)
@@ -108,12 +112,24 @@ def load_model(settings: Settings) -> Model:
     return Model(settings.model.path or default_model_path())
 
 
+def layout_of(settings: Settings, model: Model) -> Layout | None:
+    """Return the keys, in keypad mode: those that the settings name, or else the model's own."""
+    return load_layout(settings.keypad.layout) if settings.keypad.layout else model.description.layout
+
+
 def make_messages(settings: Settings) -> Messages:
     """Return the maker of this device's messages."""
     return Messages(settings.device.name, time.time_ns() - time.monotonic_ns())
 
 
-def run(settings: Settings, choice: SourceChoice, *, echo: bool = False, await_subscriber_s: float = 0.0) -> None:
+def run(
+    settings: Settings,
+    choice: SourceChoice,
+    *,
+    echo: bool = False,
+    await_subscriber_s: float = 0.0,
+    read_settings: Callable[[], Settings] | None = None,
+) -> None:
     """Run the daemon until its source ends or a signal comes.
 
     Parameters
@@ -122,10 +138,17 @@ def run(settings: Settings, choice: SourceChoice, *, echo: bool = False, await_s
         Also print each event as a line of JSON on standard output.
     await_subscriber_s : float
         Hold the first frame back until somebody subscribes to `touch`, for at most so long (BusTimeout).
+    read_settings : callable, optional
+        Reads the configuration again on SIGHUP.
     """
     from touchd.sinks.jsonl import JsonlSink
     from touchd.sinks.zeromq import ZeromqSink
 
+    manager = Notifier.from_environment()
+    if manager.watchdog_s:
+        # The manager ends what hangs by SIGABRT: the log then tells where it hung, by names of functions alone.
+        faulthandler.enable()
+    realtime.apply(settings.realtime)
     model = load_model(settings)
     source = open_source(choice, settings.device, model)
     bus: ZeromqSink | None = None
@@ -136,8 +159,15 @@ def run(settings: Settings, choice: SourceChoice, *, echo: bool = False, await_s
             sinks.append(JsonlSink(sys.stdout))
         messages = make_messages(settings)
         pipeline, _ = make_pipeline(source, settings, messages, sinks, model=model)
-        service = Service(source, pipeline, sinks, messages, settings.health, model.description.name)
+        service = Service(
+            source, pipeline, sinks, messages, settings.health, model.description.name, manager=manager
+        )  # fmt: skip
         stop_on_signals(service)
+        if read_settings is not None:
+            reloader = Reloader(settings, read_settings, lambda new: layout_of(new, model), pipeline)
+            service.on_reload(reloader.reload)
+            reload_on_hangup(service)
+        realtime.freeze(settings.realtime)
         if await_subscriber_s:
             bus.wait_for_subscriber(await_subscriber_s, stopped=lambda: service.stopped)
         service.run()
@@ -145,3 +175,4 @@ def run(settings: Settings, choice: SourceChoice, *, echo: bool = False, await_s
         source.close()
         if bus is not None:
             bus.close()
+        manager.close()

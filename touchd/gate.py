@@ -21,15 +21,19 @@ class Gate:
     """
 
     def __init__(self, settings: GateSettings) -> None:
-        self._quantile = NormalDist().inv_cdf(1.0 - settings.false_alarm_rate)
-        self._close_ratio = settings.close_ratio
-        self._memory = settings.noise_frames
         self._count = 0
         self._mean = 0.0
         self._variance = 0.0
         self._open_above = math.inf
         self._close_below = math.inf
         self.is_open = False
+        self._set_parameters(settings)
+
+    def retune(self, settings: GateSettings) -> None:
+        """Take another false-alarm rate, hysteresis and memory; the noise stays as it is known."""
+        self._set_parameters(settings)
+        if self._count:
+            self._set_thresholds()
 
     def learn(self, energies: NDArray[np.float64]) -> None:
         """Start afresh from the energies of untouched frames, shape (n,), n >= 2. Closes the gate."""
@@ -64,6 +68,11 @@ class Gate:
     def threshold_energy(self) -> float:
         """The energy above which a closed gate opens, ADC counts squared."""
         return self._open_above
+
+    def _set_parameters(self, settings: GateSettings) -> None:
+        self._quantile = NormalDist().inv_cdf(1.0 - settings.false_alarm_rate)
+        self._close_ratio = settings.close_ratio
+        self._memory = settings.noise_frames
 
     def _set_thresholds(self) -> None:
         # The deviation is known from few frames at first: its upper confidence limit keeps the stated rate.

@@ -65,9 +65,14 @@ class Notifier:
         self._ready = self._ready or self._send("READY=1")
 
     def reloading(self) -> None:
-        """Say that the configuration is being read again; `ready` ends it."""
-        self._ready = False
-        self._send(f"RELOADING=1\nMONOTONIC_USEC={self._clock() // 1000}")
+        """Say that the configuration is being read again; `reloaded` has to follow."""
+        if self._ready:
+            self._send(f"RELOADING=1\nMONOTONIC_USEC={self._clock() // 1000}")
+
+    def reloaded(self) -> None:
+        """Say that the configuration was read."""
+        if self._ready:
+            self._ready = self._send("READY=1")
 
     def stopping(self) -> None:
         """Say that the daemon is about to end."""

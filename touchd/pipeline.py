@@ -84,14 +84,7 @@ class Pipeline:
         self._model = model
         self._of_residual = model.description.input == "residual"
         self._raw = np.zeros(acquisition.shape, np.float32)
-        self._min_confidence = settings.model.min_confidence
-        self._keep_confidence = settings.model.keep_confidence
-        self._min_snr = 10 ** (settings.model.min_snr_db / 10)
-        # The other heads' sigma is the size of a zone or a key, whatever the frame.
-        self._max_sigma_mm = settings.model.max_sigma_mm if model.description.head == "regression" else math.inf
-        self._force_full_scale = settings.tracker.force_full_scale
-        self._small = 10 ** (settings.baseline.drift_below_db / 10)
-        self._layout = layout
+        self._set_thresholds(settings, layout)
         self._messages = messages
         self._wants = wants
         self._notify = notify
@@ -133,11 +126,30 @@ class Pipeline:
         contacts = self.tracker.release_all(t_ns)
         return self._messages.touch(t_ns, self._last_sequence or 0, contacts) if contacts else NOTHING
 
+    def retune(self, settings: Settings, layout: Layout | None) -> None:
+        """Take other thresholds, time constants and keys from the next frame on; the baseline and contacts stay."""
+        self.baseline.retune(settings.baseline)
+        self.gate.retune(settings.gate)
+        self.tracker.retune(settings.tracker)
+        self._standing.retune(settings.baseline)
+        self._set_thresholds(settings, layout)
+
     def restart(self) -> None:
         """Learn the plate anew: the device was away, and what it hears may have changed."""
         self._notify("reconnected", {})
         self._last_sequence = None
         self._learn_anew()
+
+    def _set_thresholds(self, settings: Settings, layout: Layout | None) -> None:
+        self._min_confidence = settings.model.min_confidence
+        self._keep_confidence = settings.model.keep_confidence
+        self._min_snr = 10 ** (settings.model.min_snr_db / 10)
+        # The other heads' sigma is the size of a zone or a key, whatever the frame.
+        regression = self._model.description.head == "regression"
+        self._max_sigma_mm = settings.model.max_sigma_mm if regression else math.inf
+        self._force_full_scale = settings.tracker.force_full_scale
+        self._small = 10 ** (settings.baseline.drift_below_db / 10)
+        self._layout = layout
 
     # -- the stages that need more than one call ---------------------------------------------------
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import sys
 import time
 from collections.abc import Callable, Sequence
 from types import FrameType
@@ -14,19 +15,35 @@ from touchd import __version__
 from touchd.config import HealthSettings
 from touchd.event import Event, HealthEvent, Latency, State
 from touchd.message import Messages
+from touchd.notify import Notifier
 from touchd.pipeline import Pipeline
 from touchd.sinks import Sink
 from touchd.sources import Change, EndOfStream, LiveSource, Source, Tally
 
 READ_TIMEOUT_S = 0.05  # how long a new subscriber waits at most for its last value while no frame comes
 STALL_NS = 1_000_000_000
+_READY: tuple[State, ...] = ("streaming", "lost")
+"""Frames flow, or the device is awaited."""
 _LATENCIES = 8192  # kept for one health period; more messages than that a second are sampled by overwriting
 
 log = structlog.get_logger()
 
 
 class Service:
-    """The loop from the source's `read` to the sinks' `publish`."""
+    """The loop from the source's `read` to the sinks' `publish`.
+
+    Parameters
+    ----------
+    source, pipeline, sinks, messages
+        What it runs; source and sinks are closed at the end.
+    settings : HealthSettings
+    model_name : str
+        For the health messages.
+    clock : callable
+        Monotonic time, ns.
+    manager : Notifier, optional
+        The service manager, told of readiness, state and life.
+    """
 
     def __init__(
         self,
@@ -37,6 +54,7 @@ class Service:
         settings: HealthSettings,
         model_name: str,
         clock: Callable[[], int] = time.monotonic_ns,
+        manager: Notifier | None = None,
     ) -> None:
         self._source = source
         # A device has states of its own; of any other source only its silence is known.
@@ -47,10 +65,13 @@ class Service:
         self._period_ns = round(settings.period_s * 1e9)
         self._model_name = model_name
         self._clock = clock
+        self._manager = manager or Notifier()
         self._state: State = "starting"
         self._reason: str | None = None
         self._away = False
         self._stop = False
+        self._reload: Callable[[], HealthSettings] | None = None
+        self._reload_asked = False
         self._latencies_us = np.zeros(_LATENCIES, np.float32)
         self._sent = 0
         self._health_ns = 0
@@ -61,6 +82,14 @@ class Service:
     def stop(self) -> None:
         """Have `run` end after the frame in hand; safe to call from a signal handler."""
         self._stop = True
+
+    def reload(self) -> None:
+        """Have the configuration read again after the frame in hand; safe to call from a signal handler."""
+        self._reload_asked = True
+
+    def on_reload(self, read: Callable[[], HealthSettings]) -> None:
+        """Name what reads the configuration again, and returns the settings of this part of it."""
+        self._reload = read
 
     @property
     def stopped(self) -> bool:
@@ -78,6 +107,7 @@ class Service:
         except EndOfStream:
             log.info("end of stream", frames=self._pipeline.counters.frames)
         finally:
+            self._manager.stopping()
             self._publish(self._pipeline.lose(self._stream_ns), self._clock())
             self._enter("stopping")
             self._source.close()
@@ -106,6 +136,17 @@ class Service:
             self._enter("stalled")
         if now_ns - self._health_ns >= self._period_ns:
             self._publish_health()
+        if self._reload_asked:
+            self._read_configuration()
+        # Here, where every frame comes by: a stage, a sink or a source that hangs starves the watchdog.
+        self._manager.beat(now_ns)
+
+    def _read_configuration(self) -> None:
+        self._reload_asked = False
+        if self._reload is not None:
+            self._manager.reloading()
+            self._period_ns = round(self._reload().period_s * 1e9)
+            self._manager.reloaded()
 
     def _publish(self, events: Sequence[Event], received_ns: int) -> None:
         for event in events:
@@ -138,6 +179,7 @@ class Service:
         self._sent = 0
         for sink in self._sinks:
             sink.publish(event, now_ns)
+        self._tell_manager(event)
         # Here, and so at most once a period, however many there are.
         counts = {"lost": event.lost, "corrupt": event.corrupt, "clipped": event.clipped, **event.skipped}
         for name in ("lost", "corrupt", "clipped", "behind", "emitter_fault", "test_pattern"):
@@ -145,6 +187,15 @@ class Service:
             if in_all > before:
                 log.warning(f"frames {name}", **{name: in_all - before, f"{name}_in_all": in_all})
                 self._logged[name] = in_all
+
+    def _tell_manager(self, health: HealthEvent) -> None:
+        self._manager.status(
+            f"{health.state}: {health.reason}"
+            if health.reason and health.state != "streaming"
+            else f"{health.state}: {health.frames} frames, {health.lost} lost, {health.corrupt} corrupt"
+        )
+        if health.state in _READY:
+            self._manager.ready()
 
     def _health(self) -> HealthEvent:
         pipeline = self._pipeline
@@ -187,3 +238,10 @@ def stop_on_signals(service: Service) -> None:
 
     signal.signal(signal.SIGTERM, handle)
     signal.signal(signal.SIGINT, handle)
+
+
+def reload_on_hangup(service: Service) -> None:
+    """Have SIGHUP read the configuration again; a daemon in a terminal ends with it, one under nohup ignores it."""
+    if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN or (sys.stdin is not None and sys.stdin.isatty()):
+        return
+    signal.signal(signal.SIGHUP, lambda _number, _frame: service.reload())

@@ -33,12 +33,16 @@ class Standing:
     """Follows the residual while the gate is open, and says when it has become the normal state."""
 
     def __init__(self, shape: tuple[int, int], settings: BaselineSettings) -> None:
-        self._absorb_ns = round(settings.absorb_s * 1e9)
-        self._unsteady_ns = round(settings.unsteady_s * 1e9)
+        self.retune(settings)
         self._reference = np.zeros(shape, np.float32)
         self._previous = np.zeros(shape, np.float32)
         self._difference = np.zeros(shape, np.float32)
         self.clear()
+
+    def retune(self, settings: BaselineSettings) -> None:
+        """Take other times; a change that lies on the plate already keeps its age."""
+        self._absorb_ns = round(settings.absorb_s * 1e9)
+        self._unsteady_ns = round(settings.unsteady_s * 1e9)
 
     def clear(self) -> None:
         """Forget everything: the gate has closed."""

@@ -47,12 +47,16 @@ class Tracker:
     """
 
     def __init__(self, settings: TrackerSettings) -> None:
-        self._settings = settings
-        self._refresh_ns = round(settings.refresh_s * 1e9)
+        self.retune(settings)
         self._tracks: list[_Track] = []
         self._next_id = 1
         self._last_ns = 0
         self._reported_ns = 0
+
+    def retune(self, settings: TrackerSettings) -> None:
+        """Take other settings; the filter's hold from the next contact on."""
+        self._settings = settings
+        self._refresh_ns = round(settings.refresh_s * 1e9)
 
     @property
     def busy(self) -> bool:

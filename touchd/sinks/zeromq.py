@@ -21,7 +21,7 @@ from touchd.sinks import endpoint
 
 log = structlog.get_logger()
 
-_LINGER_MS = 1000
+_LINGER_MS = 500  # the daemon shall end within a second of being told to
 _MOST_PER_POLL = 64  # subscription messages taken in at once: a flood of them must not hold up a frame
 _MOST_RECEIVED_BYTES = 4096  # subscriptions and handshakes
 _LOOK_S = 0.1  # how long a wait goes on at most once it shall end
@@ -151,7 +151,7 @@ class ZeromqSink:
             self.poll()
 
     def close(self) -> None:
-        """Send what is waiting, for at most a second, and free the addresses; further calls do nothing."""
+        """Send what is waiting, for at most half a second, and free the addresses; further calls do nothing."""
         if not self._open:
             return
         self._open = False

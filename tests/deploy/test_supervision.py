@@ -1,0 +1,162 @@
+"""The daemon as a process under a service manager: readiness, life, reload, and a quick end, over a real socket."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from tests.processes import PATIENCE_S, command, environment
+from touchd.client import Subscriber
+from touchd.event import TouchEvent
+from touchd.verbs.demo import SESSION
+
+WATCHDOG_S = 1.0
+
+
+class Managed:
+    """A daemon, and the socket on which it tells its manager of itself."""
+
+    def __init__(self, folder: Path, *options: object) -> None:
+        self.bus = f"ipc://{folder}/bus"
+        self.config = folder / "touchd.toml"
+        self.config.touch()
+        self.socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self.socket.bind(str(folder / "notify"))
+        self.log = folder / "log"
+        manager = {"NOTIFY_SOCKET": str(folder / "notify"), "WATCHDOG_USEC": str(round(WATCHDOG_S * 1e6))}
+        with self.log.open("w") as log:
+            self.process = subprocess.Popen(
+                command("--config", self.config, "--bind", self.bus, *options),
+                stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=log, env=environment(**manager),
+            )  # fmt: skip
+
+    def hear(self, timeout_s: float = PATIENCE_S) -> str | None:
+        """The next thing it says, or None if it says nothing in time."""
+        self.socket.settimeout(timeout_s)
+        try:
+            return self.socket.recv(4096).decode()
+        except TimeoutError:
+            return None
+
+    def hear_until(self, start: str) -> list[str]:
+        """What it says up to something that begins like this, which must come."""
+        heard: list[str] = []
+        deadline_s = time.monotonic() + PATIENCE_S
+        while time.monotonic() < deadline_s:
+            heard.append(self.hear(PATIENCE_S) or "")
+            if heard[-1].startswith(start):
+                return heard
+        pytest.fail(f"{start!r} was not said; the log: {self.log.read_text()}")
+
+
+@contextmanager
+def managed(folder: Path, *options: object) -> Iterator[Managed]:
+    daemon = Managed(folder, *options)
+    try:
+        yield daemon
+    finally:
+        daemon.process.kill()
+        daemon.process.communicate()
+        daemon.socket.close()
+
+
+def test_it_is_ready_with_the_first_frame_and_not_before(tmp_path: Path) -> None:
+    with managed(tmp_path, "--replay", SESSION, "--await-subscriber", PATIENCE_S) as daemon:
+        # Started, its address bound, and no frame yet: it waits for a subscriber.
+        while not (tmp_path / "bus").exists():
+            time.sleep(0.01)
+        assert daemon.hear(0.3) is None
+        with Subscriber(daemon.bus, timeout_s=PATIENCE_S):
+            heard = daemon.hear_until("READY=1")
+        assert heard == [f"STATUS={state}: 0 frames, 0 lost, 0 corrupt" for state in ("starting", "streaming")] + [
+            "READY=1"
+        ]
+
+
+def test_it_is_ready_while_it_awaits_its_device_and_stays_alive(tmp_path: Path) -> None:
+    daq = "[device]\nvendor_id = 0xfffe\nproduct_id = 0xfffe\n"  # not to be found on the computer of the test
+    (tmp_path / "touchd.toml").write_text(daq)
+    with managed(tmp_path) as daemon:
+        heard = daemon.hear_until("READY=1")
+        assert heard[-2].startswith("STATUS=lost: ")
+        assert "fffe:fffe" in heard[-2]
+        for _ in range(5):
+            daemon.hear_until("WATCHDOG=1")
+        daemon.process.terminate()
+        daemon.hear_until("STOPPING=1")
+        assert daemon.process.wait(PATIENCE_S) == 0
+
+
+def test_a_pipeline_that_hangs_starves_the_watchdog_although_its_threads_live(tmp_path: Path) -> None:
+    # Nobody reads what it prints: once the pipe is full the sink hangs, while ZeroMQ's thread goes on.
+    with managed(tmp_path, "--replay", SESSION, "--loop", "--speed", "20", "--print") as daemon:
+        daemon.hear_until("WATCHDOG=1")
+        heard: list[str | None] = []
+        while (said := daemon.hear(WATCHDOG_S)) is not None:
+            heard.append(said)
+            assert len(heard) < 1000, "it does not hang"
+        assert len(os.listdir(f"/proc/{daemon.process.pid}/task")) > 1
+        daemon.process.send_signal(signal.SIGABRT)  # as the manager does
+        assert daemon.process.wait(PATIENCE_S) == -signal.SIGABRT
+        assert "in publish" in daemon.log.read_text(), "the log tells where it hung"
+
+
+def test_sighup_takes_over_thresholds_and_a_wrong_file_changes_nothing(tmp_path: Path) -> None:
+    with managed(tmp_path, "--replay", SESSION, "--loop") as daemon:
+        daemon.hear_until("READY=1")
+        daemon.config.write_text("[tracker]\ndead_band_mm = 3.0\n[device]\nrate_hz = 100\n")
+        daemon.process.send_signal(signal.SIGHUP)
+        assert daemon.hear_until("RELOADING=1")[-1].partition("MONOTONIC_USEC=")[2].isdecimal()
+        daemon.hear_until("READY=1")
+        daemon.config.write_text("[tracker]\ndead_band_mm = -3.0\n")
+        daemon.process.send_signal(signal.SIGHUP)
+        daemon.hear_until("RELOADING=1")
+        daemon.hear_until("READY=1")
+        daemon.hear_until("WATCHDOG=1")
+        assert daemon.process.poll() is None
+    log = daemon.log.read_text()
+    assert '"taken": ["tracker.dead_band_mm"]' in log
+    assert '"waiting": ["device.rate_hz"]' in log
+    assert "tracker.dead_band_mm: is -3.0, must be" in log
+
+
+def test_a_flood_of_sighups_is_survived(tmp_path: Path) -> None:
+    with managed(tmp_path, "--replay", SESSION, "--loop") as daemon:
+        daemon.hear_until("READY=1")
+        for _ in range(20):
+            daemon.process.send_signal(signal.SIGHUP)
+        daemon.hear_until("RELOADING=1")
+        daemon.hear_until("READY=1")
+        assert daemon.process.poll() is None
+
+
+def test_sigterm_during_a_touch_lifts_it_and_ends_within_a_second(tmp_path: Path) -> None:
+    with managed(tmp_path, "--replay", SESSION, "--loop") as daemon:
+        with Subscriber(daemon.bus, timeout_s=PATIENCE_S) as events:
+            next(event for event in events if isinstance(event, TouchEvent))
+            started_s = time.monotonic()
+            daemon.process.terminate()
+            phases = [c.phase for event in events_until_up(events) for c in event.contacts]
+            assert daemon.process.wait(PATIENCE_S) == 0
+            took_s = time.monotonic() - started_s
+        assert phases[-1] == "up"
+        daemon.hear_until("STOPPING=1")
+        assert took_s < 1.0
+
+
+def events_until_up(events: Subscriber[TouchEvent]) -> list[TouchEvent]:
+    heard: list[TouchEvent] = []
+    for event in events:
+        if isinstance(event, TouchEvent):
+            heard.append(event)
+            if event.contacts[0].phase == "up":
+                break
+    return heard
