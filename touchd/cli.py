@@ -118,6 +118,7 @@ def touchd(
         SourceChoice(replay, simulate, speed, loop, seed),
         echo=echo,
         await_subscriber_s=await_subscriber,
+        read_settings=lambda: load(config, overrides),
     )
 
 
