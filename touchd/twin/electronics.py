@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,6 +95,10 @@ class Digitiser:
         self._phases = rng.uniform(0, 2 * np.pi, len(electronics.tones))
         self._image = _image(acquisition, electronics.image_db, self._rms, rng)
 
+    def resume(self, noise: Mapping[str, Any]) -> None:
+        """Go on with the noise from a state that `noise_states` gave."""
+        self._noise.bit_generator.state = noise
+
     def counts(self, signal: Floats, time_s: Floats) -> NDArray[np.int16]:
         """Digitise the next frames.
 
@@ -127,6 +132,31 @@ class Digitiser:
         signal += self._rms * 10 ** (-e.noise_db / 20) * noise
         rounded = np.rint(signal * (e.peak * full_scale))
         return np.asarray(np.clip(rounded, -full_scale, full_scale - 1), dtype=np.int16)
+
+
+def noise_states(seed: int | Sequence[int], values: int, frames: Iterable[int]) -> list[dict[str, Any]]:
+    """Return the state of a recording's noise before each of the given frames.
+
+    The noise is drawn for that, and dropped: a normal variate takes as many steps of the generator as it needs.
+
+    Parameters
+    ----------
+    seed : int or sequence of int
+        The recording's.
+    values : int
+        Of one frame: channels times samples.
+    frames : iterable of int
+        Ascending.
+    """
+    rng = np.random.default_rng(np.random.SeedSequence(seed).spawn(3)[2].spawn(2)[0])
+    states: list[dict[str, Any]] = []
+    done = 0
+    for frame in frames:
+        for at in range(done, frame, 64):
+            rng.standard_normal((min(frame - at, 64)) * values)
+        done = frame
+        states.append(dict(rng.bit_generator.state))
+    return states
 
 
 def _image(acquisition: Acquisition, level_db: float | None, rms: float, rng: np.random.Generator) -> Floats:

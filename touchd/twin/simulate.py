@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,26 +29,49 @@ DEFAULT_PLATE = Plate(width_mm=200, height_mm=200, thickness_mm=5, material="gla
 
 
 def stream(
-    stage: Stage, instrument: Instrument, seed: int | Sequence[int], block: int = BLOCK
+    stage: Stage,
+    instrument: Instrument,
+    seed: int | Sequence[int],
+    block: int = BLOCK,
+    *,
+    start: int = 0,
+    stop: int | None = None,
+    noise: Mapping[str, Any] | None = None,
 ) -> Iterator[NDArray[np.int16]]:
     """Yield a scene's frames in blocks: int16 arrays of shape (up to `block`, channels, samples).
 
     Every block is computed when it is asked for. Noise and jitter come from streams of their own.
+
+    Parameters
+    ----------
+    stage : Stage
+    instrument : Instrument
+    seed : int or sequence of int
+    block : int
+        Frames at a time.
+    start, stop : int
+        Yield these frames only, as they are in the whole; `start` is a multiple of the block.
+    noise : mapping, optional
+        State of the noise at `start`, from `touchd.twin.electronics.noise_states`; needed if that is not 0.
     """
     jitter_seed, digitiser_seed = np.random.SeedSequence(seed).spawn(3)[1:]
     jitter = np.random.default_rng(jitter_seed)
     reference = instrument.untouched([REFERENCE_C])[0]
     digitiser = Digitiser(stage.electronics, instrument.acquisition, reference, digitiser_seed)
+    if noise is not None:
+        digitiser.resume(noise)
+    jitter.standard_normal(start)  # those of the frames before
     time_s = stage.time_s
-    for start in range(0, len(time_s), block):
-        stop = min(start + block, len(time_s))
-        late_s = stage.electronics.jitter_s * jitter.standard_normal(stop - start)
-        temperature_c = stage.temperature_c[start:stop]
+    end = len(time_s) if stop is None else stop
+    for first in range(start, end, block):
+        last = min(first + block, end)
+        late_s = stage.electronics.jitter_s * jitter.standard_normal(last - first)
+        temperature_c = stage.temperature_c[first:last]
         signal = instrument.untouched(temperature_c, late_s)
-        touches = stage.touches(start, stop)
+        touches = stage.touches(first, last)
         if any(touches):
             signal += instrument.change(touches, temperature_c, late_s)
-        yield digitiser.counts(signal, time_s[start:stop])
+        yield digitiser.counts(signal, time_s[first:last])
 
 
 def stage_scene(
@@ -186,6 +210,11 @@ def _record(stage: Stage, instrument: Instrument, seed: int, progress: Progress 
         done += len(block)
         if progress is not None:
             progress(len(block))
+    return recording_of(stage, instrument, frames)
+
+
+def recording_of(stage: Stage, instrument: Instrument, frames: NDArray[np.int16]) -> Recording:
+    """Put a scene's frames, of shape (n, channels, samples), together with its truth."""
     contacts_mm, force_n = stage.truth()
     return Recording(
         meta=meta_of(instrument, stage.rate_hz, stage.notes),

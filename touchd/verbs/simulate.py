@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+from contextlib import ExitStack
 from pathlib import Path
 
 import click
@@ -17,7 +18,8 @@ from touchd.twin.finger import TISSUES
 from touchd.twin.instrument import Instrument
 from touchd.twin.material import MATERIALS
 from touchd.twin.scenes import SCENES
-from touchd.twin.simulate import simulate_scene, simulate_touches, stage_scene
+from touchd.twin.session import Session, parts_kept, simulate_session
+from touchd.twin.simulate import simulate_scene, stage_scene
 
 TOUCHES = "touches"
 COUNT = 6404
@@ -58,6 +60,8 @@ def parse_plate(_ctx: click.Context, _param: click.Parameter, value: str) -> tup
     "--stale-k", default=0.0, show_default=True, help="Touches: so much warmer is the plate than beside each touch."
 )
 @click.option("--tail", is_flag=True, help="Include what still rings from the chirps before.")
+@click.option("--jobs", type=click.IntRange(min=1), metavar="N", help="Processes for touches.  [default: all cores]")
+@click.option("--dask", metavar="ADDRESS", help="Compute touches on the Dask cluster of this scheduler.")
 @click.option("--force", is_flag=True, help="Replace the recording if it exists.")
 def command(
     scene: str,
@@ -76,6 +80,8 @@ def command(
     jitter_ns: float,
     stale_k: float,
     tail: bool,
+    jobs: int | None,
+    dask: str | None,
     force: bool,
 ) -> None:
     """Write a recording of SCENE, computed from the physics of a plate, with its truth."""
@@ -83,6 +89,10 @@ def command(
         raise click.UsageError("--frames, --rate-hz, --keypad and --code are for scenes; use --count")
     if scene != TOUCHES and not (count is None and stale_k == 0):
         raise click.UsageError("--count and --stale-k are for touches; use --frames")
+    if scene != TOUCHES and not (jobs is None and dask is None):
+        raise click.UsageError("--jobs and --dask are for touches; a scene is computed frame after frame")
+    if jobs is not None and dask is not None:
+        raise click.UsageError("--jobs counts processes of this computer; with --dask the cluster's own are used")
     if output.exists() and not force:
         raise OutputError("already there", str(output), "choose another name, or add --force")
     width, height, thickness = plate
@@ -100,19 +110,23 @@ def command(
         raise SimulationError(
             f"a tail of {period_s:g} s", "tail", f"frames {MOST_TAIL_S:g} s apart or more hear nothing of it"
         )
-    instrument = Instrument(described, loss=loss, tail_period_s=period_s if tail else None)
-    with click.progressbar(length=total, label=scene, file=sys.stderr) as bar:
+    tail_period_s = period_s if tail else None
+    with ExitStack() as stack:
         if scene == TOUCHES:
-            made = simulate_touches(
-                count or COUNT, seed=seed, instrument=instrument, electronics=electronics,
-                finger=finger or "silicone", stale_k=stale_k, progress=bar.update,
-            )  # fmt: skip
+            session = Session(
+                count or COUNT, seed, described, loss, tail_period_s, electronics, finger or "silicone", stale_k=stale_k
+            )
+            kept = stack.enter_context(parts_kept(session))
+            with click.progressbar(length=total, label=scene, file=sys.stderr) as bar:
+                made = simulate_session(session, workers=jobs, dask=dask, kept=kept, progress=bar.update)
         else:
-            made = simulate_scene(
-                scene, seed=seed, frames=frames, rate_hz=rate_hz, instrument=instrument, electronics=electronics,
-                finger=finger, keys=keys, code=code, progress=bar.update,
-            )  # fmt: skip
-    recording.write(output, made)
+            instrument = Instrument(described, loss=loss, tail_period_s=tail_period_s)
+            with click.progressbar(length=total, label=scene, file=sys.stderr) as bar:
+                made = simulate_scene(
+                    scene, seed=seed, frames=frames, rate_hz=rate_hz, instrument=instrument, electronics=electronics,
+                    finger=finger, keys=keys, code=code, progress=bar.update,
+                )  # fmt: skip
+        recording.write(output, made)
     click.echo(f"{output}: {len(made.frames)} frames, {output.stat().st_size / 1e6:.1f} MB")
 
 
