@@ -5,7 +5,8 @@ set -eu
 
 case "${1:-run}" in
 run) wanted="python3-venv" ;;
-test) wanted="python3-venv gcc libc6-dev libzmq3-dev" ;;
+# umockdev and what it needs: the mocked kernel of tests/usb.
+test) wanted="python3-venv gcc libc6-dev libzmq3-dev umockdev gir1.2-umockdev-1.0 python3-gi libusb-1.0-0" ;;
 *) echo "usage: $0 run|test" >&2; exit 2 ;;
 esac
 

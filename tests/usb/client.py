@@ -58,11 +58,19 @@ class Scenario:
                          self.falls_silent, self.is_touched_again):  # fmt: skip
                 step()
         finally:
-            self._socket.close(0)
+            self.close()
+
+    def close(self) -> None:
+        """Stop listening."""
+        self._socket.close(0)
+
+    def waits_for(self, state: str) -> None:
+        """The daemon says that it is in a state."""
+        self._wait(f"state {state}", lambda: self.health.get("state") == state)
 
     def begins(self) -> None:
         """Frames flow."""
-        self._wait("state streaming", lambda: self.health.get("state") == "streaming")
+        self.waits_for("streaming")
         self._grows("frames", 40)  # the untouched plate is learned
         self._done("streaming")
 
@@ -72,13 +80,17 @@ class Scenario:
         self._wait("a finger", lambda: self.touched)
         self._done("touched", contacts=len(self.touched))
 
+    def is_lifted(self) -> None:
+        """All fingers are up."""
+        self._wait("the finger's up", lambda: not self.touched)
+
     def is_unplugged(self) -> None:
         """Within 100 ms of the loss of the device all fingers are up, and health says lost."""
         pulled = time.monotonic()
         self._steer("unplug")
-        self._wait("the finger's up", lambda: not self.touched)
+        self.is_lifted()
         up_s = time.monotonic() - pulled
-        self._wait("state lost", lambda: self.health["state"] == "lost")
+        self.waits_for("lost")
         if not self.health.get("reason"):
             raise Failed("health says lost, but not why")
         self._done("unplugged", up_ms=round(up_s * 1000), lost_ms=round((time.monotonic() - pulled) * 1000))
@@ -87,7 +99,7 @@ class Scenario:
         """The device is found again, by itself."""
         self._steer("release")
         self._steer("plug")
-        self._wait("state streaming", lambda: self.health["state"] == "streaming")
+        self.waits_for("streaming")
         self._grows("frames", 40)
         self._done("replugged")
 
@@ -106,9 +118,9 @@ class Scenario:
     def falls_silent(self) -> None:
         """A device that sends nothing is said to have stalled, and heard again when it speaks."""
         self._steer("silent")
-        self._wait("state stalled", lambda: self.health["state"] == "stalled")
+        self.waits_for("stalled")
         self._steer("normal")
-        self._wait("state streaming", lambda: self.health["state"] == "streaming")
+        self.waits_for("streaming")
         self._grows("frames", 40)
         self._done("stalled")
 
@@ -117,7 +129,7 @@ class Scenario:
         self._steer("touch")
         self._wait("a finger", lambda: self.touched)
         self._steer("release")
-        self._wait("the finger's up", lambda: not self.touched)
+        self.is_lifted()
         self._done("touched-again", frames=self.health["frames"])
 
     # -- listening -----------------------------------------------------------------------------------

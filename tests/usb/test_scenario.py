@@ -156,8 +156,8 @@ def test_a_reader_that_dies_takes_the_service_down_with_a_clear_error(
             scenario.is_touched()
             cable.daq.started = die
             cable.daq.source = lambda: 5  # EIO: it is looked for again, and started
-            scenario._wait("the finger's up", lambda: not scenario.touched)
-            scenario._socket.close(0)
+            scenario.is_lifted()
+            scenario.close()
         daemon.thread.join(PATIENCE_S)
     assert isinstance(daemon.error, ReaderFailed)
     assert "none left" in str(daemon.error)
