@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from touchd.errors import OutputError
 from touchd.evaluation.stream import found_contacts, true_touches
 from touchd.event import TouchEvent
-from touchd.recording import Recording
+from touchd.recording import Meta, Recording
 
 TRUTH = "#b0b7bf"
 COLOURS = ("#0b6e99", "#d1495b", "#3a7d44", "#e28413", "#6a4c93", "#2f4858", "#8f2d56", "#218380")
@@ -50,7 +52,7 @@ def draw_session(recording: Recording, events: list[TouchEvent], path: Path) -> 
         xlim=(0, plate.width_mm), ylim=(plate.height_mm, 0), aspect="equal", xlabel="x (mm)", ylabel="y (mm)",
         title=f"{plate.material} plate, {plate.width_mm:g} x {plate.height_mm:g} x {plate.thickness_mm:g} mm",
     )  # fmt: skip
-    _draw_transducers(recording, plate_axes)
+    draw_transducers(recording.meta, plate_axes)
     # Below the plate: inside it a legend would cover touches.
     plate_axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=4, fontsize=8, frameon=False)
     x_axes.set(ylabel="x (mm)", ylim=(0, plate.width_mm), title="contacts over time")
@@ -60,13 +62,13 @@ def draw_session(recording: Recording, events: list[TouchEvent], path: Path) -> 
     save(figure, path)
 
 
-def _draw_transducers(recording: Recording, axes: object) -> None:
-    meta = recording.meta
-    plot = axes.plot  # type: ignore[attr-defined]  # matplotlib's Axes; its stubs differ between releases
+def draw_transducers(meta: Meta, axes: Axes, colour: str = "black") -> None:
+    """Mark emitter and receivers where a recording names their places; the edge keeps a light mark visible."""
+    how: dict[str, Any] = {"color": colour, "ms": 7, "markeredgecolor": "black", "ls": "none"}
     if meta.emitter_mm:
-        plot(*meta.emitter_mm, "s", color="black", ms=6, label="emitter")
+        axes.plot(*meta.emitter_mm, "s", label="emitter", **how)
     if meta.receivers_mm:
-        plot(*np.transpose(meta.receivers_mm), "^", color="black", ms=6, label="receivers")
+        axes.plot(*np.transpose(meta.receivers_mm), "^", label="receivers", **how)
 
 
 def save(figure: Figure, path: Path) -> None:

@@ -71,13 +71,9 @@ def classes(true_mm: NDArray[np.float32], description: Description) -> NDArray[n
 
 def scores(judged: Judgement) -> dict[str, float]:
     """Return the scores of a judgement: of the position, and by head of its sigma or its classes."""
-    found = position_scores(judged.error_mm)
+    found = position_scores(judged.error_mm) | {"confident": float((judged.confidence >= 0.5).mean())}
     if judged.true_class is None or judged.found_class is None:
-        within = np.abs(judged.error_mm) <= judged.sigma_mm[:, None]
-        return found | {
-            "within_sigma": float(within.mean()),
-            "confident": float((judged.confidence >= 0.5).mean()),
-        }
+        return found | {"within_sigma": float((np.abs(judged.error_mm) <= judged.sigma_mm[:, None]).mean())}
     wrong = judged.found_class != judged.true_class
     found["accuracy"] = float(1 - wrong.mean())
     if judged.keys:

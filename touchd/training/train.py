@@ -56,6 +56,7 @@ class Result:
     """How far the exported model is from the trained network, on the test touches."""
     judged: Judgement
     """What the exported model says of the test touches."""
+    parts: Split
     duration_s: float
 
     @property
@@ -151,7 +152,7 @@ def train(
         note("the model places touches no better than the middle of all of them: it has learned nothing")
     describe(graph, description.model_copy(update={"scores": {name: round(value, 4) for name, value in found.items()}}))
     seconds = time.monotonic() - started_s
-    return Result(write_model(graph, path), found, curve, notes, exactness, judged, seconds)
+    return Result(write_model(graph, path), found, curve, notes, exactness, judged, parts, seconds)
 
 
 def _guess_mm(known_mm: Positions, test_mm: Positions) -> float:

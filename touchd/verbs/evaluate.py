@@ -14,6 +14,7 @@ from touchd.configfile import load
 from touchd.errors import RecordingValues
 from touchd.evaluation.metrics import position_scores
 from touchd.evaluation.replay import replay
+from touchd.evaluation.score import Judgement, judge, scores
 from touchd.evaluation.stream import score_stream
 from touchd.model import Model
 from touchd.recording import Recording, read
@@ -27,29 +28,40 @@ STREAM_HZ = 20.0
 @click.argument("model", type=click.Path(path_type=Path))
 @click.argument("recording", type=click.Path(path_type=Path))
 @click.option("--json", "as_json", is_flag=True, help="Print the scores as one JSON object.")
-def command(model: Path, recording: Path, as_json: bool) -> None:
+@click.option(
+    "--plot", type=click.Path(path_type=Path), metavar="FILE.png",
+    help="Draw the errors over the plate, or which zone or key was taken for which.",
+)  # fmt: skip
+def command(model: Path, recording: Path, as_json: bool, plot: Path | None) -> None:
     """Score MODEL on RECORDING, which must hold the truth.
 
     A recording of 20 frames a second or more is replayed through the whole pipeline: its touches are found, missed,
     invented (ghosts) or split, down_latency_ms is the median time from a touch's first frame to its first message, and
     jitter_mm is how far the positions of a still finger scatter. In a slower recording each touch is judged on its own
-    frame, against the untouched frames beside it.
+    frame, against the untouched frames beside it; a grid or keypad model is scored by its zones or keys too.
     """
     truth = read(recording)
     if truth.contacts_mm is None:
         raise RecordingValues("there is no truth to compare with", str(recording), "use a recording with contacts_mm")
     if truth.meta.frame_rate_hz >= STREAM_HZ:
-        scores = _score_replay(recording, truth, load(None, {"model": {"path": model}}))
+        if plot is not None:
+            raise click.UsageError("--plot is for touches one by one; touchd draw draws a stream")
+        found = _score_replay(recording, truth, load(None, {"model": {"path": model}}))
     else:
-        scores = _score_touches(truth, Model(model))
+        loaded = Model(model)
+        judged = _judge_touches(truth, loaded)
+        found = scores(judged)
+        found["n"] = len(judged.true_mm)
+        if plot is not None:
+            _draw(judged, loaded, truth, plot)
     if as_json:
-        click.echo(json.dumps(scores))
+        click.echo(json.dumps(found))
         return
-    for name, value in scores.items():
+    for name, value in found.items():
         click.echo(
-            f"{name:12} {value:8.3f}"
+            f"{name:17} {value:8.3f}"
             if isinstance(value, float)
-            else f"{name:12} {value if value is not None else '-':>8}"
+            else f"{name:17} {value if value is not None else '-':>8}"
         )
 
 
@@ -67,21 +79,26 @@ def _score_replay(path: Path, truth: Recording, settings: Settings) -> dict[str,
     }
 
 
-def _score_touches(truth: Recording, model: Model) -> dict[str, Any]:
+def _judge_touches(truth: Recording, model: Model) -> Judgement:
     model.check(truth.acquisition)
     data = make_dataset(truth, model.description.domain)
     features = data.residual if model.description.input == "residual" else data.signal
-    estimates = []
-    for row in features:
-        model.features[0] = row
-        estimates.append(model.estimate())
-    place_mm = np.array([[estimate.x_mm, estimate.y_mm] for estimate in estimates])
-    sigma_mm = np.array([[estimate.sigma_mm] for estimate in estimates])
-    error_mm = place_mm - data.position_mm
-    return _positions(error_mm) | {
-        "within_sigma": float((np.abs(error_mm) <= sigma_mm).mean()),
-        "confident": float(np.mean([estimate.confidence >= 0.5 for estimate in estimates])),
-    }
+    return judge(model, features, data.position_mm)
+
+
+def _draw(judged: Judgement, model: Model, truth: Recording, picture: Path) -> None:
+    # matplotlib is loaded only where a picture is wanted.
+    from touchd.evaluation.modelplots import draw_confusion, draw_error_map, draw_zones
+    from touchd.evaluation.plots import save
+
+    d = model.description
+    if d.head == "grid":
+        figure = draw_zones(judged, d, truth.meta)
+    elif d.head == "keypad":
+        figure = draw_confusion(judged, d)
+    else:
+        figure = draw_error_map(judged, truth.meta)
+    save(figure, picture)
 
 
 def _positions(error_mm: np.ndarray) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from pathlib import Path
 
 import click
@@ -31,7 +32,8 @@ _RECIPES = "\n".join(["\b", "Recipes:", *(f"  {recipe.name:16}  {recipe.what}" f
     help="Epochs without a better validation RMSE after which training stops: for the paper's recipes, whose rate is "
     "constant.  [default: 30]",
 )  # fmt: skip
-@click.option("--force", is_flag=True, help="Replace the model if it exists.")
+@click.option("--no-report", is_flag=True, help="Write no report beside the model.")
+@click.option("--force", is_flag=True, help="Replace the model, and its report, if it exists.")
 def command(
     recording: tuple[Path, ...],
     output: Path,
@@ -41,13 +43,15 @@ def command(
     seed: int,
     epochs: int | None,
     patience: int | None,
+    no_report: bool,
     force: bool,
 ) -> None:
     """Train a model on RECORDING, a labelled recording of single touches, or several of one plate taken alike.
 
     What looks wrong with them, such as a dead channel or too few touches, is said before training begins.
     The touches are split at random into 70 % for training, 20 % for validation and 10 % for the test; the scores
-    printed at the end, and stored in the model, are those of the test.
+    printed at the end, and stored in the model, are those of the test. A folder beside the model, named .report, has
+    them with pictures: learning curve, errors over the plate, and how well the standard error is predicted.
     """
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
@@ -55,11 +59,14 @@ def command(
     from touchd.keypad import PHONE, load_layout
     from touchd.recording import read
     from touchd.training.join import join
+    from touchd.training.report import PAGE, remove_report, write_report
     from touchd.training.train import train
 
     chosen = RECIPES[recipe]
     if output.exists() and not force:
         raise OutputError("already there", str(output), "choose another name, or add --force")
+    if not os.access(output.parent, os.W_OK | os.X_OK):
+        raise OutputError("no folder that can be written to", str(output.parent), "make it, or choose another name")
     epochs = epochs or chosen.epochs
     options = f" --n {grid}" * (chosen.head == "grid")
     options += f" --layout {layout.name}" if layout and chosen.head == "keypad" else ""
@@ -111,3 +118,8 @@ def command(
     for name, value in result.scores.items():
         if name != "n":
             click.echo(f"  {name:17} {value:8.3f}")
+    if no_report:
+        remove_report(output)  # that of the model which was replaced
+    else:
+        folder = write_report(result, touches.meta, [path.name for path in recording])
+        click.echo(f"{folder / PAGE}: scores, learning curve and pictures")

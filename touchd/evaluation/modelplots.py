@@ -1,0 +1,182 @@
+"""Pictures of one model: how it learned, where on the plate it errs, and whether it knows how much."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import erf, sqrt
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from touchd.evaluation.plots import COLOURS, TRUTH, draw_transducers
+from touchd.evaluation.score import Judgement
+from touchd.frame import Plate
+from touchd.model import Description
+from touchd.recording import Meta
+
+MAP = "viridis"  # told apart by every eye, and in grey
+NOTHING = "#e8eaed"
+ONE_SIGMA = 0.683
+"""Share of Gaussian errors within one deviation."""
+CELL_TOUCHES = 6
+"""Touches a cell of the error map holds on average: a median of fewer says little."""
+
+
+def draw_learning_curve(loss: Sequence[float], validation_mm: Sequence[float], kept: int) -> Figure:
+    """Draw the training loss and the validation RMSE by epoch, and which epoch was kept, counted from 1."""
+    figure = Figure(figsize=(7.0, 5.0), layout="constrained")
+    above, below = figure.subplots(2, 1, sharex=True)
+    epochs = np.arange(1, len(loss) + 1)
+    mark = "o" if len(loss) < 10 else ""
+    above.plot(epochs, loss, color=COLOURS[1], lw=1.5, marker=mark)
+    above.set(ylabel="training loss", title="learning curve")
+    below.plot(epochs, validation_mm, color=COLOURS[0], lw=1.5, marker=mark, label="validation")
+    best_mm = validation_mm[kept - 1]
+    below.plot([kept], [best_mm], "o", color="black", ms=6, label=f"kept: epoch {kept}, {best_mm:.3g} mm")
+    below.set(ylabel="RMSE (mm)", xlabel="epoch", yscale="log")
+    below.yaxis.set_major_formatter("{x:g}")
+    below.legend(frameon=False)
+    for axes in (above, below):
+        axes.grid(alpha=0.25, which="both")
+    return figure
+
+
+def cell_medians(
+    position_mm: NDArray[np.float32], value: NDArray[np.float64], plate: Plate
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Return median value and number of touches in each cell of the plate, shape (rows, columns), NaN where none."""
+    side_mm = sqrt(plate.width_mm * plate.height_mm * CELL_TOUCHES / len(value))
+    columns, rows = (int(np.clip(round(length / side_mm), 3, 25)) for length in (plate.width_mm, plate.height_mm))
+    column, row = np.clip(position_mm / [plate.width_mm, plate.height_mm], 0, 1 - 1e-9).T * [[columns], [rows]]
+    cell = row.astype(int) * columns + column.astype(int)
+    count = np.bincount(cell, minlength=rows * columns)
+    medians = np.array([np.median(value[cell == i]) if count[i] else np.nan for i in range(rows * columns)])
+    return medians.reshape(rows, columns), count.reshape(rows, columns)
+
+
+def draw_error_map(judged: Judgement, meta: Meta) -> Figure:
+    """Draw the median error in each cell of the plate."""
+    plate = meta.plate
+    medians, count = cell_medians(judged.true_mm, judged.distance_mm, plate)
+    figure = Figure(figsize=(7.0, 6.0), layout="constrained")
+    axes = figure.add_subplot()
+    # One cell that is far off shall not make all others look alike.
+    top = float(np.nanpercentile(medians, 95))
+    image = axes.imshow(
+        np.ma.masked_invalid(medians), cmap=MAP, vmin=0, vmax=max(top, 1e-6), extent=_extent(plate)
+    )  # fmt: skip
+    figure.colorbar(image, ax=axes, label="median error (mm)", extend="max", shrink=0.85)
+    for row, column in np.argwhere(count > 0):
+        _say_in_cell(axes, plate, medians.shape, row, column, f"{count[row, column]}", medians[row, column] > top / 2)
+    _draw_plate(axes, meta)
+    axes.set_title(f"error of {len(judged.true_mm)} touches; in each cell: how many; grey: none", fontsize=10)
+    return figure
+
+
+def draw_zones(judged: Judgement, description: Description, meta: Meta) -> Figure:
+    """Draw the share of touches in each zone of a grid that were taken for another zone."""
+    assert judged.true_class is not None
+    assert judged.found_class is not None
+    n = description.grid
+    count = np.bincount(judged.true_class, minlength=n**2)
+    wrong = np.bincount(judged.true_class[judged.found_class != judged.true_class], minlength=n**2)
+    share = np.divide(100.0 * wrong, count, out=np.full(n**2, np.nan), where=count > 0).reshape(n, n)
+    figure = Figure(figsize=(7.0, 6.0), layout="constrained")
+    axes = figure.add_subplot()
+    image = axes.imshow(np.ma.masked_invalid(share), cmap=MAP, vmin=0, vmax=100, extent=_extent(meta.plate))
+    figure.colorbar(image, ax=axes, label="touches taken for another zone (%)", shrink=0.85)
+    for row, column in np.argwhere(count.reshape(n, n) > 0):
+        text = f"{count.reshape(n, n)[row, column]}"
+        _say_in_cell(axes, meta.plate, (n, n), row, column, text, share[row, column] > 50)
+    _draw_plate(axes, meta)
+    axes.set_title(f"{n} x {n} zones, {len(judged.true_mm)} touches; in each zone: how many", fontsize=10)
+    return figure
+
+
+def draw_confusion(judged: Judgement, description: Description) -> Figure:
+    """Draw which key was taken for which: counts, coloured by their share of the row."""
+    assert description.layout is not None
+    names = [*(key.name for key in description.layout.key), "beside"]
+    matrix = confusion(judged, len(names))
+    touched = matrix.sum(axis=1, keepdims=True)
+    share = np.ma.masked_invalid(np.where(touched > 0, 100 * matrix / np.maximum(touched, 1), np.nan))
+    side = 2.8 + 0.36 * len(names)
+    figure = Figure(figsize=(side + 0.8, side), layout="constrained")
+    axes = figure.add_subplot()
+    axes.set_facecolor(NOTHING)  # keys that were never touched
+    image = axes.imshow(share, cmap=MAP, vmin=0, vmax=100)
+    figure.colorbar(image, ax=axes, label="share of the touched key (%)", shrink=0.85)
+    for row, column in np.argwhere(matrix):
+        colour = "black" if share[row, column] > 50 else "white"
+        axes.text(column, row, f"{matrix[row, column]}", ha="center", va="center", color=colour, fontsize=8)
+    axes.set_xticks(range(len(names)), names, rotation=90 if max(map(len, names)) > 6 else 0)
+    axes.set_yticks(range(len(names)), names)
+    axes.set(xlabel="key found", ylabel="key touched", title=f"{len(judged.true_mm)} touches")
+    return figure
+
+
+def confusion(judged: Judgement, classes: int) -> NDArray[np.int64]:
+    """Return how often each class (row) was taken for each (column), shape (classes, classes)."""
+    assert judged.true_class is not None
+    assert judged.found_class is not None
+    pair = judged.true_class * classes + judged.found_class
+    return np.bincount(pair, minlength=classes**2).reshape(classes, classes)
+
+
+def draw_sigma(judged: Judgement) -> Figure:
+    """Draw the share of errors within k sigma beside a Gaussian's, and actual by predicted error."""
+    figure = Figure(figsize=(10.0, 4.6), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    ratio = np.sort((np.abs(judged.error_mm) / judged.sigma_mm[:, None]).ravel())
+    k = np.linspace(0, 4, 161)
+    found = np.searchsorted(ratio, k, side="right") / len(ratio)
+    left.plot(k, [100 * erf(x / sqrt(2)) for x in k], color=TRUTH, lw=5, label="a Gaussian's")
+    left.plot(k, 100 * found, color=COLOURS[0], lw=1.6, label="found, x and y")
+    left.set(xlabel="k", ylabel="errors within k sigma (%)", xlim=(0, 4), ylim=(0, 102), title="all touches")
+    left.legend(frameon=False, loc="lower right")
+    predicted, actual = sigma_deciles(judged)
+    ends = np.array([min(predicted.min(), actual.min()) / 1.5, max(predicted.max(), actual.max()) * 1.5])
+    right.plot(ends, ends, color=TRUTH, lw=5, label="as predicted", zorder=1)
+    right.plot(predicted, actual, "o", color=COLOURS[0], ms=6, label="a tenth of the touches each")
+    right.set(
+        xscale="log", yscale="log", xlim=ends, ylim=ends, xlabel="predicted: median sigma (mm)",
+        ylabel="actual: 68 % of errors are below (mm)", title="touches in order of their sigma",
+    )  # fmt: skip
+    for axis in (right.xaxis, right.yaxis):
+        axis.set_major_formatter("{x:g}")
+        axis.set_minor_formatter("{x:g}" if ends[1] / ends[0] < 12 else "")
+    right.tick_params(which="minor", labelsize=7)
+    right.legend(frameon=False, loc="upper left")
+    for axes in (left, right):
+        axes.grid(alpha=0.25, which="both")
+    return figure
+
+
+def sigma_deciles(judged: Judgement) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the median sigma, and the error that 68.3 % of either axis stay below, by tenths in order of sigma."""
+    parts = np.array_split(np.argsort(judged.sigma_mm, kind="stable"), min(10, len(judged.sigma_mm)))
+    predicted = np.array([np.median(judged.sigma_mm[part]) for part in parts])
+    return predicted, np.array([np.quantile(np.abs(judged.error_mm[part]), ONE_SIGMA) for part in parts])
+
+
+def _extent(plate: Plate) -> tuple[float, float, float, float]:
+    """Left, right, bottom and top of an image of the plate: y runs down."""
+    return 0, plate.width_mm, plate.height_mm, 0
+
+
+def _draw_plate(axes: Axes, meta: Meta) -> None:
+    plate = meta.plate
+    axes.set_facecolor(NOTHING)
+    axes.set(xlabel="x (mm)", ylabel="y (mm)", xlim=(0, plate.width_mm), ylim=(plate.height_mm, 0))
+    draw_transducers(meta, axes, colour="white")
+    if meta.receivers_mm or meta.emitter_mm:
+        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.09), ncols=2, frameon=False)
+
+
+def _say_in_cell(
+    axes: Axes, plate: Plate, shape: tuple[int, ...], row: int, column: int, text: str, bright: bool
+) -> None:
+    x_mm, y_mm = (column + 0.5) * plate.width_mm / shape[1], (row + 0.5) * plate.height_mm / shape[0]
+    axes.text(x_mm, y_mm, text, ha="center", va="center", fontsize=7, color="black" if bright else "white")
