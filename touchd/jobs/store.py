@@ -51,7 +51,7 @@ class Store:
         path = self._path(key)
         try:
             content = path.read_bytes()
-        except FileNotFoundError:
+        except (FileNotFoundError, NotADirectoryError):
             return None
         except OSError as error:
             self._complain("a stored result cannot be read", path, error)

@@ -10,9 +10,11 @@ from pathlib import Path
 import click
 
 from touchd import recording
+from touchd.config import LogSettings
 from touchd.errors import OutputError, SimulationError
 from touchd.frame import Plate
 from touchd.keypad import load_layout
+from touchd.log import configure
 from touchd.twin.electronics import Electronics
 from touchd.twin.finger import TISSUES
 from touchd.twin.instrument import Instrument
@@ -111,6 +113,7 @@ def command(
             f"a tail of {period_s:g} s", "tail", f"frames {MOST_TAIL_S:g} s apart or more hear nothing of it"
         )
     tail_period_s = period_s if tail else None
+    configure(LogSettings())  # on standard error, beside the progress
     with ExitStack() as stack:
         if scene == TOUCHES:
             session = Session(
