@@ -15,7 +15,7 @@ from touchd import recording
 from touchd.errors import OutputError
 from touchd.frame import Acquisition, Frame, Plate
 from touchd.recording import Device, Meta, Recording
-from touchd.sources import Source
+from touchd.sources import Change, LiveSource, Source
 
 CHUNK_FRAMES = 5000
 """Frames in a chunk of a folder: at 125 frames a second, a power cut costs at most 40 s."""
@@ -119,6 +119,10 @@ class Recorder:
         if frame is not None:
             self._keep(frame)
         return frame
+
+    def changes(self) -> list[Change]:
+        """Take the changes of a live source's state; no frame comes before they are taken."""
+        return self._source.changes() if isinstance(self._source, LiveSource) else []
 
     def close(self) -> None:
         """Write what has not been written, and close the source. Without a frame there will be no file.

@@ -1,8 +1,8 @@
 """A DAQ behind a mocked kernel: umockdev answers the usbfs calls of a program that runs real pyusb and libusb.
 
-`LD_PRELOAD=libumockdev-preload.so.0 /usr/bin/python3 mockkernel.py UNTOUCHED TOUCHED COMMAND...` starts COMMAND with the
-device plugged in, obeys lines on standard input (see client.py), and ends with COMMAND. It needs Debian's python3-gi,
-gir1.2-umockdev-1.0 and umockdev, and of touchd only what needs no package.
+`LD_PRELOAD=libumockdev-preload.so.0 /usr/bin/python3 mockkernel.py UNTOUCHED TOUCHED COMMAND...` starts COMMAND with
+the device plugged in, obeys lines on standard input (see client.py), and ends with COMMAND. It needs Debian's
+python3-gi, gir1.2-umockdev-1.0 and umockdev, and of touchd only what needs no package.
 
 An ioctl is answered in one thread, in order. libusb asks for finished transfers without waiting (REAPURBNDELAY), so an
 empty answer is held back for some milliseconds while transfers are in flight: otherwise it would ask without pause.
@@ -154,7 +154,7 @@ class MockedKernel:
         until = time.monotonic() + HOLD_S
         while True:
             if not self._finished and self._flying:
-                result = -errno.ESHUTDOWN if self.gone else self._answer(self._flying[0])
+                result: bytes | int | None = -errno.ESHUTDOWN if self.gone else self._answer(self._flying[0])
                 if result is not None:
                     transfer = self._flying.pop(0)
                     transfer.finish(result)

@@ -17,6 +17,7 @@ import pytest
 from tests.processes import PATIENCE_S, ROOT, command, environment
 from tests.usb.client import Scenario
 from tests.usb.plate import write
+from touchd.recording import read
 
 PRELOAD = "libumockdev-preload.so.0"
 PYTHON = "/usr/bin/python3"  # Debian's, which has its packages
@@ -127,8 +128,6 @@ def test_what_the_device_sends_can_be_recorded(plate: tuple[Path, Path], tmp_pat
     program = command("record", "-o", recording, "--frames", "50", "--plate", "200x200x5")
     with mocked(plate, *program, log=log) as device:
         assert device.wait(PATIENCE_S) == 0, log.read_text()
-    from touchd.recording import read
-
     made = read(recording)
     assert made.frames.shape == (50, 4, 250)
     assert (made.meta.source, made.meta.device.serial, made.meta.device.firmware) == ("usb", "SN0001", "1.2.3")

@@ -129,6 +129,8 @@ def _record(recorder: Recorder, frames: int | None, seconds: float | None) -> No
             except EndOfStream:
                 break
             if frame is None:
+                for change in recorder.changes():
+                    click.echo(f"device {change.state}: {change.reason}", err=True)
                 # A silent source must not make a recording of ten seconds last for ever.
                 if seconds is not None and time.monotonic() - started_s >= seconds:
                     break
