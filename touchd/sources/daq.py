@@ -105,6 +105,11 @@ def acquisition_of(info: Info) -> Acquisition:
     )  # fmt: skip
 
 
+def device_of(daq: Daq) -> Device:
+    """Return what a recording says of a device."""
+    return Device(serial=daq.serial, firmware=".".join(map(str, daq.info.firmware)))
+
+
 class DaqSource:
     """Frames from a device that may be unplugged, stall, or not be there yet.
 
@@ -117,6 +122,8 @@ class DaqSource:
         What the frames must look like.
     check : callable
         Raises a TouchdError if a device with another acquisition must not be used; it comes out of `read`.
+    device : Device, optional
+        What is known of it already.
     clock : callable
         Monotonic time, ns.
     """
@@ -127,11 +134,12 @@ class DaqSource:
         settings: DeviceSettings,
         acquisition: Acquisition,
         check: Callable[[Acquisition], None],
+        device: Device | None = None,
         clock: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         self.acquisition = acquisition
         self.tally = Tally()
-        self.device = Device()
+        self.device = device or Device()
         """The one that was opened last."""
         self._find, self._settings, self._check, self._clock = find, settings, check, clock
         self._stall_ns = round(settings.stall_s * 1e9)
@@ -228,7 +236,7 @@ class DaqSource:
                 f"is {rate_hz}, but the DAQ takes {info.min_frame_rate_hz} to {info.max_frame_rate_hz} frames a second",
                 "device.rate_hz", "set it within this range",
             )  # fmt: skip
-        self.device = Device(serial=daq.serial, firmware=".".join(map(str, info.firmware)))
+        self.device = device_of(daq)
         log.info("device opened", serial=daq.serial, firmware=self.device.firmware, rate_hz=rate_hz)
 
     def _stream(self, daq: Daq) -> None:

@@ -18,7 +18,8 @@ import usb.util
 from touchd.config import DeviceSettings
 from touchd.errors import DeviceLost, SourceError
 from touchd.frame import Acquisition
-from touchd.sources.daq import DaqAbsent, DaqGone, DaqHalted, DaqOverflow, DaqSource, acquisition_of
+from touchd.recording import Device
+from touchd.sources.daq import DaqAbsent, DaqGone, DaqHalted, DaqOverflow, DaqSource, acquisition_of, device_of
 from touchd.usbframe import (
     INFO_BYTES,
     INTERFACE_CLASS,
@@ -242,15 +243,16 @@ def open_usb(
         There is no libusb, or the device does not speak protocol 1.
     """
     backend = backend or libusb()  # missing, it is a failure now and not one of the thread
+    device = Device()
     if acquisition is None:
         try:
             daq = find_daq(settings, backend)
         except (DaqAbsent, DaqGone) as absent:
             raise DeviceLost(str(absent), "device", "plug it in, or add --replay FILE or --simulate SCENE") from absent
-        acquisition = acquisition_of(daq.info)
+        acquisition, device = acquisition_of(daq.info), device_of(daq)
         daq.close()
         check = _same_as(acquisition)
-    return DaqSource(lambda: find_daq(settings, backend), settings, acquisition, check)
+    return DaqSource(lambda: find_daq(settings, backend), settings, acquisition, check, device)
 
 
 def _same_as(expected: Acquisition) -> Callable[[Acquisition], None]:
