@@ -54,12 +54,14 @@ def command(
     them with pictures: learning curve, errors over the plate, and how well the standard error is predicted.
     """
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn
 
     from touchd.keypad import PHONE, load_layout
     from touchd.recording import read
+    from touchd.training.dataset import labels, split
     from touchd.training.join import join
     from touchd.training.report import PAGE, remove_report, write_report
+    from touchd.training.timeleft import TimeLeft, say
     from touchd.training.train import train
 
     chosen = RECIPES[recipe]
@@ -78,18 +80,19 @@ def command(
         BarColumn(),
         MofNCompleteColumn(),
         TextColumn("{task.fields[note]}"),
-        TimeRemainingColumn(),
+        TextColumn("{task.fields[left]}"),
         console=Console(stderr=True),
     )
     tasks: dict[str, TaskID] = {}
+    left = TimeLeft(len(split(len(labels(touches)[1]), seed).train), epochs)
 
     def progress(what: str, done: int, steps: int, rmse_mm: float) -> None:
         # Started by the first step: what is refused before it is refused in one line.
         bar.start()
         if what not in tasks:
-            tasks[what] = bar.add_task(what, note="")
+            tasks[what] = bar.add_task(what, note="", left="")
         note = "" if math.isnan(rmse_mm) else f"validation {rmse_mm:.2f} mm"
-        bar.update(tasks[what], completed=done, total=steps, note=note)
+        bar.update(tasks[what], completed=done, total=steps, note=note, left=say(left.after(what, done, steps)))
 
     def warn(note: str) -> None:
         # At once, not after minutes of training; the console keeps it clear of the bar.
