@@ -172,6 +172,20 @@ class HealthSettings(_Section):
     period_s: float = Field(1.0, gt=0, description="A health message at least this often, s.")
 
 
+class PreRollSettings(_Section):
+    """The last seconds of frames, saved on SIGUSR1 so that a ghost touch can be replayed. They can reveal a PIN."""
+
+    seconds: float = Field(10.0, ge=0, le=600, description="Kept in memory, s; 0 keeps none.")
+    folder: OptionalPath = Field(
+        None, description="Where they are saved; unset is the service's state directory, or ~/.local/state/touchd."
+    )
+    min_confidence: float = Field(
+        0.0, ge=0, le=1, description="A touch that goes down less surely than this saves them too; 0 never does."
+    )
+    interval_s: float = Field(10.0, ge=0, description="They are not saved more often than this, s.")
+    keep: int = Field(20, ge=1, description="Files kept in the folder; older ones are deleted.")
+
+
 class LogSettings(_Section):
     """What is logged, and how."""
 
@@ -206,5 +220,6 @@ class Settings(_Section):
     keypad: KeypadSettings = KeypadSettings()
     bus: BusSettings = BusSettings()
     health: HealthSettings = HealthSettings()
+    preroll: PreRollSettings = PreRollSettings()
     log: LogSettings = LogSettings()
     realtime: RealtimeSettings = RealtimeSettings()

@@ -20,6 +20,9 @@ from touchd.message import Messages
 from touchd.model import Model, default_model_path
 from touchd.notify import Notifier
 from touchd.pipeline import Pipeline
+from touchd.preroll import PreRoll, save_on_signal
+from touchd.recorder import describe
+from touchd.recording import Meta
 from touchd.reload import Reloader
 from touchd.service import Service, reload_on_hangup, stop_on_signals
 from touchd.sources import Source
@@ -117,6 +120,22 @@ def layout_of(settings: Settings, model: Model) -> Layout | None:
     return load_layout(settings.keypad.layout) if settings.keypad.layout else model.description.layout
 
 
+def make_preroll(source: Source, settings: Settings, model: Model, choice: SourceChoice) -> PreRoll | None:
+    """Return what keeps the last seconds of a source's frames, if the settings ask for any."""
+    if not settings.preroll.seconds:
+        return None
+    known = getattr(source, "meta", None)
+    kind = "simulated" if choice.simulate else "replay" if choice.replay else "usb"
+    rate_hz = known.frame_rate_hz if known else float(settings.device.rate_hz)
+
+    def meta() -> Meta:
+        device = getattr(source, "device", None)
+        fresh = describe(source.acquisition, model.description.plate, rate_hz, source=kind, device=device)
+        return known.model_copy(update={"created": fresh.created}) if known else fresh
+
+    return PreRoll(source.acquisition, rate_hz, meta, settings.preroll)
+
+
 def make_messages(settings: Settings) -> Messages:
     """Return the maker of this device's messages."""
     return Messages(settings.device.name, time.time_ns() - time.monotonic_ns())
@@ -152,6 +171,7 @@ def run(
     model = load_model(settings)
     source = open_source(choice, settings.device, model)
     bus: ZeromqSink | None = None
+    preroll: PreRoll | None = None
     try:
         bus = ZeromqSink(settings.bus)
         sinks: list[Sink] = [bus]
@@ -162,6 +182,10 @@ def run(
         service = Service(
             source, pipeline, sinks, messages, settings.health, model.description.name, manager=manager
         )  # fmt: skip
+        preroll = make_preroll(source, settings, model, choice)
+        if preroll is not None:
+            service.keep(preroll)
+            save_on_signal(preroll)
         stop_on_signals(service)
         if read_settings is not None:
             reloader = Reloader(settings, read_settings, lambda new: layout_of(new, model), pipeline)
@@ -175,4 +199,6 @@ def run(
         source.close()
         if bus is not None:
             bus.close()
+        if preroll is not None:
+            preroll.close()
         manager.close()

@@ -94,11 +94,11 @@ class Recorder:
         self._single = path.suffix == ".npz"
         self._chunk_frames = chunk_frames
         self._max_frames = max_file_frames if self._single else None
-        self._blocks: list[_Block] = []
+        self._blocks: list[Block] = []
         self._chunks = 0
         self._last: Frame | None = None
         self._epoch_ns = 0
-        self._writing: Future[None] | None = None
+        self._writing: Future[int] | None = None
         self._closed = False
         _prepare(path, self._single)
         self._writer = ThreadPoolExecutor(1, "touchd-recorder")
@@ -155,7 +155,7 @@ class Recorder:
                 "record into a folder: give a name that does not end in .npz",
             )  # fmt: skip
         if not self._blocks or self._blocks[-1].size == self._chunk_frames:
-            self._blocks.append(_Block(self._chunk_frames, self.acquisition))
+            self._blocks.append(Block(self._chunk_frames, self.acquisition))
         if self._last is not None:
             self.lost += frame.sequence - self._last.sequence - 1
         self._blocks[-1].append(frame, frame.t_ns - self._epoch_ns)
@@ -171,7 +171,7 @@ class Recorder:
         if blocks:
             path = self.path if self._single else self.path / f"{self._chunks:06d}.npz"
             self._chunks += 1
-            self._writing = self._writer.submit(_write, path, self.meta, blocks)
+            self._writing = self._writer.submit(write_blocks, path, self.meta, blocks)
 
     def _finish_writing(self) -> None:
         writing, self._writing = self._writing, None
@@ -184,7 +184,7 @@ class Recorder:
                 self.path.rmdir()
 
 
-class _Block:
+class Block:
     """Room for so many frames, partly filled."""
 
     def __init__(self, frames: int, acquisition: Acquisition) -> None:
@@ -194,17 +194,28 @@ class _Block:
         self.timestamp_ns: NDArray[np.int64] = np.empty(frames, np.int64)
 
     def append(self, frame: Frame, timestamp_ns: int) -> None:
+        """Copy a frame in; there must be room."""
         self.counts[self.size] = frame.counts
         self.sequence[self.size] = frame.sequence
         self.timestamp_ns[self.size] = timestamp_ns
         self.size += 1
 
+    def copy(self) -> Block:
+        """Return a block of its own with the same frames, and no further room."""
+        twin = Block.__new__(Block)
+        twin.size = self.size
+        twin.counts, twin.sequence = self.counts[: self.size].copy(), self.sequence[: self.size].copy()
+        twin.timestamp_ns = self.timestamp_ns[: self.size].copy()
+        return twin
 
-def _write(path: Path, meta: Meta, blocks: list[_Block]) -> None:
+
+def write_blocks(path: Path, meta: Meta, blocks: list[Block], *, epoch_ns: int = 0, compress: bool = True) -> int:
+    """Write blocks as one file, whose time counts from `epoch_ns`, and return how many frames that are."""
     frames = np.concatenate([block.counts[: block.size] for block in blocks])
     sequence = np.concatenate([block.sequence[: block.size] for block in blocks])
-    timestamp_ns = np.concatenate([block.timestamp_ns[: block.size] for block in blocks])
-    recording.write(path, Recording(meta, frames, sequence, timestamp_ns))
+    timestamp_ns = np.concatenate([block.timestamp_ns[: block.size] for block in blocks]) - epoch_ns
+    recording.write(path, Recording(meta, frames, sequence, timestamp_ns), compress=compress)
+    return len(frames)
 
 
 def _prepare(path: Path, single: bool) -> None:

@@ -17,6 +17,7 @@ from touchd.event import Event, HealthEvent, Latency, State
 from touchd.message import Messages
 from touchd.notify import Notifier
 from touchd.pipeline import Pipeline
+from touchd.preroll import PreRoll
 from touchd.sinks import Sink
 from touchd.sources import Change, EndOfStream, LiveSource, Source, Tally
 
@@ -59,6 +60,7 @@ class Service:
         self._source = source
         # A device has states of its own; of any other source only its silence is known.
         self._live = source if isinstance(source, LiveSource) else None
+        self._preroll: PreRoll | None = None
         self._pipeline = pipeline
         self._sinks = sinks
         self._messages = messages
@@ -90,6 +92,10 @@ class Service:
     def on_reload(self, read: Callable[[], HealthSettings]) -> None:
         """Name what reads the configuration again, and returns the settings of this part of it."""
         self._reload = read
+
+    def keep(self, preroll: PreRoll) -> None:
+        """Have a copy of each frame kept, once its events are published."""
+        self._preroll = preroll
 
     @property
     def stopped(self) -> bool:
@@ -127,6 +133,10 @@ class Service:
             events = self._pipeline.process(frame)
             if events:
                 self._publish(events, frame.received_ns)
+            if self._preroll is not None:
+                self._preroll.keep(frame, events)
+        elif self._preroll is not None:
+            self._preroll.poll()
         now_ns = self._clock() if frame is None else frame.received_ns
         if frame is None and self._live is not None:
             for change in self._live.changes():

@@ -1,0 +1,269 @@
+"""What happened just before can be saved: whole, private, replayable, and without ever being in the way."""
+
+from __future__ import annotations
+
+import signal
+import stat
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from structlog.testing import capture_logs
+
+from tests.processes import PATIENCE_S, end, started, touchd
+from touchd import preroll as preroll_module
+from touchd.client import Subscriber
+from touchd.config import PreRollSettings
+from touchd.event import Contact, TouchEvent
+from touchd.frame import Acquisition, Frame, Plate
+from touchd.preroll import PreRoll, default_folder
+from touchd.recorder import describe
+from touchd.recording import Recording, read
+from touchd.verbs.demo import SESSION
+
+ACQUISITION = Acquisition(channels=2, samples=3, sample_rate_hz=250e3)
+RATE_HZ = 10
+PERIOD_NS = 100_000_000
+
+
+class Clock:
+    def __init__(self) -> None:
+        self.now_ns = 10**15
+
+    def __call__(self) -> int:
+        return self.now_ns
+
+
+class Bench:
+    """A pre-roll that frames are put into, by a clock that goes with them."""
+
+    def __init__(self, folder: Path, **settings: Any) -> None:
+        self.clock = Clock()
+        self.next = 0
+        self.folder = folder
+        self.preroll = PreRoll(
+            ACQUISITION, RATE_HZ, lambda: describe(ACQUISITION, Plate(width_mm=9, height_mm=8), RATE_HZ, source="test"),
+            PreRollSettings(folder=folder, **{"seconds": 3.0, "interval_s": 0.0, **settings}), self.clock,
+        )  # fmt: skip
+
+    def frames(self, count: int, confidence: float | None = None) -> None:
+        """So many frames; the first one with a touch that goes down so surely."""
+        for i in range(count):
+            self.clock.now_ns += PERIOD_NS
+            frame = Frame(np.full((2, 3), self.next % 1000, np.int16), self.next, self.clock(), self.clock())
+            self.next += 1
+            events = [touch("down", confidence)] if confidence is not None and i == 0 else []
+            self.preroll.keep(frame, events)
+
+    def saved(self) -> list[Recording]:
+        """Close it, and read what it wrote, oldest first."""
+        self.preroll.close()
+        paths = sorted(self.folder.iterdir(), key=lambda path: path.stat().st_mtime_ns) if self.folder.is_dir() else []
+        return [read(path) for path in paths]
+
+
+def touch(phase: Any, confidence: float) -> TouchEvent:
+    return TouchEvent("plate", 1, 1, "", 1, [Contact(1, phase, 1.0, 2.0, 0.5, 1.0, confidence, 0.0, 0.0)])
+
+
+def wait_until(done: Callable[[], Any]) -> None:
+    until = time.monotonic() + PATIENCE_S
+    while not done():
+        assert time.monotonic() < until
+        time.sleep(0.01)
+
+
+@pytest.fixture
+def make(tmp_path: Path) -> Iterator[Callable[..., Bench]]:
+    made: list[Bench] = []
+
+    def bench(**settings: Any) -> Bench:
+        made.append(Bench(tmp_path / "rolls", **settings))
+        return made[-1]
+
+    yield bench
+    for one in made:
+        one.preroll.close()
+
+
+def test_the_last_seconds_are_saved_and_can_be_read(make: Callable[..., Bench]) -> None:
+    bench = make()
+    bench.frames(100)
+    bench.preroll.request("sigusr1")
+    bench.frames(1)
+    (found,) = bench.saved()
+    assert found.sequence[-1] == 100
+    assert 30 <= len(found.sequence) <= 41, "three seconds, and at most one more"
+    assert (np.diff(found.sequence) == 1).all()
+    assert (found.frames[:, 0, 0] == found.sequence % 1000).all()
+    assert found.timestamp_ns[0] == 0
+    assert (np.diff(found.timestamp_ns) == PERIOD_NS).all()
+    assert found.meta.source == "test"
+
+
+def test_it_is_private_and_named_after_its_reason(make: Callable[..., Bench]) -> None:
+    bench = make()
+    bench.frames(5)
+    bench.preroll.request("sigusr1")
+    bench.preroll.poll()
+    bench.saved()
+    (path,) = bench.folder.iterdir()
+    assert path.name.endswith("-sigusr1.npz")
+    assert stat.S_IMODE(path.stat().st_mode) == 0o600
+    assert stat.S_IMODE(bench.folder.stat().st_mode) == 0o700
+
+
+def test_a_doubtful_touch_is_saved_with_the_second_after_it(make: Callable[..., Bench]) -> None:
+    bench = make(min_confidence=0.7)
+    bench.frames(40)
+    bench.frames(1, confidence=0.65)
+    bench.frames(30)
+    (found,) = bench.saved()
+    assert 40 in found.sequence
+    assert found.sequence[-1] == 50
+
+
+@pytest.mark.parametrize(("least", "confidence"), [(0.0, 0.01), (0.7, 0.7), (0.7, 0.99)])
+def test_a_sure_touch_is_not_saved_nor_any_unless_asked_for(
+    make: Callable[..., Bench], least: float, confidence: float
+) -> None:
+    bench = make(min_confidence=least)
+    bench.frames(40)
+    bench.frames(30, confidence)
+    assert bench.saved() == []
+
+
+def test_only_the_moment_it_goes_down_counts(make: Callable[..., Bench]) -> None:
+    bench = make(min_confidence=0.7)
+    for phase in ("move", "hold", "up"):
+        bench.preroll.keep(Frame(np.zeros((2, 3), np.int16), 1, 1, 1), [touch(phase, 0.1)])
+    bench.frames(30)
+    assert bench.saved() == []
+
+
+def test_it_is_not_saved_more_often_than_asked_for(make: Callable[..., Bench]) -> None:
+    bench = make(interval_s=5.0)
+    with capture_logs() as lines:
+        for _ in range(10):
+            bench.frames(10)
+            bench.preroll.request("sigusr1")
+            bench.preroll.poll()
+            wait_until(lambda: bench.preroll._writing is None or bench.preroll._writing.done())
+        assert len(bench.saved()) == 2
+    assert [line["why"] for line in lines if line["log_level"] == "warning"] == ["the last one was saved just now"] * 8
+
+
+def test_frames_go_on_while_a_slow_disk_is_written_to_and_none_is_changed(
+    make: Callable[..., Bench], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    go_on = threading.Event()
+
+    def slow_blocks(path: Path, meta: Any, blocks: Any, **options: Any) -> int:
+        go_on.wait(PATIENCE_S)
+        return write_blocks(path, meta, blocks, **options)
+
+    write_blocks = preroll_module.write_blocks
+    monkeypatch.setattr(preroll_module, "write_blocks", slow_blocks)
+    bench = make()
+    bench.frames(100)
+    bench.preroll.request("sigusr1")
+    bench.frames(200)
+    go_on.set()
+    (found,) = bench.saved()
+    assert found.sequence[-1] == 100
+    assert (found.frames[:, 1, 2] == found.sequence % 1000).all()
+
+
+def test_memory_is_taken_once(make: Callable[..., Bench]) -> None:
+    bench = make()
+    bench.frames(200)
+    blocks = {id(block) for block in (*bench.preroll._blocks, *bench.preroll._free, bench.preroll._current)}
+    bench.frames(1000)
+    after = {id(block) for block in (*bench.preroll._blocks, *bench.preroll._free, bench.preroll._current)}
+    assert after == blocks
+
+
+def test_old_files_of_its_own_are_deleted_and_no_others(make: Callable[..., Bench]) -> None:
+    bench = make(keep=2)
+    bench.folder.mkdir()
+    for name in ("preroll-20200101T000000Z-sigusr1.npz", "preroll-20200102T000000Z-doubtful.npz", "mine.npz"):
+        (bench.folder / name).write_bytes(b"old")
+    bench.frames(5)
+    bench.preroll.request("sigusr1")
+    bench.preroll.poll()
+    bench.preroll.close()
+    names = sorted(path.name for path in bench.folder.iterdir())
+    assert names[:2] == ["mine.npz", "preroll-20200102T000000Z-doubtful.npz"]
+    assert len(names) == 3
+
+
+def test_a_disk_that_fails_is_logged_and_no_more(make: Callable[..., Bench]) -> None:
+    bench = make()
+    bench.folder.write_bytes(b"a file where the folder should be")
+    bench.frames(5)
+    with capture_logs() as lines:
+        bench.preroll.request("sigusr1")
+        bench.frames(5)
+        bench.preroll.close()
+    (line,) = [line for line in lines if line["event"] == "pre-roll not saved"]
+    assert "File exists" in line["why"]
+
+
+def test_without_frames_there_is_nothing_to_save(make: Callable[..., Bench]) -> None:
+    bench = make()
+    with capture_logs() as lines:
+        bench.preroll.request("sigusr1")
+        bench.preroll.poll()
+    assert [line["why"] for line in lines] == ["no frames yet"]
+    assert bench.saved() == []
+
+
+def test_a_device_that_counts_anew_begins_a_new_recording(make: Callable[..., Bench]) -> None:
+    bench = make()
+    bench.frames(25)
+    bench.next = 0
+    bench.frames(5)
+    bench.preroll.request("sigusr1")
+    bench.preroll.poll()
+    (found,) = bench.saved()
+    assert found.sequence.tolist() == [0, 1, 2, 3, 4]
+
+
+def test_what_is_saved_at_the_end_is_written_before_it_closes(make: Callable[..., Bench]) -> None:
+    bench = make(min_confidence=0.7)
+    bench.frames(20)
+    bench.frames(2, confidence=0.5)
+    (found,) = bench.saved()
+    assert found.sequence[-1] == 21
+
+
+def test_the_service_managers_folder_is_used_or_else_the_users(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("STATE_DIRECTORY", "/var/lib/touchd:/var/lib/other")
+    assert default_folder() == Path("/var/lib/touchd/preroll")
+    monkeypatch.delenv("STATE_DIRECTORY")
+    monkeypatch.setenv("XDG_STATE_HOME", "/home/x/state")
+    assert default_folder() == Path("/home/x/state/touchd/preroll")
+
+
+def test_a_running_daemon_saves_on_sigusr1_and_what_it_saved_replays_to_the_same_touch(tmp_path: Path) -> None:
+    address, folder = f"ipc://{tmp_path}/bus", tmp_path / "rolls"
+    options = ("--replay", SESSION, "--bind", address, "--await-subscriber", PATIENCE_S)
+    with started(*options, TOUCHD_PREROLL__FOLDER=str(folder), TOUCHD_LOG__FORMAT="json") as daemon:
+        with Subscriber(address, timeout_s=PATIENCE_S) as events:
+            lifted = next(e for e in events if any(c.phase == "up" for c in e.contacts))
+        daemon.send_signal(signal.SIGUSR1)
+        wait_until(lambda: folder.is_dir() and list(folder.glob("preroll-*.npz")))
+        daemon.terminate()
+        ended = end(daemon)
+    assert ended.code == 0
+    assert "it can reveal a PIN" in ended.err
+    (path,) = folder.glob("preroll-*.npz")
+    again = touchd("--replay", path, "--speed", "max", "--bind", f"ipc://{tmp_path}/again", "--print")
+    touches = [message for message in again.messages if message["type"] == "touch"]
+    ups = [c for message in touches for c in message["contacts"] if c["phase"] == "up"]
+    (contact,) = lifted.contacts
+    assert (ups[0]["x_mm"], ups[0]["y_mm"]) == pytest.approx((contact.x_mm, contact.y_mm), abs=1e-3)
