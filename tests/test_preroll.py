@@ -15,13 +15,13 @@ import pytest
 from structlog.testing import capture_logs
 
 from tests.processes import PATIENCE_S, end, started, touchd
-from touchd import preroll as preroll_module
+from touchd import preroll
 from touchd.client import Subscriber
 from touchd.config import PreRollSettings
 from touchd.event import Contact, TouchEvent
 from touchd.frame import Acquisition, Frame, Plate
 from touchd.preroll import PreRoll, default_folder
-from touchd.recorder import describe
+from touchd.recorder import describe, write_blocks
 from touchd.recording import Recording, read
 from touchd.verbs.demo import SESSION
 
@@ -166,8 +166,7 @@ def test_frames_go_on_while_a_slow_disk_is_written_to_and_none_is_changed(
         go_on.wait(PATIENCE_S)
         return write_blocks(path, meta, blocks, **options)
 
-    write_blocks = preroll_module.write_blocks
-    monkeypatch.setattr(preroll_module, "write_blocks", slow_blocks)
+    monkeypatch.setattr(preroll, "write_blocks", slow_blocks)
     bench = make()
     bench.frames(100)
     bench.preroll.request("sigusr1")

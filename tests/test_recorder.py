@@ -136,10 +136,10 @@ def test_a_full_file_says_to_use_a_folder_and_keeps_what_it_has(tmp_path: Path) 
 def test_a_disk_that_fills_up_is_reported_while_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write = recording.write
 
-    def fill(path: Path, chunk: Recording) -> None:
+    def fill(path: Path, chunk: Recording, *, compress: bool) -> None:
         if path.name == "000001.npz":
             raise OutputError("cannot be written (No space left on device)", str(path))
-        write(path, chunk)
+        write(path, chunk, compress=compress)
 
     monkeypatch.setattr(recording, "write", fill)
     source = Counter(list(range(9)))
@@ -152,7 +152,7 @@ def test_a_disk_that_fills_up_is_reported_while_recording(tmp_path: Path, monkey
 
 
 def test_a_failure_to_save_the_rest_still_closes_the_source(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail(_path: Path, _recording: Recording) -> None:
+    def fail(_path: Path, _recording: Recording, **_options: bool) -> None:
         raise OutputError("cannot be written")
 
     monkeypatch.setattr(recording, "write", fail)
