@@ -9,7 +9,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from functools import cache
 from typing import Any
 
@@ -65,7 +65,9 @@ def on_cores(
         # joblib keeps its processes for later; here they end with the work.
         stack.callback(lambda: get_reusable_executor().shutdown(wait=True, kill_workers=True))
         try:
-            for name, outcome in parallel(calls()):
+            with _interrupt_for_parent():
+                outcomes = parallel(calls())
+            for name, outcome in outcomes:
                 del under_way[name]
                 yield name, outcome
         except BrokenProcessPool as error:
@@ -73,6 +75,22 @@ def on_cores(
                 "a worker process was killed, perhaps since memory ran out", ", ".join(under_way),
                 "run again, with fewer jobs at a time; what is finished is kept",
             ) from error  # fmt: skip
+
+
+@contextmanager
+def _interrupt_for_parent() -> Iterator[None]:
+    """Start processes that ignore Ctrl-C, which is this one's affair; it does too, for the tenth of a second it takes.
+
+    To block the signal instead would lose none, but joblib unblocks it before it starts its workers.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 def _in_worker(parent: int, task: Task, paths: Mapping[str, str]) -> tuple[str, bytes | Failure]:
@@ -95,7 +113,10 @@ def _load(path: str) -> Any:
 
 @cache
 def _settle(parent: int) -> None:
-    """Leave Ctrl-C to the parent process, and end when that has gone: nobody would take the results."""
+    """Leave Ctrl-C to the parent process also in a worker that joblib started later, and end when the parent has gone.
+
+    Nobody would take the results.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
     def watch() -> None:
