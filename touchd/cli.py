@@ -22,7 +22,9 @@ VERBS = {
     "gadget": "Be a DAQ on a USB cable.",
     "keygen": "Make a key pair for a bus beyond loopback.",
     "listen": "Print the events of a running daemon.",
+    "quantise": "Write a model with weights of 8 bits.",
     "record": "Write frames to a file.",
+    "reproduce": "Run the source paper's experiments again.",
     "simulate": "Write a recording made by the digital twin.",
     "train": "Train a model on a labelled recording.",
 }

@@ -39,6 +39,8 @@ class Description(BaseModel):
     """Grid head: zones along each side."""
     layout: Layout | None = None
     """Keypad head: the keys, in the order of the classes; the last class is the zone around them."""
+    precision: Literal["float32", "int8"] = "float32"
+    """Of the weights."""
     data_sha256: str = ""
     """Digest of the training recording's frames and truth."""
     command: str = ""
@@ -114,9 +116,16 @@ class Model:
                 )
 
     def run(self, features: NDArray[np.float32]) -> Outputs:
-        """Return the outputs for many feature vectors at once, shape (n, inputs); for offline jobs."""
-        names = [o.name for o in self._session.get_outputs()]
-        return dict(zip(names, self._session.run(names, {self._input_name: features}), strict=True))
+        """Return the outputs for many feature vectors, shape (n, inputs), each with n rows; for offline jobs.
+
+        One by one, as the daemon runs them: an int8 network scales its activations by what it is given at once.
+        """
+        rows: dict[str, list[NDArray[np.float32]]] = {name: [] for name in self.outputs}
+        for self.features[0] in features:
+            self.infer()
+            for name, buffer in self.outputs.items():
+                rows[name].append(buffer[0].copy())
+        return {name: np.array(found, np.float32).reshape(len(features), -1) for name, found in rows.items()}
 
     def infer(self) -> None:
         """Run the network on `features`, filling `outputs`."""

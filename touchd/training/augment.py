@@ -108,7 +108,8 @@ class Augmenter:
         disturbed = residual + self._instrument(self._draw(n), share=0.3)
         tone = self._tone(n) * self._log_uniform(n, 0.02, 0.4) * residual.norm(dim=1, keepdim=True)
         disturbed = disturbed + tone * self._chance(n, 0.15)
-        return self._deaf(disturbed + self._noise(n, self._uniform(n, 0.0, 1.5)), share=0.1)
+        noise = self._uniform(n, 0.0, 1.5) + self._chance(n, 0.1) * self._log_uniform(n, 1.0, 10.0)
+        return self._deaf(disturbed + self._noise(n, noise), share=0.1)
 
     def others(self, n: int) -> Tensor:
         """Return residuals that are no single finger, shape (n, inputs): one of the kinds below for each row."""

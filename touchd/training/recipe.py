@@ -31,7 +31,7 @@ class Recipe:
     paper: bool = False
     """As the paper describes it: features as they are, dropout, Adam, no augmentation. Else the residual of
     unit length, with touches drawn from the learned field and every disturbance that the plate will meet."""
-    epochs: int = 300
+    epochs: int = 800
 
 
 RECIPES = {
@@ -39,7 +39,7 @@ RECIPES = {
     for recipe in (
         Recipe("best", "regression", "position, standard error and confidence: what we recommend", widths=BEST_TRUNK),
         Recipe("small", "regression", "the same with a tenth of the multiply-adds", widths=SMALL_TRUNK),
-        Recipe("grid", "grid", "zones of an N x N grid, trained like best"),
+        Recipe("grid", "grid", "zones of an N x N grid, trained like best", epochs=400),
         Recipe(
             "keypad", "keypad", "keys of a layout, trained like best and most about their borders", widths=BEST_TRUNK
         ),

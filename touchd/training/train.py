@@ -32,7 +32,8 @@ from touchd.training.task import Positions, make_task
 
 BATCH = 512  # fingers a step
 SYNTHETIC = 0.8  # of them, the share drawn from the learned field; the others are the recorded touches
-OTHERS = 384  # and things that are no finger
+OTHERS = 256  # and things that are no finger
+STEPS = 18  # an epoch has at least: two passes over 4,483 touches, the source paper's training part
 LEARNING_RATE = 3e-3  # the peak of a one-cycle schedule with AdamW
 WEIGHT_DECAY = 0.01
 PAPER_BATCH = 64
@@ -113,7 +114,8 @@ def train(
         batches = _paper_batches(data, parts, generator)
         optimiser = torch.optim.Adam(task.network.parameters(), lr=PAPER_LEARNING_RATE)
     else:
-        synthesiser = _synthesiser(data, parts, generator, progress, note)
+        keys = layout if recipe.head == "keypad" else None
+        synthesiser = _synthesiser(data, parts, keys, generator, progress, note)
         batches = _augmented_batches(data, parts, synthesiser, generator, others=task.wants_others)
         optimiser = torch.optim.AdamW(task.network.parameters(), lr=LEARNING_RATE, weight_decay=WEIGHT_DECAY)
         peak = LEARNING_RATE
@@ -161,7 +163,12 @@ def _guess_mm(known_mm: Positions, test_mm: Positions) -> float:
 
 
 def _synthesiser(
-    data: Dataset, parts: Split, generator: torch.Generator, progress: Progress, note: Say
+    data: Dataset,
+    parts: Split,
+    layout: Layout | None,
+    generator: torch.Generator,
+    progress: Progress,
+    note: Say,
 ) -> Synthesiser | None:
     """Return the source of drawn touches, or None with a note where the field cannot be learned."""
     if data.domain != "frequency":
@@ -173,7 +180,7 @@ def _synthesiser(
         note(f"no field was learned ({error}): trained on the recorded touches alone, which costs accuracy")
         return None
     plate = data.meta.plate
-    return Synthesiser(field, (plate.width_mm, plate.height_mm), generator)
+    return Synthesiser(field, (plate.width_mm, plate.height_mm), generator, layout)
 
 
 def _augmented_batches(
@@ -184,7 +191,7 @@ def _augmented_batches(
     augmenter = Augmenter(bank, synthesiser, generator)
     count = len(parts.train)
     recorded = BATCH if synthesiser is None else round(BATCH * (1 - SYNTHETIC))
-    steps = 2 * -(-count // BATCH)
+    steps = max(STEPS, 2 * -(-count // BATCH))
 
     def epoch() -> Iterator[tuple[Tensor, Tensor]]:
         for _ in range(steps):
