@@ -99,7 +99,7 @@ def with_a_hole(_frames: np.ndarray, truth: np.ndarray) -> None:
         (clipped, r"the converter clips in \d+\.\d % of the frames \(channel"),
         (other_gain, "the untouched plate changes by 1[01] % at once between frames 39[89] and 40[01]"),
         (other_channel, r"the untouched plate changes by \d+ % at once between frames 30[01] and 30[23]"),
-        (without_finger, "2 touches change nothing beyond the noise, the first in frame 5"),
+        (without_finger, "2 touches do not stand out of the noise, the first in frame 5"),
         (twice, "5 touches are exact copies of others"),
         (on_a_raster, r"\d+ of 400 touches share their place with another"),
         (with_a_hole, r"of 49 equal parts of the touched rectangle hold no touch, one about \((9|10)\d, (9|10)\d\) mm"),

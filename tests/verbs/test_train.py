@@ -121,6 +121,22 @@ def test_a_model_of_another_plate_is_refused_with_both_shapes(glass: Trained) ->
     assert "(3, 200)" in text
 
 
+def test_a_few_touches_are_enough_to_judge_a_model_by(glass: Trained, tmp_path: Path) -> None:
+    whole = read(glass.recording)
+    cut = {name: getattr(whole, name)[:20] for name in ("frames", "sequence", "timestamp_ns", "contacts_mm")}
+    write(tmp_path / "few.npz", replace(whole, **cut, force_n=None, temperature_c=None))
+    assert json.loads(said("evaluate", glass.model, tmp_path / "few.npz", "--json"))["n"] == 10
+
+
+def test_a_model_of_a_plate_of_another_size_is_judged_with_a_loud_warning(glass: Trained, tmp_path: Path) -> None:
+    whole = read(glass.recording)
+    plate = whole.meta.plate.model_copy(update={"width_mm": 81.0})
+    write(tmp_path / "wider.npz", replace(whole, meta=whole.meta.model_copy(update={"plate": plate})))
+    printed = said("evaluate", glass.model, tmp_path / "wider.npz")
+    assert "warning: the model is for the plate width_mm=80.0" in printed
+    assert "of the plate width_mm=81.0" in printed
+
+
 def test_recordings_of_two_plates_are_not_mixed(glass: Trained, touches_file: Path, tmp_path: Path) -> None:
     text = refused(TrainingError, "train", glass.recording, touches_file, "-o", tmp_path / "a.onnx")
     assert "mixed acquisitions: channels is 3 in" in text

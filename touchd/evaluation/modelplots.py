@@ -8,6 +8,7 @@ from math import erf, sqrt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 from numpy.typing import NDArray
 
 from touchd.evaluation.plots import COLOURS, TRUTH, draw_transducers
@@ -36,7 +37,8 @@ def draw_learning_curve(loss: Sequence[float], validation_mm: Sequence[float], k
     best_mm = validation_mm[kept - 1]
     below.plot([kept], [best_mm], "o", color="black", ms=6, label=f"kept: epoch {kept}, {best_mm:.3g} mm")
     below.set(ylabel="RMSE (mm)", xlabel="epoch", yscale="log")
-    below.yaxis.set_major_formatter("{x:g}")
+    _plain_ticks(below)
+    below.xaxis.set_major_locator(MaxNLocator(integer=True))
     below.legend(frameon=False)
     for axes in (above, below):
         axes.grid(alpha=0.25, which="both")
@@ -144,10 +146,7 @@ def draw_sigma(judged: Judgement) -> Figure:
         xscale="log", yscale="log", xlim=ends, ylim=ends, xlabel="predicted: median sigma (mm)",
         ylabel="actual: 68 % of errors are below (mm)", title="touches in order of their sigma",
     )  # fmt: skip
-    for axis in (right.xaxis, right.yaxis):
-        axis.set_major_formatter("{x:g}")
-        axis.set_minor_formatter("{x:g}" if ends[1] / ends[0] < 12 else "")
-    right.tick_params(which="minor", labelsize=7)
+    _plain_ticks(right)
     right.legend(frameon=False, loc="upper left")
     for axes in (left, right):
         axes.grid(alpha=0.25, which="both")
@@ -159,6 +158,15 @@ def sigma_deciles(judged: Judgement) -> tuple[NDArray[np.float64], NDArray[np.fl
     parts = np.array_split(np.argsort(judged.sigma_mm, kind="stable"), min(10, len(judged.sigma_mm)))
     predicted = np.array([np.median(judged.sigma_mm[part]) for part in parts])
     return predicted, np.array([np.quantile(np.abs(judged.error_mm[part]), ONE_SIGMA) for part in parts])
+
+
+def _plain_ticks(axes: Axes) -> None:
+    """Label logarithmic axes with plain numbers, some in each decade."""
+    for axis in (axes.xaxis, axes.yaxis):
+        if axis.get_scale() == "log":
+            axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 3.0, 5.0, 7.0)))
+            axis.set_major_formatter("{x:g}")
+            axis.set_minor_locator(NullLocator())
 
 
 def _extent(plate: Plate) -> tuple[float, float, float, float]:

@@ -86,8 +86,8 @@ def residual_of(counts: NDArray[np.int16], baseline: Array) -> Array:
     return np.subtract(counts, baseline, dtype=np.float32)
 
 
-def make_dataset(recording: Recording, domain: Domain = "frequency") -> Dataset:
-    """Return the features of all single touches of a labelled recording.
+def make_dataset(recording: Recording, domain: Domain = "frequency", least: int = MIN_TOUCHES) -> Dataset:
+    """Return the features of all single touches of a labelled recording, of which there must be `least`.
 
     Raises
     ------
@@ -95,7 +95,7 @@ def make_dataset(recording: Recording, domain: Domain = "frequency") -> Dataset:
         If the recording is not labelled, has too few touches or no untouched frames, or touches lie outside
         the plate.
     """
-    position_mm, touched, untouched = labels(recording)
+    position_mm, touched, untouched = labels(recording, least)
     pairs = baseline_frames(recording.timestamp_ns, touched, untouched)
     acquisition = recording.acquisition
     features = make_features(domain, acquisition)
@@ -149,7 +149,7 @@ def baseline_frames(
     return pairs
 
 
-def labels(recording: Recording) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
+def labels(recording: Recording, least: int = MIN_TOUCHES) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
     """Return the positions (n, 2) of single touches, their frames (n,), and the untouched frames (m,).
 
     Raises
@@ -163,9 +163,9 @@ def labels(recording: Recording) -> tuple[Array, NDArray[np.int64], NDArray[np.i
     down = np.isfinite(truth[:, :, 0])
     fingers = down.sum(axis=1)
     touched, untouched = np.flatnonzero(fingers == 1), np.flatnonzero(fingers == 0)
-    if len(touched) < MIN_TOUCHES:
+    if len(touched) < least:
         raise TrainingError(
-            f"{len(touched)} touches of a single finger are too few, at least {MIN_TOUCHES} are needed",
+            f"{len(touched)} touches of a single finger are too few, at least {least} are needed",
             fix="record more touches; several thousand are usual",
         )
     if not len(untouched):

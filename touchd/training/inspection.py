@@ -20,8 +20,8 @@ LIKE_NOISE = 0.5
 """Correlation of two untouched frames under which a channel holds no chirp."""
 CLIPPED_SHARE = 1e-3
 """Of the frames; fewer are accidents."""
-FELT = 1.5
-"""A touch adds more than this to the energy of noise. At 1000 samples noise alone stays within 1.3."""
+FELT = 6.0
+"""Deviations by which a touch's energy exceeds that of noise: at 1000 samples, by 27 %."""
 JUMP = 0.03
 """Change of the untouched signal: a gain off by 5 % makes 0.05; a kelvin within a few frames does not happen."""
 JUMP_OVER_DRIFT = 100.0
@@ -152,7 +152,7 @@ def distances(session: Session) -> Iterator[str]:
 
 
 def unfelt(session: Session) -> Iterator[str]:
-    """Count labelled touches that add nothing to the noise: label and signal contradict each other."""
+    """Count labelled touches that do not stand out of the noise: label and signal contradict each other."""
     frames, noise = session.recording.frames, noise_of(session.recording.frames[session.untouched])
     if noise == 0:
         return
@@ -164,11 +164,13 @@ def unfelt(session: Session) -> Iterator[str]:
         residual = frames[session.touched[some]] - frames[pairs[some]].mean(axis=1, dtype=np.float32)
         energy[some] = np.square(residual).mean(axis=(1, 2))
     # The baseline's own noise comes on top: of one frame, or half as much of the mean of two.
-    silent = energy < FELT * noise**2 * np.where(own, 2.0, 1.5)
+    expected = noise**2 * np.where(own, 2.0, 1.5)
+    # The energy of N white samples scatters by sqrt(2 / N) of itself.
+    silent = energy < expected * (1 + FELT * np.sqrt(2 / frames[0].size))
     if silent.any():
         yield (
-            f"{silent.sum()} touches change nothing beyond the noise, the first in frame "
-            f"{session.touched[silent][0]}: wrong labels, or a finger that never touched"
+            f"{silent.sum()} touches do not stand out of the noise, the first in frame {session.touched[silent][0]}: "
+            "wrong labels, a finger that never touched, or too much noise"
         )
 
 

@@ -139,8 +139,9 @@ def findings(result: Result, plate: Plate) -> list[str]:
         far = int((judged.distance_mm > 10 * np.median(judged.distance_mm)).sum())
         if far:
             worst = judged.true_mm[judged.distance_mm.argmax()]
+            how_many = "1 touch is" if far == 1 else f"{far} touches are"
             found.append(
-                f"{far} touches are more than ten times the median off, the farthest at "
+                f"{how_many} more than ten times the median off, the farthest at "
                 f"({worst[0]:.0f}, {worst[1]:.0f}) mm of {plate.width_mm:g} x {plate.height_mm:g}."
             )
     curve = result.curve.validation_mm

@@ -81,7 +81,10 @@ def _score_replay(path: Path, truth: Recording, settings: Settings) -> dict[str,
 
 def _judge_touches(truth: Recording, model: Model) -> Judgement:
     model.check(truth.acquisition)
-    data = make_dataset(truth, model.description.domain)
+    mine, its = model.description.plate, truth.meta.plate
+    if mine != its:
+        click.echo(f"touchd: warning: the model is for the plate {mine}, the recording is of the plate {its}", err=True)
+    data = make_dataset(truth, model.description.domain, least=1)
     features = data.residual if model.description.input == "residual" else data.signal
     return judge(model, features, data.position_mm)
 
