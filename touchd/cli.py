@@ -29,7 +29,8 @@ VERBS = {
     "train": "Train a model on a labelled recording.",
 }
 EXTRAS = {"torch": "train", "scipy": "train", "sklearn": "train", "joblib": "train", "onnx": "train",
-          "matplotlib": "train", "rich": "train", "dask": "cluster", "distributed": "cluster"}  # fmt: skip
+          "matplotlib": "train", "rich": "train", "dask": "cluster", "distributed": "cluster", "nidaqmx": "ni",
+          }  # fmt: skip
 
 
 class Verbs(click.Group):
@@ -70,6 +71,7 @@ def parse_speed(_ctx: click.Context, _param: click.Parameter, value: str) -> flo
 @click.option("--config", "config", type=click.Path(path_type=Path), help="Configuration file (TOML).")
 @click.option("--replay", type=click.Path(path_type=Path), help="Take frames from a recording: a file or a folder.")
 @click.option("--simulate", metavar="SCENE", help="Take frames live from the digital twin.")
+@click.option("--ni", is_flag=True, help="Take frames from NI hardware: see [ni] in the configuration.")
 @click.option("--speed", default="1", callback=parse_speed, metavar="N|max", help="Speed of a replay.  [default: 1]")
 @click.option("--loop", is_flag=True, help="Begin again at the end.")
 @click.option("--seed", default=0, help="Seed of a simulated scene.", show_default=True)
@@ -85,6 +87,7 @@ def touchd(
     config: Path | None,
     replay: Path | None,
     simulate: str | None,
+    ni: bool,
     speed: float,
     loop: bool,
     seed: int,
@@ -117,7 +120,7 @@ def touchd(
     configure(settings.log)
     run(
         settings,
-        SourceChoice(replay, simulate, speed, loop, seed),
+        SourceChoice(replay, simulate, speed, loop, seed, ni),
         echo=echo,
         await_subscriber_s=await_subscriber,
         read_settings=lambda: load(config, overrides),

@@ -67,6 +67,18 @@ class DeviceSettings(_Section):
     )
 
 
+class NiSettings(_Section):
+    """A rig of NI hardware, taken instead of a DAQ on USB by the option --ni. Not tried on hardware."""
+
+    inputs: str = Field("cDAQ1Mod1/ai0:3", description="Analog inputs, one for each receiver.", min_length=1)
+    output: str = Field("cDAQ1Mod2/ao0", description="Analog output that plays the chirp.", min_length=1)
+    trigger: str = Field(
+        "", description="Terminal at which the inputs start; empty is the start trigger of the output's chassis."
+    )
+    amplitude_v: float = Field(5.0, gt=0, le=10, description="Of the chirp, V.")
+    output_limit_v: float = Field(10.0, gt=0, le=100, description="What the output can give, V.")
+
+
 class ModelSettings(_Section):
     """The network that places touches."""
 
@@ -213,6 +225,7 @@ class Settings(_Section):
     """The whole configuration."""
 
     device: DeviceSettings = DeviceSettings()
+    ni: NiSettings = NiSettings()
     model: ModelSettings = ModelSettings()
     baseline: BaselineSettings = BaselineSettings()
     gate: GateSettings = GateSettings()

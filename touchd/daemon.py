@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING
 import structlog
 
 from touchd import realtime
-from touchd.config import DeviceSettings, Settings
+from touchd.config import Settings
 from touchd.errors import SourceError
+from touchd.frame import Acquisition
 from touchd.keypad import Layout, load_layout
 from touchd.message import Messages
 from touchd.model import Model, default_model_path
@@ -31,6 +32,9 @@ if TYPE_CHECKING:
     from touchd.sinks import Sink
     from touchd.sinks.zeromq import ZeromqSink
 
+PAPER = Acquisition(channels=4, samples=250, sample_rate_hz=250e3)
+"""What the source paper's rig samples: the geometry of a rig that no model is there for."""
+
 log = structlog.get_logger()
 
 
@@ -44,16 +48,17 @@ class SourceChoice:
     """Relative to the recording; infinite is as fast as frames are taken."""
     loop: bool = False
     seed: int = 0
+    ni: bool = False
 
 
-def open_source(choice: SourceChoice, device: DeviceSettings, model: Model | None = None) -> Source:
+def open_source(choice: SourceChoice, settings: Settings, model: Model | None = None) -> Source:
     """Return the source that was asked for; each backend is imported on use.
 
     Parameters
     ----------
     choice : SourceChoice
-    device : DeviceSettings
-        The DAQ to use if no other source was named.
+    settings : Settings
+        Those of `device` and `ni`, the DAQ to use if no other source was named.
     model : Model, optional
         What the DAQ's frames are for: it may then be plugged in later, and one that the model does not fit is refused.
         Without a model the DAQ has to be there.
@@ -63,8 +68,10 @@ def open_source(choice: SourceChoice, device: DeviceSettings, model: Model | Non
     SourceError
         If several were named, or a scene shall run at a speed of its own; or the DAQ cannot be used.
     """
-    if choice.replay is not None and choice.simulate is not None:
-        raise SourceError("two sources were named", "--replay and --simulate", "name one of them")
+    asked = {"--replay": choice.replay is not None, "--simulate": choice.simulate is not None, "--ni": choice.ni}
+    named = [option for option, given in asked.items() if given]
+    if len(named) > 1:
+        raise SourceError("several sources were named", " and ".join(named), "name one of them")
     if choice.replay is not None:
         from touchd.sources.replay import ReplaySource
 
@@ -79,11 +86,18 @@ def open_source(choice: SourceChoice, device: DeviceSettings, model: Model | Non
         return SimulatedSource(
             choice.simulate, seed=choice.seed, paced=choice.speed != float("inf"), loop=choice.loop
         )  # fmt: skip
+    if choice.ni:
+        from touchd.sources.daq import DaqSource
+        from touchd.sources.ni import NiDaq
+
+        acquisition = model.description.acquisition if model else PAPER
+        check = model.check if model else (lambda _acquisition: None)
+        return DaqSource(lambda: NiDaq(settings.ni, acquisition), settings.device, acquisition, check)
     from touchd.sources.usb import open_usb
 
     if model is None:
-        return open_usb(device)
-    return open_usb(device, model.description.acquisition, model.check)
+        return open_usb(settings.device)
+    return open_usb(settings.device, model.description.acquisition, model.check)
 
 
 def log_notice(reason: str, fields: dict[str, float]) -> None:
@@ -125,7 +139,7 @@ def make_preroll(source: Source, settings: Settings, model: Model, choice: Sourc
     if not settings.preroll.seconds:
         return None
     known = getattr(source, "meta", None)
-    kind = "simulated" if choice.simulate else "replay" if choice.replay else "usb"
+    kind = "simulated" if choice.simulate else "replay" if choice.replay else "ni" if choice.ni else "usb"
     rate_hz = known.frame_rate_hz if known else float(settings.device.rate_hz)
 
     def meta() -> Meta:
@@ -169,7 +183,7 @@ def run(
         faulthandler.enable()
     realtime.apply(settings.realtime)
     model = load_model(settings)
-    source = open_source(choice, settings.device, model)
+    source = open_source(choice, settings, model)
     bus: ZeromqSink | None = None
     preroll: PreRoll | None = None
     try:

@@ -14,7 +14,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from touchd import daemon
-from touchd.config import DeviceSettings
+from touchd.config import Settings
 from touchd.daemon import SourceChoice
 from touchd.errors import ConfigError, DeviceLost, OutputError, SourceError, TouchdError
 from touchd.frame import Acquisition, Frame, Plate
@@ -112,7 +112,7 @@ class Flaky:
 
 
 def live(monkeypatch: pytest.MonkeyPatch, source: Flaky) -> None:
-    def open_source(choice: SourceChoice, _device: DeviceSettings) -> Flaky:
+    def open_source(choice: SourceChoice, _settings: Settings) -> Flaky:
         assert choice.simulate == "scene"
         return source
 

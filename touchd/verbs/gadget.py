@@ -62,7 +62,7 @@ def command(
     configure(settings.log)
     choice = SourceChoice(replay, simulate or (None if replay else "demo"), float("inf"), loop=True, seed=seed)
     with ExitStack() as stack:
-        source = open_source(choice, settings.device)
+        source = open_source(choice, settings)
         stack.callback(source.close)
         gadget = Gadget(info_of(source.acquisition), samples_of(source))
         device: ConfigFs | None = None

@@ -47,6 +47,7 @@ def _plate(_ctx: click.Context, _param: click.Parameter, value: str | None) -> P
               help="What to write: one file if it ends in .npz, else a folder of chunks.")  # fmt: skip
 @click.option("--replay", type=click.Path(path_type=Path), help="Take frames from a recording: a file or a folder.")
 @click.option("--simulate", metavar="SCENE", help="Take frames live from the digital twin.")
+@click.option("--ni", is_flag=True, help="Take frames from NI hardware: see [ni] in the configuration.")
 @click.option("--speed", default="1", callback=_speed, metavar="N|max", help="Speed of a replay.  [default: 1]")
 @click.option("--loop", is_flag=True, help="Begin again at the end.")
 @click.option("--seed", default=0, help="Seed of a simulated scene.", show_default=True)
@@ -63,6 +64,7 @@ def command(
     output: Path,
     replay: Path | None,
     simulate: str | None,
+    ni: bool,
     speed: float,
     loop: bool,
     seed: int,
@@ -88,10 +90,10 @@ def command(
             "record into a folder: give -o a name that does not end in .npz",
         )  # fmt: skip
     settings = load(config or (ctx.obj or {}).get("config"))
-    source = open_source(SourceChoice(replay, simulate, speed, loop, seed), settings.device)
+    source = open_source(SourceChoice(replay, simulate, speed, loop, seed, ni), settings)
     with ExitStack() as stack:
         stack.callback(source.close)
-        kind = "simulated" if simulate else "replay" if replay else "usb"
+        kind = "simulated" if simulate else "replay" if replay else "ni" if ni else "usb"
         meta = _meta(source, plate, settings.device.rate_hz, kind, notes)
         recorder = Recorder(source, output, meta, chunk_frames=chunk_frames)
         click.echo(f"recording to {output}: it can reveal a PIN, and only you can read it")

@@ -1,0 +1,242 @@
+"""The rig of NI hardware, against the vendor's package: each call is one that the package has, with its arguments.
+
+The driver is not there, so nothing here shows that hardware does what it is told.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from types import SimpleNamespace
+from typing import Any
+from unittest.mock import MagicMock, create_autospec
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from touchd.config import DeviceSettings, NiSettings
+from touchd.errors import ConfigError, SourceError
+from touchd.frame import Acquisition
+from touchd.sources.daq import DaqAbsent, DaqGone, DaqSource
+from touchd.twin.chirp import waveform
+from touchd.usbframe import FrameReader
+
+nidaqmx = pytest.importorskip("nidaqmx", reason="needs the extra ni")
+
+from nidaqmx import stream_readers, stream_writers  # noqa: E402 - after the check that it is there
+from nidaqmx.constants import AcquisitionType, RegenerationMode  # noqa: E402 - as above
+from nidaqmx.errors import DaqError, DaqNotFoundError  # noqa: E402 - as above
+from nidaqmx.system.device import Device  # noqa: E402 - as above
+from nidaqmx.task import InStream, OutStream, Task  # noqa: E402 - as above
+from nidaqmx.task.collections import AIChannelCollection, AOChannelCollection  # noqa: E402 - as above
+from nidaqmx.task.triggering import StartTrigger, Triggers  # noqa: E402 - as above
+
+from touchd.sources.ni import NiDaq  # noqa: E402 - as above
+
+ACQUISITION = Acquisition(channels=4, samples=250, sample_rate_hz=250e3)
+SETTINGS = NiSettings()
+
+
+def spec(kind: type, **attributes: Any) -> MagicMock:
+    """A mock that has what the class has, no more, and checks the arguments of each call."""
+    made: MagicMock = create_autospec(kind, instance=True, spec_set=True)
+    for name, value in attributes.items():
+        assert hasattr(kind, name)
+        setattr(made, name, value)
+    return made
+
+
+class Rig:
+    """The vendor's package with a rig behind it: each sample of channel c is its number, plus 1000 c."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.tasks: list[MagicMock] = []
+        self.order: list[str] = []
+        self.written: list[NDArray[np.float64]] = []
+        self.next = 0
+        self.fail: Exception | None = None
+        self.device = spec(Device, serial_num=0x1234ABCD, ai_simultaneous_sampling_supported=True)
+        self.found: Callable[[str], MagicMock] = lambda _name: self.device
+        monkeypatch.setattr(nidaqmx, "Task", self.task)
+        monkeypatch.setattr(nidaqmx.system.device, "Device", lambda name: self.found(name))
+        monkeypatch.setattr(stream_readers, "AnalogUnscaledReader", self.reader)
+        monkeypatch.setattr(stream_writers, "AnalogSingleChannelWriter", self.writer)
+
+    def task(self) -> MagicMock:
+        number = len(self.tasks)
+        task = spec(
+            Task, ai_channels=spec(AIChannelCollection), ao_channels=spec(AOChannelCollection),
+            timing=spec(nidaqmx.task._timing.Timing), in_stream=spec(InStream), out_stream=spec(OutStream),
+            number_of_channels=4,
+            triggers=SimpleNamespace(start_trigger=spec(StartTrigger)),
+        )  # fmt: skip
+        assert hasattr(Triggers, "start_trigger")
+        task.start.side_effect = lambda: self.order.append("output" if number % 2 == 0 else "inputs")
+        self.tasks.append(task)
+        return task
+
+    def reader(self, stream: Any) -> MagicMock:
+        assert stream is self.tasks[-1].in_stream
+        reader = spec(REAL_READER)
+
+        def read_int16(data: NDArray[np.int16], number_of_samples_per_channel: int = -1, timeout: float = 10.0) -> int:
+            assert timeout > 0
+            if self.fail:
+                raise self.fail
+            assert data.shape == (4, number_of_samples_per_channel)
+            data[:] = self.next + np.arange(data.shape[1]) + 1000 * np.arange(4)[:, None]
+            self.next += data.shape[1]
+            return data.shape[1]
+
+        reader.read_int16.side_effect = read_int16
+        return reader
+
+    def writer(self, stream: Any, auto_start: bool) -> MagicMock:
+        assert stream is self.tasks[-2].out_stream
+        assert auto_start is False
+        writer = spec(REAL_WRITER)
+        writer.write_many_sample.side_effect = lambda data, timeout=10.0: self.written.append(data)  # noqa: ARG005 - its
+        return writer
+
+
+REAL_READER, REAL_WRITER = stream_readers.AnalogUnscaledReader, stream_writers.AnalogSingleChannelWriter
+
+
+@pytest.fixture
+def rig(monkeypatch: pytest.MonkeyPatch) -> Iterator[Rig]:
+    made = Rig(monkeypatch)
+    yield made
+    for task in made.tasks:
+        task.close.assert_called_once_with()
+
+
+def started(rate_hz: int = 125) -> NiDaq:
+    daq = NiDaq(SETTINGS, ACQUISITION)
+    daq.start(rate_hz)
+    return daq
+
+
+def test_one_period_with_the_chirp_at_its_beginning_is_played_again_and_again(rig: Rig) -> None:
+    started().close()
+    output = rig.tasks[0]
+    output.ao_channels.add_ao_voltage_chan.assert_called_once_with("cDAQ1Mod2/ao0", min_val=-10.0, max_val=10.0)
+    output.timing.cfg_samp_clk_timing.assert_called_once_with(
+        500e3, sample_mode=AcquisitionType.CONTINUOUS, samps_per_chan=4000
+    )
+    assert output.out_stream.regen_mode == RegenerationMode.ALLOW_REGENERATION
+    (played,) = rig.written
+    np.testing.assert_allclose(played[:500], 5.0 * waveform(ACQUISITION.chirp))
+    assert not played[500:].any()
+    assert len(played) == 4000
+
+
+def test_the_inputs_wait_for_the_outputs_trigger(rig: Rig) -> None:
+    started().close()
+    inputs = rig.tasks[1]
+    inputs.ai_channels.add_ai_voltage_chan.assert_called_once_with("cDAQ1Mod1/ai0:3", min_val=-10.0, max_val=10.0)
+    inputs.timing.cfg_samp_clk_timing.assert_called_once_with(
+        250e3, sample_mode=AcquisitionType.CONTINUOUS, samps_per_chan=250_000
+    )
+    inputs.triggers.start_trigger.cfg_dig_edge_start_trig.assert_called_once_with("/cDAQ1/ao/StartTrigger")
+    assert rig.order == ["inputs", "output"]
+
+
+def test_each_frame_begins_a_period_after_the_one_before(rig: Rig) -> None:
+    daq = started()
+    for i in range(5):
+        data = daq.read(0.1)
+        assert data is not None
+        ((header, samples),) = FrameReader(daq.info).feed(data, ended=True)
+        assert (header.sequence, header.timestamp_us) == (i, i * 8000)
+        counts = np.frombuffer(samples, "<i2").reshape(250, 4).T
+        np.testing.assert_array_equal(counts[2], np.arange(250) + 2000 * i + 2000)
+        # Nothing of the pause is waited for before the frame is handed out.
+        assert rig.next == 2000 * i + 250
+    daq.close()
+
+
+def test_a_clipped_frame_says_so(rig: Rig) -> None:
+    daq = started()
+    rig.next = 32767 - 100
+    data = daq.read(0.1)
+    assert data is not None
+    assert data[5] == 1
+    daq.close()
+
+
+def test_it_is_a_source_like_any_other(rig: Rig) -> None:
+    device = DeviceSettings(queue_frames=1000)
+    source = DaqSource(lambda: NiDaq(SETTINGS, ACQUISITION), device, ACQUISITION, lambda _: None)
+    numbers: list[int] = []
+    while len(numbers) < 10:
+        frame = source.read(1.0)
+        if frame is None:
+            assert source.changes()
+        else:
+            numbers.append(frame.sequence)
+    source.close()
+    assert numbers == list(range(10))
+    assert source.device.serial == "1234ABCD"
+    assert len(rig.tasks) == 2
+
+
+def test_a_read_that_fails_or_is_late_means_a_new_start(rig: Rig) -> None:
+    daq = started()
+    rig.fail = DaqError("no samples", -200284)
+    with pytest.raises(DaqGone, match="-200284"):
+        daq.read(0.1)
+    rig.fail = None
+    daq.start(125)
+    assert len(rig.tasks) == 4
+    daq.close()
+
+
+@pytest.mark.parametrize("rate_hz", [300, 1001])
+def test_a_rate_that_does_not_divide_or_is_too_high_is_refused(rig: Rig, rate_hz: int) -> None:
+    daq = NiDaq(SETTINGS, ACQUISITION)
+    with pytest.raises(ConfigError, match=r"device\.rate_hz"):
+        daq.start(rate_hz)
+    assert rig.tasks == []
+
+
+def test_another_number_of_inputs_is_refused(rig: Rig) -> None:
+    assert rig.tasks == []
+    daq = NiDaq(SETTINGS, Acquisition(channels=3, samples=250, sample_rate_hz=250e3))
+    with pytest.raises(ConfigError, match="names 4 channels, not 3"):
+        daq.start(125)
+    daq.close()
+
+
+def test_inputs_that_are_not_simultaneous_are_refused(rig: Rig) -> None:
+    rig.device.ai_simultaneous_sampling_supported = False
+    with pytest.raises(SourceError, match="one after the other"):
+        NiDaq(SETTINGS, ACQUISITION)
+
+
+def test_a_device_that_is_not_there_is_looked_for_again(rig: Rig) -> None:
+    def missing(_name: str) -> MagicMock:
+        raise DaqError("invalid device", -200220)
+
+    rig.found = missing
+    with pytest.raises(DaqAbsent, match="-200220"):
+        NiDaq(SETTINGS, ACQUISITION)
+
+
+def test_without_the_driver_it_says_what_to_install() -> None:
+    try:
+        nidaqmx.system.System.local().driver_version  # noqa: B018 - asks for the driver
+    except DaqNotFoundError:
+        with pytest.raises(SourceError, match="install NI-DAQmx"):
+            NiDaq(SETTINGS, ACQUISITION)
+
+
+def test_more_than_the_output_can_give_is_refused() -> None:
+    with pytest.raises(ConfigError, match=r"ni\.amplitude_v"):
+        NiDaq(NiSettings(amplitude_v=9.0, output_limit_v=5.0), ACQUISITION)
+
+
+def test_a_reset_ends_the_tasks_first(rig: Rig) -> None:
+    daq = started()
+    daq.reset()
+    rig.device.reset_device.assert_called_once_with()
+    daq.close()
