@@ -1,17 +1,24 @@
 #!/bin/sh
-# Install the Debian packages that touchd needs: `run` for the daemon and the demo, `test` for all tests as well.
+# Install the Debian packages that touchd needs: `run` for the daemon and the demo, `test` for all tests as well, `vm`
+# for those in a virtual machine.
 # Does nothing, at once, when they are there.
 set -eu
 
 case "${1:-run}" in
 run) wanted="python3-venv" ;;
 # umockdev and what it needs: the mocked kernel of tests/usb.
-test) wanted="python3-venv gcc libc6-dev libzmq3-dev umockdev gir1.2-umockdev-1.0 python3-gi libusb-1.0-0" ;;
-*) echo "usage: $0 run|test" >&2; exit 2 ;;
+test)
+    wanted="python3-venv gcc libc6-dev libzmq3-dev umockdev gir1.2-umockdev-1.0 python3-gi libusb-1.0-0"
+    # What is shipped for the system is checked by the system's own tools.
+    wanted="$wanted systemd udev shellcheck python3"
+    ;;
+vm) wanted="python3 qemu-system-x86 mmdebstrap busybox-static e2fsprogs kmod cpio" ;;
+*) echo "usage: $0 run|test|vm" >&2; exit 2 ;;
 esac
 
 # A python3 of another origin may bring venv and pip without Debian's package.
 if python3 -c 'import ensurepip, venv' 2>/dev/null; then
+    # shellcheck disable=SC2086 # a list of words is meant
     wanted=$(printf '%s\n' $wanted | grep -v '^python3-venv$' || true)
 fi
 

@@ -85,6 +85,7 @@ class MockedKernel:
         self._flying: list[InFlight] = []
         self._finished: list[InFlight] = []
         self._address = 1
+        self._client: Any = None
 
     @property
     def environment(self) -> dict[str, str]:
@@ -115,6 +116,16 @@ class MockedKernel:
         self._testbed.detach_ioctl(self._node)
 
     def _handle(self, _base: Any, client: Any) -> bool:
+        if client is not self._client:
+            # Opened anew, or by another program: what a killed one left in flight is gone with its memory.
+            self._client, self._flying, self._finished = client, [], []
+        try:
+            return self._serve(client)
+        except GLib.Error as error:
+            print(f"mockkernel: the program is gone: {error.message}", file=sys.stderr, flush=True)
+            return True
+
+    def _serve(self, client: Any) -> bool:
         request = client.get_request() & 0xFFFFFFFF
         argument = client.props.arg
         if self.gone and request not in (REAPURB, REAPURBNDELAY, DISCARDURB):

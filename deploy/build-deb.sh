@@ -1,0 +1,72 @@
+#!/bin/bash
+# Build the Debian package into dist/, and print its name: touchd with all Python packages that it needs, in the
+# versions of requirements.lock, under /usr/lib/touchd.
+#
+# usage: deploy/build-deb.sh [PYTHON]    of the same minor version as the target's python3, with pip and hatchling
+set -euo pipefail
+cd "$(dirname "$0")/.."
+
+python=${1:-.venv/bin/python}
+umask 022
+work=$(mktemp -d)
+trap 'rm -rf "$work"' EXIT
+stage=$work/touchd
+export SOURCE_DATE_EPOCH
+SOURCE_DATE_EPOCH=$(git log -1 --format=%ct 2>/dev/null || stat -c %Y pyproject.toml)
+
+# --- the program
+pip() { "$python" -m pip --quiet --disable-pip-version-check --no-input "$@"; }
+pip wheel --no-deps --no-build-isolation --wheel-dir "$work" .
+pip install --target "$stage/usr/lib/touchd" --no-compile --only-binary :all: \
+    --constraint requirements.lock --no-warn-conflicts "$work"/touchd-*.whl
+# Not needed to run: console scripts, which name this computer's interpreter, and tests.
+rm -rf "$stage/usr/lib/touchd/bin"
+find "$stage/usr/lib/touchd" -depth -type d \( -name tests -o -name __pycache__ \) -exec rm -rf {} +
+find "$stage/usr/lib/touchd" -name direct_url.json -delete
+# Only the executables proper shall be executable.
+find "$stage/usr/lib/touchd" -type f -exec chmod 644 {} +
+install -D -m 755 deploy/debian/launcher "$stage/usr/bin/touchd"
+
+# --- the service
+install -D -m 644 deploy/touchd.service "$stage/lib/systemd/system/touchd.service"
+install -D -m 644 deploy/60-touchd.rules "$stage/lib/udev/rules.d/60-touchd.rules"
+install -D -m 644 deploy/sysusers.conf "$stage/usr/lib/sysusers.d/touchd.conf"
+install -D -m 644 deploy/tmpfiles.conf "$stage/usr/lib/tmpfiles.d/touchd.conf"
+install -D -m 644 deploy/touchd.toml "$stage/etc/touchd/touchd.toml"
+
+# --- documentation
+doc=$stage/usr/share/doc/touchd
+install -d "$doc/examples" "$stage/usr/share/lintian/overrides" "$stage/usr/share/man/man1"
+install -m 644 docs/*.md "$doc"
+install -m 644 deploy/realtime.conf "$doc/examples"
+version=$(sed -n 's/^__version__ = "\(.*\)"/\1/p' touchd/__init__.py)
+maintainer=$(sed -n 's/^Maintainer: //p' deploy/debian/control.in)
+gzip -9n > "$doc/changelog.gz" <<CHANGES
+touchd ($version) unstable; urgency=medium
+
+  * See CHANGELOG.md beside this file.
+
+ -- $maintainer  $(LC_ALL=C date -u -R -d "@$SOURCE_DATE_EPOCH")
+CHANGES
+install -m 644 CHANGELOG.md "$doc"
+printf 'Upstream-Name: touchd\nLicense: MIT\n\n' | cat - LICENSE > "$doc/copyright"
+sed "s/@VERSION@/$version/" deploy/debian/touchd.1 | gzip -9n > "$stage/usr/share/man/man1/touchd.1.gz"
+install -m 644 deploy/debian/lintian-overrides "$stage/usr/share/lintian/overrides/touchd"
+
+# --- the package
+install -d "$stage/DEBIAN"
+install -m 755 deploy/debian/postinst deploy/debian/prerm deploy/debian/postrm "$stage/DEBIAN"
+echo /etc/touchd/touchd.toml > "$stage/DEBIAN/conffiles"
+minor=$("$python" -c 'import sys; print(sys.version_info.minor)')
+architecture=$(dpkg --print-architecture)
+sed -e "s/@VERSION@/$version/; s/@ARCHITECTURE@/$architecture/; s/@PYTHON@/3.$minor/" \
+    -e "s/@NEXT_PYTHON@/3.$((minor + 1))/; s/@SIZE@/$(du -sk --exclude=DEBIAN "$stage" | cut -f1)/" \
+    deploy/debian/control.in > "$stage/DEBIAN/control"
+(cd "$stage" && find . -type f -not -path './DEBIAN/*' -printf '%P\0' | LC_ALL=C sort -z |
+    xargs -0 md5sum > DEBIAN/md5sums)
+chmod 644 "$stage"/DEBIAN/{control,conffiles,md5sums}
+mkdir -p dist
+package=dist/touchd_${version}_$architecture.deb
+# Level 1 takes a tenth of the time of the default, for a file that is a tenth larger.
+dpkg-deb --root-owner-group -Zxz -z1 --build "$stage" "$package" >&2
+echo "$package"
