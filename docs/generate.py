@@ -5,10 +5,12 @@
 
 from __future__ import annotations
 
+import math
 import re
 import sys
 from pathlib import Path
 
+import onnx
 from click.testing import CliRunner
 
 from touchd import cli, configtext, errors
@@ -16,7 +18,10 @@ from touchd.config import Settings
 from touchd.model import Model
 
 ROOT = Path(__file__).resolve().parent.parent
-MODEL = ROOT / "models" / "regression.onnx"
+MODELS = ROOT / "models"
+MODEL = MODELS / "regression.onnx"
+CARD = ("n", "rmse_mm", "mean_mm", "sd_mm", "median_mm", "p95_mm", "max_mm", "within_sigma", "confident", "accuracy",
+        "key_to_key_errors")  # fmt: skip
 WIDTH = 100
 SCORES = {"rmse_mm": "RMSE", "median_mm": "median", "p95_mm": "95th percentile"}
 
@@ -29,6 +34,7 @@ def pages() -> dict[Path, str]:
         ROOT / "docs" / "cli.md": command_line(),
         ROOT / "deploy" / "touchd.toml": configtext.render(Settings()),
         readme: with_block(readme.read_text(), "results", results()),
+        MODELS / "README.md": model_cards((MODELS / "README.md").read_text()),
         troubleshooting: with_block(troubleshooting.read_text(), "exit-codes", exit_codes()),
     }
 
@@ -83,6 +89,41 @@ def results() -> str:
     if description.command:
         lines += ["", f"Made by `{description.command}`."]
     return "\n".join(lines)
+
+
+def model_cards(text: str) -> str:
+    """Return the page of the models with the facts of each, as the models themselves state them, filled in."""
+    for path in sorted(MODELS.glob("*.onnx")):
+        text = with_block(text, path.stem, model_card(path))
+    return text
+
+
+def model_card(path: Path) -> str:
+    """Return the table of one model's facts."""
+    d = Model(path).description
+    plate = f"{d.plate.material}, {d.plate.width_mm:g} x {d.plate.height_mm:g} x {d.plate.thickness_mm:g} mm"
+    a = d.acquisition
+    facts = {
+        "head, input": f"{d.head}, {d.input} in the {d.domain} domain, {d.inputs} features",
+        "plate": f"{plate}; {a.channels} channels of {a.samples} samples at {a.sample_rate_hz / 1e3:g} kHz",
+        "made by": f"`{d.command}`"
+        + (f", then `touchd quantise` to {d.precision}" if d.precision != "float32" else ""),
+        "training recording": f"sha256 {d.data_sha256[:16]}... of frames and truth",
+        "size": f"{path.stat().st_size / 1e3:.0f} kB, {multiply_adds(path) / 1e3:.1f} k multiply-adds",
+        "on the test touches": ", ".join(f"{key} {d.scores[key]:.4g}" for key in CARD if key in d.scores),
+    }
+    return "\n".join(["| | |", "|---|---|", *(f"| {name} | {value} |" for name, value in facts.items())])
+
+
+def multiply_adds(path: Path) -> int:
+    """Return the multiply-adds of a model's matrix products."""
+    graph = onnx.load(path).graph
+    sizes = {tensor.name: math.prod(tensor.dims) for tensor in graph.initializer}
+    constants = {
+        node.output[0]: math.prod(node.attribute[0].t.dims) for node in graph.node if node.op_type == "Constant"
+    }
+    products = (node for node in graph.node if node.op_type in ("Gemm", "MatMul", "MatMulInteger"))
+    return sum((sizes | constants).get(node.input[1], 0) for node in products)
 
 
 def with_block(text: str, name: str, content: str) -> str:
