@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: setup demo test lint bench golden docs lock packages test-packages clean
+.PHONY: setup demo test lint bench soak golden docs lock packages test-packages clean
 
 setup: .venv/.ready
 
@@ -34,6 +34,10 @@ lint: setup
 # Time against error, beside the bare network in the same process.
 bench: setup
 	$(BIN)/python -m tests.bench
+
+# A million frames at full speed, then ten minutes at 1000 a second, with faults: some 15 minutes.
+soak: setup
+	$(BIN)/python -m tests.soak $(ARGS)
 
 # Rebuild the checked-in results and pages.
 golden: setup
