@@ -64,12 +64,17 @@ class Regression(nn.Module):
     inputs : int
         Length of the feature vector.
     size_mm : tuple of two floats
-        Width and height of the plate; no position lies outside.
+        Width and height of the plate.
     drift : tensor of shape (k, inputs), optional
         See `Normalise`.
+    area_mm : tensor of shape (2, 2), optional
+        Lower and upper corner of the part of the plate that matters, by default all of it: every position lies on
+        it, those beyond it on its edge. The smaller it is, the finer are the bins.
     """
 
     size_mm: Tensor
+    corner_mm: Tensor
+    span_mm: Tensor
     edges: Tensor
     centres: Tensor
 
@@ -80,6 +85,7 @@ class Regression(nn.Module):
         widths: tuple[int, ...] = TRUNK,
         bins: int = 32,
         drift: Tensor | None = None,
+        area_mm: Tensor | None = None,
     ) -> None:
         super().__init__()
         self.normalise = Normalise(drift)
@@ -92,7 +98,10 @@ class Regression(nn.Module):
         nn.init.constant_(self.log_sigma.bias, 4.0)  # nothing is known at first: half a plate
         self.bins = bins
         self.register_buffer("size_mm", torch.tensor(size_mm))
-        # In plate sizes from the centre; bins beyond the edge let a mean come to lie on the edge itself.
+        area_mm = torch.stack([torch.zeros(2), self.size_mm]) if area_mm is None else area_mm
+        self.register_buffer("corner_mm", area_mm[0])
+        self.register_buffer("span_mm", area_mm[1] - area_mm[0])
+        # In sizes of the area from its centre; bins beyond the edge let a mean come to lie on the edge itself.
         reach = 0.5 + 1.5 / bins
         edges = torch.linspace(-reach, reach, bins + 1)
         self.register_buffer("edges", edges)
@@ -115,7 +124,12 @@ class Regression(nn.Module):
     def place_mm(self, votes: Tensor) -> Tensor:
         """Return the positions (n, 2) in mm that histograms of logits (n, 2, bins) mean."""
         mean: Tensor = (votes.softmax(dim=2) * self.centres).sum(dim=2)
-        return (mean.clamp(-0.5, 0.5) + 0.5).mul(self.size_mm)
+        return (mean.clamp(-0.5, 0.5) + 0.5).mul(self.span_mm) + self.corner_mm
+
+    def truth_mm(self, position: Tensor) -> Tensor:
+        """Return what is to be said (n, 2) in mm of positions in plate sizes from the centre, (n, 2)."""
+        place_mm = (position + 0.5) * self.size_mm
+        return torch.minimum(torch.maximum(place_mm, self.corner_mm), self.corner_mm + self.span_mm)
 
     def forward(self, features: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Return position in mm (n, 2), sigma in mm (n, 1), and confidence (n, 1)."""
@@ -128,7 +142,8 @@ class Regression(nn.Module):
         Gaussians of a deviation of `spread` bins, cut off at the histogram's ends.
         """
         width = spread * (self.edges[1] - self.edges[0])
-        below = torch.special.ndtr((self.edges - position[:, :, None]) / width)
+        within = (self.truth_mm(position) - self.corner_mm) / self.span_mm - 0.5
+        below = torch.special.ndtr((self.edges - within[:, :, None]) / width)
         share: Tensor = below[:, :, 1:] - below[:, :, :-1]
         return share / share.sum(dim=2, keepdim=True)
 
@@ -217,6 +232,10 @@ class Classifier(nn.Module):
         return self.raw(features).softmax(dim=1)
 
 
+BESIDE_MM = 10.0
+"""A keypad knows positions so far beside its outermost keys: far enough for none to be mistaken for a key."""
+
+
 class Keypad(Regression):
     """Probabilities of keys, from a position and its standard error.
 
@@ -242,7 +261,8 @@ class Keypad(Regression):
         bins: int = 32,
         drift: Tensor | None = None,
     ) -> None:
-        super().__init__(inputs, size_mm, widths, bins, drift)
+        area_mm = torch.stack([keys_mm[:, :2].amin(dim=0) - BESIDE_MM, keys_mm[:, 2:].amax(dim=0) + BESIDE_MM])
+        super().__init__(inputs, size_mm, widths, bins, drift, area_mm)
         self.register_buffer("low_mm", keys_mm[:, :2])
         self.register_buffer("high_mm", keys_mm[:, 2:])
 

@@ -8,7 +8,7 @@ from torch import Tensor
 from touchd.keypad import Layout
 from touchd.training.field import STEP_MM, Field
 
-BORDER_SHARE = 0.4
+BORDER_SHARE = 0.7
 """Of the touches drawn for a keypad, those about the borders of keys: only there can a key be mistaken."""
 BORDER_MM = 2.0
 """Their standard deviation across the border."""

@@ -62,7 +62,7 @@ class PositionTask:
         votes, log_sigma, logit = network.raw(features)
         votes = votes[:n]
         place = -(network.targets(position, SPREAD_BINS) * votes.log_softmax(dim=2)).sum(dim=2).mean()
-        error_mm = (network.place_mm(votes.detach()) - (position + 0.5) * network.size_mm).abs()
+        error_mm = (network.place_mm(votes.detach()) - network.truth_mm(position)).abs()
         sigma = _pinball((error_mm + 1e-3).log() - log_sigma[:n], WITHIN_SIGMA)
         truth = (torch.arange(len(features)) < n).float()[:, None]
         finger = nn.functional.binary_cross_entropy_with_logits(logit, truth)
@@ -121,10 +121,11 @@ class KeyTask(PositionTask):
         with torch.inference_mode():
             place_mm, _, _ = Regression.forward(network, torch.from_numpy(features))
             probability = network(torch.from_numpy(features)).numpy()
+            true_mm = network.truth_mm(torch.from_numpy(position_mm) / network.size_mm - 0.5)
         truth = labels_of(position_mm, self._layout)
         confident = float((probability.sum(axis=1) >= 0.5).mean())
         return (
-            position_scores(place_mm.numpy() - position_mm)
+            position_scores((place_mm - true_mm).numpy())
             | key_scores(probability.argmax(axis=1), truth, len(self._layout.key))
             | {"confident": confident}
         )
