@@ -87,7 +87,7 @@ def open_source(choice: SourceChoice, settings: Settings, model: Model | None = 
             choice.simulate, seed=choice.seed, paced=choice.speed != float("inf"), loop=choice.loop
         )  # fmt: skip
     if choice.ni:
-        from touchd.sources.daq import DaqSource
+        from touchd.sources.live import DaqSource
         from touchd.sources.ni import NiDaq
 
         acquisition = model.description.acquisition if model else PAPER

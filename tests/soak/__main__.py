@@ -14,6 +14,8 @@ for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
 import numpy as np  # noqa: E402 - after its threads are limited
 
 from tests.soak.rig import Result, complaints, run  # noqa: E402 - as above
+from touchd.config import LogSettings  # noqa: E402 - as above
+from touchd.log import configure  # noqa: E402 - as above
 from touchd.model import Model, default_model_path  # noqa: E402 - as above
 
 
@@ -48,6 +50,7 @@ def main() -> int:
     parser.add_argument("--frames", type=int, default=1_000_000, help="at full speed")
     parser.add_argument("--seconds", type=int, default=600, help="at 1000 frames a second")
     arguments = parser.parse_args()
+    configure(LogSettings(level="error"))  # each fault is logged; the figures are what is wanted
     model = Model(default_model_path())
     wrong = []
     with tempfile.TemporaryDirectory() as folder:

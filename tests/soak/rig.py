@@ -25,7 +25,7 @@ from touchd.pipeline import Pipeline
 from touchd.service import Service
 from touchd.sinks import Sink
 from touchd.sinks.zeromq import ZeromqSink
-from touchd.sources.daq import DaqSource
+from touchd.sources.live import DaqSource
 from touchd.sources.usb import open_usb
 from touchd.usbframe import Flag
 

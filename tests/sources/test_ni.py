@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 from touchd.config import DeviceSettings, NiSettings
 from touchd.errors import ConfigError, SourceError
 from touchd.frame import Acquisition
-from touchd.sources.daq import DaqAbsent, DaqGone, DaqSource
+from touchd.sources.daq import DaqAbsent, DaqGone
+from touchd.sources.live import DaqSource
 from touchd.twin.chirp import waveform
 from touchd.usbframe import FrameReader
 

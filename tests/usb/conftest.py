@@ -12,8 +12,9 @@ from tests.usb.backend import FakeBus, FakeDaq
 from tests.usb.reader import INFO, Reader
 from touchd.config import DeviceSettings
 from touchd.frame import Acquisition
-from touchd.sources import daq as daq_module
-from touchd.sources.daq import DaqSource, acquisition_of
+from touchd.sources import live as live_module
+from touchd.sources.daq import acquisition_of
+from touchd.sources.live import DaqSource
 from touchd.sources.usb import open_usb
 
 
@@ -30,7 +31,7 @@ def bus(daq: FakeDaq) -> FakeBus:
 @pytest.fixture(autouse=True)
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """A source that is closed notices it at once."""
-    monkeypatch.setattr(daq_module, "READ_TIMEOUT_S", 0.02)
+    monkeypatch.setattr(live_module, "READ_TIMEOUT_S", 0.02)
 
 
 @pytest.fixture(autouse=True)

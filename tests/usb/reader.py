@@ -10,7 +10,7 @@ from tests.processes import PATIENCE_S
 from touchd.event import State
 from touchd.frame import Frame
 from touchd.sources import Change
-from touchd.sources.daq import DaqSource
+from touchd.sources.live import DaqSource
 from touchd.usbframe import Info
 
 INFO = Info(channels=4, samples=250, sample_rate_hz=250_000, min_frame_rate_hz=10, firmware=(1, 2, 3))

@@ -9,10 +9,10 @@ from typing import Any
 import pytest
 
 from touchd import gadget, usbframe
-from touchd.sources import daq, usb
+from touchd.sources import live, usb
 
 # Before a test makes it quicker.
-READ_TIMEOUT_MS = daq.READ_TIMEOUT_S * 1000
+READ_TIMEOUT_MS = live.READ_TIMEOUT_S * 1000
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "usb-protocol.md").read_text()
 DENSE = "".join(PAGE.split())
 VECTORS: dict[str, list[dict[str, Any]]] = json.loads(Path(__file__).with_name("vectors.json").read_text())
@@ -39,7 +39,7 @@ def test_its_numbers_are_those_of_the_code() -> None:
     for text in (
         f"within {usb.CONTROL_TIMEOUT_MS} ms",
         f"timeout of {READ_TIMEOUT_MS:g} ms",
-        f"every {daq.RETRY_S:g} to {daq.MAX_RETRY_S:g} s",
+        f"every {live.RETRY_S:g} to {live.MAX_RETRY_S:g} s",
         f"has {gadget.BACKLOG})",
     ):
         assert text in PAGE

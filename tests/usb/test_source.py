@@ -18,7 +18,7 @@ from touchd.errors import ConfigError, DeviceLost, ModelMismatch, ReaderFailed, 
 from touchd.frame import Acquisition, Chirp
 from touchd.model import Model
 from touchd.sources import EndOfStream, LiveSource
-from touchd.sources import daq as daq_module
+from touchd.sources import live as live_module
 from touchd.sources.daq import acquisition_of
 from touchd.sources.usb import find_daq, libusb, open_usb
 from touchd.usbframe import UNKNOWN_TEMPERATURE, Flag, Info, Request, Status, build_info
@@ -193,7 +193,7 @@ def test_a_frame_in_pieces_is_put_together(daq: FakeDaq, read: Read) -> None:
     reader = read()
     reader.until(lambda: daq.running and daq.idle)
     whole = daq.frame(sequence=0)
-    threading.Event().wait(2 * daq_module.READ_TIMEOUT_S)  # the read has timed out within the frame
+    threading.Event().wait(2 * live_module.READ_TIMEOUT_S)  # the read has timed out within the frame
     daq.send(whole[1024:])
     reader.until_frames(1)
     assert reader.source.tally.corrupt == 0
@@ -470,7 +470,7 @@ def test_a_thread_that_dies_is_not_silent(daq: FakeDaq, read: Read) -> None:
 
 
 def test_a_thread_that_hangs_is_not_silent(daq: FakeDaq, read: Read, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(daq_module, "HANG_S", 0.2)
+    monkeypatch.setattr(live_module, "HANG_S", 0.2)
     hang = threading.Event()
 
     def block() -> None:

@@ -16,10 +16,10 @@ import usb.core
 import usb.util
 
 from touchd.config import DeviceSettings
-from touchd.errors import DeviceLost, SourceError
+from touchd.errors import SourceError
 from touchd.frame import Acquisition
-from touchd.recording import Device
-from touchd.sources.daq import DaqAbsent, DaqGone, DaqHalted, DaqOverflow, DaqSource, acquisition_of, device_of
+from touchd.sources.daq import DaqAbsent, DaqGone, DaqHalted, DaqOverflow
+from touchd.sources.live import DaqSource, open_live
 from touchd.usbframe import (
     INFO_BYTES,
     INTERFACE_CLASS,
@@ -243,24 +243,11 @@ def open_usb(
         There is no libusb, or the device does not speak protocol 1.
     """
     backend = backend or libusb()  # missing, it is a failure now and not one of the thread
-    device = Device()
-    if acquisition is None:
-        try:
-            daq = find_daq(settings, backend)
-        except (DaqAbsent, DaqGone) as absent:
-            raise DeviceLost(str(absent), "device", "plug it in, or add --replay FILE or --simulate SCENE") from absent
-        acquisition, device = acquisition_of(daq.info), device_of(daq)
-        daq.close()
-        check = _same_as(acquisition)
-    return DaqSource(lambda: find_daq(settings, backend), settings, acquisition, check, device)
 
+    def find() -> UsbDaq:
+        return find_daq(settings, backend)
 
-def _same_as(expected: Acquisition) -> Callable[[Acquisition], None]:
-    def check(found: Acquisition) -> None:
-        if found != expected:
-            raise SourceError(f"another DAQ, whose frames are {found}, not {expected}", "device", "plug in the first")
-
-    return check
+    return open_live(find, settings) if acquisition is None else DaqSource(find, settings, acquisition, check)
 
 
 @cache
