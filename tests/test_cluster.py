@@ -21,6 +21,10 @@ from touchd.errors import ClusterError, JobError
 from touchd.jobs import Job, run
 from touchd.jobs import cluster as touchd_cluster
 from touchd.recording import read
+from touchd.reproduction.experiments import looked_up
+from touchd.reproduction.plan import head_jobs
+from touchd.twin.instrument import Instrument
+from touchd.twin.simulate import simulate_touches
 
 LOOPBACK = "127.0.0.1"
 
@@ -88,6 +92,18 @@ def test_touches_simulated_on_a_cluster_are_those_of_one_process(cluster: Cluste
         np.testing.assert_array_equal(other.frames, made[0].frames)
         np.testing.assert_array_equal(other.contacts_mm, made[0].contacts_mm)
         np.testing.assert_array_equal(other.temperature_c, made[0].temperature_c)
+
+
+def test_the_papers_experiments_come_out_alike_on_a_cluster_and_here(cluster: Cluster, instrument: Instrument) -> None:
+    """A training and a look-up of `touchd reproduce`, each on one thread wherever it runs."""
+    shared = {"recording": simulate_touches(150, seed=6, instrument=instrument, margin_mm=70.0)}
+    jobs = [job for job in head_jobs(0, 2) if job.name in ("R, frequency", "C-3, frequency")]
+    jobs += [Job("look-up", looked_up, {"method": "GCC", "residual": True}, ("recording",))]
+    there, here = run(jobs, dask=cluster.address, shared=shared), run(jobs, workers=1, shared=shared)
+    assert list(there) == ["R, frequency", "C-3, frequency", "look-up"]
+    for name in here:
+        np.testing.assert_array_equal(there[name]["place_mm"], here[name]["place_mm"])
+    assert there["R, frequency"]["curve_mm"] == here["R, frequency"]["curve_mm"]
 
 
 def test_a_failure_on_a_cluster_names_the_job(cluster: Cluster, tmp_path: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import sys
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
@@ -81,8 +80,12 @@ def command(
             given, keys, seed=seed, scale=scale, models=models, progress=progress,
             workers=jobs, dask=dask, cache=cache or kept.folder() / "jobs",
         )  # fmt: skip
-    options = [part for part in sys.argv[1:] if part not in ("--force", "--debug")]
-    _write(output, report(results, output.stem, " ".join(["touchd", *options])), lambda folder: draw(results, folder))
+    made_by = "touchd reproduce" + (f" {recording.name}" if recording else "")
+    # Where it ran, and what it found done, do not matter.
+    stated = {"--layout": layout and layout.name, "--seed": seed or None, "--epochs": epochs}
+    stated |= {"--touches": None if given or touches == Scale().touches else touches}
+    made_by += "".join(f" {option} {value}" for option, value in stated.items() if value is not None)
+    _write(output, report(results, output.stem, made_by), lambda folder: draw(results, folder))
     click.echo(f"{output}: written, with its pictures in {output.with_suffix('')}")
 
 
