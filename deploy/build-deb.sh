@@ -19,8 +19,8 @@ pip() { "$python" -m pip --quiet --disable-pip-version-check --no-input "$@"; }
 pip wheel --no-deps --no-build-isolation --wheel-dir "$work" .
 pip install --target "$stage/usr/lib/touchd" --no-compile --only-binary :all: \
     --constraint requirements.lock --no-warn-conflicts "$work"/touchd-*.whl
-# Not needed to run: console scripts, which name this computer's interpreter, and tests.
-rm -rf "$stage/usr/lib/touchd/bin"
+# Not needed to run: console scripts, which name this computer's interpreter, tests, and tools to build or convert.
+rm -rf "$stage"/usr/lib/touchd/{bin,onnxruntime/{transformers,tools,quantization,datasets},numpy/{distutils,f2py}}
 find "$stage/usr/lib/touchd" -depth -type d \( -name tests -o -name __pycache__ \) -exec rm -rf {} +
 find "$stage/usr/lib/touchd" -name direct_url.json -delete
 # Only the executables proper shall be executable.

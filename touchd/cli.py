@@ -17,6 +17,7 @@ from touchd.errors import ConfigError, MissingExtra, TouchdError
 VERBS = {
     "config": "Print the effective configuration.",
     "demo": "Replay the shipped recording and sum up.",
+    "doctor": "Check the whole set-up.",
     "draw": "Draw a replayed session.",
     "evaluate": "Score a model on a labelled recording.",
     "gadget": "Be a DAQ on a USB cable.",

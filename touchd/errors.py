@@ -27,6 +27,7 @@
     ├── SimulationError              80  a scene, plate or count that the twin cannot make
     ├── OutputError                  90  a file cannot be written: check folder, space and permissions
     ├── GadgetError                  95  this computer cannot be a USB device: it needs a port for that, and root
+    ├── CheckFailed                  97  touchd doctor found a failure: do what its lines say
     └── JobError                    100  a part of a long computation failed: the line names it; what is done is kept
         └── ClusterError            101  a Dask cluster cannot be used: check the address, its workers and versions
 """
@@ -202,6 +203,12 @@ class GadgetError(TouchdError):
     """A computer that cannot be a USB device."""
 
     exit_code = 95
+
+
+class CheckFailed(TouchdError):
+    """An examination of the set-up found a failure."""
+
+    exit_code = 97
 
 
 class JobError(TouchdError):

@@ -1,0 +1,114 @@
+#!/bin/bash
+# Run in the virtual machine, as root: the package, a DAQ on the kernel's own USB, and the scenario; what was seen goes
+# to /host/found.txt as `name value` lines.
+cd /host || exit 1
+
+say() { echo "--- $(cut -d' ' -f1 /proc/uptime) $*"; }
+found() { echo "$*" | tee -a /host/found.txt; }
+show() { systemctl show touchd --property="$1" --value; }
+# wait_for SECONDS COMMAND...
+wait_for() {
+    local end=$(($(cut -d. -f1 /proc/uptime) + $1))
+    shift
+    until "$@"; do
+        [ "$(cut -d. -f1 /proc/uptime)" -lt $end ] || return 1
+        sleep 0.5
+    done
+}
+active() { [ "$(show ActiveState)" = active ]; }
+another_process() { [ "$(show MainPID)" != "$1" ] && active; }
+streaming() { show StatusText | grep -q '^streaming: '; }
+
+lost() { show StatusText | grep -q '^lost: '; }
+# scenario NAME DESCRIPTOR: the client of all tests steers the device by the lines that it prints
+scenario() {
+    say "scenario on $1"
+    PYTHONPATH=/usr/lib/touchd python3 -B client.py tcp://127.0.0.1:5570 --patience 120 --lift-ms 5000 2> "$1.err" |
+        tee "$1.steps" | grep --line-buffered '^!' >&"$2"
+    found "$1-scenario" "${PIPESTATUS[0]}"
+}
+
+ip link set lo up
+: > found.txt
+modprobe dummy_hcd
+
+say package
+dpkg --install touchd_*.deb
+found installed $?
+# An emulated processor is slow: fewer frames, all else as shipped.
+sed -i 's/^rate_hz = 125$/rate_hz = 40/' /etc/touchd/touchd.toml
+found before-plug "$(show ActiveState)"
+
+say plug
+mkfifo /run/commands
+# Open for as long as the script runs, so that the device stays when a scenario ends.
+exec 3<> /run/commands
+touchd gadget --commands --replay /usr/lib/touchd/touchd/demo/session.npz < /run/commands > gadget.log 2>&1 3>&- &
+gadget=$!
+wait_for 90 active
+found started-by-plug $?
+found group "$(stat -c '%G %a' /dev/bus/usb/*/* | grep touchd | head -n 1)"
+found user "$(ps -o user= -p "$(show MainPID)")"
+
+scenario gadget 3
+
+say killed
+before=$(show MainPID)
+kill -9 "$before"
+wait_for 60 another_process "$before"
+found killed-restarts $?
+wait_for 60 streaming
+found killed-streams $?
+
+say frozen
+before=$(show MainPID)
+kill -STOP "$before"
+wait_for 90 another_process "$before"
+found frozen-restarts $?
+found frozen-said "$(journalctl -u touchd -o cat --no-pager | grep -c 'Watchdog timeout')"
+
+say touched again
+wait_for 60 streaming
+touchd listen --topic touch --timeout 60 --json --count 1 > /dev/null
+found touched-again $?
+
+say unplug for good
+echo unplug >&3
+wait_for 30 lost
+found lost $?
+found lost-active "$(show ActiveState)"
+systemctl stop touchd
+found stopped "$(show Result) $(show ExecMainStatus)"
+
+say replug starts it again
+echo plug >&3
+wait_for 90 active
+found replug-starts $?
+
+say the same on USB/IP
+echo unplug >&3
+modprobe vhci_hcd
+systemctl stop touchd
+mkfifo /run/usbip-commands
+exec 4<> /run/usbip-commands
+PYTHONPATH=/usr/lib/touchd python3 -B usbipdaq.py untouched.bin touched.bin < /run/usbip-commands > usbip.log 2>&1 4>&- 3>&- &
+wait_for 60 active
+found usbip-starts $?
+scenario usbip 4
+say pulled
+before=$(show MainPID)
+echo pull >&4
+wait_for 30 lost
+found pulled-lost $?
+echo plug >&4
+wait_for 60 streaming
+found pulled-streams "$? $([ "$(show MainPID)" = "$before" ] && echo same-process)"
+
+say removed
+dpkg --remove touchd
+found removed "$? $(systemctl show touchd -p LoadState --value) $(ls -d /usr/lib/touchd 2> /dev/null)"
+dpkg --purge touchd
+found purged "$? $(ls -d /etc/touchd /var/lib/touchd /var/lib/private/touchd 2> /dev/null)"
+kill $gadget 2> /dev/null
+journalctl -u touchd --no-pager > journal.log
+say end
