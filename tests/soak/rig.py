@@ -9,6 +9,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,7 @@ from touchd.event import Event
 from touchd.frame import Frame
 from touchd.model import Model
 from touchd.pipeline import Pipeline
+from touchd.preroll import PreRoll
 from touchd.service import Service
 from touchd.sinks import Sink
 from touchd.sinks.zeromq import ZeromqSink
@@ -121,8 +123,8 @@ class Device:
         if flags:
             self.sent.tests += 1
             self.room.release()
-        period_us = 1_000_000 / (self._rate_hz if self._paced else 10_000)
-        return self.daq.frame(counts.tobytes(), sequence=n % 2**32, timestamp_us=int(n * period_us), flags=flags)
+        now_us = int(n * 1e6 / self._rate_hz) if self._paced else time.monotonic_ns() // 1000
+        return self.daq.frame(counts.tobytes(), sequence=n % 2**32, timestamp_us=now_us, flags=flags)
 
     def _wait_for(self, n: int) -> None:
         now_s = time.monotonic()
@@ -146,8 +148,22 @@ class Found:
     """Frames whose number was not above the one before."""
     rss_kb: list[int] = field(default_factory=list)
     """Memory of this process, sampled all along."""
-    latency_us: list[float] = field(default_factory=list)
-    """Of every frame: complete on the host to all its messages handed to the socket."""
+    _latency_us: NDArray[np.float32] = field(default_factory=lambda: np.zeros(0, np.float32))
+    _latencies: int = 0
+
+    def expect(self, frames: int) -> None:
+        """Take the memory for so many frames now, so that later growth is the daemon's."""
+        self._latency_us = np.ones(frames + 1, np.float32)
+
+    def took(self, latency_us: float) -> None:
+        """Note how long a frame took."""
+        self._latency_us[self._latencies] = latency_us
+        self._latencies += 1
+
+    @property
+    def latency_us(self) -> NDArray[np.float32]:
+        """Of every frame: complete on the host to all its messages handed to the socket."""
+        return self._latency_us[: self._latencies]
 
 
 class Watch:
@@ -159,7 +175,7 @@ class Watch:
         self.service: Service | None = None
         self._device = device
         self._last = -1
-        self._received_ns = 0
+        self._taken = -1
         self._process = pipeline.process
         pipeline.process = self.process  # type: ignore[method-assign]  # to see what is processed, and only that
 
@@ -172,8 +188,11 @@ class Watch:
         self._device.room.release()
         if self.found.frames % _SAMPLE_EVERY == 0:
             self.found.rss_kb.append(rss_kb())
-        self._received_ns = frame.received_ns
         return self._process(frame)
+
+    def keep(self, frame: Frame, _events: Sequence[Event]) -> None:
+        """Called when a frame has gone all its way."""
+        self.found.took((time.monotonic_ns() - frame.received_ns) * 1e-3)
 
     def wants(self, topic: str) -> bool:
         return topic != "spectrum"
@@ -182,12 +201,10 @@ class Watch:
         self.events += 1
 
     def poll(self) -> None:
-        """Called between frames: the last one has gone all its way."""
-        if self._received_ns:
-            self.found.latency_us.append((time.monotonic_ns() - self._received_ns) * 1e-3)
-            self._received_ns = 0
-        elif self._device.done and self.service is not None:
+        """Called between frames."""
+        if self._device.done and self._taken == self.found.frames and self.service is not None:
             self.service.stop()
+        self._taken = self.found.frames
 
     def close(self) -> None:
         pass
@@ -215,9 +232,10 @@ def run(frames: int, rate_hz: float, folder: Path, model: Model, seed: int = 0) 
     sinks: list[Sink] = [ZeromqSink(settings.bus)]
     pipeline, _ = make_pipeline(source, settings, messages, sinks, model=model)
     watch = Watch(pipeline, device)
-    # Last in the list of what is polled, so first after a frame's messages.
+    watch.found.expect(frames)
     service = Service(source, pipeline, [watch, *sinks], messages, settings.health, "the model")
     watch.service = service
+    service.keep(cast(PreRoll, watch))  # what keeps frames is called when all else is done
     gc.collect()
     begun_s = time.monotonic()
     service.run()
