@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: setup demo test lint bench soak golden docs lock packages test-packages clean
+.PHONY: setup demo test lint bench soak golden docs lock packages test-packages deb vm-packages vm-test clean
 
 setup: .venv/.ready
 
@@ -25,6 +25,17 @@ demo: setup
 
 test: setup test-packages lint
 	$(BIN)/python -m pytest $(ARGS)
+
+# The Debian package, in dist/.
+deb: setup
+	@deploy/build-deb.sh $(BIN)/python
+
+vm-packages:
+	@deploy/debian-packages.sh vm
+
+# The package in a virtual machine with the kernel's own USB; the machine is made once and kept in ~/.cache/touchd-vm.
+vm-test: setup test-packages vm-packages
+	$(BIN)/python -m pytest tests/vm/scenario.py $(ARGS)
 
 lint: setup
 	$(BIN)/ruff check .
