@@ -1,0 +1,89 @@
+"""deploy/install.sh: a second run brings up to date, what an administrator wrote stays, and nothing is left behind.
+
+The environment is a real one, by Debian's python3 and pip, under a folder that stands for `/`; only the packages that
+touchd needs are left out, which would take a minute.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.needs import need
+from tests.processes import ROOT
+
+SCRIPT = ROOT / "deploy/install.sh"
+MADE = {
+    "opt/touchd", "etc/systemd/system/touchd.service", "etc/udev/rules.d/60-touchd.rules", "etc/sysusers.d/touchd.conf",
+    "etc/tmpfiles.d/touchd.conf", "usr/local/bin/touchd",
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def wheels(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("wheels")
+    pip = (sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check", "wheel", "--no-deps")
+    subprocess.run([*pip, "--no-build-isolation", "--wheel-dir", folder, "."], check=True, cwd=ROOT)
+    return folder
+
+
+def run(root: Path, *options: object, code: int = 0) -> str:
+    environment = {**os.environ, "DESTDIR": str(root), "PIP_NO_DEPS": "1"}
+    done = subprocess.run(["bash", SCRIPT, *map(str, options)], capture_output=True, text=True, env=environment)
+    assert done.returncode == code, done.stderr
+    return done.stdout + done.stderr
+
+
+def files(root: Path) -> set[str]:
+    """Everything but folders, the environment as one."""
+    found = {str(path.relative_to(root)) for path in root.rglob("*") if not path.is_dir() or path.is_symlink()}
+    return {"opt/touchd" if name.startswith("opt/touchd/") else name for name in found}
+
+
+def test_it_installs_updates_and_removes(tmp_path: Path, wheels: Path) -> None:
+    venv = subprocess.run(["/usr/bin/python3", "-c", "import ensurepip, venv"], capture_output=True)
+    need(venv.returncode == 0, "Debian's python3 has no venv: apt install python3-venv")
+    config = tmp_path / "etc/touchd/touchd.toml"
+    run(tmp_path, "--wheels", wheels)
+    first = files(tmp_path)
+    assert first == MADE | {"etc/touchd/touchd.toml", "etc/touchd/touchd.toml.default"}
+    assert config.read_text() == (ROOT / "deploy/touchd.toml").read_text()
+    unit = (tmp_path / "etc/systemd/system/touchd.service").read_text()
+    assert unit == (ROOT / "deploy/touchd.service").read_text().replace("/usr/bin/touchd", "/opt/touchd/bin/touchd")
+    assert os.readlink(tmp_path / "usr/local/bin/touchd") == "/opt/touchd/bin/touchd"
+    # The environment names the place where it will be, not the one where it was made.
+    script = (tmp_path / "opt/touchd/bin/touchd").read_text()
+    assert script.startswith("#!/opt/touchd/bin/python")
+    imported = "import touchd; print(touchd.__file__)"
+    python = tmp_path / "opt/touchd/bin/python"
+    said = subprocess.run([python, "-c", imported], capture_output=True, text=True, cwd=tmp_path, check=True).stdout
+    assert said.startswith(str(tmp_path / "opt/touchd/lib"))
+
+    config.write_text("# mine\n")
+    (tmp_path / "opt/touchd/left-over").touch()
+    run(tmp_path, "--wheels", wheels)
+    assert files(tmp_path) == first
+    assert config.read_text() == "# mine\n"
+    assert not (tmp_path / "opt/touchd/left-over").exists()
+
+    run(tmp_path, "--uninstall")
+    assert files(tmp_path) == {"etc/touchd/touchd.toml", "etc/touchd/touchd.toml.default"}
+    run(tmp_path, "--uninstall", "--purge")
+    assert files(tmp_path) == set()
+
+
+def test_an_installation_that_fails_leaves_the_old_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "opt/touchd/bin").mkdir(parents=True)
+    (tmp_path / "opt/touchd/bin/touchd").write_text("the old one")
+    monkeypatch.setenv("PYTHON", "/bin/false")
+    assert "/bin/false is older than 3.11" in run(tmp_path, code=1)
+    assert (tmp_path / "opt/touchd/bin/touchd").read_text() == "the old one"
+
+
+def test_an_unknown_option_is_refused(tmp_path: Path) -> None:
+    assert "unknown option --frobnicate" in run(tmp_path, "--frobnicate", code=1)
+    assert files(tmp_path) == set()
