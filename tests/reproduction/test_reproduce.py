@@ -70,13 +70,17 @@ def test_a_given_recording_is_reported_and_a_second_run_computes_nothing(
     assert untimed.sub("", check(page)) == untimed.sub("", text)
 
 
-def test_on_the_twin_the_shipped_models_are_judged_on_seeds_of_their_own(tmp_path: Path) -> None:
+def test_on_the_twin_the_shipped_models_are_judged_on_seeds_of_their_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(plan, "DOMAINS", ("frequency",))
+    monkeypatch.setattr(plan, "HEADS", ("R", "C-2", "C-5", "C-10"))
     page = tmp_path / "report.md"
     reproduce(
         "-o", page, "--touches", 200, *FEW, "--cache", tmp_path / "cache", "--models", default_model_path().parent
     )
     text = check(page)
     for row in ("mean error", "human finger", "keypad: accuracy", "noise 20 dB worse", "stale by 1 K", "never seen"):
-        assert re.search(rf"^\| {row}.*\d", text, re.M), row
+        assert re.search(rf"^\| [^|]*{row}.*\d", text, re.M), row
     seeds = {run.TRAINING_SEED, run.CENTRAL_SEED, run.OTHER_SEED, *run.HELD_OUT.values(), run.OTHER_HELD_OUT_SEED}
     assert len(seeds) == 3 + len(run.HELD_OUT) + 1, "no two sets have a seed in common"

@@ -42,7 +42,8 @@ def _heads(results: Results) -> Figure:
     )
     for number, (title, found, side_mm) in enumerate(areas):
         axes = figure.add_subplot(1, 2, number + 1)
-        for domain, (colour, marker) in DOMAIN_STYLE.items():
+        for domain in plan.DOMAINS:
+            colour, marker = DOMAIN_STYLE[domain]
             mean = {head: error_scores(found[plan.head_name(head, domain)])["mean_mm"] for head in plan.HEADS}
             grids = [mean[f"C-{n}"] for n in plan.GRIDS]
             axes.plot(plan.GRIDS, grids, color=colour, marker=marker, ms=5, lw=1.5, label=f"C-N, {domain}")
