@@ -217,7 +217,7 @@ def test_a_host_reads_what_the_device_sends_through_faults_and_all(kernel: Kerne
     found = find_daq(DeviceSettings(), FakeBus(daq))
     assert (found.info, found.status().running) == (INFO, False)
     found.close()
-    source = open_usb(DeviceSettings(rate_hz=500), acquisition_of(INFO), backend=FakeBus(daq))
+    source = open_usb(DeviceSettings(rate_hz=100, stall_s=10), acquisition_of(INFO), backend=FakeBus(daq))
     reader = Reader(source)
     try:
         reader.until_frames(10)
@@ -225,6 +225,9 @@ def test_a_host_reads_what_the_device_sends_through_faults_and_all(kernel: Kerne
             gadget.command(fault)
             before = len(reader.frames)
             reader.until(lambda before=before: len(reader.frames) > before + 5)  # type: ignore[misc]  # bound at once
+        gadget.command("silent")
+        while reader.step() is not None:  # what is still on its way counts too
+            pass
     finally:
         source.close()
     assert source.tally.corrupt == 2

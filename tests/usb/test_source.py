@@ -284,10 +284,16 @@ def test_a_silent_device_is_started_again_and_then_reset(daq: FakeDaq, read: Rea
     assert reader.changes[1].reason == "no frame for 0.05 s"
 
 
-def test_a_stream_that_can_be_restarted_is_not_reset(daq: FakeDaq, read: Read) -> None:
-    steady(daq)
+def test_a_stream_that_can_be_restarted_is_not_reset_and_may_count_on_from_any_number(daq: FakeDaq, read: Read) -> None:
+    def send() -> None:
+        daq.sequence += 1000
+        daq.send(*[daq.frame() for _ in range(5)])
+
+    daq.started = send
     reader = read(stall_s=0.05)
     reader.until_frames(10)  # the second five are those of a restarted stream
+    assert reader.sequence[:10] == list(range(1000, 1010))
+    assert reader.source.tally.lost == 0
     assert reader.states[:3] == ["streaming", "stalled", "streaming"]
     assert daq.resets == 0
 

@@ -176,11 +176,10 @@ class DaqSource:
 
     def _stream(self, daq: Daq) -> None:
         """Pass frames on until the source is to be closed, or the device is gone."""
-        daq.start(self._settings.rate_hz)
+        self._start(daq)
         complete_ns = round(1e9 * daq.info.samples / daq.info.sample_rate_hz)
         reader, device_clock = FrameReader(daq.info), DeviceClock(complete_ns)
         corrupt = self.tally.corrupt
-        self._last_sequence = None
         halts = attempts = 0
         seen_ns = self._clock()
         while not self._closing.is_set():
@@ -214,13 +213,18 @@ class DaqSource:
         with contextlib.suppress(DaqGone):
             daq.stop()
 
+    def _start(self, daq: Daq) -> None:
+        """Begin a stream, whose first frame may have any number."""
+        daq.start(self._settings.rate_hz)
+        self._last_sequence = None
+
     def _revive(self, daq: Daq, attempt: int) -> None:
         """Bring a stream back: begin it anew, and if that does not help, reset the device."""
         if attempt == 1:
             log.warning("restarting the stream")
             with contextlib.suppress(DaqHalted):
                 daq.clear_halt()
-                daq.start(self._settings.rate_hz)
+                self._start(daq)
             return
         log.warning("resetting the device")
         daq.reset()
