@@ -14,8 +14,14 @@ chmod 755 "$work"
 cd "$work"
 
 # --- packages. apt-get drops its rights for a download, and may then not write here: as root, in this folder.
-kernel=$(apt-cache depends linux-image-amd64 | sed -n 's/^ *Depends: \(linux-image-.*-amd64\)$/\1/p' | head -n 1)
-test -n "$kernel" || { echo "no kernel package is known: run apt-get update" >&2; exit 1; }
+kernel_package() {
+    apt-cache depends linux-image-amd64 2>/dev/null | sed -n 's/^ *Depends: \(linux-image-.*-amd64\)$/\1/p' | head -n 1
+}
+[ -n "$(kernel_package)" ] || apt-get update -qq >&2
+kernel=$(kernel_package)
+[ -n "$kernel" ] || { echo "image.sh: apt knows no linux-image-amd64" >&2; exit 1; }
+sources=/etc/apt/sources.list.d/debian.sources
+[ -e $sources ] || sources=/etc/apt/sources.list
 apt-get -o APT::Sandbox::User=root download -qq "$kernel" >&2
 dpkg-deb -x "$kernel"_*.deb kernel
 mmdebstrap --quiet --variant=minbase --mode=root \
@@ -23,7 +29,7 @@ mmdebstrap --quiet --variant=minbase --mode=root \
     --dpkgopt='path-exclude=/usr/share/doc/*' --dpkgopt='path-exclude=/usr/share/man/*' \
     --dpkgopt='path-exclude=/usr/share/locale/*' \
     --include=systemd,systemd-sysv,udev,kmod,dbus,python3,libusb-1.0-0,iproute2,procps \
-    "$suite" root /etc/apt/sources.list.d/debian.sources >&2
+    "$suite" root $sources >&2
 rm -rf root/var/cache/apt/* root/var/lib/apt/lists/*
 
 # --- kernel, uncompressed: QEMU then starts it by PVH, and without KVM the unpacking would take seconds.
