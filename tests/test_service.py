@@ -18,13 +18,13 @@ from touchd.model import Model
 from touchd.pipeline import Pipeline
 from touchd.recording import Recording
 from touchd.service import READ_TIMEOUT_S, STALL_NS, Service
-from touchd.sources import EndOfStream
+from touchd.sources import Change, EndOfStream, Tally
 
 START_NS = 5_000_000_000
 PERIOD_NS = 8_000_000
 TIMEOUT_NS = round(READ_TIMEOUT_S * 1e9)
 
-Step = Frame | None | Exception
+Step = Frame | None | Exception | Change
 
 
 class Clock:
@@ -53,6 +53,7 @@ class Script:
         if step is None:
             self._clock.now_ns += round(timeout_s * 1e9)
             return None
+        assert isinstance(step, Frame)
         self._clock.now_ns += PERIOD_NS
         return step._replace(t_ns=self._clock.now_ns, received_ns=self._clock.now_ns)
 
@@ -235,6 +236,84 @@ def test_a_source_that_fails_is_reported_after_an_orderly_end(make: Callable[...
     assert bench.sink.phases() == [(1, "down"), (1, "up")]
     assert bench.sink.states()[-1] == "stopping"
     assert (bench.sink.closed, bench.other.closed, bench.source.closed) == (1, 1, 1)
+
+
+class Live(Script):
+    """The same with a device's changes of state in the script: one ends a read at once, and is then taken."""
+
+    def __init__(self, recording: Recording, steps: Sequence[Step], clock: Clock) -> None:
+        super().__init__(recording, steps, clock)
+        self.tally = Tally()
+        self._changes: list[Change] = []
+
+    def read(self, timeout_s: float) -> Frame | None:
+        assert not self._changes, "they are taken before the next read"
+        if self._steps and isinstance(self._steps[0], Change):
+            self._changes.append(self._steps.pop(0))  # type: ignore[arg-type]  # it was just looked at
+            return None
+        return super().read(timeout_s)
+
+    def changes(self) -> list[Change]:
+        taken, self._changes = self._changes, []
+        return taken
+
+
+@pytest.fixture
+def live(scene: Scene, model: Model) -> Callable[[Sequence[Step]], Bench]:
+    def make(steps: Sequence[Step]) -> Bench:
+        bench = Bench(scene("circle"), model, [], period_s=1e6)
+        bench.source = Live(scene("circle"), steps, bench.clock)
+        bench.service = Service(
+            bench.source, bench.pipeline, [bench.sink, bench.other], Messages("plate", 0),
+            HealthSettings(period_s=1e6), "the model", bench.clock,
+        )  # fmt: skip
+        return bench
+
+    return make
+
+
+def test_when_a_device_is_lost_contacts_are_lifted_and_it_is_said_at_once(
+    live: Callable[[Sequence[Step]], Bench], circle: list[Frame]
+) -> None:
+    bench = live([Change("streaming", "frames arrive"), *circle, Change("lost", "unplugged"), None, None])
+    bench.service.run()
+    assert bench.sink.phases() == [(1, "down"), (1, "up")]
+    up, lost = bench.sink.events[-3:-1]
+    assert isinstance(up, TouchEvent)
+    assert isinstance(lost, HealthEvent)
+    assert (lost.state, lost.reason) == ("lost", "unplugged")
+    last_frame_ns = START_NS + len(circle) * PERIOD_NS
+    assert bench.sink.times_ns[-3:-1] == [last_frame_ns, last_frame_ns], "no time passes"
+
+
+def test_a_device_that_was_away_has_its_plate_learned_anew_and_one_that_stalled_has_not(
+    live: Callable[[Sequence[Step]], Bench], circle: list[Frame]
+) -> None:
+    idle = circle[:60]
+    back = Change("streaming", "frames arrive")
+    stalled = live(
+        [back, *idle, Change("stalled", "silent"), back, *[f._replace(sequence=f.sequence + 60) for f in idle]]
+    )
+    stalled.service.run()
+    assert stalled.pipeline.counters.skipped["learning"] == 32
+    lost = live([back, *idle, Change("lost", "gone"), Change("lost", "still"), back, *idle])
+    lost.service.run()
+    assert lost.pipeline.counters.skipped["learning"] == 64
+    assert lost.pipeline.counters.repeated == 0, "its numbers may be any"
+    assert [e.reason for e in lost.sink.health if e.state == "lost"] == ["gone", "still"]
+
+
+def test_health_takes_a_devices_counts_for_what_never_reached_the_pipeline(
+    live: Callable[[Sequence[Step]], Bench], circle: list[Frame]
+) -> None:
+    bench = live([Change("streaming", "frames arrive"), *circle[:40], *circle[60:80]])
+    assert isinstance(bench.source, Live)
+    bench.source.tally = Tally(lost=3, corrupt=4, behind=13, withheld={"test_pattern": 5}, clipped=6, late=7)
+    bench.service.run()
+    last = bench.sink.health[-1]
+    assert (last.lost, last.corrupt, last.clipped, last.late) == (3, 4, 6, 7)
+    assert (last.skipped["behind"], last.skipped["test_pattern"]) == (13, 5)
+    assert "repeated" not in last.skipped
 
 
 def test_latency_is_measured_up_to_the_last_sink_and_told_for_each_period(
