@@ -114,7 +114,7 @@ def _circle(results: Results) -> Figure:
         axes.plot(*data["truth_mm"].T, color=TRUTH, lw=6, solid_capstyle="round", label="the finger's way")
         axes.plot(*data["place_mm"].T, ".", color=COLOURS[0], ms=3, label="found, each frame by itself")
         title = f"{name}: mean {distance_mm(data).mean():.1f} mm"
-        axes.set(xlim=(20, 180), ylim=(180, 20), aspect="equal", xlabel="x (mm)", title=title)
+        axes.set(xlim=(0, 200), ylim=(200, 0), aspect="equal", xlabel="x (mm)", title=title)
         axes.grid(alpha=0.25)
         if number == 0:
             axes.set_ylabel("y (mm)")
@@ -147,8 +147,9 @@ def _errors(results: Results) -> Figure:
         axes.set(xlabel="error (mm)", xscale="log", xlim=(0.05, 50), ylim=(0, 100))
         axes.axvline(4.4, color=PAPER, ls="--", lw=1)
         axes.annotate("the paper's\nmean, 4.4 mm", (4.8, 6), fontsize=8)
+        axes.xaxis.set_major_formatter("{x:g}")
         axes.grid(alpha=0.25, which="both")
-        axes.legend(fontsize=8, frameon=False, loc="upper left")
+        axes.legend(fontsize=8, framealpha=1, edgecolor="none", loc="upper left")
     return figure
 
 
