@@ -215,7 +215,9 @@ def _beaten(results: Results, folder: str) -> str:
     details = []
     for (name, kind), data in held.items():
         scores = error_scores(data)
-        keys = keypad_scores(data, results.layout)["accuracy"] if kind != "other" else None
+        # A zone of a grid is no key, and the layout is not laid over the other plate.
+        keyed = kind != "other" and not name.startswith("grid")
+        keys = keypad_scores(data, results.layout)["accuracy"] if keyed else None
         details.append([
             name, kind, *(f"{scores[key]:.2f}" for key in STATISTICS), f"{(distance_mm(data) > 5).mean():.2%}",
             "-" if keys is None else f"{keys:.2%}",
