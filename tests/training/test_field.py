@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from tests.training.conftest import KNOWN
 from touchd.keypad import Key, Layout
 from touchd.training.dataset import Dataset
-from touchd.training.field import STEP_MM, Field, learn_field
+from touchd.training.field import STEP_MM, Field
 from touchd.training.synthetic import BORDER_MM, Synthesiser
 
 SIZE_MM = (200.0, 200.0)
@@ -117,44 +117,3 @@ def test_for_a_keypad_most_are_drawn_about_the_borders_of_keys(field: Field) -> 
     assert at_border[1400:].mean() < 0.7
     each = (offset_mm.abs() < BORDER_MM)[:, :1400].float().mean(dim=1)
     assert (each > 0.1).all(), "all four borders"
-
-
-@pytest.fixture(scope="module")
-def doubtful(dataset: Dataset) -> Field:
-    """Learned from fewer touches than the waves need."""
-    return learn_field(dataset, np.arange(100))
-
-
-def test_touches_enough_leave_no_doubt_and_too_few_say_so(field: Field, doubtful: Field) -> None:
-    assert field.doubt is None
-    assert doubtful.doubt is not None
-    assert doubtful.doubt.shape == (*doubtful.coefficients.shape[:3], doubtful.coefficients.shape[4])
-    assert (doubtful.doubt >= 0).all()
-
-
-def test_the_doubt_is_as_large_as_the_error_on_touches_never_seen(dataset: Dataset, doubtful: Field) -> None:
-    assert doubtful.doubt is not None
-    unseen = np.arange(100, len(dataset))
-    low, high = np.array(doubtful.low_mm), np.array(doubtful.high_mm)
-    unseen = unseen[((dataset.position_mm[unseen] >= low) & (dataset.position_mm[unseen] <= high)).all(axis=1)]
-    place_mm = dataset.position_mm[unseen]
-    shape = (len(unseen), dataset.acquisition.channels, 2, -1)
-    predicted = synthesiser(doubtful).at(torch.from_numpy(place_mm)).numpy().reshape(shape)
-    truth = dataset.residual[unseen].reshape(shape)
-    # Of each touch's strength only what fits best is known.
-    fit = (predicted * truth).sum(axis=(1, 2, 3)) / np.square(predicted).sum(axis=(1, 2, 3))
-    error = np.square(truth / fit[:, None, None, None] - predicted).sum(axis=2)
-    column, row = np.rint((place_mm - np.array(doubtful.origin_mm)) / STEP_MM).astype(int).T
-    expected = np.square(doubtful.doubt[row, column])
-    ratio = np.sqrt(np.median(error) / np.median(expected))
-    print(f"error over doubt {ratio:.2f}")
-    assert 0.4 < ratio < 2.0
-
-
-def test_drawn_touches_differ_by_the_doubt(doubtful: Field) -> None:
-    made = synthesiser(doubtful)
-    residual, place = made.draw(500)
-    place_mm = (place + 0.5) * torch.tensor(SIZE_MM)
-    plain = made.at(place_mm)
-    apart = 1 - torch.nn.functional.cosine_similarity(residual, plain).square()
-    assert 0.01 < apart.median() < 0.9

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from joblib import Parallel, delayed
 from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve, cholesky, solve_triangular
+from scipy.linalg import cho_factor, cho_solve
 from scipy.ndimage import spline_filter1d
 from scipy.special import j1
 from threadpoolctl import threadpool_limits
@@ -33,8 +33,6 @@ BAND_MARGIN = 1.15
 RIDGE = 3e-3
 STRENGTH_ROUNDS = 5
 STRENGTH_BINS = 7
-ENOUGH = 2.0
-"""Touches per degree of freedom of the field above which it is known everywhere: there is no doubt to compute."""
 _TABLE = 200  # nodes per unit of K r
 _ROWS = 64  # a block at a time stays in the cache
 
@@ -52,9 +50,6 @@ class Field:
     """Corners of the part that was touched: beyond it the field is not known."""
     strength: NDArray[np.float32]
     """|z| of each touch it was learned from, shape (n,), 1 on average."""
-    doubt: NDArray[np.float32] | None = None
-    """Standard deviation of the field about what was learned, of shape (rows, columns, channels, bins); None where
-    touches were enough. As kriging has it, with the field's own size as the deviation before anything was learned."""
 
 
 def learn_field(
@@ -95,19 +90,10 @@ def learn_field(
             grid = spline_filter1d(grid, 3, axis=axis, output=np.float32, mode="mirror")
         return np.asarray(grid)
 
-    few = len(indices) < ENOUGH * float(np.prod(high - low) * (cutoff_per_mm[-1] / 2 / BAND_MARGIN) ** 2 / np.pi)
-
-    def doubt(b: int, strength: Complex) -> NDArray[np.float32]:
-        unknown = _unknown(
-            _kernel(distance_mm, cutoff_per_mm[b]), _kernel(to_nodes_mm, cutoff_per_mm[b]), strength[:, b]
-        )
-        size = np.sqrt(np.mean(np.abs(values[:, :, b] / strength[:, b, None]) ** 2, axis=0))
-        return np.asarray(np.sqrt(unknown)[:, None] * size, np.float32)
-
     chosen = np.linspace(0, len(bins) - 1, STRENGTH_BINS).round().astype(int)
     slope = np.linspace(-1, 1, len(bins))
     strength = np.ones((len(indices), len(bins)), np.complex64)
-    jobs, done = STRENGTH_ROUNDS * len(chosen) + len(bins) * (1 + few), 0
+    jobs, done = STRENGTH_ROUNDS * len(chosen) + len(bins), 0
 
     def each(work: Callable[[int, Complex], NDArray[Any]], at: Iterable[int]) -> list[NDArray[Any]]:
         nonlocal done
@@ -124,14 +110,12 @@ def learn_field(
             predicted = np.stack(each(predict, chosen), axis=-1)
             strength = _strengths(values[:, :, chosen] / scale, predicted, slope[chosen], slope)
         grid = np.stack(each(draw, range(len(bins))), axis=-1)
-        doubts = np.stack(each(doubt, range(len(bins))), axis=-1) if few else None
     return Field(
         coefficients=np.ascontiguousarray(grid),
         origin_mm=(float(x_mm[0]), float(y_mm[0])),
         low_mm=(float(low[0]), float(low[1])),
         high_mm=(float(high[0]), float(high[1])),
         strength=np.abs(strength).mean(axis=1).astype(np.float32),
-        doubt=None if doubts is None else doubts.reshape(len(y_mm), len(x_mm), a.channels, len(bins)),
     )
 
 
@@ -155,27 +139,14 @@ def _solve(kernel: NDArray[np.float32], values: Complex, strength: Complex) -> C
 
     A touch of strength z tells the field with its noise divided by |z|.
     """
-    system = _ridged(kernel, strength)
+    system = kernel.copy()
+    power = np.maximum(np.abs(strength) ** 2, 1e-2)
+    system[np.diag_indices(len(system))] += (RIDGE / power).astype(np.float32)
     target = np.ascontiguousarray(values / strength[:, None]).view(np.float32)
     factor = cho_factor(system, lower=True, overwrite_a=True, check_finite=False)
     solved: NDArray[np.float32] = cho_solve(factor, target, check_finite=False)
     weights: Complex = np.ascontiguousarray(solved.astype(np.float32)).view(np.complex64)
     return weights
-
-
-def _ridged(kernel: NDArray[np.float32], strength: Complex) -> NDArray[np.float32]:
-    """Return a kernel between touches with the noise of each on its diagonal."""
-    system = kernel.copy()
-    power = np.maximum(np.abs(strength) ** 2, 1e-2)
-    system[np.diag_indices(len(system))] += (RIDGE / power).astype(np.float32)
-    return system
-
-
-def _unknown(kernel: NDArray[np.float32], to_nodes: NDArray[np.float32], strength: Complex) -> NDArray[np.float32]:
-    """Return the share of the variance at the nodes, (m,), that the touches leave unknown: 1 - k' (K + R)^-1 k."""
-    factor = cholesky(_ridged(kernel, strength), lower=True, overwrite_a=True, check_finite=False)
-    known = solve_triangular(factor, to_nodes.T, lower=True, check_finite=False)
-    return np.asarray(np.clip(1 - np.einsum("nm,nm->m", known, known), 0, 1), np.float32)
 
 
 def _apply(kernel: NDArray[np.float32], weights: Complex) -> Complex:

@@ -36,7 +36,6 @@ class Synthesiser:
         rows, self._columns = field.coefficients.shape[:2]
         self._nodes = torch.from_numpy(field.coefficients.reshape(rows * self._columns, -1))
         self._strength = torch.from_numpy(field.strength)
-        self._doubt = None if field.doubt is None else torch.from_numpy(field.doubt.reshape(-1, *field.doubt.shape[2:]))
         self._origin_mm = torch.tensor(field.origin_mm, dtype=torch.float32)
         self._low_mm = torch.tensor(field.low_mm, dtype=torch.float32)
         self._span_mm = torch.tensor(field.high_mm, dtype=torch.float32) - self._low_mm
@@ -49,22 +48,7 @@ class Synthesiser:
             count = round(BORDER_SHARE * n)
             place_mm[:count] = self._at_borders(count)
         some = torch.randint(len(self._strength), (n, 1), generator=self._generator)
-        residual = self.at(place_mm)
-        if self._doubt is not None:
-            residual = residual + self._doubtful(place_mm)
-        return residual * self._strength[some], place_mm / self._size_mm - 0.5
-
-    def _doubtful(self, place_mm: Tensor) -> Tensor:
-        """Draw what the field at places (n, 2) may be besides what was learned, shape (n, inputs).
-
-        So a network learns to rely on those bins that are known. The doubt is taken from the nearest node; neighbouring
-        bins are taken for independent, as the plate's resonances are narrower than their distance.
-        """
-        assert self._doubt is not None
-        column, row = ((place_mm - self._origin_mm) / STEP_MM).round().long().unbind(dim=1)
-        size = self._doubt[row * self._columns + column][:, :, None] / 2**0.5
-        shape = (len(place_mm), size.shape[1], 2, size.shape[3])
-        return (size * torch.randn(shape, generator=self._generator)).reshape(len(place_mm), -1)
+        return self.at(place_mm) * self._strength[some], place_mm / self._size_mm - 0.5
 
     def _at_borders(self, n: int) -> Tensor:
         """Return places (n, 2) about the borders of the keys."""
