@@ -144,7 +144,7 @@ def _errors(results: Results) -> Figure:
         _cumulative(kinds, distance_mm(results.held_out["regression", kind]), label, COLOURS[number])
     kinds.set(title="the network that ships")
     for axes in (models, kinds):
-        axes.set(xlabel="error (mm)", xscale="log", xlim=(0.05, 50), ylim=(0, 100))
+        axes.set(xlabel="error (mm)", xscale="log", xlim=(0.01, 50), ylim=(0, 100))
         axes.axvline(4.4, color=PAPER, ls="--", lw=1)
         axes.annotate("the paper's\nmean, 4.4 mm", (4.8, 6), fontsize=8)
         axes.xaxis.set_major_formatter("{x:g}")
