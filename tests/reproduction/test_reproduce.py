@@ -20,11 +20,14 @@ FEW = ["--epochs", "1", "--jobs", "1"]
 
 @pytest.fixture(autouse=True)
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two heads and two shares instead of ten and five."""
+    """Few heads and two shares instead of ten and five."""
     monkeypatch.setattr(plan, "GRIDS", (2, 10))
     monkeypatch.setattr(plan, "HEADS", ("R", "C-2", "C-10"))
     monkeypatch.setattr(plan, "SHARES", (1.0, 0.2))
     monkeypatch.setattr(plan, "KEYPAD_SEEDS", (0,))
+    # Those that learn no field, which takes longer than all the rest and has tests of its own.
+    monkeypatch.setattr(plan, "KEYPAD_RECIPE", "paper-keypad")
+    monkeypatch.setattr(plan, "PLATE_RECIPE", "paper-regression")
 
 
 def reproduce(*arguments: object) -> str:

@@ -10,6 +10,8 @@ DOMAINS = ("frequency", "time")
 GRIDS = tuple(range(2, 11))
 HEADS = ("R", *(f"C-{n}" for n in GRIDS))
 SHARES = (1.0, 0.8, 0.6, 0.4, 0.2)
+KEYPAD_RECIPE, PLATE_RECIPE = "keypad", "best"
+"""What stands beside the paper's."""
 KEYPAD_SEEDS = (0, 1, 2)
 """The keypad is trained and split so often: the differences that matter there are small."""
 
@@ -42,7 +44,7 @@ def keypad_jobs(seed: int, epochs: int | None, layout: Layout) -> list[Job]:
 
 def better_jobs(seed: int, epochs: int | None, layout: Layout) -> list[Job]:
     """Return what stands beside the paper's: our keypad on the least share, and dictionaries of residuals."""
-    arguments = {"recipe": "keypad", "layout": layout, "epochs": epochs, "seed": seed}
+    arguments = {"recipe": KEYPAD_RECIPE, "layout": layout, "epochs": epochs, "seed": seed}
     jobs = [Job(BETTER_KEYPAD, trained, arguments | {"share": SHARES[-1]}, ("recording",))]
     for method in ("kNN", "GCC"):
         for residual in (False, True):
@@ -53,7 +55,7 @@ def better_jobs(seed: int, epochs: int | None, layout: Layout) -> list[Job]:
 
 def plate_jobs(seed: int, epochs: int | None) -> list[Job]:
     """Return the training on a plate that nothing was made for."""
-    return [Job(OTHER_PLATE, trained, {"recipe": "best", "epochs": epochs, "seed": seed}, ("recording",))]
+    return [Job(OTHER_PLATE, trained, {"recipe": PLATE_RECIPE, "epochs": epochs, "seed": seed}, ("recording",))]
 
 
 BETTER_KEYPAD = f"keypad, {SHARES[-1]:.0%} of the touches"
