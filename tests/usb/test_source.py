@@ -489,6 +489,21 @@ def test_a_thread_that_hangs_is_not_silent(daq: FakeDaq, read: Read, monkeypatch
     assert "hung" in str(error)
 
 
+def test_closing_does_not_wait_for_a_thread_that_hangs(daq: FakeDaq, read: Read) -> None:
+    hang, hung = threading.Event(), threading.Event()
+
+    def block() -> None:
+        hung.set()
+        hang.wait(PATIENCE_S)
+
+    daq.started = block
+    source = read().source
+    assert hung.wait(PATIENCE_S)
+    source.close()
+    assert not hang.is_set(), "closed while the thread was still held"
+    hang.set()
+
+
 def test_after_close_the_stream_has_ended_and_the_device_is_free(daq: FakeDaq, read: Read) -> None:
     steady(daq)
     reader = read()

@@ -39,7 +39,8 @@ MAX_RETRY_S = 0.5
 """A device that is not there is looked for at this interval, after a few quicker looks."""
 HANG_S = 10.0
 """A thread that has not come round for so long hangs in the kernel, and only a new process helps."""
-_JOIN_S = 2.0
+_JOIN_S = 0.5
+"""A thread that a wedged device holds is left behind: the service has to end within a second of SIGTERM."""
 _HALT_PAUSE_S = 0.01
 
 log = structlog.get_logger()
