@@ -62,11 +62,31 @@ def judge(model: Model, features: NDArray[np.float32], true_mm: NDArray[np.float
 def classes(true_mm: NDArray[np.float32], description: Description) -> NDArray[np.int64]:
     """Return the zone of a grid, or the key of a layout, under each position (n, 2)."""
     if description.head == "keypad" and description.layout is not None:
-        return _key_numbers(true_mm, description.layout)
-    n, plate = description.grid, description.plate
-    place = true_mm / np.array([plate.width_mm, plate.height_mm]) * n
-    column, row = np.clip(place, 0, n - 1e-6).astype(np.int64).T
-    return np.asarray(row * n + column)
+        return labels_of(true_mm, description.layout)
+    plate = description.plate
+    return zones_of(true_mm, description.grid, np.array([plate.width_mm, plate.height_mm]))
+
+
+def zones_of(position_mm: NDArray[np.floating], grid: int, size_mm: NDArray[np.floating]) -> NDArray[np.int64]:
+    """Return the zone of each position (n, 2), counted row by row, on a grid over a plate of this size (2,)."""
+    column, row = np.clip(position_mm / size_mm * grid, 0, grid - 1e-6).astype(np.int64).T
+    return np.asarray(row * grid + column)
+
+
+def labels_of(position_mm: NDArray[np.floating], layout: Layout) -> NDArray[np.int64]:
+    """Return the number of the key under each position (n, 2), that of the keys where there is none."""
+    labels = np.full(len(position_mm), len(layout.key))
+    place_mm = position_mm.astype(np.float64)
+    for number, key in reversed(list(enumerate(layout.key))):  # of keys that overlap the first counts, as in Layout.at
+        offset_mm = place_mm - [key.x_mm, key.y_mm]
+        labels[((offset_mm >= 0) & (offset_mm < [key.width_mm, key.height_mm])).all(axis=1)] = number
+    return labels
+
+
+def key_scores(found: NDArray[np.int64], truth: NDArray[np.int64], keys: int) -> dict[str, float]:
+    """Return the accuracy, and how many touches of a key were taken for another key; class `keys` is no key."""
+    wrong = (found != truth) & (found != keys) & (truth != keys)
+    return {"accuracy": float((found == truth).mean()), "key_to_key_errors": float(wrong.sum())}
 
 
 def scores(judged: Judgement) -> dict[str, float]:
@@ -74,15 +94,5 @@ def scores(judged: Judgement) -> dict[str, float]:
     found = position_scores(judged.error_mm) | {"confident": float((judged.confidence >= 0.5).mean())}
     if judged.true_class is None or judged.found_class is None:
         return found | {"within_sigma": float((np.abs(judged.error_mm) <= judged.sigma_mm[:, None]).mean())}
-    wrong = judged.found_class != judged.true_class
-    found["accuracy"] = float(1 - wrong.mean())
-    if judged.keys:
-        on_keys = (judged.found_class < judged.keys) & (judged.true_class < judged.keys)
-        found["key_to_key_errors"] = float((wrong & on_keys).sum())
-    return found
-
-
-def _key_numbers(true_mm: NDArray[np.float32], layout: Layout) -> NDArray[np.int64]:
-    numbers = {key.name: i for i, key in enumerate(layout.key)}
-    found = (layout.at(float(x_mm), float(y_mm)) for x_mm, y_mm in true_mm)
-    return np.array([len(numbers) if name is None else numbers[name] for name in found], np.int64)
+    of_keys = key_scores(judged.found_class, judged.true_class, judged.keys)
+    return found | (of_keys if judged.keys else {"accuracy": of_keys["accuracy"]})

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.evaluation.metrics import position_scores
+from touchd.evaluation.score import key_scores, labels_of
 from touchd.keypad import Layout
 from touchd.reproduction.experiments import Data
-from touchd.training.task import key_scores, labels_of
 
 
 def error_scores(data: Data) -> dict[str, float]:

@@ -11,6 +11,7 @@ from torch import Tensor, nn
 
 from touchd.errors import TrainingError
 from touchd.evaluation.metrics import position_scores
+from touchd.evaluation.score import key_scores, labels_of, zones_of
 from touchd.frame import Plate
 from touchd.keypad import Layout
 from touchd.training.network import Classifier, Keypad, Network, PlainRegression, Regression
@@ -165,8 +166,7 @@ class ClassTask:
     def labels(self, position_mm: NDArray[np.floating[Any]]) -> NDArray[np.int64]:
         """Return the class of each position, shape (n,)."""
         if self._layout is None:
-            place = np.clip(position_mm / self._size_mm * self._grid, 0, self._grid - 1e-6).astype(np.int64)
-            return np.asarray(place[:, 1] * self._grid + place[:, 0])
+            return zones_of(position_mm, self._grid, self._size_mm)
         return labels_of(position_mm, self._layout)
 
     def scores(self, features: NDArray[np.float32], position_mm: Positions) -> dict[str, float]:
@@ -182,21 +182,6 @@ class ClassTask:
     def description(self) -> dict[str, Any]:
         """Return the grid or the layout."""
         return {"grid": self._grid} if self._layout is None else {"layout": self._layout}
-
-
-def labels_of(position_mm: NDArray[np.floating[Any]], layout: Layout) -> NDArray[np.int64]:
-    """Return the number of the key under each position (n, 2), that of the keys where there is none."""
-    labels = np.full(len(position_mm), len(layout.key))
-    for number, key in enumerate(layout.key):
-        offset_mm = position_mm - [key.x_mm, key.y_mm]
-        labels[((offset_mm >= 0) & (offset_mm < [key.width_mm, key.height_mm])).all(axis=1)] = number
-    return labels
-
-
-def key_scores(found: NDArray[np.int64], truth: NDArray[np.int64], keys: int) -> dict[str, float]:
-    """Return the accuracy, and how many touches of a key were taken for another key; class `keys` is no key."""
-    wrong = (found != truth) & (found != keys) & (truth != keys)
-    return {"accuracy": float((found == truth).mean()), "key_to_key_errors": float(wrong.sum())}
 
 
 def make_task(
