@@ -11,8 +11,16 @@ from types import SimpleNamespace
 from typing import Any
 from unittest.mock import MagicMock
 
+import nidaqmx
 import numpy as np
 import pytest
+from nidaqmx import stream_readers, stream_writers
+from nidaqmx.constants import AcquisitionType, RegenerationMode
+from nidaqmx.errors import DaqError, DaqNotFoundError
+from nidaqmx.system.device import Device
+from nidaqmx.task import InStream, OutStream, Task
+from nidaqmx.task.collections import AIChannelCollection, AOChannelCollection
+from nidaqmx.task.triggering import StartTrigger, Triggers
 from numpy.typing import NDArray
 
 from touchd.config import DeviceSettings, NiSettings
@@ -20,20 +28,9 @@ from touchd.errors import ConfigError, SourceError
 from touchd.frame import Acquisition
 from touchd.sources.daq import DaqAbsent, DaqGone
 from touchd.sources.live import DaqSource
+from touchd.sources.ni import NiDaq
 from touchd.twin.chirp import waveform
 from touchd.usbframe import FrameReader
-
-nidaqmx = pytest.importorskip("nidaqmx", reason="needs the extra ni")
-
-from nidaqmx import stream_readers, stream_writers  # noqa: E402 - after the check that it is there
-from nidaqmx.constants import AcquisitionType, RegenerationMode  # noqa: E402 - as above
-from nidaqmx.errors import DaqError, DaqNotFoundError  # noqa: E402 - as above
-from nidaqmx.system.device import Device  # noqa: E402 - as above
-from nidaqmx.task import InStream, OutStream, Task  # noqa: E402 - as above
-from nidaqmx.task.collections import AIChannelCollection, AOChannelCollection  # noqa: E402 - as above
-from nidaqmx.task.triggering import StartTrigger, Triggers  # noqa: E402 - as above
-
-from touchd.sources.ni import NiDaq  # noqa: E402 - as above
 
 ACQUISITION = Acquisition(channels=4, samples=250, sample_rate_hz=250e3)
 SETTINGS = NiSettings()
