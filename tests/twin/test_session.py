@@ -13,10 +13,11 @@ from touchd.twin.electronics import Electronics
 from touchd.twin.instrument import Instrument
 from touchd.twin.session import Session, parts_kept, simulate_session
 from touchd.twin.simulate import BLOCK, simulate_touches
+from touchd.twin.training_set import TouchSet
 
 PLATE = Plate(width_mm=90, height_mm=60, thickness_mm=5)
 ELECTRONICS = Electronics(jitter_s=5e-9)
-SESSION = Session(150, 3, PLATE, 5e-3, None, ELECTRONICS, "silicone", stale_k=0.5)
+SESSION = Session(TouchSet(150, stale_k=0.5), 3, PLATE, 5e-3, None, ELECTRONICS)
 
 
 @pytest.mark.parametrize("chunk", [BLOCK, 2 * BLOCK, 64 * BLOCK])

@@ -31,7 +31,7 @@ def same(one: Recording, other: Recording) -> bool:
 
 @pytest.mark.parametrize("name", SCENES)
 def test_each_scene_has_valid_truth_and_begins_untouched(name: str, instrument: Instrument) -> None:
-    frames = 250 if name in ("palm", "hold") else 2000 if name == "drift" else None
+    frames = 250 if name in ("palm", "hold", "longhold") else 2000 if name == "drift" else None
     recording = simulate_scene(name, seed=2, frames=frames, instrument=instrument)
     on = touching(recording)
     assert recording.contacts_mm is not None

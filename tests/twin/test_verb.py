@@ -39,6 +39,27 @@ def test_a_training_set_has_two_frames_a_touch(tmp_path: Path) -> None:
     assert len(read(path).frames) == 24
 
 
+def test_a_training_set_of_several_fingers_is_as_it_was_asked_for(tmp_path: Path) -> None:
+    path, other = tmp_path / "two.npz", tmp_path / "reference.npz"
+    options = ["touches", "--count", "12", "--fingers", "2", "--edge-gap-mm", "8", *SMALL]
+    assert call(*options, "-o", path, "--temperature-k", "-5", "--label-noise-mm", "0.3").exit_code == 0
+    assert call(*options, "-o", other).exit_code == 0
+    made, plain = read(path), read(other)
+    assert made.contacts_mm is not None
+    assert plain.contacts_mm is not None
+    assert made.temperature_c is not None
+    assert plain.temperature_c is not None
+    assert made.contacts_mm.shape == (24, 2, 2)
+    assert abs(made.temperature_c - plain.temperature_c + 5).max() < 1e-5
+    off_mm = abs(made.contacts_mm - plain.contacts_mm)[1::2]
+    assert 0.05 < off_mm.mean() < 0.6
+
+
+def test_fingers_that_do_not_fit_are_explained(tmp_path: Path) -> None:
+    with pytest.raises(SimulationError, match="do not fit"):
+        call("touches", "-o", tmp_path / "x.npz", "--fingers", "5", "--apart-mm", "80", *SMALL)
+
+
 def test_an_existing_recording_is_replaced_only_by_force(tmp_path: Path) -> None:
     path = tmp_path / "idle.npz"
     path.write_text("precious")
@@ -52,7 +73,11 @@ def test_an_existing_recording_is_replaced_only_by_force(tmp_path: Path) -> None
 def test_options_of_the_other_kind_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "x.npz"
     assert call("touches", "-o", path, "--frames", "10").exit_code == 2
-    assert call("tap", "-o", path, "--count", "10").exit_code == 2
+    for option, value in (("count", 10), ("fingers", 2), ("apart-mm", 20), ("edge-gap-mm", 8), ("temperature-k", 5),
+                          ("label-noise-mm", 0.3), ("stale-k", 1)):  # fmt: skip
+        result = call("tap", "-o", path, f"--{option}", str(value))
+        assert result.exit_code == 2
+        assert f"--{option}" in result.output
     assert call("tap", "-o", path, "--plate", "20x30").exit_code == 2
     assert not path.exists()
 

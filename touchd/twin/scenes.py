@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from touchd.errors import SimulationError
 from touchd.frame import Plate
-from touchd.twin import acts
+from touchd.twin import acts, hand
 from touchd.twin.acts import END_S, IDLE_S, KEY_S, Cast, Key
 from touchd.twin.electronics import Electronics
 from touchd.twin.finger import tissue_of
@@ -29,6 +29,8 @@ class Scene(NamedTuple):
     """One line for the help text."""
     finger: str = "human"
     rate_hz: float = 125.0
+    least_mm: float = 50.0
+    """Shorter side of the smallest plate that has room for it."""
 
 
 def write_scene(
@@ -56,10 +58,8 @@ def write_scene(
     least = math.ceil((IDLE_S + END_S + 0.2) * rate)
     if n < (1 if name == "idle" else least):
         raise SimulationError(f"{n} frames at {rate:g} Hz are too few for {name!r}", "frames", f"use {least} or more")
-    if min(plate.width_mm, plate.height_mm) < 80 and name == "palm":
-        raise SimulationError("a palm is larger than the plate", "plate", "use 80 mm or more")
-    if min(plate.width_mm, plate.height_mm) < 50:
-        raise SimulationError("the plate is too small for the scenes", "plate", "use 50 mm or more")
+    if min(plate.width_mm, plate.height_mm) < scene.least_mm:
+        raise SimulationError(f"the plate is too small for {name!r}", "plate", f"use {scene.least_mm:g} mm or more")
     sequence = np.arange(n)
     if name == "lostframes":
         sequence = _with_gaps(n, rng, rate)
@@ -97,11 +97,15 @@ SCENES: dict[str, Scene] = {
     "tap": Scene(acts.tap, 6.0, "taps at random places", "silicone"),
     "circle": Scene(acts.circle, 5.0, "a finger draws a circle of 60 mm radius"),
     "hold": Scene(acts.hold, 12.0, "a finger rests while its contact keeps growing"),
+    "longhold": Scene(acts.longhold, 35.0, "the same for 34 s, while the plate warms by 1 K"),
     "swipe": Scene(acts.swipe, 4.0, "swipes across the plate"),
-    "pinch": Scene(acts.pinch, 4.0, "two fingers move together"),
+    "pinch": Scene(hand.pinch, 4.0, "two fingers move together"),
+    "two": Scene(hand.two, 8.0, "two fingers press, slide and lift independently", least_mm=80.0),
+    "five": Scene(hand.five, 8.0, "five fingers press, slide and lift independently", least_mm=150.0),
+    "cross": Scene(hand.cross, 8.2, "two fingers' strokes cross, 15 mm from each other", least_mm=80.0),
     "keypad": Scene(acts.keypad, 4.1, "a code is typed"),
     "drift": Scene(acts.drift, 60.0, "the plate warms by 3 K and cools again; a tap now and then", "silicone"),
-    "palm": Scene(acts.palm, 4.0, "a palm lies on the plate"),
+    "palm": Scene(acts.palm, 4.0, "a palm lies on the plate", least_mm=80.0),
     "drop": Scene(acts.drop, 5.0, "a drop of water falls on the plate and stays; taps beside it"),
     "interference": Scene(acts.interference, 6.0, "tones from elsewhere; taps", "silicone"),
     "deadchannel": Scene(acts.deadchannel, 6.0, "a receiver's wire breaks half-way; taps", "silicone"),

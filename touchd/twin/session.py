@@ -23,7 +23,7 @@ from touchd.twin.electronics import Electronics, noise_states
 from touchd.twin.instrument import Instrument
 from touchd.twin.simulate import BLOCK, recording_of, stream
 from touchd.twin.stage import Stage
-from touchd.twin.training_set import write_touches
+from touchd.twin.training_set import TouchSet, write_touches
 
 CHUNK = 16 * BLOCK
 """Frames of a part: some tenths of a second's work. A multiple of the block, within which sums are rounded alike."""
@@ -35,15 +35,12 @@ FEW = 4 * CHUNK
 class Session:
     """All that a session's frames depend on; see `touchd.twin.simulate.simulate_touches`."""
 
-    count: int
+    touches: TouchSet
     seed: int
     plate: Plate
     loss: float
     tail_period_s: float | None
     electronics: Electronics
-    finger: str
-    margin_mm: float | None = None
-    stale_k: float = 0.0
 
     def prepare(self) -> tuple[Stage, Instrument]:
         """Write down the session, and make the instrument that hears it.
@@ -55,8 +52,7 @@ class Session:
         """
         instrument = Instrument(self.plate, loss=self.loss, tail_period_s=self.tail_period_s)
         rng = np.random.default_rng(np.random.SeedSequence(self.seed).spawn(3)[0])
-        stage = write_touches(self.count, self.plate, rng, self.electronics, self.finger, self.margin_mm, self.stale_k)
-        return stage, instrument
+        return write_touches(self.touches, self.plate, rng, self.electronics), instrument
 
 
 def simulate_session(

@@ -17,7 +17,7 @@ from touchd.twin.electronics import Digitiser, Electronics
 from touchd.twin.instrument import REFERENCE_C, Instrument
 from touchd.twin.scenes import write_scene
 from touchd.twin.stage import Stage
-from touchd.twin.training_set import TOUCH_RATE_HZ, write_touches
+from touchd.twin.training_set import COUNT, TOUCH_RATE_HZ, TouchSet, write_touches
 
 Progress = Callable[[int], object]
 """Called with the number of frames just finished."""
@@ -144,7 +144,7 @@ def simulate_scene(
 
 
 def simulate_touches(
-    count: int = 6404,
+    count: int = COUNT,
     *,
     seed: int = 0,
     plate: Plate = DEFAULT_PLATE,
@@ -153,6 +153,11 @@ def simulate_touches(
     finger: str = "silicone",
     margin_mm: float | None = None,
     stale_k: float = 0.0,
+    fingers: int = 1,
+    apart_mm: float = 0.0,
+    edge_gap_mm: float | None = None,
+    warmer_k: float = 0.0,
+    label_noise_mm: float = 0.0,
     progress: Progress | None = None,
 ) -> Recording:
     """Simulate a robot's training set: an untouched frame, a touch, an untouched frame, a touch, and so on.
@@ -172,17 +177,28 @@ def simulate_touches(
         Least distance of a touch's centre from the plate's edge; by default the least that the finger's contact needs.
     stale_k : float
         By how many kelvin the plate is warmer in each touch than in the untouched frames beside it.
+    fingers : int
+        Contacts of each touch, 1 .. 5, each with an area of its own; they never cover each other.
+    apart_mm : float
+        Least distance of any two centres.
+    edge_gap_mm : float, optional
+        Exact distance from edge to edge of two round contacts, in any direction.
+    warmer_k : float
+        By how many kelvin the whole session is warmer than the reference temperature; negative for colder.
+    label_noise_mm : float
+        Standard deviation, per axis, of the written truth from where the contact is.
     progress : callable, optional
         Called with the number of frames just finished.
 
     Raises
     ------
     SimulationError
-        When the count, margin or finger is impossible.
+        When the count, margin, finger or distances are impossible.
     """
+    asked = TouchSet(count, finger, margin_mm, stale_k, fingers, apart_mm, edge_gap_mm, warmer_k, label_noise_mm)
     instrument = instrument or Instrument(plate)
     rng = np.random.default_rng(np.random.SeedSequence(seed).spawn(3)[0])
-    stage = write_touches(count, instrument.plate, rng, electronics or Electronics(), finger, margin_mm, stale_k)
+    stage = write_touches(asked, instrument.plate, rng, electronics or Electronics())
     return _record(stage, instrument, seed, progress)
 
 

@@ -42,6 +42,8 @@ class Stage:
     force_n: list[Floats] = field(default_factory=list)
     columns: list[list[int]] = field(default_factory=list)
     """Contacts that share a column of the truth, since they never touch at once."""
+    label_error_mm: Floats | None = None
+    """How far the written truth is off, shape (n, k, 2)."""
 
     @property
     def time_s(self) -> Floats:
@@ -118,7 +120,10 @@ class Stage:
         return result
 
     def truth(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return `contacts_mm` of shape (n, k, 2) and `force_n` of shape (n, k), as a recording has them."""
+        """Return `contacts_mm` of shape (n, k, 2) and `force_n` of shape (n, k), as a recording has them.
+
+        A label that is off never leaves the plate.
+        """
         n, k = len(self.sequence), max(len(self.columns), 1)
         contacts = np.full((n, k, 2), np.nan, dtype=np.float32)
         force = np.full((n, k), np.nan, dtype=np.float32)
@@ -128,4 +133,7 @@ class Stage:
                 contacts[on, column, 0] = self.x_mm[i][on]
                 contacts[on, column, 1] = self.y_mm[i][on]
                 force[on, column] = self.force_n[i][on]
+        if self.label_error_mm is not None:
+            size_mm = np.array([self.plate.width_mm, self.plate.height_mm])
+            contacts = np.clip(contacts + self.label_error_mm, 0, size_mm).astype(np.float32)
         return contacts, force

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -22,9 +23,9 @@ from touchd.twin.material import MATERIALS
 from touchd.twin.scenes import SCENES
 from touchd.twin.session import Session, parts_kept, simulate_session
 from touchd.twin.simulate import simulate_scene, stage_scene
+from touchd.twin.training_set import COUNT, MOST_FINGERS, TouchSet
 
 TOUCHES = "touches"
-COUNT = 6404
 _SCENE_LINES = "\n".join(f"  {name:13} {scene.what}" for name, scene in SCENES.items())
 
 
@@ -61,6 +62,21 @@ def parse_plate(_ctx: click.Context, _param: click.Parameter, value: str) -> tup
 @click.option(
     "--stale-k", default=0.0, show_default=True, help="Touches: so much warmer is the plate than beside each touch."
 )
+@click.option(
+    "--temperature-k",
+    "warmer_k",
+    default=0.0,
+    show_default=True,
+    help="Touches: so much warmer, baseline included, is the plate than the reference.",
+)
+@click.option(
+    "--fingers", default=1, show_default=True, type=click.IntRange(1, MOST_FINGERS), help="Fingers of each touch."
+)
+@click.option("--apart-mm", default=0.0, show_default=True, help="Least distance of their centres.")
+@click.option("--edge-gap-mm", type=float, metavar="MM", help="Exact distance of two fingers from edge to edge.")
+@click.option(
+    "--label-noise-mm", default=0.0, show_default=True, help="Touches: standard deviation of the truth, per axis."
+)
 @click.option("--tail", is_flag=True, help="Include what still rings from the chirps before.")
 @click.option("--jobs", type=click.IntRange(min=1), metavar="N", help="Processes for touches.  [default: all cores]")
 @click.option("--dask", metavar="ADDRESS", help="Compute touches on the Dask cluster of this scheduler.")
@@ -81,6 +97,11 @@ def command(
     noise_db: float,
     jitter_ns: float,
     stale_k: float,
+    warmer_k: float,
+    fingers: int,
+    apart_mm: float,
+    edge_gap_mm: float | None,
+    label_noise_mm: float,
     tail: bool,
     jobs: int | None,
     dask: str | None,
@@ -89,8 +110,14 @@ def command(
     """Write a recording of SCENE, computed from the physics of a plate, with its truth."""
     if scene == TOUCHES and not (frames is None and rate_hz is None and keypad is None and code is None):
         raise click.UsageError("--frames, --rate-hz, --keypad and --code are for scenes; use --count")
-    if scene != TOUCHES and not (count is None and stale_k == 0):
-        raise click.UsageError("--count and --stale-k are for touches; use --frames")
+    touches = TouchSet(
+        count or COUNT, finger or "silicone", None, stale_k, fingers, apart_mm, edge_gap_mm, warmer_k, label_noise_mm
+    )
+    if scene != TOUCHES and (count is not None or replace(touches, finger="silicone") != TouchSet()):
+        raise click.UsageError(
+            "--count, --stale-k, --temperature-k, --fingers, --apart-mm, --edge-gap-mm and --label-noise-mm are for "
+            "touches; use --frames"
+        )
     if scene != TOUCHES and not (jobs is None and dask is None):
         raise click.UsageError("--jobs and --dask are for touches; a scene is computed frame after frame")
     if jobs is not None and dask is not None:
@@ -102,7 +129,7 @@ def command(
     described = Plate(width_mm=width, height_mm=height, thickness_mm=thickness, material=material)
     electronics = Electronics(noise_db=noise_db, jitter_s=jitter_ns * 1e-9)
     if scene == TOUCHES:
-        total = 2 * (count or COUNT)
+        total = 2 * touches.count
         period_s = 0.5
     else:
         stage = stage_scene(scene, described, seed=seed, frames=frames, rate_hz=rate_hz, keys=keys, code=code)
@@ -116,9 +143,7 @@ def command(
     configure(LogSettings())  # on standard error, beside the progress
     with ExitStack() as stack:
         if scene == TOUCHES:
-            session = Session(
-                count or COUNT, seed, described, loss, tail_period_s, electronics, finger or "silicone", stale_k=stale_k
-            )
+            session = Session(touches, seed, described, loss, tail_period_s, electronics)
             kept = stack.enter_context(parts_kept(session))
             with click.progressbar(length=total, label=scene, file=sys.stderr) as bar:
                 made = simulate_session(session, workers=jobs, dask=dask, kept=kept, progress=bar.update)
