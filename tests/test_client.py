@@ -155,6 +155,9 @@ def test_topics_and_keys_of_a_later_release_are_passed_over(wire: Wire) -> None:
         ([b"touch", b"[1]"], "not a touch message"),
         ([b"touch", encode(KeyEvent("plate", 1, 0, "", "hush-7", "press", 1.0))], "not a touch message"),
         ([b"key", b'{"v":1,"type":"key","key":["hush-7"]}'], "not a key message"),
+        ([b"key", encode(KeyEvent("plate", 1, 0, "", "7", "press", 1.0)).replace(b"press", b"hush-7")], "phase: not as"),
+        ([b"key", b'{"v":1,"seq":"hush-7"}'], "seq: Expected `int`, got `str`"),
+        ([b"touch", encode(touch(1)).replace(b'"device"', b'"dev"')], "missing required field `device`"),
         ([b"touch"], "1 parts instead of 2"),
         ([b"touch", b"{}", b"{}"], "3 parts instead of 2"),
         ([b"touch", encode(touch(1)).replace(b'"v":1', b'"v":2')], "of version 2.*upgrade"),
@@ -171,7 +174,7 @@ def test_a_malformed_message_is_explained_without_quoting_it(wire: Wire, parts: 
             next(events)
         assert failed.value.where == wire.address
         assert "hush-7" not in str(failed.value)
-        assert failed.value.__cause__ is None  # pydantic's own error quotes what it was given
+        assert failed.value.__cause__ is None  # msgspec's own error can quote what it was given
         assert next(events).seq == 9  # and the iteration can go on
 
 

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 
+import msgspec
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from pydantic import ValidationError
 
 from touchd.event import (
     Contact,
@@ -75,7 +74,7 @@ def test_encoding_late_changes_the_latency_and_nothing_else(event: TouchEvent, r
     # Byte for byte, but for the number itself.
     cut = payload.rindex(b":")
     assert payload[:cut] == encode(event)[: encode(event).rindex(b":")]
-    assert replace(stamped, latency_us=event.latency_us) == event
+    assert msgspec.structs.replace(stamped, latency_us=event.latency_us) == event
 
 
 def test_the_latency_is_read_after_everything_else_is_encoded(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -116,9 +115,12 @@ def test_a_contact_outside_keypad_mode_has_no_key() -> None:
     assert b'"key"' not in encode(event)
 
 
-@pytest.mark.parametrize("payload", [b"", b"[]", b"{}", b"\xff", b'{"v":1,"type":"key"}'])
+NOT_UTF_8 = encode(TouchEvent("plate", 1, 2, "now", 3, [])).replace(b"plate", b"pl\xffte")
+
+
+@pytest.mark.parametrize("payload", [b"", b"[]", b"{}", b"\xff", b'{"v":1,"type":"key"}', NOT_UTF_8])
 def test_anything_else_is_no_event(payload: bytes) -> None:
-    with pytest.raises(ValidationError):
+    with pytest.raises(msgspec.DecodeError):
         decode("touch", payload)
     with pytest.raises(KeyError):
         decode("weather", payload)

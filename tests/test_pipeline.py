@@ -7,11 +7,12 @@ import statistics
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable
-from dataclasses import asdict, replace
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, cast
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -73,7 +74,7 @@ def contents(events: list[Event], first_ns: int) -> list[dict[str, Any]]:
     """Events without what depends on when they were played."""
     found = []
     for event in events:
-        content = asdict(event)
+        content = msgspec.to_builtins(event)
         del content["wall"]
         content["t_ns"] -= first_ns
         found.append(content)
@@ -220,8 +221,8 @@ def test_with_the_gate_closed_neither_features_nor_network_run(
             assert calls["extract"] == 1
             assert 1 <= calls["infer"] <= 2, "the second for its negative: is it a finger that has gone?"
         else:
-            assert not calls, "too faint to be looked at"
-    assert opened > 100
+            assert not calls, "too faint to be looked at, or nothing has changed"
+    assert opened > 20
     assert closed > 100
     assert pipeline.counters.inferred == opened
     assert pipeline.counters.skipped["learning"] + pipeline.counters.skipped["gate"] == closed
@@ -357,7 +358,7 @@ def test_when_the_frames_stop_every_contact_is_lifted(scene: Scene, make: Callab
 
 def test_an_idle_frame_costs_less_than_a_third_of_a_touched_one(scene: Scene, make: Callable[..., Pipeline]) -> None:
     """By the median over rounds in which both kinds take turns, so that another load hits both alike."""
-    settings = Settings.model_validate({"baseline": {"absorb_s": 1e6}})
+    settings = Settings.model_validate({"baseline": {"absorb_s": 1e6}, "skip": {"still": False}})
     frames = frames_of(scene("circle"))
     idle, touched = make(settings), make(settings)
     run(idle, frames[:40])

@@ -10,6 +10,8 @@ from touchd.frame import Counts
 
 Signal = NDArray[np.float32]
 
+# Bound once: they run for every frame.
+_subtract, _multiply, _add = np.subtract, np.multiply, np.add
 _STEADY_RATIO = 0.7
 # A plate that is never still is learned as it is after so many windows: better a poor baseline than silence.
 _PATIENCE_WINDOWS = 20
@@ -24,10 +26,14 @@ class Baseline:
 
     def __init__(self, shape: tuple[int, int], settings: BaselineSettings) -> None:
         self.mean: Signal = np.zeros(shape, np.float32)
+        self.signal: Signal = np.zeros(shape, np.float32)
+        """The last frame itself, as floats; valid until the next frame, as is what follows."""
         self.residual: Signal = np.zeros(shape, np.float32)
-        """The last frame less the baseline; valid until the next frame."""
+        """The last frame less the baseline."""
         self._flat = self.residual.reshape(-1)
         self._step = np.zeros(shape, np.float32)
+        self._weight = np.zeros((), np.float32)
+        self._energy = np.zeros((), np.float32)
         self.retune(settings)
         self._patience = _PATIENCE_WINDOWS * settings.learn_frames
         self._window = np.zeros((settings.learn_frames, *shape), np.float32)
@@ -72,8 +78,11 @@ class Baseline:
 
     def subtract(self, counts: Counts) -> float:
         """Put the frame less the baseline into `residual`, and return its energy (counts squared)."""
-        np.subtract(counts, self.mean, out=self.residual)
-        return float(self._flat.dot(self._flat))
+        # One conversion, then floats alone: to mix them in one call takes twice as long, and memory each time.
+        self.signal[...] = counts
+        _subtract(self.signal, self.mean, self.residual)
+        self._flat.dot(self._flat, self._energy)
+        return self._energy.item()
 
     def energy(self) -> float:
         """Return the energy of the untouched signal itself (counts squared)."""
@@ -82,9 +91,9 @@ class Baseline:
 
     def follow(self, elapsed_s: float) -> None:
         """Move the baseline towards the last frame, which was untouched and came this long after the one before."""
-        weight = elapsed_s / (self._time_constant_s + elapsed_s)
-        np.multiply(self.residual, np.float32(weight), out=self._step)
-        np.add(self.mean, self._step, out=self.mean)
+        self._weight.fill(elapsed_s / (self._time_constant_s + elapsed_s))
+        _multiply(self.residual, self._weight, self._step)
+        _add(self.mean, self._step, self.mean)
 
 
 def _steady(residuals: Signal, energies: NDArray[np.float64]) -> bool:

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import time
 from collections import Counter
 from collections.abc import Iterable
@@ -22,8 +23,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Generic, Self, TypeVar, cast, overload
 
+import msgspec
 import zmq
-from pydantic import ValidationError
 
 from touchd import curve
 from touchd.errors import BusError, BusTimeout
@@ -189,10 +190,8 @@ class Subscriber(Generic[E]):
             )
         try:
             event = decode(topic, parts[1])
-        except ValidationError as error:
-            # Neither the values nor the error itself, which quotes them: a key press is secret.
-            first = error.errors(include_input=False, include_url=False, include_context=False)[0]
-            problem = f"{'.'.join(str(part) for part in first['loc']) or 'payload'}: {first['msg']}"
+        except msgspec.DecodeError as error:
+            problem = _problem(error)
             version = _version(parts[1])
         else:
             if event.v == VERSION:
@@ -218,6 +217,15 @@ class Subscriber(Generic[E]):
         if last is not None and event.seq > last[0]:
             self.lost[event.type] += event.seq - last[0] - 1
         return True
+
+
+def _problem(error: msgspec.DecodeError) -> str:
+    """Return which field is wrong; neither its value nor the error itself, which quotes it: a key press is secret."""
+    if not isinstance(error, msgspec.ValidationError):
+        return "payload: no JSON"
+    said, _, where = str(error).rpartition(" - at `")
+    expected = re.fullmatch(r"Expected `[a-z |]+`, got `[a-z]+`|Object missing required field `[a-z_]+`", said or where)
+    return f"{where.rstrip('`').removeprefix('$.') or 'payload'}: {expected[0] if expected else 'not as agreed'}"
 
 
 _KNOWN = frozenset(topic.encode() for topic in TOPICS)

@@ -133,6 +133,22 @@ class GateSettings(_Section):
     noise_frames: int = Field(1000, ge=10, description="Untouched frames over which the noise is followed.")
 
 
+class SkipSettings(_Section):
+    """What the scene does not need is not done. Each skip can be switched off, to see what it saves."""
+
+    gate: bool = Field(
+        True, description="No features and no network while the gate is closed; if false they run, and nobody asks why."
+    )
+    still: bool = Field(
+        True, description="No features and no network while a frame is, but for the noise, the one looked at last."
+    )
+    still_false_alarm_rate: float = Field(
+        0.01, gt=0, lt=0.5, description="Probability that noise alone has a still finger looked at again, per frame."
+    )
+    unheard: bool = Field(True, description="No messages of a topic that nobody is subscribed to.")
+    screen: bool = Field(True, description="No touches while the screen is off, as told by `touchd screen off`.")
+
+
 class TrackerSettings(_Section):
     """From positions to contacts."""
 
@@ -229,6 +245,7 @@ class Settings(_Section):
     model: ModelSettings = ModelSettings()
     baseline: BaselineSettings = BaselineSettings()
     gate: GateSettings = GateSettings()
+    skip: SkipSettings = SkipSettings()
     tracker: TrackerSettings = TrackerSettings()
     keypad: KeypadSettings = KeypadSettings()
     bus: BusSettings = BusSettings()

@@ -17,9 +17,11 @@ class Features(Protocol):
     """A route from samples to the model's input."""
 
     size: int
+    shape: tuple[int, int]
+    """Of the features with an axis for the channels."""
 
     def extract(self, signal: Vector, out: Vector) -> None:
-        """Write the features of a signal of shape (channels, samples) to `out`, of shape (size,)."""
+        """Write the features of a signal of shape (channels, samples) to `out`, of shape (size,) or `shape`."""
         ...
 
 
@@ -52,23 +54,24 @@ class FrequencyFeatures:
 
     def __init__(self, acquisition: Acquisition) -> None:
         self._matrix = windowed_dft(acquisition).astype(np.float32)
-        self._shape = (acquisition.channels, self._matrix.shape[1])
-        self.size = self._shape[0] * self._shape[1]
+        self.shape = (acquisition.channels, self._matrix.shape[1])
+        self.size = self.shape[0] * self.shape[1]
 
     def extract(self, signal: Vector, out: Vector) -> None:
-        """Write the bins of a signal of shape (channels, samples) to `out`, of shape (size,)."""
-        np.dot(signal, self._matrix, out=out.reshape(self._shape))
+        """Write the bins of a signal of shape (channels, samples) to `out`, of shape (size,) or `shape`."""
+        np.dot(signal, self._matrix, out=out if out.shape == self.shape else out.reshape(self.shape))
 
 
 class TimeFeatures:
     """The samples of all channels, one after the other: 4 x 250 = 1000 for the paper's rig."""
 
     def __init__(self, acquisition: Acquisition) -> None:
+        self.shape = acquisition.shape
         self.size = acquisition.channels * acquisition.samples
 
     def extract(self, signal: Vector, out: Vector) -> None:
-        """Write the samples of a signal of shape (channels, samples) to `out`, of shape (size,)."""
-        out[:] = signal.reshape(-1)
+        """Write the samples of a signal of shape (channels, samples) to `out`, of shape (size,) or `shape`."""
+        out[...] = signal.reshape(out.shape)
 
 
 def make_features(domain: Domain, acquisition: Acquisition) -> Features:

@@ -24,6 +24,7 @@ class Gate:
         self._count = 0
         self._mean = 0.0
         self._variance = 0.0
+        self._deviation = 0.0
         self._open_above = math.inf
         self._close_below = math.inf
         self.is_open = False
@@ -69,6 +70,10 @@ class Gate:
         """The energy above which a closed gate opens, ADC counts squared."""
         return self._open_above
 
+    def energy_above(self, quantile: float) -> float:
+        """Return the energy of the residual which untouched frames exceed as a normal deviate exceeds the quantile."""
+        return (self._mean + quantile * self._deviation) ** 3
+
     def _set_parameters(self, settings: GateSettings) -> None:
         self._quantile = NormalDist().inv_cdf(1.0 - settings.false_alarm_rate)
         self._close_ratio = settings.close_ratio
@@ -76,7 +81,7 @@ class Gate:
 
     def _set_thresholds(self) -> None:
         # The deviation is known from few frames at first: its upper confidence limit keeps the stated rate.
-        deviation = math.sqrt(self._variance) * (1.0 + 2.0 / math.sqrt(2.0 * self._count))
-        excess = self._quantile * deviation
+        self._deviation = math.sqrt(self._variance) * (1.0 + 2.0 / math.sqrt(2.0 * self._count))
+        excess = self._quantile * self._deviation
         self._open_above = (self._mean + excess) ** 3
         self._close_below = (self._mean + self._close_ratio * excess) ** 3

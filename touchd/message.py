@@ -24,12 +24,15 @@ class Messages:
         self._wall_offset_ns = wall_offset_ns
         self._seq = {"touch": 0, "key": 0, "health": 0, "spectrum": 0}
         self._pressed: dict[int, str] = {}
+        self._wall_s = -1
+        self._wall_text = ""
 
     def touch(self, t_ns: int, frame: int, contacts: list[Contact]) -> list[Event]:
         """Return the touch message, and the presses and releases of keys that it means."""
         wall = self._wall(t_ns)
         events: list[Event] = [TouchEvent(self._device, self._next("touch"), t_ns, wall, frame, contacts)]
-        events += self._keys(t_ns, wall, contacts)
+        if is_change(contacts):
+            events += self._keys(t_ns, wall, contacts)
         return events
 
     def spectrum(self, t_ns: int, frame: int, features: list[float]) -> SpectrumEvent:
@@ -53,6 +56,7 @@ class Messages:
         version: str,
         clipped: int = 0,
         late: int = 0,
+        unheard: dict[str, int] | None = None,
         reason: str | None = None,
     ) -> HealthEvent:
         """Return the message on the daemon's own state."""
@@ -74,6 +78,7 @@ class Messages:
             version,
             clipped=clipped,
             late=late,
+            unheard=dict(unheard or {}),
             reason=reason,
         )
 
@@ -95,7 +100,13 @@ class Messages:
         return self._seq[topic]
 
     def _wall(self, t_ns: int) -> str:
-        utc_ns = t_ns + self._wall_offset_ns
-        return datetime.fromtimestamp(utc_ns // 1_000_000_000, UTC).strftime("%Y-%m-%dT%H:%M:%S") + (
-            f".{utc_ns // 1000 % 1_000_000:06d}Z"
-        )
+        utc_s, rest_ns = divmod(t_ns + self._wall_offset_ns, 1_000_000_000)
+        if utc_s != self._wall_s:  # the calendar is asked once a second: it costs more than all the rest
+            self._wall_s = utc_s
+            self._wall_text = datetime.fromtimestamp(utc_s, UTC).strftime("%Y-%m-%dT%H:%M:%S")
+        return f"{self._wall_text}.{rest_ns // 1000:06d}Z"
+
+
+def is_change(contacts: Sequence[Contact]) -> bool:
+    """Return whether a contact went down or came up: what nobody may miss, unlike where it moved meanwhile."""
+    return any(contact.phase == "down" or contact.phase == "up" for contact in contacts)

@@ -22,9 +22,10 @@ from touchd.features import make_features
 from touchd.frame import Acquisition, Frame
 from touchd.gate import Gate
 from touchd.keypad import Layout
-from touchd.message import Messages
+from touchd.message import Messages, is_change
 from touchd.model import Model
 from touchd.standing import Standing, Verdict
+from touchd.still import Still
 from touchd.tracker import Touch, Tracker
 
 NOTHING: list[Event] = []
@@ -42,7 +43,12 @@ class Counters:
     lost: int = 0
     repeated: int = 0
     inferred: int = 0
-    skipped: dict[str, int] = field(default_factory=lambda: {"learning": 0, "gate": 0, "faint": 0})
+    skipped: dict[str, int] = field(
+        default_factory=lambda: {"learning": 0, "gate": 0, "faint": 0, "still": 0, "screen-off": 0}
+    )
+    """Frames that needed neither features nor network, by reason."""
+    unheard: dict[str, int] = field(default_factory=lambda: {"touch": 0, "spectrum": 0})
+    """Messages that were not made because nobody was subscribed, by topic."""
 
 
 class Pipeline:
@@ -80,10 +86,16 @@ class Pipeline:
         self.gate = Gate(settings.gate)
         self.tracker = Tracker(settings.tracker)
         self._standing = Standing(acquisition.shape, settings.baseline)
+        self._still = Still(acquisition.shape, settings.skip.still_false_alarm_rate)
         self._features = make_features(model.description.domain, acquisition)
         self._model = model
+        self._input = model.features.reshape(self._features.shape)
         self._of_residual = model.description.input == "residual"
-        self._raw = np.zeros(acquisition.shape, np.float32)
+        self._signal = self.baseline.residual if self._of_residual else self.baseline.signal
+        self._located: tuple[Touch, ...] = ()  # what the frame looked at last holds
+        self._was_alive = False  # and whether a contact was down then, of whom less confidence is asked
+        self._was_leaving: bool | None = None  # and whether its negative is a finger, once that was asked
+        self._screen_off = False
         self._set_thresholds(settings, layout)
         self._messages = messages
         self._wants = wants
@@ -105,26 +117,41 @@ class Pipeline:
         if self._learning:
             return self._learn(frame)
         energy = self.baseline.subtract(frame.counts)
-        if not self.gate.decide(energy):
+        is_open = self.gate.decide(energy)
+        if self._screen_off:
+            return self._rest(frame, energy, elapsed_s, is_open=is_open)
+        if not is_open:
+            self._count_closed(energy)
             self._untouched(frame, energy, elapsed_s)
             return self._track(frame, ()) if self.tracker.busy else NOTHING
 
         # So little above the noise, a change tells that something is there, but not where.
         faint = energy < self._min_snr * self.gate.noise_energy
-        self.counters.skipped["faint"] += faint
-        touch = None if faint else self._locate(frame, energy)
-        events = self._track(frame, (touch,) if touch else ())
-        self._settle(frame, energy, elapsed_s, found=touch is not None, faint=faint)
+        if faint:
+            self.counters.skipped["faint"] += 1
+        touches = () if faint else self._find(energy)
+        events = self._track(frame, touches)
+        self._settle(frame, energy, elapsed_s, found=bool(touches), faint=faint)
         return events
 
     def noise_counts(self) -> float:
         """Return the RMS of an untouched frame against the baseline, ADC counts; 0 before it is known."""
-        return math.sqrt(self.gate.noise_energy / self._raw.size)
+        return math.sqrt(self.gate.noise_energy / self.baseline.residual.size)
 
     def lose(self, t_ns: int) -> list[Event]:
         """End all contacts because no further frame comes, and return the events."""
         contacts = self.tracker.release_all(t_ns)
         return self._messages.touch(t_ns, self._last_sequence or 0, contacts) if contacts else NOTHING
+
+    def screen(self, *, off: bool) -> list[Event]:
+        """Take note of whether the screen is off, and return the events that end its contacts.
+
+        Nobody can mean anything by a touch then: frames only keep the baseline, with neither features nor network.
+        """
+        if off == self._screen_off or not self._skip.screen:
+            return NOTHING
+        self._screen_off = off
+        return self.lose(self._last_ns)
 
     def retune(self, settings: Settings, layout: Layout | None) -> None:
         """Take other thresholds, time constants and keys from the next frame on; the baseline and contacts stay."""
@@ -132,6 +159,7 @@ class Pipeline:
         self.gate.retune(settings.gate)
         self.tracker.retune(settings.tracker)
         self._standing.retune(settings.baseline)
+        self._still.retune(settings.skip.still_false_alarm_rate)
         self._set_thresholds(settings, layout)
 
     def restart(self) -> None:
@@ -150,6 +178,10 @@ class Pipeline:
         self._force_full_scale = settings.tracker.force_full_scale
         self._small = 10 ** (settings.baseline.drift_below_db / 10)
         self._layout = layout
+        self._skip = settings.skip
+        self._still.forget()
+        if not self._skip.screen:
+            self._screen_off = False
 
     # -- the stages that need more than one call ---------------------------------------------------
 
@@ -186,39 +218,77 @@ class Pipeline:
         return self._track(frame, ()) if self.tracker.busy else NOTHING
 
     def _untouched(self, frame: Frame, energy: float, elapsed_s: float) -> None:
-        """The gate is closed: neither features nor network run; the plate's drift and noise are followed."""
-        self.counters.skipped["gate"] += 1
+        """The gate is closed: the plate's drift and noise are followed."""
         self._standing.clear()
+        self._still.forget()
         self.gate.follow(energy)
         if not self.tracker.busy:
             self.baseline.follow(elapsed_s)
             self.followed_ns = frame.t_ns
 
-    def _locate(self, frame: Frame, energy: float) -> Touch | None:
-        """Features and network: where the finger is, or None if this does not look like one."""
-        signal = self.baseline.residual
-        if not self._of_residual:
-            signal = self._raw
-            np.copyto(signal, frame.counts)
-        self._features.extract(signal, self._model.features[0])
+    def _count_closed(self, energy: float) -> None:
+        """What lets features and network be skipped: noise alone explains the frame, whatever they would say of it."""
+        if self._skip.gate:
+            self.counters.skipped["gate"] += 1
+        else:
+            self._locate(energy)
+
+    def _rest(self, frame: Frame, energy: float, elapsed_s: float, *, is_open: bool) -> list[Event]:
+        """What lets all but the baseline be skipped: the screen is off, and no touch can mean anything."""
+        self.counters.skipped["screen-off"] += 1
+        if is_open:
+            # As with anything that is no finger: what stays is absorbed, so that it is none when the screen goes on.
+            self._settle(frame, energy, elapsed_s, found=False, faint=True)
+        else:
+            self._untouched(frame, energy, elapsed_s)
+        return NOTHING
+
+    def _find(self, energy: float) -> tuple[Touch, ...]:
+        """Return the fingers of this frame: found anew, or those of the frame looked at last if nothing has changed."""
+        alive = self.tracker.alive
+        if alive is self._was_alive and self._still.holds(self.baseline.residual):
+            # What lets features and network be skipped: but for the noise they would see what they have seen.
+            self.counters.skipped["still"] += 1
+            return self._located
+        if self._skip.still:
+            self._still.look(self.baseline.residual, self.gate)
+        self._was_alive, self._was_leaving = alive, None
+        self._located = self._locate(energy)
+        return self._located
+
+    def _locate(self, energy: float) -> tuple[Touch, ...]:
+        """Features and network: where the fingers are, none if this does not look like any."""
+        self._features.extract(self._signal, self._input)
         self.counters.inferred += 1
         estimate = self._model.estimate()
         confident = self._keep_confidence if self.tracker.alive else self._min_confidence
         # Asked this way round, so that a network that says NaN places nothing.
         if not (estimate.confidence >= confident and estimate.sigma_mm <= self._max_sigma_mm):
-            return None
+            return ()
         force = min(1.0, (energy / self._signal_energy) ** 0.5 / self._force_full_scale)
         key = self._layout.at(estimate.x_mm, estimate.y_mm) if self._layout else estimate.key
-        return Touch(estimate.x_mm, estimate.y_mm, estimate.sigma_mm, estimate.confidence, force, key)
+        return (Touch(estimate.x_mm, estimate.y_mm, estimate.sigma_mm, estimate.confidence, force, key),)
 
     def _track(self, frame: Frame, touches: tuple[Touch, ...]) -> list[Event]:
         contacts = self.tracker.update(frame.t_ns, touches)
-        events: list[Event] = []
+        events = NOTHING
         if contacts:
-            events = self._messages.touch(frame.t_ns, frame.sequence, contacts)
-        if touches and self._wants("spectrum"):
-            events.append(self._messages.spectrum(frame.t_ns, frame.sequence, self._model.features[0].tolist()))
+            # What lets a message be skipped: nobody is there to read it. That a contact is there is kept for those to
+            # come, for keys and for the pre-roll; where it is, they learn from its next message.
+            if is_change(contacts) or self._hears("touch"):
+                events = self._messages.touch(frame.t_ns, frame.sequence, contacts)
+            else:
+                self.counters.unheard["touch"] += 1
+        if touches:
+            if self._hears("spectrum"):
+                spectrum = self._messages.spectrum(frame.t_ns, frame.sequence, self._model.features[0].tolist())
+                events = [*events, spectrum]
+            else:
+                self.counters.unheard["spectrum"] += 1
         return events
+
+    def _hears(self, topic: str) -> bool:
+        return self._wants(topic) or not self._skip.unheard
 
     def _settle(self, frame: Frame, energy: float, elapsed_s: float, *, found: bool, faint: bool) -> None:
         """The gate is open: decide whether the plate as it is now has become the untouched one."""
@@ -236,11 +306,12 @@ class Pipeline:
         """Return whether the negative of the residual is a finger: one that the baseline held has gone."""
         if not self._of_residual:
             return False
-        features = self._model.features
-        features *= -1.0
-        leaving = self._model.estimate().confidence >= self._min_confidence
-        features *= -1.0
-        return leaving
+        if self._was_leaving is None:
+            features = self._model.features
+            np.negative(features, features)
+            self._was_leaving = self._model.estimate().confidence >= self._min_confidence
+            np.negative(features, features)
+        return self._was_leaving
 
     def _relearn(self, frame: Frame, verdict: Verdict, energy: float) -> None:
         level_db = 10 * math.log10(energy / self._signal_energy)
@@ -249,4 +320,5 @@ class Pipeline:
 
     def _learn_anew(self) -> None:
         self.baseline.restart()
+        self._still.forget()
         self._learning = True

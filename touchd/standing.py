@@ -37,6 +37,8 @@ class Standing:
         self._reference = np.zeros(shape, np.float32)
         self._previous = np.zeros(shape, np.float32)
         self._difference = np.zeros(shape, np.float32)
+        self._flat = self._difference.reshape(-1)
+        self._energy = np.zeros((), np.float32)
         self.clear()
 
     def retune(self, settings: BaselineSettings) -> None:
@@ -47,7 +49,8 @@ class Standing:
     def clear(self) -> None:
         """Forget everything: the gate has closed."""
         self._same_since_ns: int | None = None
-        self._noise_since_ns: int | None = None
+        self._noise_since_ns = 0
+        self._follows = False  # whether `_previous` is the frame before
         self._unlike = 0.0
         self._lifted = 0
 
@@ -67,15 +70,14 @@ class Standing:
         """
         if self._same_since_ns is None:
             self._begin(t_ns, residual)
-            self._previous[:] = residual
+            self._noise_since_ns = t_ns
             return None
         if self._distance(residual, self._reference) > _SAME_BELOW * energy:
             self._begin(t_ns, residual)
-        # A running mean over some ten frames: one frame alone can resemble the one before by chance.
-        self._unlike += 0.1 * (self._distance(residual, self._previous) / energy - self._unlike)
-        if finger or self._unlike < _NOISE_ABOVE or self._noise_since_ns is None:
-            self._noise_since_ns = t_ns
-        self._previous[:] = residual
+        if finger:  # no noise, whatever it does: what it differs by need not be known
+            self._noise_since_ns, self._follows = t_ns, False
+        else:
+            self._compare(t_ns, residual, energy)
         self._lifted = self._lifted + 1 if leaving and not finger else 0
 
         if self._lifted >= _LIFTED_FRAMES:
@@ -88,9 +90,19 @@ class Standing:
 
     def _begin(self, t_ns: int, residual: Signal) -> None:
         self._same_since_ns = t_ns
-        self._reference[:] = residual
+        self._reference[...] = residual
+
+    def _compare(self, t_ns: int, residual: Signal, energy: float) -> None:
+        """Follow how much each frame differs from the one before."""
+        if self._follows:
+            # A running mean over some ten frames: one frame alone can resemble the one before by chance.
+            self._unlike += 0.1 * (self._distance(residual, self._previous) / energy - self._unlike)
+        if self._unlike < _NOISE_ABOVE:
+            self._noise_since_ns = t_ns
+        self._previous[...] = residual
+        self._follows = True
 
     def _distance(self, a: Signal, b: Signal) -> float:
-        np.subtract(a, b, out=self._difference)
-        flat = self._difference.reshape(-1)
-        return float(flat.dot(flat))
+        np.subtract(a, b, self._difference)
+        self._flat.dot(self._flat, self._energy)
+        return self._energy.item()

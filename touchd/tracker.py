@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
-from math import dist
+from math import hypot
 from typing import NamedTuple
 
 from touchd.assignment import assign
@@ -49,6 +49,9 @@ class Tracker:
     def __init__(self, settings: TrackerSettings) -> None:
         self.retune(settings)
         self._tracks: list[_Track] = []
+        self._missed = False  # whether a track may have ended
+        self.alive = False
+        """Whether any contact is down."""
         self._next_id = 1
         self._last_ns = 0
         self._reported_ns = 0
@@ -63,11 +66,6 @@ class Tracker:
         """Whether any finger is being followed, confirmed or not."""
         return bool(self._tracks)
 
-    @property
-    def alive(self) -> bool:
-        """Whether any contact is down."""
-        return any(track.contact is not None for track in self._tracks)
-
     def update(self, t_ns: int, touches: Sequence[Touch]) -> list[Contact] | None:
         """Take in the fingers of one frame.
 
@@ -80,6 +78,9 @@ class Tracker:
         """
         elapsed_s = max(t_ns - self._last_ns, 1) * 1e-9
         self._last_ns = t_ns
+        if len(self._tracks) == len(touches) == 1 and self._cost(self._tracks[0], touches[0]) < _NEVER:
+            # One finger and one touch within its reach: there is nothing to choose.
+            return self._report(t_ns, self._advance(self._tracks[0], touches[0], elapsed_s), elapsed_s)
         due = False
         matched = self._match(touches)
         for track, touch in zip(self._tracks, matched, strict=True):
@@ -109,7 +110,7 @@ class Tracker:
         return [touches[j] if j < len(touches) else None for j in columns]
 
     def _cost(self, track: _Track, touch: Touch) -> float:
-        distance_mm = dist((track.filter.x_mm, track.filter.y_mm), (touch.x_mm, touch.y_mm))
+        distance_mm = hypot(track.filter.x_mm - touch.x_mm, track.filter.y_mm - touch.y_mm)
         return distance_mm if distance_mm <= self._settings.reach_mm else _NEVER
 
     def _advance(self, track: _Track, touch: Touch, elapsed_s: float) -> bool:
@@ -122,7 +123,7 @@ class Tracker:
         at = track.filter
         contact.sigma_mm, contact.confidence, contact.force = touch.sigma_mm, touch.confidence, touch.force
         contact.vx_mm_s, contact.vy_mm_s = at.vx_mm_s, at.vy_mm_s
-        if dist((contact.x_mm, contact.y_mm), (at.x_mm, at.y_mm)) <= self._settings.dead_band_mm:
+        if hypot(contact.x_mm - at.x_mm, contact.y_mm - at.y_mm) <= self._settings.dead_band_mm:
             contact.phase = "hold"
             return False
         contact.phase = "move"
@@ -138,10 +139,12 @@ class Tracker:
             at.vx_mm_s, at.vy_mm_s, touch.key,
         )  # fmt: skip
         self._next_id += 1
+        self.alive = True
         return True
 
     def _miss(self, track: _Track) -> bool:
         track.missing += 1
+        self._missed = True
         contact = track.contact
         if contact is None:
             return False
@@ -159,7 +162,10 @@ class Tracker:
         due = due or quiet_ns < 0 or quiet_ns + round(elapsed_s * 1e9) > self._refresh_ns
         # Copies: a message must not change after it was handed on.
         contacts = [copy(track.contact) for track in self._tracks if track.contact is not None] if due else []
-        self._tracks = [track for track in self._tracks if _lives(track)]
+        if self._missed:
+            self._missed = False
+            self._tracks = [track for track in self._tracks if _lives(track)]
+            self.alive = any(track.contact is not None for track in self._tracks)
         if not contacts:
             return None
         self._reported_ns = t_ns
