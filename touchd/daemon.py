@@ -113,13 +113,17 @@ def make_pipeline(
     notify: Callable[[str, dict[str, float]], None] = log_notice,
     model: Model | None = None,
 ) -> tuple[Pipeline, Model]:
-    """Return the pipeline for a source, with the model that the settings name unless it is loaded already."""
+    """Return the pipeline for a source, with the model that the settings name unless it is loaded already.
+
+    Without sinks the caller is taken for one, who wants all events but the spectra.
+    """
     model = model or load_model(settings)
     layout = layout_of(settings, model)
 
-    def wants(topic: str) -> bool:
-        return any(sink.wants(topic) for sink in sinks)
+    def wanted(topic: str) -> bool:
+        return any(sink.wants(topic) for sink in sinks) if sinks else topic != "spectrum"
 
+    wants = sinks[0].wants if len(sinks) == 1 else wanted  # it is asked with every touched frame
     pipeline = Pipeline(source.acquisition, model, settings, messages, layout, wants, notify)
     return pipeline, model
 

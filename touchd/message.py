@@ -31,8 +31,7 @@ class Messages:
         """Return the touch message, and the presses and releases of keys that it means."""
         wall = self._wall(t_ns)
         events: list[Event] = [TouchEvent(self._device, self._next("touch"), t_ns, wall, frame, contacts)]
-        if is_change(contacts):
-            events += self._keys(t_ns, wall, contacts)
+        events += self._keys(t_ns, wall, contacts)
         return events
 
     def spectrum(self, t_ns: int, frame: int, features: list[float]) -> SpectrumEvent:

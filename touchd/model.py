@@ -162,8 +162,8 @@ class Model:
 
 
 def _read_regression(model: Model) -> Estimate:
-    x_mm, y_mm = model.outputs["position_mm"][0].tolist()
-    return Estimate(x_mm, y_mm, model.outputs["sigma_mm"].item(), model.outputs["confidence"].item())
+    position_mm = model.outputs["position_mm"].item
+    return Estimate(position_mm(0), position_mm(1), model.outputs["sigma_mm"].item(), model.outputs["confidence"].item())
 
 
 def _read_grid(model: Model) -> Estimate:

@@ -59,6 +59,7 @@ class Tracker:
     def retune(self, settings: TrackerSettings) -> None:
         """Take other settings; the filter's hold from the next contact on."""
         self._settings = settings
+        self._reach_mm, self._dead_band_mm = settings.reach_mm, settings.dead_band_mm
         self._refresh_ns = round(settings.refresh_s * 1e9)
 
     @property
@@ -105,13 +106,13 @@ class Tracker:
         if not tracks or not touches:
             return [None] * len(tracks)
         # A track may also stay without a touch, at the price of the reach: a column of its own for each.
-        alone = [self._settings.reach_mm] * len(tracks)
+        alone = [self._reach_mm] * len(tracks)
         columns = assign([[self._cost(track, touch) for touch in touches] + alone for track in tracks])
         return [touches[j] if j < len(touches) else None for j in columns]
 
     def _cost(self, track: _Track, touch: Touch) -> float:
         distance_mm = hypot(track.filter.x_mm - touch.x_mm, track.filter.y_mm - touch.y_mm)
-        return distance_mm if distance_mm <= self._settings.reach_mm else _NEVER
+        return distance_mm if distance_mm <= self._reach_mm else _NEVER
 
     def _advance(self, track: _Track, touch: Touch, elapsed_s: float) -> bool:
         track.missing = 0
@@ -123,7 +124,7 @@ class Tracker:
         at = track.filter
         contact.sigma_mm, contact.confidence, contact.force = touch.sigma_mm, touch.confidence, touch.force
         contact.vx_mm_s, contact.vy_mm_s = at.vx_mm_s, at.vy_mm_s
-        if hypot(contact.x_mm - at.x_mm, contact.y_mm - at.y_mm) <= self._settings.dead_band_mm:
+        if hypot(contact.x_mm - at.x_mm, contact.y_mm - at.y_mm) <= self._dead_band_mm:
             contact.phase = "hold"
             return False
         contact.phase = "move"
