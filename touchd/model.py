@@ -162,8 +162,9 @@ class Model:
 
 
 def _read_regression(model: Model) -> Estimate:
-    position_mm = model.outputs["position_mm"].item
-    return Estimate(position_mm(0), position_mm(1), model.outputs["sigma_mm"].item(), model.outputs["confidence"].item())
+    said = model.outputs
+    position_mm = said["position_mm"].item
+    return Estimate(position_mm(0), position_mm(1), said["sigma_mm"].item(), said["confidence"].item())
 
 
 def _read_grid(model: Model) -> Estimate:
