@@ -353,6 +353,112 @@ def test_when_the_frames_stop_every_contact_is_lifted(scene: Scene, make: Callab
     assert phases(run(pipeline, frames[300:400])) == [(2, "down")], "it goes on, under another id"
 
 
+# -- what is skipped -------------------------------------------------------------------------------
+
+
+def without(skip: str) -> Settings:
+    return Settings.model_validate({"skip": {skip: False}})
+
+
+def test_a_network_that_runs_though_the_gate_is_closed_changes_nothing_but_the_cost(
+    scene: Scene, make: Callable[..., Pipeline]
+) -> None:
+    skipping, running = make(), make(without("gate"))
+    assert run(running, frames_of(scene("tap"))) == run(skipping, frames_of(scene("tap")))
+    assert running.counters.skipped["gate"] == 0
+    assert running.counters.inferred == skipping.counters.inferred + skipping.counters.skipped["gate"]
+
+
+def test_without_a_subscriber_only_what_goes_down_or_comes_up_is_told(
+    scene: Scene, make: Callable[..., Pipeline]
+) -> None:
+    frames = frames_of(scene("circle"))
+    heard, unheard = make(), make(wants=lambda _topic: False)
+    told, untold = run(heard, frames), run(unheard, frames)
+    assert phases(untold) == phases(told)
+    touches = [event for event in told if isinstance(event, TouchEvent)]
+    assert len(untold) == len(phases(told))
+    assert [event.seq for event in untold] == list(range(1, len(untold) + 1)), "nobody takes them for lost"
+    counted = unheard.counters.unheard
+    assert counted["touch"] == len(touches) - len(untold)
+    assert counted["spectrum"] == len(told) - len(touches) > 100
+    assert heard.counters.unheard == {"touch": 0, "spectrum": 0}
+    assert run(make(without("unheard"), wants=lambda _topic: False), frames) == told
+
+
+def test_while_the_screen_is_off_contacts_are_up_and_neither_features_nor_network_run(
+    scene: Scene, make: Callable[..., Pipeline]
+) -> None:
+    frames = frames_of(scene("circle"))
+    pipeline = make()
+    assert phases(run(pipeline, frames[:300])) == [(1, "down")]
+    inferred = pipeline.counters.inferred
+    assert phases(pipeline.screen(off=True)) == [(1, "up")]
+    assert pipeline.screen(off=True) == [], "said twice it is no news"
+    assert run(pipeline, frames[300:400]) == []
+    assert pipeline.counters.inferred == inferred
+    assert pipeline.counters.skipped["screen-off"] == 100
+    assert pipeline.screen(off=False) == []
+    assert phases(run(pipeline, frames[400:450])) == [(2, "down")]
+    assert pipeline.counters.frames == pipeline.counters.inferred + sum(pipeline.counters.skipped.values())
+
+
+def test_a_key_that_is_held_when_the_screen_goes_off_is_released(
+    scene: Scene, make: Callable[..., Pipeline], keypad: dict[str, Any]
+) -> None:
+    pipeline = make(**keypad)
+    for frame in frames_of(scene("keypad")):
+        if any(isinstance(event, KeyEvent) for event in pipeline.process(frame)):
+            break
+    (release,) = (event for event in pipeline.screen(off=True) if isinstance(event, KeyEvent))
+    assert (release.key, release.phase) == ("2", "release")
+
+
+def test_the_plate_is_followed_while_the_screen_is_off(scene: Scene, make: Callable[..., Pipeline]) -> None:
+    frames = frames_of(scene("idle"))
+    awake, asleep = make(), make()
+    for pipeline in (awake, asleep):
+        run(pipeline, frames[:40])
+    asleep.screen(off=True)
+    for pipeline in (awake, asleep):
+        run(pipeline, frames[40:])
+    np.testing.assert_array_equal(asleep.baseline.mean, awake.baseline.mean)
+    assert asleep.noise_counts() == awake.noise_counts()
+    assert asleep.followed_ns == awake.followed_ns == frames[-1].t_ns
+    assert asleep.counters.skipped["screen-off"] == len(frames) - 40
+
+
+def test_what_is_laid_down_while_the_screen_is_off_is_no_touch_when_it_is_on_again(
+    scene: Scene, make: Callable[..., Pipeline]
+) -> None:
+    """It has become part of the plate after its time, as ever."""
+    notices: list[str] = []
+    settings = Settings.model_validate({"baseline": {"absorb_s": 2.0}})
+    pipeline = make(settings, notify=lambda reason, _fields: notices.append(reason))
+    recording = scene("hold")
+    held = np.flatnonzero(~np.isnan(recording.contacts_mm[:, 0, 0]))  # type: ignore[index]  # the twin tells the truth
+    frames = frames_of(recording)
+    run(pipeline, frames[: held[0] - 5])
+    pipeline.screen(off=True)
+    assert run(pipeline, frames[held[0] - 5 : held[0] + 400]) == []
+    assert notices == ["absorbed"]
+    pipeline.screen(off=False)
+    assert run(pipeline, frames[held[0] + 400 : held[0] + 600]) == []
+
+
+def test_a_daemon_that_shall_not_skip_for_the_screen_takes_no_note_of_it(
+    scene: Scene, make: Callable[..., Pipeline]
+) -> None:
+    frames = frames_of(scene("tap"))
+    ever = make(without("screen"))
+    assert ever.screen(off=True) == []
+    assert run(ever, frames) == run(make(), frames)
+    asleep = make()
+    asleep.screen(off=True)
+    asleep.retune(without("screen"), None)
+    assert run(asleep, frames) == run(make(), frames), "a configuration that is read again switches it on"
+
+
 # -- cost ------------------------------------------------------------------------------------------
 
 

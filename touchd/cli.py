@@ -26,6 +26,7 @@ VERBS = {
     "quantise": "Write a model with weights of 8 bits.",
     "record": "Write frames to a file.",
     "reproduce": "Run the source paper's experiments again.",
+    "screen": "Tell the daemon that the screen is off, or on.",
     "simulate": "Write a recording made by the digital twin.",
     "train": "Train a model on a labelled recording.",
 }

@@ -194,6 +194,16 @@ class BusSettings(_Section):
     high_water_mark: int = Field(1000, ge=1, description="Messages kept for a slow subscriber before it loses some.")
 
 
+class ControlSettings(_Section):
+    """Where the daemon is told that the screen went off or on: see `touchd screen`."""
+
+    socket: OptionalPath = Field(
+        None,
+        description="Socket file; unset is `control` in the service's runtime folder, and none without a service.",
+    )
+    group: str = Field("", description="Group that may use it (mode 0660); empty keeps it private.")
+
+
 class HealthSettings(_Section):
     """The `health` topic."""
 
@@ -249,6 +259,7 @@ class Settings(_Section):
     tracker: TrackerSettings = TrackerSettings()
     keypad: KeypadSettings = KeypadSettings()
     bus: BusSettings = BusSettings()
+    control: ControlSettings = ControlSettings()
     health: HealthSettings = HealthSettings()
     preroll: PreRollSettings = PreRollSettings()
     log: LogSettings = LogSettings()

@@ -14,6 +14,7 @@ import structlog
 
 from touchd import realtime
 from touchd.config import Settings
+from touchd.control import Control, path_of
 from touchd.errors import SourceError
 from touchd.frame import Acquisition
 from touchd.keypad import Layout, load_layout
@@ -190,6 +191,7 @@ def run(
     source = open_source(choice, settings, model)
     bus: ZeromqSink | None = None
     preroll: PreRoll | None = None
+    control: Control | None = None
     try:
         bus = ZeromqSink(settings.bus)
         sinks: list[Sink] = [bus]
@@ -204,6 +206,10 @@ def run(
         if preroll is not None:
             service.keep(preroll)
             save_on_signal(preroll)
+        where = path_of(settings.control)
+        if where is not None:
+            control = Control(where, settings.control.group)
+            service.obey(control)
         stop_on_signals(service)
         if read_settings is not None:
             reloader = Reloader(settings, read_settings, lambda new: layout_of(new, model), pipeline)
@@ -217,6 +223,8 @@ def run(
         source.close()
         if bus is not None:
             bus.close()
+        if control is not None:
+            control.close()
         if preroll is not None:
             preroll.close()
         manager.close()

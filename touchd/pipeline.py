@@ -95,7 +95,8 @@ class Pipeline:
         self._located: tuple[Touch, ...] = ()  # what the frame looked at last holds
         self._was_alive = False  # and whether a contact was down then, of whom less confidence is asked
         self._was_leaving: bool | None = None  # and whether its negative is a finger, once that was asked
-        self._screen_off = False
+        self.screen_off = False
+        """Whether frames only keep the baseline, since nobody sees what is touched."""
         self._set_thresholds(settings, layout)
         self._messages = messages
         self._wants = wants
@@ -118,7 +119,7 @@ class Pipeline:
             return self._learn(frame)
         energy = self.baseline.subtract(frame.counts)
         is_open = self.gate.decide(energy)
-        if self._screen_off:
+        if self.screen_off:
             return self._rest(frame, energy, elapsed_s, is_open=is_open)
         if not is_open:
             self._count_closed(energy)
@@ -148,9 +149,9 @@ class Pipeline:
 
         Nobody can mean anything by a touch then: frames only keep the baseline, with neither features nor network.
         """
-        if off == self._screen_off or not self._skip.screen:
+        if off == self.screen_off or not self._skip.screen:
             return NOTHING
-        self._screen_off = off
+        self.screen_off = off
         return self.lose(self._last_ns)
 
     def retune(self, settings: Settings, layout: Layout | None) -> None:
@@ -181,7 +182,7 @@ class Pipeline:
         self._skip = settings.skip
         self._still.forget()
         if not self._skip.screen:
-            self._screen_off = False
+            self.screen_off = False
 
     # -- the stages that need more than one call ---------------------------------------------------
 

@@ -14,7 +14,7 @@ from touchd.errors import TouchdError
 from touchd.keypad import Layout
 from touchd.pipeline import Pipeline
 
-RESTART_ONLY = frozenset({"device", "bus", "realtime", "model.path", "baseline.learn_frames"})
+RESTART_ONLY = frozenset({"device", "bus", "control", "realtime", "model.path", "baseline.learn_frames"})
 """Tables and keys that hold from the start to the end: what is open, bound, loaded or learned by then."""
 
 log = structlog.get_logger()

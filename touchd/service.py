@@ -13,6 +13,7 @@ import structlog
 
 from touchd import __version__
 from touchd.config import HealthSettings
+from touchd.control import Control
 from touchd.event import Event, HealthEvent, Latency, State
 from touchd.message import Messages
 from touchd.notify import Notifier
@@ -25,6 +26,8 @@ READ_TIMEOUT_S = 0.05  # how long a new subscriber waits at most for its last va
 STALL_NS = 1_000_000_000
 _READY: tuple[State, ...] = ("streaming", "lost")
 """Frames flow, or the device is awaited."""
+_CONTROL_NS = 50_000_000
+"""Commands are looked for this often: a look costs as much as half an idle frame."""
 _LATENCIES = 8192  # kept for one health period; more messages than that a second are sampled by overwriting
 
 log = structlog.get_logger()
@@ -61,6 +64,8 @@ class Service:
         # A device has states of its own; of any other source only its silence is known.
         self._live = source if isinstance(source, LiveSource) else None
         self._preroll: PreRoll | None = None
+        self._control: Control | None = None
+        self._control_ns = 0
         self._pipeline = pipeline
         self._sinks = sinks
         self._messages = messages
@@ -96,6 +101,10 @@ class Service:
     def keep(self, preroll: PreRoll) -> None:
         """Have a copy of each frame kept, once its events are published."""
         self._preroll = preroll
+
+    def obey(self, control: Control) -> None:
+        """Have commands taken from there."""
+        self._control = control
 
     @property
     def stopped(self) -> bool:
@@ -146,6 +155,10 @@ class Service:
             self._enter("stalled")
         if now_ns - self._health_ns >= self._period_ns:
             self._publish_health()
+        if self._control is not None and now_ns - self._control_ns >= _CONTROL_NS:
+            self._control_ns = now_ns
+            for command in self._control.poll():
+                self._switch(command == "screen off", now_ns)
         if self._reload_asked:
             self._read_configuration()
         # Here, where every frame comes by: a stage, a sink or a source that hangs starves the watchdog.
@@ -157,6 +170,14 @@ class Service:
             self._manager.reloading()
             self._period_ns = round(self._reload().period_s * 1e9)
             self._manager.reloaded()
+
+    def _switch(self, off: bool, now_ns: int) -> None:
+        """Take note of whether the screen is off."""
+        before = self._pipeline.screen_off
+        self._publish(self._pipeline.screen(off=off), now_ns)
+        if self._pipeline.screen_off != before:
+            log.info("screen", state="off" if off else "on")
+            self._publish_health()
 
     def _publish(self, events: Sequence[Event], received_ns: int) -> None:
         for event in events:
@@ -228,7 +249,8 @@ class Service:
             version=__version__,
             clipped=tally.clipped,
             late=tally.late,
-            reason=self._reason,
+            unheard={topic: count for topic, count in counters.unheard.items() if count},
+            reason=self._reason or ("the screen is off" if pipeline.screen_off else None),
         )
 
     def _latency(self) -> Latency:
