@@ -35,6 +35,10 @@ LATE_FRAMES = 32
 """A frame numbered at most so much lower than the last is a repetition, not a device that starts again."""
 
 
+def _everybody(_topic: str) -> bool:
+    return True
+
+
 @dataclass(slots=True)
 class Counters:
     """What became of the frames."""
@@ -91,16 +95,17 @@ class Pipeline:
         self._model = model
         self._input = model.features.reshape(self._features.shape)
         self._of_residual = model.description.input == "residual"
-        self._signal = self.baseline.residual if self._of_residual else self.baseline.signal
+        self._residual = self.baseline.residual
+        self._signal = self._residual if self._of_residual else self.baseline.signal
         self._located: tuple[Touch, ...] = ()  # what the frame looked at last holds
         self._was_alive = False  # and whether a contact was down then, of whom less confidence is asked
         self._was_leaving: bool | None = None  # and whether its negative is a finger, once that was asked
         self.screen_off = False
         """Whether frames only keep the baseline, since nobody sees what is touched."""
-        self._set_thresholds(settings, layout)
         self._messages = messages
         self._wants = wants
         self._notify = notify
+        self._set_thresholds(settings, layout)
         self._learning = True
         self._signal_energy = 1.0
         self._last_sequence: int | None = None
@@ -137,7 +142,7 @@ class Pipeline:
 
     def noise_counts(self) -> float:
         """Return the RMS of an untouched frame against the baseline, ADC counts; 0 before it is known."""
-        return math.sqrt(self.gate.noise_energy / self.baseline.residual.size)
+        return math.sqrt(self.gate.noise_energy / self._residual.size)
 
     def lose(self, t_ns: int) -> list[Event]:
         """End all contacts because no further frame comes, and return the events."""
@@ -180,6 +185,7 @@ class Pipeline:
         self._small = 10 ** (settings.baseline.drift_below_db / 10)
         self._layout = layout
         self._skip = settings.skip
+        self._hears = self._wants if settings.skip.unheard else _everybody
         self._still.forget()
         if not self._skip.screen:
             self.screen_off = False
@@ -247,12 +253,12 @@ class Pipeline:
     def _find(self, energy: float) -> tuple[Touch, ...]:
         """Return the fingers of this frame: found anew, or those of the frame looked at last if nothing has changed."""
         alive = self.tracker.alive
-        if alive is self._was_alive and self._still.holds(self.baseline.residual):
+        if alive is self._was_alive and self._still.holds(self._residual):
             # What lets features and network be skipped: but for the noise they would see what they have seen.
             self.counters.skipped["still"] += 1
             return self._located
         if self._skip.still:
-            self._still.look(self.baseline.residual, self.gate)
+            self._still.look(self._residual, self.gate)
         self._was_alive, self._was_leaving = alive, None
         self._located = self._locate(energy)
         return self._located
@@ -276,7 +282,7 @@ class Pipeline:
         if contacts:
             # What lets a message be skipped: nobody is there to read it. That a contact is there is kept for those to
             # come, for keys and for the pre-roll; where it is, they learn from its next message.
-            if is_change(contacts) or self._hears("touch"):
+            if self._hears("touch") or is_change(contacts):
                 events = self._messages.touch(frame.t_ns, frame.sequence, contacts)
             else:
                 self.counters.unheard["touch"] += 1
@@ -288,9 +294,6 @@ class Pipeline:
                 self.counters.unheard["spectrum"] += 1
         return events
 
-    def _hears(self, topic: str) -> bool:
-        return self._wants(topic) or not self._skip.unheard
-
     def _settle(self, frame: Frame, energy: float, elapsed_s: float, *, found: bool, faint: bool) -> None:
         """The gate is open: decide whether the plate as it is now has become the untouched one."""
         finger = found or self.tracker.alive
@@ -299,7 +302,7 @@ class Pipeline:
             self.baseline.follow(elapsed_s)
             self.followed_ns = frame.t_ns
         leaving = not finger and not faint and self._looks_like_leaving()
-        verdict = self._standing.watch(frame.t_ns, self.baseline.residual, energy, finger=finger, leaving=leaving)
+        verdict = self._standing.watch(frame.t_ns, self._residual, energy, finger=finger, leaving=leaving)
         if verdict is not None:
             self._relearn(frame, verdict, energy)
 
