@@ -7,7 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from touchd.evaluation.stream import NEAR_MM, SLACK_FRAMES, found_contacts, score_stream, true_touches
+from touchd.evaluation.matching import REACH_MM
+from touchd.evaluation.stream import SLACK_FRAMES, found_contacts, score_stream
+from touchd.evaluation.truth import true_touches
 from touchd.event import Contact, Phase, TouchEvent
 from touchd.frame import Plate
 from touchd.recording import Meta, Recording
@@ -72,7 +74,7 @@ def test_nothing_found_leaves_nothing_to_score() -> None:
 
 
 @pytest.mark.parametrize(
-    ("start", "x_mm"), [(2, 50), (35 + SLACK_FRAMES, 50), (12, 50 + NEAR_MM + 1)], ids=["early", "late", "elsewhere"]
+    ("start", "x_mm"), [(2, 50), (35 + SLACK_FRAMES, 50), (12, 50 + REACH_MM + 1)], ids=["early", "late", "elsewhere"]
 )
 def test_a_contact_where_or_when_nobody_touched_is_a_ghost(start: int, x_mm: float) -> None:
     ghost = contact(1, start, start + 4, x_mm, 60)

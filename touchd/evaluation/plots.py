@@ -10,7 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from touchd.errors import OutputError
-from touchd.evaluation.stream import found_contacts, true_touches
+from touchd.evaluation.stream import found_contacts
+from touchd.evaluation.truth import true_touches
 from touchd.event import TouchEvent
 from touchd.recording import Meta, Recording
 

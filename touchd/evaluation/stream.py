@@ -2,35 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
+from touchd.evaluation.matching import Matches, Place, Seen, match, match_frames
+from touchd.evaluation.truth import TrueTouch, fingers_only, true_touches
 from touchd.event import TouchEvent
 from touchd.recording import Recording
+from touchd.tracker import Touch
 
-NEAR_MM = 25.0
-"""A contact farther than this from a touch is not that touch."""
 SLACK_FRAMES = 10
 """A contact may end so many frames after its touch: release and filter take their time."""
-STILL_MM_S = 5.0
-"""A finger slower than this is still; a faster one moves."""
-
-
-@dataclass(frozen=True, slots=True)
-class TrueTouch:
-    """One touch of the truth: a run of frames of one finger."""
-
-    start_s: float
-    """Time of its first frame."""
-    moving: NDArray[np.bool_]
-    """Whether the finger moves in each frame, shape (n,)."""
-    frames: NDArray[np.int64]
-    """Sequence numbers, shape (n,)."""
-    position_mm: NDArray[np.float32]
-    """Shape (n, 2)."""
 
 
 @dataclass(slots=True)
@@ -38,9 +25,13 @@ class FoundContact:
     """One contact as the events tell it, from its first message to its last."""
 
     frames: list[int] = field(default_factory=list)
-    position_mm: list[tuple[float, float]] = field(default_factory=list)
+    position_mm: list[Place] = field(default_factory=list)
     downs: int = 0
     ups: int = 0
+    followed: list[int | None] = field(default_factory=list)
+    """In each of its frames the index of the touch that it is, by `match`; None if it is none."""
+    touch: int | None = None
+    """Index of the touch that it is on the whole; None for a ghost."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +46,8 @@ class StreamScores:
     """Contacts that belong to no touch."""
     split: int
     """Contacts beyond the first of a touch."""
+    switches: int
+    """How often a contact went on as another finger."""
     clean: bool
     """Whether each contact has exactly one down and one up."""
     error_mm: NDArray[np.float64]
@@ -65,23 +58,8 @@ class StreamScores:
     """RMS distance of a still finger's positions from their own mean, over all touches."""
     down_latency_ms: float | None
     """Median time from a touch's first frame to that of its contact's first message."""
-
-
-def true_touches(recording: Recording) -> list[TrueTouch]:
-    """Return the touches of a recording's truth, in order of their first frames."""
-    if recording.contacts_mm is None:
-        return []
-    touches: list[TrueTouch] = []
-    for finger in range(recording.contacts_mm.shape[1]):
-        position_mm = recording.contacts_mm[:, finger]
-        down = np.isfinite(position_mm[:, 0])
-        moving = _moving(position_mm, recording.timestamp_ns)
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], down, [False]])))
-        for first, after in edges.reshape(-1, 2):
-            run = slice(first, after)
-            start_s = float(recording.timestamp_ns[first]) * 1e-9
-            touches.append(TrueTouch(start_s, moving[run], recording.sequence[run], position_mm[run]))
-    return sorted(touches, key=lambda touch: int(touch.frames[0]))
+    settled: Matches
+    """What a subscriber believes in each frame that is settled, beside the truth; see `settled_frames`."""
 
 
 def found_contacts(events: Iterable[TouchEvent]) -> list[FoundContact]:
@@ -98,70 +76,146 @@ def found_contacts(events: Iterable[TouchEvent]) -> list[FoundContact]:
     return [contacts[i] for i in sorted(contacts)]
 
 
-def score_stream(recording: Recording, events: Iterable[TouchEvent]) -> StreamScores:
-    """Match the contacts of a replay's touch messages with the recording's truth."""
+def score_stream(recording: Recording, events: Sequence[TouchEvent]) -> StreamScores:
+    """Match the contacts of a replay's touch messages with the fingers of the recording's truth.
+
+    In each message contacts and fingers are assigned to each other, see `match`. A contact is the touch that it follows
+    in most messages, of those which began before it. It is a ghost if it follows none in at least half of the messages
+    in which there is a finger.
+    """
+    recording = fingers_only(recording)
     touches, contacts = true_touches(recording), found_contacts(events)
     seconds = dict(zip(recording.sequence.tolist(), (recording.timestamp_ns * 1e-9).tolist(), strict=True))
-    owners: list[list[FoundContact]] = [[] for _ in touches]
-    ghosts = 0
+    rows = _rows(touches)
+    _follow(contacts, touches, rows)
     for contact in contacts:
-        apart = [_apart_mm(contact, touch) for touch in touches]
-        matches = [(distance_mm, i) for i, distance_mm in enumerate(apart) if distance_mm is not None]
-        if matches:
-            owners[min(matches)[1]].append(contact)
-        else:
-            ghosts += 1
-    pairs = [(contact, touch) for touch, owned in zip(touches, owners, strict=True) for contact in owned]
-    together = [_together(contact, touch) for contact, touch in pairs]
-    firsts = [(owned[0], touch) for touch, owned in zip(touches, owners, strict=True) if owned]
-    latency_ms = [1e3 * (seconds[contact.frames[0]] - touch.start_s) for contact, touch in firsts]
-    wander_mm = [_wander_mm(contact, touch) for contact, touch in pairs]
-    square_mm = np.concatenate([np.square(w).sum(axis=1) for w in wander_mm]) if wander_mm else np.empty(0)
+        contact.touch = _touch_of(contact, touches, rows)
+    owned = [[contact for contact in contacts if contact.touch == i] for i in range(len(touches))]
+    errors = _errors(contacts, touches, rows)
+    parts = list(errors.values())
+    error_mm = np.concatenate([error for error, _ in parts]) if parts else np.empty((0, 2))
+    latency_ms = [
+        1e3 * (seconds[mine[0].frames[0]] - touch.start_s)
+        for mine, touch in zip(owned, touches, strict=True) if mine
+    ]  # fmt: skip
+    still = [error[~moving] for error, moving in parts if not moving.all()]
+    # Of a still finger, what differs from its own mean is jitter.
+    wander = [np.square(error - error.mean(axis=0)).sum(axis=1) for error in still]
+    found = sum(map(bool, owned))
     return StreamScores(
         touches=len(touches),
-        found=len(firsts),
-        missed=len(touches) - len(firsts),
-        ghosts=ghosts,
-        split=len(pairs) - len(firsts),
+        found=found,
+        missed=len(touches) - found,
+        ghosts=sum(contact.touch is None for contact in contacts),
+        split=sum(map(len, owned)) - found,
+        switches=sum(map(_switches, contacts)),
         clean=all(contact.downs == 1 and contact.ups == 1 for contact in contacts),
-        error_mm=np.concatenate([error_mm for error_mm, _ in together]) if together else np.empty((0, 2)),
-        moving=np.concatenate([moving for _, moving in together]) if together else np.empty(0, bool),
-        jitter_mm=float(np.sqrt(square_mm.mean())) if len(square_mm) else None,
+        error_mm=error_mm,
+        moving=np.concatenate([moving for _, moving in parts]) if parts else np.empty(0, bool),
+        jitter_mm=float(np.sqrt(np.concatenate(wander).mean())) if wander else None,
         down_latency_ms=float(np.median(latency_ms)) if latency_ms else None,
+        settled=match_frames(settled_frames(recording, events)),
     )
 
 
-def _apart_mm(contact: FoundContact, touch: TrueTouch) -> float | None:
-    """Return the median distance while both are down, or None if they are not the same touch."""
-    if not contact.frames or not touch.frames[0] <= contact.frames[0] <= touch.frames[-1] + SLACK_FRAMES:
+def settled_frames(recording: Recording, events: Iterable[TouchEvent]) -> Iterator[Seen]:
+    """Yield what a subscriber believes in each frame: the contacts of the last message that are not up.
+
+    Frames less than `SLACK_FRAMES` after a finger landed or lifted are left out: confirming that takes its time.
+    """
+    truth = recording.contacts_mm
+    if truth is None:
+        return
+    messages = {event.frame: event.contacts for event in events}
+    alive: tuple[Touch, ...] = ()
+    down = np.isfinite(truth[:, :, 0])
+    changed_at = int(recording.sequence[0]) - SLACK_FRAMES
+    for i, number in enumerate(recording.sequence.tolist()):
+        if number in messages:
+            alive = tuple(
+                Touch(c.x_mm, c.y_mm, c.sigma_mm, c.confidence, c.force) for c in messages[number] if c.phase != "up"
+            )
+        if i and (down[i] != down[i - 1]).any():
+            changed_at = number
+        if number >= changed_at + SLACK_FRAMES:
+            places = [(x, y) for x, y in truth[i, down[i]].tolist()]
+            force_n = recording.force_n[i, down[i]].tolist() if recording.force_n is not None else None
+            yield Seen(places, alive, force_n)
+
+
+Rows = dict[int, dict[int, int]]
+"""By frame: the touches that are down in it, each with the row of that frame."""
+Errors = dict[tuple[int, int], tuple[NDArray[np.float64], NDArray[np.bool_]]]
+
+
+def _rows(touches: list[TrueTouch]) -> Rows:
+    rows: Rows = {}
+    for index, touch in enumerate(touches):
+        for row, number in enumerate(touch.frames.tolist()):
+            rows.setdefault(number, {})[index] = row
+    return rows
+
+
+def _follow(contacts: list[FoundContact], touches: list[TrueTouch], rows: Rows) -> None:
+    """Find out which touch each contact is, message by message."""
+    messages: dict[int, list[tuple[FoundContact, int]]] = {}
+    for contact in contacts:
+        contact.followed = [None] * len(contact.frames)
+        for k, number in enumerate(contact.frames):
+            messages.setdefault(number, []).append((contact, k))
+    for number, alive in messages.items():
+        down = list(rows.get(number, {}).items())
+        true_mm = [_place(touches[index], row) for index, row in down]
+        for i, j in match(true_mm, [contact.position_mm[k] for contact, k in alive]):
+            contact, k = alive[j]
+            contact.followed[k] = down[i][0]
+
+
+def _touch_of(contact: FoundContact, touches: list[TrueTouch], rows: Rows) -> int | None:
+    together = sum(number in rows for number in contact.frames)
+    count = Counter(index for index in contact.followed if index is not None)
+    if not count or 2 * count.total() < together:
         return None
-    error_mm, _ = _together(contact, touch)
-    if not len(error_mm):
-        return None
-    distance_mm = float(np.median(np.linalg.norm(error_mm, axis=1)))
-    return distance_mm if distance_mm <= NEAR_MM else None
+    for index, _ in count.most_common():
+        frames = touches[index].frames
+        if frames[0] <= contact.frames[0] <= frames[-1] + SLACK_FRAMES:
+            return index
+    return None
 
 
-def _together(contact: FoundContact, touch: TrueTouch) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return position less truth in the frames in which both are down, (n, 2), and whether the finger moved, (n,)."""
-    _, mine, its = np.intersect1d(contact.frames, touch.frames, assume_unique=True, return_indices=True)
-    place_mm = np.asarray(contact.position_mm, float).reshape(-1, 2)[mine]
-    return place_mm - touch.position_mm[its], touch.moving[its]
+def _switches(contact: FoundContact) -> int:
+    seen = [index for index in contact.followed if index is not None]
+    return sum(before != after for before, after in pairwise(seen))
 
 
-def _wander_mm(contact: FoundContact, touch: TrueTouch) -> NDArray[np.float64]:
-    """Return a still finger's errors less their mean, shape (n, 2): what is seen of it is jitter."""
-    error_mm, moving = _together(contact, touch)
-    still_mm = error_mm[~moving]
-    return still_mm - still_mm.mean(axis=0) if len(still_mm) else still_mm
+def _errors(contacts: list[FoundContact], touches: list[TrueTouch], rows: Rows) -> Errors:
+    """Return position less truth, (n, 2), and whether the finger moved, (n,), by contact and touch.
+
+    Where a contact is no finger for a moment, being too far from any, it is compared with its own touch still, unless
+    another contact is that one now: large errors count.
+    """
+    taken = {
+        (number, index)
+        for contact in contacts
+        for number, index in zip(contact.frames, contact.followed, strict=True)
+    }  # fmt: skip
+    found: dict[tuple[int, int], list[tuple[float, float, bool]]] = {}
+    for name, contact in enumerate(contacts):
+        if contact.touch is None:
+            continue
+        for number, place, index in zip(contact.frames, contact.position_mm, contact.followed, strict=True):
+            if index is None and (number, contact.touch) not in taken:
+                index = contact.touch
+            row = rows.get(number, {}).get(index) if index is not None else None
+            if index is None or row is None:
+                continue
+            x_mm, y_mm = _place(touches[index], row)
+            moving = bool(touches[index].moving[row])
+            found.setdefault((name, index), []).append((place[0] - x_mm, place[1] - y_mm, moving))
+    tables = {key: np.array(values) for key, values in found.items()}
+    return {key: (table[:, :2], table[:, 2] > 0) for key, table in tables.items()}
 
 
-def _moving(position_mm: NDArray[np.float32], timestamp_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return in which frames a finger is faster than `STILL_MM_S`, shape (n,)."""
-    moving = np.zeros(len(position_mm), bool)
-    if len(position_mm) > 1:
-        speed_mm_s = np.linalg.norm(np.diff(position_mm, axis=0), axis=1) / (np.diff(timestamp_ns) * 1e-9)
-        fast = np.nan_to_num(speed_mm_s) > STILL_MM_S
-        moving[1:] |= fast
-        moving[:-1] |= fast
-    return moving
+def _place(touch: TrueTouch, row: int) -> Place:
+    x_mm, y_mm = touch.position_mm[row].tolist()
+    return x_mm, y_mm

@@ -1,0 +1,75 @@
+"""The scores of a force say how well it follows the true one, and how much it depends on anything else."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from scipy.optimize import isotonic_regression
+from scipy.stats import spearmanr
+
+from touchd.evaluation.force import FEWEST, force_scores, monotone, rank_correlation
+
+VALUES = arrays(np.float64, st.integers(2, 40), elements=st.integers(0, 12).map(float))
+
+
+@given(st.data(), VALUES)
+def test_ranks_correlate_as_spearman_has_it(data: st.DataObject, one: np.ndarray) -> None:
+    other = data.draw(arrays(np.float64, one.shape, elements=st.integers(0, 12).map(float)))
+    found = rank_correlation(one, other)
+    if np.ptp(one) == 0 or np.ptp(other) == 0:
+        assert found is None
+    else:
+        assert found == pytest.approx(spearmanr(one, other).statistic, abs=1e-9)
+
+
+@given(st.data(), VALUES)
+def test_the_monotone_fit_is_that_of_isotonic_regression(data: st.DataObject, x: np.ndarray) -> None:
+    """Against scipy's on the means of equal x, weighted by how many they are."""
+    y = data.draw(arrays(np.float64, x.shape, elements=st.floats(-5, 5)))
+    levels, place, count = np.unique(x, return_inverse=True, return_counts=True)
+    means = np.array([y[x == level].mean() for level in levels])
+    expected = isotonic_regression(means, weights=count).x
+    fitted = monotone(x, y)
+    np.testing.assert_allclose(fitted, expected[place], atol=1e-9)
+    assert (np.diff(fitted[np.argsort(x, kind="stable")]) >= -1e-12).all()
+
+
+def test_a_force_that_depends_on_the_true_one_alone_has_no_spread() -> None:
+    force_n = np.random.default_rng(2).uniform(0.2, 3, 300)
+    scores = force_scores(0.1 + force_n**0.25, force_n)
+    assert scores["force_rank"] == pytest.approx(1)
+    assert scores["force_spread"] == pytest.approx(0, abs=1e-12)
+
+
+def test_the_spread_is_the_relative_deviation_at_equal_force() -> None:
+    """A tenth, Gaussian, whatever the force: RMS 0.1, and 95 % below 0.196."""
+    rng = np.random.default_rng(2)
+    force_n = rng.uniform(0.2, 3, 20_000)
+    scores = force_scores(np.sqrt(force_n) * (1 + 0.1 * rng.standard_normal(20_000)), force_n)
+    assert scores["force_spread"] == pytest.approx(0.1, rel=0.03)
+    assert scores["force_spread_p95"] == pytest.approx(0.196, rel=0.03)
+
+
+def test_a_force_that_has_nothing_to_do_with_the_true_one_shows_it() -> None:
+    rng = np.random.default_rng(2)
+    rank = force_scores(rng.uniform(0.5, 1, 2000), rng.uniform(0.2, 3, 2000))["force_rank"]
+    assert rank is not None
+    assert abs(rank) < 0.06
+
+
+def test_unknown_forces_are_left_out_and_few_say_nothing() -> None:
+    force_n = np.linspace(1, 2, FEWEST + 5)
+    force = force_n.copy()
+    force[:5] = np.nan
+    assert force_scores(force, force_n)["force_rank"] == pytest.approx(1)
+    force[5] = np.nan
+    assert set(force_scores(force, force_n).values()) == {None}
+    assert set(force_scores([], []).values()) == {None}
+
+
+def test_a_finder_that_states_no_force_has_no_spread() -> None:
+    scores = force_scores(np.zeros(50), np.linspace(1, 2, 50))
+    assert scores == {"force_rank": None, "force_spread": None, "force_spread_p95": None}

@@ -1,0 +1,113 @@
+"""Each touched frame is shown to the finder as the daemon would show it, beside the fingers that truly touch."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from touchd.errors import RecordingValues
+from touchd.evaluation.frames import network_finder, see, touched_frames
+from touchd.evaluation.matching import match_frames, scores_by_fingers
+from touchd.evaluation.score import judge
+from touchd.evaluation.truth import fingers_only
+from touchd.model import Model
+from touchd.recording import Recording
+from touchd.tracker import Touch
+from touchd.training.dataset import make_dataset
+from touchd.twin.instrument import Instrument
+from touchd.twin.simulate import simulate_scene, simulate_touches
+
+
+@pytest.fixture(scope="module")
+def one(instrument: Instrument) -> Recording:
+    return simulate_touches(60, seed=8, instrument=instrument)
+
+
+@pytest.fixture(scope="module")
+def three(instrument: Instrument) -> Recording:
+    return simulate_touches(40, seed=8, instrument=instrument, fingers=3, apart_mm=30.0)
+
+
+@pytest.mark.parametrize("domain", ["frequency", "time"])
+@pytest.mark.parametrize("residual", [True, False])
+def test_features_of_single_fingers_are_those_of_the_training_set_to_the_bit(
+    one: Recording, domain: str, residual: bool
+) -> None:
+    data = make_dataset(one, domain, least=1)  # type: ignore[arg-type]
+    frames = touched_frames(one, domain, residual=residual)  # type: ignore[arg-type]
+    np.testing.assert_array_equal(frames.features, data.residual if residual else data.signal)
+    np.testing.assert_array_equal(frames.true_mm[:, 0], data.position_mm)
+    assert frames.untouched_norm == pytest.approx(np.median(np.linalg.norm(data.untouched, axis=1)))
+    assert frames.fingers.tolist() == [1] * 60
+
+
+def test_the_network_as_a_finder_says_what_it_says_to_the_daemon(one: Recording, model: Model) -> None:
+    frames = touched_frames(one, "frequency")
+    seen = see(network_finder(model, frames), frames)
+    judged = judge(model, frames.features, frames.true_mm[:, 0])
+    mine = match_frames(seen, reach_mm=np.inf).judged
+    np.testing.assert_array_equal(mine.place_mm, judged.place_mm)
+    np.testing.assert_array_equal(mine.sigma_mm, judged.sigma_mm)
+    np.testing.assert_array_equal(mine.confidence, judged.confidence)
+    scores = scores_by_fingers(match_frames(seen))["1"]
+    assert scores["count_right"] == 1
+    assert scores["median_mm"] < 1.5
+    assert scores["force_rank"] > 0.5, "a larger contact changes the signal more"
+
+
+def test_a_perfect_finder_of_several_fingers_has_perfect_scores(three: Recording) -> None:
+    frames = touched_frames(three, "frequency")
+    answers = {row.tobytes(): true for row, true in zip(frames.features, frames.true_mm, strict=True)}
+
+    def find(features: NDArray[np.float32]) -> Sequence[Touch]:
+        x_mm = answers[features.tobytes()]
+        return [Touch(float(x), float(y), 0.1, 1.0, 0.5) for x, y in x_mm[::-1]]
+
+    scores = scores_by_fingers(match_frames(see(find, frames)))
+    assert set(scores) == {"3"}
+    perfect = ("count_right", "all_within_1_mm", "told_apart", "within_1_sigma")
+    assert [scores["3"][name] for name in perfect] == [1.0] * 4
+    assert (scores["3"]["n"], scores["3"]["missed"], scores["3"]["ghosts"], scores["3"]["max_mm"]) == (40, 0, 0, 0)
+
+
+def test_a_finder_of_one_misses_the_others(three: Recording, model: Model) -> None:
+    frames = touched_frames(three, "frequency")
+    scores = scores_by_fingers(match_frames(see(network_finder(model, frames), frames)))["3"]
+    assert scores["count_right"] == scores["all_within_2_mm"] == scores["told_apart"] == 0
+    assert scores["missed"] - scores["ghosts"] == 2 * 40
+
+
+def test_what_is_no_finger_is_no_truth_but_no_untouched_plate_either(instrument: Instrument) -> None:
+    """A palm or a drop of the twin has a place without a force."""
+    drop = simulate_scene("drop", seed=21, instrument=instrument)
+    assert drop.contacts_mm is not None
+    frames = touched_frames(drop, "frequency")
+    on = np.isfinite(drop.contacts_mm[..., 0])
+    np.testing.assert_array_equal(frames.fingers, on[on.any(axis=1), 0].astype(int))
+    assert 0 in frames.fingers.tolist()
+    real = replace(drop, meta=drop.meta.model_copy(update={"source": "usb"}))
+    assert fingers_only(real) is real, "elsewhere an unknown force says nothing"
+    assert fingers_only(replace(drop, force_n=None)).contacts_mm is drop.contacts_mm
+
+
+def test_a_finder_is_asked_of_frames_without_a_finger_too(instrument: Instrument) -> None:
+    palm = simulate_scene("palm", seed=21, instrument=instrument, frames=200)
+    frames = touched_frames(palm, "frequency")
+    scores = scores_by_fingers(match_frames(see(lambda _features: [Touch(100, 100, 1, 1, 1)], frames)))
+    assert scores == {"0": {"n": len(frames), "count_right": 0.0, "ghosts": len(frames)}}
+
+
+@pytest.mark.parametrize("case", ["touched", "untouched", "outside"])
+def test_a_recording_that_cannot_be_judged_by_is_refused(one: Recording, case: str) -> None:
+    assert one.contacts_mm is not None
+    contacts_mm = one.contacts_mm.copy()
+    if case == "outside":
+        contacts_mm[1] = 200.5, 10
+    else:
+        contacts_mm[:] = 50 if case == "untouched" else np.nan
+    with pytest.raises(RecordingValues, match=case):
+        touched_frames(replace(one, contacts_mm=contacts_mm), "frequency")

@@ -1,0 +1,140 @@
+"""`touchd evaluate` as it is typed, on touches and streams of one finger and of several."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from touchd.errors import RecordingValues
+from touchd.model import default_model_path
+from touchd.recording import read, write
+from touchd.twin.instrument import Instrument
+from touchd.twin.simulate import simulate_scene, simulate_touches
+from touchd.verbs.evaluate import command
+
+POSITIONS = {"n", "rmse_mm", "mean_mm", "sd_mm", "median_mm", "p95_mm", "max_mm"}
+SHIPPED = default_model_path()
+GRID = SHIPPED.with_name("grid10.onnx")
+
+
+def said(*arguments: object) -> str:
+    """What the verb prints; a failure is raised."""
+    done = CliRunner().invoke(command, [str(argument) for argument in arguments])
+    if done.exception is not None:
+        raise done.exception
+    return done.output
+
+
+def scores(model: Path, recording: Path) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads(said(model, recording, "--json"))
+    return found
+
+
+@pytest.fixture(scope="module")
+def folder(instrument: Instrument, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Touches of one finger, of two, of one or two; and streams of two fingers and of a palm."""
+    folder = tmp_path_factory.mktemp("evaluate")
+    one = simulate_touches(60, seed=31, instrument=instrument)
+    two = simulate_touches(60, seed=32, instrument=instrument, fingers=2, apart_mm=40.0)
+    write(folder / "one.npz", one)
+    write(folder / "two.npz", two)
+    assert one.contacts_mm is not None
+    assert two.contacts_mm is not None
+    nobody = np.full_like(one.contacts_mm, np.nan)
+    both = replace(
+        one, frames=np.concatenate([one.frames, two.frames]), sequence=np.arange(240),
+        timestamp_ns=(np.arange(240) + 1000 * (np.arange(240) >= 120)) * 500_000_000, force_n=None, temperature_c=None,
+        contacts_mm=np.concatenate([np.concatenate([one.contacts_mm, nobody], axis=1), two.contacts_mm]),
+    )  # fmt: skip
+    write(folder / "both.npz", both)
+    write(folder / "tap.npz", simulate_scene("tap", seed=21, instrument=instrument))
+    write(folder / "two-stream.npz", simulate_scene("two", seed=21, instrument=instrument, frames=500))
+    write(folder / "palm.npz", simulate_scene("palm", seed=21, instrument=instrument))
+    return folder
+
+
+def test_touches_of_one_finger_have_their_scores_at_the_top(folder: Path) -> None:
+    found = scores(SHIPPED, folder / "one.npz")
+    assert set(found) == POSITIONS | {"confident", "within_sigma", "by_fingers"}
+    assert set(found["by_fingers"]) == {"1"}
+    mine = found["by_fingers"]["1"]
+    assert (found["n"], mine["n"], mine["missed"], mine["ghosts"]) == (60, 60, 0, 0)
+    for name in ("rmse_mm", "median_mm", "p95_mm", "max_mm"):
+        assert mine[name] == found[name], "all within the reach"
+    assert mine["within_1_sigma"] == found["within_sigma"]
+
+
+def test_touches_of_two_fingers_have_theirs_below_their_count(folder: Path) -> None:
+    """A network of one finger finds one of two at most, and is none the less judged."""
+    found = scores(SHIPPED, folder / "two.npz")
+    assert (found["n"], found["rmse_mm"]) == (0, None)
+    mine = found["by_fingers"]["2"]
+    assert (mine["n"], mine["count_right"], mine["told_apart"], mine["all_within_2_mm"]) == (60, 0, 0, 0)
+    assert 60 <= mine["missed"] <= 120
+    assert mine["missed"] - mine["ghosts"] == 60
+
+
+def test_of_a_mixed_recording_the_top_is_that_of_its_single_fingers(folder: Path) -> None:
+    found, alone = scores(SHIPPED, folder / "both.npz"), scores(SHIPPED, folder / "one.npz")
+    assert {name: found[name] for name in POSITIONS} == pytest.approx({name: alone[name] for name in POSITIONS})
+    assert {key: part["n"] for key, part in found["by_fingers"].items()} == {"1": 60, "2": 60}
+
+
+def test_a_grid_is_scored_by_its_zones_and_by_its_contacts(folder: Path) -> None:
+    found = scores(GRID, folder / "both.npz")
+    assert 0.5 < found["accuracy"] <= 1
+    assert found["n"] == 60
+    assert found["by_fingers"]["1"]["median_mm"] < 15
+    assert scores(GRID, folder / "two.npz")["n"] == 0
+
+
+def test_a_stream_of_single_touches_keeps_its_scores(folder: Path) -> None:
+    found = scores(SHIPPED, folder / "tap.npz")
+    assert set(found) >= POSITIONS | {"down_latency_ms", "jitter_mm", "moving_rmse_mm"}
+    assert found["touches"] == found["found"] > 3
+    assert (found["missed"], found["ghosts"], found["split"], found["switches"]) == (0, 0, 0, 0)
+    assert set(found["by_fingers"]) == {"0", "1"}
+    assert found["by_fingers"]["0"]["ghosts"] == found["by_fingers"]["1"]["missed"] == 0
+
+
+def test_a_stream_of_two_fingers_is_scored_per_count(folder: Path) -> None:
+    found = scores(SHIPPED, folder / "two-stream.npz")
+    assert set(found["by_fingers"]) == {"0", "1", "2"}
+    assert found["touches"] == found["found"] + found["missed"]
+    truth = read(folder / "two-stream.npz").contacts_mm
+    assert truth is not None
+    frames = {key: part["n"] for key, part in found["by_fingers"].items()}
+    down = np.isfinite(truth[..., 0]).sum(axis=1)
+    assert all(0 < frames[str(k)] < (down == k).sum() for k in (1, 2)), "but those that are not settled"
+
+
+def test_a_palm_is_no_touch_to_be_missed(folder: Path) -> None:
+    found = scores(SHIPPED, folder / "palm.npz")
+    assert (found["n"], found["touches"], found["missed"]) == (0, 0, 0)
+    assert set(found["by_fingers"]) == {"0"}
+
+
+def test_for_a_person_there_is_a_line_a_score_and_a_column_a_count(folder: Path) -> None:
+    lines = said(SHIPPED, folder / "both.npz").splitlines()
+    found = scores(SHIPPED, folder / "both.npz")
+    (start,) = (i for i, line in enumerate(lines) if line.split()[:1] == ["fingers"])
+    assert lines[start].split() == ["fingers", "1", "2"]
+    table = {line.split()[0]: line.split()[1:] for line in lines[start + 1 :]}
+    assert table["n"] == ["60", "60"]
+    assert table["told_apart"] == ["-", "0.000"]
+    assert table["median_mm"] == [f"{found['by_fingers'][k]['median_mm']:.3f}" for k in "12"]
+    assert len({len(line) for line in lines[start:]}) == 1, "in columns"
+
+
+def test_a_recording_without_a_touch_is_refused(folder: Path, tmp_path: Path) -> None:
+    whole = read(folder / "one.npz")
+    assert whole.contacts_mm is not None
+    write(tmp_path / "idle.npz", replace(whole, contacts_mm=np.full_like(whole.contacts_mm, np.nan), force_n=None))
+    with pytest.raises(RecordingValues, match="no touched frame"):
+        said(SHIPPED, tmp_path / "idle.npz")

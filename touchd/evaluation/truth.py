@@ -1,0 +1,67 @@
+"""What a recording's truth says: which contacts are fingers, and when each of them touched."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchd.recording import Recording
+
+STILL_MM_S = 5.0
+"""A finger slower than this is still; a faster one moves."""
+
+
+@dataclass(frozen=True, slots=True)
+class TrueTouch:
+    """One touch of the truth: a run of frames of one finger."""
+
+    start_s: float
+    """Time of its first frame."""
+    moving: NDArray[np.bool_]
+    """Whether the finger moves in each frame, shape (n,)."""
+    frames: NDArray[np.int64]
+    """Sequence numbers, shape (n,)."""
+    position_mm: NDArray[np.float32]
+    """Shape (n, 2)."""
+
+
+def fingers_only(recording: Recording) -> Recording:
+    """Return the recording with no truth but that of fingers.
+
+    The twin's palms and drops have a place but no force. Whatever is found there was put there by nobody's finger.
+    Elsewhere an unknown force says nothing.
+    """
+    truth, force_n = recording.contacts_mm, recording.force_n
+    if truth is None or force_n is None or recording.meta.source != "simulated":
+        return recording
+    return replace(recording, contacts_mm=np.where(np.isfinite(force_n)[..., None], truth, np.float32(np.nan)))
+
+
+def true_touches(recording: Recording) -> list[TrueTouch]:
+    """Return the touches of a recording's truth, in order of their first frames."""
+    if recording.contacts_mm is None:
+        return []
+    touches: list[TrueTouch] = []
+    for finger in range(recording.contacts_mm.shape[1]):
+        position_mm = recording.contacts_mm[:, finger]
+        down = np.isfinite(position_mm[:, 0])
+        moving = _moving(position_mm, recording.timestamp_ns)
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], down, [False]])))
+        for first, after in edges.reshape(-1, 2):
+            run = slice(first, after)
+            start_s = float(recording.timestamp_ns[first]) * 1e-9
+            touches.append(TrueTouch(start_s, moving[run], recording.sequence[run], position_mm[run]))
+    return sorted(touches, key=lambda touch: int(touch.frames[0]))
+
+
+def _moving(position_mm: NDArray[np.float32], timestamp_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Return in which frames a finger is faster than `STILL_MM_S`, shape (n,)."""
+    moving = np.zeros(len(position_mm), bool)
+    if len(position_mm) > 1:
+        speed_mm_s = np.linalg.norm(np.diff(position_mm, axis=0), axis=1) / (np.diff(timestamp_ns) * 1e-9)
+        fast = np.nan_to_num(speed_mm_s) > STILL_MM_S
+        moving[1:] |= fast
+        moving[:-1] |= fast
+    return moving
