@@ -230,7 +230,7 @@ def run(frames: int, rate_hz: float, folder: Path, model: Model, seed: int = 0) 
     messages = make_messages(settings)
     source = open_usb(wanted, model.description.acquisition, model.check, backend=FakeBus(device.daq))
     sinks: list[Sink] = [ZeromqSink(settings.bus)]
-    pipeline, _ = make_pipeline(source, settings, messages, sinks, model=model)
+    pipeline, _ = make_pipeline(source, settings, messages, model=model)  # no sinks: as if all were subscribed to
     watch = Watch(pipeline, device)
     watch.found.expect(frames)
     service = Service(source, pipeline, [watch, *sinks], messages, settings.health, "the model")
