@@ -36,15 +36,16 @@ def band_bins(acquisition: Acquisition) -> NDArray[np.int64]:
     return k[(f_hz > acquisition.chirp.start_hz) & (f_hz < acquisition.chirp.stop_hz)]
 
 
-def windowed_dft(acquisition: Acquisition) -> NDArray[np.float64]:
-    """Return the matrix that takes samples to windowed bins, of shape (samples, 2 * bins).
+def windowed_dft(acquisition: Acquisition, bins: NDArray[np.int64] | None = None) -> NDArray[np.float64]:
+    """Return the matrix that takes samples to windowed bins, those of the band or the given ones: (samples, 2 * bins).
 
     Column b is the real part and column bins + b the imaginary part of bin b of
     `numpy.fft.rfft(numpy.hanning(samples) * signal)`.
     """
     n = np.arange(acquisition.samples)
     # The index product is reduced modulo the length first: cos of a large argument loses digits.
-    phase = (np.outer(n, band_bins(acquisition)) % acquisition.samples) * (2 * np.pi / acquisition.samples)
+    bins = band_bins(acquisition) if bins is None else bins
+    phase = (np.outer(n, bins) % acquisition.samples) * (2 * np.pi / acquisition.samples)
     window = np.hanning(acquisition.samples)[:, None]
     return np.concatenate([window * np.cos(phase), -window * np.sin(phase)], axis=1)
 

@@ -1,0 +1,229 @@
+"""From a residual to fingers: where the network's rough answer ends and the field atlas' precise one begins.
+
+A finger that has just come down is placed by the network first, one that is being followed where it was
+going; Gauss-Newton on the atlas does the rest. What the atlas cannot explain is searched for more fingers,
+and if it still cannot, is no finger.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchd.atlas import Array, Atlas
+from touchd.drift import Drift
+from touchd.model import Estimate
+from touchd.noise import Noise
+from touchd.refine import Fit, Place, Refiner
+from touchd.search import ENOUGH, GOOD, NOISE_MARGIN, Search
+from touchd.tracker import Touch
+
+EXCESS_OF_HALF = 0.25
+"""Share of the signal that a fit leaves unexplained at which it is as likely no finger: fingers unlike those of the
+training leave up to 0.1, palms more than 0.6 (twin)."""
+PHASE_RAD = (-1.2, 0.47)
+"""Of a finger's strength. What leads by more has no loss: a mass, as a drop of water is. Drops lead by 0.6, fingers by
+less than 0.3, by 0.5 within 8 mm of the edge; human fingers lag by up to 0.4 (twin)."""
+LEAVING_RAD = 2.0
+"""A strength so far from a finger's is one with the opposite sign: a finger that the baseline held has gone."""
+FULL_STRENGTH = 8.0
+"""Strength that counts as a force of 1: above that of a firm press of a human finger, 1 being the training's mean."""
+FIRST_STEPS, FOLLOW_STEPS = 5, 3
+_SEARCH_AGAIN_S = 0.05
+_SEARCH_SELDOM_S = 2.0
+_NOISE_SPREAD = 0.25
+"""Noise has seldom so much more energy in a frame than its mean: two deviations."""
+_WEAK = 1.4
+"""A finger of less energy than so many times what the fit leaves is none: the other side of the search's worth."""
+_LONGEST_STEP_MM = 8.0
+_NONE = Fit([], [], [], np.zeros((0, 0)), 0.0)
+
+
+class Locator:
+    """Places the fingers of one frame after the other."""
+
+    def __init__(self, atlas: Atlas) -> None:
+        d = atlas.description
+        self._refiner = Refiner(atlas)
+        self._search = Search(atlas, self._refiner)
+        self._drift = Drift(atlas)
+        self._noise = Noise(d.acquisition.channels, len(d.bins))
+        self._untouched: Array = np.zeros(atlas.size, np.float32)
+        self._noise_scale, self._field_scale = d.noise_scale, d.field_scale
+        self._error = atlas.error
+        self._per_channel = 2 * len(d.bins)
+        self._baseline: Array = atlas.baseline
+        self.rebase(atlas.baseline)
+        self.forget()
+
+    @property
+    def drift(self) -> Drift:
+        """What is known of the plate's temperature, gains and dead channels."""
+        return self._drift
+
+    def rebase(self, baseline: Array) -> None:
+        """Take note of the untouched plate as it is now, of shape (channels, samples)."""
+        self._baseline = baseline
+        self._drift.rebase(baseline)
+        self._listen_to(~self._drift.dead)
+
+    def hear(self, residual: Array) -> None:
+        """Take in the residual of an untouched frame, shape (channels, samples)."""
+        self._drift.features(residual, self._untouched)
+        self._noise.hear(self._untouched)
+
+    def forget(self) -> None:
+        """Start afresh with the next frame: no finger is being followed."""
+        self._fit = _NONE
+        self._speed: list[Place] = []
+        self._usual = ENOUGH
+        self._search_s, self._wait_s = math.inf, 0.0
+        self.leaving = False
+        """Whether the last frame shows the negative of fingers: they were part of the baseline, and have gone."""
+        self._drift.settle()
+
+    def locate(
+        self, residual: Array, elapsed_s: float, confident: float, start: Callable[[], Estimate]
+    ) -> tuple[Touch, ...]:
+        """Return the fingers of a frame.
+
+        Parameters
+        ----------
+        residual : array of shape (channels, samples)
+            The frame less the baseline, ADC counts.
+        elapsed_s : float
+            Time since the last frame.
+        confident : float
+            A fit of less confidence is no finger.
+        start : callable
+            Asks the network where a finger that has just come down is.
+        """
+        refiner = self._refiner
+        self._search_s += elapsed_s
+        self._drift.features(residual, refiner.frame)
+        energy = refiner.take()
+        expected = self._expected
+        signal = energy - expected
+        self.leaving = False
+        if signal <= NOISE_MARGIN * expected:
+            self._fit, self._speed = _NONE, []
+            return ()
+        fit = self._follow(elapsed_s, expected, signal) if self._fit.places_mm else self._begin(start)
+        if self._excess(fit, expected, signal) > max(GOOD / 2, 2 * self._usual) and self._may_search():
+            fit = self._look_again(fit, residual, expected, signal)
+        excess = self._excess(fit, expected, signal)
+        confidence = 1 / (1 + (excess / EXCESS_OF_HALF) ** 2) if fit.places_mm else 0.0
+        if not confidence >= confident:
+            self._fit, self._speed = _NONE, []
+            return ()
+        if excess < GOOD:
+            self._drift.follow(refiner.residual(fit), elapsed_s)
+        self._learn_speed(fit, elapsed_s)
+        self._fit = fit
+        self.leaving = all(abs(cmath.phase(z)) > LEAVING_RAD for z in fit.strengths)
+        return self._touches(fit, confidence, max(excess, 0.0) * signal)
+
+    def _begin(self, start: Callable[[], Estimate]) -> Fit:
+        """Fit one finger from where the network sees it."""
+        estimate = start()
+        if not math.isfinite(estimate.x_mm) or not math.isfinite(estimate.y_mm):
+            return _NONE._replace(left=self._refiner.energy)
+        return self._refiner.one(estimate.x_mm, estimate.y_mm, FIRST_STEPS)
+
+    def _follow(self, elapsed_s: float, expected: float, signal: float) -> Fit:
+        """Fit the fingers of the last frame from where they were going, less those that have lifted."""
+        places = [
+            (x + vx * elapsed_s, y + vy * elapsed_s)
+            for (x, y), (vx, vy) in zip(self._fit.places_mm, self._speed, strict=True)
+        ]
+        if len(places) == 1:
+            return self._refiner.one(*places[0], FOLLOW_STEPS)
+        fit = self._refiner.several(places, FOLLOW_STEPS - 1)
+        while len(fit.places_mm) > 1:
+            weakest = int(np.argmin(fit.energies))
+            if fit.energies[weakest] > _WEAK * max(fit.left - expected, ENOUGH * signal):
+                break
+            del self._speed[weakest]
+            fit = self._refiner.several([p for k, p in enumerate(fit.places_mm) if k != weakest], FOLLOW_STEPS - 1)
+        return fit
+
+    def _look_again(self, fit: Fit, residual: Array, expected: float, signal: float) -> Fit:
+        """Search for what the fit does not explain: a channel that has died, further fingers, other places."""
+        known = fit.places_mm
+        silent = self._drift.silent(residual, self._baseline)
+        if silent.any() and not silent.all() and (silent & self._listening).any():
+            self._listen_to(self._listening & ~silent)
+            return self._refiner.one(*known[0], FIRST_STEPS) if known else fit
+        found = self._search.add(fit, expected)
+        if self._excess(found, expected, signal) > GOOD and known:
+            anew = self._search.add(_NONE._replace(left=self._refiner.energy), expected)
+            found = min(found, anew, key=lambda one: one.left)
+        success = self._excess(found, expected, signal) < GOOD
+        self._wait_s = 0.0 if success else min(max(2 * self._wait_s, _SEARCH_AGAIN_S), _SEARCH_SELDOM_S)
+        self._search_s = 0.0
+        self._usual = max(ENOUGH, self._excess(found, expected, signal))
+        return found
+
+    def _may_search(self) -> bool:
+        return self._search_s >= self._wait_s
+
+    def _excess(self, fit: Fit, expected: float, signal: float) -> float:
+        """Return what a fit leaves beyond what noise may have, as a share of the signal."""
+        return (fit.left - (1 + _NOISE_SPREAD) * expected) / signal
+
+    def _learn_speed(self, fit: Fit, elapsed_s: float) -> None:
+        """Follow each finger's velocity, mm/s, over some three frames."""
+        before = self._fit.places_mm
+        if len(before) != len(fit.places_mm) or len(self._speed) != len(before) or elapsed_s <= 0:
+            self._speed = [(0.0, 0.0)] * len(fit.places_mm)
+            return
+        longest = _LONGEST_STEP_MM / elapsed_s
+
+        def blend(old: float, now_mm: float, then_mm: float) -> float:
+            return max(-longest, min(longest, old + 0.5 * ((now_mm - then_mm) / elapsed_s - old)))
+
+        self._speed = [
+            (blend(vx, now[0], then[0]), blend(vy, now[1], then[1]))
+            for (vx, vy), now, then in zip(self._speed, fit.places_mm, before, strict=True)
+        ]
+
+    def _touches(self, fit: Fit, confidence: float, unexplained: float) -> tuple[Touch, ...]:
+        """Return the fingers of a fit with their standard errors; what is water is none."""
+        power = sum(abs(z) ** 2 for z in fit.strengths)
+        error = self._field_scale * self._mean_error * power / 2
+        # A fit that leaves more than both explain is not known better than by what it leaves.
+        error = max(error, self._field_scale * unexplained / self._alive)
+        sigmas_mm = _sigmas_mm(fit.information, self._noise_scale * self._expected / self._alive + error)
+        return tuple(
+            Touch(x, y, sigma_mm, confidence, min(1.0, abs(z) / FULL_STRENGTH))
+            for (x, y), z, sigma_mm in zip(fit.places_mm, fit.strengths, sigmas_mm, strict=True)
+            if PHASE_RAD[0] < cmath.phase(z) < PHASE_RAD[1]
+        )
+
+    def _listen_to(self, channels: NDArray[np.bool_]) -> None:
+        """Leave out dead channels, and bins that drown in noise."""
+        if not channels.any():
+            channels = np.ones_like(channels)  # nothing can be said; what the frames hold decides
+        self._listening = channels
+        features = np.repeat(channels, self._per_channel) & self._noise.quiet()
+        self._refiner.mask = None if features.all() else features.astype(np.float32)
+        self._alive = max(int(features.sum()), 1)
+        self._expected = float(self._noise.power[features].sum())
+        self._mean_error = float(self._error[channels].mean())
+
+
+def _sigmas_mm(information: NDArray[np.float64], variance: float) -> list[float]:
+    """Return each finger's standard error per axis, mm: the root mean square of both axes."""
+    if information.shape == (2, 2):
+        (a, b), (_, c) = information.tolist()
+        det = a * c - b * b
+        return [math.sqrt(variance * (a + c) / (2 * det))] if det > 0 else [math.inf]
+    try:
+        spread = np.diag(np.linalg.inv(information)) * variance
+    except np.linalg.LinAlgError:
+        return [math.inf] * (len(information) // 2)
+    return [math.sqrt(pair) if pair > 0 else math.inf for pair in spread.reshape(-1, 2).mean(axis=1).tolist()]

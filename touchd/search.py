@@ -1,0 +1,133 @@
+"""How many fingers, and roughly where: the whole atlas compared with what of a frame is not yet explained."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchd.atlas import Array, Atlas
+from touchd.refine import Fit, Place, Refiner
+
+MOST_FINGERS = 5
+SCAN_MM = 5.0
+"""Spacing of the scan: half of it, on the diagonal, is within reach of Gauss-Newton."""
+_CANDIDATES = 4
+_APART_MM = 7.0
+"""Candidates closer to each other lead to the same place."""
+MERGED_MM = 4.0
+"""Two fingers so close are one."""
+_WORTH = 0.42
+"""Each further finger has to leave less than this share of what was left without it. One that is there leaves less
+than 0.35 of it, one that is not more than 0.44 (twin: up to five fingers, silicone and human)."""
+ENOUGH = 0.004
+"""A fit that leaves no more of the signal's energy is complete: the field is not known better than this."""
+GOOD = 0.03
+"""A fit that leaves no more has found the right places: fingers unlike those of the training leave up to so much."""
+NOISE_MARGIN = 0.6
+"""The energy of noise in one frame is seldom so much above its mean: five deviations."""
+_WIDTHS = (1, 4)
+"""Beginnings followed side by side: one, and if that fails several."""
+_SAME = 1e-4
+_STEPS = 6
+
+
+class Search:
+    """Finds the fingers in a frame that the refiner has taken in.
+
+    Parameters
+    ----------
+    atlas : Atlas
+    refiner : Refiner
+    """
+
+    def __init__(self, atlas: Atlas, refiner: Refiner) -> None:
+        self._refiner = refiner
+        d = atlas.description
+        every = max(1, round(SCAN_MM / d.step_mm))
+        nodes = atlas.coefficients
+        # The value at a node is (1, 4, 1)/6 of the coefficients along either axis.
+        lines = (nodes[:-2] + 4 * nodes[1:-1] + nodes[2:])[1:-1:every] / 6
+        values = (lines[:, :-2] + 4 * lines[:, 1:-1] + lines[:, 2:])[:, 1:-1:every] / 6
+        x_mm = d.origin_mm[0] + d.step_mm * (2 + every * np.arange(values.shape[1]))
+        y_mm = d.origin_mm[1] + d.step_mm * (2 + every * np.arange(values.shape[0]))
+        self._places_mm = np.stack(np.meshgrid(x_mm, y_mm), axis=-1).reshape(-1, 2)
+        rows = values.reshape(len(self._places_mm), -1)
+        norm = np.linalg.norm(rows, axis=1, keepdims=True)
+        self._unit = (rows / np.maximum(norm, 1e-6 * norm.max())).astype(np.float32)
+        self._parts = d.acquisition.channels, 2, len(d.bins)
+        self._pair = np.zeros((atlas.size, 2), np.float32)
+        self._products = np.zeros((len(rows), 2), np.float32)
+
+    def candidates(self, left: Array, count: int = _CANDIDATES) -> list[Place]:
+        """Return places at which one finger would explain most of what is left, the best first."""
+        parts = left.reshape(self._parts)
+        self._pair[:, 0] = left
+        self._pair[:, 1] = np.stack([parts[:, 1], -parts[:, 0]], axis=1).reshape(-1)
+        np.dot(self._unit, self._pair, out=self._products)
+        score = np.einsum("ij,ij->i", self._products, self._products)
+        found: list[Place] = []
+        for _ in range(count):
+            best = int(score.argmax())
+            if not score[best] > 0:
+                break
+            x_mm, y_mm = self._places_mm[best].tolist()
+            found.append((x_mm, y_mm))
+            score[np.square(self._places_mm - self._places_mm[best]).sum(axis=1) < _APART_MM**2] = 0
+        return found
+
+    def add(self, fit: Fit, noise: float) -> Fit:
+        """Return a fit of the frame that the refiner holds with as many more fingers as are worth it.
+
+        The strongest finger is looked for first, then the next in what it leaves. Where this leads nowhere, several
+        beginnings are followed side by side.
+
+        Parameters
+        ----------
+        fit : Fit
+            Fingers that are known already, or none.
+        noise : float
+            Energy that noise alone has in the frame (counts squared).
+        """
+        signal = max(self._refiner.energy - noise, 0.0)
+        enough, good = noise * (1 + NOISE_MARGIN) + ENOUGH * signal, noise * (1 + NOISE_MARGIN) + GOOD * signal
+        best = fit
+        for width in _WIDTHS:
+            beam = [fit]
+            while beam and (not beam[0].places_mm or enough < beam[0].left) and len(beam[0].places_mm) < MOST_FINGERS:
+                more = [
+                    self._refiner.several([*one.places_mm, place], _STEPS)
+                    for one in beam
+                    for place in self.candidates(self._refiner.residual(one))
+                ]
+                more.sort(key=lambda one: one.left)
+                beam = _different([one for one in more if apart_mm(one) > MERGED_MM])[:width]
+                if beam and _worth(beam[0], best, noise):
+                    best = beam[0]
+            if best.left < good:
+                break
+        return best
+
+
+def _worth(fit: Fit, other: Fit, noise: float) -> bool:
+    """Return whether a fit of more fingers explains enough more than another does."""
+    more = len(fit.places_mm) - len(other.places_mm)
+    if not other.places_mm or more <= 0:
+        return fit.left < other.left
+    return fit.left - noise < _WORTH**more * (other.left - noise)
+
+
+def _different(fits: list[Fit]) -> list[Fit]:
+    """Return fits without those that repeat another one's places, which leave the same."""
+    kept: list[Fit] = []
+    for fit in fits:
+        if all(abs(fit.left - other.left) > _SAME * other.left for other in kept):
+            kept.append(fit)
+    return kept
+
+
+def apart_mm(fit: Fit) -> float:
+    """Return the least distance between two fingers of a fit, infinite for fewer."""
+    places: NDArray[np.float64] = np.array(fit.places_mm).reshape(-1, 2)
+    distance = np.linalg.norm(places[:, None] - places[None], axis=2)
+    distance[np.diag_indices(len(places))] = np.inf
+    return float(distance.min()) if len(places) > 1 else float("inf")
