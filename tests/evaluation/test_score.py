@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from touchd.evaluation.modelplots import cell_medians, confusion, sigma_deciles
+from touchd.evaluation.maps import cell_medians
+from touchd.evaluation.modelplots import confusion, sigma_deciles
 from touchd.evaluation.score import Judgement, classes, judge, scores
 from touchd.frame import Plate
 from touchd.keypad import PHONE, load_layout

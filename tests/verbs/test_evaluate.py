@@ -138,3 +138,20 @@ def test_a_recording_without_a_touch_is_refused(folder: Path, tmp_path: Path) ->
     write(tmp_path / "idle.npz", replace(whole, contacts_mm=np.full_like(whole.contacts_mm, np.nan), force_n=None))
     with pytest.raises(RecordingValues, match="no touched frame"):
         said(SHIPPED, tmp_path / "idle.npz")
+
+
+@pytest.mark.parametrize(
+    ("model", "recording"), [(SHIPPED, "one"), (SHIPPED, "two"), (SHIPPED, "both"), (GRID, "both")]
+)
+def test_errors_are_drawn_for_one_finger_and_for_several(
+    model: Path, recording: str, folder: Path, tmp_path: Path
+) -> None:
+    picture = tmp_path / "errors.png"
+    said(model, folder / f"{recording}.npz", "--plot", picture)
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_where_nothing_was_matched_nothing_is_drawn(folder: Path, tmp_path: Path) -> None:
+    with pytest.raises(RecordingValues, match="no contact to draw"):
+        said(GRID, folder / "two.npz", "--plot", tmp_path / "errors.png")
+    assert not (tmp_path / "errors.png").exists()

@@ -1,4 +1,4 @@
-"""Pictures of one model: how it learned, where on the plate it errs, and whether it knows how much."""
+"""Pictures of one model: how it learned, what it takes for what, and whether it knows how much it errs."""
 
 from __future__ import annotations
 
@@ -11,18 +11,13 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 from numpy.typing import NDArray
 
-from touchd.evaluation.plots import COLOURS, TRUTH, draw_transducers
+from touchd.evaluation.maps import MAP, NOTHING
+from touchd.evaluation.plots import COLOURS, TRUTH
 from touchd.evaluation.score import Judgement
-from touchd.frame import Plate
 from touchd.model import Description
-from touchd.recording import Meta
 
-MAP = "viridis"  # told apart by every eye, and in grey
-NOTHING = "#e8eaed"
 ONE_SIGMA = 0.683
 """Share of Gaussian errors within one deviation."""
-CELL_TOUCHES = 6
-"""Touches a cell of the error map holds on average: a median of fewer says little."""
 
 
 def draw_learning_curve(loss: Sequence[float], validation_mm: Sequence[float], kept: int) -> Figure:
@@ -42,58 +37,6 @@ def draw_learning_curve(loss: Sequence[float], validation_mm: Sequence[float], k
     below.legend(frameon=False)
     for axes in (above, below):
         axes.grid(alpha=0.25, which="both")
-    return figure
-
-
-def cell_medians(
-    position_mm: NDArray[np.float32], value: NDArray[np.float64], plate: Plate
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return median value and number of touches in each cell of the plate, shape (rows, columns), NaN where none."""
-    side_mm = sqrt(plate.width_mm * plate.height_mm * CELL_TOUCHES / len(value))
-    columns, rows = (int(np.clip(round(length / side_mm), 3, 25)) for length in (plate.width_mm, plate.height_mm))
-    column, row = np.clip(position_mm / [plate.width_mm, plate.height_mm], 0, 1 - 1e-9).T * [[columns], [rows]]
-    cell = row.astype(int) * columns + column.astype(int)
-    count = np.bincount(cell, minlength=rows * columns)
-    medians = np.array([np.median(value[cell == i]) if count[i] else np.nan for i in range(rows * columns)])
-    return medians.reshape(rows, columns), count.reshape(rows, columns)
-
-
-def draw_error_map(judged: Judgement, meta: Meta) -> Figure:
-    """Draw the median error in each cell of the plate."""
-    plate = meta.plate
-    medians, count = cell_medians(judged.true_mm, judged.distance_mm, plate)
-    figure = Figure(figsize=(7.0, 6.0), layout="constrained")
-    axes = figure.add_subplot()
-    # One cell that is far off shall not make all others look alike.
-    top = float(np.nanpercentile(medians, 95))
-    image = axes.imshow(
-        np.ma.masked_invalid(medians), cmap=MAP, vmin=0, vmax=max(top, 1e-6), extent=_extent(plate)
-    )  # fmt: skip
-    figure.colorbar(image, ax=axes, label="median error (mm)", extend="max", shrink=0.85)
-    for row, column in np.argwhere(count > 0):
-        _say_in_cell(axes, plate, medians.shape, row, column, f"{count[row, column]}", medians[row, column] > top / 2)
-    _draw_plate(axes, meta)
-    axes.set_title(f"error of {len(judged.true_mm)} touches; in each cell: how many; grey: none", fontsize=10)
-    return figure
-
-
-def draw_zones(judged: Judgement, description: Description, meta: Meta) -> Figure:
-    """Draw the share of touches in each zone of a grid that were taken for another zone."""
-    assert judged.true_class is not None
-    assert judged.found_class is not None
-    n = description.grid
-    count = np.bincount(judged.true_class, minlength=n**2)
-    wrong = np.bincount(judged.true_class[judged.found_class != judged.true_class], minlength=n**2)
-    share = np.divide(100.0 * wrong, count, out=np.full(n**2, np.nan), where=count > 0).reshape(n, n)
-    figure = Figure(figsize=(7.0, 6.0), layout="constrained")
-    axes = figure.add_subplot()
-    image = axes.imshow(np.ma.masked_invalid(share), cmap=MAP, vmin=0, vmax=100, extent=_extent(meta.plate))
-    figure.colorbar(image, ax=axes, label="touches taken for another zone (%)", shrink=0.85)
-    for row, column in np.argwhere(count.reshape(n, n) > 0):
-        text = f"{count.reshape(n, n)[row, column]}"
-        _say_in_cell(axes, meta.plate, (n, n), row, column, text, share[row, column] > 50)
-    _draw_plate(axes, meta)
-    axes.set_title(f"{n} x {n} zones, {len(judged.true_mm)} touches; in each zone: how many", fontsize=10)
     return figure
 
 
@@ -167,24 +110,3 @@ def _plain_ticks(axes: Axes) -> None:
             axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 3.0, 5.0, 7.0)))
             axis.set_major_formatter("{x:g}")
             axis.set_minor_locator(NullLocator())
-
-
-def _extent(plate: Plate) -> tuple[float, float, float, float]:
-    """Left, right, bottom and top of an image of the plate: y runs down."""
-    return 0, plate.width_mm, plate.height_mm, 0
-
-
-def _draw_plate(axes: Axes, meta: Meta) -> None:
-    plate = meta.plate
-    axes.set_facecolor(NOTHING)
-    axes.set(xlabel="x (mm)", ylabel="y (mm)", xlim=(0, plate.width_mm), ylim=(plate.height_mm, 0))
-    draw_transducers(meta, axes, colour="white")
-    if meta.receivers_mm or meta.emitter_mm:
-        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.09), ncols=2, frameon=False)
-
-
-def _say_in_cell(
-    axes: Axes, plate: Plate, shape: tuple[int, ...], row: int, column: int, text: str, bright: bool
-) -> None:
-    x_mm, y_mm = (column + 0.5) * plate.width_mm / shape[1], (row + 0.5) * plate.height_mm / shape[0]
-    axes.text(x_mm, y_mm, text, ha="center", va="center", fontsize=7, color="black" if bright else "white")

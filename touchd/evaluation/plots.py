@@ -39,10 +39,14 @@ def draw_session(recording: Recording, events: list[TouchEvent], path: Path) -> 
         when = [seconds[frame] for frame in touch.frames.tolist()]
         for axes, values in zip((x_axes, y_axes), touch.position_mm.T, strict=True):
             axes.plot(when, values, color=TRUTH, lw=6, solid_capstyle="round")
-    for number, contact in enumerate(found_contacts(events)):
+    contacts = found_contacts(events)
+    for number, contact in enumerate(contacts):
         colour = COLOURS[number % len(COLOURS)]
+        label = f"contact {number + 1}"
+        if len(contacts) > len(COLOURS):  # colours come again: a name each would tell them apart no more
+            label = f"{len(contacts)} contacts" if number == 0 else None
         place_mm = np.asarray(contact.position_mm)
-        plate_axes.plot(*place_mm.T, color=colour, lw=1.2, marker="o", ms=2.5, label=f"contact {number + 1}")
+        plate_axes.plot(*place_mm.T, color=colour, lw=1.2, marker="o", ms=2.5, label=label)
         plate_axes.plot(*place_mm[0], color=colour, marker="o", ms=6)  # where it went down; a tap is hardly more
         when = [seconds[frame] for frame in contact.frames]
         for axes, values in zip((x_axes, y_axes), place_mm.T, strict=True):

@@ -15,13 +15,8 @@ from matplotlib.figure import Figure
 
 from touchd import __version__
 from touchd.errors import OutputError
-from touchd.evaluation.modelplots import (
-    draw_confusion,
-    draw_error_map,
-    draw_learning_curve,
-    draw_sigma,
-    draw_zones,
-)
+from touchd.evaluation.maps import draw_error_map, draw_zones
+from touchd.evaluation.modelplots import draw_confusion, draw_learning_curve, draw_sigma
 from touchd.evaluation.plots import save
 from touchd.evaluation.score import Judgement
 from touchd.frame import Plate

@@ -14,7 +14,7 @@ from touchd.config import Settings
 from touchd.configfile import load
 from touchd.errors import RecordingValues
 from touchd.evaluation.frames import network_finder, see, touched_frames
-from touchd.evaluation.matching import match_frames, scores_by_fingers
+from touchd.evaluation.matching import Matches, match_frames, scores_by_fingers
 from touchd.evaluation.metrics import position_scores
 from touchd.evaluation.replay import replay
 from touchd.evaluation.score import Judgement, judge, scores
@@ -32,7 +32,7 @@ STREAM_HZ = 20.0
 @click.option("--json", "as_json", is_flag=True, help="Print the scores as one JSON object.")
 @click.option(
     "--plot", type=click.Path(path_type=Path), metavar="FILE.png",
-    help="Draw the errors over the plate, or which zone or key was taken for which.",
+    help="Draw errors and bias over the plate, or which zone or key was taken for which.",
 )  # fmt: skip
 def command(model: Path, recording: Path, as_json: bool, plot: Path | None) -> None:
     """Score MODEL on RECORDING, which must hold the truth.
@@ -97,25 +97,34 @@ def _score_frames(truth: Recording, model: Model, plot: Path | None) -> dict[str
         one = frames.fingers == 1
         judged = judge(model, frames.features[one], np.array([s.true_mm[0] for s in alone], np.float32).reshape(-1, 2))
     if plot is not None:
-        _draw(judged, model, truth, plot)
+        _draw(judged, matches, model, truth, plot)
     found: dict[str, Any] = {"n": 0, "rmse_mm": None}
     if len(judged.true_mm):
         found = scores(judged) | {"n": len(judged.true_mm)}
     return found | {"by_fingers": scores_by_fingers(matches)}
 
 
-def _draw(judged: Judgement, model: Model, truth: Recording, picture: Path) -> None:
+def _draw(judged: Judgement, matches: Matches, model: Model, truth: Recording, picture: Path) -> None:
     # matplotlib is loaded only where a picture is wanted.
-    from touchd.evaluation.modelplots import draw_confusion, draw_error_map, draw_zones
+    from touchd.evaluation.maps import draw_maps, draw_zones
+    from touchd.evaluation.modelplots import draw_confusion
     from touchd.evaluation.plots import save
 
     d = model.description
+    several = d.head == "regression" and matches.fingers.max() > 1
+    drawn = matches.judged if several else judged
+    if not len(drawn.true_mm):
+        raise RecordingValues("there is no contact to draw", "contacts_mm", "score without --plot")
     if d.head == "grid":
         figure = draw_zones(judged, d, truth.meta)
     elif d.head == "keypad":
         figure = draw_confusion(judged, d)
     else:
-        figure = draw_error_map(judged, truth.meta)
+        missed = int(matches.fingers.sum()) - len(matches.frame)
+        ghosts = int(matches.contacts.sum()) - len(matches.frame)
+        counts = " or ".join(map(str, np.unique(matches.fingers)))
+        remark = f"{len(matches.fingers)} frames with {counts} fingers: {missed} missed, {ghosts} ghosts"
+        figure = draw_maps(drawn, truth.meta, remark if several else "")
     save(figure, picture)
 
 
