@@ -33,6 +33,7 @@ LEAVING_RAD = 2.0
 FULL_STRENGTH = 8.0
 """Strength that counts as a force of 1: above that of a firm press of a human finger, 1 being the training's mean."""
 FIRST_STEPS, FOLLOW_STEPS = 5, 3
+_DRIFT_EVERY_S = 0.04
 _SEARCH_AGAIN_S = 0.05
 _SEARCH_SELDOM_S = 2.0
 _NOISE_SPREAD = 0.25
@@ -81,7 +82,7 @@ class Locator:
         self._fit = _NONE
         self._speed: list[Place] = []
         self._usual = ENOUGH
-        self._search_s, self._wait_s = math.inf, 0.0
+        self._search_s, self._wait_s, self._drift_s = math.inf, 0.0, 0.0
         self.leaving = False
         """Whether the last frame shows the negative of fingers: they were part of the baseline, and have gone."""
         self._drift.settle()
@@ -120,8 +121,10 @@ class Locator:
         if not confidence >= confident:
             self._fit, self._speed = _NONE, []
             return ()
-        if excess < GOOD:
-            self._drift.follow(refiner.residual(fit), elapsed_s)
+        self._drift_s += elapsed_s
+        if excess < GOOD and self._drift_s > _DRIFT_EVERY_S:
+            self._drift.follow(refiner.residual(fit), self._drift_s)
+            self._drift_s = 0.0
         self._learn_speed(fit, elapsed_s)
         self._fit = fit
         self.leaving = all(abs(cmath.phase(z)) > LEAVING_RAD for z in fit.strengths)

@@ -20,8 +20,8 @@ Place = tuple[float, float]
 
 LONGEST_STEP_MM = 3.0
 """About a tenth of the field's wavelength: a longer step would leave the valley that it starts in."""
-STILL_MM = 0.05
-"""After a shorter step the next one would change nothing: it is of second order."""
+STILL_MM = 0.12
+"""After a shorter step the next one, of second order, would be some thousandths of a millimetre."""
 _DAMPING = 1e-3
 # Powers of the fraction of a cell to the four cubic B-splines that are not zero there.
 _SPLINES = np.array([[1, 4, 1, 0], [-3, 0, 3, 0], [3, -6, 3, 0], [-1, 3, -3, 1]], np.float32) / 6
@@ -71,8 +71,8 @@ class Refiner:
 
     def _make_buffers(self) -> None:
         n, parts = self._size, (self._channels, 2, self._bins)
-        # u, its derivatives by x and y; the frame; and frame and u turned by -90 degrees, whose real products with the
-        # first three are the imaginary parts of the complex ones.
+        # u, its derivatives by x and y, the frame d, -i d and i u: real products with the last two are the imaginary
+        # parts of the complex ones.
         self._rows_6 = np.zeros((6, n), np.float32)
         self._columns_6 = self._rows_6.T
         self._field, self._value_x, self._value_y = self._rows_6[:3], self._rows_6[:2], self._rows_6[2:3]
@@ -162,12 +162,12 @@ class Refiner:
 
     def residual(self, fit: Fit) -> Array:
         """Return what a fit leaves of the frame, shape (channels * 2 * bins,)."""
-        left = self._as_complex(self._frame[None])[0].copy()
+        left = self._frame.copy()
         for (x, y), strength in zip(fit.places_mm, fit.strengths, strict=True):
             self._look_up(x, y)
-            left -= np.complex64(strength) * self._as_complex(self._field[:1])[0]
-        parts = left.reshape(self._channels, 1, self._bins)
-        return np.concatenate([parts.real, parts.imag], axis=1).reshape(-1)
+            self._turn_value()
+            left -= np.float32(strength.real) * self._rows_6[0] + np.float32(strength.imag) * self._rows_6[5]
+        return left
 
     def _inside(self, x_mm: float, y_mm: float) -> Place:
         (low_x, low_y), (high_x, high_y) = self._low_mm, self._high_mm
@@ -196,8 +196,7 @@ class Refiner:
 
     def _normal_equations(self) -> tuple[complex, tuple[float, float, float], Place, float]:
         """Return the strength, Re(J^H J) as (xx, xy, yy), Re(J^H r), and the energy explained."""
-        np.negative(self._value_parts[:, 1], out=self._turned_value[:, 0])
-        self._turned_value[:, 1] = self._value_parts[:, 0]
+        self._turn_value()
         np.dot(self._field, self._columns_6, out=self._gram)
         (uu, ux, uy, ud, ud_i, _), (_, xx, xy, xd, xd_i, ux_i), (_, _, yy, yd, yd_i, uy_i) = self._gram.tolist()
         if uu <= 0:
@@ -211,6 +210,11 @@ class Refiner:
         right_x = (turned * (complex(xd, xd_i) - complex(ux, -ux_i) * z)).real
         right_y = (turned * (complex(yd, yd_i) - complex(uy, -uy_i) * z)).real
         return z, (a, b, c), (right_x, right_y), power * uu
+
+    def _turn_value(self) -> None:
+        """Put i u beside u."""
+        np.negative(self._value_parts[:, 1], out=self._turned_value[:, 0])
+        self._turned_value[:, 1] = self._value_parts[:, 0]
 
     def _as_complex(self, rows: Array) -> NDArray[np.complex64]:
         """Return rows of features (n, channels * 2 * bins) as complex bins (n, channels * bins)."""
