@@ -9,12 +9,13 @@ from hypothesis import strategies as st
 
 from tests.conftest import Scene
 from touchd.config import GateSettings, Settings
+from touchd.counters import Counters
 from touchd.event import TouchEvent
 from touchd.frame import Frame
 from touchd.gate import Gate
 from touchd.message import Messages
 from touchd.model import Model
-from touchd.pipeline import Counters, Pipeline
+from touchd.pipeline import Pipeline
 from touchd.still import Still
 
 SHAPE = (4, 250)

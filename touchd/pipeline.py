@@ -11,12 +11,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
 
 import numpy as np
 
 from touchd.baseline import Baseline
 from touchd.config import Settings
+from touchd.counters import Counters
 from touchd.event import Event
 from touchd.features import make_features
 from touchd.frame import Acquisition, Frame
@@ -37,22 +37,6 @@ LATE_FRAMES = 32
 
 def _everybody(_topic: str) -> bool:
     return True
-
-
-@dataclass(slots=True)
-class Counters:
-    """What became of the frames."""
-
-    frames: int = 0
-    lost: int = 0
-    repeated: int = 0
-    inferred: int = 0
-    skipped: dict[str, int] = field(
-        default_factory=lambda: {"learning": 0, "gate": 0, "faint": 0, "still": 0, "screen-off": 0}
-    )
-    """Frames that needed neither features nor network, by reason."""
-    unheard: dict[str, int] = field(default_factory=lambda: {"touch": 0, "spectrum": 0})
-    """Messages that were not made because nobody was subscribed, by topic."""
 
 
 class Pipeline:
@@ -97,9 +81,7 @@ class Pipeline:
         self._of_residual = model.description.input == "residual"
         self._residual = self.baseline.residual
         self._signal = self._residual if self._of_residual else self.baseline.signal
-        self._located: tuple[Touch, ...] = ()  # what the frame looked at last holds
-        self._was_alive = False  # and whether a contact was down then, of whom less confidence is asked
-        self._was_leaving: bool | None = None  # and whether its negative is a finger, once that was asked
+        self._located: tuple[Touch, ...] = ()  # the fingers of the frame looked at last
         self.screen_off = False
         """Whether frames only keep the baseline, since nobody sees what is touched."""
         self._messages = messages
@@ -135,6 +117,7 @@ class Pipeline:
         faint = energy < self._min_snr * self.gate.noise_energy
         if faint:
             self.counters.skipped["faint"] += 1
+            self._located = ()
         touches = () if faint else self._find(energy)
         events = self._track(frame, touches)
         self._settle(frame, energy, elapsed_s, found=bool(touches), faint=faint)
@@ -146,6 +129,7 @@ class Pipeline:
 
     def lose(self, t_ns: int) -> list[Event]:
         """End all contacts because no further frame comes, and return the events."""
+        self._still.forget()  # less confidence was asked while a contact was down
         contacts = self.tracker.release_all(t_ns)
         return self._messages.touch(t_ns, self._last_sequence or 0, contacts) if contacts else NOTHING
 
@@ -252,14 +236,13 @@ class Pipeline:
 
     def _find(self, energy: float) -> tuple[Touch, ...]:
         """Return the fingers of this frame: found anew, or those of the frame looked at last if nothing has changed."""
-        alive = self.tracker.alive
-        if alive is self._was_alive and self._still.holds(self._residual):
-            # What lets features and network be skipped: but for the noise they would see what they have seen.
+        # What lets features and network be skipped: but for the noise they would see what they have seen. Where no
+        # finger was found they look again: something is there, and under other noise it may be one.
+        if self._located and self._still.holds(self._residual):
             self.counters.skipped["still"] += 1
             return self._located
         if self._skip.still:
             self._still.look(self._residual, self.gate)
-        self._was_alive, self._was_leaving = alive, None
         self._located = self._locate(energy)
         return self._located
 
@@ -310,12 +293,11 @@ class Pipeline:
         """Return whether the negative of the residual is a finger: one that the baseline held has gone."""
         if not self._of_residual:
             return False
-        if self._was_leaving is None:
-            features = self._model.features
-            np.negative(features, features)
-            self._was_leaving = self._model.estimate().confidence >= self._min_confidence
-            np.negative(features, features)
-        return self._was_leaving
+        features = self._model.features
+        np.negative(features, features)
+        leaving = self._model.estimate().confidence >= self._min_confidence
+        np.negative(features, features)
+        return leaving
 
     def _relearn(self, frame: Frame, verdict: Verdict, energy: float) -> None:
         level_db = 10 * math.log10(energy / self._signal_energy)

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from touchd.config import Settings
+from touchd.counters import Counters
 from touchd.daemon import make_messages, make_pipeline
 from touchd.event import Event, TouchEvent
-from touchd.pipeline import Counters
 from touchd.sources import EndOfStream, Source
 from touchd.sources.replay import ReplaySource
 
