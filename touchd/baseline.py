@@ -36,7 +36,8 @@ class Baseline:
         self._energy = np.zeros((), np.float32)
         self.retune(settings)
         self._patience = _PATIENCE_WINDOWS * settings.learn_frames
-        self._window = np.zeros((settings.learn_frames, *shape), np.float32)
+        self.window: Signal = np.zeros((settings.learn_frames, *shape), np.float32)
+        """The frames that it was learned from last, shape (learn_frames, channels, samples)."""
         self._filled = 0
         self._tried = 0
 
@@ -52,12 +53,12 @@ class Baseline:
         ndarray of shape (learn_frames,) or None
             The residual energies of the frames learned from once the baseline is known, None before.
         """
-        self._window[self._filled] = counts
+        self.window[self._filled] = counts
         self._filled += 1
         self._tried += 1
-        if self._filled < len(self._window):
+        if self._filled < len(self.window):
             return None
-        frames = self._window
+        frames = self.window
         np.mean(frames, axis=0, out=self.mean)
         residuals = (frames - self.mean).reshape(len(frames), -1)
         energies: NDArray[np.float64] = np.einsum("ij,ij->i", residuals, residuals, dtype=np.float64)

@@ -18,8 +18,8 @@ class Counters:
     inferred: int = 0
     """Gone through features and network."""
     skipped: dict[str, int] = field(
-        default_factory=lambda: {"learning": 0, "gate": 0, "faint": 0, "still": 0, "screen-off": 0}
+        default_factory=lambda: dict.fromkeys(("learning", "gate", "faint", "still", "tracking", "screen-off"), 0)
     )
-    """Frames that needed neither features nor network, by reason."""
+    """Frames that needed no network, by reason; all but those of `tracking` needed no features either."""
     unheard: dict[str, int] = field(default_factory=lambda: {"touch": 0, "spectrum": 0})
     """Messages that were not made because nobody was subscribed, by topic."""

@@ -30,8 +30,9 @@ PHASE_RAD = (-1.2, 0.47)
 less than 0.3, by 0.5 within 8 mm of the edge; human fingers lag by up to 0.4 (twin)."""
 LEAVING_RAD = 2.0
 """A strength so far from a finger's is one with the opposite sign: a finger that the baseline held has gone."""
-FULL_STRENGTH = 8.0
-"""Strength that counts as a force of 1: above that of a firm press of a human finger, 1 being the training's mean."""
+STILL_MM = 0.05
+"""A finger that moves less from one frame to the next may be still."""
+STILL_SIGMAS = 2.5
 FIRST_STEPS, FOLLOW_STEPS = 5, 3
 _DRIFT_EVERY_S = 0.04
 _SEARCH_AGAIN_S = 0.05
@@ -54,6 +55,11 @@ class Locator:
         self._drift = Drift(atlas)
         self._noise = Noise(d.acquisition.channels, len(d.bins))
         self._untouched: Array = np.zeros(atlas.size, np.float32)
+        self._seen: Array = np.zeros(atlas.size, np.float32)
+        self._difference: Array = np.zeros(atlas.size, np.float32)
+        self._shift: Array = np.zeros((2, atlas.size), np.float32)
+        self._most_mm2 = 0.0
+        self._moved_mm = math.inf
         self._noise_scale, self._field_scale = d.noise_scale, d.field_scale
         self._error = atlas.error
         self._per_channel = 2 * len(d.bins)
@@ -66,10 +72,20 @@ class Locator:
         """What is known of the plate's temperature, gains and dead channels."""
         return self._drift
 
+    def learn(self, residuals: Array, baseline: Array) -> None:
+        """Start afresh on an untouched plate, (channels, samples), from the residuals of its frames, (n, ...)."""
+        self._noise.forget()
+        self.rebase(baseline)
+        for residual in residuals:
+            self.hear(residual)
+        self._listen_to(~self._drift.dead)
+        self.forget()
+
     def rebase(self, baseline: Array) -> None:
         """Take note of the untouched plate as it is now, of shape (channels, samples)."""
         self._baseline = baseline
         self._drift.rebase(baseline)
+        self._per_strength = math.sqrt(self._search.mean_energy / self._drift.signal_energy)
         self._listen_to(~self._drift.dead)
 
     def hear(self, residual: Array) -> None:
@@ -80,6 +96,7 @@ class Locator:
     def forget(self) -> None:
         """Start afresh with the next frame: no finger is being followed."""
         self._fit = _NONE
+        self._armed = False
         self._speed: list[Place] = []
         self._usual = ENOUGH
         self._search_s, self._wait_s, self._drift_s = math.inf, 0.0, 0.0
@@ -90,7 +107,7 @@ class Locator:
     def locate(
         self, residual: Array, elapsed_s: float, confident: float, start: Callable[[], Estimate]
     ) -> tuple[Touch, ...]:
-        """Return the fingers of a frame.
+        """Return the fingers of a frame; their force is the change of the signal, as a share of its size.
 
         Parameters
         ----------
@@ -127,8 +144,38 @@ class Locator:
             self._drift_s = 0.0
         self._learn_speed(fit, elapsed_s)
         self._fit = fit
+        self._arm(fit)
         self.leaving = all(abs(cmath.phase(z)) > LEAVING_RAD for z in fit.strengths)
         return self._touches(fit, confidence, max(excess, 0.0) * signal)
+
+    def holds(self, residual: Array) -> bool:
+        """Return whether the finger of the last frame located is still where it was, but for the noise.
+
+        One step of Gauss-Newton with what was known then tells how far it seems to have moved; what else may have
+        come is seen in the energy of the difference.
+        """
+        if not self._armed:
+            return False
+        difference = self._difference
+        self._drift.features(residual, difference)
+        np.subtract(difference, self._seen, out=difference)
+        if self._refiner.mask is not None:
+            np.multiply(difference, self._refiner.mask, out=difference)
+        if not float(difference.dot(difference)) <= 2 * (1 + NOISE_MARGIN) * self._expected:
+            return False
+        x_mm, y_mm = self._shift.dot(difference).tolist()
+        return bool(x_mm * x_mm + y_mm * y_mm <= self._most_mm2)
+
+    def _arm(self, fit: Fit) -> None:
+        """Keep what `holds` asks for if this is one finger that hardly moves."""
+        was_still = len(fit.places_mm) == len(self._speed) == 1 and self._moved_mm < STILL_MM
+        self._armed = was_still and fit.information[0, 0] > 0
+        if self._armed:
+            np.copyto(self._seen, self._refiner.frame)
+            self._shift = self._refiner.shift(fit)
+            # Of two frames, per axis, by noise alone.
+            sigma_mm = _sigmas_mm(fit.information, 2 * self._noise_scale * self._expected / self._alive)[0]
+            self._most_mm2 = 2 * (STILL_SIGMAS * sigma_mm) ** 2
 
     def _begin(self, start: Callable[[], Estimate]) -> Fit:
         """Fit one finger from where the network sees it."""
@@ -181,6 +228,7 @@ class Locator:
     def _learn_speed(self, fit: Fit, elapsed_s: float) -> None:
         """Follow each finger's velocity, mm/s, over some three frames."""
         before = self._fit.places_mm
+        self._moved_mm = math.dist(before[0], fit.places_mm[0]) if len(before) == len(fit.places_mm) == 1 else math.inf
         if len(before) != len(fit.places_mm) or len(self._speed) != len(before) or elapsed_s <= 0:
             self._speed = [(0.0, 0.0)] * len(fit.places_mm)
             return
@@ -202,7 +250,7 @@ class Locator:
         error = max(error, self._field_scale * unexplained / self._alive)
         sigmas_mm = _sigmas_mm(fit.information, self._noise_scale * self._expected / self._alive + error)
         return tuple(
-            Touch(x, y, sigma_mm, confidence, min(1.0, abs(z) / FULL_STRENGTH))
+            Touch(x, y, sigma_mm, confidence, abs(z) * self._per_strength)
             for (x, y), z, sigma_mm in zip(fit.places_mm, fit.strengths, sigmas_mm, strict=True)
             if PHASE_RAD[0] < cmath.phase(z) < PHASE_RAD[1]
         )

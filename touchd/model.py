@@ -11,6 +11,7 @@ import onnxruntime as ort
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from touchd.atlas import Atlas, atlas_path, load_atlas
 from touchd.errors import ModelInvalid, ModelMismatch, ModelMissing
 from touchd.features import Domain, band_bins
 from touchd.frame import Acquisition, Plate
@@ -72,13 +73,19 @@ class Estimate(NamedTuple):
 class Model:
     """A loaded network. `features` is its input buffer: fill it, then call `estimate`.
 
+    Parameters
+    ----------
+    path : Path
+    atlas : bool
+        Whether to load the field atlas that may lie beside it.
+
     Raises
     ------
     ModelMissing, ModelInvalid
         If the file cannot be read, is no ONNX model, or carries no usable description.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, *, atlas: bool = True) -> None:
         self.path = path
         self._session = _load(path)
         self.description = _describe(self._session, path)
@@ -95,6 +102,8 @@ class Model:
             self.outputs[output.name] = buffer
         self._read = _READERS[d.head]
         self._check_outputs()
+        self.atlas = self._load_atlas() if atlas else None
+        """The field atlas beside it, if there is one."""
         self.estimate()  # the first run allocates: have it done before the first touch
 
     def check(self, acquisition: Acquisition) -> None:
@@ -135,6 +144,19 @@ class Model:
         """Run the network on `features` and return what it says."""
         self.infer()
         return self._read(self)
+
+    def _load_atlas(self) -> Atlas | None:
+        path = atlas_path(self.path)
+        if not path.exists():
+            return None
+        atlas, d = load_atlas(path), self.description
+        if atlas.description.data_sha256 != d.data_sha256 or atlas.description.acquisition != d.acquisition:
+            raise ModelInvalid(
+                f"the atlas was learned from another recording than {self.path.name}",
+                str(path),
+                "train both together: touchd train --recipe atlas; or remove the atlas",
+            )
+        return atlas
 
     def _check_input(self) -> None:
         shape = self._session.get_inputs()[0].shape

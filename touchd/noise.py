@@ -29,6 +29,11 @@ class Noise:
         self.power: Array = np.zeros(channels * 2 * bins, np.float32)
         """Of each feature, counts squared."""
 
+    def forget(self) -> None:
+        """Begin anew with the next frame."""
+        self._heard = 0
+        self.power[:] = 0
+
     def hear(self, features: Array) -> None:
         """Take in the features of an untouched frame's residual, shape (channels * 2 * bins,)."""
         self._heard = min(self._heard + 1, MEMORY_FRAMES)

@@ -12,20 +12,17 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-import numpy as np
-
 from touchd.baseline import Baseline
 from touchd.config import Settings
 from touchd.counters import Counters
 from touchd.event import Event
-from touchd.features import make_features
+from touchd.finder import make_finder
 from touchd.frame import Acquisition, Frame
 from touchd.gate import Gate
 from touchd.keypad import Layout
 from touchd.message import Messages, is_change
 from touchd.model import Model
 from touchd.standing import Standing, Verdict
-from touchd.still import Still
 from touchd.tracker import Touch, Tracker
 
 NOTHING: list[Event] = []
@@ -73,21 +70,15 @@ class Pipeline:
         self.baseline = Baseline(acquisition.shape, settings.baseline)
         self.gate = Gate(settings.gate)
         self.tracker = Tracker(settings.tracker)
+        self._finder = make_finder(acquisition, model, settings, layout, self.baseline, self.gate, self.counters)
         self._standing = Standing(acquisition.shape, settings.baseline)
-        self._still = Still(acquisition.shape, settings.skip.still_false_alarm_rate)
-        self._features = make_features(model.description.domain, acquisition)
-        self._model = model
-        self._input = model.features.reshape(self._features.shape)
-        self._of_residual = model.description.input == "residual"
         self._residual = self.baseline.residual
-        self._signal = self._residual if self._of_residual else self.baseline.signal
-        self._located: tuple[Touch, ...] = ()  # the fingers of the frame looked at last
         self.screen_off = False
         """Whether frames only keep the baseline, since nobody sees what is touched."""
         self._messages = messages
         self._wants = wants
         self._notify = notify
-        self._set_thresholds(settings, layout)
+        self._set_thresholds(settings)
         self._learning = True
         self._signal_energy = 1.0
         self._last_sequence: int | None = None
@@ -117,8 +108,8 @@ class Pipeline:
         faint = energy < self._min_snr * self.gate.noise_energy
         if faint:
             self.counters.skipped["faint"] += 1
-            self._located = ()
-        touches = () if faint else self._find(energy)
+            self._finder.forget()
+        touches = () if faint else self._finder.find(energy, elapsed_s, alive=self.tracker.alive)
         events = self._track(frame, touches)
         self._settle(frame, energy, elapsed_s, found=bool(touches), faint=faint)
         return events
@@ -129,7 +120,7 @@ class Pipeline:
 
     def lose(self, t_ns: int) -> list[Event]:
         """End all contacts because no further frame comes, and return the events."""
-        self._still.forget()  # less confidence was asked while a contact was down
+        self._finder.forget()
         contacts = self.tracker.release_all(t_ns)
         return self._messages.touch(t_ns, self._last_sequence or 0, contacts) if contacts else NOTHING
 
@@ -149,8 +140,8 @@ class Pipeline:
         self.gate.retune(settings.gate)
         self.tracker.retune(settings.tracker)
         self._standing.retune(settings.baseline)
-        self._still.retune(settings.skip.still_false_alarm_rate)
-        self._set_thresholds(settings, layout)
+        self._finder.retune(settings, layout)
+        self._set_thresholds(settings)
 
     def restart(self) -> None:
         """Learn the plate anew: the device was away, and what it hears may have changed."""
@@ -158,19 +149,11 @@ class Pipeline:
         self._last_sequence = None
         self._learn_anew()
 
-    def _set_thresholds(self, settings: Settings, layout: Layout | None) -> None:
-        self._min_confidence = settings.model.min_confidence
-        self._keep_confidence = settings.model.keep_confidence
+    def _set_thresholds(self, settings: Settings) -> None:
         self._min_snr = 10 ** (settings.model.min_snr_db / 10)
-        # The other heads' sigma is the size of a zone or a key, whatever the frame.
-        regression = self._model.description.head == "regression"
-        self._max_sigma_mm = settings.model.max_sigma_mm if regression else math.inf
-        self._force_full_scale = settings.tracker.force_full_scale
         self._small = 10 ** (settings.baseline.drift_below_db / 10)
-        self._layout = layout
         self._skip = settings.skip
         self._hears = self._wants if settings.skip.unheard else _everybody
-        self._still.forget()
         if not self._skip.screen:
             self.screen_off = False
 
@@ -204,6 +187,7 @@ class Pipeline:
             self.gate.learn(energies)
             self._standing.clear()
             self._signal_energy = max(self.baseline.energy(), 1.0)  # a dead DAQ sends zeros
+            self._finder.learned()
             self._learning = False
             self.followed_ns = frame.t_ns
         return self._track(frame, ()) if self.tracker.busy else NOTHING
@@ -211,18 +195,20 @@ class Pipeline:
     def _untouched(self, frame: Frame, energy: float, elapsed_s: float) -> None:
         """The gate is closed: the plate's drift and noise are followed."""
         self._standing.clear()
-        self._still.forget()
         self.gate.follow(energy)
-        if not self.tracker.busy:
+        followed = not self.tracker.busy
+        if followed:
             self.baseline.follow(elapsed_s)
             self.followed_ns = frame.t_ns
+        self._finder.untouched(elapsed_s, followed=followed)
 
     def _count_closed(self, energy: float) -> None:
         """What lets features and network be skipped: noise alone explains the frame, whatever they would say of it."""
         if self._skip.gate:
             self.counters.skipped["gate"] += 1
         else:
-            self._locate(energy)
+            self._finder.find(energy, 0.0, alive=False)
+            self._finder.forget()
 
     def _rest(self, frame: Frame, energy: float, elapsed_s: float, *, is_open: bool) -> list[Event]:
         """What lets all but the baseline be skipped: the screen is off, and no touch can mean anything."""
@@ -233,31 +219,6 @@ class Pipeline:
         else:
             self._untouched(frame, energy, elapsed_s)
         return NOTHING
-
-    def _find(self, energy: float) -> tuple[Touch, ...]:
-        """Return the fingers of this frame: found anew, or those of the frame looked at last if nothing has changed."""
-        # What lets features and network be skipped: but for the noise they would see what they have seen. Where no
-        # finger was found they look again: something is there, and under other noise it may be one.
-        if self._located and self._still.holds(self._residual):
-            self.counters.skipped["still"] += 1
-            return self._located
-        if self._skip.still:
-            self._still.look(self._residual, self.gate)
-        self._located = self._locate(energy)
-        return self._located
-
-    def _locate(self, energy: float) -> tuple[Touch, ...]:
-        """Features and network: where the fingers are, none if this does not look like any."""
-        self._features.extract(self._signal, self._input)
-        self.counters.inferred += 1
-        estimate = self._model.estimate()
-        confident = self._keep_confidence if self.tracker.alive else self._min_confidence
-        # Asked this way round, so that a network that says NaN places nothing.
-        if not (estimate.confidence >= confident and estimate.sigma_mm <= self._max_sigma_mm):
-            return ()
-        force = min(1.0, (energy / self._signal_energy) ** 0.5 / self._force_full_scale)
-        key = self._layout.at(estimate.x_mm, estimate.y_mm) if self._layout else estimate.key
-        return (Touch(estimate.x_mm, estimate.y_mm, estimate.sigma_mm, estimate.confidence, force, key),)
 
     def _track(self, frame: Frame, touches: tuple[Touch, ...]) -> list[Event]:
         contacts = self.tracker.update(frame.t_ns, touches)
@@ -271,7 +232,7 @@ class Pipeline:
                 self.counters.unheard["touch"] += 1
         if touches:
             if self._hears("spectrum"):
-                spectrum = self._messages.spectrum(frame.t_ns, frame.sequence, self._model.features[0].tolist())
+                spectrum = self._messages.spectrum(frame.t_ns, frame.sequence, self._finder.spectrum())
                 events = [*events, spectrum]
             else:
                 self.counters.unheard["spectrum"] += 1
@@ -284,20 +245,10 @@ class Pipeline:
             # Less than any finger does: the plate has drifted while it was touched.
             self.baseline.follow(elapsed_s)
             self.followed_ns = frame.t_ns
-        leaving = not finger and not faint and self._looks_like_leaving()
+        leaving = not finger and not faint and self._finder.leaving()
         verdict = self._standing.watch(frame.t_ns, self._residual, energy, finger=finger, leaving=leaving)
         if verdict is not None:
             self._relearn(frame, verdict, energy)
-
-    def _looks_like_leaving(self) -> bool:
-        """Return whether the negative of the residual is a finger: one that the baseline held has gone."""
-        if not self._of_residual:
-            return False
-        features = self._model.features
-        np.negative(features, features)
-        leaving = self._model.estimate().confidence >= self._min_confidence
-        np.negative(features, features)
-        return leaving
 
     def _relearn(self, frame: Frame, verdict: Verdict, energy: float) -> None:
         level_db = 10 * math.log10(energy / self._signal_energy)
@@ -306,5 +257,5 @@ class Pipeline:
 
     def _learn_anew(self) -> None:
         self.baseline.restart()
-        self._still.forget()
+        self._finder.forget()
         self._learning = True

@@ -160,6 +160,16 @@ class Refiner:
         places = [(float(x), float(y)) for x, y in at]
         return Fit(places, z.tolist(), energies, information, max(left, 0.0))
 
+    def shift(self, fit: Fit) -> Array:
+        """Return the matrix from a small change of the frame to that of one finger's x and y, mm, (2, size)."""
+        z = fit.strengths[0]
+        self._look_up(*fit.places_mm[0])
+        u, u_x, u_y = self._as_complex(self._field)
+        parts = [z * (along - u * (np.vdot(u, along) / np.vdot(u, u))) for along in (u_x, u_y)]
+        slope = np.stack([part.reshape(self._channels, self._bins) for part in parts])
+        rows = np.stack([slope.real, slope.imag], axis=2).reshape(2, -1)
+        return np.linalg.solve(fit.information, rows).astype(np.float32)
+
     def residual(self, fit: Fit) -> Array:
         """Return what a fit leaves of the frame, shape (channels * 2 * bins,)."""
         left = self._frame.copy()

@@ -53,6 +53,8 @@ class Search:
         self._places_mm = np.stack(np.meshgrid(x_mm, y_mm), axis=-1).reshape(-1, 2)
         rows = values.reshape(len(self._places_mm), -1)
         norm = np.linalg.norm(rows, axis=1, keepdims=True)
+        self.mean_energy = float(np.square(norm).mean())
+        """Of the field over the touched part of the plate: what a finger of strength 1 adds, counts squared."""
         self._unit = (rows / np.maximum(norm, 1e-6 * norm.max())).astype(np.float32)
         self._parts = d.acquisition.channels, 2, len(d.bins)
         self._pair = np.zeros((atlas.size, 2), np.float32)

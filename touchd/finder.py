@@ -1,0 +1,227 @@
+"""Where the fingers are in a frame that is not untouched: features -> model, and the field atlas where there is one."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from touchd.baseline import Baseline
+from touchd.config import Settings
+from touchd.counters import Counters
+from touchd.features import make_features
+from touchd.frame import Acquisition
+from touchd.gate import Gate
+from touchd.keypad import Layout
+from touchd.locator import Locator
+from touchd.model import Estimate, Model
+from touchd.still import Still
+from touchd.tracker import Touch
+
+REBASE_S = 1.0
+"""How often the untouched plate's temperature and gains are looked at: far more slowly they change."""
+HEAR_EVERY = 16
+"""Of so many untouched frames one tells what noise there is in the bins."""
+
+
+class Finder:
+    """Places a finger by the network alone.
+
+    Parameters
+    ----------
+    acquisition, model, settings, layout
+        Those of the pipeline.
+    baseline : Baseline
+        Holds each frame's residual.
+    gate : Gate
+        Knows the noise.
+    counters : Counters
+        Told what ran and what did not.
+    """
+
+    def __init__(
+        self,
+        acquisition: Acquisition,
+        model: Model,
+        settings: Settings,
+        layout: Layout | None,
+        baseline: Baseline,
+        gate: Gate,
+        counters: Counters,
+    ) -> None:
+        self._model, self._baseline, self._gate, self._counters = model, baseline, gate, counters
+        self._features = make_features(model.description.domain, acquisition)
+        self._input = model.features.reshape(self._features.shape)
+        self._of_residual = model.description.input == "residual"
+        self._residual = baseline.residual
+        self._signal = baseline.residual if self._of_residual else baseline.signal
+        self._still = Still(acquisition.shape, settings.skip.still_false_alarm_rate)
+        self._located: tuple[Touch, ...] = ()  # the fingers of the frame looked at last
+        self._signal_energy = 1.0
+        self._energy = self._elapsed_s = 0.0
+        self._untouched_frames, self._followed_s = 0, 0.0
+        self.retune(settings, layout)
+
+    def retune(self, settings: Settings, layout: Layout | None) -> None:
+        """Take other thresholds and keys."""
+        self._min_confidence, self._keep_confidence = settings.model.min_confidence, settings.model.keep_confidence
+        # The other heads' sigma is the size of a zone or a key, whatever the frame.
+        regression = self._model.description.head == "regression"
+        self._max_sigma_mm = settings.model.max_sigma_mm if regression else math.inf
+        self._force_full_scale = settings.tracker.force_full_scale
+        self._layout = layout
+        self._skip_still = settings.skip.still
+        self._still.retune(settings.skip.still_false_alarm_rate)
+        self.forget()
+
+    def learned(self) -> None:
+        """Take note that the baseline was learned anew."""
+        self._signal_energy = max(self._baseline.energy(), 1.0)  # a dead DAQ sends zeros
+        self.forget()
+
+    def untouched(self, elapsed_s: float, *, followed: bool) -> None:
+        """Take note of an untouched frame, and whether the baseline followed it."""
+        if self._located:
+            self.forget()
+        self._untouched_frames += 1
+        if self._untouched_frames % HEAR_EVERY == 0:
+            self._hear()
+        self._followed_s += elapsed_s
+        if followed and self._followed_s > REBASE_S:
+            self._followed_s = 0.0
+            self._rebase()
+
+    def forget(self) -> None:
+        """Forget the fingers: there is none any more."""
+        self._located = ()
+        self._still.forget()
+
+    def find(self, energy: float, elapsed_s: float, *, alive: bool) -> tuple[Touch, ...]:
+        """Return the fingers of this frame: found anew, or those of the frame looked at last if nothing has changed.
+
+        Parameters
+        ----------
+        energy : float
+            Of the residual, counts squared.
+        elapsed_s : float
+            Time since the last frame.
+        alive : bool
+            Whether a contact is down, of whom less confidence is asked.
+        """
+        # What lets features and network be skipped: but for the noise they would see what they have seen. Where no
+        # finger was found they look again: something is there, and under other noise it may be one.
+        if self._located and self._holds():
+            self._counters.skipped["still"] += 1
+            return self._located
+        self._energy, self._elapsed_s = energy, elapsed_s
+        self._located = self._look(self._keep_confidence if alive else self._min_confidence)
+        return self._located
+
+    def leaving(self) -> bool:
+        """Return whether the negative of the residual is a finger: one that the baseline held has gone."""
+        if not self._of_residual:
+            return False
+        features = self._model.features
+        np.negative(features, features)
+        leaving = self._model.estimate().confidence >= self._min_confidence
+        np.negative(features, features)
+        return leaving
+
+    def spectrum(self) -> list[float]:
+        """Return the features of this frame."""
+        self._features.extract(self._signal, self._input)
+        features: list[float] = self._model.features[0].tolist()
+        return features
+
+    def _hear(self) -> None:
+        """The network was told in training what noise there is, and of every temperature."""
+
+    def _rebase(self) -> None:
+        """As `_hear`."""
+
+    def _holds(self) -> bool:
+        return self._still.holds(self._residual)
+
+    def _look(self, confident: float) -> tuple[Touch, ...]:
+        if self._skip_still:
+            self._still.look(self._residual, self._gate)
+        estimate = self._estimate()
+        # Asked this way round, so that a network that says NaN places nothing.
+        if not (estimate.confidence >= confident and estimate.sigma_mm <= self._max_sigma_mm):
+            return ()
+        force = (self._energy / self._signal_energy) ** 0.5
+        return (self._finished(Touch(*estimate[:4], force, estimate.key)),)
+
+    def _estimate(self) -> Estimate:
+        """Features and network."""
+        self._features.extract(self._signal, self._input)
+        self._counters.inferred += 1
+        return self._model.estimate()
+
+    def _finished(self, touch: Touch) -> Touch:
+        """Return a touch, whose force is the change of the signal, with its force in full scales, and its key."""
+        force = min(1.0, touch.force / self._force_full_scale)
+        key = self._layout.at(touch.x_mm, touch.y_mm) if self._layout else touch.key
+        return Touch(touch.x_mm, touch.y_mm, touch.sigma_mm, touch.confidence, force, key)
+
+
+class AtlasFinder(Finder):
+    """Places fingers on the field atlas; the network only says where to begin."""
+
+    def __init__(
+        self,
+        acquisition: Acquisition,
+        model: Model,
+        settings: Settings,
+        layout: Layout | None,
+        baseline: Baseline,
+        gate: Gate,
+        counters: Counters,
+    ) -> None:
+        assert model.atlas is not None
+        self._locator = Locator(model.atlas)
+        super().__init__(acquisition, model, settings, layout, baseline, gate, counters)
+
+    def learned(self) -> None:
+        """Take note that the baseline was learned anew."""
+        super().learned()
+        self._locator.learn(self._baseline.window - self._baseline.mean, self._baseline.mean)
+
+    def forget(self) -> None:
+        """Forget the fingers: there is none any more."""
+        self._located = ()
+        self._locator.forget()
+
+    def leaving(self) -> bool:
+        """Return whether the negative of the residual is a finger: one that the baseline held has gone."""
+        return self._locator.leaving
+
+    def _hear(self) -> None:
+        self._locator.hear(self._residual)
+
+    def _rebase(self) -> None:
+        self._locator.rebase(self._baseline.mean)
+
+    def _holds(self) -> bool:
+        return self._skip_still and self._locator.holds(self._residual)
+
+    def _look(self, confident: float) -> tuple[Touch, ...]:
+        inferred = self._counters.inferred
+        found = self._locator.locate(self._residual, self._elapsed_s, confident, self._estimate)
+        # What lets the network be skipped: the finger was followed, and is where it was going.
+        self._counters.skipped["tracking"] += self._counters.inferred == inferred
+        return tuple(self._finished(touch) for touch in found if touch.sigma_mm <= self._max_sigma_mm)
+
+
+def make_finder(
+    acquisition: Acquisition,
+    model: Model,
+    settings: Settings,
+    layout: Layout | None,
+    baseline: Baseline,
+    gate: Gate,
+    counters: Counters,
+) -> Finder:
+    """Return what places fingers with a model: on its field atlas, if it has one and the settings want it."""
+    kind = AtlasFinder if model.atlas is not None else Finder
+    return kind(acquisition, model, settings, layout, baseline, gate, counters)
