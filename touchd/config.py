@@ -137,7 +137,7 @@ class SkipSettings(_Section):
     """What the scene does not need is not done. Each skip can be switched off, to see what it saves."""
 
     gate: bool = Field(
-        True, description="No features and no network while the gate is closed; if false they run, and what they say is not used."
+        True, description="No features and no network while the gate is closed; if false they run all the same."
     )
     still: bool = Field(
         True, description="No features and no network while a frame is, but for the noise, the one looked at last."
