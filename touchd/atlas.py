@@ -55,6 +55,8 @@ class AtlasDescription(BaseModel):
     """Of the plate's flexural wave at each bin: the dispersion that limits the field's band."""
     fitted: bool = False
     """Whether the dispersion was fitted to the touches, the material being unknown."""
+    scores: dict[str, float] = {}
+    """Of the test touches, from the network's answer on, for example `rmse_mm`."""
     data_sha256: str = ""
     """Digest of the training recording's frames and truth."""
     command: str = ""
