@@ -156,9 +156,16 @@ class TrackerSettings(_Section):
     release_frames: int = Field(2, ge=1, description="Frames without it before a contact is reported up.")
     max_contacts: int = Field(10, ge=1, description="Contacts alive at once; further ones are ignored.")
     reach_mm: float = Field(25.0, gt=0, description="A contact moves at most this far from one frame to the next, mm.")
-    dead_band_mm: float = Field(0.5, ge=0, description="Movement within this is `hold`, not `move`, mm.")
-    min_cutoff_hz: float = Field(4.0, gt=0, description="One-Euro filter: cut-off for a still finger, Hz.")
-    beta: float = Field(0.2, ge=0, description="One-Euro filter: how much the cut-off opens with speed, Hz per mm/s.")
+    dead_band_mm: float = Field(
+        0.1, ge=0, description="Movement within this, or within 1.5 `sigma_mm` if that is more, is `hold`, mm."
+    )
+    min_cutoff_hz: float = Field(
+        4.0, gt=0, description="One-Euro filter: cut-off for a still finger, Hz, where `sigma_mm` is 0.5; a surer "
+        "one's is higher in proportion.",
+    )  # fmt: skip
+    beta: float = Field(
+        0.3, ge=0, description="One-Euro filter: how much the cut-off opens with speed, Hz per mm/s, at the same sigma."
+    )
     force_full_scale: float = Field(
         0.1, gt=0, description="Change of the signal, as a share of its size, that counts as `force` 1."
     )

@@ -13,6 +13,8 @@ from touchd.event import Contact
 from touchd.filter import OneEuro
 
 _NEVER = 1e9  # mm: finite, as the assignment asks
+_DEAD_SIGMAS = 1.5
+"""Movement within so many standard errors is none."""
 
 
 class Touch(NamedTuple):
@@ -116,7 +118,7 @@ class Tracker:
 
     def _advance(self, track: _Track, touch: Touch, elapsed_s: float) -> bool:
         track.missing = 0
-        track.filter.update(touch.x_mm, touch.y_mm, elapsed_s)
+        track.filter.update(touch.x_mm, touch.y_mm, elapsed_s, touch.sigma_mm)
         contact = track.contact
         if contact is None:
             track.seen += 1
@@ -124,7 +126,8 @@ class Tracker:
         at = track.filter
         contact.sigma_mm, contact.confidence, contact.force = touch.sigma_mm, touch.confidence, touch.force
         contact.vx_mm_s, contact.vy_mm_s = at.vx_mm_s, at.vy_mm_s
-        if hypot(contact.x_mm - at.x_mm, contact.y_mm - at.y_mm) <= self._dead_band_mm:
+        dead_band_mm = max(self._dead_band_mm, _DEAD_SIGMAS * touch.sigma_mm)
+        if hypot(contact.x_mm - at.x_mm, contact.y_mm - at.y_mm) <= dead_band_mm:
             contact.phase = "hold"
             return False
         contact.phase = "move"
