@@ -65,6 +65,7 @@ class Finder:
     def retune(self, settings: Settings, layout: Layout | None) -> None:
         """Take other thresholds and keys."""
         self._min_confidence, self._keep_confidence = settings.model.min_confidence, settings.model.keep_confidence
+        self._min_snr = 10 ** (settings.model.min_snr_db / 10)
         # The other heads' sigma is the size of a zone or a key, whatever the frame.
         regression = self._model.description.head == "regression"
         self._max_sigma_mm = settings.model.max_sigma_mm if regression else math.inf
@@ -95,6 +96,10 @@ class Finder:
         """Forget the fingers: there is none any more."""
         self._located = ()
         self._still.forget()
+
+    def is_faint(self, energy: float, /) -> bool:
+        """Return whether a residual of this energy tells that something is there, but not where."""
+        return energy < self._min_snr * self._gate.noise_energy
 
     def find(self, energy: float, elapsed_s: float, *, alive: bool) -> tuple[Touch, ...]:
         """Return the fingers of this frame: found anew, or those of the frame looked at last if nothing has changed.
@@ -191,6 +196,10 @@ class AtlasFinder(Finder):
         """Forget the fingers: there is none any more."""
         self._located = ()
         self._locator.forget()
+
+    def is_faint(self, _energy: float, /) -> bool:
+        """Return False: noise may drown the samples and leave most bins clear, which the locator sees."""
+        return False
 
     def leaving(self) -> bool:
         """Return whether the negative of the residual is a finger: one that the baseline held has gone."""

@@ -35,8 +35,9 @@ STILL_MM = 0.05
 STILL_SIGMAS = 2.5
 FIRST_STEPS, FOLLOW_STEPS = 5, 3
 _DRIFT_EVERY_S = 0.04
-_SEARCH_AGAIN_S = 0.05
+_SEARCH_SOON_S, _SEARCH_AGAIN_S = 0.02, 0.05
 _SEARCH_SELDOM_S = 2.0
+_WORTH = 0.8
 _NOISE_SPREAD = 0.25
 """Noise has seldom so much more energy in a frame than its mean: two deviations."""
 _WEAK = 1.4
@@ -98,8 +99,7 @@ class Locator:
         self._fit = _NONE
         self._armed = False
         self._speed: list[Place] = []
-        self._usual = ENOUGH
-        self._search_s, self._wait_s, self._drift_s = math.inf, 0.0, 0.0
+        self._search_s, self._wait_s, self._drift_s, self._unexplained = math.inf, 0.0, 0.0, math.inf
         self.leaving = False
         """Whether the last frame shows the negative of fingers: they were part of the baseline, and have gone."""
         self._drift.settle()
@@ -131,9 +131,10 @@ class Locator:
             self._fit, self._speed = _NONE, []
             return ()
         fit = self._follow(elapsed_s, expected, signal) if self._fit.places_mm else self._begin(start)
-        if self._excess(fit, expected, signal) > max(GOOD / 2, 2 * self._usual) and self._may_search():
-            fit = self._look_again(fit, residual, expected, signal)
         excess = self._excess(fit, expected, signal)
+        if excess > GOOD / 2 and self._may_search(excess * signal):
+            fit = self._look_again(fit, residual, expected, signal)
+            excess = self._excess(fit, expected, signal)
         confidence = 1 / (1 + (excess / EXCESS_OF_HALF) ** 2) if fit.places_mm else 0.0
         if not confidence >= confident:
             self._fit, self._speed = _NONE, []
@@ -212,14 +213,18 @@ class Locator:
         if self._excess(found, expected, signal) > GOOD and known:
             anew = self._search.add(_NONE._replace(left=self._refiner.energy), expected)
             found = min(found, anew, key=lambda one: one.left)
-        success = self._excess(found, expected, signal) < GOOD
-        self._wait_s = 0.0 if success else min(max(2 * self._wait_s, _SEARCH_AGAIN_S), _SEARCH_SELDOM_S)
+        # What nothing explains is not searched again with each frame, unless it has become much more.
+        excess = self._excess(found, expected, signal)
+        worth = excess < GOOD or (excess < EXCESS_OF_HALF / 2 and found.left < _WORTH * fit.left)
+        self._wait_s = 0.0 if worth else min(max(2 * self._wait_s, _SEARCH_AGAIN_S), _SEARCH_SELDOM_S)
         self._search_s = 0.0
-        self._usual = max(ENOUGH, self._excess(found, expected, signal))
+        self._unexplained = max(excess, 0.0) * signal
         return found
 
-    def _may_search(self) -> bool:
-        return self._search_s >= self._wait_s
+    def _may_search(self, unexplained: float) -> bool:
+        """Return whether it is time to search, with so much energy left: a search takes as long as many frames."""
+        much_more = unexplained > 2 * self._unexplained
+        return self._search_s >= (min(self._wait_s, _SEARCH_SOON_S) if much_more else self._wait_s)
 
     def _excess(self, fit: Fit, expected: float, signal: float) -> float:
         """Return what a fit leaves beyond what noise may have, as a share of the signal."""

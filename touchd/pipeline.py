@@ -104,8 +104,7 @@ class Pipeline:
             self._untouched(frame, energy, elapsed_s)
             return self._track(frame, ()) if self.tracker.busy else NOTHING
 
-        # So little above the noise, a change tells that something is there, but not where.
-        faint = energy < self._min_snr * self.gate.noise_energy
+        faint = self._finder.is_faint(energy)
         if faint:
             self.counters.skipped["faint"] += 1
             self._finder.forget()
@@ -150,7 +149,6 @@ class Pipeline:
         self._learn_anew()
 
     def _set_thresholds(self, settings: Settings) -> None:
-        self._min_snr = 10 ** (settings.model.min_snr_db / 10)
         self._small = 10 ** (settings.baseline.drift_below_db / 10)
         self._skip = settings.skip
         self._hears = self._wants if settings.skip.unheard else _everybody
