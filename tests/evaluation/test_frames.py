@@ -7,10 +7,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from touchd.errors import RecordingValues
-from touchd.evaluation.frames import network_finder, see, touched_frames
+from touchd.evaluation.finders import network_features, network_finder
+from touchd.evaluation.frames import Look, see, touched_frames
 from touchd.evaluation.matching import match_frames, scores_by_fingers
 from touchd.evaluation.score import judge
 from touchd.evaluation.truth import fingers_only
@@ -32,23 +32,27 @@ def three(instrument: Instrument) -> Recording:
     return simulate_touches(40, seed=8, instrument=instrument, fingers=3, apart_mm=30.0)
 
 
-@pytest.mark.parametrize("domain", ["frequency", "time"])
-@pytest.mark.parametrize("residual", [True, False])
-def test_features_of_single_fingers_are_those_of_the_training_set_to_the_bit(
-    one: Recording, domain: str, residual: bool
-) -> None:
-    data = make_dataset(one, domain, least=1)  # type: ignore[arg-type]
-    frames = touched_frames(one, domain, residual=residual)  # type: ignore[arg-type]
-    np.testing.assert_array_equal(frames.features, data.residual if residual else data.signal)
-    np.testing.assert_array_equal(frames.true_mm[:, 0], data.position_mm)
-    assert frames.untouched_norm == pytest.approx(np.median(np.linalg.norm(data.untouched, axis=1)))
+def test_each_touch_stands_before_the_untouched_plate_beside_it(one: Recording) -> None:
+    frames = touched_frames(one)
+    assert len(frames) == 60
     assert frames.fingers.tolist() == [1] * 60
+    look = frames.look(10)
+    np.testing.assert_array_equal(look.counts, one.frames[21])
+    np.testing.assert_array_equal(look.baseline, one.frames[[20, 22]].mean(axis=0, dtype=np.float32))
+    np.testing.assert_array_equal(look.residual, look.counts - look.baseline)
+
+
+def test_a_network_is_given_the_features_of_its_training_set_to_the_bit(one: Recording, model: Model) -> None:
+    data = make_dataset(one, least=1)
+    frames = touched_frames(one)
+    np.testing.assert_array_equal(network_features(model, frames), data.residual)
+    np.testing.assert_array_equal(frames.true_mm[:, 0], data.position_mm)
 
 
 def test_the_network_as_a_finder_says_what_it_says_to_the_daemon(one: Recording, model: Model) -> None:
-    frames = touched_frames(one, "frequency")
+    frames = touched_frames(one)
     seen = see(network_finder(model, frames), frames)
-    judged = judge(model, frames.features, frames.true_mm[:, 0])
+    judged = judge(model, network_features(model, frames), frames.true_mm[:, 0])
     mine = match_frames(seen, reach_mm=np.inf).judged
     np.testing.assert_array_equal(mine.place_mm, judged.place_mm)
     np.testing.assert_array_equal(mine.sigma_mm, judged.sigma_mm)
@@ -60,12 +64,11 @@ def test_the_network_as_a_finder_says_what_it_says_to_the_daemon(one: Recording,
 
 
 def test_a_perfect_finder_of_several_fingers_has_perfect_scores(three: Recording) -> None:
-    frames = touched_frames(three, "frequency")
-    answers = {row.tobytes(): true for row, true in zip(frames.features, frames.true_mm, strict=True)}
+    frames = touched_frames(three)
+    answers = {frames.look(i).counts.tobytes(): true for i, true in enumerate(frames.true_mm)}
 
-    def find(features: NDArray[np.float32]) -> Sequence[Touch]:
-        x_mm = answers[features.tobytes()]
-        return [Touch(float(x), float(y), 0.1, 1.0, 0.5) for x, y in x_mm[::-1]]
+    def find(look: Look) -> Sequence[Touch]:
+        return [Touch(float(x), float(y), 0.1, 1.0, 0.5) for x, y in answers[look.counts.tobytes()][::-1]]
 
     scores = scores_by_fingers(match_frames(see(find, frames)))
     assert set(scores) == {"3"}
@@ -75,7 +78,7 @@ def test_a_perfect_finder_of_several_fingers_has_perfect_scores(three: Recording
 
 
 def test_a_finder_of_one_misses_the_others(three: Recording, model: Model) -> None:
-    frames = touched_frames(three, "frequency")
+    frames = touched_frames(three)
     scores = scores_by_fingers(match_frames(see(network_finder(model, frames), frames)))["3"]
     assert scores["count_right"] == scores["all_within_2_mm"] == scores["told_apart"] == 0
     assert scores["missed"] - scores["ghosts"] == 2 * 40
@@ -85,7 +88,7 @@ def test_what_is_no_finger_is_no_truth_but_no_untouched_plate_either(instrument:
     """A palm or a drop of the twin has a place without a force."""
     drop = simulate_scene("drop", seed=21, instrument=instrument)
     assert drop.contacts_mm is not None
-    frames = touched_frames(drop, "frequency")
+    frames = touched_frames(drop)
     on = np.isfinite(drop.contacts_mm[..., 0])
     np.testing.assert_array_equal(frames.fingers, on[on.any(axis=1), 0].astype(int))
     assert 0 in frames.fingers.tolist()
@@ -96,8 +99,8 @@ def test_what_is_no_finger_is_no_truth_but_no_untouched_plate_either(instrument:
 
 def test_a_finder_is_asked_of_frames_without_a_finger_too(instrument: Instrument) -> None:
     palm = simulate_scene("palm", seed=21, instrument=instrument, frames=200)
-    frames = touched_frames(palm, "frequency")
-    scores = scores_by_fingers(match_frames(see(lambda _features: [Touch(100, 100, 1, 1, 1)], frames)))
+    frames = touched_frames(palm)
+    scores = scores_by_fingers(match_frames(see(lambda _look: [Touch(100, 100, 1, 1, 1)], frames)))
     assert scores == {"0": {"n": len(frames), "count_right": 0.0, "ghosts": len(frames)}}
 
 
@@ -110,4 +113,4 @@ def test_a_recording_that_cannot_be_judged_by_is_refused(one: Recording, case: s
     else:
         contacts_mm[:] = 50 if case == "untouched" else np.nan
     with pytest.raises(RecordingValues, match=case):
-        touched_frames(replace(one, contacts_mm=contacts_mm), "frequency")
+        touched_frames(replace(one, contacts_mm=contacts_mm))

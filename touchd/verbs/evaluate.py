@@ -13,7 +13,8 @@ import numpy as np
 from touchd.config import Settings
 from touchd.configfile import load
 from touchd.errors import RecordingValues
-from touchd.evaluation.frames import network_finder, see, touched_frames
+from touchd.evaluation.finders import finder_of, network_features
+from touchd.evaluation.frames import see, touched_frames
 from touchd.evaluation.matching import Matches, match_frames, scores_by_fingers
 from touchd.evaluation.metrics import position_scores
 from touchd.evaluation.replay import replay
@@ -40,8 +41,8 @@ def command(model: Path, recording: Path, as_json: bool, plot: Path | None) -> N
     A recording of 20 frames a second or more is replayed through the whole pipeline: its touches are found, missed,
     invented (ghosts) or split, a contact that goes on as another finger switches, down_latency_ms is the median time
     from a touch's first frame to its first message, and jitter_mm is how far the positions of a still finger scatter.
-    In a slower recording each touch is judged on its own frame, against the untouched frames beside it; a grid or
-    keypad model is scored by its zones or keys too.
+    In a slower recording each touch is judged on its own frame, against the untouched frames beside it, by the field
+    atlas beside the model if there is one; a grid or keypad model is scored by its zones or keys too.
 
     The positions above are those of a replay's messages, or of frames with a single finger. by_fingers has the frames
     with none, one, two, ... fingers, whose contacts are assigned to the fingers with the least total distance, within
@@ -86,16 +87,16 @@ def _score_frames(truth: Recording, model: Model, plot: Path | None) -> dict[str
             f"touchd: warning: the model is for the plate {d.plate}, the recording is of the plate {truth.meta.plate}",
             err=True,
         )
-    frames = touched_frames(truth, d.domain, residual=d.input == "residual")
-    seen = see(network_finder(model, frames), frames)
+    frames = touched_frames(truth)
+    seen = see(finder_of(model, frames), frames)
     matches = match_frames(seen)
     alone = [s for s in seen if len(s.true_mm) == 1]
     if d.head == "regression":
         # However far off it is, the nearest contact of a single finger is its place.
         judged = match_frames(alone, reach_mm=inf).judged
     else:
-        one = frames.fingers == 1
-        judged = judge(model, frames.features[one], np.array([s.true_mm[0] for s in alone], np.float32).reshape(-1, 2))
+        true_mm = np.array([s.true_mm[0] for s in alone], np.float32).reshape(-1, 2)
+        judged = judge(model, network_features(model, frames)[frames.fingers == 1], true_mm)
     if plot is not None:
         _draw(judged, matches, model, truth, plot)
     found: dict[str, Any] = {"n": 0, "rmse_mm": None}

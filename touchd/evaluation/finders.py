@@ -1,0 +1,94 @@
+"""What places fingers in a single frame: a network by itself, or with the field atlas that lies beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from math import nan, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchd.atlas import Atlas
+from touchd.config import ModelSettings, TrackerSettings
+from touchd.evaluation.frames import Find, Look, TouchedFrames
+from touchd.features import make_features
+from touchd.locator import Locator
+from touchd.model import Estimate, Model
+from touchd.noise import MEMORY_FRAMES
+from touchd.tracker import Touch
+
+Array = NDArray[np.float32]
+
+
+def finder_of(model: Model, frames: TouchedFrames) -> Find:
+    """Return what the daemon places fingers with: the field atlas of a model if it has one, else its network."""
+    return network_finder(model, frames) if model.atlas is None else atlas_finder(model, model.atlas, frames)
+
+
+def network_finder(model: Model, frames: TouchedFrames) -> Find:
+    """Return the finder that a network is: one touch, always, as it knows nothing but single fingers.
+
+    Its force is the length of the residual's features against the untouched plate's, on the daemon's default scale;
+    unknown (NaN) for a network that does not take the residual.
+    """
+    of_residual = model.description.input == "residual"
+    extract = _extractor(model, frames)
+    plain = np.empty_like(model.features[0])
+    lengths = []
+    for i in range(len(frames)):
+        extract(frames.baseline(i), plain)
+        lengths.append(float(np.linalg.norm(plain)))
+    full = float(np.median(lengths)) * TrackerSettings().force_full_scale
+
+    def find(look: Look) -> Sequence[Touch]:
+        features = model.features[0]
+        extract(_input(model, look), features)
+        force = min(1.0, float(np.linalg.norm(features)) / full) if of_residual and full else nan
+        x_mm, y_mm, sigma_mm, confidence, key = model.estimate()
+        return (Touch(x_mm, y_mm, sigma_mm, confidence, force, key),)
+
+    return find
+
+
+def atlas_finder(model: Model, atlas: Atlas, frames: TouchedFrames) -> Find:
+    """Return the finder that a field atlas is with its network, with the daemon's settings: each frame is a touch-down.
+
+    The baseline is that of the frame, the mean of two untouched ones, so a residual has the noise of one and a half
+    frames. It is heard from the difference of those two, which has that of two.
+    """
+    locator, settings = Locator(atlas), ModelSettings()
+    for i in np.linspace(0, len(frames) - 1, min(len(frames), MEMORY_FRAMES)).astype(int).tolist():
+        one, other = frames.counts[frames.beside[i]].astype(np.float32)
+        if (one != other).any():
+            locator.rebase(frames.baseline(i))
+            locator.hear((one - other) * np.float32(sqrt(3) / 2))
+    extract = _extractor(model, frames)
+
+    def find(look: Look) -> Sequence[Touch]:
+        def start() -> Estimate:
+            extract(_input(model, look), model.features[0])
+            return model.estimate()
+
+        locator.forget()
+        locator.rebase(look.baseline)
+        found = locator.locate(look.residual, 0.0, settings.min_confidence, start)
+        return [touch for touch in found if touch.sigma_mm <= settings.max_sigma_mm]
+
+    return find
+
+
+def network_features(model: Model, frames: TouchedFrames) -> Array:
+    """Return what a network takes of each frame, shape (n, inputs)."""
+    extract = _extractor(model, frames)
+    features = np.empty((len(frames), model.description.inputs), np.float32)
+    for i, row in enumerate(features):
+        extract(_input(model, frames.look(i)), row)
+    return features
+
+
+def _extractor(model: Model, frames: TouchedFrames) -> Callable[[Array, Array], None]:
+    return make_features(model.description.domain, frames.acquisition).extract
+
+
+def _input(model: Model, look: Look) -> Array:
+    return look.residual if model.description.input == "residual" else look.counts.astype(np.float32)
