@@ -45,6 +45,8 @@ class Drift:
         self._scale: Array | None = None
         self._directions = np.zeros((0, self._size), np.float32)
         self._along = np.zeros(0, np.float32)
+        self._step = np.zeros(0, np.float32)
+        self._drifted = np.zeros(self._size, np.float32)
         self._moved = False
         self.stretch = 0.0
         """Relative rise of the plate's resonances since training; -4.5e-5 a kelvin on glass."""
@@ -75,12 +77,15 @@ class Drift:
         if self._scale is not None:
             np.multiply(table, self._scale, out=table)
         if self._moved:
-            np.subtract(out, self._along @ self._directions, out=out)
+            np.dot(self._along, self._directions, out=self._drifted)
+            np.subtract(out, self._drifted, out=out)
 
     def follow(self, left: Array, elapsed_s: float) -> None:
         """Take in what the fingers do not explain of a frame's bins, shape (size,), so long after the last one."""
         if len(self._directions):
-            self._along += np.float32(1 - math.exp(-elapsed_s / FOLLOW_S)) * (self._directions @ left)
+            np.dot(self._directions, left, out=self._step)
+            np.multiply(self._step, np.float32(1 - math.exp(-elapsed_s / FOLLOW_S)), out=self._step)
+            np.add(self._along, self._step, out=self._along)
             self._moved = True
 
     def settle(self) -> None:
@@ -127,6 +132,7 @@ class Drift:
             norm = np.ones((0, 1))
         self._directions = np.linalg.qr((table / norm).T)[0].T.astype(np.float32)
         self._along = np.zeros(len(self._directions), np.float32)
+        self._step = np.zeros_like(self._along)
 
     def _delayed(self, bins: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return what a delay of a second adds to bins (channels, 2 * bins) in first order: -i omega times them."""

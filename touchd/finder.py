@@ -211,8 +211,13 @@ class AtlasFinder(Finder):
     def _rebase(self) -> None:
         self._locator.rebase(self._baseline.mean)
 
+    def retune(self, settings: Settings, layout: Layout | None) -> None:
+        """Take other thresholds and keys."""
+        super().retune(settings, layout)
+        self._locator.watch_still = settings.skip.still
+
     def _holds(self) -> bool:
-        return self._skip_still and self._locator.holds(self._residual)
+        return self._locator.holds(self._residual)
 
     def _look(self, confident: float) -> tuple[Touch, ...]:
         inferred = self._counters.inferred

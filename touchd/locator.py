@@ -59,12 +59,15 @@ class Locator:
         self._seen: Array = np.zeros(atlas.size, np.float32)
         self._difference: Array = np.zeros(atlas.size, np.float32)
         self._shift: Array = np.zeros((2, atlas.size), np.float32)
+        self._shifted: Array = np.zeros(2, np.float32)
         self._most_mm2 = 0.0
         self._moved_mm = math.inf
         self._noise_scale, self._field_scale = d.noise_scale, d.field_scale
         self._error = atlas.error
         self._per_channel = 2 * len(d.bins)
         self._baseline: Array = atlas.baseline
+        self.watch_still = True
+        """Whether `holds` will be asked."""
         self.rebase(atlas.baseline)
         self.forget()
 
@@ -164,12 +167,13 @@ class Locator:
             np.multiply(difference, self._refiner.mask, out=difference)
         if not float(difference.dot(difference)) <= 2 * (1 + NOISE_MARGIN) * self._expected:
             return False
-        x_mm, y_mm = self._shift.dot(difference).tolist()
+        np.dot(self._shift, difference, out=self._shifted)
+        x_mm, y_mm = self._shifted.tolist()
         return bool(x_mm * x_mm + y_mm * y_mm <= self._most_mm2)
 
     def _arm(self, fit: Fit) -> None:
         """Keep what `holds` asks for if this is one finger that hardly moves."""
-        was_still = len(fit.places_mm) == len(self._speed) == 1 and self._moved_mm < STILL_MM
+        was_still = self.watch_still and len(fit.places_mm) == len(self._speed) == 1 and self._moved_mm < STILL_MM
         self._armed = was_still and fit.information[0, 0] > 0
         if self._armed:
             np.copyto(self._seen, self._refiner.frame)

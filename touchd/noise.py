@@ -28,6 +28,7 @@ class Noise:
         self._heard = 0
         self.power: Array = np.zeros(channels * 2 * bins, np.float32)
         """Of each feature, counts squared."""
+        self._square = np.zeros_like(self.power)
 
     def forget(self) -> None:
         """Begin anew with the next frame."""
@@ -37,7 +38,10 @@ class Noise:
     def hear(self, features: Array) -> None:
         """Take in the features of an untouched frame's residual, shape (channels * 2 * bins,)."""
         self._heard = min(self._heard + 1, MEMORY_FRAMES)
-        self.power += (np.square(features) - self.power) / np.float32(self._heard)
+        np.multiply(features, features, out=self._square)
+        np.subtract(self._square, self.power, out=self._square)
+        np.multiply(self._square, np.float32(1 / self._heard), out=self._square)
+        np.add(self.power, self._square, out=self.power)
 
     def quiet(self) -> NDArray[np.bool_]:
         """Return which features tell more than noise, shape (channels * 2 * bins,): all while little was heard."""

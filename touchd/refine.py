@@ -36,7 +36,7 @@ class Fit(NamedTuple):
     """|z u|^2 of each finger, ADC counts squared."""
     information: NDArray[np.float64]
     """Re(J^H J) with the strengths projected out, for x and y of each finger in turn, shape (2c, 2c): its inverse,
-    times the noise variance of a feature, is the covariance of the places in mm^2."""
+    times the noise variance of a feature, is the covariance of the places in mm^2. Valid until the next fit."""
     left: float
     """Energy that the fingers do not explain, ADC counts squared."""
 
@@ -80,6 +80,11 @@ class Refiner:
         self._frame_parts, self._turned_frame = self._rows_6[3].reshape(parts), self._rows_6[4].reshape(parts)
         self._value_parts, self._turned_value = self._rows_6[0].reshape(parts), self._rows_6[5].reshape(parts)
         self._gram = np.zeros((3, 6), np.float32)
+        self._information = np.zeros((2, 2))
+        self._left = np.zeros(n, np.float32)
+        self._part = np.zeros(n, np.float32)
+        self._many = np.zeros((7, n), np.float32)  # two fingers; for more it grows
+        self._many_turned = np.zeros_like(self._many)
         self._powers = np.zeros((4, 4), np.float32)
         self._powers[0, 0] = self._powers[2, 0] = 1
         self._powers[1, 1] = self._powers[3, 1] = self._per_mm
@@ -120,45 +125,58 @@ class Refiner:
                 # What the last step explains besides, to second order: no need to look again.
                 explained += right_x * step_x + right_y * step_y if shorter == 1.0 else 0.0
                 break
-        return Fit([(x, y)], [strength], [explained], np.array([[a, b], [b, c]]), max(self.energy - explained, 0.0))
+        information = self._information
+        information[0, 0], information[0, 1], information[1, 0], information[1, 1] = a, b, b, c
+        return Fit([(x, y)], [strength], [explained], information, max(self.energy - explained, 0.0))
 
     def several(self, places_mm: Sequence[Place], steps: int) -> Fit:
         """Fit any number of fingers jointly from places nearby, in at most so many steps (at least one)."""
-        frame = self._as_complex(self._frame[None])[0]
         count = len(places_mm)
         if not count:
             return Fit([], [], [], np.zeros((0, 0)), self.energy)
         at = np.array([self._inside(*place) for place in places_mm])
-        fields = np.empty((3, count, self._size), np.float32)
+        order = np.arange(2 * count).reshape(2, count).T.ravel()  # from x of all, y of all to x and y of each in turn
         for step in range(steps + 1):
-            for k, (x, y) in enumerate(at.tolist()):
-                self._look_up(x, y)
-                fields[:, k] = self._field
-            rows = self._as_complex(fields.reshape(3 * count, -1))
-            gram = (rows.conj() @ rows.T).astype(np.complex128)
-            right = (rows.conj() @ frame).astype(np.complex128)
+            gram, right = self._gram_of(at.tolist())
             own = gram[:count, :count] + 1e-6 * np.trace(gram[:count, :count]).real / count * np.eye(count)
             solved = np.linalg.solve(own, np.column_stack([gram[:count, count:], right[:count]]))
             z = solved[:, -1]
             twice = np.concatenate([z, z])
             inner = gram[count:, count:] - gram[count:, :count] @ solved[:, :-1]
-            # From x of all, y of all to x and y of each finger in turn.
-            order = np.arange(2 * count).reshape(2, count).T.ravel()
-            information = (twice.conj()[:, None] * inner * twice).real[np.ix_(order, order)]
+            information = (twice.conj()[:, None] * inner * twice).real[order][:, order]
             if step == steps:
                 break
             gradient = (twice.conj() * (right[count:] - gram[count:, :count] @ z)).real[order]
             damped = information + _DAMPING * np.diag(np.diag(information)) + 1e-30 * np.eye(2 * count)
             move = np.linalg.solve(damped, gradient).reshape(count, 2)
-            length = np.linalg.norm(move, axis=1, keepdims=True)
+            length = np.sqrt(np.square(move).sum(axis=1, keepdims=True))
             move *= np.minimum(1.0, LONGEST_STEP_MM / np.maximum(length, 1e-12))
-            at = np.clip(at + move, self._low_mm, self._high_mm)
+            at = np.minimum(np.maximum(at + move, self._low_mm), self._high_mm)
             if length.max() < STILL_MM / 10:
                 break
         left = self.energy - float((z.conj() * right[:count]).real.sum())
         energies = (np.abs(z) ** 2 * np.diag(gram)[:count].real).tolist()
         places = [(float(x), float(y)) for x, y in at]
         return Fit(places, z.tolist(), energies, information, max(left, 0.0))
+
+    def _gram_of(self, places_mm: Sequence[Sequence[float]]) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+        """Return the complex products of u of all fingers, then u_x, then u_y, with each other and with the frame."""
+        count = len(places_mm)
+        if 3 * count >= len(self._many):
+            self._many = np.zeros((3 * count + 1, self._size), np.float32)
+            self._many_turned = np.zeros_like(self._many)
+        rows, turned = self._many[: 3 * count + 1], self._many_turned[: 3 * count + 1]
+        for k, (x, y) in enumerate(places_mm):
+            self._look_up(x, y)
+            rows[k : 3 * count : count] = self._field
+        rows[3 * count] = self._frame
+        parts, turned_parts = (t.reshape(-1, self._channels, 2, self._bins) for t in (rows, turned))
+        np.negative(parts[:, :, 1], out=turned_parts[:, :, 0])
+        turned_parts[:, :, 1] = parts[:, :, 0]
+        # With i b the real product of a and b turns into minus the imaginary part of conj(a) b.
+        products = rows[:-1] @ rows.T - 1j * (rows[:-1] @ turned.T)
+        table: NDArray[np.complex128] = products.astype(np.complex128)
+        return table[:, :-1], table[:, -1]
 
     def shift(self, fit: Fit) -> Array:
         """Return the matrix from a small change of the frame to that of one finger's x and y, mm, (2, size)."""
@@ -171,12 +189,16 @@ class Refiner:
         return np.linalg.solve(fit.information, rows).astype(np.float32)
 
     def residual(self, fit: Fit) -> Array:
-        """Return what a fit leaves of the frame, shape (channels * 2 * bins,)."""
-        left = self._frame.copy()
+        """Return what a fit leaves of the frame, shape (channels * 2 * bins,); valid until it is asked again."""
+        left, part = self._left, self._part
+        np.copyto(left, self._frame)
         for (x, y), strength in zip(fit.places_mm, fit.strengths, strict=True):
             self._look_up(x, y)
             self._turn_value()
-            left -= np.float32(strength.real) * self._rows_6[0] + np.float32(strength.imag) * self._rows_6[5]
+            np.multiply(self._rows_6[0], np.float32(strength.real), out=part)
+            np.subtract(left, part, out=left)
+            np.multiply(self._rows_6[5], np.float32(strength.imag), out=part)
+            np.subtract(left, part, out=left)
         return left
 
     def _inside(self, x_mm: float, y_mm: float) -> Place:

@@ -28,7 +28,7 @@ NOISE_MARGIN = 0.6
 _WIDTHS = (1, 4)
 """Beginnings followed side by side: one, and if that fails several."""
 _SAME = 1e-4
-_STEPS = 6
+_FIRST_STEPS, _STEPS = 3, 4
 
 
 class Search:
@@ -97,14 +97,18 @@ class Search:
             beam = [fit]
             while beam and (not beam[0].places_mm or enough < beam[0].left) and len(beam[0].places_mm) < MOST_FINGERS:
                 more = [
-                    self._refiner.several([*one.places_mm, place], _STEPS)
+                    self._refiner.several([*one.places_mm, place], _FIRST_STEPS)
                     for one in beam
                     for place in self.candidates(self._refiner.residual(one))
                 ]
                 more.sort(key=lambda one: one.left)
-                beam = _different([one for one in more if apart_mm(one) > MERGED_MM])[:width]
+                more = _different([one for one in more if apart_mm(one) > MERGED_MM])[:width]
+                beam = [self._refiner.several(one.places_mm, _STEPS) for one in more]
+                beam.sort(key=lambda one: one.left)
                 if beam and _worth(beam[0], best, noise):
                     best = beam[0]
+                elif fit.places_mm and fit.left < good:
+                    return best  # it was good before, and another finger does not help
             if best.left < good:
                 break
         return best
