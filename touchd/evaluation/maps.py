@@ -125,16 +125,18 @@ def _bias_map(axes: Axes, judged: Judgement, meta: Meta) -> None:
     ):
         for i in range(1, parts):
             draw(i * length_mm / parts, color=NOTHING, lw=0.8, zorder=0)
-    longest_mm = float(np.linalg.norm(bias_mm, axis=1).max(initial=0.0))
-    if not longest_mm:
+    length_mm = np.linalg.norm(bias_mm, axis=1)
+    if not length_mm.any():
         return
-    unit_mm = _round_down(longest_mm / 2)
+    # Most arrows stay within their cell; that a few are longer shall not make the others vanish.
+    scale = max(float(np.percentile(length_mm, 90)), float(length_mm.max()) / 2) / (0.95 * side_mm)
     for chosen, colour in ((~beyond, CHANCE), (beyond, ARROW)):
         arrows = axes.quiver(
             *centre_mm[chosen].T, *bias_mm[chosen].T, color=colour, angles="xy", scale_units="xy", pivot="middle",
-            scale=longest_mm / (0.95 * side_mm), width=0.0045,
+            scale=scale, width=0.0045, clip_on=False,
         )  # fmt: skip
-    axes.quiverkey(arrows, 0.92, -0.115, unit_mm, f"{unit_mm:g} mm", labelpos="W", coordinates="axes")
+    unit_mm = _round_down(side_mm * scale)
+    axes.quiverkey(arrows, 0.9, -0.115, unit_mm, f"{unit_mm:g} mm", labelpos="W", coordinates="axes")
 
 
 def _round_down(length: float) -> float:
