@@ -15,6 +15,7 @@ from touchd import __version__
 from touchd.errors import ConfigError, MissingExtra, TouchdError
 
 VERBS = {
+    "benchmark": "Measure run time against error, and the daemon.",
     "config": "Print the effective configuration.",
     "demo": "Replay the shipped recording and sum up.",
     "doctor": "Check the whole set-up.",

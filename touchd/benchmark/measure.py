@@ -1,0 +1,169 @@
+"""One run of everything."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import onnx
+
+from touchd.atlas import Atlas
+from touchd.benchmark import daemon, skips
+from touchd.benchmark.estimators import NETWORKS, Estimator, atlases, bare, dictionaries, network, routes
+from touchd.benchmark.loop import Loop
+from touchd.benchmark.machine import this_machine
+from touchd.benchmark.race import race
+from touchd.benchmark.results import DaemonResult, EstimatorResult, Run, SkipResult, Touches, rounded
+from touchd.benchmark.scenes import WANTED, make_loop
+from touchd.benchmark.stopwatch import undisturbed
+from touchd.benchmark.touches import FINGER, SEED, UNTOUCHED, HeldOut, held_out
+from touchd.errors import ModelMissing
+from touchd.evaluation.bound import median_bound_mm
+from touchd.model import Model
+from touchd.training.dataset import make_dataset, noise_of, split
+from touchd.twin.instrument import Instrument
+from touchd.twin.simulate import DEFAULT_PLATE, simulate_touches
+
+Progress = Callable[[str, float], object]
+"""Told what is going on, and which part of all is done."""
+
+DICTIONARY_SEED = 1
+"""Of the touches that the shipped networks were trained on."""
+KEYPAD = "keypad"
+_NO_TIME_DOMAIN = (
+    "the time domain, since no model that takes samples is shipped (the paper's is in the reproduction); it would save "
+    "the features, and read 2.5 times as many inputs"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """How much is measured."""
+
+    touches: int = 1000
+    passes: int = 5
+    race_s: float = 40.0
+    dictionary: int = 6404
+    rates_hz: tuple[float | None, ...] = (125.0, 500.0, 1000.0, None)
+    keypad_rates_hz: tuple[float | None, ...] = (125.0, None)
+    cell_s: float = 3.0
+    skip_rounds: int = 60
+    bound: bool = True
+
+
+QUICK = Scale(
+    touches=200, passes=2, race_s=4.0, dictionary=0, rates_hz=(None,), keypad_rates_hz=(None,), cell_s=1.0,
+    skip_rounds=20, bound=False,
+)  # fmt: skip
+
+
+def benchmark(models: Path, *, quick: bool, progress: Progress) -> Run:
+    """Measure everything.
+
+    Parameters
+    ----------
+    models : Path
+        Folder of the networks, with an atlas beside the default one or not.
+    quick : bool
+        Less of everything, in about 20 s: no recorded touches looked up, the daemon at full speed only.
+    progress : callable
+
+    Raises
+    ------
+    ModelMissing
+        If a network is not there.
+    JobError
+        If the daemon fails.
+    """
+    scale = QUICK if quick else Scale()
+    begun_s = time.monotonic()
+    machine = this_machine()
+    progress("simulating touches", 0.0)
+    instrument = Instrument(DEFAULT_PLATE)
+    held = held_out(scale.touches, instrument)
+    with tempfile.TemporaryDirectory(prefix="touchd-benchmark-") as name:
+        folder = Path(name)
+        runner = bare(folder)
+        estimators = _estimators(models, folder, scale, instrument)
+        progress("estimators", 0.1)
+        with undisturbed():
+            bare_us, found = race(
+                estimators, runner, held.blocks, scale.passes, scale.race_s,
+                lambda: progress("estimators", 0.2),
+            )  # fmt: skip
+        loops = {}
+        for scene in WANTED:
+            progress("simulating scenes", 0.4)
+            loops[scene] = make_loop(scene, instrument)
+        cells = _cells(models, folder, scale, loops, progress)
+    saved = _skips(models, loops, found, scale, progress)
+    bound_mm = rounded(_bound_mm(held, instrument), 3) if scale.bound else None
+    left_out = (_NO_TIME_DOMAIN,) if scale.dictionary else (_NO_TIME_DOMAIN, "kNN and GCC, in a quick run")
+    return Run(
+        quick=quick, seconds=rounded(time.monotonic() - begun_s, 3), machine=machine,
+        touches=Touches(count=held.count, seed=SEED, finger=FINGER, bound_mm=bound_mm), bare_us=bare_us,
+        estimators=tuple(found), left_out=left_out, daemon=tuple(cells), skips=tuple(saved), day=daemon.day(cells),
+    )  # fmt: skip
+
+
+def _estimators(models: Path, folder: Path, scale: Scale, instrument: Instrument) -> list[Estimator]:
+    made: list[Estimator] = []
+    for name in NETWORKS:
+        path = _path(models, name)
+        model, graph = Model(path), onnx.load(path)
+        made.append(network(model, graph, name))
+        if name == NETWORKS[0]:
+            made += routes(model, graph, folder)
+            if isinstance(model.atlas, Atlas):
+                made += atlases(model, model.atlas, graph)
+    if scale.dictionary:
+        data = make_dataset(simulate_touches(scale.dictionary, seed=DICTIONARY_SEED, instrument=instrument))
+        train = split(len(data), 0).train
+        made += dictionaries(data.residual[train], data.position_mm[train], data.acquisition)
+    return made
+
+
+def _cells(models: Path, folder: Path, scale: Scale, loops: dict[str, Loop], progress: Progress) -> list[DaemonResult]:
+    """Run the daemon through every scene at every rate."""
+    wanted = [
+        (scene, rate_hz)
+        for scene in loops
+        for rate_hz in (scale.keypad_rates_hz if scene == KEYPAD else scale.rates_hz)
+    ]
+    cells = []
+    for number, (scene, rate_hz) in enumerate(wanted):
+        rate = "full speed" if rate_hz is None else f"{rate_hz:g} frames/s"
+        progress(f"daemon: {scene}, {rate}", 0.4 + 0.5 * number / len(wanted))
+        model = _path(models, KEYPAD if scene == KEYPAD else NETWORKS[0])
+        cells.append(daemon.measure(
+            scene, loops[scene], rate_hz, scale.cell_s, model=model, bare=folder / "bare.onnx", folder=folder
+        ))  # fmt: skip
+    return cells
+
+
+def _skips(
+    models: Path, loops: dict[str, Loop], found: list[EstimatorResult], scale: Scale, progress: Progress
+) -> list[SkipResult]:
+    progress("skips", 0.9)
+    with undisturbed():
+        saved = skips.measure(loops, _path(models, NETWORKS[0]), scale.skip_rounds, lambda: progress("skips", 0.95))
+    tracking = skips.tracking({one.name: one for one in found})
+    return saved if tracking is None else [*saved, tracking]
+
+
+def _bound_mm(held: HeldOut, instrument: Instrument) -> float:
+    """Return the median error that no unbiased estimate goes below, with the noise of these residuals."""
+    truth, frames = held.recording.contacts_mm, held.recording.frames
+    assert truth is not None  # the twin knows it
+    untouched = frames[(truth[:, :, 0] != truth[:, :, 0]).all(axis=1)]
+    return median_bound_mm(held.recording, instrument, noise_of(untouched) * (1 + 1 / UNTOUCHED) ** 0.5)
+
+
+def _path(models: Path, name: str) -> Path:
+    path = models / f"{name}.onnx"
+    if not path.is_file():
+        raise ModelMissing("no such model", str(path), "train it, or name the folder of the models: --models")
+    return path

@@ -1,0 +1,117 @@
+"""A run as the page docs/benchmarks.md."""
+
+from __future__ import annotations
+
+from touchd.benchmark import tables
+from touchd.benchmark.results import Run
+from touchd.benchmark.tables import Table
+
+WIDTH = "---"
+
+
+def page(run: Run, pictures: str) -> str:
+    """Return the page of a run; its pictures are in a folder of that name beside it."""
+    t = run.touches
+    parts = [
+        "# Benchmarks",
+        f"<!-- Written by touchd benchmark, version {run.machine.touchd}: do not edit. -->",
+        "Made by `touchd benchmark --docs docs`"
+        + (" with --quick" if run.quick else "")
+        + f" in {run.seconds:.0f} s on: {run.machine.line()}. The figures as they are stored: "
+        "[benchmarks.json](benchmarks.json); `touchd benchmark --compare docs/benchmarks.json` compares another run, "
+        "on any computer, by its ratios to the bare network.",
+        "Times of a shared computer mean little by themselves. So everything takes turns with *the bare network*, in "
+        "the same process: one run of the source paper's regression network (Bahrami et al., Sensors 22:3183, 2022: "
+        "392-400-300-200-100-2, 357,000 multiply-adds) with random weights, since what it costs does not depend on "
+        "them. Its error, trained by the paper's recipe, is in "
+        "[reproduction.md](reproduction.md#regression-and-grids). `x bare` is the median, over the turns, of the ratio "
+        "to it. The paper gives 0.44 ms for its regression and 0.28 ms for its keypad, on a computer of its own.",
+        "## Budgets",
+        "Those that one run can tell. A frame at full speed is timed from the moment it is there to that at which its "
+        "message is with the socket, or to the decision that there is none.",
+        _markdown(tables.budget_table(run)),
+        "## Run time against error",
+        f"{t.count} touches of a {t.finger} finger, simulated with seed {t.seed}, which no training saw, anywhere on "
+        "the plate but for 5 mm at its edge; noise 60 dB below the signal, temperature walking within +-1 K and the "
+        "baseline with it. Every estimator gets the same residuals, one by one, and its time goes from the residual to "
+        "the position, features included."
+        + (
+            f" No unbiased estimate can have a median error below {t.bound_mm:.4f} mm (Cramer-Rao)."
+            if t.bound_mm is not None
+            else ""
+        ),
+        f"![Error against run time]({pictures}/errors.png)",
+        _markdown(tables.estimator_table(run)),
+        _estimator_notes(run),
+        "## The daemon, end to end",
+        "A daemon in a process of its own with all that it has in service (bus, health, pre-roll), and a subscriber in "
+        "another. Scenes are computed by the digital twin beforehand and played to and fro. Times go from a frame "
+        "complete on the computer to its event decoded by the subscriber; where nothing is sent (idle), to the "
+        "decision; at full speed, where messages queue up, to the socket. `handed` is to the socket, or to the "
+        "decision, in all of them, and `x bare` its ratio to the bare network in that process. Frames at a steady rate "
+        "find the processor's caches cold and its clock low; those at full speed do not. `frames/CPU s` is how many "
+        "frames a second of processor time is enough for.",
+    ]
+    if any(cell.rate_hz for cell in run.daemon):
+        parts.append(f"![The daemon's latency]({pictures}/latency.png)")
+    parts += [_markdown(tables.daemon_table(run)), _daemon_notes(run)]
+    parts += [
+        _markdown(tables.share_table(run)),
+        "## What each skip saves",
+        "The same frames through two pipelines in turns, one with the skip and one without (`[skip]` in the "
+        "[configuration](configuration.md)): median time of a frame in the pipeline. `tracking` compares the "
+        "estimators above: a finger that is followed needs no network.",
+        _markdown(tables.skip_table(run)),
+    ]
+    return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def _estimator_notes(run: Run) -> str:
+    lines = [f"- `{one.name}`: {one.remark}." for one in run.estimators if one.remark]
+    lines += [
+        "- `floor`: the time to read the estimator's weights, tables or recorded touches (kB) once from the cache that "
+        "they fit in, measured as a product of a buffer of that size with itself. `MACs` are multiply-adds, at most.",
+        "- `missed`: touches in which no finger was found; the errors are of the others.",
+        "- Percentiles are of the calls after the burn-in, "
+        + f"{min(one.calls for one in run.estimators):,} to {max(one.calls for one in run.estimators):,} each.",
+    ]
+    lines += [f"- Left out: {what}." for what in run.left_out]
+    return "\n".join(lines)
+
+
+def _daemon_notes(run: Run) -> str:
+    lines = []
+    if run.day is not None:
+        d = run.day
+        lines.append(
+            f"- A typical day ({d.idle:.0%} idle, {d.still:.0%} a still finger, {d.moving:.0%} a moving one, 125 "
+            f"frames a second) costs **{d.cpu_s_per_hour:.0f} s of processor time an hour**."
+        )
+    cells = run.daemon
+    if cells:
+        lines.append(
+            f"- Resident memory: {min(c.rss_mb for c in cells):.0f} to {max(c.rss_mb for c in cells):.0f} MB, the "
+            "benchmark's own arrays included."
+        )
+        lines.append(
+            f"- Garbage collection: {sum(c.gc_pauses for c in cells)} pauses in all, the longest "
+            f"{max(c.gc_longest_us for c in cells):.0f} us."
+        )
+        few = [c for c in cells if c.frames < 1000]
+        if few:
+            lines.append("- Where fewer than 1,000 frames were counted, the 99.9th percentile is nearly the maximum.")
+    return "\n".join(lines)
+
+
+def _markdown(table: Table) -> str:
+    """Return a Markdown table: names to the left, numbers to the right."""
+    if not table.rows:
+        return ""
+    text = {i for i in range(len(table.headings)) if any(not _is_number(row[i]) for row in table.rows)}
+    rule = "|" + "|".join(WIDTH if i in text else WIDTH + ":" for i in range(len(table.headings))) + "|"
+    lines = ["| " + " | ".join(table.headings) + " |", rule]
+    return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in table.rows])
+
+
+def _is_number(text: str) -> bool:
+    return text == "-" or text.replace(",", "").rstrip("%").replace("+", "-").lstrip("-").replace(".", "", 1).isdigit()

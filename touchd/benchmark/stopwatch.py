@@ -1,0 +1,109 @@
+"""Times of single calls, and what is said of them."""
+
+from __future__ import annotations
+
+import gc
+import os
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+BURN_IN = 2
+"""Batches at the start that do not count: caches, branch predictors and clocks settle."""
+
+
+class Spread(NamedTuple):
+    """Percentiles of times, us."""
+
+    p50: float
+    p99: float
+    p999: float
+    most: float
+
+
+def spread(times_us: ArrayLike) -> Spread:
+    """Return median, 99th and 99.9th percentile, and the largest of times (n,)."""
+    return Spread(*np.percentile(np.asarray(times_us, float), (50, 99, 99.9, 100)).tolist())
+
+
+class Stopwatch:
+    """Keeps how long calls took, batch by batch."""
+
+    def __init__(self) -> None:
+        self._batches_us: list[NDArray[np.float64]] = []
+
+    def add(self, times_ns: list[int]) -> None:
+        """Take in the times of one batch."""
+        self._batches_us.append(np.array(times_ns, float) * 1e-3)
+
+    def time(self, call: Callable[[], object], count: int) -> None:
+        """Time a batch of calls one by one."""
+        clock, times_ns = time.perf_counter_ns, []
+        for _ in range(count):
+            begun_ns = clock()
+            call()
+            times_ns.append(clock() - begun_ns)
+        self.add(times_ns)
+
+    @property
+    def times_us(self) -> NDArray[np.float64]:
+        """All times after the burn-in, shape (n,)."""
+        return np.concatenate(self._batches_us[BURN_IN:] or self._batches_us)
+
+    def medians_us(self) -> NDArray[np.float64]:
+        """Return the median of each batch, burn-in included: batches of two stopwatches belong together in order."""
+        return np.array([np.median(batch) for batch in self._batches_us])
+
+
+def ratio(one: Stopwatch, other: Stopwatch) -> float:
+    """Return how many times as long one takes as the other: the median over the batches that took turns."""
+    a, b = one.medians_us(), other.medians_us()
+    count = min(len(a), len(b))
+    skipped = BURN_IN if count > BURN_IN else 0
+    return float(np.median(a[skipped:count] / b[skipped:count]))
+
+
+@contextmanager
+def undisturbed() -> Iterator[int | None]:
+    """Stay on one processor if the system lets us, and have the collector leave alone what is loaded, as the daemon.
+
+    Gives the number of the processor, None where there is no staying.
+    """
+    gc.collect()
+    gc.freeze()
+    allowed = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set()
+    chosen = max(allowed, default=None)
+    try:
+        if chosen is not None:
+            os.sched_setaffinity(0, {chosen})
+    except OSError:
+        chosen = None
+    try:
+        yield chosen
+    finally:
+        if chosen is not None:
+            os.sched_setaffinity(0, allowed)
+        gc.unfreeze()
+
+
+class Floor:
+    """The least time in which so many bytes can be read once, from the cache that they fit in."""
+
+    ROUNDS = 60
+
+    def __init__(self) -> None:
+        self._known_us: dict[int, float] = {}
+
+    def us(self, count_bytes: int) -> float:
+        """Return the median time of a product of a buffer of that size with itself, over and over, us."""
+        if count_bytes not in self._known_us:
+            buffer = np.ones(max(1, count_bytes // 4), np.float32)
+            watch = Stopwatch()
+            for _ in range(BURN_IN + 1):
+                watch.time(lambda: buffer.dot(buffer), self.ROUNDS)
+            self._known_us[count_bytes] = spread(watch.times_us).p50
+        return self._known_us[count_bytes]
