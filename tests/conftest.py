@@ -35,8 +35,16 @@ def fresh_log() -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def model() -> Model:
-    """The shipped model."""
-    return Model(default_model_path())
+    """The shipped network, alone."""
+    return Model(default_model_path(), atlas=False)
+
+
+@pytest.fixture(scope="session")
+def atlas_model() -> Model:
+    """The shipped network with its field atlas."""
+    model = Model(default_model_path())
+    assert model.atlas is not None
+    return model
 
 
 @pytest.fixture(scope="session")

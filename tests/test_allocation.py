@@ -107,7 +107,33 @@ def test_no_array_is_made_for_a_frame(
     name: str, still: bool, inferred: tuple[int, int], count: Counter, model: Model, scene_file: Callable[[str], Path]
 ) -> None:  # fmt: skip
     """From the recording to the message, with nothing there, with a finger that rests, and with one that moves."""
-    source = ReplaySource(scene_file(name), speed=float("inf"))
+    frames, located, events = played(scene_file(name), model, still=still, count=count)
+    assert frames == 0
+    least, most = inferred
+    assert least <= located <= most
+    assert (events > 0) is (name != "idle")
+
+
+@pytest.mark.parametrize(
+    ("name", "still", "located"),
+    [("idle", True, (0, 0)), ("hold", True, (0, 20)), ("hold", False, (100, 100)), ("circle", True, (90, 100))],
+)
+def test_on_the_field_atlas_an_array_is_made_for_a_frame_in_twenty_at_most(
+    name: str, still: bool, located: tuple[int, int], count: Counter, atlas_model: Model,
+    scene_file: Callable[[str], Path],
+) -> None:  # fmt: skip
+    """Where something begins: the temperature is looked at, a finger comes to rest, a search is made. Not in others."""
+    frames, found, events = played(scene_file(name), atlas_model, still=still, count=count)
+    print(f"{name}: arrays were made in {frames} of 100 frames")
+    assert frames <= 5
+    least, most = located
+    assert least <= found <= most
+    assert (events > 0) is (name != "idle")
+
+
+def played(path: Path, model: Model, *, still: bool, count: Counter) -> tuple[int, int, int]:
+    """Return, for 100 frames: in how many arrays were made, in how many fingers were located, and the events."""
+    source = ReplaySource(path, speed=float("inf"))
     settings = Settings.model_validate({"skip": {"still": still}})
     messages = Messages("plate", 0)
     pipeline = Pipeline(source.acquisition, model, settings, messages, wants=lambda topic: topic != "spectrum")
@@ -115,13 +141,12 @@ def test_no_array_is_made_for_a_frame(
         frame = source.read(0.0)
         assert frame is not None
         pipeline.process(frame)
-    before, events = pipeline.counters.inferred, 0
-    with count.counting():
-        for _ in range(100):
+    counters = pipeline.counters
+    before, frames, events = counters.inferred + counters.skipped["tracking"], 0, 0
+    for _ in range(100):
+        with count.counting():
             frame = source.read(0.0)
             assert frame is not None
             events += len(pipeline.process(frame))
-    assert count.sizes == []
-    least, most = inferred
-    assert least <= pipeline.counters.inferred - before <= most
-    assert (events > 0) is (name != "idle")
+        frames += bool(count.sizes)
+    return frames, counters.inferred + counters.skipped["tracking"] - before, events

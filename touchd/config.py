@@ -83,6 +83,10 @@ class ModelSettings(_Section):
     """The network that places touches."""
 
     path: OptionalPath = Field(None, description="ONNX file with touchd's description; unset uses the shipped model.")
+    atlas: bool = Field(
+        True,
+        description="Place fingers on the field atlas beside the model, if there is one: several, and ten times finer.",
+    )
     min_confidence: float = Field(
         0.5, ge=0, le=1, description="Below this a frame is taken for something else than a finger, and not placed."
     )

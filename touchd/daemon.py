@@ -131,7 +131,7 @@ def make_pipeline(
 
 def load_model(settings: Settings) -> Model:
     """Return the model that the settings name."""
-    return Model(settings.model.path or default_model_path())
+    return Model(settings.model.path or default_model_path(), atlas=settings.model.atlas)
 
 
 def layout_of(settings: Settings, model: Model) -> Layout | None:

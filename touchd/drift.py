@@ -47,6 +47,7 @@ class Drift:
         self._along = np.zeros(0, np.float32)
         self._step = np.zeros(0, np.float32)
         self._drifted = np.zeros(self._size, np.float32)
+        self._weight = np.zeros((), np.float32)
         self._moved = False
         self.stretch = 0.0
         """Relative rise of the plate's resonances since training; -4.5e-5 a kelvin on glass."""
@@ -84,7 +85,8 @@ class Drift:
         """Take in what the fingers do not explain of a frame's bins, shape (size,), so long after the last one."""
         if len(self._directions):
             np.dot(self._directions, left, out=self._step)
-            np.multiply(self._step, np.float32(1 - math.exp(-elapsed_s / FOLLOW_S)), out=self._step)
+            self._weight[...] = 1 - math.exp(-elapsed_s / FOLLOW_S)
+            np.multiply(self._step, self._weight, out=self._step)
             np.add(self._along, self._step, out=self._along)
             self._moved = True
 

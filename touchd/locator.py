@@ -60,6 +60,7 @@ class Locator:
         self._difference: Array = np.zeros(atlas.size, np.float32)
         self._shift: Array = np.zeros((2, atlas.size), np.float32)
         self._shifted: Array = np.zeros(2, np.float32)
+        self._energy = np.zeros((), np.float32)
         self._most_mm2 = 0.0
         self._moved_mm = math.inf
         self._noise_scale, self._field_scale = d.noise_scale, d.field_scale
@@ -165,7 +166,8 @@ class Locator:
         np.subtract(difference, self._seen, out=difference)
         if self._refiner.mask is not None:
             np.multiply(difference, self._refiner.mask, out=difference)
-        if not float(difference.dot(difference)) <= 2 * (1 + NOISE_MARGIN) * self._expected:
+        difference.dot(difference, self._energy)
+        if not self._energy.item() <= 2 * (1 + NOISE_MARGIN) * self._expected:
             return False
         np.dot(self._shift, difference, out=self._shifted)
         x_mm, y_mm = self._shifted.tolist()
@@ -219,7 +221,7 @@ class Locator:
             found = min(found, anew, key=lambda one: one.left)
         # What nothing explains is not searched again with each frame, unless it has become much more.
         excess = self._excess(found, expected, signal)
-        worth = excess < GOOD or (excess < EXCESS_OF_HALF / 2 and found.left < _WORTH * fit.left)
+        worth = excess < EXCESS_OF_HALF / 2 and found.left < _WORTH * fit.left
         self._wait_s = 0.0 if worth else min(max(2 * self._wait_s, _SEARCH_AGAIN_S), _SEARCH_SELDOM_S)
         self._search_s = 0.0
         self._unexplained = max(excess, 0.0) * signal

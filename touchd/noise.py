@@ -29,6 +29,7 @@ class Noise:
         self.power: Array = np.zeros(channels * 2 * bins, np.float32)
         """Of each feature, counts squared."""
         self._square = np.zeros_like(self.power)
+        self._weight = np.zeros((), np.float32)
 
     def forget(self) -> None:
         """Begin anew with the next frame."""
@@ -40,7 +41,8 @@ class Noise:
         self._heard = min(self._heard + 1, MEMORY_FRAMES)
         np.multiply(features, features, out=self._square)
         np.subtract(self._square, self.power, out=self._square)
-        np.multiply(self._square, np.float32(1 / self._heard), out=self._square)
+        self._weight[...] = 1 / self._heard
+        np.multiply(self._square, self._weight, out=self._square)
         np.add(self.power, self._square, out=self.power)
 
     def quiet(self) -> NDArray[np.bool_]:

@@ -81,6 +81,8 @@ class Refiner:
         self._value_parts, self._turned_value = self._rows_6[0].reshape(parts), self._rows_6[5].reshape(parts)
         self._gram = np.zeros((3, 6), np.float32)
         self._information = np.zeros((2, 2))
+        self._energy = np.zeros((), np.float32)
+        self._factor = np.zeros((), np.float32)
         self._left = np.zeros(n, np.float32)
         self._part = np.zeros(n, np.float32)
         self._many = np.zeros((7, n), np.float32)  # two fingers; for more it grows
@@ -104,7 +106,8 @@ class Refiner:
             np.multiply(self._frame, self.mask, out=self._frame)
         self._turned_frame[:, 0] = self._frame_parts[:, 1]
         np.negative(self._frame_parts[:, 0], out=self._turned_frame[:, 1])
-        self.energy = float(self._frame.dot(self._frame))
+        self._frame.dot(self._frame, self._energy)
+        self.energy = self._energy.item()
         return self.energy
 
     def one(self, x_mm: float, y_mm: float, steps: int) -> Fit:
@@ -195,10 +198,10 @@ class Refiner:
         for (x, y), strength in zip(fit.places_mm, fit.strengths, strict=True):
             self._look_up(x, y)
             self._turn_value()
-            np.multiply(self._rows_6[0], np.float32(strength.real), out=part)
-            np.subtract(left, part, out=left)
-            np.multiply(self._rows_6[5], np.float32(strength.imag), out=part)
-            np.subtract(left, part, out=left)
+            for row, factor in ((self._rows_6[0], strength.real), (self._rows_6[5], strength.imag)):
+                self._factor[...] = factor
+                np.multiply(row, self._factor, out=part)
+                np.subtract(left, part, out=left)
         return left
 
     def _inside(self, x_mm: float, y_mm: float) -> Place:
@@ -220,7 +223,9 @@ class Refiner:
         np.dot(powers, _SPLINES, out=self._weights)
         n = self._size
         # Four neighbouring nodes of a row lie one after the other: the rows are summed first, without a copy.
-        np.dot(self._weights_y, self._lines[row - 1 : row + 3, (column - 1) * n : (column + 3) * n], out=self._along_y)
+        np.matmul(
+            self._weights_y, self._lines[row - 1 : row + 3, (column - 1) * n : (column + 3) * n], out=self._along_y
+        )
         np.dot(self._weights_x, self._line_0, out=self._value_x)
         np.dot(self._weight_x, self._line_1, out=self._value_y)
         if self.mask is not None:
