@@ -135,6 +135,7 @@ def _bias_map(axes: Axes, judged: Judgement, meta: Meta) -> None:
             *centre_mm[chosen].T, *bias_mm[chosen].T, color=colour, angles="xy", scale_units="xy", pivot="middle",
             scale=scale, width=0.0045, clip_on=False,
         )  # fmt: skip
+        arrows.set_in_layout(False)  # what reaches beyond the plate needs no room
     unit_mm = _round_down(side_mm * scale)
     axes.quiverkey(arrows, 0.9, -0.115, unit_mm, f"{unit_mm:g} mm", labelpos="W", coordinates="axes")
 
