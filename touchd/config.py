@@ -168,7 +168,7 @@ class TrackerSettings(_Section):
         "one's is higher in proportion.",
     )  # fmt: skip
     beta: float = Field(
-        0.3, ge=0, description="One-Euro filter: how much the cut-off opens with speed, Hz per mm/s, at the same sigma."
+        0.6, ge=0, description="One-Euro filter: how much the cut-off opens with speed, Hz per mm/s, at the same sigma."
     )
     force_full_scale: float = Field(
         0.1, gt=0, description="Change of the signal, as a share of its size, that counts as `force` 1."

@@ -19,7 +19,7 @@ from touchd.drift import Drift
 from touchd.model import Estimate
 from touchd.noise import Noise
 from touchd.refine import Fit, Place, Refiner
-from touchd.search import ENOUGH, GOOD, NOISE_MARGIN, Search
+from touchd.search import ENOUGH, GOOD, NOISE_MARGIN, Search, is_worth
 from touchd.tracker import Touch
 
 EXCESS_OF_HALF = 0.25
@@ -33,6 +33,11 @@ LEAVING_RAD = 2.0
 STILL_MM = 0.05
 """A finger that moves less from one frame to the next may be still."""
 STILL_SIGMAS = 2.5
+FAINT = 6.0
+"""A finger with less than so many times the noise's energy may be seen elsewhere by the network."""
+SIGNIFICANT = 80.0
+"""What a fit explains, in variances of a feature, for noise alone not to do so anywhere on a plate: at the best of a
+thousand places noise explains some 15, neighbouring bins being correlated twice that."""
 FIRST_STEPS, FOLLOW_STEPS = 5, 3
 _DRIFT_EVERY_S = 0.04
 _SEARCH_SOON_S, _SEARCH_AGAIN_S = 0.02, 0.05
@@ -131,15 +136,16 @@ class Locator:
         expected = self._expected
         signal = energy - expected
         self.leaving = False
-        if signal <= NOISE_MARGIN * expected:
+        if signal <= _NOISE_SPREAD * expected:
             self._fit, self._speed = _NONE, []
             return ()
-        fit = self._follow(elapsed_s, expected, signal) if self._fit.places_mm else self._begin(start)
+        fit = self._follow(elapsed_s, expected, signal) if self._fit.places_mm else self._begin(start, signal)
         excess = self._excess(fit, expected, signal)
         if excess > GOOD / 2 and self._may_search(excess * signal):
             fit = self._look_again(fit, residual, expected, signal)
             excess = self._excess(fit, expected, signal)
-        confidence = 1 / (1 + (excess / EXCESS_OF_HALF) ** 2) if fit.places_mm else 0.0
+        told = sum(fit.energies) > SIGNIFICANT * expected / self._alive
+        confidence = 1 / (1 + (max(excess, 0.0) / EXCESS_OF_HALF) ** 2) if told else 0.0
         if not confidence >= confident:
             self._fit, self._speed = _NONE, []
             return ()
@@ -184,12 +190,17 @@ class Locator:
             sigma_mm = _sigmas_mm(fit.information, 2 * self._noise_scale * self._expected / self._alive)[0]
             self._most_mm2 = 2 * (STILL_SIGMAS * sigma_mm) ** 2
 
-    def _begin(self, start: Callable[[], Estimate]) -> Fit:
-        """Fit one finger from where the network sees it."""
+    def _begin(self, start: Callable[[], Estimate], signal: float) -> Fit:
+        """Fit one finger from where the network sees it; a faint one, of which it may be wrong, from others too."""
         estimate = start()
-        if not math.isfinite(estimate.x_mm) or not math.isfinite(estimate.y_mm):
-            return _NONE._replace(left=self._refiner.energy)
-        return self._refiner.one(estimate.x_mm, estimate.y_mm, FIRST_STEPS)
+        fits = []
+        if math.isfinite(estimate.x_mm) and math.isfinite(estimate.y_mm):
+            fits.append(self._refiner.one(estimate.x_mm, estimate.y_mm, FIRST_STEPS))
+        if not fits or signal < FAINT * self._expected:
+            places = self._search.candidates(self._refiner.frame)
+            fits += [self._refiner.one(*place, FIRST_STEPS) for place in places]
+        best = min(fits, key=lambda fit: fit.left)
+        return self._refiner.one(*best.places_mm[0], 1) if len(fits) > 1 else best
 
     def _follow(self, elapsed_s: float, expected: float, signal: float) -> Fit:
         """Fit the fingers of the last frame from where they were going, less those that have lifted."""
@@ -199,12 +210,16 @@ class Locator:
         ]
         if len(places) == 1:
             return self._refiner.one(*places[0], FOLLOW_STEPS)
-        fit = self._refiner.several(places, FOLLOW_STEPS - 1)
+        return self._prune(self._refiner.several(places, FOLLOW_STEPS - 1), expected, signal)
+
+    def _prune(self, fit: Fit, expected: float, signal: float) -> Fit:
+        """Return a fit without the fingers that explain next to nothing: they have lifted, or were none."""
         while len(fit.places_mm) > 1:
             weakest = int(np.argmin(fit.energies))
             if fit.energies[weakest] > _WEAK * max(fit.left - expected, ENOUGH * signal):
                 break
-            del self._speed[weakest]
+            if len(self._speed) == len(fit.places_mm):
+                del self._speed[weakest]
             fit = self._refiner.several([p for k, p in enumerate(fit.places_mm) if k != weakest], FOLLOW_STEPS - 1)
         return fit
 
@@ -215,10 +230,12 @@ class Locator:
         if silent.any() and not silent.all() and (silent & self._listening).any():
             self._listen_to(self._listening & ~silent)
             return self._refiner.one(*known[0], FIRST_STEPS) if known else fit
-        found = self._search.add(fit, expected)
-        if self._excess(found, expected, signal) > GOOD and known:
+        tracked = bool(self._fit.places_mm)
+        found = self._search.add(fit, expected) if tracked else fit
+        if self._excess(found, expected, signal) > GOOD / 2:
             anew = self._search.add(_NONE._replace(left=self._refiner.energy), expected)
-            found = min(found, anew, key=lambda one: one.left)
+            found = anew if is_worth(anew, found, expected) else found
+        found = self._prune(found, expected, signal)
         # What nothing explains is not searched again with each frame, unless it has become much more.
         excess = self._excess(found, expected, signal)
         worth = excess < EXCESS_OF_HALF / 2 and found.left < _WORTH * fit.left

@@ -105,7 +105,7 @@ class Search:
                 more = _different([one for one in more if apart_mm(one) > MERGED_MM])[:width]
                 beam = [self._refiner.several(one.places_mm, _STEPS) for one in more]
                 beam.sort(key=lambda one: one.left)
-                if beam and _worth(beam[0], best, noise):
+                if beam and is_worth(beam[0], best, noise):
                     best = beam[0]
                 elif fit.places_mm and fit.left < good:
                     return best  # it was good before, and another finger does not help
@@ -114,8 +114,8 @@ class Search:
         return best
 
 
-def _worth(fit: Fit, other: Fit, noise: float) -> bool:
-    """Return whether a fit of more fingers explains enough more than another does."""
+def is_worth(fit: Fit, other: Fit, noise: float) -> bool:
+    """Return whether a fit explains more than another does, and enough more where it has more fingers."""
     more = len(fit.places_mm) - len(other.places_mm)
     if not other.places_mm or more <= 0:
         return fit.left < other.left

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from copy import copy
-from math import hypot
+from math import hypot, sqrt
 from typing import NamedTuple
 
 from touchd.assignment import assign
@@ -124,13 +124,17 @@ class Tracker:
             track.seen += 1
             return self._confirm(track, touch)
         at = track.filter
-        contact.sigma_mm, contact.confidence, contact.force = touch.sigma_mm, touch.confidence, touch.force
+        contact.confidence, contact.force = touch.confidence, touch.force
         contact.vx_mm_s, contact.vy_mm_s = at.vx_mm_s, at.vy_mm_s
         dead_band_mm = max(self._dead_band_mm, _DEAD_SIGMAS * touch.sigma_mm)
-        if hypot(contact.x_mm - at.x_mm, contact.y_mm - at.y_mm) <= dead_band_mm:
+        moved_mm = hypot(contact.x_mm - at.x_mm, contact.y_mm - at.y_mm)
+        if moved_mm <= dead_band_mm:
             contact.phase = "hold"
+            # It is said to be where it was: that much more, per axis, may it be off.
+            contact.sigma_mm = hypot(touch.sigma_mm, moved_mm * sqrt(0.5))
             return False
         contact.phase = "move"
+        contact.sigma_mm = touch.sigma_mm
         contact.x_mm, contact.y_mm, contact.key = at.x_mm, at.y_mm, touch.key
         return True
 
