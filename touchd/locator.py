@@ -33,6 +33,8 @@ LEAVING_RAD = 2.0
 STILL_MM = 0.05
 """A finger that moves less from one frame to the next may be still."""
 STILL_SIGMAS = 2.5
+UNUSUAL = 8.0
+"""What a finger unlike those of the training leaves counts so much more than noise: it is alike in many bins."""
 FAINT = 6.0
 """A finger with less than so many times the noise's energy may be seen elsewhere by the network."""
 SIGNIFICANT = 80.0
@@ -157,7 +159,7 @@ class Locator:
         self._fit = fit
         self._arm(fit)
         self.leaving = all(abs(cmath.phase(z)) > LEAVING_RAD for z in fit.strengths)
-        return self._touches(fit, confidence, max(excess, 0.0) * signal)
+        return self._touches(fit, confidence)
 
     def holds(self, residual: Array) -> bool:
         """Return whether the finger of the last frame located is still where it was, but for the noise.
@@ -270,12 +272,11 @@ class Locator:
             for (vx, vy), now, then in zip(self._speed, fit.places_mm, before, strict=True)
         ]
 
-    def _touches(self, fit: Fit, confidence: float, unexplained: float) -> tuple[Touch, ...]:
+    def _touches(self, fit: Fit, confidence: float) -> tuple[Touch, ...]:
         """Return the fingers of a fit with their standard errors; what is water is none."""
-        power = sum(abs(z) ** 2 for z in fit.strengths)
-        error = self._field_scale * self._mean_error * power / 2
-        # A fit that leaves more than both explain is not known better than by what it leaves.
-        error = max(error, self._field_scale * unexplained / self._alive)
+        usual = self._mean_error * sum(abs(z) ** 2 for z in fit.strengths) / 2
+        left = max(fit.left - self._expected, 0.0) / self._alive
+        error = self._field_scale * usual + UNUSUAL * max(left - usual, 0.0)
         sigmas_mm = _sigmas_mm(fit.information, self._noise_scale * self._expected / self._alive + error)
         return tuple(
             Touch(x, y, sigma_mm, confidence, abs(z) * self._per_strength)
