@@ -76,7 +76,8 @@ def results() -> str:
     """Return the table of the shipped model's scores, as the model itself states them; empty without a model."""
     if not MODEL.is_file():
         return ""
-    description = Model(MODEL).description
+    model = Model(MODEL)
+    description = model.description
     scores = description.scores
     plate = description.plate
     size = f"{plate.width_mm:g} x {plate.height_mm:g} x {plate.thickness_mm:g} mm"
@@ -86,8 +87,15 @@ def results() -> str:
         *(f"| {name} | {scores[key]:.2f} mm |" for key, name in SCORES.items()),
         f"| touches scored, none of them seen in training | {scores['n']:.0f} |",
     ]
+    commands = [description.command]
+    if model.atlas is not None and (found := model.atlas.description.scores):
+        lines[0] = lines[0].replace("error of the position |", "network alone | with its field atlas |")
+        lines[1] += "---|"
+        rows = [*(f"{found[key]:.3f} mm" for key in SCORES), f"{found['n']:.0f}"]
+        lines[2:] = [f"{line} {row} |" for line, row in zip(lines[2:], rows, strict=True)]
+        commands.append(model.atlas.description.command)
     if description.command:
-        lines += ["", f"Made by `{description.command}`."]
+        lines += ["", "Made by " + " and ".join(f"`{command}`" for command in commands) + "."]
     return "\n".join(lines)
 
 

@@ -220,10 +220,12 @@ class AtlasFinder(Finder):
         return self._locator.holds(self._residual)
 
     def _look(self, confident: float) -> tuple[Touch, ...]:
-        inferred = self._counters.inferred
+        inferred, tracked = self._counters.inferred, self._locator.tracks
         found = self._locator.locate(self._residual, self._elapsed_s, confident, self._estimate)
-        # What lets the network be skipped: the finger was followed, and is where it was going.
-        self._counters.skipped["tracking"] += self._counters.inferred == inferred
+        if self._counters.inferred == inferred:
+            # What lets the network be skipped: the finger was followed, and is where it was going; or there is so
+            # little above the noise that something may be there, but where cannot be told.
+            self._counters.skipped["tracking" if tracked else "faint"] += 1
         return tuple(self._finished(touch) for touch in found if touch.sigma_mm <= self._max_sigma_mm)
 
 

@@ -84,6 +84,11 @@ class Locator:
         """What is known of the plate's temperature, gains and dead channels."""
         return self._drift
 
+    @property
+    def tracks(self) -> bool:
+        """Whether fingers of the last frame are being followed."""
+        return bool(self._fit.places_mm)
+
     def learn(self, residuals: Array, baseline: Array) -> None:
         """Start afresh on an untouched plate, (channels, samples), from the residuals of its frames, (n, ...)."""
         self._noise.forget()

@@ -91,8 +91,8 @@ def describe(event: Event) -> Iterator[str]:
         for c in event.contacts:
             if c.phase != "hold":
                 yield (
-                    f"{at} {c.phase:4} #{c.id:<4} {c.x_mm:7.1f} {c.y_mm:7.1f} mm  force {c.force:4.2f}"
-                    f"  sigma {c.sigma_mm:4.1f} mm  confidence {c.confidence:4.2f}" + (f"  {c.key}" if c.key else "")
+                    f"{at} {c.phase:4} #{c.id:<4} {c.x_mm:7.2f} {c.y_mm:7.2f} mm  force {c.force:4.2f}"
+                    f"  sigma {c.sigma_mm:4.2f} mm  confidence {c.confidence:4.2f}" + (f"  {c.key}" if c.key else "")
                 )
     elif isinstance(event, KeyEvent):
         yield f"{at} {event.phase:7} {event.key}  confidence {event.confidence:4.2f}"
