@@ -29,6 +29,7 @@ BURN_IN_S = 0.3
 DAY = {"idle": 0.98, "still": 0.01, "moving": 0.01}
 """What a touch plate is doing all day, by share."""
 FOREVER_S = 1e6
+ENDLESS = 10_000_000
 
 
 def measure(
@@ -60,8 +61,10 @@ def measure(
         loop.save(stored)
     output = folder / "measured.npz"
     address = f"ipc://{folder}/bus"
+    # At full speed the subscriber may fall behind: nothing is to be lost for that.
+    bus = {"bind": [address]} if rate_hz is not None else {"bind": [address], "high_water_mark": ENDLESS}
     settings: dict[str, Any] = {
-        "bus": {"bind": [address]}, "model": {"path": str(model)}, "baseline": {"absorb_s": FOREVER_S},
+        "bus": bus, "model": {"path": str(model)}, "baseline": {"absorb_s": FOREVER_S},
         "preroll": {"folder": str(folder)},
     }  # fmt: skip
     task = Task(

@@ -45,12 +45,15 @@ def page(run: Run, pictures: str) -> str:
         _estimator_notes(run),
         "## The daemon, end to end",
         "A daemon in a process of its own with all that it has in service (bus, health, pre-roll), and a subscriber in "
-        "another. Scenes are computed by the digital twin beforehand and played to and fro. Times go from a frame "
-        "complete on the computer to its event decoded by the subscriber; where nothing is sent (idle), to the "
-        "decision; at full speed, where messages queue up, to the socket. `handed` is to the socket, or to the "
-        "decision, in all of them, and `x bare` its ratio to the bare network in that process. Frames at a steady rate "
-        "find the processor's caches cold and its clock low; those at full speed do not. `frames/CPU s` is how many "
-        "frames a second of processor time is enough for.",
+        "another. Scenes of a human finger are computed by the digital twin beforehand, at 125 frames a second, and "
+        "played to and fro: at 1,000 the finger is eight times as quick. Times go from a frame complete on the "
+        "computer to its event decoded by the subscriber (of a still finger only ten frames a second have a message); "
+        "where nothing is sent (idle), to the decision; at full speed, where messages queue up, to the socket, and "
+        "shown is the run of median ratio out of three. "
+        "`handed` is to the socket, or to the decision, in all of them, and `x bare` its ratio to the bare network in "
+        "that process. Frames at a steady rate find the processor's caches cold and its clock low; those at full speed "
+        "do not. `frames/CPU s` is how many frames a second of processor time is enough for, that of the bus's own "
+        "thread included.",
     ]
     if any(cell.rate_hz for cell in run.daemon):
         parts.append(f"![The daemon's latency]({pictures}/latency.png)")
@@ -60,7 +63,9 @@ def page(run: Run, pictures: str) -> str:
         "## What each skip saves",
         "The same frames through two pipelines in turns, one with the skip and one without (`[skip]` in the "
         "[configuration](configuration.md)): median time of a frame in the pipeline. `tracking` compares the "
-        "estimators above: a finger that is followed needs no network.",
+        "estimators above: a finger that is followed needs no network. `bins` compares the product that makes the "
+        "features, with the bins that the atlas keeps and with all of the chirp's band; the error that this costs is "
+        "measured in training.",
         _markdown(tables.skip_table(run)),
     ]
     return "\n\n".join(part for part in parts if part) + "\n"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import log10
 from pathlib import Path
 
 from matplotlib.axes import Axes
@@ -20,8 +21,8 @@ GROUPS = {
 }
 PAPER = "#555555"
 PLAIN = FuncFormatter(lambda value, _position: f"{value:,g}")
-SAME_HEIGHT = 1.25
-"""Points whose errors differ by less would have their names upon each other."""
+SAME_HEIGHT, SAME_PLACE = 0.1, 0.9
+"""Decades in error and in time within which points would have their names upon each other."""
 RATES = (125.0, 500.0, 1000.0)
 
 
@@ -67,11 +68,11 @@ def draw_errors(run: Run) -> Figure:
     if bound_mm is not None:
         axes.axhline(bound_mm, color=COLOURS[4], lw=1.4, ls="-.")
         low = min(low, bound_mm / 1.8)
-    axes.set_ylim(low / 1.5, high * 2)
+    axes.set_ylim(low / 1.7, high * 2)
     _label_all(axes, run)
-    bottom = axes.get_ylim()[0] * 1.15
+    bottom = axes.get_ylim()[0] * 1.1
     for x_us, text, colour in ((run.bare_us.p50, "bare network", "black"), (1e3 * KEYPAD_MS, "paper's keypad", PAPER)):
-        axes.text(x_us, bottom, f"{text}, {x_us * 1e-3:.2g} ms ", fontsize=8, rotation=90, ha="right", color=colour)
+        axes.text(x_us, bottom, f" {text}, {x_us * 1e-3:.2g} ms", fontsize=8, color=colour)
     if bound_mm is not None:
         axes.text(
             axes.get_xlim()[1] / 1.05, bound_mm * 1.06, f"Cramer-Rao bound, {bound_mm:.3f} mm", fontsize=8, ha="right",
@@ -86,13 +87,19 @@ def draw_errors(run: Run) -> Figure:
 def _label_all(axes: Axes, run: Run) -> None:
     """Name every point: of those at one height the leftmost highest, so that no line runs through a name."""
     levels: list[list[EstimatorResult]] = []
-    for one in sorted(run.estimators, key=lambda one: one.median_mm):
-        if levels and one.median_mm < SAME_HEIGHT * levels[-1][0].median_mm:
-            levels[-1].append(one)
-        else:
+    for one in sorted(run.estimators, key=lambda one: one.p50_us):
+        near = (
+            level for level in levels
+            if abs(log10(one.median_mm / level[-1].median_mm)) < SAME_HEIGHT
+            and log10(one.p50_us / level[-1].p50_us) < SAME_PLACE
+        )  # fmt: skip
+        known = next(near, None)
+        if known is None:
             levels.append([one])
+        else:
+            known.append(one)
     for level in levels:
-        for lines, one in enumerate(sorted(level, key=lambda one: -one.p50_us)):
+        for lines, one in enumerate(reversed(level)):
             colour = GROUPS[one.group][1]
             axes.annotate(
                 one.name, (one.p50_us, one.median_mm), (1, 9 + 11 * lines), textcoords="offset points", fontsize=8,
@@ -127,7 +134,7 @@ def draw_latency(run: Run) -> Figure:
                color=[COLOURS[scenes.index(cell.scene)] for cell in full])  # fmt: skip
     for i, cell in enumerate(full):
         right.text(cell.frames_per_cpu_s, i, f" {cell.frames_per_cpu_s:,.0f}", va="center", fontsize=9)
-    right.set(xscale="log", xlabel="frames in a second of processor time, full speed")
+    right.set(xscale="log", xlabel="frames per CPU second, full speed")
     right.xaxis.set_major_formatter(PLAIN)
     right.invert_yaxis()
     if full:

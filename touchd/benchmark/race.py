@@ -51,7 +51,6 @@ def race(
         Called after each block.
     """
     entries = [_Entry(one) for one in estimators]
-    network = Stopwatch()
     begun_s = time.monotonic()
     for number in range(passes):
         if number and time.monotonic() - begun_s > limit_s:
@@ -60,7 +59,6 @@ def race(
             for entry in entries:
                 if number and entry.estimator.slow:
                     continue
-                network.time(bare, BLOCK)
                 entry.beside.time(bare, BLOCK)
                 places = _batch(entry, block)
                 if not number:
@@ -68,7 +66,7 @@ def race(
             tick()
     true_mm = np.concatenate([block.true_mm for block in blocks])
     floor = Floor()
-    bare_times = spread(network.times_us)
+    bare_times = spread(np.concatenate([entry.beside.times_us for entry in entries]))
     times = BareTimes(p50=rounded(bare_times.p50), p99=rounded(bare_times.p99), p999=rounded(bare_times.p999))
     return times, [_result(entry, true_mm, floor) for entry in entries]
 

@@ -6,11 +6,13 @@ import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from touchd.atlas import Atlas
 from touchd.benchmark.daemon import FOREVER_S
 from touchd.benchmark.loop import PERIOD_NS, Loop, LoopSource
 from touchd.benchmark.results import EstimatorResult, SkipResult, rounded
@@ -18,6 +20,7 @@ from touchd.benchmark.stopwatch import Stopwatch, ratio, spread
 from touchd.config import Settings
 from touchd.daemon import make_messages, make_pipeline
 from touchd.event import Event, TouchEvent
+from touchd.features import band_bins, windowed_dft
 from touchd.frame import Frame
 from touchd.model import Model
 from touchd.pipeline import Pipeline
@@ -129,6 +132,25 @@ def tracking(estimators: Mapping[str, EstimatorResult]) -> SkipResult | None:
         name="tracking", scene="moving", with_us=followed.p50_us, without_us=down.p50_us,
         saved=rounded(1 - followed.ratio / down.ratio, 3),
         same=f"median error {followed.median_mm:.3f} mm, with the network {down.median_mm:.3f} mm",
+    )  # fmt: skip
+
+
+def bins(atlas: Atlas, rounds: int) -> SkipResult:
+    """Return what it saves that the atlas leaves out the bins of the chirp's band that tell nothing of a finger."""
+    d = atlas.description
+    a = d.acquisition
+    matrices = [windowed_dft(a, np.array(some)).astype(np.float32) for some in (d.bins, band_bins(a))]
+    residual = np.random.default_rng(0).standard_normal(a.shape).astype(np.float32)
+    watches = Stopwatch(), Stopwatch()
+    for _ in range(rounds):
+        for watch, matrix in zip(watches, matrices, strict=True):
+            into = np.empty((a.channels, matrix.shape[1]), np.float32)
+            watch.time(partial(np.dot, residual, matrix, out=into), BATCH)
+    few, many = watches
+    return SkipResult(
+        name="bins", scene="any", with_us=rounded(spread(few.times_us).p50),
+        without_us=rounded(spread(many.times_us).p50), saved=rounded(1 - ratio(few, many), 3),
+        same=f"features alone: {len(d.bins)} of {len(band_bins(a))} bins",
     )  # fmt: skip
 
 

@@ -25,7 +25,7 @@ def estimator_table(run: Run) -> Table:
     rows = [["bare network", number(bare.p50), number(bare.p99), number(bare.p999), *["-"] * 9]]
     rows += [_estimator_row(one) for one in run.estimators]
     mean_mm = HEADS["R", "frequency"].mean_mm
-    rows.append(["paper: regression", number(1e3 * REGRESSION_MS), *["-"] * 6, f"mean {mean_mm:g}", *["-"] * 4])
+    rows.append([f"paper: regression, mean error {mean_mm:g} mm", number(1e3 * REGRESSION_MS), *["-"] * 11])
     rows.append(["paper: keypad", number(1e3 * KEYPAD_MS), *["-"] * 11])
     return Table("Run time against error", headings, rows)
 
@@ -85,7 +85,7 @@ def budget_table(run: Run) -> Table:
         if value is not None:
             bound = "at least" if budget.least else "at most"
             verdict = "held" if budget.holds(value) else "not held"
-            rows.append([budget.what, f"{bound} {budget.limit:,g} {budget.unit}", f"{value:,.4g}", verdict])
+            rows.append([budget.what, f"{bound} {budget.limit:,g} {budget.unit}", number(value), verdict])
     return Table("Budgets", ("what", "budget", "measured", ""), rows)
 
 
@@ -108,6 +108,14 @@ def _ratios(run: Run) -> dict[str, float]:
         rate = "full speed" if cell.rate_hz is None else f"{cell.rate_hz:g} frames/s"
         found[f"daemon, {cell.scene}, {rate}"] = cell.ratio
     return found
+
+
+def plain(table: Table) -> str:
+    """Return a table as text in columns, for a log."""
+    rows = [list(table.headings), *table.rows]
+    widths = [max(len(row[i]) for row in rows) for i in range(len(table.headings))]
+    lines = ["  ".join([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])]).rstrip() for row in rows]
+    return "\n".join([table.title, *lines, ""])
 
 
 def number(value: float) -> str:

@@ -1,0 +1,65 @@
+"""What is said of times does not depend on when the computer was busy."""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from touchd.benchmark.stopwatch import BURN_IN, Floor, Stopwatch, ratio, spread, undisturbed
+
+
+def watch(batches_ns: list[list[int]]) -> Stopwatch:
+    made = Stopwatch()
+    for batch in batches_ns:
+        made.add(batch)
+    return made
+
+
+def test_percentiles_are_those_of_all_times() -> None:
+    found = spread(np.arange(1001.0))
+    assert found == pytest.approx((500.0, 990.0, 999.0, 1000.0))
+
+
+def test_the_burn_in_does_not_count() -> None:
+    made = watch([[900_000] * 5] * BURN_IN + [[3_000] * 5] * 3)
+    assert spread(made.times_us).most == 3.0
+    assert len(made.times_us) == 15
+
+
+@given(
+    slow=st.lists(st.floats(1.0, 100.0), min_size=9, max_size=30),
+    times=st.integers(2, 50),
+    disturbed=st.integers(BURN_IN, 8),
+)
+def test_a_ratio_holds_while_the_computer_is_slower_now_and_then(slow: list[float], times: int, disturbed: int) -> None:
+    # Whatever slows both in the same turn cancels; one turn in which only one was disturbed does not matter.
+    other = watch([[round(1_000_000 * factor)] * 5 for factor in slow])
+    batches = [[round(1_000_000 * factor) * times] * 5 for factor in slow]
+    batches[disturbed] = [round(1e9)] * 5
+    assert abs(ratio(watch(batches), other) - times) < 1e-3 * times
+
+
+def test_each_call_is_timed_once() -> None:
+    calls = []
+    made = Stopwatch()
+    made.time(lambda: calls.append(1), 7)
+    assert len(calls) == 7
+    assert len(made.times_us) == 7
+    assert (made.times_us > 0).all()
+
+
+def test_a_floor_is_measured_once_for_each_size() -> None:
+    floor = Floor()
+    assert floor.us(4096) > 0
+    assert floor.us(4096) == floor.us(4096)
+
+
+def test_the_processors_allowed_are_the_same_afterwards() -> None:
+    before = os.sched_getaffinity(0)
+    with undisturbed() as chosen:
+        assert chosen is None or os.sched_getaffinity(0) == {chosen}
+    assert os.sched_getaffinity(0) == before
