@@ -98,8 +98,10 @@ def save_atlas(atlas: Atlas, path: Path) -> None:
         If it cannot be written, or would be larger than 8 MB.
     """
     scale = np.float32(np.abs(atlas.coefficients).max() or 1.0)
+    temporary: Path | None = None
     try:
         with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
+            temporary = Path(file.name)
             np.savez_compressed(
                 file, format=np.array(FORMAT), version=np.array(1),
                 description=np.array(atlas.description.model_dump_json()),
@@ -108,18 +110,20 @@ def save_atlas(atlas: Atlas, path: Path) -> None:
             )  # fmt: skip
             size_bytes = file.tell()
         if size_bytes > MAX_BYTES:
-            Path(file.name).unlink()
             raise OutputError(
                 f"the atlas would take {size_bytes / 1e6:.1f} MB, more than {MAX_BYTES / 1e6:.0f}",
                 str(path),
                 "learn it for a smaller plate, or from fewer bins",
             )
-        Path(file.name).chmod(0o644)
-        os.replace(file.name, path)
+        temporary.chmod(0o644)
+        os.replace(temporary, path)
     except OSError as error:
         raise OutputError(
             f"cannot be written ({error.strerror})", str(path), "check the folder and its space"
         ) from error
+    finally:
+        if temporary is not None:
+            temporary.unlink(missing_ok=True)
 
 
 def load_atlas(path: Path) -> Atlas:
@@ -142,6 +146,9 @@ def load_atlas(path: Path) -> Atlas:
     except ValidationError as error:
         first = error.errors()[0]
         raise _invalid(path, f"description: {'.'.join(map(str, first['loc']))}: {first['msg']}") from error
+    numbers = ("coefficients", "scale", "baseline", "error")
+    if found["scale"].shape != () or any(found[key].dtype.kind != "f" for key in numbers):
+        raise _invalid(path, f"{', '.join(f'{key} {found[key].dtype}{found[key].shape}' for key in numbers)}")
     coefficients = found["coefficients"].astype(np.float32) * found["scale"].astype(np.float32)
     atlas = Atlas(
         description,
