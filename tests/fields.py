@@ -1,0 +1,149 @@
+"""A plate whose field is a formula: what a finger adds anywhere, with its gradient, and an atlas sampled from it."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.ndimage import spline_filter1d
+
+from touchd.atlas import Atlas, AtlasDescription
+from touchd.features import windowed_dft
+from touchd.frame import Acquisition, Plate
+
+RIG = Acquisition(channels=4, samples=250, sample_rate_hz=250e3)
+PLATE = Plate(width_mm=120, height_mm=90)
+BINS = tuple(range(54, 99, 3))
+STEP_MM = 2.5
+LOW_MM, HIGH_MM = (2.5, 2.5), (117.5, 87.5)
+COUNTS = 400.0
+"""Root mean square of the field in a bin at strength 1."""
+Finger = tuple[float, float, complex]
+
+
+def wavenumber_rad_mm(f_hz: np.ndarray) -> np.ndarray:
+    """Of flexural waves on 5 mm of glass, about: 22 mm long at 100 kHz."""
+    return np.asarray(0.28 * np.sqrt(f_hz / 100e3))
+
+
+class Field:
+    """In each channel and bin the product of two sums of plane waves, one from the emitter and one to the receiver."""
+
+    def __init__(self, seed: int = 0, waves: int = 6) -> None:
+        rng = np.random.default_rng(seed)
+        shape = (2, waves, RIG.channels, len(BINS))
+        angle = rng.uniform(0, 2 * np.pi, (*shape[:3], 1))
+        k = wavenumber_rad_mm(np.array(BINS) * RIG.sample_rate_hz / RIG.samples)
+        self._kx, self._ky = np.cos(angle) * k, np.sin(angle) * k
+        self._size = (rng.normal(size=shape) + 1j * rng.normal(size=shape)) * np.sqrt(COUNTS / (2 * waves))
+
+    def at(self, x_mm: float, y_mm: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The field and its derivatives by x and y (1/mm), each of shape (channels, bins)."""
+        waves = self._size * np.exp(1j * (self._kx * x_mm + self._ky * y_mm))
+        (a, b), (a_x, b_x), (a_y, b_y) = (
+            (factor * waves).sum(axis=1) for factor in (1.0, 1j * self._kx, 1j * self._ky)
+        )
+        return a * b, a_x * b + a * b_x, a_y * b + a * b_y
+
+    def frame(self, fingers: list[Finger], noise: float = 0.0, seed: int = 0) -> np.ndarray:
+        """Features of fingers and of white noise of a standard deviation, shape (channels * 2 * bins,)."""
+        bins = sum((z * self.at(x, y)[0] for x, y, z in fingers), np.zeros((RIG.channels, len(BINS)), complex))
+        white = np.random.default_rng(seed).standard_normal(RIG.channels * 2 * len(BINS))
+        return np.asarray(features_of(bins) + noise * white)
+
+    def residual(self, fingers: list[Finger], noise: float = 0.0, seed: int = 0) -> np.ndarray:
+        """The shortest samples that have the features of these fingers, and white noise, (channels, samples)."""
+        samples = self.frame(fingers).reshape(RIG.channels, -1) @ TO_SAMPLES
+        return np.asarray(samples + noise * np.random.default_rng(seed).standard_normal(RIG.shape)).astype(np.float32)
+
+
+TO_SAMPLES = np.linalg.pinv(windowed_dft(RIG, np.array(BINS)))
+
+
+def features_of(bins: np.ndarray) -> np.ndarray:
+    """Complex bins (channels, bins) in the order of the features, (channels * 2 * bins,)."""
+    return np.asarray(np.stack([bins.real, bins.imag], axis=1).ravel())
+
+
+def untouched(stretch: float = 0.0, delay_s: float = 0.0, seed: int = 1) -> np.ndarray:
+    """The untouched plate, (channels, samples): delayed and dispersed echoes of the chirp, stretched exactly.
+
+    A plate whose resonances have risen by a share answers at f what it answered at f / (1 + share).
+    """
+    rng = np.random.default_rng(seed)
+    n, chirp = 2048, RIG.chirp
+    t_s, f_hz = np.arange(n) / RIG.sample_rate_hz, np.fft.rfftfreq(n, 1 / RIG.sample_rate_hz)
+    sweep = (chirp.stop_hz - chirp.start_hz) / chirp.duration_s
+    emitted = np.sin(2 * np.pi * (chirp.start_hz + sweep * t_s / 2) * t_s) * (t_s < chirp.duration_s)
+    way_mm = rng.uniform(50, 1000, (RIG.channels, 12, 1))
+    share = rng.normal(size=way_mm.shape) * np.exp(-way_mm / 500)
+    answer = (share * np.exp(-1j * wavenumber_rad_mm(f_hz / (1 + stretch)) * way_mm)).sum(axis=1)
+    heard = np.fft.irfft(np.fft.rfft(emitted) * answer * np.exp(-2j * np.pi * f_hz * delay_s), n)
+    return np.asarray(1000 * heard[:, : RIG.samples])
+
+
+def make_atlas(field: Field) -> Atlas:
+    """The field as the daemon has it: sampled on the grid, as coefficients of B-splines."""
+    beyond = 8  # nodes that the filter needs before the mirror is forgotten; two of them stay
+    x, y = (np.arange(LOW_MM[i] - beyond * STEP_MM, HIGH_MM[i] + (beyond + 0.5) * STEP_MM, STEP_MM) for i in (0, 1))
+    grid = np.array([[features_of(field.at(x_mm, y_mm)[0]) for x_mm in x] for y_mm in y])
+    for axis in (0, 1):
+        grid = spline_filter1d(grid, 3, axis=axis, mode="mirror")
+    cut = slice(beyond - 2, 2 - beyond)
+    description = AtlasDescription(
+        acquisition=RIG, plate=PLATE, bins=BINS, step_mm=STEP_MM, origin_mm=(x[beyond - 2], y[beyond - 2]),
+        low_mm=LOW_MM, high_mm=HIGH_MM, touches=1000, scores={"rmse_mm": 0.1}, seed=3,
+    )  # fmt: skip
+    return Atlas(
+        description, np.ascontiguousarray(grid[cut, cut], np.float32), untouched().astype(np.float32),
+        np.full((RIG.channels, len(BINS)), (0.01 * COUNTS) ** 2, np.float32),
+    )  # fmt: skip
+
+
+def look_up(atlas: Atlas, x_mm: float, y_mm: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The atlas' field and its derivatives in float64, each (channels * bins,), from the splines' definition."""
+    d = atlas.description
+
+    def weights(at_mm: float, origin_mm: float, count: int) -> tuple[np.ndarray, np.ndarray]:
+        off = (at_mm - origin_mm) / d.step_mm - np.arange(count)
+        far = np.abs(off)
+        value = np.where(far < 1, 2 / 3 - far**2 + far**3 / 2, np.where(far < 2, (2 - far) ** 3 / 6, 0.0))
+        slope = np.where(far < 1, 1.5 * far**2 - 2 * far, np.where(far < 2, -((2 - far) ** 2) / 2, 0.0)) * np.sign(off)
+        return value, slope / d.step_mm
+
+    rows, columns, _ = atlas.coefficients.shape
+    (wx, dx), (wy, dy) = weights(x_mm, d.origin_mm[0], columns), weights(y_mm, d.origin_mm[1], rows)
+    nodes = atlas.coefficients
+    u, u_x, u_y = (as_complex(_sum(nodes, a, b)) for a, b in ((wx, wy), (dx, wy), (wx, dy)))
+    return u, u_x, u_y
+
+
+def _sum(nodes: np.ndarray, along_x: np.ndarray, along_y: np.ndarray) -> np.ndarray:
+    rows, columns = along_y != 0, along_x != 0
+    return np.asarray(np.einsum("r,c,rcm->m", along_y[rows], along_x[columns], nodes[rows][:, columns].astype(float)))
+
+
+def as_complex(features: np.ndarray) -> np.ndarray:
+    """Features (channels * 2 * bins,) as complex bins, (channels * bins,)."""
+    parts = features.reshape(RIG.channels, 2, len(BINS))
+    return np.asarray((parts[:, 0] + 1j * parts[:, 1]).ravel())
+
+
+def gauss_newton(
+    atlas: Atlas, features: np.ndarray, places_mm: np.ndarray, steps: int = 20
+) -> tuple[np.ndarray, np.ndarray]:
+    """Places (n, 2) and strengths (n,) by plain Gauss-Newton over places and strengths together, in float64.
+
+    Another way to the same minimum than that of the fast path: nothing is eliminated.
+    """
+    data, places = as_complex(features), places_mm.astype(np.float64).copy()
+    u = np.stack([look_up(atlas, *place)[0] for place in places], axis=1)
+    z = np.linalg.lstsq(u, data, rcond=None)[0]
+    for _ in range(steps):
+        looked = [look_up(atlas, *place) for place in places]
+        left = data - sum(s * u for s, (u, _, _) in zip(z, looked, strict=True))
+        columns = [(s * u_x, s * u_y, u, 1j * u) for s, (u, u_x, u_y) in zip(z, looked, strict=True)]
+        slope = np.concatenate([np.stack(four, axis=1) for four in columns], axis=1)
+        system, right = np.concatenate([slope.real, slope.imag]), np.concatenate([left.real, left.imag])
+        move = np.linalg.lstsq(system, right, rcond=None)[0].reshape(-1, 4)
+        places += move[:, :2]
+        z = z + move[:, 2] + 1j * move[:, 3]
+    return places, z

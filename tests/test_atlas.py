@@ -1,0 +1,141 @@
+"""An atlas comes back as it was written, and a damaged one says what is wrong with it."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.fields import Field, make_atlas
+from touchd.atlas import MAX_BYTES, Atlas, atlas_path, load_atlas, save_atlas
+from touchd.errors import ModelInvalid, OutputError
+
+
+@pytest.fixture(scope="module")
+def atlas() -> Atlas:
+    return make_atlas(Field())
+
+
+@pytest.fixture(scope="module")
+def whole(atlas: Atlas, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("atlas") / "plate.atlas.npz"
+    save_atlas(atlas, path)
+    return path
+
+
+def test_it_comes_back_within_half_precision(atlas: Atlas, whole: Path) -> None:
+    found = load_atlas(whole)
+    assert found.description == atlas.description
+    assert found.size == atlas.size
+    most = np.abs(atlas.coefficients).max()
+    # Half precision keeps 11 bits; what is far below the largest is subnormal.
+    np.testing.assert_allclose(found.coefficients, atlas.coefficients, rtol=2**-11, atol=1e-7 * most)
+    np.testing.assert_array_equal(found.baseline, atlas.baseline)
+    np.testing.assert_array_equal(found.error, atlas.error)
+    assert os.listdir(whole.parent) == [whole.name], "nothing else is left in the folder"
+
+
+def test_it_lies_beside_its_network() -> None:
+    assert atlas_path(Path("models/plate.onnx")) == Path("models/plate.atlas.npz")
+
+
+Parts = dict[str, Any]
+
+
+def described(**changes: Any) -> Callable[[Parts], None]:
+    """Write other things into the description."""
+
+    def change(parts: Parts) -> None:
+        parts["description"] = np.array(json.dumps(json.loads(str(parts["description"])) | changes))
+
+    return change
+
+
+def spoiled(key: str, value: float) -> Callable[[Parts], None]:
+    def change(parts: Parts) -> None:
+        parts[key] = parts[key].copy()
+        parts[key].flat[7] = value
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda p: p.pop("scale"), "scale missing"),
+        (lambda p: p.update(format=np.array("touchd-recording")), "another format or version"),
+        (lambda p: p.update(version=np.array(2)), "another format or version"),
+        (lambda p: p.update(description=np.array("{")), "description: "),
+        (described(bins=[]), "description: bins: "),
+        (described(step_mm=-1.0), "description: step_mm: "),
+        (described(plate={"width_mm": 100}), "description: plate.height_mm: "),
+        (described(low_mm=[-50.0, 2.5]), "the touched part"),
+        (described(high_mm=[117.5, 500.0]), "the touched part"),
+        (described(bins=[54, 57]), r"coefficients of shape .* not \(rows, columns, 16\)"),
+        (lambda p: p.update(coefficients=p["coefficients"][:3]), r"coefficients of shape \(3,"),
+        (lambda p: p.update(coefficients=p["coefficients"][0]), "coefficients of shape"),
+        (lambda p: p.update(baseline=p["baseline"][:2]), r"baseline of shape \(2, 250\)"),
+        (lambda p: p.update(error=p["error"].T), r"error of shape \(15, 4\)"),
+        (spoiled("coefficients", np.nan), "numbers that are none"),
+        (spoiled("baseline", np.inf), "numbers that are none"),
+        (spoiled("error", np.nan), "numbers that are none"),
+        (lambda p: p.update(scale=np.array("text")), "not a usable atlas"),
+        (lambda p: p.update(scale=np.ones(3, np.float32)), "not a usable atlas"),
+    ],
+)
+def test_a_damaged_one_says_what_is_wrong(
+    change: Callable[[Parts], object], says: str, whole: Path, tmp_path: Path
+) -> None:
+    with np.load(whole) as archive:
+        parts = dict(archive)
+    change(parts)
+    path = tmp_path / "damaged.atlas.npz"
+    np.savez(path, **parts)
+    with pytest.raises(ModelInvalid, match=says) as caught:
+        load_atlas(path)
+    assert caught.value.where == str(path)
+    assert "touchd train --recipe atlas" in caught.value.fix
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.99])
+def test_a_truncated_one_is_refused(share: float, whole: Path, tmp_path: Path) -> None:
+    path = tmp_path / "short.atlas.npz"
+    data = whole.read_bytes()
+    path.write_bytes(data[: int(share * len(data))])
+    with pytest.raises(ModelInvalid, match="not a whole"):
+        load_atlas(path)
+
+
+def test_none_at_all_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ModelInvalid, match="no such file"):
+        load_atlas(tmp_path / "none.atlas.npz")
+
+
+def test_one_that_is_too_large_is_refused_and_leaves_nothing_behind(atlas: Atlas, tmp_path: Path) -> None:
+    """Noise cannot be compressed: five million halves of it are ten megabytes."""
+    noise = np.random.default_rng(1).random((210, 200, atlas.size), np.float32)
+    assert 2 * noise.size > MAX_BYTES
+    path = tmp_path / "large.atlas.npz"
+    path.write_bytes(b"the older one")
+    with pytest.raises(OutputError, match="more than 8"):
+        save_atlas(replace(atlas, coefficients=noise), path)
+    assert os.listdir(tmp_path) == [path.name]
+    assert path.read_bytes() == b"the older one"
+
+
+def test_a_folder_that_is_none_is_an_output_error(atlas: Atlas, tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match="cannot be written"):
+        save_atlas(atlas, tmp_path / "none" / "plate.atlas.npz")
+
+
+def test_a_name_that_is_taken_by_a_folder_leaves_nothing_behind(atlas: Atlas, tmp_path: Path) -> None:
+    (tmp_path / "plate.atlas.npz").mkdir()
+    with pytest.raises(OutputError, match="cannot be written"):
+        save_atlas(atlas, tmp_path / "plate.atlas.npz")
+    assert os.listdir(tmp_path) == ["plate.atlas.npz"]
