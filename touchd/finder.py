@@ -20,6 +20,8 @@ from touchd.tracker import Touch
 
 REBASE_S = 1.0
 """How often the untouched plate's temperature and gains are looked at: far more slowly they change."""
+DRIFTED = 0.1
+"""The baseline has moved if by this share of a frame's noise energy: on glass 0.05 K at 60 dB."""
 HEAR_EVERY = 16
 """Of so many untouched frames one tells what noise there is in the bins."""
 
@@ -185,11 +187,14 @@ class AtlasFinder(Finder):
     ) -> None:
         assert model.atlas is not None
         self._locator = Locator(model.atlas)
+        self._rebased = np.zeros(acquisition.shape, np.float32)
+        self._moved = np.zeros(acquisition.shape, np.float32)
         super().__init__(acquisition, model, settings, layout, baseline, gate, counters)
 
     def learned(self) -> None:
         """Take note that the baseline was learned anew."""
         super().learned()
+        np.copyto(self._rebased, self._baseline.mean)
         self._locator.learn(self._baseline.window - self._baseline.mean, self._baseline.mean)
 
     def forget(self) -> None:
@@ -209,7 +214,13 @@ class AtlasFinder(Finder):
         self._locator.hear(self._residual)
 
     def _rebase(self) -> None:
-        self._locator.rebase(self._baseline.mean)
+        mean, moved = self._baseline.mean, self._moved
+        np.subtract(mean, self._rebased, out=moved)
+        flat = moved.reshape(-1)
+        # What the baseline has moved by is far below what is seen of one frame, and so is what it does to a place.
+        if float(flat.dot(flat)) > DRIFTED * self._gate.noise_energy:
+            np.copyto(self._rebased, mean)
+            self._locator.rebase(mean)
 
     def retune(self, settings: Settings, layout: Layout | None) -> None:
         """Take other thresholds and keys."""

@@ -11,7 +11,7 @@ from touchd.refine import Fit, Place, Refiner
 MOST_FINGERS = 5
 SCAN_MM = 5.0
 """Spacing of the scan: half of it, on the diagonal, is within reach of Gauss-Newton."""
-_CANDIDATES = 4
+_CANDIDATES = 3
 _APART_MM = 7.0
 """Candidates closer to each other lead to the same place."""
 MERGED_MM = 4.0
@@ -23,9 +23,11 @@ ENOUGH = 0.004
 """A fit that leaves no more of the signal's energy is complete: the field is not known better than this."""
 GOOD = 0.03
 """A fit that leaves no more has found the right places: fingers unlike those of the training leave up to so much."""
+FAIR = 0.1
+"""A fit that leaves more is worth to be begun differently."""
 NOISE_MARGIN = 0.6
 """The energy of noise in one frame is seldom so much above its mean: five deviations."""
-_WIDTHS = (1, 4)
+_WIDTHS = (1, 3)
 """Beginnings followed side by side: one, and if that fails several."""
 _SAME = 1e-4
 _FIRST_STEPS, _STEPS = 3, 4
@@ -91,7 +93,7 @@ class Search:
             Energy that noise alone has in the frame (counts squared).
         """
         signal = max(self._refiner.energy - noise, 0.0)
-        enough, good = noise * (1 + NOISE_MARGIN) + ENOUGH * signal, noise * (1 + NOISE_MARGIN) + GOOD * signal
+        enough, good, fair = (noise * (1 + NOISE_MARGIN) + share * signal for share in (ENOUGH, GOOD, FAIR))
         best = fit
         for width in _WIDTHS:
             beam = [fit]
@@ -109,7 +111,7 @@ class Search:
                     best = beam[0]
                 elif fit.places_mm and fit.left < good:
                     return best  # it was good before, and another finger does not help
-            if best.left < good:
+            if best.left < fair:
                 break
         return best
 
