@@ -132,8 +132,6 @@ class Service:
     def _step(self) -> None:
         """Take at most one frame, and do what is due beside it."""
         frame = self._source.read(READ_TIMEOUT_S)
-        for sink in self._sinks:
-            sink.poll()
         if frame is not None:
             self._stream_ns = frame.t_ns
             self._seen_ns = frame.received_ns
@@ -146,6 +144,9 @@ class Service:
                 self._preroll.keep(frame, events)
         elif self._preroll is not None:
             self._preroll.poll()
+        # After the frame, which waits for nothing: who has subscribed meanwhile hears of the next one.
+        for sink in self._sinks:
+            sink.poll()
         now_ns = self._clock() if frame is None else frame.received_ns
         if frame is None and self._live is not None:
             for change in self._live.changes():
