@@ -1,0 +1,267 @@
+"""Measure and draw what docs/accuracy.md shows of the shipped field atlas: some minutes, and the extra `train`.
+
+    python -m docs.accuracy [--keep FOLDER] [PART ...]
+
+Recordings are simulated into a temporary folder, or into one that is kept and used again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from docs.generate import with_block
+from touchd.atlas import Atlas
+from touchd.config import ModelSettings, Settings
+from touchd.evaluation.atlasplots import FieldImage, NoiseLevel, draw_field, draw_fingers, draw_learning, draw_noise
+from touchd.evaluation.bound import (
+    atlas_field,
+    median_distance_mm,
+    place_covariance,
+    plain_covariance,
+    recorded_field,
+    residual_noise,
+    twin_values,
+)
+from touchd.evaluation.finders import atlas_finder
+from touchd.evaluation.frames import see, touched_frames
+from touchd.evaluation.maps import draw_maps
+from touchd.evaluation.matching import match_frames, scores_by_fingers
+from touchd.evaluation.metrics import position_scores
+from touchd.evaluation.plots import save
+from touchd.evaluation.replay import replay
+from touchd.evaluation.score import Judgement
+from touchd.model import Model
+from touchd.recording import Recording, read, write
+from touchd.training.atlas import make_atlas
+from touchd.training.dataset import Split, make_dataset, split
+from touchd.training.dispersion import dispersion_of
+from touchd.training.field import learn_thoroughly
+from touchd.training.regression import touches_of
+from touchd.training.thermal import at_one_temperature
+from touchd.twin.dispersion import mindlin_wavenumber
+from touchd.twin.electronics import Electronics
+from touchd.twin.finger import Contact
+from touchd.twin.instrument import Instrument
+from touchd.twin.simulate import DEFAULT_PLATE, meta_of, simulate_scene, simulate_touches
+
+ROOT = Path(__file__).resolve().parent.parent
+MODEL = ROOT / "models" / "regression.onnx"
+PAGE, PICTURES = ROOT / "docs" / "accuracy.md", ROOT / "docs" / "accuracy"
+
+LEVELS_DB = (70.0, 60.0, 50.0, 40.0)
+TOUCHES = 1500
+MAP_TOUCHES = 6000
+SEVERAL = 400
+SEED = 501
+"""Of touches that no training saw."""
+FIELD_HZ, FIELD_CHANNEL, FIELD_MM = 75e3, 0, 2.0
+SESSION, SESSION_SEED = "cross", 503
+LEARNED_FROM = (700, 1000, 1500, 2200, 3200)
+
+
+@dataclass(frozen=True, slots=True)
+class Bench:
+    """What all measurements need."""
+
+    folder: Path
+    instrument: Instrument
+    model: Model
+    atlas: Atlas
+
+    def recording(self, name: str, make: Callable[[], Recording]) -> Recording:
+        """Return a recording of the folder, made first if it is not there."""
+        path = self.folder / f"{name}.npz"
+        if not path.exists():
+            write(path, make(), compress=False)
+        return read(path)
+
+    def touches(self, count: int, noise_db: float, seed: int = SEED) -> Recording:
+        """Return touches of the silicone finger at a level of noise."""
+        electronics = Electronics(noise_db=noise_db)
+        return self.recording(
+            f"touches-{count}-{noise_db:g}-{seed}",
+            lambda: simulate_touches(count, seed=seed, instrument=self.instrument, electronics=electronics),
+        )
+
+    def judge(self, recording: Recording, atlas: Atlas | None = None) -> Judgement:
+        """Return what the daemon makes of single touches, each as a touch-down on its own."""
+        frames = touched_frames(recording)
+        find = atlas_finder(self.model, self.atlas if atlas is None else atlas, frames)
+        return match_frames(see(find, frames), reach_mm=float("inf")).judged
+
+
+def field(bench: Bench) -> str:
+    """Draw the field of one bin as it is and as it was learned."""
+    d = bench.atlas.description
+    plate = d.plate
+    x_mm = np.arange(5.0, plate.width_mm - 4.9, FIELD_MM)
+    y_mm = np.arange(5.0, plate.height_mm - 4.9, FIELD_MM)
+    places = np.stack(np.meshgrid(x_mm, y_mm), axis=-1).reshape(-1, 2)
+    wanted = round(FIELD_HZ * d.acquisition.samples / d.acquisition.sample_rate_hz)
+    u = atlas_field(bench.atlas, places)
+    learned = u.value[:, FIELD_CHANNEL, d.bins.index(wanted)]
+    band = Model(MODEL, atlas=False).description.acquisition
+    at = wanted - int(np.ceil(band.chirp.start_hz * band.samples / band.sample_rate_hz + 1e-9))
+    contacts = [Contact(x, y, 20.0, "silicone") for x, y in places.tolist()]
+    true = np.concatenate([
+        twin_values(bench.instrument, contacts[i : i + 500])[:, FIELD_CHANNEL, at] for i in range(0, len(contacts), 500)
+    ])  # fmt: skip
+    learned = learned * (learned.conj() @ true) / np.square(np.abs(learned)).sum()
+    frequency_hz = wanted * d.acquisition.sample_rate_hz / d.acquisition.samples
+    shape = len(y_mm), len(x_mm)
+    image = FieldImage(
+        x_mm, y_mm, true.reshape(shape), learned.reshape(shape), frequency_hz,
+        float(mindlin_wavenumber(plate, frequency_hz)) * 1e-3, FIELD_CHANNEL,
+    )  # fmt: skip
+    return picture(draw_field(image, meta_of(bench.instrument, 125, "")), "field", "Field of one bin over the plate")
+
+
+def maps(bench: Bench) -> str:
+    """Draw where on the plate the atlas errs, and which way."""
+    recording = bench.touches(MAP_TOUCHES, 60.0, SEED + 1)
+    judged = bench.judge(recording)
+    return picture(draw_maps(judged, recording.meta), "maps", "Error and bias over the plate")
+
+
+def noise(bench: Bench) -> str:
+    """Measure error, bound and standard error by noise."""
+    levels, rows = [], []
+    for noise_db in LEVELS_DB:
+        recording = bench.touches(TOUCHES, noise_db)
+        judged = bench.judge(recording)
+        u, deviation, a = recorded_field(recording, bench.instrument), residual_noise(recording), recording.acquisition
+        bound, plain = (median_distance_mm(part(u, a, deviation)) for part in (place_covariance, plain_covariance))
+        levels.append(NoiseLevel(noise_db, judged, bound, plain))
+        scores = position_scores(judged.error_mm)
+        within = [float((np.abs(judged.error_mm) <= k * judged.sigma_mm[:, None]).mean()) for k in (1, 2)]
+        rows.append(
+            f"| {noise_db:g} dB | {scores['rmse_mm']:.3f} | {scores['median_mm']:.3f} | {scores['p95_mm']:.3f} "
+            f"| {bound:.4f} | {scores['median_mm'] / bound:.1f} | {plain:.4f} | {within[0]:.0%} | {within[1]:.0%} "
+            f"| {len(judged.error_mm)} of {TOUCHES} |"
+        )
+    table = [
+        "| noise | RMSE | median | p95 | bound | median / bound | were the field known | within 1 sigma "
+        "| within 2 sigma | placed |",
+        "|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|",
+        *rows,
+    ]
+    return "\n".join([*table, "", picture(draw_noise(levels), "noise", "Error, bound and standard error by noise")])
+
+
+CONDITIONS: dict[str, tuple[int, dict[str, Any]]] = {
+    "one finger, silicone": (TOUCHES, {}),
+    "human fingers, 40-100 mm^2": (TOUCHES, {"finger": "human"}),
+    "the plate 10 K warmer": (TOUCHES, {"warmer_k": 10.0}),
+    "the plate 10 K colder": (TOUCHES, {"warmer_k": -10.0}),
+    "two fingers, 15 mm apart or more": (SEVERAL, {"fingers": 2, "apart_mm": 15.0}),
+    "two fingers, 8 mm from edge to edge": (SEVERAL, {"fingers": 2, "edge_gap_mm": 8.0}),
+    "five fingers, 25 mm apart or more": (SEVERAL, {"fingers": 5, "apart_mm": 25.0}),
+    "five human fingers, 25 mm apart or more": (SEVERAL, {"fingers": 5, "apart_mm": 25.0, "finger": "human"}),
+}
+"""By name: how many touches, and what of `simulate_touches` differs from the reference."""
+
+
+def conditions(bench: Bench) -> str:
+    """Measure what touches, plates and fingers of other kinds bring."""
+    rows = []
+    for number, (name, (count, options)) in enumerate(CONDITIONS.items()):
+        recording = bench.recording(
+            f"condition-{number}-{count}",
+            lambda: simulate_touches(count, seed=SEED + 10 + number, instrument=bench.instrument, **options),  # noqa: B023
+        )
+        frames = touched_frames(recording)
+        seen = match_frames(see(atlas_finder(bench.model, bench.atlas, frames), frames))
+        ((_, s),) = scores_by_fingers(seen).items()
+        several = f"{s['told_apart']:.1%}" if "told_apart" in s else ""
+        rows.append(
+            f"| {name} | {s['n']} | {s['rmse_mm']:.3f} | {s['median_mm']:.3f} | {s['p95_mm']:.3f} "
+            f"| {s['count_right']:.1%} | {s['all_within_1_mm']:.1%} | {s['all_within_2_mm']:.1%} | {several} "
+            f"| {s['within_1_sigma']:.0%} | {s['within_2_sigma']:.0%} |"
+        )
+    table = [
+        "| touches at 60 dB | frames | RMSE | median | p95 | count right | all within 1 mm | all within 2 mm "
+        "| told apart | within 1 sigma | within 2 sigma |",
+        "|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|",
+    ]
+    return "\n".join([*table, *rows])
+
+
+def session(bench: Bench) -> str:
+    """Draw two fingers, followed by the whole pipeline."""
+    path = bench.folder / f"{SESSION}-{SESSION_SEED}.npz"
+    bench.recording(path.stem, lambda: simulate_scene(SESSION, seed=SESSION_SEED, instrument=bench.instrument))
+    outcome = replay(path, Settings(model=ModelSettings(path=MODEL)))
+    return picture(draw_fingers(read(path), outcome.touches), "session", "Two fingers in time")
+
+
+def learning(bench: Bench) -> str:
+    """Measure the error by the number of training touches; `touchd train` learned the shipped atlas from the most."""
+    recording = bench.touches(6404, 60.0, 1)
+    plain = make_dataset(recording)
+    parts = split(len(plain), 0)
+    steady, reference = at_one_temperature(recording, plain)
+    wavenumber = dispersion_of(steady, touches_of(steady, parts.train)).wavenumber_per_mm
+    test = bench.touches(TOUCHES, 60.0)
+    atlases = {}
+    for count in LEARNED_FROM:
+        some = Split(parts.train[:count], parts.validation, parts.test)
+        learned = learn_thoroughly(touches_of(steady, some.train), wavenumber)
+        atlases[count] = make_atlas(steady, reference, some, learned, {})[0]
+    atlases[bench.atlas.description.touches] = bench.atlas
+    scores = [position_scores(bench.judge(test, atlas).error_mm) for atlas in atlases.values()]
+    d = bench.atlas.description
+    width_mm, height_mm = np.subtract(d.high_mm, d.low_mm)
+    freedom = width_mm * height_mm * float(mindlin_wavenumber(d.plate, d.acquisition.chirp.stop_hz)) ** 2 * 1e-6 / np.pi
+    figure = draw_learning(list(atlases), scores, freedom)
+    table = [
+        "| training touches | RMSE | median | p95 |",
+        "|---|---:|---:|---:|",
+        *(f"| {n} | {s['rmse_mm']:.3f} | {s['median_mm']:.3f} | {s['p95_mm']:.3f} |"
+          for n, s in zip(atlases, scores, strict=True)),
+        "",
+        picture(figure, "learning", "Error by the number of training touches"),
+    ]  # fmt: skip
+    return "\n".join(table)
+
+
+PARTS = {part.__name__: part for part in (field, maps, noise, conditions, session, learning)}
+
+
+def picture(figure: Figure, name: str, caption: str) -> str:
+    """Save a picture, and return what the page says of it."""
+    PICTURES.mkdir(exist_ok=True)
+    save(figure, PICTURES / f"{name}.png")
+    return f"![{caption}](accuracy/{name}.png)"
+
+
+def main() -> None:
+    """Make the parts that are asked for, by default all."""
+    parser = argparse.ArgumentParser(prog="python -m docs.accuracy", description=__doc__)
+    parser.add_argument("parts", nargs="*", metavar="PART", help=f"of {', '.join(PARTS)}")
+    parser.add_argument("--keep", type=Path, help="folder for the recordings, to be used again")
+    given = parser.parse_args()
+    if unknown := set(given.parts) - set(PARTS):
+        parser.error(f"no part {', '.join(sorted(unknown))}")
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = given.keep or Path(temporary)
+        folder.mkdir(parents=True, exist_ok=True)
+        model = Model(MODEL)
+        assert model.atlas is not None
+        bench = Bench(folder, Instrument(DEFAULT_PLATE), model, model.atlas)
+        for name, part in PARTS.items():
+            if not given.parts or name in given.parts:
+                content = part(bench)  # may take minutes: the page is read afterwards
+                PAGE.write_text(with_block(PAGE.read_text(), name, content))
+                print(f"{name}: done")
+
+
+if __name__ == "__main__":
+    main()
