@@ -218,18 +218,23 @@ def coverage(position_mm: NDArray[np.float32], plate: Plate) -> Iterator[str]:
         )
 
 
-def density(position_mm: NDArray[np.float32], plate: Plate, stop_hz: float, training_share: float) -> Iterator[str]:
-    """Tell when touches are fewer than the degrees of freedom of the residual field.
+def freedom(position_mm: NDArray[np.floating], wavenumber_per_mm: float) -> float:
+    """Return the degrees of freedom of a residual field within the rectangle of some places (n, 2).
 
     A function on an area A without spatial frequencies above 2 k has A (2 k)^2 / 4 pi = A k^2 / pi of them
-    (Landau 1967); k is the plate's wavenumber at the chirp's end.
+    (Landau 1967); k is the plate's wavenumber.
     """
+    return float(np.prod(np.ptp(position_mm, axis=0), dtype=np.float64)) * wavenumber_per_mm**2 / np.pi
+
+
+def density(position_mm: NDArray[np.float32], plate: Plate, stop_hz: float, training_share: float) -> Iterator[str]:
+    """Tell when touches are fewer than the degrees of freedom of the residual field at the chirp's end."""
     try:
         wavenumber_per_mm = float(mindlin_wavenumber(plate, np.array([stop_hz]))[0]) * 1e-3
     except SimulationError:
         return  # an unknown material: training says what it means
     area_mm2 = float(np.prod(np.ptp(position_mm, axis=0)))
-    needed = area_mm2 * wavenumber_per_mm**2 / np.pi
+    needed = freedom(position_mm, wavenumber_per_mm)
     have = training_share * len(position_mm)
     if have < needed:
         yield (

@@ -32,12 +32,21 @@ class Recipe:
     """As the paper describes it: features as they are, dropout, Adam, no augmentation. Else the residual of
     unit length, with touches drawn from the learned field and every disturbance that the plate will meet."""
     epochs: int = 800
+    atlas: bool = False
+    """Whether a field atlas is made beside the network."""
 
 
 RECIPES = {
     recipe.name: recipe
     for recipe in (
         Recipe("best", "regression", "position, standard error and confidence: what we recommend", widths=BEST_TRUNK),
+        Recipe(
+            "atlas",
+            "regression",
+            "best, and a field atlas beside it that places touches ten times finer",
+            widths=BEST_TRUNK,
+            atlas=True,
+        ),
         Recipe("small", "regression", "the same with a tenth of the multiply-adds", widths=SMALL_TRUNK),
         Recipe("grid", "grid", "zones of an N x N grid, trained like best", epochs=400),
         Recipe(

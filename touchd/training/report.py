@@ -57,15 +57,26 @@ def write_report(result: Result, meta: Meta, names: list[str]) -> Path:
     OutputError
         If it cannot be written; an older report is then left as it was.
     """
-    folder = report_folder(result.model.path)
+    pictures = {name: draw() for name, draw in _pictures(result, meta).items()}
+    return write_folder(result.model.path, pictures, lambda: page(result, meta, names, list(pictures)))
+
+
+def write_folder(model: Path, pictures: dict[str, Figure], text: Callable[[], str]) -> Path:
+    """Write pictures and a page into a model's report folder, in place of an older one, and return the folder.
+
+    Raises
+    ------
+    OutputError
+        If it cannot be written; an older report is then left as it was.
+    """
+    folder = report_folder(model)
     try:
         with tempfile.TemporaryDirectory(prefix=f".{folder.name}.", dir=folder.parent) as scratch:
             fresh = Path(scratch) / "new"
             fresh.mkdir()
-            pictures = {name: draw() for name, draw in _pictures(result, meta).items()}
             for name, figure in pictures.items():
                 save(figure, fresh / name)
-            (fresh / PAGE).write_text(page(result, meta, names, list(pictures)), encoding="utf-8")
+            (fresh / PAGE).write_text(text(), encoding="utf-8")
             if folder.exists():
                 os.replace(folder, Path(scratch) / "old")
             os.replace(fresh, folder)
@@ -105,7 +116,7 @@ def page(result: Result, meta: Meta, names: list[str], pictures: list[str]) -> s
         "",
         "| score | | | meaning |",
         "|---|---|---|---|",
-        *(_row(name, value) for name, value in result.scores.items()),
+        *(score_row(name, value) for name, value in result.scores.items()),
         "",
         *(line for name in pictures for line in (f"![{name.removesuffix('.png')}]({name})", "")),
         "## How it was made",
@@ -115,7 +126,7 @@ def page(result: Result, meta: Meta, names: list[str], pictures: list[str]) -> s
         f"- {len(parts.train)} touches for training, {len(parts.validation)} for validation, {len(parts.test)} for the "
         f"test; seed {d.seed}",
         f"- {len(result.curve.loss)} epochs, of which number {result.curve.kept} was kept; "
-        f"{_duration(result.duration_s)}",
+        f"{duration(result.duration_s)}",
         "- exported graph against trained network on the test touches: differences of at most "
         f"{result.exactness.function:.1e} in float64, {result.exactness.rounding:.1e} as it runs (mm, or probability)",
         f"- touchd {__version__}, torch {version('torch')}, onnxruntime {version('onnxruntime')}",
@@ -126,7 +137,16 @@ def page(result: Result, meta: Meta, names: list[str], pictures: list[str]) -> s
 
 def findings(result: Result, plate: Plate) -> list[str]:
     """Return what to make of the figures, a sentence each."""
-    judged = result.judged
+    found = findings_of(result.judged, plate)
+    curve = result.curve.validation_mm
+    tenth = max(1, len(curve) // 10)
+    if len(curve) > 10 and result.curve.kept == len(curve) and curve[-1] < 0.9 * curve[-1 - tenth]:
+        found.append("The validation RMSE was still falling at the end: more epochs would help.")
+    return found
+
+
+def findings_of(judged: Judgement, plate: Plate) -> list[str]:
+    """Return what to make of the answers to the test touches, a sentence each."""
     found = [_about_scores(judged)]
     if judged.true_class is None:
         found.append(_about_edges(judged))
@@ -139,10 +159,6 @@ def findings(result: Result, plate: Plate) -> list[str]:
                 f"{how_many} more than ten times the median off, the farthest at "
                 f"({worst[0]:.0f}, {worst[1]:.0f}) mm of {plate.width_mm:g} x {plate.height_mm:g}."
             )
-    curve = result.curve.validation_mm
-    tenth = max(1, len(curve) // 10)
-    if len(curve) > 10 and result.curve.kept == len(curve) and curve[-1] < 0.9 * curve[-1 - tenth]:
-        found.append("The validation RMSE was still falling at the end: more epochs would help.")
     return found
 
 
@@ -188,11 +204,13 @@ def _pictures(result: Result, meta: Meta) -> dict[str, Callable[[], Figure]]:
     }
 
 
-def _row(name: str, value: float) -> str:
+def score_row(name: str, value: float) -> str:
+    """Return a score as a row of a table in Markdown."""
     unit = "mm" if name.endswith("_mm") else UNITS.get(name, "")
     text = f"{100 * value:.1f}" if unit == "%" else f"{value:.0f}" if unit == "touches" else f"{value:.3f}"
     return f"| `{name}` | {text} | {unit} | {MEANINGS.get(name, '')} |"
 
 
-def _duration(seconds: float) -> str:
+def duration(seconds: float) -> str:
+    """Return a time as one would say it."""
     return f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.0f} min"

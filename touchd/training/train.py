@@ -12,16 +12,16 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from touchd.errors import SimulationError
 from touchd.evaluation.score import Judgement, judge, scores
 from touchd.keypad import Layout
 from touchd.model import Description, Model
 from touchd.recording import Recording
 from touchd.training.augment import Augmenter, make_bank
 from touchd.training.dataset import Dataset, Split, make_dataset, split, thin
+from touchd.training.dispersion import fitted_note, is_known
 from touchd.training.exactness import TOLERANCE, Exactness, check_graph
 from touchd.training.export import describe, make_graph, write_model
-from touchd.training.field import learn_field
+from touchd.training.field import Field, learn_field
 from touchd.training.fit import Batches, Curve, Progress, fit
 from touchd.training.inspection import inspect
 from touchd.training.network import PlainRegression
@@ -78,13 +78,15 @@ def train(
     share: float = 1.0,
     patience: int | None = None,
     command: str = "",
+    field: Field | None = None,
     progress: Progress = lambda _what, _done, _all, _rmse_mm: None,
     warn: Say = lambda _note: None,
 ) -> Result:
     """Train a model by a recipe and write it as an ONNX file.
 
     The same recording, seed and number of threads give the same network. A `share` under 1 trains on so much of
-    the training part, with validation and test unchanged, as a learning curve needs it. `patience` is that of `fit`;
+    the training part, with validation and test unchanged, as a learning curve needs it. A `field` learned from the
+    training part before is drawn from as it is. `patience` is that of `fit`;
     `warn` is told each note as soon as it is known. The file is written only if all went well.
 
     Raises
@@ -115,7 +117,7 @@ def train(
         optimiser = torch.optim.Adam(task.network.parameters(), lr=PAPER_LEARNING_RATE)
     else:
         keys = layout if recipe.head == "keypad" else None
-        synthesiser = _synthesiser(data, parts, keys, generator, progress, note)
+        synthesiser = _synthesiser(data, parts, keys, generator, progress, note, field)
         batches = _augmented_batches(data, parts, synthesiser, generator, others=task.wants_others)
         optimiser = torch.optim.AdamW(task.network.parameters(), lr=LEARNING_RATE, weight_decay=WEIGHT_DECAY)
         peak = LEARNING_RATE
@@ -169,17 +171,16 @@ def _synthesiser(
     generator: torch.Generator,
     progress: Progress,
     note: Say,
+    field: Field | None = None,
 ) -> Synthesiser | None:
     """Return the source of drawn touches, or None with a note where the field cannot be learned."""
     if data.domain != "frequency":
         note("in the time domain no field is learned: trained on the recorded touches alone")
         return None
-    try:
-        field = learn_field(data, parts.train, lambda done, all_: progress("field", done, all_, float("nan")))
-    except SimulationError as error:
-        note(f"no field was learned ({error}): trained on the recorded touches alone, which costs accuracy")
-        return None
     plate = data.meta.plate
+    if not is_known(plate):
+        note(fitted_note(plate))
+    field = field or learn_field(data, parts.train, lambda done, all_: progress("field", done, all_, float("nan")))
     return Synthesiser(field, (plate.width_mm, plate.height_mm), generator, layout)
 
 

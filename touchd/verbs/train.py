@@ -8,6 +8,7 @@ from pathlib import Path
 
 import click
 
+from touchd.atlas import atlas_path
 from touchd.errors import OutputError
 from touchd.training.recipe import RECIPES
 
@@ -25,6 +26,10 @@ _RECIPES = "\n".join(["\b", "Recipes:", *(f"  {recipe.name:16}  {recipe.what}" f
 @click.option(
     "--layout", type=click.Path(path_type=Path), help="Keys (TOML), for the keypad recipes.  [default: 3 x 4]"
 )
+@click.option(
+    "--network", type=click.Path(path_type=Path),
+    help="For the recipe atlas: a network trained on RECORDING before, instead of training one.",
+)  # fmt: skip
 @click.option("--seed", default=0, show_default=True, help="Seed of the split, the weights and the augmentation.")
 @click.option("--epochs", type=click.IntRange(min=1), help="Passes over the touches.  [default: the recipe's]")
 @click.option(
@@ -33,13 +38,14 @@ _RECIPES = "\n".join(["\b", "Recipes:", *(f"  {recipe.name:16}  {recipe.what}" f
     "constant.  [default: 30]",
 )  # fmt: skip
 @click.option("--no-report", is_flag=True, help="Write no report beside the model.")
-@click.option("--force", is_flag=True, help="Replace the model, and its report, if it exists.")
+@click.option("--force", is_flag=True, help="Replace the model, its atlas and report, if they exist.")
 def command(
     recording: tuple[Path, ...],
     output: Path,
     recipe: str,
     grid: int,
     layout: Path | None,
+    network: Path | None,
     seed: int,
     epochs: int | None,
     patience: int | None,
@@ -52,28 +58,34 @@ def command(
     The touches are split at random into 70 % for training, 20 % for validation and 10 % for the test; the scores
     printed at the end, and stored in the model, are those of the test. A folder beside the model, named .report, has
     them with pictures: learning curve, errors over the plate, and how well the standard error is predicted.
+
+    The recipe atlas writes two files, the network and beside it the field atlas, named .atlas.npz: the scores printed
+    are those of both together.
     """
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn
 
     from touchd.keypad import PHONE, load_layout
     from touchd.recording import read
+    from touchd.training.atlasreport import write_atlas_report
     from touchd.training.dataset import labels, split
     from touchd.training.join import join
     from touchd.training.report import PAGE, remove_report, write_report
     from touchd.training.timeleft import TimeLeft, say
     from touchd.training.train import train
+    from touchd.training.trainatlas import train_atlas
 
     chosen = RECIPES[recipe]
-    if output.exists() and not force:
-        raise OutputError("already there", str(output), "choose another name, or add --force")
-    if not os.access(output.parent, os.W_OK | os.X_OK):
-        raise OutputError("no folder that can be written to", str(output.parent), "make it, or choose another name")
+    if network and not chosen.atlas:
+        raise click.UsageError("--network is for the recipe atlas")
+    _check_free(output, network, atlas=chosen.atlas, force=force)
     epochs = epochs or chosen.epochs
     options = f" --n {grid}" * (chosen.head == "grid")
     options += f" --layout {layout.name}" if layout and chosen.head == "keypad" else ""
     options += f" --patience {patience}" if patience else ""
-    names = " ".join(path.name for path in recording)
+    options += f" --network {network.name}" if network else f" --seed {seed} --epochs {epochs}"
+    names = [path.name for path in recording]
+    said = f"touchd train {' '.join(names)} -o {output.name} --recipe {recipe}{options}"
     touches = join([read(path) for path in recording], [str(path) for path in recording])
     bar = Progress(
         TextColumn("{task.description:8}"),
@@ -84,7 +96,7 @@ def command(
         console=Console(stderr=True),
     )
     tasks: dict[str, TaskID] = {}
-    left = TimeLeft(len(split(len(labels(touches)[1]), seed).train), epochs)
+    left = TimeLeft(len(split(len(labels(touches)[1]), seed).train), 0 if network else epochs)
 
     def progress(what: str, done: int, steps: int, rmse_mm: float) -> None:
         # Started by the first step: what is refused before it is refused in one line.
@@ -101,28 +113,54 @@ def command(
         )
 
     try:
-        result = train(
-            touches,
-            output,
-            chosen,
-            grid=grid,
-            layout=load_layout(layout or PHONE) if chosen.head == "keypad" else None,
-            seed=seed,
-            epochs=epochs,
-            patience=patience,
-            command=f"touchd train {names} -o {output.name} --recipe {recipe}{options} --seed {seed} --epochs {epochs}",
-            progress=progress,
-            warn=warn,
-        )
+        if chosen.atlas:
+            made = train_atlas(
+                touches, output, network, seed=seed, epochs=epochs, command=said, progress=progress, warn=warn
+            )
+            result, scores, path = made.network, made.scores, made.path
+        else:
+            made = None
+            result = train(
+                touches,
+                output,
+                chosen,
+                grid=grid,
+                layout=load_layout(layout or PHONE) if chosen.head == "keypad" else None,
+                seed=seed,
+                epochs=epochs,
+                patience=patience,
+                command=said,
+                progress=progress,
+                warn=warn,
+            )
+            scores, path = result.scores, output
+            atlas_path(output).unlink(missing_ok=True)  # that of the model which was replaced
     finally:
         if tasks:
             bar.stop()
-    click.echo(f"{output}: on {result.scores['n']:.0f} touches never seen in training:")
-    for name, value in result.scores.items():
+    click.echo(f"{path}: on {scores['n']:.0f} touches never seen in training:")
+    for name, value in scores.items():
         if name != "n":
             click.echo(f"  {name:17} {value:8.3f}")
+    for each in (output, atlas_path(output)):
+        if no_report or not (made or each == output):
+            remove_report(each)  # that of the model which was replaced
     if no_report:
-        remove_report(output)  # that of the model which was replaced
-    else:
-        folder = write_report(result, touches.meta, [path.name for path in recording])
+        return
+    if result:
+        folder = write_report(result, touches.meta, names)
         click.echo(f"{folder / PAGE}: scores, learning curve and pictures")
+    if made:
+        folder = write_atlas_report(made, touches.meta, names)
+        click.echo(f"{folder / PAGE}: the atlas' scores, maps and pictures")
+
+
+def _check_free(output: Path, network: Path | None, *, atlas: bool, force: bool) -> None:
+    """Raise OutputError if a file to be written is there already, or cannot be."""
+    files = [] if network and output.exists() and output.samefile(network) else [output]
+    files += [atlas_path(output)] if atlas else []
+    for file in files:
+        if file.exists() and not force:
+            raise OutputError("already there", str(file), "choose another name, or add --force")
+    if not os.access(output.parent, os.W_OK | os.X_OK):
+        raise OutputError("no folder that can be written to", str(output.parent), "make it, or choose another name")

@@ -1,0 +1,83 @@
+"""The covariance of the residual field at two places: what kernel ridge regression knows of it beforehand.
+
+The field of a bin is the product of two waves of the plate. Far from its edges either is a random sum of
+plane waves from all sides, whose covariance over a distance r is J0(k r) (Berry, J. Phys. A 10:2083, 1977);
+that of the product is J0(k r)^2, which holds no spatial frequency above 2 k. A small share of the white field
+within that band, 2 J1(K r) / (K r), makes room for what is no such wave: near fields of edges and discs.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import j0, j1
+
+Array = NDArray[np.float32]
+Floats = NDArray[np.float64]
+
+BAND_MARGIN = 1.15
+"""Widens the white share's band beyond 2 k."""
+WHITE_SHARE = 0.05
+SPREAD = 0.02
+"""Of the wavenumber each way, since neither is the dispersion known exactly nor a bin a single frequency."""
+_NODES = 200  # a unit of 2 k r, so that linear interpolation is right to 1e-6: else it is not positive definite
+_ROWS = 64  # a block at a time stays in the cache
+
+
+def covariance(distance_mm: Floats, wavenumber_per_mm: float, white_share: float = WHITE_SHARE) -> Floats:
+    """Return the kernel at distances (mm) of any shape, 1 at 0."""
+    r = np.asarray(distance_mm, dtype=np.float64)
+    near = wavenumber_per_mm * np.linspace(1 - SPREAD, 1 + SPREAD, 5)
+    waves = sum(j0(k * r) ** 2 for k in near) / len(near)
+    at = np.maximum(2 * BAND_MARGIN * wavenumber_per_mm * r, 1e-9)
+    return np.asarray((1 - white_share) * waves + white_share * 2 * j1(at) / at)
+
+
+class Kernel:
+    """A tabulated kernel, for matrices of distances in float32.
+
+    Parameters
+    ----------
+    wavenumber_per_mm : float
+    reach_mm : float
+        The longest distance that will be asked for.
+    white_share : float
+    """
+
+    def __init__(self, wavenumber_per_mm: float, reach_mm: float, white_share: float = WHITE_SHARE) -> None:
+        self._per_mm = 2 * wavenumber_per_mm * _NODES
+        nodes_mm = np.arange(np.ceil(reach_mm * self._per_mm) + 3) / self._per_mm
+        table = covariance(nodes_mm, wavenumber_per_mm, white_share)
+        self._value, self._step = _line(table)
+        # The derivative by r over r: times a component of the distance it is the derivative by that.
+        slope = np.gradient(table, nodes_mm) / np.maximum(nodes_mm, 1e-9)
+        slope[0] = slope[1]
+        self._slope, self._slope_step = _line(slope)
+
+    def __call__(self, distance_mm: Array) -> Array:
+        """Return the kernel at a matrix of distances (mm)."""
+        return self._look_up(distance_mm, self._value, self._step)
+
+    def slope(self, distance_mm: Array) -> Array:
+        """Return its derivative by the distance, divided by the distance (1/mm^2)."""
+        return self._look_up(distance_mm, self._slope, self._slope_step)
+
+    def _look_up(self, distance_mm: Array, value: Array, step: Array) -> Array:
+        found = np.empty_like(distance_mm)
+        for start in range(0, len(found), _ROWS):
+            at = distance_mm[start : start + _ROWS] * np.float32(self._per_mm)
+            below = at.astype(np.int32)
+            at -= below
+            found[start : start + _ROWS] = value[below] + at * step[below]
+        return found
+
+
+def distances(one_mm: Floats, other_mm: Floats) -> Array:
+    """Return the distances (n, m) between places (n, 2) and (m, 2) in mm."""
+    squared = np.square(one_mm[:, None, 0] - other_mm[None, :, 0])
+    squared += np.square(one_mm[:, None, 1] - other_mm[None, :, 1])
+    return np.sqrt(squared).astype(np.float32)
+
+
+def _line(table: Floats) -> tuple[Array, Array]:
+    return table.astype(np.float32), np.diff(table, append=table[-1]).astype(np.float32)
