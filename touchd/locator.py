@@ -241,7 +241,8 @@ class Locator:
         found = self._search.add(fit, expected) if tracked else fit
         if self._excess(found, expected, signal) > GOOD / 2:
             anew = self._search.add(_NONE._replace(left=self._refiner.energy), expected)
-            found = anew if is_worth(anew, found, expected) else found
+            if is_worth(anew, found, expected):
+                found, self._speed = anew, []  # in another order: the speeds are others'
         found = self._prune(found, expected, signal)
         # What nothing explains is not searched again with each frame, unless it has become much more.
         excess = self._excess(found, expected, signal)
