@@ -13,6 +13,7 @@ import numpy as np
 from touchd.config import Settings
 from touchd.configfile import load
 from touchd.errors import RecordingValues
+from touchd.evaluation.bound import median_bound_mm
 from touchd.evaluation.finders import finder_of, network_features
 from touchd.evaluation.frames import see, touched_frames
 from touchd.evaluation.matching import Matches, match_frames, scores_by_fingers
@@ -49,6 +50,9 @@ def command(model: Path, recording: Path, as_json: bool, plot: Path | None) -> N
     25 mm: the share with the right number of contacts, fingers missed, ghosts, distances, and the share with each
     finger within 1 and 2 mm, told apart from the others; the share of errors within 1 and 2 sigma; and how well the
     force follows the true one.
+
+    With a field atlas bound_mm is the Cramer-Rao bound of the median error of single fingers, below which no estimate
+    gets, and times_bound how many times that the median is.
     """
     truth = read(recording)
     if truth.contacts_mm is None:
@@ -102,6 +106,10 @@ def _score_frames(truth: Recording, model: Model, plot: Path | None) -> dict[str
     found: dict[str, Any] = {"n": 0, "rmse_mm": None}
     if len(judged.true_mm):
         found = scores(judged) | {"n": len(judged.true_mm)}
+        if model.atlas is not None:
+            # From the atlas' own field, which is all that is known of a rig: the true one would say the same to some %.
+            found["bound_mm"] = median_bound_mm(truth, model.atlas)
+            found["times_bound"] = found["median_mm"] / found["bound_mm"]
     return found | {"by_fingers": scores_by_fingers(matches)}
 
 
