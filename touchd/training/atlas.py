@@ -19,6 +19,7 @@ from touchd.training.calibration import FAR_MM, LEVELS_DB, Level, calibrate, fie
 from touchd.training.dataset import Array, Dataset, Split
 from touchd.training.field import STEP_MM, Field, Learned
 from touchd.training.gaussnewton import FieldMap, Placed, place
+from touchd.training.phase import aligned
 from touchd.training.regression import BASELINE_NOISE, Complex, Floats, Touches, touches_of
 
 SPARED = 0.01
@@ -75,6 +76,7 @@ def make_atlas(
     kept = informative(audible)
     whole = place(atlas_of(learned.field, reference, steady, np.arange(len(audible)), said), touches.values, true_mm)
     plain = atlas_of(learned.field, reference, steady, kept, said)
+    plain = aligned(plain, learned.place_mm, learned.strength.astype(np.complex128))
     values = np.ascontiguousarray(touches.values[:, :, kept])
     placed = place(plain, values, true_mm)
     near = np.linalg.norm(placed.place_mm - true_mm, axis=1) < FAR_MM

@@ -63,6 +63,10 @@ class Learned:
     """A field, and what was found out on the way."""
 
     field: Field
+    place_mm: Floats
+    """Of the touches it was learned from, shape (n, 2)."""
+    strength: Complex
+    """Theirs, the mean over the bins, shape (n,)."""
     prior: Prior
     label_noise_mm: float
     """Deviation of the labels' errors per axis; 0 where they are as good as the field."""
@@ -89,7 +93,7 @@ def learn_thoroughly(touches: Touches, wavenumber_per_mm: Floats, progress: Step
     displaced = learner.displacements(strength)
     noise_mm = label_noise_mm(displaced)
     if noise_mm < LEAST_MM:
-        return Learned(learner.draw(strength), learner.prior, 0.0)
+        return learner.result(strength, 0.0)
     learner.more(RELABEL_ROUNDS)
     for _ in range(RELABEL_ROUNDS):
         place_mm = replaced(touches.place_mm, learner.touches.place_mm, displaced, noise_mm)
@@ -97,7 +101,7 @@ def learn_thoroughly(touches: Touches, wavenumber_per_mm: Floats, progress: Step
         learner.take(better, choose(better, learner.prior, strength, learner.chosen))
         strength = learner.converge(1, strength)
         displaced = learner.displacements(strength)
-    return Learned(learner.draw(strength), learner.prior, noise_mm)
+    return learner.result(strength, noise_mm)
 
 
 class Learner:
@@ -143,6 +147,11 @@ class Learner:
     def displacements(self, strength: Complex) -> Displaced:
         """Return how far from where they are assumed the touches seem to lie, after `converge`."""
         return displacements(self._regression, strength, self.chosen, [inverse for inverse, _ in self._hats])
+
+    def result(self, strength: Complex, label_noise_mm: float) -> Learned:
+        """Return the field, drawn, with what was found out."""
+        mean = np.asarray(strength.mean(axis=1), np.complex64)
+        return Learned(self.draw(strength), self.touches.place_mm, mean, self.prior, label_noise_mm)
 
     def draw(self, strength: Complex) -> Field:
         """Return the field on its grid."""
