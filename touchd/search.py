@@ -106,6 +106,7 @@ class Search:
                 more.sort(key=lambda one: one.left)
                 more = _different([one for one in more if apart_mm(one) > MERGED_MM])[:width]
                 beam = [self._refiner.several(one.places_mm, _STEPS) for one in more]
+                beam = [one for one in beam if apart_mm(one) > MERGED_MM]  # they may have come together since
                 beam.sort(key=lambda one: one.left)
                 if beam and is_worth(beam[0], best, noise):
                     best = beam[0]
