@@ -123,6 +123,29 @@ def test_an_unknown_material_is_no_obstacle(result: AtlasResult, touches: Record
     assert "fitted to the touches" in (write_atlas_report(found, strange.meta, ["a"]) / "report.md").read_text()
 
 
+def test_labels_that_are_off_are_told_and_standard_errors_are_those_of_the_atlas(
+    touches: Recording, tmp_path: Path
+) -> None:
+    """Labels off by 0.3 mm: not taken for errors of the atlas, which places exact touches better than that."""
+    assert touches.contacts_mm is not None
+    off_mm = 0.3 * np.random.default_rng(0).normal(size=touches.contacts_mm.shape)
+    sloppy = replace(touches, contacts_mm=(touches.contacts_mm + off_mm).astype(np.float32))
+    result = train_atlas(sloppy, tmp_path / "a.onnx", epochs=1)
+    assert result.learned.label_noise_mm == pytest.approx(0.3, abs=0.05)
+    for _, within, _ in result.calibration.within:
+        assert within == pytest.approx(0.683, abs=0.1)
+    steady, _ = at_one_temperature(touches, make_dataset(touches))
+    at = np.concatenate([result.parts.validation, result.parts.test])
+    kept = np.flatnonzero(np.isin(band_bins(steady.acquisition), result.atlas.description.bins))
+    true_mm = steady.position_mm[at].astype(float)
+    placed = place(result.atlas, touches_of(steady, at).values[:, :, kept], true_mm)
+    median_mm = float(np.median(np.linalg.norm(placed.place_mm - true_mm, axis=1)))
+    print(f"median {median_mm:.3f} mm from labels that are off by 0.3 mm per axis")
+    assert median_mm < 0.25
+    page = (write_atlas_report(result, sloppy.meta, ["a"]) / "report.md").read_text()
+    assert "off by about 0.3" in page
+
+
 @given(st.integers(4, 5000), st.floats(0.1, 0.4))
 def test_few_touches_are_called_few_and_hopelessly_few_refused(count: int, wavenumber_per_mm: float) -> None:
     place_mm = np.random.default_rng(count).uniform(0, 190, (count, 2))
@@ -160,5 +183,7 @@ def test_the_command_writes_what_it_says_and_replaces_nothing_unasked(
     again = CliRunner().invoke(command, arguments)
     assert again.exit_code != 0
     assert "already there" in str(again.exception)
+    beside = CliRunner().invoke(command, [arguments[0], "-o", str(tmp_path / "net.onnx"), "--recipe", "best"])
+    assert "already there" in str(beside.exception)
     wrong = CliRunner().invoke(command, [*arguments[:3], "--network", str(network)])
     assert "--network is for the recipe atlas" in wrong.output

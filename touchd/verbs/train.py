@@ -78,7 +78,7 @@ def command(
     chosen = RECIPES[recipe]
     if network and not chosen.atlas:
         raise click.UsageError("--network is for the recipe atlas")
-    _check_free(output, network, atlas=chosen.atlas, force=force)
+    _check_free(output, network, force=force)
     epochs = epochs or chosen.epochs
     options = f" --n {grid}" * (chosen.head == "grid")
     options += f" --layout {layout.name}" if layout and chosen.head == "keypad" else ""
@@ -155,12 +155,14 @@ def command(
         click.echo(f"{folder / PAGE}: the atlas' scores, maps and pictures")
 
 
-def _check_free(output: Path, network: Path | None, *, atlas: bool, force: bool) -> None:
-    """Raise OutputError if a file to be written is there already, or cannot be."""
-    files = [] if network and output.exists() and output.samefile(network) else [output]
-    files += [atlas_path(output)] if atlas else []
-    for file in files:
-        if file.exists() and not force:
+def _check_free(output: Path, network: Path | None, *, force: bool) -> None:
+    """Raise OutputError if the model or its atlas is there already, or cannot be written.
+
+    An atlas that lies beside another model than its own would be taken for its.
+    """
+    for file in (output, atlas_path(output)):
+        given = network is not None and file.exists() and file.samefile(network)
+        if file.exists() and not force and not given:
             raise OutputError("already there", str(file), "choose another name, or add --force")
     if not os.access(output.parent, os.W_OK | os.X_OK):
         raise OutputError("no folder that can be written to", str(output.parent), "make it, or choose another name")
