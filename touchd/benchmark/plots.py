@@ -20,6 +20,8 @@ GROUPS = {
     "dictionary": ("recorded touches looked up", COLOURS[3], "D"),
 }
 PAPER = "#555555"
+BY_ITS_RECIPE_MM = {"R": 6.0, "C-10": 8.1}
+"""Median error of the paper's heads, trained by its recipe on the twin's full plate: docs/reproduction.md."""
 PLAIN = FuncFormatter(lambda value, _position: f"{value:,g}")
 SAME_HEIGHT, SAME_PLACE = 0.1, 0.9
 """Decades in error and in time within which points would have their names upon each other."""
@@ -58,6 +60,12 @@ def draw_errors(run: Run) -> Figure:
     reported = HEADS["R", "frequency"]
     axes.plot(1e3 * REGRESSION_MS, reported.mean_mm, "X", color=PAPER, ms=9, label="the paper (mean error, its rig)")
     _say(axes, 1e3 * REGRESSION_MS, reported.mean_mm, "paper's regression, 0.44 ms", (8, 0))
+    axes.plot(
+        [run.bare_us.p50] * len(BY_ITS_RECIPE_MM), list(BY_ITS_RECIPE_MM.values()), "P", color=PAPER, ms=8,
+        label="its heads by its recipe on the twin, features not counted",
+    )  # fmt: skip
+    for head, median_mm in BY_ITS_RECIPE_MM.items():
+        _say(axes, run.bare_us.p50, median_mm, f"{head}  ", (-28 if head == "R" else -36, 0))
     axes.axvline(1e3 * KEYPAD_MS, color=PAPER, lw=1, ls=":")
     axes.axvline(run.bare_us.p50, color="black", lw=1, ls="--")
     axes.set(xscale="log", yscale="log", xlabel="one position: median, bar to the 99th percentile (us)",
