@@ -10,6 +10,7 @@ import errno
 import fcntl
 import json
 import os
+import re
 import shutil
 import socket
 import stat
@@ -138,7 +139,9 @@ def replayed(found: dict[str, Any]) -> None:
 
         say("-- reload")
         text = CONFIG.read_text()
-        CONFIG.write_text(text.replace("dead_band_mm = 0.5", "dead_band_mm = 2.5"))
+        other = re.sub(r"dead_band_mm = [0-9.]+", "dead_band_mm = 2.5", text)
+        assert other != text
+        CONFIG.write_text(other)
         found["reload"] = run("systemctl", "reload", "touchd").returncode
         found["reloaded"] = wait("taken over", lambda: "tracker.dead_band_mm" in journal())
         CONFIG.write_text(text)

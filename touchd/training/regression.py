@@ -84,7 +84,8 @@ class Regression:
         """Root mean square of each bin's signal, ADC counts, shape (bins,)."""
         self.ridge: Floats = touches.noise / self.scale**2 + prior.ridge
         self.distance_mm = distances(touches.place_mm, touches.place_mm)
-        self._reach_mm = float(self.distance_mm.max()) + BEYOND_MM
+        # From corner to corner, where there may be no touches.
+        self._reach_mm = float(np.linalg.norm(np.ptp(touches.place_mm, axis=0))) + BEYOND_MM
 
     def kernel(self, b: int) -> Kernel:
         """Return the kernel of a bin."""
