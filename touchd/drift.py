@@ -90,6 +90,11 @@ class Drift:
             np.add(self._along, self._step, out=self._along)
             self._moved = True
 
+    @property
+    def directions(self) -> Array:
+        """Orthonormal directions in which the untouched plate can move, shape (up to 2 + channels, size)."""
+        return self._directions
+
     def settle(self) -> None:
         """Forget what has drifted under a finger: the baseline follows the plate again."""
         self._along[:] = 0

@@ -143,7 +143,11 @@ class Locator:
         expected = self._expected
         signal = energy - expected
         self.leaving = False
-        if signal <= _NOISE_SPREAD * expected:
+        # A trigger that comes early or late delays all channels alike, which looks like a faint finger on the emitter.
+        np.dot(self._own, refiner.frame, out=self._by_itself)
+        self._by_itself.dot(self._by_itself, self._energy)
+        unmoved = energy - self._energy.item()
+        if unmoved - expected <= _NOISE_SPREAD * expected:
             self._fit, self._speed = _NONE, []
             return ()
         fit = self._follow(elapsed_s, expected, signal) if self._fit.places_mm else self._begin(start, signal)
@@ -300,6 +304,10 @@ class Locator:
         self._alive = max(int(features.sum()), 1)
         self._expected = float(self._noise.power[features].sum())
         self._mean_error = float(self._error[channels].mean())
+        # Of what is listened to, orthonormal again.
+        own = self._drift.directions
+        self._own = own if features.all() else np.linalg.qr((own * features).T)[0].T.astype(np.float32)
+        self._by_itself = np.zeros(len(self._own), np.float32)
 
 
 def _sigmas_mm(information: NDArray[np.float64], variance: float) -> list[float]:
