@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: setup demo test lint bench soak golden docs lock packages test-packages deb vm-packages vm-test clean
+.PHONY: setup demo test lint bench soak ghosts golden docs lock packages test-packages deb vm-packages vm-test clean
 
 setup: .venv/.ready
 
@@ -49,6 +49,10 @@ bench: setup
 # A million frames at full speed, then ten minutes at 1000 a second, with faults: some 15 minutes.
 soak: setup
 	$(BIN)/python -m tests.soak $(ARGS)
+
+# Hours of what is no finger: every contact that comes of it is told of. Some ten minutes.
+ghosts: setup
+	$(BIN)/python -m tests.soak.ghosts $(ARGS)
 
 # Rebuild the checked-in results and pages.
 golden: setup

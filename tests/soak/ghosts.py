@@ -1,0 +1,187 @@
+"""`make ghosts`: hours of what is no finger, through the whole pipeline: every contact that is none is told of.
+
+Each of five scenes is played in pieces of a minute, no two alike: noise, trigger jitter, rates of drift, tones, drops
+and palms differ. Frames come block by block and are not kept. A scene of which only a part can be had in reasonable
+time (a palm costs 8 ms a frame in the twin) is shortened with --minutes, and the length is printed.
+"""
+
+from __future__ import annotations
+
+import os
+
+# ruff: noqa: E402 - one thread, before numpy is imported
+for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
+    os.environ[_name] = "1"
+
+import argparse
+import sys
+import time
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from joblib import Parallel, delayed
+
+from tests.scenes.stages import RATE_HZ, empty_stage, play, score
+from touchd.evaluation.stream import found_contacts
+from touchd.twin.acts import END_S, FORCES_N, IDLE_S
+from touchd.twin.electronics import Electronics, Tone
+from touchd.twin.instrument import Instrument
+from touchd.twin.path import anywhere, still
+from touchd.twin.simulate import DEFAULT_PLATE
+from touchd.twin.stage import Stage
+
+PIECE_S = 60.0
+MINUTES = {"idle": 60, "drift": 60, "interference": 60, "drop": 60, "palm": 8}
+"""Of each scene, unless told otherwise."""
+NEAR_MM = 10.0
+
+
+class Piece(NamedTuple):
+    """What was found in one piece of a scene."""
+
+    scene: str
+    seed: int
+    touches: int
+    missed: int
+    ghosts: int
+    """Contacts that come down where there is no finger, nor was one within the last 0.1 s."""
+    split: int
+    seconds: float
+    """Processor time."""
+    strays: list[str]
+    """Of each ghost: when, where, for how many messages."""
+
+
+def idle(_stage: Stage) -> None:
+    """Nothing but the room's warmth, noise and jitter."""
+
+
+def drift(stage: Stage) -> None:
+    """Warm the plate and let it cool at up to 0.2 K a second, gains drifting along; tap now and then."""
+    rng = stage.rng
+    by_k, period_s = rng.uniform(-4, 4), rng.uniform(60, 240)
+    stage.temperature_c = stage.temperature_c + by_k / 2 * (1 - np.cos(2 * np.pi * stage.time_s / period_s))
+    stage.electronics = stage.electronics._replace(gain_drift_per_s=tuple(rng.normal(0, 2e-5, 4).tolist()))
+    _tap(stage, 3.0)
+
+
+def interference(stage: Stage) -> None:
+    """Switch tones on and off, in the chirp's band and beside it; tap now and then."""
+    rng = stage.rng
+    tones = []
+    for _ in range(rng.integers(1, 7)):
+        at_s = rng.uniform(IDLE_S + 0.5, stage.end_s - 2)
+        level_db, length_s = rng.uniform(-50, -28), rng.uniform(0.05, 20)
+        tones.append(Tone(rng.uniform(30e3, 120e3), level_db, at_s, at_s + length_s))
+    stage.electronics = stage.electronics._replace(tones=tuple(tones))
+    _tap(stage, 2.0)
+
+
+def drop(stage: Stage) -> None:
+    """Let drops of 2-25 mg fall anywhere and be wiped off; tap now and then."""
+    rng = stage.rng
+    for column in range(1, 1 + int(rng.integers(1, 4))):
+        at_s = rng.uniform(IDLE_S + 0.5, 0.7 * stage.end_s)
+        stop_s = at_s + rng.uniform(2, 40)
+        stage.lay(
+            "drop", at_s, stop_s, still(*anywhere(stage, 12.0)), area_mm2=rng.uniform(3.0, 18.1), column=column
+        )  # fmt: skip
+    _tap(stage, 2.0)
+
+
+def palm(stage: Stage) -> None:
+    """Lay one to three palms down and lift them, again and again."""
+    rng = stage.rng
+    at_s = 1.5
+    while at_s < stage.end_s - 3:
+        length_s = rng.uniform(0.3, 2.0)
+        for column in range(int(rng.choice([1, 1, 2, 3]))):
+            place = still(*anywhere(stage, 40.0))
+            late_s = 0.15 * column
+            stage.lay(
+                "palm", at_s + late_s, at_s + late_s + length_s, place, area_mm2=rng.uniform(60, 140), column=column
+            )  # fmt: skip
+        at_s += length_s + rng.uniform(2.0, 6.0)
+
+
+SCENES: dict[str, Callable[[Stage], None]] = {
+    "idle": idle, "drift": drift, "interference": interference, "drop": drop, "palm": palm
+}  # fmt: skip
+
+
+def piece(name: str, seed: int, seconds: float = PIECE_S) -> Stage:
+    """Write down one piece of a scene: the same seed gives the same, to the bit."""
+    stage = empty_stage(seconds, seed=seed)
+    rng = stage.rng
+    stage.temperature_c = stage.temperature_c + 0.2 * np.sin(2 * np.pi * (stage.time_s / 300 + rng.uniform()))
+    stage.electronics = Electronics(
+        noise_db=float(rng.choice([60.0, 60.0, 55.0, 50.0])), jitter_s=float(rng.choice([0.0, 1e-9, 5e-9]))
+    )
+    SCENES[name](stage)
+    return stage
+
+
+def judge(name: str, seed: int, instrument: Instrument, seconds: float = PIECE_S) -> Piece:
+    """Play a piece through the whole pipeline."""
+    began_s = time.process_time()
+    stage = piece(name, seed, seconds)
+    outcome = play(stage, instrument, seed)
+    found = score(stage, outcome)
+    places_mm, force_n = stage.truth()
+    places_mm = np.where(np.isfinite(force_n)[..., None], places_mm, np.nan)
+    strays = []
+    for contact in found_contacts(outcome.touches):
+        first = contact.frames[0]
+        recent = places_mm[max(first - 12, 0) : first + 1].reshape(-1, 2)
+        away_mm = np.linalg.norm(recent - np.array(contact.position_mm[0]), axis=1)
+        if not (away_mm < NEAR_MM).any():
+            x_mm, y_mm = contact.position_mm[0]
+            at = f"at {first / RATE_HZ:.2f} s, ({x_mm:.1f}, {y_mm:.1f}) mm, {len(contact.frames)} frames"
+            strays.append(f"{at}; {stage.electronics.noise_db:g} dB, jitter {stage.electronics.jitter_s * 1e9:g} ns")
+    return Piece(
+        name, seed, found.touches, found.missed, len(strays), found.split, time.process_time() - began_s, strays
+    )  # fmt: skip
+
+
+def _tap(stage: Stage, pause_s: float) -> None:
+    """Tap at random places with either finger, some seconds apart."""
+    rng, at_s = stage.rng, IDLE_S + 2
+    while True:
+        length_s = rng.uniform(0.15, 0.5)
+        if at_s + length_s > stage.end_s - END_S:
+            return
+        kind = str(rng.choice(["silicone", "human"]))
+        stage.lay(kind, at_s, at_s + length_s, still(*anywhere(stage)), force_n=rng.uniform(*FORCES_N[kind]))
+        at_s += length_s + pause_s * rng.uniform(0.7, 2.0)
+
+
+def main() -> int:
+    """Play all, and return 1 if there was a ghost."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("scenes", nargs="*", default=list(SCENES), help=f"of {', '.join(SCENES)}")
+    parser.add_argument("--minutes", type=int, help="of each scene")
+    parser.add_argument("--seed", type=int, default=1, help="of the first piece; the next have the next")
+    parser.add_argument("--jobs", type=int, default=2, help="processes")
+    arguments = parser.parse_args()
+    instrument = Instrument(DEFAULT_PLATE)
+    ghosts = 0
+    print(f"{'scene':14} {'minutes':>7} {'touches':>8} {'missed':>7} {'split':>6} {'ghosts':>7} {'cpu s':>7}")
+    for name in arguments.scenes:
+        count = round((arguments.minutes or MINUTES[name]) * 60 / PIECE_S)
+        seeds = range(arguments.seed, arguments.seed + count)
+        pieces = Parallel(n_jobs=arguments.jobs)(delayed(judge)(name, seed, instrument) for seed in seeds)
+        total = np.array([[p.touches, p.missed, p.split, p.ghosts, p.seconds] for p in pieces]).sum(axis=0)
+        minutes = count * PIECE_S / 60
+        print(f"{name:14} {minutes:7g} " + "{:8.0f} {:7.0f} {:6.0f} {:7.0f} {:7.0f}".format(*total), flush=True)
+        for p in pieces:
+            if p.missed or p.ghosts or p.strays:
+                print(
+                    f"  seed {p.seed}: {p.missed} missed, {p.ghosts} ghosts" + "".join(f"\n    {s}" for s in p.strays)
+                )
+        ghosts += int(total[3])
+    return 1 if ghosts else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
