@@ -63,7 +63,8 @@ def folder(instrument: Instrument, tmp_path_factory: pytest.TempPathFactory) -> 
 
 def test_touches_of_one_finger_have_their_scores_at_the_top(folder: Path) -> None:
     found = scores(SHIPPED, folder / "one.npz")
-    assert set(found) == POSITIONS | {"confident", "within_sigma", "by_fingers"}
+    assert set(found) == POSITIONS | {"confident", "within_sigma", "by_fingers", "bound_mm", "times_bound"}
+    assert 1 < found["times_bound"] == found["median_mm"] / found["bound_mm"]
     assert set(found["by_fingers"]) == {"1"}
     mine = found["by_fingers"]["1"]
     assert (found["n"], mine["n"], mine["missed"], mine["ghosts"]) == (60, 60, 0, 0)

@@ -72,7 +72,7 @@ def test_a_person_sees_a_line_for_each_change_and_none_for_a_finger_that_rests(s
     code, out, err = listen.end()
     assert (code, err) == (0, "")
     assert out.splitlines() == [
-        f"12:34:56.789 {phase} #4       12.3    56.8 mm  force 0.50  sigma  1.5 mm  confidence 0.99"
+        f"12:34:56.789 {phase} #4      12.34   56.78 mm  force 0.50  sigma 1.50 mm  confidence 0.99"
         for phase in ("down", "up  ")
     ]
 
