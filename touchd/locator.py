@@ -19,15 +19,17 @@ from touchd.drift import Drift
 from touchd.model import Estimate
 from touchd.noise import Noise
 from touchd.refine import Fit, Place, Refiner
-from touchd.search import ENOUGH, GOOD, NOISE_MARGIN, Search, is_worth
+from touchd.search import ENOUGH, GOOD, NOISE_MARGIN, WORTH, Search, is_worth
 from touchd.tracker import Touch
 
 EXCESS_OF_HALF = 0.25
 """Share of the signal that a fit leaves unexplained at which it is as likely no finger: fingers unlike those of the
 training leave up to 0.1, palms more than 0.6 (twin)."""
-PHASE_RAD = (-1.2, 0.47)
+PHASE_RAD = (-1.2, 0.45)
 """Of a finger's strength. What leads by more has no loss: a mass, as a drop of water is. Drops lead by 0.6, fingers by
-less than 0.3, by 0.5 within 8 mm of the edge; human fingers lag by up to 0.4 (twin)."""
+less than 0.3; human fingers lag by up to 0.4 (twin)."""
+PHASE_SIGMAS = 2.5
+"""So far within the upper bound a finger's phase has to be: that of a faint drop scatters, and it stays for hours."""
 LEAVING_RAD = 2.0
 """A strength so far from a finger's is one with the opposite sign: a finger that the baseline held has gone."""
 STILL_MM = 0.05
@@ -44,7 +46,7 @@ FIRST_STEPS, FOLLOW_STEPS = 5, 3
 _DRIFT_EVERY_S = 0.04
 _SEARCH_SOON_S, _SEARCH_AGAIN_S = 0.02, 0.05
 _SEARCH_SELDOM_S = 2.0
-_WORTH = 0.8
+_GAIN = 0.8
 _NOISE_SPREAD = 0.25
 """Noise has seldom so much more energy in a frame than its mean: two deviations."""
 _WEAK = 1.4
@@ -247,14 +249,33 @@ class Locator:
             anew = self._search.add(_NONE._replace(left=self._refiner.energy), expected)
             if is_worth(anew, found, expected):
                 found, self._speed = anew, []  # in another order: the speeds are others'
-        found = self._prune(found, expected, signal)
+        found = self._without_movement(self._prune(found, expected, signal), expected)
         # What nothing explains is not searched again with each frame, unless it has become much more.
         excess = self._excess(found, expected, signal)
-        worth = excess < EXCESS_OF_HALF / 2 and found.left < _WORTH * fit.left
+        worth = excess < EXCESS_OF_HALF / 2 and found.left < _GAIN * fit.left
         self._wait_s = 0.0 if worth else min(max(2 * self._wait_s, _SEARCH_AGAIN_S), _SEARCH_SELDOM_S)
         self._search_s = 0.0
         self._unexplained = max(excess, 0.0) * signal
         return found
+
+    def _without_movement(self, fit: Fit, expected: float) -> Fit:
+        """Return a fit without the further fingers that the plate's own movement explains nearly as well."""
+        for k in range(len(fit.places_mm) - 1, -1, -1):
+            if len(fit.places_mm) < 2:
+                break
+            others = [j for j in range(len(fit.places_mm)) if j != k]
+            rest = fit._replace(
+                places_mm=[fit.places_mm[j] for j in others], strengths=[fit.strengths[j] for j in others]
+            )
+            left = self._refiner.residual(rest)
+            along = self._own @ left
+            if (
+                float(left @ left) - float(along @ along) - expected
+                < max(fit.left - expected, 0.0) / WORTH + expected / 4
+            ):
+                fit = self._refiner.several(rest.places_mm, FOLLOW_STEPS - 1)
+                self._speed = []
+        return fit
 
     def _may_search(self, unexplained: float) -> bool:
         """Return whether it is time to search, with so much energy left: a search takes as long as many frames."""
@@ -288,10 +309,11 @@ class Locator:
         left = max(fit.left - self._expected, 0.0) / self._alive
         error = self._field_scale * usual + UNUSUAL * max(left - usual, 0.0)
         sigmas_mm = _sigmas_mm(fit.information, self._noise_scale * self._expected / self._alive + error)
+        scatter = self._noise_scale * self._expected / self._alive  # over a finger's energy it is that of its phase
         return tuple(
             Touch(x, y, sigma_mm, confidence, abs(z) * self._per_strength)
-            for (x, y), z, sigma_mm in zip(fit.places_mm, fit.strengths, sigmas_mm, strict=True)
-            if PHASE_RAD[0] < cmath.phase(z) < PHASE_RAD[1]
+            for (x, y), z, e, sigma_mm in zip(fit.places_mm, fit.strengths, fit.energies, sigmas_mm, strict=True)
+            if e > 0 and PHASE_RAD[0] < cmath.phase(z) < PHASE_RAD[1] - PHASE_SIGMAS * math.sqrt(scatter / e)
         )
 
     def _listen_to(self, channels: NDArray[np.bool_]) -> None:

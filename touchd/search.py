@@ -16,7 +16,7 @@ _APART_MM = 7.0
 """Candidates closer to each other lead to the same place."""
 MERGED_MM = 4.0
 """Two fingers so close are one."""
-_WORTH = 0.42
+WORTH = 0.42
 """Each further finger has to leave less than this share of what was left without it. One that is there leaves less
 than 0.35 of it, one that is not more than 0.44 (twin: up to five fingers, silicone and human)."""
 ENOUGH = 0.004
@@ -122,7 +122,7 @@ def is_worth(fit: Fit, other: Fit, noise: float) -> bool:
     more = len(fit.places_mm) - len(other.places_mm)
     if not other.places_mm or more <= 0:
         return fit.left < other.left
-    return fit.left - noise < _WORTH**more * (other.left - noise)
+    return fit.left - noise < WORTH**more * (other.left - noise)
 
 
 def _different(fits: list[Fit]) -> list[Fit]:

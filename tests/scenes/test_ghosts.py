@@ -8,7 +8,9 @@ from tests.soak.ghosts import judge
 from touchd.twin.instrument import Instrument
 
 
-@pytest.mark.parametrize(("name", "seed"), [("idle", 1), ("drift", 35), ("interference", 33), ("interference", 7)])
+@pytest.mark.parametrize(
+    ("name", "seed"), [("idle", 1), ("drift", 34), ("drift", 58), ("interference", 33), ("interference", 7)]
+)
 def test_neither_jitter_nor_drift_nor_tones_are_fingers_on_the_emitter(
     name: str, seed: int, instrument: Instrument
 ) -> None:
