@@ -30,6 +30,8 @@ PHASE_RAD = (-1.2, 0.45)
 less than 0.3; human fingers lag by up to 0.4 (twin)."""
 PHASE_SIGMAS = 2.5
 """So far within the upper bound a finger's phase has to be: that of a faint drop scatters, and it stays for hours."""
+WET_RAD, WET_MM = 0.15, 3.0
+"""What leads by so much is a drop still, where there was one so near in the last frame."""
 LEAVING_RAD = 2.0
 """A strength so far from a finger's is one with the opposite sign: a finger that the baseline held has gone."""
 STILL_MM = 0.05
@@ -116,6 +118,7 @@ class Locator:
         """Start afresh with the next frame: no finger is being followed."""
         self._fit = _NONE
         self._armed = False
+        self._wet: list[Place] = []
         self._speed: list[Place] = []
         self._search_s, self._wait_s, self._drift_s, self._unexplained = math.inf, 0.0, 0.0, math.inf
         self.leaving = False
@@ -310,11 +313,17 @@ class Locator:
         error = self._field_scale * usual + UNUSUAL * max(left - usual, 0.0)
         sigmas_mm = _sigmas_mm(fit.information, self._noise_scale * self._expected / self._alive + error)
         scatter = self._noise_scale * self._expected / self._alive  # over a finger's energy it is that of its phase
-        return tuple(
-            Touch(x, y, sigma_mm, confidence, abs(z) * self._per_strength)
-            for (x, y), z, e, sigma_mm in zip(fit.places_mm, fit.strengths, fit.energies, sigmas_mm, strict=True)
-            if e > 0 and PHASE_RAD[0] < cmath.phase(z) < PHASE_RAD[1] - PHASE_SIGMAS * math.sqrt(scatter / e)
-        )
+        touches, wet = [], []
+        for place, z, energy, sigma_mm in zip(fit.places_mm, fit.strengths, fit.energies, sigmas_mm, strict=True):
+            phase = cmath.phase(z)
+            limit = PHASE_RAD[1] - PHASE_SIGMAS * math.sqrt(scatter / energy) if energy > 0 else -math.inf
+            # A drop stays where it is: where one was seen, what is half-way to it still is one.
+            if phase >= limit or (phase > WET_RAD and any(math.dist(place, drop) < WET_MM for drop in self._wet)):
+                wet.append(place)
+            elif phase > PHASE_RAD[0]:
+                touches.append(Touch(*place, sigma_mm, confidence, abs(z) * self._per_strength))
+        self._wet = wet
+        return tuple(touches)
 
     def _listen_to(self, channels: NDArray[np.bool_]) -> None:
         """Leave out dead channels, and bins that drown in noise."""
