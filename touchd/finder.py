@@ -62,7 +62,11 @@ class Finder:
         self._signal_energy = 1.0
         self._energy = self._elapsed_s = 0.0
         self._untouched_frames, self._followed_s = 0, 0.0
+        self._prepare()
         self.retune(settings, layout)
+
+    def _prepare(self) -> None:
+        """Make what a kind of finder has of its own."""
 
     def retune(self, settings: Settings, layout: Layout | None) -> None:
         """Take other thresholds and keys."""
@@ -175,21 +179,11 @@ class Finder:
 class AtlasFinder(Finder):
     """Places fingers on the field atlas; the network only says where to begin."""
 
-    def __init__(
-        self,
-        acquisition: Acquisition,
-        model: Model,
-        settings: Settings,
-        layout: Layout | None,
-        baseline: Baseline,
-        gate: Gate,
-        counters: Counters,
-    ) -> None:
-        assert model.atlas is not None
-        self._locator = Locator(model.atlas)
-        self._rebased = np.zeros(acquisition.shape, np.float32)
-        self._moved = np.zeros(acquisition.shape, np.float32)
-        super().__init__(acquisition, model, settings, layout, baseline, gate, counters)
+    def _prepare(self) -> None:
+        assert self._model.atlas is not None
+        self._locator = Locator(self._model.atlas)
+        self._rebased = np.zeros_like(self._baseline.mean)
+        self._moved = np.zeros_like(self._baseline.mean)
 
     def learned(self) -> None:
         """Take note that the baseline was learned anew."""
