@@ -148,11 +148,14 @@ class Locator:
         expected = self._expected
         signal = energy - expected
         self.leaving = False
-        # A trigger that comes early or late delays all channels alike, which looks like a faint finger on the emitter.
-        np.dot(self._own, refiner.frame, out=self._by_itself)
-        self._by_itself.dot(self._by_itself, self._energy)
-        unmoved = energy - self._energy.item()
-        if unmoved - expected <= _NOISE_SPREAD * expected:
+        told = energy
+        if not self._fit.places_mm:
+            # A trigger that comes early or late delays all channels alike, which looks like a faint finger on the
+            # emitter.
+            np.dot(self._own, refiner.frame, out=self._by_itself)
+            self._by_itself.dot(self._by_itself, self._energy)
+            told -= self._energy.item()
+        if told - expected <= _NOISE_SPREAD * expected:
             self._fit, self._speed = _NONE, []
             return ()
         fit = self._follow(elapsed_s, expected, signal) if self._fit.places_mm else self._begin(start, signal)
@@ -160,8 +163,8 @@ class Locator:
         if excess > GOOD / 2 and self._may_search(excess * signal):
             fit = self._look_again(fit, residual, expected, signal)
             excess = self._excess(fit, expected, signal)
-        told = sum(fit.energies) > SIGNIFICANT * expected / self._alive
-        confidence = 1 / (1 + (max(excess, 0.0) / EXCESS_OF_HALF) ** 2) if told else 0.0
+        significant = sum(fit.energies) > SIGNIFICANT * expected / self._alive
+        confidence = 1 / (1 + (max(excess, 0.0) / EXCESS_OF_HALF) ** 2) if significant else 0.0
         if not confidence >= confident:
             self._fit, self._speed = _NONE, []
             return ()
@@ -309,7 +312,7 @@ class Locator:
     def _touches(self, fit: Fit, confidence: float) -> tuple[Touch, ...]:
         """Return the fingers of a fit with their standard errors; what is water is none."""
         usual = self._mean_error * sum(abs(z) ** 2 for z in fit.strengths) / 2
-        left = max(fit.left - self._expected, 0.0) / self._alive
+        left = max(fit.left - (1 + _NOISE_SPREAD) * self._expected, 0.0) / self._alive
         error = self._field_scale * usual + UNUSUAL * max(left - usual, 0.0)
         sigmas_mm = _sigmas_mm(fit.information, self._noise_scale * self._expected / self._alive + error)
         scatter = self._noise_scale * self._expected / self._alive  # over a finger's energy it is that of its phase

@@ -20,8 +20,8 @@ Place = tuple[float, float]
 
 LONGEST_STEP_MM = 3.0
 """About a tenth of the field's wavelength: a longer step would leave the valley that it starts in."""
-STILL_MM = 0.12
-"""After a shorter step the next one, of second order, would be some thousandths of a millimetre."""
+STILL_MM = 0.2
+"""After a shorter step the next one, of second order, would be less than 0.01 mm in 95 of 100 cases (twin)."""
 _DAMPING = 1e-3
 # Powers of the fraction of a cell to the four cubic B-splines that are not zero there.
 _SPLINES = np.array([[1, 4, 1, 0], [-3, 0, 3, 0], [3, -6, 3, 0], [-1, 3, -3, 1]], np.float32) / 6

@@ -186,7 +186,7 @@ def atlases(model: Model, atlas: Atlas, graph: onnx.ModelProto) -> Iterator[Esti
     yield Estimator(
         "atlas, tracking", "atlas", lambda residual: find(residual, 1 / RATE_HZ),
         own + FOLLOW_STEPS * step_macs, table + FOLLOW_STEPS * step_bytes,
-        rebase, follow, remark="Gauss-Newton from 2 mm away, no network",
+        rebase, follow, remark="Gauss-Newton from 0.8 mm away, no network",
     )  # fmt: skip
 
 

@@ -24,8 +24,8 @@ BLOCK = 20
 """Touches at one temperature, with one baseline."""
 UNTOUCHED = 16
 """Frames that make the baseline of a block: the daemon's is a mean of more."""
-STEP_MM = 2.0
-"""From where the finger was a frame before: 250 mm/s at 125 frames a second."""
+STEP_MM = 0.8
+"""From where the finger was a frame before: 100 mm/s at 125 frames a second."""
 WALK_K = 1.0
 RATE_HZ = 125.0
 
