@@ -18,7 +18,8 @@ from touchd.atlas import Array, Atlas
 from touchd.drift import Drift
 from touchd.model import Estimate
 from touchd.noise import Noise
-from touchd.refine import Fit, Place, Refiner
+from touchd.refine import Fit, Place, Refiner, sigmas_mm
+from touchd.rest import Rest
 from touchd.search import ENOUGH, GOOD, NOISE_MARGIN, WORTH, Search, is_worth
 from touchd.tracker import Touch
 
@@ -34,9 +35,6 @@ WET_RAD, WET_MM = 0.15, 3.0
 """What leads by so much is a drop still, where there was one so near in the last frame."""
 LEAVING_RAD = 2.0
 """A strength so far from a finger's is one with the opposite sign: a finger that the baseline held has gone."""
-STILL_MM = 0.05
-"""A finger that moves less from one frame to the next may be still."""
-STILL_SIGMAS = 2.5
 UNUSUAL = 8.0
 """What a finger unlike those of the training leaves counts so much more than noise: it is alike in many bins."""
 FAINT = 6.0
@@ -65,14 +63,10 @@ class Locator:
         self._refiner = Refiner(atlas)
         self._search = Search(atlas, self._refiner)
         self._drift = Drift(atlas)
+        self._rest = Rest(atlas, self._refiner)
         self._noise = Noise(d.acquisition.channels, len(d.bins))
         self._untouched: Array = np.zeros(atlas.size, np.float32)
-        self._seen: Array = np.zeros(atlas.size, np.float32)
-        self._difference: Array = np.zeros(atlas.size, np.float32)
-        self._shift: Array = np.zeros((2, atlas.size), np.float32)
-        self._shifted: Array = np.zeros(2, np.float32)
         self._energy = np.zeros((), np.float32)
-        self._most_mm2 = 0.0
         self._moved_mm = math.inf
         self._noise_scale, self._field_scale = d.noise_scale, d.field_scale
         self._error = atlas.error
@@ -117,7 +111,7 @@ class Locator:
     def forget(self) -> None:
         """Start afresh with the next frame: no finger is being followed."""
         self._fit = _NONE
-        self._armed = False
+        self._rest.armed = False
         self._wet: list[Place] = []
         self._speed: list[Place] = []
         self._search_s, self._wait_s, self._drift_s, self._unexplained = math.inf, 0.0, 0.0, math.inf
@@ -174,40 +168,17 @@ class Locator:
             self._drift_s = 0.0
         self._learn_speed(fit, elapsed_s)
         self._fit = fit
-        self._arm(fit)
+        moved_mm = self._moved_mm if self.watch_still else math.inf
+        self._rest.arm(fit, moved_mm, self._noise_scale * self._expected / self._alive)
         self.leaving = all(abs(cmath.phase(z)) > LEAVING_RAD for z in fit.strengths)
         return self._touches(fit, confidence)
 
     def holds(self, residual: Array) -> bool:
-        """Return whether the finger of the last frame located is still where it was, but for the noise.
-
-        One step of Gauss-Newton with what was known then tells how far it seems to have moved; what else may have
-        come is seen in the energy of the difference.
-        """
-        if not self._armed:
+        """Return whether the finger of the last frame located is still where it was, but for the noise."""
+        if not self._rest.armed:
             return False
-        difference = self._difference
-        self._drift.features(residual, difference)
-        np.subtract(difference, self._seen, out=difference)
-        if self._refiner.mask is not None:
-            np.multiply(difference, self._refiner.mask, out=difference)
-        difference.dot(difference, self._energy)
-        if not self._energy.item() <= 2 * (1 + NOISE_MARGIN) * self._expected:
-            return False
-        np.dot(self._shift, difference, out=self._shifted)
-        x_mm, y_mm = self._shifted.tolist()
-        return bool(x_mm * x_mm + y_mm * y_mm <= self._most_mm2)
-
-    def _arm(self, fit: Fit) -> None:
-        """Keep what `holds` asks for if this is one finger that hardly moves."""
-        was_still = self.watch_still and len(fit.places_mm) == len(self._speed) == 1 and self._moved_mm < STILL_MM
-        self._armed = was_still and fit.information[0, 0] > 0
-        if self._armed:
-            np.copyto(self._seen, self._refiner.frame)
-            self._shift = self._refiner.shift(fit)
-            # Of two frames, per axis, by noise alone.
-            sigma_mm = _sigmas_mm(fit.information, 2 * self._noise_scale * self._expected / self._alive)[0]
-            self._most_mm2 = 2 * (STILL_SIGMAS * sigma_mm) ** 2
+        self._drift.features(residual, self._rest.frame)
+        return self._rest.holds(2 * (1 + NOISE_MARGIN) * self._expected)
 
     def _begin(self, start: Callable[[], Estimate], signal: float) -> Fit:
         """Fit one finger from where the network sees it; a faint one, of which it may be wrong, from others too."""
@@ -314,10 +285,10 @@ class Locator:
         usual = self._mean_error * sum(abs(z) ** 2 for z in fit.strengths) / 2
         left = max(fit.left - (1 + _NOISE_SPREAD) * self._expected, 0.0) / self._alive
         error = self._field_scale * usual + UNUSUAL * max(left - usual, 0.0)
-        sigmas_mm = _sigmas_mm(fit.information, self._noise_scale * self._expected / self._alive + error)
+        errors_mm = sigmas_mm(fit.information, self._noise_scale * self._expected / self._alive + error)
         scatter = self._noise_scale * self._expected / self._alive  # over a finger's energy it is that of its phase
         touches, wet = [], []
-        for place, z, energy, sigma_mm in zip(fit.places_mm, fit.strengths, fit.energies, sigmas_mm, strict=True):
+        for place, z, energy, sigma_mm in zip(fit.places_mm, fit.strengths, fit.energies, errors_mm, strict=True):
             phase = cmath.phase(z)
             limit = PHASE_RAD[1] - PHASE_SIGMAS * math.sqrt(scatter / energy) if energy > 0 else -math.inf
             # A drop stays where it is: where one was seen, what is half-way to it still is one.
@@ -342,16 +313,3 @@ class Locator:
         own = self._drift.directions
         self._own = own if features.all() else np.linalg.qr((own * features).T)[0].T.astype(np.float32)
         self._by_itself = np.zeros(len(self._own), np.float32)
-
-
-def _sigmas_mm(information: NDArray[np.float64], variance: float) -> list[float]:
-    """Return each finger's standard error per axis, mm: the root mean square of both axes."""
-    if information.shape == (2, 2):
-        (a, b), (_, c) = information.tolist()
-        det = a * c - b * b
-        return [math.sqrt(variance * (a + c) / (2 * det))] if det > 0 else [math.inf]
-    try:
-        spread = np.diag(np.linalg.inv(information)) * variance
-    except np.linalg.LinAlgError:
-        return [math.inf] * (len(information) // 2)
-    return [math.sqrt(pair) if pair > 0 else math.inf for pair in spread.reshape(-1, 2).mean(axis=1).tolist()]

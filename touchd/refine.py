@@ -8,6 +8,7 @@ BIT 15:49, 1975, which leaves out what the strengths' own change adds to the sec
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -258,3 +259,16 @@ class Refiner:
         parts = rows.reshape(len(rows), self._channels, 2, self._bins)
         bins: NDArray[np.complex64] = parts[:, :, 0] + np.complex64(1j) * parts[:, :, 1]
         return bins.reshape(len(rows), -1)
+
+
+def sigmas_mm(information: NDArray[np.float64], variance: float) -> list[float]:
+    """Return each finger's standard error per axis, mm: the root mean square of both axes."""
+    if information.shape == (2, 2):
+        (a, b), (_, c) = information.tolist()
+        det = a * c - b * b
+        return [math.sqrt(variance * (a + c) / (2 * det))] if det > 0 else [math.inf]
+    try:
+        spread = np.diag(np.linalg.inv(information)) * variance
+    except np.linalg.LinAlgError:
+        return [math.inf] * (len(information) // 2)
+    return [math.sqrt(pair) if pair > 0 else math.inf for pair in spread.reshape(-1, 2).mean(axis=1).tolist()]
