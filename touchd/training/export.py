@@ -56,9 +56,14 @@ def write_model(graph: onnx.ModelProto, path: Path) -> Model:
     OutputError
         If the file cannot be written.
     """
+    return put_model(graph.SerializeToString(), path)
+
+
+def put_model(content: bytes, path: Path) -> Model:
+    """Write an ONNX file's bytes to `path`, whole or not at all, and return it loaded; raises as `write_model`."""
     try:
         with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
-            file.write(graph.SerializeToString())
+            file.write(content)
         Path(file.name).chmod(0o644)
         os.replace(file.name, path)
     except OSError as error:

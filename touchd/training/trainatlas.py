@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from touchd.atlas import Atlas, atlas_path, save_atlas
-from touchd.errors import ModelMismatch, OutputError, TrainingError
+from touchd.errors import ModelMismatch, TrainingError
 from touchd.model import Model
 from touchd.recording import Recording
 from touchd.training.atlas import Calibration, Trial, informative, make_atlas, signal_over_noise, try_atlas
 from touchd.training.dataset import Split, digest, make_dataset, split
 from touchd.training.dispersion import Dispersion, dispersion_of, fitted_note
+from touchd.training.export import put_model
 from touchd.training.field import Learned, learn_thoroughly
 from touchd.training.fit import Progress
 from touchd.training.inspection import freedom, inspect
@@ -178,13 +177,4 @@ def _copy(network: Path, path: Path) -> Model:
     """Put a network where it is wanted, whole or not at all."""
     if path.exists() and path.samefile(network):
         return Model(path)
-    try:
-        with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
-            file.write(network.read_bytes())
-        Path(file.name).chmod(0o644)
-        os.replace(file.name, path)
-    except OSError as error:
-        raise OutputError(
-            f"cannot be written ({error.strerror})", str(path), "check the folder and its space"
-        ) from error
-    return Model(path)
+    return put_model(network.read_bytes(), path)
