@@ -175,7 +175,7 @@ def conditions(bench: Bench) -> str:
     for number, (name, (count, options)) in enumerate(CONDITIONS.items()):
         recording = bench.recording(
             f"condition-{number}-{count}",
-            lambda: simulate_touches(count, seed=SEED + 10 + number, instrument=bench.instrument, **options),  # noqa: B023
+            lambda: simulate_touches(count, seed=SEED + 10 + number, instrument=bench.instrument, **options),  # noqa: B023  called before the next round
         )
         frames = touched_frames(recording)
         seen = match_frames(see(atlas_finder(bench.model, bench.atlas, frames), frames))

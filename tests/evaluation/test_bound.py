@@ -193,7 +193,7 @@ def test_the_reference_plate_s_bound_is_known(instrument: Instrument) -> None:
     # The strengths are those of the frames: as from the contacts themselves.
     x_mm, y_mm = recording.contacts_mm[1, 0].tolist()  # type: ignore[index]  # simulated touches have a truth
     found = place_covariance(field, instrument.acquisition, NOISE)
-    force_n = float(recording.force_n[1, 0])  # type: ignore[index]
+    force_n = float(recording.force_n[1, 0])  # type: ignore[index]  # as above
     true = twin_field(instrument, [Contact(x_mm, y_mm, 14.0 * force_n**0.5, "silicone")])
     exact = place_covariance(true, instrument.acquisition, NOISE)
     assert rms_mm(found)[0] == pytest.approx(rms_mm(exact)[0], rel=0.03)

@@ -31,7 +31,7 @@ def atlas(instrument: Instrument) -> Atlas:
 def frames(instrument: Instrument) -> dict[str, TouchedFrames]:
     options = {"1": {"fingers": 1}, "2": {"fingers": 2, "apart_mm": 30.0}}
     return {
-        key: touched_frames(simulate_touches(60, seed=41, instrument=instrument, **more))  # type: ignore[arg-type]
+        key: touched_frames(simulate_touches(60, seed=41, instrument=instrument, **more))  # type: ignore[arg-type]  # options
         for key, more in options.items()
     }
 

@@ -34,7 +34,7 @@ def followed(*ways: Way) -> list[TouchEvent]:
         ended = [(i, "up", 0.0, 0.0) for i in before - set(down)]
         alive = [(i, "move" if i in before else "down", float(x), float(y)) for i, (x, y) in down.items()]
         if alive or ended:
-            messages.append(message(frame, *alive, *ended))  # type: ignore[arg-type]
+            messages.append(message(frame, *alive, *ended))  # type: ignore[arg-type]  # pairs
         before = set(down)
     if before:
         messages.append(message(len(ways[0]), *((i, "up", 0.0, 0.0) for i in before)))

@@ -18,7 +18,7 @@ def lead_rad(place_mm: np.ndarray) -> np.ndarray:
     return found
 
 
-def test_touches_of_a_phase_of_their_own_place_get_the_same_all_over(atlas: Atlas) -> None:  # noqa: F811
+def test_touches_of_a_phase_of_their_own_place_get_the_same_all_over(atlas: Atlas) -> None:  # noqa: F811  that fixture
     rng = np.random.default_rng(0)
     place_mm = rng.uniform((0, 10), (56, 66), (1500, 2))
     strength = np.exp(1j * lead_rad(place_mm)) * np.exp(0.3 * rng.normal(size=1500))

@@ -176,7 +176,7 @@ def test_two_fingers_sound_like_more_than_either(instrument: Instrument) -> None
 
 
 def truth_of(name: str, seed: int, **options: int) -> tuple[Stage, Floats]:
-    stage = stage_scene(name, DEFAULT_PLATE, seed=seed, **options)  # type: ignore[arg-type]
+    stage = stage_scene(name, DEFAULT_PLATE, seed=seed, **options)  # type: ignore[arg-type]  # keywords
     return stage, stage.truth()[0].astype(float)
 
 
