@@ -12,6 +12,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from tests.fields import COUNTS, PLATE, Field, Finger, as_complex, features_of, gauss_newton, look_up, make_atlas
+from touchd.lookup import Lookup
 from touchd.refine import Fit, Refiner
 
 FIELD = Field()
@@ -45,9 +46,9 @@ def of_atlas(fingers: list[Finger]) -> np.ndarray:
 @settings(deadline=None)
 def test_the_field_and_its_gradient_are_those_of_the_formula_and_of_the_splines(at: tuple[float, float]) -> None:
     """To 1 % of their size of the formula, which the grid of 2.5 mm allows; to float32's rounding of the splines."""
-    refiner = Refiner(ATLAS)
-    refiner._look_up(*at)
-    mine = [as_complex(row) for row in refiner._field]
+    into = np.zeros((3, ATLAS.size), np.float32)
+    at = Lookup(ATLAS, into).at(*at)
+    mine = [as_complex(row) for row in into]
     for part, exact, splines, size in zip(mine, FIELD.at(*at), look_up(ATLAS, *at), (1, 0.4, 0.4), strict=True):
         assert np.sqrt(np.mean(np.abs(part - exact.ravel()) ** 2)) < 0.01 * size * COUNTS
         np.testing.assert_allclose(part, splines, atol=1e-4 * COUNTS)

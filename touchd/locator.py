@@ -18,7 +18,8 @@ from touchd.atlas import Array, Atlas
 from touchd.drift import Drift
 from touchd.model import Estimate
 from touchd.noise import Noise
-from touchd.refine import Fit, Place, Refiner, sigmas_mm
+from touchd.lookup import Place
+from touchd.refine import Fit, Refiner, sigmas_mm
 from touchd.rest import Rest
 from touchd.search import ENOUGH, GOOD, NOISE_MARGIN, WORTH, Search, is_worth
 from touchd.tracker import Touch

@@ -16,16 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.atlas import Array, Atlas
-
-Place = tuple[float, float]
+from touchd.lookup import Lookup, Place
 
 LONGEST_STEP_MM = 3.0
 """About a tenth of the field's wavelength: a longer step would leave the valley that it starts in."""
 STILL_MM = 0.2
 """After a shorter step the next one, of second order, would be less than 0.01 mm in 95 of 100 cases (twin)."""
 _DAMPING = 1e-3
-# Powers of the fraction of a cell to the four cubic B-splines that are not zero there.
-_SPLINES = np.array([[1, 4, 1, 0], [-3, 0, 3, 0], [3, -6, 3, 0], [-1, 3, -3, 1]], np.float32) / 6
 
 
 class Fit(NamedTuple):
@@ -52,49 +49,30 @@ class Refiner:
 
     def __init__(self, atlas: Atlas) -> None:
         d = atlas.description
-        self._channels, self._bins = d.acquisition.channels, len(d.bins)
-        self._nodes = atlas.coefficients
-        self._rows, self._columns, self._size = self._nodes.shape
-        self._lines = self._nodes.reshape(self._rows, -1)
-        (self._x0_mm, self._y0_mm), self._per_mm = d.origin_mm, 1 / d.step_mm
-        # Every place has its four neighbours, and lies on the plate.
-        last = self._columns - 2, self._rows - 2
-        self._low_mm = tuple(max(0.0, origin + d.step_mm) for origin in d.origin_mm)
-        self._high_mm = tuple(
-            min(size, origin + (count - 1e-4) * d.step_mm)
-            for size, origin, count in zip((d.plate.width_mm, d.plate.height_mm), d.origin_mm, last, strict=True)
-        )
-        self._make_buffers()
-        self.mask: NDArray[np.float32] | None = None
-        """0 for each feature of a dead channel, 1 for the others; None if all are alive."""
-        self.energy = 0.0
-        """Of the frame taken in, counts squared."""
-
-    def _make_buffers(self) -> None:
-        n, parts = self._size, (self._channels, 2, self._bins)
+        self._channels, self._bins, n = d.acquisition.channels, len(d.bins), atlas.size
         # u, its derivatives by x and y, the frame d, -i d and i u: real products with the last two are the imaginary
         # parts of the complex ones.
-        self._rows_6 = np.zeros((6, n), np.float32)
-        self._columns_6 = self._rows_6.T
-        self._field, self._value_x, self._value_y = self._rows_6[:3], self._rows_6[:2], self._rows_6[2:3]
-        self._frame: Array = self._rows_6[3]
-        self._frame_parts, self._turned_frame = self._rows_6[3].reshape(parts), self._rows_6[4].reshape(parts)
-        self._value_parts, self._turned_value = self._rows_6[0].reshape(parts), self._rows_6[5].reshape(parts)
+        rows = np.zeros((6, n), np.float32)
+        self._field, self._columns = rows[:3], rows.T
+        self._value, self._turned_value = rows[0], rows[5]
+        self._frame, self._turned_frame = rows[3], rows[4]
+        self._lookup = Lookup(atlas, self._field)
+        # i times a feature vector: its real and imaginary parts change places, and the real ones their sign.
+        parts = np.arange(n).reshape(self._channels, 2, self._bins)
+        self._swapped = parts[:, ::-1].reshape(-1)
+        self._signs = np.broadcast_to(np.array([[-1], [1]], np.float32), parts.shape).reshape(-1)
+        self._back = -self._signs
         self._gram = np.zeros((3, 6), np.float32)
         self._information = np.zeros((2, 2))
         self._energy = np.zeros((), np.float32)
         self._factor = np.zeros((), np.float32)
         self._left = np.zeros(n, np.float32)
         self._part = np.zeros(n, np.float32)
-        self._many = np.zeros((7, n), np.float32)  # two fingers; for more it grows
-        self._many_turned = np.zeros_like(self._many)
-        self._powers = np.zeros((4, 4), np.float32)
-        self._powers[0, 0] = self._powers[2, 0] = 1
-        self._powers[1, 1] = self._powers[3, 1] = self._per_mm
-        self._weights = np.zeros((4, 4), np.float32)
-        self._weights_x, self._weights_y, self._weight_x = self._weights[:2], self._weights[2:], self._weights[:1]
-        self._along_y = np.zeros((2, 4 * n), np.float32)
-        self._line_0, self._line_1 = self._along_y[0].reshape(4, n), self._along_y[1].reshape(4, n)
+        self._many = np.zeros((14, n), np.float32)  # two fingers; for more it grows
+        self.mask: NDArray[np.float32] | None = None
+        """0 for each feature of a dead channel, 1 for the others; None if all are alive."""
+        self.energy = 0.0
+        """Of the frame taken in, counts squared."""
 
     @property
     def frame(self) -> Array:
@@ -103,28 +81,30 @@ class Refiner:
 
     def take(self) -> float:
         """Take in the frame in `frame`, and return its energy (counts squared)."""
+        frame, turned = self._frame, self._turned_frame
         if self.mask is not None:
-            np.multiply(self._frame, self.mask, out=self._frame)
-        self._turned_frame[:, 0] = self._frame_parts[:, 1]
-        np.negative(self._frame_parts[:, 0], out=self._turned_frame[:, 1])
-        self._frame.dot(self._frame, self._energy)
+            np.multiply(frame, self.mask, frame)
+        frame.take(self._swapped, 0, turned, "wrap")  # in this mode it needs no copy
+        np.multiply(turned, self._back, turned)
+        frame.dot(frame, self._energy)
         self.energy = self._energy.item()
         return self.energy
 
     def one(self, x_mm: float, y_mm: float, steps: int) -> Fit:
         """Fit one finger from a place nearby, in at most so many steps (at least one)."""
-        x, y = self._inside(x_mm, y_mm)
+        inside = self._lookup.inside
+        x, y = inside(x_mm, y_mm)
         while True:
-            self._look_up(x, y)
-            strength, (a, b, c), (right_x, right_y), explained = self._normal_equations()
+            x, y = self._look_up(x, y)
+            strength, a, b, c, right_x, right_y, explained = self._normal_equations()
             steps -= 1
             det = a * c - b * b
             if det <= 0:
                 break  # no gradient: nothing is known of where it is
             step_x, step_y = (c * right_x - b * right_y) / det, (a * right_y - b * right_x) / det
             length = (step_x * step_x + step_y * step_y) ** 0.5
-            shorter = min(1.0, LONGEST_STEP_MM / length) if length else 1.0
-            x, y = self._inside(x + shorter * step_x, y + shorter * step_y)
+            shorter = LONGEST_STEP_MM / length if length > LONGEST_STEP_MM else 1.0
+            x, y = inside(x + shorter * step_x, y + shorter * step_y)
             if length < STILL_MM or steps <= 0:
                 # What the last step explains besides, to second order: no need to look again.
                 explained += right_x * step_x + right_y * step_y if shorter == 1.0 else 0.0
@@ -138,49 +118,62 @@ class Refiner:
         count = len(places_mm)
         if not count:
             return Fit([], [], [], np.zeros((0, 0)), self.energy)
-        at = np.array([self._inside(*place) for place in places_mm])
-        order = np.arange(2 * count).reshape(2, count).T.ravel()  # from x of all, y of all to x and y of each in turn
+        inside, pair = self._lookup.inside, np.arange(2 * count).reshape(2, count).T.ravel()
+        at = [inside(*place) for place in places_mm]
         for step in range(steps + 1):
-            gram, right = self._gram_of(at.tolist())
-            own = gram[:count, :count] + 1e-6 * np.trace(gram[:count, :count]).real / count * np.eye(count)
-            solved = np.linalg.solve(own, np.column_stack([gram[:count, count:], right[:count]]))
+            at, gram = self._gram_of(at)
+            own = gram[:count, :count].copy()
+            own.ravel()[:: count + 1] += 1e-6 / count * own.trace().real
+            solved = np.linalg.solve(own, gram[:count, count:])
             z = solved[:, -1]
             twice = np.concatenate([z, z])
-            inner = gram[count:, count:] - gram[count:, :count] @ solved[:, :-1]
-            information = (twice.conj()[:, None] * inner * twice).real[order][:, order]
+            # What the strengths leave of the products of the derivatives with each other, and with the frame.
+            inner = twice.conj()[:, None] * (gram[count:, count:] - gram[count:, :count] @ solved)
+            inner[:, :-1] *= twice
+            system = inner.real[pair]  # from x of all, y of all to x and y of each in turn
+            information, gradient = system[:, pair], system[:, -1]
             if step == steps:
                 break
-            gradient = (twice.conj() * (right[count:] - gram[count:, :count] @ z)).real[order]
-            damped = information + _DAMPING * np.diag(np.diag(information)) + 1e-30 * np.eye(2 * count)
-            move = np.linalg.solve(damped, gradient).reshape(count, 2)
-            length = np.sqrt(np.square(move).sum(axis=1, keepdims=True))
-            move *= np.minimum(1.0, LONGEST_STEP_MM / np.maximum(length, 1e-12))
-            at = np.minimum(np.maximum(at + move, self._low_mm), self._high_mm)
-            if length.max() < STILL_MM / 10:
+            damped = information.copy()
+            damped.ravel()[:: 2 * count + 1] *= 1 + _DAMPING
+            damped.ravel()[:: 2 * count + 1] += 1e-30
+            move = np.linalg.solve(damped, gradient).tolist()
+            longest_mm, places = 0.0, []
+            for (x, y), step_x, step_y in zip(at, move[::2], move[1::2], strict=True):
+                length = math.hypot(step_x, step_y)
+                shorter = LONGEST_STEP_MM / length if length > LONGEST_STEP_MM else 1.0
+                places.append(inside(x + shorter * step_x, y + shorter * step_y))
+                longest_mm = max(longest_mm, length)
+            at = places
+            if longest_mm < STILL_MM / 10:
                 break
-        left = self.energy - float((z.conj() * right[:count]).real.sum())
-        energies = (np.abs(z) ** 2 * np.diag(gram)[:count].real).tolist()
-        places = [(float(x), float(y)) for x, y in at]
-        return Fit(places, z.tolist(), energies, information, max(left, 0.0))
+        left = self.energy - (z.conj() @ gram[:count, -1]).real
+        strengths, norms = z.tolist(), gram.diagonal()[:count].real.tolist()
+        energies = [abs(strength) ** 2 * norm for strength, norm in zip(strengths, norms, strict=True)]
+        return Fit(at, strengths, energies, information, max(float(left), 0.0))
 
-    def _gram_of(self, places_mm: Sequence[Sequence[float]]) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-        """Return the complex products of u of all fingers, then u_x, then u_y, with each other and with the frame."""
+    def _gram_of(self, places_mm: Sequence[Place]) -> tuple[list[Place], NDArray[np.complex128]]:
+        """Return the places looked up, and the complex products of u of all fingers, then u_x, then u_y, with each
+        other and, in the last column, with the frame.
+        """
         count = len(places_mm)
-        if 3 * count >= len(self._many):
-            self._many = np.zeros((3 * count + 1, self._size), np.float32)
-            self._many_turned = np.zeros_like(self._many)
-        rows, turned = self._many[: 3 * count + 1], self._many_turned[: 3 * count + 1]
-        for k, (x, y) in enumerate(places_mm):
-            self._look_up(x, y)
+        length = 3 * count + 1
+        if 2 * length > len(self._many):
+            self._many = np.zeros((2 * length, len(self._frame)), np.float32)
+        rows, turned = self._many[:length], self._many[length : 2 * length]
+        at = []
+        for k, place in enumerate(places_mm):
+            at.append(self._look_up(*place))
             rows[k : 3 * count : count] = self._field
         rows[3 * count] = self._frame
-        parts, turned_parts = (t.reshape(-1, self._channels, 2, self._bins) for t in (rows, turned))
-        np.negative(parts[:, :, 1], out=turned_parts[:, :, 0])
-        turned_parts[:, :, 1] = parts[:, :, 0]
+        rows.take(self._swapped, 1, turned, "wrap")
+        np.multiply(turned, self._signs, turned)
         # With i b the real product of a and b turns into minus the imaginary part of conj(a) b.
-        products = rows[:-1] @ rows.T - 1j * (rows[:-1] @ turned.T)
-        table: NDArray[np.complex128] = products.astype(np.complex128)
-        return table[:, :-1], table[:, -1]
+        products = rows[:-1] @ self._many[: 2 * length].T
+        table = np.empty((3 * count, length), np.complex128)
+        table.real = products[:, :length]
+        np.negative(products[:, length:], table.imag)
+        return at, table
 
     def shift(self, fit: Fit) -> Array:
         """Return the matrix from a small change of the frame to that of one finger's x and y, mm, (2, size)."""
@@ -199,60 +192,38 @@ class Refiner:
         for (x, y), strength in zip(fit.places_mm, fit.strengths, strict=True):
             self._look_up(x, y)
             self._turn_value()
-            for row, factor in ((self._rows_6[0], strength.real), (self._rows_6[5], strength.imag)):
+            for row, factor in ((self._value, strength.real), (self._turned_value, strength.imag)):
                 self._factor[...] = factor
                 np.multiply(row, self._factor, out=part)
                 np.subtract(left, part, out=left)
         return left
 
-    def _inside(self, x_mm: float, y_mm: float) -> Place:
-        (low_x, low_y), (high_x, high_y) = self._low_mm, self._high_mm
-        # Written so that what is no number becomes the corner instead of an index.
-        x = x_mm if low_x < x_mm < high_x else high_x if x_mm >= high_x else low_x
-        y = y_mm if low_y < y_mm < high_y else high_y if y_mm >= high_y else low_y
-        return x, y
-
-    def _look_up(self, x_mm: float, y_mm: float) -> None:
-        """Put the field and its derivatives (per mm) at a place into `_field`."""
-        k = self._per_mm
-        x, y = (x_mm - self._x0_mm) * k, (y_mm - self._y0_mm) * k
-        column, row = int(x), int(y)
-        s, t = x - column, y - row
-        ss, tt, powers = s * s, t * t, self._powers
-        powers[0, 1], powers[0, 2], powers[0, 3], powers[1, 2], powers[1, 3] = s, ss, ss * s, 2 * s * k, 3 * ss * k
-        powers[2, 1], powers[2, 2], powers[2, 3], powers[3, 2], powers[3, 3] = t, tt, tt * t, 2 * t * k, 3 * tt * k
-        np.dot(powers, _SPLINES, out=self._weights)
-        n = self._size
-        # Four neighbouring nodes of a row lie one after the other: the rows are summed first, without a copy.
-        np.matmul(
-            self._weights_y, self._lines[row - 1 : row + 3, (column - 1) * n : (column + 3) * n], out=self._along_y
-        )
-        np.dot(self._weights_x, self._line_0, out=self._value_x)
-        np.dot(self._weight_x, self._line_1, out=self._value_y)
+    def _look_up(self, x_mm: float, y_mm: float) -> Place:
+        """Put the field and its derivatives (per mm) at a place into `_field`, and return that place."""
+        place = self._lookup.at(x_mm, y_mm)
         if self.mask is not None:
-            np.multiply(self._field, self.mask, out=self._field)
+            np.multiply(self._field, self.mask, self._field)
+        return place
 
-    def _normal_equations(self) -> tuple[complex, tuple[float, float, float], Place, float]:
-        """Return the strength, Re(J^H J) as (xx, xy, yy), Re(J^H r), and the energy explained."""
+    def _normal_equations(self) -> tuple[complex, float, float, float, float, float, float]:
+        """Return the strength, Re(J^H J) as xx, xy, yy, both parts of Re(J^H r), and the energy explained."""
         self._turn_value()
-        np.dot(self._field, self._columns_6, out=self._gram)
+        self._field.dot(self._columns, self._gram)
         (uu, ux, uy, ud, ud_i, _), (_, xx, xy, xd, xd_i, ux_i), (_, _, yy, yd, yd_i, uy_i) = self._gram.tolist()
         if uu <= 0:
-            return 0j, (0.0, 0.0, 0.0), (0.0, 0.0), 0.0
-        z = complex(ud, ud_i) / uu
-        power = z.real * z.real + z.imag * z.imag
+            return 0j, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        z, z_i = ud / uu, ud_i / uu
+        power = z * z + z_i * z_i
         a = power * (xx - (ux * ux + ux_i * ux_i) / uu)
         b = power * (xy - (ux * uy + ux_i * uy_i) / uu)
         c = power * (yy - (uy * uy + uy_i * uy_i) / uu)
-        turned = z.conjugate()
-        right_x = (turned * (complex(xd, xd_i) - complex(ux, -ux_i) * z)).real
-        right_y = (turned * (complex(yd, yd_i) - complex(uy, -uy_i) * z)).real
-        return z, (a, b, c), (right_x, right_y), power * uu
+        return complex(z, z_i), a, b, c, z * xd + z_i * xd_i - power * ux, z * yd + z_i * yd_i - power * uy, power * uu
 
     def _turn_value(self) -> None:
         """Put i u beside u."""
-        np.negative(self._value_parts[:, 1], out=self._turned_value[:, 0])
-        self._turned_value[:, 1] = self._value_parts[:, 0]
+        turned = self._turned_value
+        self._value.take(self._swapped, 0, turned, "wrap")
+        np.multiply(turned, self._signs, turned)
 
     def _as_complex(self, rows: Array) -> NDArray[np.complex64]:
         """Return rows of features (n, channels * 2 * bins) as complex bins (n, channels * bins)."""

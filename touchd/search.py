@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.atlas import Array, Atlas
-from touchd.refine import Fit, Place, Refiner
+from touchd.lookup import Place
+from touchd.refine import Fit, Refiner
 
 MOST_FINGERS = 5
 SCAN_MM = 5.0
