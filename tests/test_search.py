@@ -99,7 +99,8 @@ def test_the_candidates_are_those_of_a_scan_in_float64_and_apart() -> None:
     for seed in range(5):
         fingers = fingers_of(1, seed)
         refiner, search = searching(FIELD.frame(fingers, DEVIATION, seed))
-        places = search.candidates(refiner.frame)
+        found = search.candidates(refiner.frame)
+        places = [candidate.place_mm for candidate in found]
         assert 2 <= len(places) <= 4
         assert min(math.dist(a, b) for a in places for b in places if a != b) >= 7.0
         bins = refiner.frame.reshape(4, 2, len(BINS)).astype(float)
@@ -113,6 +114,7 @@ def test_the_candidates_are_those_of_a_scan_in_float64_and_apart() -> None:
         assert all(a > 0.98 * b for a, b in pairwise(scores))
         best = max(score(x, y) for x in np.arange(2.5, 118, 5) for y in np.arange(2.5, 88, 5))
         assert scores[0] == pytest.approx(best, rel=0.05)
+        assert [candidate.energy for candidate in found] == pytest.approx(scores, rel=0.05)
 
 
 def test_nothing_left_gives_no_candidates() -> None:

@@ -60,8 +60,9 @@ class Lookup:
         down = int((y_mm - self._y0_mm) * self._per_unit + 0.5)
         of_x, of_y = self._weights[across % PER_CELL], self._weights[down % PER_CELL]
         row, first = down // PER_CELL, (across // PER_CELL - 1) * self._size
-        # Four neighbouring nodes of a row lie one after the other: the rows are summed first, without a copy.
-        of_y.dot(self._lines[row - 1 : row + 3, first : first + 4 * self._size], self._along_y)
+        # Four neighbouring nodes of a row lie one after the other: the rows are summed first, without the copy that
+        # `dot` would make.
+        np.matmul(of_y, self._lines[row - 1 : row + 3, first : first + 4 * self._size], self._along_y)
         of_x.dot(self._value_line, self._into_x)
         of_x[0].dot(self._slope_line, self._into_y)
         return self._x0_mm + across * self._unit_mm, self._y0_mm + down * self._unit_mm
@@ -72,4 +73,4 @@ def _weights(step_mm: float) -> Array:
     t = np.arange(PER_CELL) / PER_CELL
     zero, one = np.zeros_like(t), np.ones_like(t)
     powers = np.array([[one, t, t**2, t**3], [zero, one, 2 * t, 3 * t**2]]).transpose(2, 0, 1)
-    return (powers @ _SPLINES / np.array([1.0, step_mm])[:, None]).astype(np.float32)
+    return np.asarray(powers @ _SPLINES / np.array([1.0, step_mm])[:, None], np.float32)

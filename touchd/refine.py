@@ -39,6 +39,10 @@ class Fit(NamedTuple):
     """Energy that the fingers do not explain, ADC counts squared."""
 
 
+NO_FIT = Fit([], [], [], np.zeros((0, 0)), 0.0)
+"""No fingers, which explain nothing."""
+
+
 class Refiner:
     """Fits fingers to one frame at a time.
 
@@ -55,7 +59,8 @@ class Refiner:
         rows = np.zeros((6, n), np.float32)
         self._field, self._columns = rows[:3], rows.T
         self._value, self._turned_value = rows[0], rows[5]
-        self._frame, self._turned_frame = rows[3], rows[4]
+        self._turned_frame = rows[4]
+        self._frame: Array = rows[3]
         self._lookup = Lookup(atlas, self._field)
         # i times a feature vector: its real and imaginary parts change places, and the real ones their sign.
         parts = np.arange(n).reshape(self._channels, 2, self._bins)
@@ -153,8 +158,9 @@ class Refiner:
         return Fit(at, strengths, energies, information, max(float(left), 0.0))
 
     def _gram_of(self, places_mm: Sequence[Place]) -> tuple[list[Place], NDArray[np.complex128]]:
-        """Return the places looked up, and the complex products of u of all fingers, then u_x, then u_y, with each
-        other and, in the last column, with the frame.
+        """Return the places looked up, and the complex products of u, then u_x, then u_y of all fingers.
+
+        They are those with each other and, in the last column, with the frame.
         """
         count = len(places_mm)
         length = 3 * count + 1

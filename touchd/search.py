@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Generator
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -26,6 +29,10 @@ GOOD = 0.03
 """A fit that leaves no more has found the right places: fingers unlike those of the training leave up to so much."""
 FAIR = 0.1
 """A fit that leaves more is worth to be begun differently."""
+SEEN = 0.2
+"""A finger that is there explains more than this share of what a good fit without it leaves, at some place of the scan;
+what a human finger, unlike those of the training, leaves of itself looks less like one: 0.13 to 0.17
+(twin)."""
 NOISE_MARGIN = 0.6
 """The energy of noise in one frame is seldom so much above its mean: five deviations."""
 _WIDTHS = (1, 3)
@@ -34,8 +41,16 @@ _SAME = 1e-4
 _FIRST_STEPS, _STEPS = 3, 4
 
 
+class Candidate(NamedTuple):
+    """A place of the scan."""
+
+    place_mm: Place
+    energy: float
+    """What a finger there would explain, counts squared."""
+
+
 class Search:
-    """Finds the fingers in a frame that the refiner has taken in.
+    """Finds the fingers in the frame that its refiner has taken in.
 
     Parameters
     ----------
@@ -63,28 +78,49 @@ class Search:
         self._pair = np.zeros((atlas.size, 2), np.float32)
         self._products = np.zeros((len(rows), 2), np.float32)
 
-    def candidates(self, left: Array, count: int = _CANDIDATES) -> list[Place]:
+    def candidates(self, left: Array, count: int = _CANDIDATES) -> list[Candidate]:
         """Return places at which one finger would explain most of what is left, the best first."""
         parts = left.reshape(self._parts)
         self._pair[:, 0] = left
         self._pair[:, 1] = np.stack([parts[:, 1], -parts[:, 0]], axis=1).reshape(-1)
         np.dot(self._unit, self._pair, out=self._products)
         score = np.einsum("ij,ij->i", self._products, self._products)
-        found: list[Place] = []
+        found: list[Candidate] = []
         for _ in range(count):
             best = int(score.argmax())
             if not score[best] > 0:
                 break
             x_mm, y_mm = self._places_mm[best].tolist()
-            found.append((x_mm, y_mm))
+            found.append(Candidate((x_mm, y_mm), float(score[best])))
             score[np.square(self._places_mm - self._places_mm[best]).sum(axis=1) < _APART_MM**2] = 0
         return found
 
+    @property
+    def energy(self) -> float:
+        """Of the frame looked at, counts squared."""
+        return self._refiner.energy
+
+    def look_at(self, refiner: Refiner) -> None:
+        """Search the frame that another refiner has taken in, whatever comes after it."""
+        self._refiner.mask = refiner.mask
+        np.copyto(self._refiner.frame, refiner.frame)
+        self._refiner.take()
+
     def add(self, fit: Fit, noise: float) -> Fit:
-        """Return a fit of the frame that the refiner holds with as many more fingers as are worth it.
+        """Return a fit of the frame with as many more fingers as are worth it: all `steps` at once."""
+        steps = self.steps(fit, noise)
+        while True:
+            try:
+                next(steps)
+            except StopIteration as end:
+                found: Fit = end.value
+                return found
+
+    def steps(self, fit: Fit, noise: float) -> Generator[Fit, None, Fit]:
+        """Add fingers to a fit of the frame looked at, and stop after every fit that is tried.
 
         The strongest finger is looked for first, then the next in what it leaves. Where this leads nowhere, several
-        beginnings are followed side by side.
+        beginnings are followed side by side. The generator's value is the fit in the end.
 
         Parameters
         ----------
@@ -93,26 +129,36 @@ class Search:
         noise : float
             Energy that noise alone has in the frame (counts squared).
         """
-        signal = max(self._refiner.energy - noise, 0.0)
+        refiner = self._refiner
+        signal = max(refiner.energy - noise, 0.0)
         enough, good, fair = (noise * (1 + NOISE_MARGIN) + share * signal for share in (ENOUGH, GOOD, FAIR))
         best = fit
         for width in _WIDTHS:
-            beam = [fit]
+            beam, in_vain = [fit], 0
             while beam and (not beam[0].places_mm or enough < beam[0].left) and len(beam[0].places_mm) < MOST_FINGERS:
-                more = [
-                    self._refiner.several([*one.places_mm, place], _FIRST_STEPS)
-                    for one in beam
-                    for place in self.candidates(self._refiner.residual(one))
-                ]
+                more = []
+                for one in beam:
+                    found = self.candidates(refiner.residual(one))
+                    if one is fit and fit.places_mm and fit.left < fair and not _is_seen(found, fit):
+                        return fit
+                    for candidate in found:
+                        more.append(refiner.several([*one.places_mm, candidate.place_mm], _FIRST_STEPS))
+                        yield more[-1]
                 more.sort(key=lambda one: one.left)
                 more = _different([one for one in more if apart_mm(one) > MERGED_MM])[:width]
-                beam = [self._refiner.several(one.places_mm, _STEPS) for one in more]
+                beam = []
+                for one in more:
+                    beam.append(refiner.several(one.places_mm, _STEPS))
+                    yield beam[-1]
                 beam = [one for one in beam if apart_mm(one) > MERGED_MM]  # they may have come together since
                 beam.sort(key=lambda one: one.left)
                 if beam and is_worth(beam[0], best, noise):
-                    best = beam[0]
-                elif fit.places_mm and fit.left < good:
-                    return best  # it was good before, and another finger does not help
+                    best, in_vain = beam[0], 0
+                    continue
+                in_vain += 1
+                # It was good before, and another finger does not help; or was fair, and neither do two.
+                if fit.places_mm and (fit.left < good or (fit.left < fair and in_vain > 1)):
+                    return best
             if best.left < fair:
                 break
         return best
@@ -124,6 +170,10 @@ def is_worth(fit: Fit, other: Fit, noise: float) -> bool:
     if not other.places_mm or more <= 0:
         return fit.left < other.left
     return fit.left - noise < WORTH**more * (other.left - noise)
+
+
+def _is_seen(found: list[Candidate], fit: Fit) -> bool:
+    return bool(found) and found[0].energy > SEEN * fit.left
 
 
 def _different(fits: list[Fit]) -> list[Fit]:

@@ -27,8 +27,9 @@ from onnx import TensorProto, helper, numpy_helper
 
 from touchd.atlas import Atlas
 from touchd.features import windowed_dft
+from touchd.lookup import _SPLINES, Lookup
 from touchd.model import Model, _load, default_model_path
-from touchd.refine import _SPLINES, LONGEST_STEP_MM, Refiner
+from touchd.refine import LONGEST_STEP_MM, Refiner
 from touchd.twin.simulate import simulate_touches
 
 Array = NDArray[np.float32]
@@ -138,8 +139,8 @@ def unrolled(atlas: Atlas, steps: int, *, samples: bool = False) -> onnx.ModelPr
     def in_cells(mm: ArrayLike) -> NDArray[np.float64]:
         return np.asarray((np.asarray(mm) - np.array(d.origin_mm)) / d.step_mm)
 
-    refiner = Refiner(atlas)
-    low, high = in_cells(refiner._low_mm), in_cells(refiner._high_mm)
+    lookup = Lookup(atlas, np.zeros((3, size), np.float32))
+    low, high = in_cells(lookup.low_mm), in_cells(lookup.high_mm)
     bounds = g.hold(low[:, None]), g.hold(high[:, None])
     origin = g.hold(np.array(d.origin_mm)[:, None])
     at = g("Mul", g("Sub", "start", origin), g.hold(1 / d.step_mm))

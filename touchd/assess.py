@@ -1,0 +1,74 @@
+"""What was fitted is a finger, water, or one that has gone: told by the phase of its strength, and how well known."""
+
+from __future__ import annotations
+
+import cmath
+import math
+
+from touchd.atlas import Atlas
+from touchd.hearing import SPREAD, Hearing
+from touchd.lookup import Place
+from touchd.refine import Fit, sigmas_mm
+from touchd.tracker import Touch
+
+PHASE_RAD = (-1.2, 0.45)
+"""Of a finger's strength. What leads by more has no loss: a mass, as a drop of water is. Drops lead by 0.6, fingers by
+less than 0.3; human fingers lag by up to 0.4 (twin)."""
+PHASE_SIGMAS = 2.5
+"""So far within the upper bound a finger's phase has to be: that of a faint drop scatters, and it stays for hours."""
+WET_RAD, WET_MM = 0.15, 3.0
+"""What leads by so much is a drop still, where there was one so near in the last frame."""
+LEAVING_RAD = 2.0
+"""A strength so far from a finger's is one with the opposite sign: a finger that the baseline held has gone."""
+UNUSUAL = 8.0
+"""What a finger unlike those of the training leaves counts so much more than noise: it is alike in many bins."""
+
+
+class Assessor:
+    """Makes touches of fits.
+
+    Parameters
+    ----------
+    atlas : Atlas
+    hearing : Hearing
+    """
+
+    def __init__(self, atlas: Atlas, hearing: Hearing) -> None:
+        self._hearing = hearing
+        self._field_scale = atlas.description.field_scale
+        self._wet: list[Place] = []
+        self.per_strength = 1.0
+        """The change of the signal, as a share of its size, by a finger of strength 1."""
+
+    def forget(self) -> None:
+        """Start afresh with the next frame."""
+        self._wet = []
+
+    def leaving(self, fit: Fit) -> bool:
+        """Return whether a fit shows the negative of fingers alone."""
+        return all(abs(cmath.phase(z)) > LEAVING_RAD for z in fit.strengths)
+
+    def touches(self, fit: Fit, confidence: float) -> tuple[Touch, ...]:
+        """Return the fingers of a fit with their standard errors; what is water is none."""
+        hearing = self._hearing
+        variance = hearing.variance
+        sizes = [abs(z) for z in fit.strengths]
+        usual = hearing.mean_error * sum([size * size for size in sizes]) / 2
+        left = max(fit.left - (1 + SPREAD) * hearing.expected, 0.0) / hearing.alive
+        error = self._field_scale * usual + UNUSUAL * max(left - usual, 0.0)
+        errors_mm = sigmas_mm(fit.information, variance + error)
+        touches, wet = [], []
+        for k, (x_mm, y_mm) in enumerate(fit.places_mm):
+            phase, energy = cmath.phase(fit.strengths[k]), fit.energies[k]
+            # The noise over a finger's energy is the variance of its phase.
+            limit = PHASE_RAD[1] - PHASE_SIGMAS * math.sqrt(variance / energy) if energy > 0 else -math.inf
+            if phase >= limit or (phase > WET_RAD and self._was_wet(x_mm, y_mm)):
+                wet.append((x_mm, y_mm))
+            elif phase > PHASE_RAD[0]:
+                touches.append(Touch(x_mm, y_mm, errors_mm[k], confidence, sizes[k] * self.per_strength))
+        self._wet = wet
+        return tuple(touches)
+
+    def _was_wet(self, x_mm: float, y_mm: float) -> bool:
+        """A drop stays where it is: where one was seen, what is half-way to it still is one."""
+        return any(math.hypot(x_mm - x, y_mm - y) < WET_MM for x, y in self._wet)
