@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
 
 from tests.fields import Field, Finger, make_atlas
 from touchd.hearing import Hearing
+from touchd.lookup import Place
 from touchd.recount import FITS_A_SECOND, FITS_AT_ONCE, Recount
 from touchd.refine import NO_FIT, Fit, Refiner
 from touchd.search import Search
@@ -33,9 +35,9 @@ class Rig:
         self.fits = 0
         several = self.search._refiner.several
 
-        def counted(*arguments: object) -> Fit:
+        def counted(places_mm: Sequence[Place], steps: int) -> Fit:
             self.fits += 1
-            return several(*arguments)  # type: ignore[arg-type]  # passed on as they came
+            return several(places_mm, steps)
 
         self.search._refiner.several = counted  # type: ignore[method-assign]  # to count
 
@@ -136,7 +138,7 @@ def test_a_finger_that_explains_next_to_nothing_is_none() -> None:
 def test_an_abandoned_search_begins_anew() -> None:
     rig = Rig()
     rig.look(FOUR, 1, 0.001)
-    assert rig.recount.pending
+    pending = [rig.recount.pending]
     rig.recount.abandon()
-    assert not rig.recount.pending
+    assert [*pending, rig.recount.pending] == [True, False]
     assert found(rig.look(FOUR, 1, 0.0), FOUR)
