@@ -44,7 +44,7 @@ lint: setup
 
 # Time against error, beside the bare network in the same process.
 bench: setup
-	$(BIN)/python -m tests.bench
+	$(BIN)/touchd benchmark
 
 # A million frames at full speed, then ten minutes at 1000 a second, with faults: some 15 minutes.
 soak: setup

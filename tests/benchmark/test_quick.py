@@ -10,14 +10,17 @@ from touchd.benchmark.budgets import BUDGETS, Budget
 from touchd.benchmark.estimators import NETWORKS
 from touchd.benchmark.results import EstimatorResult, Run
 from touchd.benchmark.scenes import WANTED
+from touchd.model import default_model_path
 
 MARGIN = 2.0
 
 
 @pytest.fixture(scope="module")
 def quick(tmp_path_factory: pytest.TempPathFactory) -> Run:
-    path = tmp_path_factory.mktemp("benchmark") / "run.json"
-    done = touchd("benchmark", "--quick", "--json", path)
+    folder = tmp_path_factory.mktemp("benchmark")
+    path, given = folder / "run.json", folder / "mine.onnx"
+    given.write_bytes((default_model_path().parent / "small.onnx").read_bytes())
+    done = touchd("benchmark", "--quick", "--json", path, "--also", given)
     assert done.code == 0, done.err
     return results.load(path)
 
@@ -51,6 +54,12 @@ def test_every_estimator_and_every_scene_is_there(quick: Run, found: dict[str, E
 def test_however_the_features_are_computed_the_positions_are_the_same(found: dict[str, EstimatorResult]) -> None:
     for name in ("regression, rfft", "regression, DFT in the graph", "regression, float64"):
         assert found[name].median_mm == pytest.approx(found["regression"].median_mm, abs=1e-3)
+
+
+def test_a_model_that_is_given_is_asked_like_those_that_ship(found: dict[str, EstimatorResult]) -> None:
+    assert found["mine"].group == "given"
+    assert found["mine"].median_mm == found["small"].median_mm
+    assert found["mine"].macs == found["small"].macs
 
 
 def test_more_precise_estimators_are_more_precise(found: dict[str, EstimatorResult]) -> None:

@@ -16,7 +16,7 @@ from touchd.benchmark import graphs
 from touchd.benchmark.boundnetwork import BoundNetwork
 from touchd.benchmark.touches import RATE_HZ, Block
 from touchd.config import ModelSettings
-from touchd.features import band_bins, make_features, windowed_dft
+from touchd.features import Domain, band_bins, make_features, windowed_dft
 from touchd.frame import Acquisition
 from touchd.locator import FIRST_STEPS, FOLLOW_STEPS, Locator
 from touchd.model import Estimate, Model
@@ -41,7 +41,7 @@ class Estimator:
 
     name: str
     group: str
-    """network, route, dictionary or atlas: what it is compared for."""
+    """network, route, dictionary, atlas or given: what it is compared for."""
     locate: Callable[[Array], Place]
     """Takes a residual of shape (channels, samples); this is what is timed."""
     macs: int
@@ -55,23 +55,35 @@ class Estimator:
     slow: bool = False
     """Whether it is asked once only."""
     remark: str = ""
+    domain: Domain = "frequency"
+    """What it takes of a residual."""
 
 
-def network(model: Model, graph: onnx.ModelProto, name: str) -> Estimator:
-    """Return a shipped network with the daemon's own features: a product with the windowed DFT."""
+def network(model: Model, graph: onnx.ModelProto, name: str, group: str = "network") -> Estimator:
+    """Return a network with the daemon's own features: a product with the windowed DFT, or the samples."""
     a = model.description.acquisition
     features = make_features(model.description.domain, a)
     into = model.features.reshape(features.shape)
+    baseline, signal = np.zeros(a.shape, np.float32), np.zeros(a.shape, np.float32)
 
     def locate(residual: Array) -> Place:
         features.extract(residual, into)
         return model.estimate()[:2]
 
+    def locate_by_signal(residual: Array) -> Place:
+        np.add(residual, baseline, out=signal)
+        features.extract(signal, into)
+        return model.estimate()[:2]
+
+    def rebase(block: Block) -> None:
+        np.copyto(baseline, block.baseline)
+
     remark = {"grid": "answers with the middle of a zone", "keypad": "answers with the middle of a key"}
-    matrix = windowed_dft(a)
+    table = windowed_dft(a).size if model.description.domain == "frequency" else 0
     return Estimator(
-        name, "network", locate, graphs.multiply_adds(graph) + a.channels * matrix.size,
-        graphs.weight_bytes(graph) + 4 * matrix.size, remark=remark.get(model.description.head, ""),
+        name, group, locate if model.description.input == "residual" else locate_by_signal,
+        graphs.multiply_adds(graph) + a.channels * table, graphs.weight_bytes(graph) + 4 * table, rebase,
+        remark=remark.get(model.description.head, ""), domain=model.description.domain,
     )  # fmt: skip
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -34,10 +34,7 @@ DICTIONARY_SEED = 1
 KEYPAD = "keypad"
 REPEATS = 3
 """At full speed, of which the one of median ratio counts: how processes and threads share the cores differs."""
-_NO_TIME_DOMAIN = (
-    "the time domain, since no model that takes samples is shipped (the paper's is in the reproduction); it would save "
-    "the features, and read 2.5 times as many inputs"
-)
+_NO_TIME_DOMAIN = "the time domain: no model that takes samples is shipped, and none was given (--also)"
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +61,7 @@ QUICK = Scale(
 )  # fmt: skip
 
 
-def benchmark(models: Path, *, quick: bool, progress: Progress) -> Run:
+def benchmark(models: Path, *, quick: bool, progress: Progress, also: Sequence[Path] = ()) -> Run:
     """Measure everything.
 
     Parameters
@@ -74,11 +71,15 @@ def benchmark(models: Path, *, quick: bool, progress: Progress) -> Run:
     quick : bool
         Less of everything, in about 20 s: no recorded touches looked up, the daemon at full speed only.
     progress : callable
+    also : sequence of Path
+        Further networks for the example rig, such as one that takes samples.
 
     Raises
     ------
     ModelMissing
         If a network is not there.
+    ModelMismatch
+        If one is for another acquisition.
     JobError
         If the daemon fails.
     """
@@ -91,7 +92,7 @@ def benchmark(models: Path, *, quick: bool, progress: Progress) -> Run:
     with tempfile.TemporaryDirectory(prefix="touchd-benchmark-") as name:
         folder = Path(name)
         runner = bare(folder)
-        estimators = _estimators(models, folder, scale, instrument)
+        estimators = _estimators(models, folder, scale, instrument) + list(_given(also, instrument))
         progress("estimators", 0.1)
         with undisturbed():
             bare_us, found = race(
@@ -105,7 +106,9 @@ def benchmark(models: Path, *, quick: bool, progress: Progress) -> Run:
         cells = _cells(models, folder, scale, loops, progress)
     saved = _skips(models, loops, found, scale, progress)
     bound_mm = rounded(_bound_mm(held, instrument), 3) if scale.bound else None
-    left_out = (_NO_TIME_DOMAIN,) if scale.dictionary else (_NO_TIME_DOMAIN, "kNN and GCC, in a quick run")
+    left_out: tuple[str, ...] = () if any(one.domain == "time" for one in estimators) else (_NO_TIME_DOMAIN,)
+    if not scale.dictionary:
+        left_out += ("kNN and GCC, in a quick run",)
     return Run(
         quick=quick, seconds=rounded(time.monotonic() - begun_s, 3), machine=machine,
         touches=Touches(count=held.count, seed=SEED, finger=FINGER, bound_mm=bound_mm), bare_us=bare_us,
@@ -128,6 +131,16 @@ def _estimators(models: Path, folder: Path, scale: Scale, instrument: Instrument
         train = split(len(data), 0).train
         made += dictionaries(data.residual[train], data.position_mm[train], data.acquisition)
     return made
+
+
+def _given(also: Sequence[Path], instrument: Instrument) -> Iterator[Estimator]:
+    """Yield the networks that were asked for besides, by the names of their files."""
+    for path in also:
+        if not path.is_file():
+            raise ModelMissing("no such model", str(path), "check --also")
+        model = Model(path)
+        model.check(instrument.acquisition)
+        yield network(model, onnx.load(path), path.stem, "given")
 
 
 def _cells(models: Path, folder: Path, scale: Scale, loops: dict[str, Loop], progress: Progress) -> list[DaemonResult]:

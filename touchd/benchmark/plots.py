@@ -18,6 +18,7 @@ GROUPS = {
     "network": ("networks that ship", COLOURS[0], "o"),
     "route": ("the default network, otherwise computed", COLOURS[2], "s"),
     "dictionary": ("recorded touches looked up", COLOURS[3], "D"),
+    "given": ("other models that were given", COLOURS[5], "^"),
 }
 PAPER = "#555555"
 BY_ITS_RECIPE_MM = {"R": 6.0, "C-10": 8.1}

@@ -38,8 +38,18 @@ WIDTH = 150
     "--from", "given", type=click.Path(path_type=Path), metavar="FILE", help="Measure nothing: show a stored run."
 )
 @click.option("--models", type=click.Path(path_type=Path), help="Folder of the models.  [default: shipped]")
+@click.option(
+    "--also", type=click.Path(path_type=Path), multiple=True, metavar="FILE",
+    help="A further model for the example rig; may be given several times.",
+)  # fmt: skip
 def command(
-    quick: bool, stored: Path | None, other: Path | None, docs: Path | None, given: Path | None, models: Path | None
+    quick: bool,
+    stored: Path | None,
+    other: Path | None,
+    docs: Path | None,
+    given: Path | None,
+    models: Path | None,
+    also: tuple[Path, ...],
 ) -> None:
     """Measure what touchd costs, and what its positions are worth.
 
@@ -55,7 +65,7 @@ def command(
     from touchd.benchmark import results
 
     stored_run = results.load(other) if other else None
-    run = results.load(given) if given else _measured(quick, models)
+    run = results.load(given) if given else _measured(quick, models, also)
     if stored:
         results.store(run, stored)
     # Rows stay lines, in a pipe as well.
@@ -66,7 +76,7 @@ def command(
         click.echo(f"{docs / 'benchmarks.md'}: written, with its pictures and figures")
 
 
-def _measured(quick: bool, models: Path | None) -> Run:
+def _measured(quick: bool, models: Path | None, also: tuple[Path, ...]) -> Run:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
@@ -81,7 +91,7 @@ def _measured(quick: bool, models: Path | None) -> Run:
         def progress(what: str, done: float) -> None:
             bar.update(task, description=what, completed=done, refresh=True)
 
-        run = benchmark(models or default_model_path().parent, quick=quick, progress=progress)
+        run = benchmark(models or default_model_path().parent, quick=quick, progress=progress, also=also)
         progress("done", 1.0)
     return run
 

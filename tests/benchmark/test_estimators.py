@@ -1,0 +1,59 @@
+"""Estimators get what the daemon would give them: features of the residual, or the samples with the untouched plate."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import onnx
+import pytest
+import torch
+
+from touchd.benchmark.estimators import network
+from touchd.benchmark.touches import Block
+from touchd.features import Domain
+from touchd.frame import Acquisition, Plate
+from touchd.model import Description, Model
+from touchd.training.export import make_graph, write_model
+from touchd.training.network import PlainRegression
+
+RIG = Acquisition(channels=4, samples=250, sample_rate_hz=250e3)
+Kind = Literal["residual", "signal"]
+SIZES: dict[Domain, int] = {"frequency": 392, "time": 1000}
+
+
+def made(domain: Domain, kind: Kind, path: Path) -> Model:
+    torch.manual_seed(1)
+    untrained = PlainRegression(SIZES[domain], (200.0, 150.0))
+    untrained(torch.randn(64, SIZES[domain]) * 50)
+    untrained.eval()
+    about = Description(
+        name="test", head="regression", domain=domain, input=kind, acquisition=RIG,
+        plate=Plate(width_mm=200, height_mm=150), scores={"rmse_mm": 1.0},
+    )  # fmt: skip
+    return write_model(make_graph(untrained, about), path)
+
+
+@pytest.mark.parametrize("kind", ["residual", "signal"])
+@pytest.mark.parametrize("domain", ["frequency", "time"])
+def test_a_network_sees_what_it_was_trained_on(domain: Domain, kind: Kind, tmp_path: Path) -> None:
+    model = made(domain, kind, tmp_path / "model.onnx")
+    estimator = network(model, onnx.load(model.path), "test")
+    rng = np.random.default_rng(0)
+    baseline, residual = rng.normal(0, 50, (2, *RIG.shape)).astype(np.float32)
+    nothing = np.zeros((0, *RIG.shape), np.float32)
+    estimator.rebase(Block(baseline, nothing, nothing, nothing, nothing))
+    seen = residual + baseline if kind == "signal" else residual
+    spectrum = np.fft.rfft(seen.astype(float) * np.hanning(250))[:, 51:100]
+    bins = np.stack([spectrum.real, spectrum.imag], axis=1)
+    model.features[:] = (bins if domain == "frequency" else seen).reshape(1, -1)
+    wanted = model.estimate()[:2]
+    model.features[:] = 0
+    place = estimator.locate(residual)
+    assert place is not None
+    assert place == pytest.approx(wanted, abs=1e-2)
+    transform = 4 * 250 * 98 if domain == "frequency" else 0
+    weights = sum(a * b for a, b in ((SIZES[domain], 400), (400, 300), (300, 200), (200, 100), (100, 2)))
+    assert estimator.macs == transform + weights
+    assert estimator.domain == domain
