@@ -7,7 +7,8 @@ import pytest
 
 from touchd.recording import Recording
 from touchd.training.dataset import Dataset, make_dataset
-from touchd.training.field import Field, learn_field
+from touchd.training.field import Field
+from touchd.training.sparse import learn_field
 from touchd.twin.instrument import Instrument
 from touchd.twin.simulate import simulate_touches
 

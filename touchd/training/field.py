@@ -16,10 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import spline_filter1d
 
-from touchd.training.dataset import Dataset
-from touchd.training.dispersion import dispersion_of
 from touchd.training.leftout import Displaced, displacements
-from touchd.training.regression import Array, Complex, Floats, Prior, Regression, Touches, each, smooth, touches_of
+from touchd.training.regression import Array, Complex, Floats, Prior, Regression, Touches, each, smooth
 from touchd.training.relabel import LEAST_MM, label_noise_mm, replaced
 from touchd.training.selection import choose
 from touchd.training.strength import FIELD_ERROR, converge
@@ -27,6 +25,9 @@ from touchd.training.strength import FIELD_ERROR, converge
 Step = Callable[[int, int], None]
 Hat = tuple[Array, Array]
 """The inverse of a bin's system and what was added to its diagonal."""
+
+Known = Callable[[int, Floats], Complex]
+"""From a bin and places (m, 2) in mm to the field there, shape (m, channels), ADC counts."""
 
 STEP_MM = 2.5
 """Spacing of the grid: a third of the shortest wavelength of the field on 5 mm glass at 100 kHz."""
@@ -70,18 +71,6 @@ class Learned:
     prior: Prior
     label_noise_mm: float
     """Deviation of the labels' errors per axis; 0 where they are as good as the field."""
-
-
-def learn_field(
-    dataset: Dataset, indices: NDArray[np.int64], progress: Step = lambda _done, _all: None
-) -> Field:  # fmt: skip
-    """Learn the field from some touches of a dataset in the frequency domain.
-
-    Where the plate's material is unknown its dispersion is fitted to the touches.
-    """
-    touches = touches_of(dataset, indices)
-    learner = Learner(touches, Prior(dispersion_of(dataset, touches).wavenumber_per_mm), progress)
-    return learner.draw(learner.converge(OUTER_ROUNDS))
 
 
 def learn_thoroughly(touches: Touches, wavenumber_per_mm: Floats, progress: Step = lambda _done, _all: None) -> Learned:
@@ -153,8 +142,8 @@ class Learner:
         mean = np.asarray(strength.mean(axis=1), np.complex64)
         return Learned(self.draw(strength), self.touches.place_mm, mean, self.prior, label_noise_mm)
 
-    def draw(self, strength: Complex) -> Field:
-        """Return the field on its grid."""
+    def draw(self, strength: Complex, known: Known | None = None) -> Field:
+        """Return the field on its grid; with what is `known` of it beforehand, the touches are what that leaves."""
         r = self._regression
         self._hats = []
         low, high = r.touches.place_mm.min(axis=0), r.touches.place_mm.max(axis=0)
@@ -165,6 +154,8 @@ class Learner:
 
         def one(b: int) -> Array:
             field = r.at(b, r.weights(b, strength[:, b]), nodes_mm)
+            if known is not None:
+                field = field + known(b, nodes_mm)
             grid = np.stack([field.real, field.imag], axis=-1).reshape(len(y_mm), len(x_mm), -1, 2)
             for axis in (0, 1):
                 grid = spline_filter1d(grid, 3, axis=axis, output=np.float32, mode="mirror")

@@ -21,12 +21,13 @@ from touchd.training.dataset import Dataset, Split, make_dataset, split, thin
 from touchd.training.dispersion import fitted_note, is_known
 from touchd.training.exactness import TOLERANCE, Exactness, check_graph
 from touchd.training.export import describe, make_graph, write_model
-from touchd.training.field import Field, learn_field
+from touchd.training.field import Field
 from touchd.training.fit import Batches, Curve, Progress, fit
 from touchd.training.inspection import inspect
 from touchd.training.network import PlainRegression
 from touchd.training.nuisance import drift_directions
 from touchd.training.recipe import RECIPES, Recipe
+from touchd.training.sparse import learn_field
 from touchd.training.synthetic import Synthesiser
 from touchd.training.task import Positions, make_task
 
