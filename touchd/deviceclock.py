@@ -21,7 +21,8 @@ class _Point(NamedTuple):
     x_ns: int
     """Device time."""
     y_ns: int
-    """What was to be added to it to get the time of arrival: the offset of the clocks, plus this frame's delay."""
+    """What was to be added to it to get the time of arrival, beyond what it was at the first frame: how far the clocks
+    have parted since, and this frame's delay less that one's."""
 
 
 class DeviceClock:
@@ -66,10 +67,10 @@ class DeviceClock:
         assert self._epoch_ns is not None
         self._last_ns, self._last_received_ns = device_ns, received_ns
         x_ns = device_ns - self._epoch_ns
-        y_ns = received_ns - self._complete_ns - x_ns
+        y_ns = received_ns - self._complete_ns - self._first_ns - x_ns
         self._remember(_Point(x_ns, y_ns))
         self._follow(x_ns, step_ns)
-        t_ns = x_ns + round(self._offset_ns)
+        t_ns = self._first_ns + x_ns + round(self._offset_ns)
         self.delay_ns = received_ns - self._complete_ns - t_ns
         self._last_t_ns = max(t_ns, self._last_t_ns + 1)
         return self._last_t_ns
@@ -79,8 +80,10 @@ class DeviceClock:
         self._minima: deque[_Point] = deque(maxlen=BUCKETS)
         self._bucket = 0
         self._skew = 0.0
+        # An integer, whatever the uptime: floats hold only how far the clocks have parted since.
+        self._first_ns = received_ns - self._complete_ns
         # The line: its height at x = 0. And what is in fact added to device time, which follows it.
-        self._intercept_ns = self._offset_ns = float(received_ns - self._complete_ns)
+        self._intercept_ns = self._offset_ns = 0.0
 
     def _remember(self, point: _Point) -> None:
         bucket = point.x_ns // BUCKET_NS

@@ -13,6 +13,9 @@ from tests.numerics.watch import Run, frames_of, run
 from touchd.config import Settings
 from touchd.model import Model
 from touchd.recording import Recording
+from touchd.twin.electronics import Electronics
+from touchd.twin.instrument import Instrument
+from touchd.twin.simulate import simulate_scene
 
 Counts = NDArray[np.int16]
 Change = Callable[[NDArray[np.float64], np.random.Generator], NDArray[np.float64]]
@@ -121,6 +124,23 @@ def tried(
     return judge(made, run(frames_of(made), model=model, settings=settings))
 
 
+def moments(recording: Recording) -> dict[str, int]:
+    """The frames from which on something is done: the first, one amid a pause, and one amid the touch after it."""
+    truth = recording.contacts_mm
+    assert truth is not None
+    touches = touches_of(truth)
+    half = len(touches) // 2
+    (_, _, before), (_, start, stop) = touches[half - 1], touches[half]
+    return {"from the start": 0, "in a pause": (before + start) // 2, "under a finger": (start + stop) // 2}
+
+
+def image(level_db: float, seed: int, instrument: Instrument) -> Verdict:
+    """What came of taps with the chirp's image, so many dB against the signal, in all frames."""
+    electronics = Electronics(image_db=level_db)
+    recording = simulate_scene("tap", seed=seed, instrument=instrument, electronics=electronics)
+    return judge(recording, run(frames_of(recording)))
+
+
 # -- the cases ----------------------------------------------------------------------------------------------------
 
 
@@ -184,6 +204,8 @@ def _noise(level_db: float) -> Change:
 
 
 CHANNELS = range(4)
+FROZEN = "frozen"
+"""Begun while a finger is down, its last frame comes again and again: nothing in it tells that the finger has left."""
 
 
 def cases() -> Iterator[Case]:
@@ -197,7 +219,7 @@ def cases() -> Iterator[Case]:
     yield of("all frames alike", "positive full scale", lambda x, _: 0 * x + FULL)
     yield of("all frames alike", "negative full scale", lambda x, _: 0 * x - FULL - 1)
     yield of("all frames alike", "full-scale noise", lambda x, rng: rng.uniform(-FULL - 1, FULL, x.shape))
-    yield of("all frames alike", "the first frame again and again", lambda x, _: np.repeat(x[:1], len(x), axis=0))
+    yield of(FROZEN, "the first frame again and again", lambda x, _: np.repeat(x[:1], len(x), axis=0))
     for percent in (1, 2, 5, 10, 20, 50):
         yield of("clipped", f"{percent} % of the samples", _clipped(percent / 100))
     for percent in (1, 10, 50, 100):

@@ -1,0 +1,160 @@
+"""Inputs at the limits: never a number that is none, never a place outside the plate, never a wrong touch.
+
+Wrong is every published contact farther than 5 mm from all fingers, or without any finger, whatever it says of
+its confidence: what is published has passed the threshold.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tests.numerics import limits
+from tests.numerics.degenerate import RADIUS_MM, in_nodes, on_discs, on_the_edge, taps_at
+from tests.numerics.limits import FROZEN, Case, Verdict, cases, changed, image, judge, moments, tones, tried
+from tests.numerics.watch import frames_of, run
+from touchd.model import Model
+from touchd.recording import Recording
+from touchd.refine import Refiner
+from touchd.twin.instrument import Instrument
+from touchd.twin.simulate import simulate_scene
+
+SEED = 31
+CASES = [case for case in cases() if not any(name in case.name for name in ("channel 1", "channel 2", "and 2", "1 and"))]
+"""Two of the four channels; the page has them all, and more touches."""
+MOMENTS = ("from the start", "in a pause", "under a finger")
+
+
+@pytest.fixture(scope="module")
+def taps(instrument: Instrument) -> Recording:
+    return simulate_scene("tap", seed=SEED, frames=330, instrument=instrument)
+
+
+def check(verdict: Verdict) -> None:
+    assert (verdict.not_finite, verdict.outside, verdict.wrong) == (0, 0, 0), verdict
+
+
+@pytest.mark.parametrize("case", CASES, ids=[f"{case.group}, {case.name}" for case in CASES])
+def test_whatever_is_done_to_the_frames_no_touch_is_wrong(case: Case, taps: Recording, atlas_model: Model) -> None:
+    for moment, since in moments(taps).items():
+        if (case.group, moment) != (FROZEN, "under a finger"):
+            check(tried(taps, case, since=since, seed=SEED, model=atlas_model))
+
+
+def test_a_frame_that_comes_again_and_again_holds_the_finger_where_it_was(taps: Recording, atlas_model: Model) -> None:
+    """Nothing in it tells that the finger has left: the contact stays, and does not move."""
+    case = next(case for case in CASES if case.group == FROZEN)
+    made = changed(taps, case, since=moments(taps)["under a finger"])
+    result = run(frames_of(made), model=atlas_model)
+    held = {(c.id, c.x_mm, c.y_mm) for event in result.touches[-5:] for c in event.contacts}
+    assert len(held) == 1
+    assert len(result.touches[-1].contacts) == 1
+
+
+@pytest.mark.parametrize("case", [*tones(-40, 7919.0), *tones(-20, 13009.0)], ids=lambda case: f"{case.name}")
+def test_tones_at_any_frequency_are_no_touches(case: Case, taps: Recording, atlas_model: Model) -> None:
+    for since in moments(taps).values():
+        check(tried(taps, case, since=since, seed=SEED, model=atlas_model))
+
+
+@pytest.mark.parametrize("level_db", [-30.0, -10.0])
+def test_the_chirps_image_is_part_of_the_plate(level_db: float, instrument: Instrument) -> None:
+    verdict = image(level_db, SEED, instrument)
+    check(verdict)
+    assert verdict.found == verdict.fingers
+
+
+def test_without_anything_done_all_is_found(taps: Recording, atlas_model: Model) -> None:
+    verdict = judge(taps, run(frames_of(taps), model=atlas_model))
+    check(verdict)
+    assert verdict.found == verdict.fingers >= 2
+    assert verdict.unsure == 0
+
+
+def test_a_wrong_touch_would_be_seen(taps: Recording, atlas_model: Model) -> None:
+    """The same events beside a truth that has moved by 6 mm, or that holds no finger, are all wrong."""
+    result = run(frames_of(taps), model=atlas_model)
+    truth = taps.contacts_mm
+    assert truth is not None
+    moved = limits.replace(taps, contacts_mm=np.clip(truth + np.float32(6.0), 0, 200))
+    verdict = judge(moved, result)
+    assert verdict.wrong == verdict.published > 0
+    empty = limits.replace(taps, contacts_mm=np.full_like(truth, np.nan))
+    assert judge(empty, result).wrong == verdict.published
+
+
+@given(
+    st.lists(
+        st.tuples(st.sampled_from([case for case in CASES if case.group != FROZEN]), st.integers(0, 329)),
+        min_size=1, max_size=3,
+    ),
+    st.integers(0, 2**32 - 1),
+)  # fmt: skip
+@settings(deadline=None, max_examples=12)
+def test_several_faults_one_after_the_other_break_nothing(plan: list[tuple[Case, int]], seed: int) -> None:
+    made = LATER[0]
+    for case, since in plan:
+        made = changed(made, case, since=since, seed=seed)
+    verdict = judge(made, run(frames_of(made), model=LATER[1]))
+    assert (verdict.not_finite, verdict.outside) == (0, 0)
+
+
+LATER: tuple[Recording, Model]
+
+
+@pytest.fixture(autouse=True, scope="module")
+def later(taps: Recording, atlas_model: Model) -> None:
+    """For the property above, whose function may not take fixtures of its own."""
+    globals()["LATER"] = (taps, atlas_model)
+
+
+@pytest.mark.parametrize("where", ["discs", "edge", "nodes"])
+def test_where_the_field_says_little_nothing_wrong_is_said(
+    where: str, instrument: Instrument, atlas_model: Model
+) -> None:
+    assert atlas_model.atlas is not None
+    places = {
+        "discs": on_discs(instrument),
+        "edge": [p for p in on_the_edge(instrument) if not _corner(p)],
+        "nodes": in_nodes(atlas_model.atlas),
+    }[where]
+    recording = taps_at(places, instrument)
+    verdict = judge(recording, run(frames_of(recording), model=atlas_model))
+    check(verdict)
+    if where == "nodes":
+        assert verdict.found == len(places)
+
+
+def _corner(place: tuple[float, float]) -> bool:
+    return all(value < 2 * RADIUS_MM or value > 200 - 2 * RADIUS_MM for value in place)
+
+
+ANYWHERE = st.floats(allow_nan=True, allow_infinity=True)
+SCALES = st.sampled_from([0.0, 1e-42, 1e-38, 1e-30, 1e-10, 1.0, 1e3, 8e6])
+
+
+@given(st.tuples(ANYWHERE, ANYWHERE), SCALES, st.integers(0, 2**32 - 1))
+@settings(deadline=None, max_examples=60)
+def test_any_frame_from_any_start_is_fitted_on_the_plate(start: tuple[float, float], scale: float, seed: int) -> None:
+    """8e6 is what bins can hold at most: 250 samples of 16 bits under the window."""
+    refiner = REFINER[0]
+    refiner.frame[:] = scale * np.random.default_rng(seed).uniform(-1, 1, len(refiner.frame))
+    refiner.take()
+    for fit in (refiner.one(*start, 5), refiner.several([start, (100.0, 100.0)], 4)):
+        assert all(0 <= x <= 200 and 0 <= y <= 200 for x, y in fit.places_mm)
+        assert np.isfinite(fit.strengths).all()
+        assert np.isfinite(fit.energies).all()
+        assert np.isfinite(fit.information).all()
+        assert np.isfinite(fit.left)
+
+
+REFINER: list[Refiner] = []
+
+
+@pytest.fixture(autouse=True, scope="module")
+def refiner(atlas_model: Model) -> None:
+    """As `later`."""
+    assert atlas_model.atlas is not None
+    REFINER[:] = [Refiner(atlas_model.atlas)]
