@@ -9,7 +9,7 @@ from touchd.errors import SimulationError
 from touchd.frame import Plate
 from touchd.twin import legendre
 from touchd.twin.dispersion import mindlin_group_velocity, mindlin_wavenumber
-from touchd.twin.finger import Contact, impedance
+from touchd.twin.finger import Contact, impedance, patches
 from touchd.twin.instrument import Instrument
 from touchd.twin.material import stiffness_of
 from touchd.twin.plate import Modes, size_m
@@ -73,6 +73,18 @@ def test_swapping_emitter_and_receiver_changes_nothing(glass: Plate, bare: Modes
     np.testing.assert_allclose(there.untouched()[0], back.untouched()[0], rtol=1e-7)
     touch = there.change([THREE], np.ones(1))[0, 0], back.change([THREE], np.ones(1))[0, 0]
     np.testing.assert_allclose(touch[0], touch[1], rtol=1e-7)
+
+
+@pytest.mark.parametrize("span", [0.0, 1e-7, 1e-3])
+def test_a_palm_at_rest_changes_what_it_would_in_each_frame_by_itself(response: Response, span: float) -> None:
+    """It is computed at a few temperatures only, and once for the frames in which it is the same."""
+    rest, lighter = (patches(Contact(90.0, 100.0, area, "palm")) for area in (90.0, 88.0))
+    touches = [lighter, *[rest] * 20, lighter]
+    scale = 1 + span * np.linspace(-1, 0.7, len(touches)) ** 3
+    together = response.change(touches, scale)
+    for touch, s, change in zip(touches, scale, together, strict=True):
+        alone = response.change([touch], np.array([s]))[0]
+        np.testing.assert_allclose(change, alone, rtol=0, atol=1e-10 * np.abs(alone).max())
 
 
 def test_two_far_contacts_are_nearly_the_sum_of_each(instrument: Instrument) -> None:

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from touchd.errors import SimulationError
 from touchd.frame import Acquisition, Plate
-from touchd.twin import chirp
+from touchd.twin import chebyshev, chirp
 from touchd.twin.finger import Contact, patches
 from touchd.twin.response import Response
 from touchd.twin.transducer import Layout, default_layout, loaded_modes
@@ -129,7 +129,7 @@ class Instrument:
         -------
         Array of shape (n, R, S).
         """
-        weights = self._weights(self.scale(temperature_c))
+        weights = chebyshev.weights(self.scale(temperature_c), self._node_scale)
         late = _late(late_s, len(weights))
         orders = np.arange(self._orders(float(np.abs(late).max(initial=0.0))))
         powers = late[:, None] ** orders
@@ -157,15 +157,19 @@ class Instrument:
         """
         scale = self.scale(temperature_c)
         late = _late(late_s, len(scale))
-        split = [[patch for contact in touch for patch in patches(contact)] for touch in touches]
+        split = [tuple(patch for contact in touch for patch in patches(contact)) for touch in touches]
         counts = np.array([len(touch) for touch in split])
         result = np.zeros((len(split), self.acquisition.channels, self.acquisition.samples))
         for count in np.unique(counts[counts > 0]):
-            rows = np.flatnonzero(counts == count)
+            alike: dict[tuple[Contact, ...], list[int]] = {}
+            for i in np.flatnonzero(counts == count).tolist():
+                alike.setdefault(split[i], []).append(i)
+            rows = list(alike.values())
             # Keep the products of modes in cache and in memory.
-            for part in np.array_split(rows, math.ceil(len(rows) * (count + 5) ** 2 / 2000)):
+            for some in np.array_split(np.arange(len(rows)), math.ceil(len(rows) * (count + 5) ** 2 / 2000)):
+                part = [i for k in some for i in rows[k]]
                 spectrum = self.response.change([split[i] for i in part], scale[part])
-                spectrum *= (self._weights(scale[part]) @ self._emission)[:, None, :]
+                spectrum *= (chebyshev.weights(scale[part], self._node_scale) @ self._emission)[:, None, :]
                 result[part] = self._to_time(spectrum, scale[part], late[part])
         return result / self._peak
 
@@ -176,9 +180,7 @@ class Instrument:
         span = max(abs(self.temperature_per_k) * self.span_k, 1e-9)
         # A Chebyshev series of n terms leaves as much as a Taylor series over half the span, and to be sure one more.
         n = self._orders(span * float(self._t[-1]) / 2) + 1
-        angle = np.pi * (np.arange(n) + 0.5) / n
-        self._node_scale = 1 + span * np.cos(angle)
-        self._node_weight = (-1.0) ** np.arange(n) * np.sin(angle)
+        self._node_scale = chebyshev.points(1.0, span, n)
         self._emission = np.array(
             [chirp.spectrum(a.chirp, s * nu) * anti_alias(s * nu, a.sample_rate_hz) for s in self._node_scale]
         )
@@ -193,15 +195,6 @@ class Instrument:
         self._peak = 1.0
         self._peak = float(np.abs(self.untouched([REFERENCE_C])).max())
         self._untouched /= self._peak
-
-    def _weights(self, scale: Floats) -> Floats:
-        """Weights of the nodes at factors of shape (n,), shape (n, nodes): barycentric interpolation."""
-        distance = scale[:, None] - self._node_scale
-        exact = distance == 0
-        with np.errstate(divide="ignore", invalid="ignore"):
-            w = self._node_weight / distance
-            w /= w.sum(axis=1, keepdims=True)
-        return np.where(exact.any(axis=1, keepdims=True), exact, w)
 
     def _orders(self, shift_s: float) -> int:
         """Terms of a Taylor series that shifts a time signal so far, to `ERROR`."""

@@ -9,13 +9,19 @@ from numpy.typing import ArrayLike, NDArray
 
 from touchd.errors import SimulationError
 from touchd.frame import Plate
-from touchd.twin import legendre
+from touchd.twin import chebyshev, legendre
 from touchd.twin.finger import Contact, impedance
 from touchd.twin.plate import size_m
 from touchd.twin.transducer import LoadedModes
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
+
+FEW = 5
+"""Contacts whose scattering among each other costs less than their receptances; of more, as in a palm, it is computed
+at a few temperatures only."""
+SMOOTH = 0.02
+"""What contacts change is smooth in the modes' frequencies over at least this share of them, being damped."""
 
 
 class Response:
@@ -80,6 +86,7 @@ class Response:
         """Change of the response by contacts, for n touches of the same number c of contacts each.
 
         Exact, multiple scattering included: -g_rc (1 + z g_cc)^-1 z g_ce with z = i omega Z (Woodbury's identity).
+        Receptances are computed once for all touches that are the same.
 
         Parameters
         ----------
@@ -91,26 +98,58 @@ class Response:
         -------
         Complex array of shape (n, R, F): the change at the angular frequencies s nu.
         """
-        n, c, F = len(touches), len(touches[0]), len(self.nu_rad_s)
+        which = {touch: k for k, touch in enumerate(dict.fromkeys(tuple(touch) for touch in touches))}
+        distinct, rows = list(which), np.array([which[tuple(touch)] for touch in touches])
+        shape = self._shapes(distinct)
+        discs = self.modes.discs
+        to_discs = self.receptance(shape[..., None], discs[:, None, None, :])  # (F, distinct, c, 1 + R)
+        i, j = np.triu_indices(shape.shape[2])
+        pairs = self.receptance(shape[..., i], shape[..., j])  # (F, distinct, pairs)
+        if shape.shape[2] <= FEW:
+            return self._scattered([distinct[k] for k in rows], scale, to_discs[:, rows], pairs[:, rows])
+        result = np.empty((len(rows), discs.shape[1] - 1, len(self.nu_rad_s)), dtype=complex)
+        for k, touch in enumerate(distinct):
+            mine = np.flatnonzero(rows == k)
+            at = _few_scales(scale[mine])
+            some = self._scattered([touch] * len(at), at, to_discs[:, [k] * len(at)], pairs[:, [k] * len(at)])
+            result[mine] = np.tensordot(chebyshev.weights(scale[mine], at), some, 1) if len(at) < len(mine) else some
+        return result
+
+    def _shapes(self, touches: Sequence[Sequence[Contact]]) -> Floats:
+        """Deflection of each mode under each of c contacts of n touches, shape (M, n, c)."""
         table = np.array([[contact[:3] for contact in touch] for touch in touches], dtype=float)
-        shape = self.shape_at(*table.reshape(n * c, 3).T).reshape(-1, n, c)
+        return self.shape_at(*table.reshape(-1, 3).T).reshape(-1, *table.shape[:2])
+
+    def _scattered(
+        self, touches: Sequence[Sequence[Contact]], scale: Floats, to_discs: Complex, pairs: Complex
+    ) -> Complex:
+        """Change of the response, as `change` has it, from receptances of shape (F, n, c, 1 + R) and (F, n, pairs)."""
+        n, c, F = len(touches), len(touches[0]), len(self.nu_rad_s)
+        area_mm2 = np.array([[contact.area_mm2 for contact in touch] for touch in touches])
         # i omega Z(omega) / s^2 at omega = s nu, shape (n, c, F)
         z = np.empty((n, c, F), dtype=complex)
         for kind in {contact.kind for touch in touches for contact in touch}:
             chosen = np.array([[contact.kind == kind for contact in touch] for touch in touches])
             s = np.broadcast_to(scale[:, None], (n, c))[chosen][:, None]
-            z[chosen] = 1j * self.nu_rad_s / s * impedance(kind, s * self.nu_rad_s, table[..., 2][chosen][:, None])
-        discs = self.modes.discs
-        to_discs = self.receptance(shape[..., None], discs[:, None, None, :])  # (F, n, c, 1 + R)
-        i, j = np.triu_indices(c)
-        pairs = self.receptance(shape[..., i], shape[..., j])  # (F, n, pairs)
+            z[chosen] = 1j * self.nu_rad_s / s * impedance(kind, s * self.nu_rad_s, area_mm2[chosen][:, None])
         if c == 1:
             strength = z[:, 0].T / (1 + z[:, 0].T * pairs[..., 0]) * to_discs[..., 0, 0]  # (F, n)
             change = -strength[..., None] * to_discs[..., 0, 1:]
         else:
+            i, j = np.triu_indices(c)
             between = np.empty((F, n, c, c), dtype=complex)
             between[..., i, j] = between[..., j, i] = pairs
             z_last = z.transpose(2, 0, 1)
             force = np.linalg.solve(np.eye(c) + z_last[..., None] * between, (z_last * to_discs[..., 0])[..., None])
             change = -(force * to_discs[..., 1:]).sum(axis=-2)
         return np.asarray(change.transpose(1, 2, 0) / scale[:, None, None] ** 2)
+
+
+def _few_scales(scale: Floats) -> Floats:
+    """Return fewer factors from whose responses those at all of `scale` follow to 1e-12; all, if there are none."""
+    low, high = float(scale.min()), float(scale.max())
+    reach = (high - low) / 2
+    count = 1
+    while (reach / SMOOTH) ** count > 1e-12:
+        count += 1
+    return chebyshev.points((low + high) / 2, reach, count) if count < len(scale) else scale
