@@ -7,10 +7,13 @@ from dataclasses import dataclass, field
 from math import dist
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tests.numerics import reference
 from tests.numerics.watch import Look, Run, frames_of, run
 from touchd.atlas import Atlas
+from touchd.evaluation.finders import atlas_finder
+from touchd.evaluation.frames import see, touched_frames
 from touchd.model import Model, default_model_path
 from touchd.recording import Recording
 from touchd.tracker import Touch
@@ -120,7 +123,7 @@ class NetworkShift:
     most_mm: float
 
 
-def shift(name: str, one_mm: reference.Floats, other_mm: reference.Floats) -> NetworkShift:
+def shift(name: str, one_mm: NDArray[np.floating], other_mm: NDArray[np.floating]) -> NetworkShift:
     """The distances between two sets of places, (n, 2) each."""
     off = np.linalg.norm(np.asarray(one_mm, np.float64) - other_mm, axis=1)
     return NetworkShift(name, float(np.median(off)), float(np.percentile(off, 95)), float(off.max()))
@@ -134,3 +137,15 @@ def networks(features: np.ndarray) -> list[NetworkShift]:
     wide = reference.network(path, features)["position_mm"]
     small = Model(int8, atlas=False).run(features)["position_mm"]
     return [shift("network, float32 beside float64", said, wide), shift("network, int8 beside float32", small, said)]
+
+
+def atlas_shift(recording: Recording, atlas: Atlas) -> NetworkShift:
+    """Places on the atlas as touch-downs, begun where the int8 network sees them, beside the float32 one's."""
+    frames = touched_frames(recording)
+    path = default_model_path()
+    models = (Model(path, atlas=False), Model(path.with_name("int8.onnx"), atlas=False))
+    single, small = (see(atlas_finder(model, atlas, frames), frames) for model in models)
+    both = [(a.found[0], b.found[0]) for a, b in zip(single, small, strict=True) if len(a.found) == len(b.found) == 1]
+    places = np.array([[one[:2], other[:2]] for one, other in both])
+    name = f"atlas, begun by int8 beside float32 ({len(both)} placed once by both)"
+    return shift(name, places[:, 0], places[:, 1])

@@ -143,7 +143,8 @@ AXES = (
         (0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0), _stale,
     ),
     Axis(
-        "gain", "gain of channel 0, of that in training", "error by gain", (0.25, 0.5, 0.7, 0.9, 1.0, 1.1, 1.4, 2.0, 4.0),
+        "gain", "gain of channel 0, of that in training", "error by gain",
+        (0.25, 0.5, 0.7, 0.9, 1.0, 1.1, 1.4, 2.0, 4.0),
         _electronics(lambda gain: Electronics(gains=(gain, 1.0, 1.0, 1.0))), logarithmic=True,
     ),
     Axis(

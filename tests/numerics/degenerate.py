@@ -37,7 +37,8 @@ RADIUS_MM = 2.6
 
 def on_discs(instrument: Instrument) -> list[Place]:
     """The middle of each transducer."""
-    return [tuple(instrument.layout.emitter_mm), *(tuple(r) for r in instrument.layout.receivers_mm)]  # type: ignore[misc]  # pairs
+    layout = instrument.layout
+    return [(x, y) for x, y in (layout.emitter_mm, *layout.receivers_mm)]
 
 
 def on_the_edge(instrument: Instrument) -> list[Place]:
@@ -45,7 +46,13 @@ def on_the_edge(instrument: Instrument) -> list[Place]:
     w, h, m = instrument.plate.width_mm, instrument.plate.height_mm, RADIUS_MM
     sides = [(s * w, y) for s in (0.25, 0.5, 0.8) for y in (m, h - m)]
     sides += [(x, s * h) for s in (0.25, 0.5, 0.8) for x in (m, w - m)]
-    return [*sides, (m, m), (w - m, m), (m, h - m), (w - m, h - m)]
+    return [*sides, *corners(instrument, m)]
+
+
+def corners(instrument: Instrument, margin_mm: float) -> list[Place]:
+    """The four places so far from two edges."""
+    w, h, m = instrument.plate.width_mm, instrument.plate.height_mm, margin_mm
+    return [(m, m), (w - m, m), (m, h - m), (w - m, h - m)]
 
 
 def in_nodes(atlas: Atlas, count: int = 10, apart_mm: float = 12.0) -> list[Place]:

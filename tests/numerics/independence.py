@@ -103,14 +103,8 @@ def whole(recording: Recording, folder: Path) -> Contacts:
 
 
 def _part(recording: Recording, start: int, stop: int) -> Recording:
-    def cut(values: NDArray[np.generic] | None) -> NDArray[np.generic] | None:
-        return None if values is None else values[start:stop]
-
-    r = recording
-    return Recording(
-        r.meta, r.frames[start:stop], r.sequence[start:stop], r.timestamp_ns[start:stop],
-        cut(r.contacts_mm), cut(r.force_n), cut(r.temperature_c),
-    )  # type: ignore[arg-type]  # of the types that they had  # fmt: skip
+    r, cut = recording, slice(start, stop)
+    return Recording(r.meta, r.frames[cut], r.sequence[cut], r.timestamp_ns[cut])
 
 
 def with_blas_threads(path: Path, threads: int) -> Contacts:

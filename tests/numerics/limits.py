@@ -166,7 +166,7 @@ def _clipped(share: float) -> Change:
     """Amplified until so many of the samples lie beyond full scale."""
 
     def apply(x: NDArray[np.float64], _rng: np.random.Generator) -> NDArray[np.float64]:
-        return x * (FULL / np.quantile(np.abs(x[:32]), 1 - share))
+        return np.asarray(x * (FULL / np.quantile(np.abs(x[:32]), 1 - share)))
 
     return apply
 
@@ -177,7 +177,7 @@ def _tone(frequency_hz: float, level_db: float, rate_hz: float = 250e3) -> Chang
     def apply(x: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
         amplitude = np.sqrt(2) * np.sqrt(np.mean(x[:8] ** 2)) * 10 ** (level_db / 20)
         phase = rng.uniform(0, 2 * np.pi, (len(x), 1, 1))
-        return x + amplitude * np.sin(2 * np.pi * frequency_hz * np.arange(x.shape[2]) / rate_hz + phase)
+        return np.asarray(x + amplitude * np.sin(2 * np.pi * frequency_hz * np.arange(x.shape[2]) / rate_hz + phase))
 
     return apply
 
@@ -198,7 +198,7 @@ def _bursts(share: float, level_db: float, channels: slice) -> Change:
 
 def _noise(level_db: float) -> Change:
     def apply(x: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
-        return x + np.sqrt(np.mean(x[:8] ** 2)) * 10 ** (-level_db / 20) * rng.standard_normal(x.shape)
+        return np.asarray(x + np.sqrt(np.mean(x[:8] ** 2)) * 10 ** (-level_db / 20) * rng.standard_normal(x.shape))
 
     return apply
 

@@ -6,12 +6,13 @@ its confidence: what is published has passed the threshold.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.numerics import limits
 from tests.numerics.degenerate import RADIUS_MM, in_nodes, on_discs, on_the_edge, taps_at
 from tests.numerics.limits import FROZEN, Case, Verdict, cases, changed, image, judge, moments, tones, tried
 from tests.numerics.watch import frames_of, run
@@ -22,7 +23,9 @@ from touchd.twin.instrument import Instrument
 from touchd.twin.simulate import simulate_scene
 
 SEED = 31
-CASES = [case for case in cases() if not any(name in case.name for name in ("channel 1", "channel 2", "and 2", "1 and"))]
+CASES = [
+    case for case in cases() if not any(name in case.name for name in ("channel 1", "channel 2", "and 2", "1 and"))
+]
 """Two of the four channels; the page has them all, and more touches."""
 MOMENTS = ("from the start", "in a pause", "under a finger")
 
@@ -78,36 +81,29 @@ def test_a_wrong_touch_would_be_seen(taps: Recording, atlas_model: Model) -> Non
     result = run(frames_of(taps), model=atlas_model)
     truth = taps.contacts_mm
     assert truth is not None
-    moved = limits.replace(taps, contacts_mm=np.clip(truth + np.float32(6.0), 0, 200))
+    moved = replace(taps, contacts_mm=np.clip(truth + np.float32(6.0), 0, 200))
     verdict = judge(moved, result)
     assert verdict.wrong == verdict.published > 0
-    empty = limits.replace(taps, contacts_mm=np.full_like(truth, np.nan))
+    empty = replace(taps, contacts_mm=np.full_like(truth, np.nan))
     assert judge(empty, result).wrong == verdict.published
 
 
 @given(
-    st.lists(
+    plan=st.lists(
         st.tuples(st.sampled_from([case for case in CASES if case.group != FROZEN]), st.integers(0, 329)),
         min_size=1, max_size=3,
     ),
-    st.integers(0, 2**32 - 1),
+    seed=st.integers(0, 2**32 - 1),
 )  # fmt: skip
 @settings(deadline=None, max_examples=12)
-def test_several_faults_one_after_the_other_break_nothing(plan: list[tuple[Case, int]], seed: int) -> None:
-    made = LATER[0]
+def test_several_faults_one_after_the_other_break_nothing(
+    plan: list[tuple[Case, int]], seed: int, taps: Recording, atlas_model: Model
+) -> None:
+    made = taps
     for case, since in plan:
         made = changed(made, case, since=since, seed=seed)
-    verdict = judge(made, run(frames_of(made), model=LATER[1]))
+    verdict = judge(made, run(frames_of(made), model=atlas_model))
     assert (verdict.not_finite, verdict.outside) == (0, 0)
-
-
-LATER: tuple[Recording, Model]
-
-
-@pytest.fixture(autouse=True, scope="module")
-def later(taps: Recording, atlas_model: Model) -> None:
-    """For the property above, whose function may not take fixtures of its own."""
-    globals()["LATER"] = (taps, atlas_model)
 
 
 @pytest.mark.parametrize("where", ["discs", "edge", "nodes"])
@@ -135,11 +131,14 @@ ANYWHERE = st.floats(allow_nan=True, allow_infinity=True)
 SCALES = st.sampled_from([0.0, 1e-42, 1e-38, 1e-30, 1e-10, 1.0, 1e3, 8e6])
 
 
-@given(st.tuples(ANYWHERE, ANYWHERE), SCALES, st.integers(0, 2**32 - 1))
+@given(start=st.tuples(ANYWHERE, ANYWHERE), scale=SCALES, seed=st.integers(0, 2**32 - 1))
 @settings(deadline=None, max_examples=60)
-def test_any_frame_from_any_start_is_fitted_on_the_plate(start: tuple[float, float], scale: float, seed: int) -> None:
+def test_any_frame_from_any_start_is_fitted_on_the_plate(
+    start: tuple[float, float], scale: float, seed: int, atlas_model: Model
+) -> None:
     """8e6 is what bins can hold at most: 250 samples of 16 bits under the window."""
-    refiner = REFINER[0]
+    assert atlas_model.atlas is not None
+    refiner = Refiner(atlas_model.atlas)
     refiner.frame[:] = scale * np.random.default_rng(seed).uniform(-1, 1, len(refiner.frame))
     refiner.take()
     for fit in (refiner.one(*start, 5), refiner.several([start, (100.0, 100.0)], 4)):
@@ -148,13 +147,3 @@ def test_any_frame_from_any_start_is_fitted_on_the_plate(start: tuple[float, flo
         assert np.isfinite(fit.energies).all()
         assert np.isfinite(fit.information).all()
         assert np.isfinite(fit.left)
-
-
-REFINER: list[Refiner] = []
-
-
-@pytest.fixture(autouse=True, scope="module")
-def refiner(atlas_model: Model) -> None:
-    """As `later`."""
-    assert atlas_model.atlas is not None
-    REFINER[:] = [Refiner(atlas_model.atlas)]

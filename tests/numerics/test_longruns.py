@@ -114,13 +114,13 @@ def test_a_long_gap_in_the_counters_is_counted_as_what_it_is(taps: Recording, at
     assert result.pipeline.counters.lost == 2**40
 
 
-@pytest.mark.parametrize("skew", [-100e-6, 40e-6, 300e-6])
+@pytest.mark.parametrize("skew", [-100e-6, 300e-6])
 def test_after_a_year_the_devices_clock_is_as_near_as_after_a_day(skew: float) -> None:
-    """A frame every ten minutes, for a year of both clocks."""
-    rows = list(year_of_clock(600.0, skew=skew, seed=5))
+    """A frame every half an hour, for a year of both clocks."""
+    rows = list(year_of_clock(1800.0, skew=skew, seed=5))
     error_ns = np.array([error for _, _, error in rows])
     assert all(later > sooner for (_, sooner, _), (_, later, _) in pairwise(rows)), "time increases"
-    first, last = error_ns[500:5500], error_ns[-5000:]
+    first, last = error_ns[500:4500], error_ns[-4000:]
     assert np.abs(last).max() < 0.5e6
     assert abs(last.mean() - first.mean()) < 20_000
 
@@ -135,7 +135,8 @@ def test_a_contacts_filter_forgets() -> None:
     """After 1e5 noisy frames its state is that of a filter which has seen the last thousand of them alone."""
     rng = np.random.default_rng(7)
     places = 100 + 0.05 * rng.standard_normal((100_000, 2))
-    old, young = OneEuro(0.0, 0.0, 4.0, 0.6), OneEuro(*places[-1000], 4.0, 0.6)
+    x_mm, y_mm = places[-1000].tolist()
+    old, young = OneEuro(0.0, 0.0, 4.0, 0.6), OneEuro(x_mm, y_mm, 4.0, 0.6)
     for number, (x_mm, y_mm) in enumerate(places.tolist()):
         old.update(x_mm, y_mm, 0.008, 0.05)
         if number >= len(places) - 1000:

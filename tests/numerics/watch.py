@@ -73,7 +73,7 @@ def run(
     modules: Any = double() if wide else _SINGLE
     chosen: Any = model or (double_model(default_model_path()) if wide else Model(default_model_path()))
 
-    class Watched(modules.finder.Locator):  # type: ignore[misc, name-defined]  # a class of a module made at run time
+    class Watched(modules.finder.Locator):  # type: ignore[misc]  # a class of a module made at run time
         def rebase(self, baseline: Array) -> None:
             super().rebase(baseline)
             self.told = baseline.copy()
@@ -87,7 +87,7 @@ def run(
             result.looks.append(
                 Look(
                     number, residual.copy(), self.told, features, -nothing, None if mask is None else mask > 0,
-                    list(self._fit.places_mm), touches,
+                    list(self._course.places_mm), touches,
                 )
             )  # fmt: skip
             return touches
@@ -101,7 +101,7 @@ def run(
     finally:
         modules.finder.Locator = kept
     result.pipeline = made
-    for number, frame in enumerate(frames):
+    for number, frame in enumerate(frames):  # noqa: B007  the watched locator reads it
         result.events += made.process(frame)
     return result
 
