@@ -20,8 +20,14 @@ WET_RAD, WET_MM = 0.15, 3.0
 """What leads by so much is a drop still, where there was one so near in the last frame."""
 LEAVING_RAD = 2.0
 """A strength so far from a finger's is one with the opposite sign: a finger that the baseline held has gone."""
-UNUSUAL = 8.0
-"""What a finger unlike those of the training leaves counts so much more than noise: it is alike in many bins."""
+TYPICAL = 0.5
+"""Of what the field misses on average, that what it misses of half the touches: the mean is that of a few it knows
+badly (twin)."""
+WELL_KNOWN = 0.6
+"""So much of the field's mean error moves a touch that leaves no more than is typical (twin, 40-70 dB)."""
+UNUSUAL = 14.0
+"""What a touch leaves beyond it counts so much more than noise: it is alike in many bins. Of silicone and human fingers
+68 and 95 % are then within one and two standard errors (twin)."""
 
 
 class Assessor:
@@ -53,9 +59,9 @@ class Assessor:
         hearing = self._hearing
         variance = hearing.variance
         sizes = [abs(z) for z in fit.strengths]
-        usual = hearing.mean_error * sum([size * size for size in sizes]) / 2
+        missed = hearing.mean_error * sum([size * size for size in sizes]) / 2
         left = max(fit.left - (1 + SPREAD) * hearing.expected, 0.0) / hearing.alive
-        error = self._field_scale * usual + UNUSUAL * max(left - usual, 0.0)
+        error = WELL_KNOWN * self._field_scale * missed + UNUSUAL * max(left - TYPICAL * missed, 0.0)
         errors_mm = sigmas_mm(fit.information, variance + error)
         touches, wet = [], []
         for k, (x_mm, y_mm) in enumerate(fit.places_mm):
