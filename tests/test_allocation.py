@@ -63,7 +63,8 @@ class Counter:
 
         self._handler = _Handler(b"counting", 1, None, _MALLOC(malloc), _CALLOC(calloc), _REALLOC(realloc), _FREE(free))
         self._capsule = python.PyCapsule_New(ctypes.addressof(self._handler), b"mem_handler", None)
-        table = python.PyCapsule_GetPointer(np._core._multiarray_umath._ARRAY_API, None)  # type: ignore[attr-defined]
+        interface = np._core._multiarray_umath._ARRAY_API  # type: ignore[attr-defined]  # NumPy declares no internals
+        table = python.PyCapsule_GetPointer(interface, None)
         address = ctypes.cast(table, ctypes.POINTER(ctypes.c_void_p))[_SET_HANDLER]
         assert address is not None
         self._set = ctypes.PYFUNCTYPE(ctypes.py_object, ctypes.py_object)(address)

@@ -86,6 +86,9 @@ class Finder:
         self._signal_energy = max(self._baseline.energy(), 1.0)  # a dead DAQ sends zeros
         self.forget()
 
+    def quieter(self) -> None:
+        """Take note that the noise has fallen."""
+
     def untouched(self, elapsed_s: float, *, followed: bool) -> None:
         """Take note of an untouched frame, and whether the baseline followed it."""
         if self._located:
@@ -200,6 +203,10 @@ class AtlasFinder(Finder):
         """Return False: noise may drown the samples and leave most bins clear, which the locator sees."""
         return False
 
+    def quieter(self) -> None:
+        """Take note that the noise has fallen."""
+        self._locator.hear_anew()
+
     def leaving(self) -> bool:
         """Return whether the negative of the residual is a finger: one that the baseline held has gone."""
         return self._locator.leaving
@@ -234,15 +241,6 @@ class AtlasFinder(Finder):
         return tuple(self._finished(touch) for touch in found if touch.sigma_mm <= self._max_sigma_mm)
 
 
-def make_finder(
-    acquisition: Acquisition,
-    model: Model,
-    settings: Settings,
-    layout: Layout | None,
-    baseline: Baseline,
-    gate: Gate,
-    counters: Counters,
-) -> Finder:
-    """Return what places fingers with a model: on its field atlas, if it has one and the settings want it."""
-    kind = AtlasFinder if model.atlas is not None else Finder
-    return kind(acquisition, model, settings, layout, baseline, gate, counters)
+def finder_for(model: Model) -> type[Finder]:
+    """Return what places fingers with a model: on its field atlas, if it was loaded with one."""
+    return AtlasFinder if model.atlas is not None else Finder

@@ -16,7 +16,7 @@ from touchd.baseline import Baseline
 from touchd.config import Settings
 from touchd.counters import Counters
 from touchd.event import Event
-from touchd.finder import make_finder
+from touchd.finder import finder_for
 from touchd.frame import Acquisition, Frame
 from touchd.gate import Gate
 from touchd.keypad import Layout
@@ -70,7 +70,7 @@ class Pipeline:
         self.baseline = Baseline(acquisition.shape, settings.baseline)
         self.gate = Gate(settings.gate)
         self.tracker = Tracker(settings.tracker)
-        self._finder = make_finder(acquisition, model, settings, layout, self.baseline, self.gate, self.counters)
+        self._finder = finder_for(model)(acquisition, model, settings, layout, self.baseline, self.gate, self.counters)
         self._standing = Standing(acquisition.shape, settings.baseline)
         self._residual = self.baseline.residual
         self.screen_off = False
@@ -193,7 +193,8 @@ class Pipeline:
     def _untouched(self, frame: Frame, energy: float, elapsed_s: float) -> None:
         """The gate is closed: the plate's drift and noise are followed."""
         self._standing.clear()
-        self.gate.follow(energy)
+        if self.gate.follow(energy):
+            self._finder.quieter()
         followed = not self.tracker.busy
         if followed:
             self.baseline.follow(elapsed_s)
