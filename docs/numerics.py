@@ -373,11 +373,13 @@ def draw(
     logarithmic: bool = False, reverse: bool = False, known: Known | None = None,
 ) -> Figure:  # fmt: skip
     """Draw median, 95th percentile and the share that was placed."""
-    figure = Figure(figsize=(13.0, 4.3), layout="constrained")
+    figure = Figure(figsize=(13.0, 4.5), layout="constrained")
     panels = figure.subplots(1, 3, width_ratios=(1, 1, 0.8))
     at = [float(i) if isinstance(v, str) else float(v) for i, v in enumerate(values)]
     for name, (style, colour) in STYLES.items():
         how = {"color": COLOURS[colour], "label": name, "ms": 5, "lw": 1.6 if name == ATLAS else 1.1}
+        if isinstance(values[0], str):  # between them there is nothing to be joined
+            style, how["ms"] = style[0], 7
         if known and name in known:
             pairs = [pair or (np.nan, np.nan) for pair in known[name]]
             panels[0].plot(at, [pair[0] for pair in pairs], style, **how)
@@ -407,7 +409,9 @@ def draw(
     panels[2].set_ylim(-4, 104)
     if not panels[2].lines:
         figure.delaxes(panels[2])
-    panels[0].legend(frameon=False, fontsize=8, ncols=2, loc="best")
+    figure.legend(
+        *panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=5, frameon=False, fontsize=9
+    )
     figure.suptitle(title, fontsize=11)
     return figure
 

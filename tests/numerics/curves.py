@@ -135,16 +135,16 @@ AXES = (
         _electronics(lambda level_db: Electronics(noise_db=level_db)),
     ),
     Axis(
-        "temperature", "plate warmer than in training, baseline up to date (K)", "error by temperature",
+        "temperature", "plate above its temperature in training (K)", "error by temperature",
         (-15, -10, -5, -2, 0, 2, 5, 10, 15), _warmer,
     ),
     Axis(
-        "stale", "plate warmer than its baseline (K)", "error by an outdated baseline",
-        (0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1.0), _stale,
+        "stale", "plate above its baseline's temperature (K)", "error by an outdated baseline",
+        (0.01, 0.03, 0.1, 0.2, 0.5, 1.0, 2.0), _stale, logarithmic=True,
     ),
     Axis(
         "gain", "gain of channel 0, of that in training", "error by gain",
-        (0.25, 0.5, 0.7, 0.9, 1.0, 1.1, 1.4, 2.0, 4.0),
+        (0.25, 0.5, 0.8, 1.0, 1.25, 2.0, 4.0),
         _electronics(lambda gain: Electronics(gains=(gain, 1.0, 1.0, 1.0))), logarithmic=True,
     ),
     Axis(

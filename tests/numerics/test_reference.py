@@ -74,6 +74,10 @@ def test_every_scene_is_placed_as_float64_places_it(name: str, instrument: Instr
     assert atlas_model.atlas is not None
     recording = simulate_scene(name, seed=21, frames=LONGER.get(name, FRAMES), instrument=instrument)
     found = compared(recording, atlas_model.atlas)
+    print(
+        f"{name}: {found.contacts} places, features {found.features:.1e}, "
+        f"rounding {max(found.rounding_mm, default=0.0):.1e} mm, truncation {found.truncation_sigmas:.2f} sigma"
+    )
     assert (found.contacts > 0) == (name not in UNTOUCHED)
     assert found.features <= FEATURES_RELATIVE
     assert max(found.rounding_mm, default=0.0) <= ROUNDING_MM
