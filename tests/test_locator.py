@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import cmath
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from tests.fields import COUNTS, RIG, Field, Finger, make_atlas
+from touchd.atlas import Atlas
 from touchd.locator import Locator
 from touchd.model import Estimate
 from touchd.tracker import Touch
@@ -23,10 +25,10 @@ QUIET = 0.5
 class Rig:
     """A locator on an untouched plate that has been listened to, and a network that counts how often it is asked."""
 
-    def __init__(self, noise: float = QUIET) -> None:
+    def __init__(self, noise: float = QUIET, atlas: Atlas = ATLAS) -> None:
         self.noise, self.asked, self._seed = noise, 0, 0
-        self.locator = Locator(ATLAS)
-        self.locator.learn(np.stack([self.residual([]) for _ in range(64)]), ATLAS.baseline)
+        self.locator = Locator(atlas)
+        self.locator.learn(np.stack([self.residual([]) for _ in range(64)]), atlas.baseline)
 
     def residual(self, fingers: list[Finger]) -> np.ndarray:
         self._seed += 1
@@ -154,6 +156,21 @@ def test_a_channel_that_was_dead_from_the_start_is_left_out(dead: int) -> None:
         residual = rig.residual([(50, 40, 1 + 0j)])
         residual[dead] = 0
         assert at(rig.see(residual, (51, 41)), (50, 40))
+
+
+@pytest.mark.parametrize("gains", [(0, 0, 0, 0), (0.5, 0.5, 0.5, 0.5), (1, 0.2, 1, 1), (0.7, 1, 0.4, 0.9)])
+@pytest.mark.parametrize("touched", [False, True])
+def test_electronics_that_change_are_no_finger(gains: tuple[float, ...], touched: bool) -> None:
+    """On a plate whose signal, weaker, looks like a finger: what the electronics do alone explains it better."""
+    alike = FIELD.residual([(60.0, 45.0, -20 + 0j)], 0.0, 1)
+    other = 0.4 * ATLAS.baseline * np.linalg.norm(alike) / np.linalg.norm(ATLAS.baseline)
+    signal = (alike + other).astype(np.float32)
+    rig = Rig(atlas=replace(ATLAS, baseline=signal))
+    for _ in range(10 * touched):
+        assert at(rig.touch((90, 20, 1)), (90, 20))
+    change = (np.array(gains)[:, None] - 1) * signal
+    for i in range(30):
+        assert rig.see(rig.residual([]) + change) == (), f"frame {i}"
 
 
 def test_where_the_network_says_what_is_no_number_the_atlas_is_searched() -> None:

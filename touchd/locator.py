@@ -21,7 +21,7 @@ from touchd.model import Estimate
 from touchd.recount import Recount
 from touchd.refine import NO_FIT, Fit, Refiner
 from touchd.rest import Rest
-from touchd.search import GOOD, NOISE_MARGIN, Search
+from touchd.search import ENOUGH, GOOD, NOISE_MARGIN, Search
 from touchd.tracker import Touch
 
 FAINT = 6.0
@@ -130,7 +130,10 @@ class Locator:
             excess = hearing.excess(fit.left, signal)
         significant = sum(fit.energies) > hearing.least
         confidence = 1 / (1 + (max(excess, 0.0) / EXCESS_OF_HALF) ** 2) if significant else 0.0
-        if not confidence >= confident or (self._recount.pending and not followed):
+        # An emitter that falls silent, or a gain that changes, looks like a finger on the emitter: but what the plate
+        # and its electronics do by themselves explains it better.
+        by_itself = excess > ENOUGH and energy - hearing.by_itself(refiner.frame) < fit.left
+        if by_itself or not confidence >= confident or (self._recount.pending and not followed):
             return self._lose()
         self._drift_s += elapsed_s
         if excess < GOOD and self._drift_s > _DRIFT_EVERY_S:
