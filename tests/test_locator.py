@@ -231,3 +231,14 @@ def test_a_still_finger_holds_and_one_that_moves_does_not() -> None:
 
 def test_fields_are_as_strong_as_the_tests_assume() -> None:
     assert 0.5 * COUNTS < np.sqrt(np.mean(np.abs(FIELD.at(60, 45)[0]) ** 2)) < 2 * COUNTS
+
+
+def test_two_at_one_corner_may_be_one_beyond_it_and_are_not_placed() -> None:
+    """Where the field ends on two sides; a finger elsewhere is, and so is one at the corner by itself."""
+    x, y = ATLAS.description.low_mm
+    beside, below = (x + 10.0, y + 0.5), (x + 0.5, y + 10.0)
+    rig = Rig()
+    seen = [rig.touch((*beside, 1 + 0j), (*below, 0.9 + 0j), (85, 60, 1)) for _ in range(30)]
+    assert at(seen[-1], (85, 60))
+    rig = Rig()
+    assert at([rig.touch((*beside, 1 + 0j), (85, 60, 1)) for _ in range(30)][-1], beside, (85, 60))

@@ -18,6 +18,9 @@ PHASE_SIGMAS = 2.5
 """So far within the upper bound a finger's phase has to be: that of a faint drop scatters, and it stays for hours."""
 WET_RAD, WET_MM = 0.15, 3.0
 """What leads by so much is a drop still, where there was one so near in the last frame."""
+CORNER_MM = 12.0
+"""Beyond the touched part of the plate the field is not known; where that is so on two sides, a finger looks like two,
+one along either edge. Two so near a corner of the touched part are not placed."""
 LEAVING_RAD = 2.0
 """A strength so far from a finger's is one with the opposite sign: a finger that the baseline held has gone."""
 TYPICAL = 0.5
@@ -41,7 +44,9 @@ class Assessor:
 
     def __init__(self, atlas: Atlas, hearing: Hearing) -> None:
         self._hearing = hearing
-        self._field_scale = atlas.description.field_scale
+        d = atlas.description
+        self._field_scale = d.field_scale
+        self._corners_mm = [(x, y) for x in (d.low_mm[0], d.high_mm[0]) for y in (d.low_mm[1], d.high_mm[1])]
         self._wet: list[Place] = []
         self.per_strength = 1.0
         """The change of the signal, as a share of its size, by a finger of strength 1."""
@@ -64,13 +69,14 @@ class Assessor:
         error = WELL_KNOWN * self._field_scale * missed + UNUSUAL * max(left - TYPICAL * missed, 0.0)
         errors_mm = sigmas_mm(fit.information, variance + error)
         touches, wet = [], []
+        cornered = self._cornered(fit.places_mm) if len(sizes) > 1 else ()
         for k, (x_mm, y_mm) in enumerate(fit.places_mm):
             phase, energy = cmath.phase(fit.strengths[k]), fit.energies[k]
             # The noise over a finger's energy is the variance of its phase.
             limit = PHASE_RAD[1] - PHASE_SIGMAS * math.sqrt(variance / energy) if energy > 0 else -math.inf
             if phase >= limit or (phase > WET_RAD and self._was_wet(x_mm, y_mm)):
                 wet.append((x_mm, y_mm))
-            elif phase > PHASE_RAD[0]:
+            elif phase > PHASE_RAD[0] and k not in cornered:
                 touches.append(Touch(x_mm, y_mm, errors_mm[k], confidence, sizes[k] * self.per_strength))
         self._wet = wet
         return tuple(touches)
@@ -78,3 +84,12 @@ class Assessor:
     def _was_wet(self, x_mm: float, y_mm: float) -> bool:
         """A drop stays where it is: where one was seen, what is half-way to it still is one."""
         return any(math.hypot(x_mm - x, y_mm - y) < WET_MM for x, y in self._wet)
+
+    def _cornered(self, places_mm: list[Place]) -> set[int]:
+        """Return which of several fingers are, with another one, too near to one corner to be two."""
+        found: set[int] = set()
+        for x, y in self._corners_mm:
+            near = [k for k, (x_mm, y_mm) in enumerate(places_mm) if math.hypot(x_mm - x, y_mm - y) < CORNER_MM]
+            if len(near) > 1:
+                found.update(near)
+        return found
