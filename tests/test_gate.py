@@ -66,6 +66,30 @@ def test_the_threshold_follows_the_noise_up_and_down() -> None:
     assert gate.noise_energy == pytest.approx(SAMPLES, rel=0.2)
 
 
+@given(st.floats(3, 1e4), st.integers(0, 2**31))
+@settings(max_examples=50, deadline=None)
+def test_when_a_tone_ends_the_gate_is_keen_again_within_48_frames(tone: float, seed: int) -> None:
+    """Its end is no deviation of the noise: followed as one, it would hide fingers for as long as it is remembered."""
+    energies = np.random.default_rng(seed).chisquare(SAMPLES, 3000)
+    gate = learned(energies[:32])
+    alarms(gate, energies[:1000])
+    before = gate.threshold_energy
+    gate.learn(energies[1000:1032] * tone)
+    alarms(gate, energies[1032:2000] * tone)
+    anew = [gate.follow(energy) for energy in energies[2000:2080].tolist()]
+    assert anew.index(True) < 48
+    assert sum(anew) == 1
+    assert gate.threshold_energy < 1.5 * before, "known from few frames, it keeps to the safe side"
+    assert not alarms(gate, energies[2080:])
+
+
+def test_noise_that_only_scatters_is_never_learned_anew() -> None:
+    """What has few degrees of freedom, as jitter has, falls far below its mean in many a frame, but not in 48."""
+    energies = np.random.default_rng(8).chisquare(2, 200_000)
+    gate = learned(energies[:32])
+    assert not any(gate.follow(energy) for energy in energies[32:].tolist())
+
+
 def test_hysteresis_an_open_gate_closes_below_where_it_opened() -> None:
     gate = learned(np.random.default_rng(7).chisquare(SAMPLES, 100))
     above = gate.threshold_energy

@@ -35,6 +35,17 @@ def test_it_follows_noise_that_becomes_louder_and_forgets_when_told() -> None:
     np.testing.assert_allclose(noise.power, np.square(frames[0]), rtol=1e-6)
 
 
+def test_begun_again_it_is_what_it_was_until_it_hears_and_tells_when_it_heard_enough() -> None:
+    """A moment without noise would have everything be a finger."""
+    frames = np.random.default_rng(2).standard_normal((100, CHANNELS * 2 * BINS)).astype(np.float32)
+    noise = heard(10 * frames)
+    before = noise.power.copy()
+    noise.begin()
+    np.testing.assert_array_equal(noise.power, before)
+    assert [noise.hear(features) for features in frames[:40]].index(True) == 15
+    np.testing.assert_allclose(noise.power, np.square(frames[:40]).mean(axis=0), rtol=1e-4)
+
+
 @given(st.integers(0, CHANNELS - 1), st.integers(0, BINS - 1), st.integers(0, 100))
 def test_a_tone_is_left_out_where_it_is_heard_and_nowhere_else(channel: int, tone_bin: int, seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -10,6 +10,11 @@ from numpy.typing import NDArray
 
 from touchd.config import GateSettings
 
+_FALLEN_FRAMES, _FALLEN_DEVIATIONS = 48, 2.0
+"""Noise has fallen when so many frames in a row hold less than its mean by so many deviations."""
+_FALLING_FRAMES = 16
+"""Of them the first may have been quiet by chance, or have seen it fall: the rest are learned from."""
+
 
 class Gate:
     """Open while the residual holds more energy than the noise explains, closed otherwise.
@@ -27,6 +32,8 @@ class Gate:
         self._deviation = 0.0
         self._open_above = math.inf
         self._close_below = math.inf
+        self._fallen_below = 0.0
+        self._fallen: list[float] = []
         self.is_open = False
         self._set_parameters(settings)
 
@@ -39,6 +46,7 @@ class Gate:
     def learn(self, energies: NDArray[np.float64]) -> None:
         """Start afresh from the energies of untouched frames, shape (n,), n >= 2. Closes the gate."""
         roots = np.cbrt(energies)
+        self._fallen.clear()
         self._count = len(roots)
         self._mean = float(roots.mean())
         self._variance = float(roots.var(ddof=1))
@@ -50,8 +58,20 @@ class Gate:
         self.is_open = energy > (self._close_below if self.is_open else self._open_above)
         return self.is_open
 
-    def follow(self, energy: float) -> None:
-        """Take in the energy of one more untouched frame."""
+    def follow(self, energy: float) -> bool:
+        """Take in the energy of one more untouched frame, and return whether the noise was learned anew.
+
+        It is when it has fallen, as after a tone from elsewhere: followed, its step would count as its deviation, and
+        raise the threshold beyond any finger.
+        """
+        if energy < self._fallen_below:
+            self._fallen.append(energy)
+            if len(self._fallen) < _FALLEN_FRAMES:
+                return False
+            self.learn(np.array(self._fallen[_FALLING_FRAMES:]))
+            return True
+        if self._fallen:
+            self._fallen.clear()
         self._count = min(self._count + 1, self._memory)
         weight = 1.0 / self._count
         step = energy ** (1 / 3) - self._mean
@@ -59,6 +79,7 @@ class Gate:
         # The exact update of an exponentially weighted variance (West, CACM 22:532, 1979).
         self._variance = (1.0 - weight) * (self._variance + weight * step * step)
         self._set_thresholds()
+        return False
 
     @property
     def noise_energy(self) -> float:
@@ -85,3 +106,4 @@ class Gate:
         excess = self._quantile * self._deviation
         self._open_above = (self._mean + excess) ** 3
         self._close_below = (self._mean + self._close_ratio * excess) ** 3
+        self._fallen_below = max(self._mean - _FALLEN_DEVIATIONS * self._deviation, 0.0) ** 3

@@ -55,9 +55,13 @@ class Hearing:
         """Begin to hear anew."""
         self._noise.forget()
 
-    def hear(self, features: Array) -> None:
-        """Take in the features of an untouched frame."""
-        self._noise.hear(features)
+    def hear(self, features: Array) -> bool:
+        """Take in the features of an untouched frame, and return whether now enough were heard to listen by them."""
+        return self._noise.hear(features)
+
+    def hear_anew(self) -> None:
+        """Let the frames to come tell what noise there is, and no earlier ones."""
+        self._noise.begin()
 
     def listen_to(self, channels: NDArray[np.bool_], directions: Array) -> None:
         """Leave out the other channels, and bins that drown in noise; the plate can move along some directions."""

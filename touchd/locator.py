@@ -78,7 +78,12 @@ class Locator:
     def hear(self, residual: Array) -> None:
         """Take in the residual of an untouched frame, shape (channels, samples)."""
         self._drift.features(residual, self._untouched)
-        self._hearing.hear(self._untouched)
+        if self._hearing.hear(self._untouched):
+            self._listen_to(~self._drift.dead)
+
+    def hear_anew(self) -> None:
+        """Take note that the noise is another from now on; what it was holds until enough of it is heard."""
+        self._hearing.hear_anew()
 
     def forget(self) -> None:
         """Start afresh with the next frame: no finger is being followed."""

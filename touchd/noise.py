@@ -33,17 +33,25 @@ class Noise:
 
     def forget(self) -> None:
         """Begin anew with the next frame."""
-        self._heard = 0
+        self.begin()
         self.power[:] = 0
 
-    def hear(self, features: Array) -> None:
-        """Take in the features of an untouched frame's residual, shape (channels * 2 * bins,)."""
+    def begin(self) -> None:
+        """Let the frames to come count alone; until the next one, what was heard holds."""
+        self._heard = 0
+
+    def hear(self, features: Array) -> bool:
+        """Take in the features of an untouched frame's residual, shape (channels * 2 * bins,).
+
+        Returns whether it was the one that makes them enough to tell which bins drown.
+        """
         self._heard = min(self._heard + 1, MEMORY_FRAMES)
         np.multiply(features, features, out=self._square)
         np.subtract(self._square, self.power, out=self._square)
         self._weight[...] = 1 / self._heard
         np.multiply(self._square, self._weight, out=self._square)
         np.add(self.power, self._square, out=self.power)
+        return self._heard == _LEAST_FRAMES
 
     def quiet(self) -> NDArray[np.bool_]:
         """Return which features tell more than noise, shape (channels * 2 * bins,): all while little was heard."""
