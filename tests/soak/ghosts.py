@@ -1,8 +1,8 @@
 """`make ghosts`: hours of what is no finger, through the whole pipeline: every contact that is none is told of.
 
-Each of five scenes is played in pieces of a minute, no two alike: noise, trigger jitter, rates of drift, tones, drops
-and palms differ. Frames come block by block and are not kept. A scene of which only a part can be had in reasonable
-time (a palm costs 8 ms a frame in the twin) is shortened with --minutes, and the length is printed.
+Each of five scenes is played for an hour in pieces of a minute, no two alike: noise, trigger jitter, rates of drift,
+tones, drops and palms differ. Frames come block by block and are not kept. What was found in a piece is told as soon as
+it has been played, of a scene when all its pieces have.
 """
 
 from __future__ import annotations
@@ -32,8 +32,6 @@ from touchd.twin.simulate import DEFAULT_PLATE
 from touchd.twin.stage import Stage
 
 PIECE_S = 60.0
-MINUTES = {"idle": 60, "drift": 60, "interference": 60, "drop": 60, "palm": 8}
-"""Of each scene, unless told otherwise."""
 NEAR_MM = 10.0
 
 
@@ -160,7 +158,7 @@ def main() -> int:
     """Play all, and return 1 if there was a ghost."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("scenes", nargs="*", default=list(SCENES), help=f"of {', '.join(SCENES)}")
-    parser.add_argument("--minutes", type=int, help="of each scene")
+    parser.add_argument("--minutes", type=int, default=60, help="of each scene")
     parser.add_argument("--seed", type=int, default=1, help="of the first piece; the next have the next")
     parser.add_argument("--jobs", type=int, default=2, help="processes")
     arguments = parser.parse_args()
@@ -168,17 +166,16 @@ def main() -> int:
     ghosts = 0
     print(f"{'scene':14} {'minutes':>7} {'touches':>8} {'missed':>7} {'split':>6} {'ghosts':>7} {'cpu s':>7}")
     for name in arguments.scenes:
-        count = round((arguments.minutes or MINUTES[name]) * 60 / PIECE_S)
+        count = round(arguments.minutes * 60 / PIECE_S)
         seeds = range(arguments.seed, arguments.seed + count)
-        pieces = Parallel(n_jobs=arguments.jobs)(delayed(judge)(name, seed, instrument) for seed in seeds)
-        total = np.array([[p.touches, p.missed, p.split, p.ghosts, p.seconds] for p in pieces]).sum(axis=0)
+        total = np.zeros(5)
+        play_all = Parallel(n_jobs=arguments.jobs, return_as="generator")
+        for p in play_all(delayed(judge)(name, seed, instrument) for seed in seeds):
+            total += p.touches, p.missed, p.split, p.ghosts, p.seconds
+            if p.missed or p.ghosts:
+                print(f"  seed {p.seed}: {p.missed} missed, {p.ghosts} ghosts", *p.strays, sep="\n    ", flush=True)
         minutes = count * PIECE_S / 60
         print(f"{name:14} {minutes:7g} " + "{:8.0f} {:7.0f} {:6.0f} {:7.0f} {:7.0f}".format(*total), flush=True)
-        for p in pieces:
-            if p.missed or p.ghosts or p.strays:
-                print(
-                    f"  seed {p.seed}: {p.missed} missed, {p.ghosts} ghosts" + "".join(f"\n    {s}" for s in p.strays)
-                )
         ghosts += int(total[3])
     return 1 if ghosts else 0
 
