@@ -69,8 +69,10 @@ def score(stage: Stage, outcome: Outcome) -> StreamScores:
     """What was found of a stage's touches."""
     contacts_mm, force_n = stage.truth()
     n = len(stage.sequence)
+    acquired = {"sample_rate_hz": 250e3, "bits": 16, "full_scale_v": 10, "frame_rate_hz": RATE_HZ}
+    meta = Meta.model_validate({**acquired, "plate": DEFAULT_PLATE, "source": "simulated"})
     truth = Recording(
-        meta=Meta(sample_rate_hz=250e3, bits=16, full_scale_v=10, frame_rate_hz=RATE_HZ, plate=DEFAULT_PLATE),
+        meta=meta,
         frames=np.zeros((n, 1, 1), np.int16),
         sequence=stage.sequence,
         timestamp_ns=np.round(stage.time_s * 1e9).astype(np.int64),
