@@ -26,7 +26,7 @@ def draw_bins(atlas: Atlas, calibration: Calibration) -> Figure:
     audible_db = 10 * np.log10(np.maximum(calibration.audible, 1e-3))
     missed_db = 10 * np.log10(np.maximum(calibration.missed, 1e-3))
     for left_out in np.setdiff1d(band, kept):
-        axes.axvspan((left_out - 0.5) * spacing_khz, (left_out + 0.5) * spacing_khz, color="#e8eaed", lw=0)
+        axes.axvspan((left_out - 0.5) * spacing_khz, (left_out + 0.5) * spacing_khz, color="#e8eaed", lw=0, zorder=-1)
     axes.plot(band * spacing_khz, audible_db, "o-", color=COLOURS[0], ms=3, lw=1.4, label="touch")
     axes.plot(kept * spacing_khz, missed_db, "s-", color=COLOURS[1], ms=3, lw=1.4, label="what the field misses of it")
     axes.axhline(0, color=TRUTH, lw=3, zorder=0, label="noise of a frame less its baseline")
@@ -51,6 +51,8 @@ def draw_misfit(trial: Trial, meta: Meta) -> Figure:
         title=f"misfit of {len(misfit)} touches, median {np.median(misfit):.2g} %",
     )  # fmt: skip
     draw_transducers(meta, axes)
+    if meta.receivers_mm or meta.emitter_mm:
+        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.09), ncols=2, frameon=False)
     return figure
 
 
