@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.numerics.degenerate import RADIUS_MM, in_nodes, on_discs, on_the_edge, taps_at
+from tests.numerics.degenerate import in_nodes, on_discs, on_the_edge, taps_at
 from tests.numerics.limits import FROZEN, Case, Verdict, cases, changed, image, judge, moments, tones, tried
 from tests.numerics.watch import frames_of, run
 from touchd.model import Model
@@ -23,11 +23,9 @@ from touchd.twin.instrument import Instrument
 from touchd.twin.simulate import simulate_scene
 
 SEED = 31
-CASES = [
-    case for case in cases() if not any(name in case.name for name in ("channel 1", "channel 2", "and 2", "1 and"))
-]
-"""Two of the four channels; the page has them all, and more touches."""
-MOMENTS = ("from the start", "in a pause", "under a finger")
+LEFT_OUT = {"channel 1", "channel 2", "1 and", "and 2", "x 0.001", "x 0.1", "x 1000", "2 %", "20 %", "30 dB", "70 dB"}
+CASES = [case for case in cases() if not any(name in case.name for name in LEFT_OUT)]
+"""The page has all of them, and more touches."""
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +54,7 @@ def test_a_frame_that_comes_again_and_again_holds_the_finger_where_it_was(taps: 
     assert len(result.touches[-1].contacts) == 1
 
 
-@pytest.mark.parametrize("case", [*tones(-40, 7919.0), *tones(-20, 13009.0)], ids=lambda case: f"{case.name}")
+@pytest.mark.parametrize("case", [*tones(-40, 15013.0), *tones(-20, 31013.0)], ids=lambda case: f"{case.name}")
 def test_tones_at_any_frequency_are_no_touches(case: Case, taps: Recording, atlas_model: Model) -> None:
     for since in moments(taps).values():
         check(tried(taps, case, since=since, seed=SEED, model=atlas_model))
@@ -95,7 +93,7 @@ def test_a_wrong_touch_would_be_seen(taps: Recording, atlas_model: Model) -> Non
     ),
     seed=st.integers(0, 2**32 - 1),
 )  # fmt: skip
-@settings(deadline=None, max_examples=12)
+@settings(deadline=None, max_examples=8)
 def test_several_faults_one_after_the_other_break_nothing(
     plan: list[tuple[Case, int]], seed: int, taps: Recording, atlas_model: Model
 ) -> None:
@@ -113,7 +111,7 @@ def test_where_the_field_says_little_nothing_wrong_is_said(
     assert atlas_model.atlas is not None
     places = {
         "discs": on_discs(instrument),
-        "edge": [p for p in on_the_edge(instrument) if not _corner(p)],
+        "edge": on_the_edge(instrument),
         "nodes": in_nodes(atlas_model.atlas),
     }[where]
     recording = taps_at(places, instrument)
@@ -121,10 +119,6 @@ def test_where_the_field_says_little_nothing_wrong_is_said(
     check(verdict)
     if where == "nodes":
         assert verdict.found == len(places)
-
-
-def _corner(place: tuple[float, float]) -> bool:
-    return all(value < 2 * RADIUS_MM or value > 200 - 2 * RADIUS_MM for value in place)
 
 
 ANYWHERE = st.floats(allow_nan=True, allow_infinity=True)
