@@ -45,7 +45,7 @@ TOUCHES = 400
 NETWORK_TOUCHES, NETWORK_SEED = 1000, 7290
 SCENE_SEED = 21
 TAP_SEEDS = (31, 32)
-TONE_LEVELS_DB = (-60.0, -40.0, -20.0, 0.0)
+TONE_LEVELS_DB = (-40.0, -20.0, 0.0)
 IMAGE_LEVELS_DB = (-40.0, -30.0, -20.0, -10.0)
 UPDATES = 100_000_000
 ATLAS, NETWORK, PAPER = "field atlas", "network alone", "paper's recipe"
@@ -255,7 +255,7 @@ def conditioning(bench: Bench) -> str:
     for name, chosen in places.items():
         for kind in ("silicone", "human"):
             if kind == "human" and name.endswith(("it", "both", "edges")):
-                continue  # a human finger is larger than that
+                continue  # a human contact is larger than that
             taps = degenerate.taps_at(chosen, bench.instrument, kind=kind)
             verdict = limits.judge(taps, run(frames_of(taps), model=bench.model))
             worst = f"{verdict.worst_mm:.2f}" if verdict.published else ""

@@ -30,9 +30,9 @@ from touchd.twin.stage import Stage
 
 Place = tuple[float, float]
 RATE_HZ = 125.0
-AREA_MM2 = 20.0
+AREA_MM2 = {"silicone": 20.0, "human": 60.0}
 RADIUS_MM = 2.6
-"""Of a contact of that area, and a little more: no contact reaches over the edge."""
+"""Of a silicone contact of that area, and a little more: no contact reaches over the edge."""
 
 
 def on_discs(instrument: Instrument) -> list[Place]:
@@ -76,7 +76,7 @@ def taps_at(places: list[Place], instrument: Instrument, *, seed: int = 0, kind:
     n = round((first + each * len(places) + 0.3) * RATE_HZ)
     rng = np.random.default_rng(seed)
     stage = Stage(instrument.plate, RATE_HZ, np.arange(n), np.full(n, REFERENCE_C), rng, Electronics())
-    force = float(force_of(kind, np.array(AREA_MM2)))
+    force = float(force_of(kind, np.array(AREA_MM2[kind])))
     for number, place in enumerate(places):
         start = first + each * number
         stage.lay(kind, start, start + 0.24, still(*place), force_n=force)

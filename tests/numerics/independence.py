@@ -91,8 +91,9 @@ def chunked(recording: Recording, folder: Path, sizes: Sequence[int]) -> Iterato
         parts.mkdir()
         for number, start in enumerate(range(0, len(recording.frames), size)):
             write(parts / f"{number:05d}.npz", _part(recording, start, start + size), compress=False)
-        yield f"files of {size} frames", _events(ReplaySource(parts, speed=float("inf")))
-        yield f"blocks of {size} frames", _events(Pieces(recording, size))
+        frames = f"{size} frame{'s'[: size > 1]}"
+        yield f"files of {frames}", _events(ReplaySource(parts, speed=float("inf")))
+        yield f"blocks of {frames}", _events(Pieces(recording, size))
 
 
 def whole(recording: Recording, folder: Path) -> Contacts:
