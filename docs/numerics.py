@@ -364,7 +364,8 @@ def answer_table(
 
 def _cell(answer: curves.Answer) -> str:
     median, p95 = answer.percentile_mm(50), answer.percentile_mm(95)
-    placed = "" if answer.placed > 0.995 else f" ({answer.placed:.0%})"
+    share = f"{answer.placed:.0%}"
+    placed = "" if share == "100%" else f" ({share})"
     return f"none placed ({answer.placed:.0%})" if isnan(median) else f"{median:.3g} / {p95:.3g}{placed}"
 
 
