@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -96,12 +97,19 @@ def test_networks_say_the_same_in_float64_and_nearly_the_same_in_8_bits(instrume
 
 
 def test_a_difference_would_be_seen(instrument: Instrument, atlas_model: Model) -> None:
-    """The same comparison fails for a field that is off by a thousandth, and for features of another window."""
-    assert atlas_model.atlas is not None
+    """The same comparisons fail for features of a slightly other window, and for a field that lies 2 um off."""
+    atlas = atlas_model.atlas
+    assert atlas is not None
     recording = simulate_scene("circle", seed=21, frames=180, instrument=instrument)
     look = next(look for look in run(frames_of(recording)).looks if look.touches)
-    plate = reference.plate_of(look.baseline, atlas_model.atlas)
-    features = reference.atlas_features(look.residual, plate, atlas_model.atlas)
+    plate = reference.plate_of(look.baseline, atlas)
+    features = reference.atlas_features(look.residual, plate, atlas)
     assert np.linalg.norm(look.features - features) <= FEATURES_RELATIVE * np.linalg.norm(features)
-    other = reference.atlas_features(look.residual * (1 + 1e-5 * np.hanning(250)), plate, atlas_model.atlas)
+    other = reference.atlas_features(look.residual * (1 + 1e-5 * np.hanning(250)), plate, atlas)
     assert np.linalg.norm(look.features - other) > FEATURES_RELATIVE * np.linalg.norm(other)
+
+    x_mm, y_mm = atlas.description.origin_mm
+    moved = replace(atlas, description=atlas.description.model_copy(update={"origin_mm": (x_mm + 0.002, y_mm)}))
+    places = [reference.refine(one, features, np.array(look.places_mm)).places_mm[0] for one in (atlas, moved)]
+    assert math.dist(*places) == pytest.approx(0.002, rel=1e-3)
+    assert math.dist(*places) > ROUNDING_MM
