@@ -49,15 +49,16 @@ def test_the_gate_forgets_what_it_rounds_off() -> None:
 
 
 def test_the_gates_count_of_frames_ends_at_its_memory() -> None:
-    """Whatever has gone before: the next update is that of a thousand frames, not of 1e8."""
+    """However many have gone before, the next one counts as one of a thousand, not of 1e8."""
     gate = Gate(GateSettings())
-    gate.learn(np.random.default_rng(1).chisquare(1000, 32))
-    for _ in range(3000):
-        gate.follow(1000.0)
-    before = gate.noise_energy
-    gate.follow(1200.0)
-    assert gate.noise_energy > before
+    energies = np.random.default_rng(1).chisquare(1000, 5032)
+    gate.learn(energies[:32])
+    for energy in energies[32:].tolist():
+        gate.follow(energy)
     assert gate._count == GateSettings().noise_frames
+    before = np.cbrt(gate.noise_energy)
+    gate.follow(1500.0)
+    assert np.cbrt(gate.noise_energy) - before == pytest.approx((np.cbrt(1500.0) - before) / 1000, rel=1e-6)
 
 
 def test_the_noise_of_the_bins_stays_that_of_float64() -> None:
