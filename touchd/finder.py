@@ -86,8 +86,8 @@ class Finder:
         self._signal_energy = max(self._baseline.energy(), 1.0)  # a dead DAQ sends zeros
         self.forget()
 
-    def quieter(self) -> None:
-        """Take note that the noise has fallen."""
+    def hear_anew(self) -> None:
+        """Take note that the noise is another from now on."""
 
     def untouched(self, elapsed_s: float, *, followed: bool) -> None:
         """Take note of an untouched frame, and whether the baseline followed it."""
@@ -203,8 +203,8 @@ class AtlasFinder(Finder):
         """Return False: noise may drown the samples and leave most bins clear, which the locator sees."""
         return False
 
-    def quieter(self) -> None:
-        """Take note that the noise has fallen."""
+    def hear_anew(self) -> None:
+        """Take note that the noise is another from now on."""
         self._locator.hear_anew()
 
     def leaving(self) -> bool:

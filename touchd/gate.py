@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from statistics import NormalDist
 
 import numpy as np
@@ -10,10 +11,11 @@ from numpy.typing import NDArray
 
 from touchd.config import GateSettings
 
-_FALLEN_FRAMES, _FALLEN_DEVIATIONS = 48, 2.0
-"""Noise has fallen when so many frames in a row hold less than its mean by so many deviations."""
-_FALLING_FRAMES = 16
-"""Of them the first may have been quiet by chance, or have seen it fall: the rest are learned from."""
+_CHANGED_FRAMES, _LEARN_FRAMES = 48, 32
+"""Noise is another when so many frames in a row hold less than its mean, or more: by chance once in 2^47. The first of
+them may have seen it change: so many of the last are learned from."""
+_CHANGED = 1.25
+"""A change of its energy by this factor is worth telling."""
 
 
 class Gate:
@@ -32,8 +34,9 @@ class Gate:
         self._deviation = 0.0
         self._open_above = math.inf
         self._close_below = math.inf
-        self._fallen_below = 0.0
-        self._fallen: list[float] = []
+        self._run, self._below = 0, False
+        self._told = 0.0
+        self._last: deque[float] = deque(maxlen=_LEARN_FRAMES)
         self.is_open = False
         self._set_parameters(settings)
 
@@ -46,10 +49,11 @@ class Gate:
     def learn(self, energies: NDArray[np.float64]) -> None:
         """Start afresh from the energies of untouched frames, shape (n,), n >= 2. Closes the gate."""
         roots = np.cbrt(energies)
-        self._fallen.clear()
+        self._run = 0
         self._count = len(roots)
         self._mean = float(roots.mean())
         self._variance = float(roots.var(ddof=1))
+        self._told = self.noise_energy
         self.is_open = False
         self._set_thresholds()
 
@@ -59,19 +63,22 @@ class Gate:
         return self.is_open
 
     def follow(self, energy: float) -> bool:
-        """Take in the energy of one more untouched frame, and return whether the noise was learned anew.
+        """Take in the energy of one more untouched frame, and return whether the noise has become another.
 
-        It is when it has fallen, as after a tone from elsewhere: followed, its step would count as its deviation, and
-        raise the threshold beyond any finger.
+        If so it is learned anew: the beginning and the end of a tone from elsewhere would else count as the noise's
+        deviation for as long as they are remembered, and keep the threshold above many a finger.
         """
-        if energy < self._fallen_below:
-            self._fallen.append(energy)
-            if len(self._fallen) < _FALLEN_FRAMES:
-                return False
-            self.learn(np.array(self._fallen[_FALLING_FRAMES:]))
-            return True
-        if self._fallen:
-            self._fallen.clear()
+        self._last.append(energy)
+        below = energy < self._mean**3
+        self._run = self._run + 1 if below is self._below else 1
+        self._below = below
+        if self._run == _CHANGED_FRAMES:
+            told = self._told
+            self.learn(np.array(self._last))
+            if not told / _CHANGED < self.noise_energy < told * _CHANGED:
+                return True
+            self._told = told
+            return False
         self._count = min(self._count + 1, self._memory)
         weight = 1.0 / self._count
         step = energy ** (1 / 3) - self._mean
@@ -106,4 +113,3 @@ class Gate:
         excess = self._quantile * self._deviation
         self._open_above = (self._mean + excess) ** 3
         self._close_below = (self._mean + self._close_ratio * excess) ** 3
-        self._fallen_below = max(self._mean - _FALLEN_DEVIATIONS * self._deviation, 0.0) ** 3

@@ -194,7 +194,7 @@ class Pipeline:
         """The gate is closed: the plate's drift and noise are followed."""
         self._standing.clear()
         if self.gate.follow(energy):
-            self._finder.quieter()
+            self._finder.hear_anew()
         followed = not self.tracker.busy
         if followed:
             self.baseline.follow(elapsed_s)
