@@ -230,7 +230,7 @@ def cases() -> Iterator[Case]:
         yield of("one channel dead", f"channel {r}", _only(r, lambda x, _: 0 * x))
         yield of("one channel stuck", f"channel {r} at half scale", _only(r, lambda x, _: 0 * x + FULL / 2))
         yield of("one channel stuck", f"channel {r} at full scale", _only(r, lambda x, _: 0 * x + FULL))
-        yield of("one channel stuck", f"channel {r} repeats", _only(r, lambda x, _: np.repeat(x[:1], len(x), axis=0)))
+        yield of("one channel frozen", f"channel {r} repeats", _only(r, lambda x, _: np.repeat(x[:1], len(x), axis=0)))
         yield of("one channel inverted", f"channel {r}", _only(r, lambda x, _: -x))
         yield of("one channel at twice the gain", f"channel {r}", _only(r, lambda x, _: 2 * x))
         yield of("one channel at twice the gain", f"channel {r}, at half", _only(r, lambda x, _: x / 2))
