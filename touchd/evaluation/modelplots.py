@@ -90,7 +90,7 @@ def draw_sigma(judged: Judgement) -> Figure:
         ylabel="actual: 68 % of errors are below (mm)", title="touches in order of their sigma",
     )  # fmt: skip
     _plain_ticks(right)
-    right.legend(frameon=False, loc="upper left")
+    right.legend(frameon=False)  # where it hides no point
     for axes in (left, right):
         axes.grid(alpha=0.25, which="both")
     return figure

@@ -102,7 +102,8 @@ def _findings(result: AtlasResult) -> list[str]:
         found.append(
             f"The positions of the touches are off by about {learned.label_noise_mm:.2f} mm per axis themselves. Those "
             "of the training part were corrected; the scores above are against the test part's as they are, so they "
-            "flatter nothing: the atlas is better than they say."
+            "flatter nothing: the atlas is better than they say. The share within the standard error, which knows "
+            "nothing of the labels' own errors, counts them as the atlas'."
         )
     if d.fitted:
         low, high = d.wavenumber_rad_m[0], d.wavenumber_rad_m[-1]
