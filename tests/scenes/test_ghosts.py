@@ -26,3 +26,12 @@ def test_after_a_tone_has_ended_taps_are_found_as_before(instrument: Instrument)
     print([(found.missed, found.touches) for found in both])
     assert sum(found.missed for found in both) <= 4
     assert [found.strays for found in both] == [[], []]
+
+
+@pytest.mark.parametrize(("name", "seed"), [("drop", 4), ("palm", 18)])
+def test_neither_drops_nor_palms_are_fingers(name: str, seed: int, instrument: Instrument) -> None:
+    """Of a drop the phase tells, though it scatters at 50 dB; of palms what no few points explain."""
+    found = judge(name, seed, instrument)
+    print(f"{name} {seed}: {found.missed} of {found.touches} missed")
+    assert found.strays == []
+    assert found.missed == 0
