@@ -21,8 +21,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.bench.__main__ import machine
 from tests.processes import PATIENCE_S, started
+from touchd.benchmark.machine import this_machine
 from touchd.client import Subscriber
 from touchd.event import TouchEvent
 from touchd.recording import write
@@ -81,7 +81,7 @@ def delays_us(recording: Path, folder: str, settings: dict[str, object]) -> NDAr
 
 def main() -> None:
     """Measure every setting, in some minutes."""
-    print(machine())
+    print(this_machine().line())
     header = " ".join(f"{f'p{p:g} us':>10} {'ratio':>6}" for p in PERCENTILES)
     print(f"{'':32} {header}")
     with tempfile.TemporaryDirectory(prefix="touchd-bench-") as folder, busy():
