@@ -17,7 +17,7 @@ ANEW_ABOVE = FAIR
 """Of fingers that are followed: above it they may not be where they are thought to be."""
 FITS_A_SECOND = 1250.0
 """Of frames' own time, that a search may take: a fit costs about a fifth of a millisecond."""
-FITS_AT_ONCE = 24.0
+FITS_AT_ONCE = 30.0
 """Before any finger is followed: enough for five, one added to the other."""
 _SOON_S, _AGAIN_S, _SELDOM_S = 0.02, 0.05, 2.0
 _GAIN = 0.8
@@ -47,7 +47,7 @@ class Recount:
 
     def forget(self) -> None:
         """Start afresh with the next frame."""
-        self._running: Generator[Fit, None, Found] | None = None
+        self._running: Generator[float, None, Found] | None = None
         self._since_s, self._wait_s, self._unexplained = math.inf, 0.0, math.inf
 
     @property
@@ -92,9 +92,8 @@ class Recount:
                 self._credit = FITS_AT_ONCE
         self._credit += FITS_A_SECOND * elapsed_s if elapsed_s else math.inf
         try:
-            while self._credit >= 1:
-                next(self._running)
-                self._credit -= 1
+            while self._credit > 0:
+                self._credit -= next(self._running)
         except StopIteration as end:
             self._running = None
             found, known = end.value
@@ -114,7 +113,7 @@ class Recount:
             fit = self._refiner.several([p for k, p in enumerate(fit.places_mm) if k != weakest], _STEPS)
         return fit, dropped
 
-    def _all(self, fit: Fit, signal: float, *, followed: bool) -> Generator[Fit, None, Found]:
+    def _all(self, fit: Fit, signal: float, *, followed: bool) -> Generator[float, None, Found]:
         """Look for more fingers than those followed, then for all of them anew."""
         search, expected, energy = self._search, self._hearing.expected, self._search.energy
         found = fit

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Generator, Iterator
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -16,6 +17,8 @@ MOST_FINGERS = 5
 SCAN_MM = 5.0
 """Spacing of the scan: half of it, on the diagonal, is within reach of Gauss-Newton."""
 _CANDIDATES = 3
+_BLOCKS, _BLOCK_COST = 3, 0.5
+"""In which a scan is made, and what one takes, in fits."""
 _APART_MM = 7.0
 """Candidates closer to each other lead to the same place."""
 MERGED_MM = 4.0
@@ -77,13 +80,26 @@ class Search:
         self._parts = d.acquisition.channels, 2, len(d.bins)
         self._pair = np.zeros((atlas.size, 2), np.float32)
         self._products = np.zeros((len(rows), 2), np.float32)
+        ends = np.linspace(0, len(rows), _BLOCKS + 1).astype(int).tolist()
+        self._blocks = [slice(*pair) for pair in pairwise(ends)]
 
     def candidates(self, left: Array, count: int = _CANDIDATES) -> list[Candidate]:
         """Return places at which one finger would explain most of what is left, the best first."""
+        for _ in self._scan(left):
+            pass
+        return self._best(count)
+
+    def _scan(self, left: Array) -> Iterator[float]:
+        """Compare what is left with the field everywhere, block by block; yields what each costs, in fits."""
         parts = left.reshape(self._parts)
         self._pair[:, 0] = left
         self._pair[:, 1] = np.stack([parts[:, 1], -parts[:, 0]], axis=1).reshape(-1)
-        np.dot(self._unit, self._pair, out=self._products)
+        for rows in self._blocks:
+            np.dot(self._unit[rows], self._pair, out=self._products[rows])
+            yield _BLOCK_COST
+
+    def _best(self, count: int) -> list[Candidate]:
+        """Return the best places of the scan made last."""
         score = np.einsum("ij,ij->i", self._products, self._products)
         found: list[Candidate] = []
         for _ in range(count):
@@ -116,8 +132,8 @@ class Search:
                 found: Fit = end.value
                 return found
 
-    def steps(self, fit: Fit, noise: float) -> Generator[Fit, None, Fit]:
-        """Add fingers to a fit of the frame looked at, and stop after every fit that is tried.
+    def steps(self, fit: Fit, noise: float) -> Generator[float, None, Fit]:
+        """Add fingers to a fit of the frame looked at, piece by piece; yields what each piece has cost, in fits.
 
         The strongest finger is looked for first, then the next in what it leaves. Where this leads nowhere, several
         beginnings are followed side by side. The generator's value is the fit in the end.
@@ -138,18 +154,19 @@ class Search:
             while beam and (not beam[0].places_mm or enough < beam[0].left) and len(beam[0].places_mm) < MOST_FINGERS:
                 more = []
                 for one in beam:
-                    found = self.candidates(refiner.residual(one))
+                    yield from self._scan(refiner.residual(one))
+                    found = self._best(_CANDIDATES)
                     if one is fit and fit.places_mm and fit.left < fair and not _is_seen(found, fit):
                         return fit
                     for candidate in found:
                         more.append(refiner.several([*one.places_mm, candidate.place_mm], _FIRST_STEPS))
-                        yield more[-1]
+                        yield 1.0
                 more.sort(key=lambda one: one.left)
                 more = _different([one for one in more if apart_mm(one) > MERGED_MM])[:width]
                 beam = []
                 for one in more:
                     beam.append(refiner.several(one.places_mm, _STEPS))
-                    yield beam[-1]
+                    yield 1.0
                 beam = [one for one in beam if apart_mm(one) > MERGED_MM]  # they may have come together since
                 beam.sort(key=lambda one: one.left)
                 if beam and is_worth(beam[0], best, noise):
