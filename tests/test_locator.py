@@ -242,3 +242,13 @@ def test_two_at_one_corner_may_be_one_beyond_it_and_are_not_placed() -> None:
     assert at(seen[-1], (85, 60))
     rig = Rig()
     assert at([rig.touch((*beside, 1 + 0j), (85, 60, 1)) for _ in range(30)][-1], beside, (85, 60))
+
+
+def test_a_finger_that_turns_sharply_is_followed() -> None:
+    """At more than a metre a second, from one frame to the next: it is looked for where it was, too."""
+    rig = Rig()
+    x = 30.0
+    for step in [4.0] * 12 + [-4.0] * 12 + [0.0] * 3 + [4.0] * 6:
+        x += step
+        assert at(rig.touch((x, 45.0, 1)), (x, 45.0)), f"at {x}"
+    assert rig.asked == 1

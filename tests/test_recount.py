@@ -63,7 +63,7 @@ def found(fit: Fit, fingers: list[Finger]) -> bool:
     )
 
 
-@pytest.mark.parametrize("elapsed_s", [0.001, 0.002, 0.016])
+@pytest.mark.parametrize("elapsed_s", [0.001, 0.002, 0.032])
 def test_while_fingers_are_followed_no_frame_waits_for_more_fits_than_its_time_allows(elapsed_s: float) -> None:
     rig = Rig()
     for seed in range(1, 60):
@@ -71,7 +71,7 @@ def test_while_fingers_are_followed_no_frame_waits_for_more_fits_than_its_time_a
         assert rig.fits <= FITS_A_SECOND * elapsed_s + 2
         if not rig.recount.pending:
             break
-    assert (seed > 1) is (elapsed_s < 0.016), "the shorter the frames, the more of them it takes"
+    assert (seed > 1) is (elapsed_s < 0.032), "the shorter the frames, the more of them it takes"
     assert found(fit, FOUR)
 
 

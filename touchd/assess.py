@@ -62,14 +62,15 @@ class Assessor:
     def touches(self, fit: Fit, confidence: float) -> tuple[Touch, ...]:
         """Return the fingers of a fit with their standard errors; what is water is none."""
         hearing = self._hearing
-        variance = hearing.variance
+        variance, several = hearing.variance, len(fit.places_mm) > 1
         sizes = [abs(z) for z in fit.strengths]
-        missed = hearing.mean_error * sum([size * size for size in sizes]) / 2
+        power = sum([size * size for size in sizes]) if several else sizes[0] * sizes[0]
+        missed = hearing.mean_error * power / 2
         left = max(fit.left - (1 + SPREAD) * hearing.expected, 0.0) / hearing.alive
         error = WELL_KNOWN * self._field_scale * missed + UNUSUAL * max(left - TYPICAL * missed, 0.0)
         errors_mm = sigmas_mm(fit.information, variance + error)
+        cornered = self._cornered(fit.places_mm) if several else ()
         touches, wet = [], []
-        cornered = self._cornered(fit.places_mm) if len(sizes) > 1 else ()
         for k, (x_mm, y_mm) in enumerate(fit.places_mm):
             phase, energy = cmath.phase(fit.strengths[k]), fit.energies[k]
             # The noise over a finger's energy is the variance of its phase.

@@ -44,19 +44,16 @@ class Course:
     def take(self, places_mm: list[Place], elapsed_s: float) -> None:
         """Take in where the fingers are, so long after the last frame."""
         before, self.places_mm = self.places_mm, places_mm
-        self.moved_mm = math.inf
-        if len(before) == len(places_mm) == 1:
-            (x, y), (old_x, old_y) = places_mm[0], before[0]
-            self.moved_mm = math.hypot(x - old_x, y - old_y)
-        if len(before) != len(places_mm) or len(self._speed) != len(before) or elapsed_s <= 0:
+        alike = len(before) == len(places_mm)
+        self.moved_mm = math.dist(before[0], places_mm[0]) if alike and len(before) == 1 else math.inf
+        if not alike or len(self._speed) != len(before) or elapsed_s <= 0:
             self._speed = [(0.0, 0.0)] * len(places_mm)
             return
         rate, longest = _WEIGHT / elapsed_s, LONGEST_STEP_MM / elapsed_s
-        speed = []
-        for (vx, vy), (x, y), (old_x, old_y) in zip(self._speed, places_mm, before, strict=True):
+        for k, (x, y) in enumerate(places_mm):
+            (vx, vy), (old_x, old_y) = self._speed[k], before[k]
             vx += rate * (x - old_x) - _WEIGHT * vx
             vy += rate * (y - old_y) - _WEIGHT * vy
             if not (-longest <= vx <= longest and -longest <= vy <= longest):
                 vx, vy = max(-longest, min(longest, vx)), max(-longest, min(longest, vy))
-            speed.append((vx, vy))
-        self._speed = speed
+            self._speed[k] = vx, vy

@@ -21,7 +21,7 @@ from touchd.model import Estimate
 from touchd.recount import Recount
 from touchd.refine import NO_FIT, Fit, Refiner
 from touchd.rest import Rest
-from touchd.search import ENOUGH, GOOD, NOISE_MARGIN, Search
+from touchd.search import ENOUGH, FAIR, GOOD, NOISE_MARGIN, Search
 from touchd.tracker import Touch
 
 FAINT = 6.0
@@ -162,17 +162,23 @@ class Locator:
         fits = []
         if math.isfinite(estimate.x_mm) and math.isfinite(estimate.y_mm):
             fits.append(self._refiner.one(estimate.x_mm, estimate.y_mm, FIRST_STEPS))
-        if not fits or signal < FAINT * self._hearing.expected:
-            found = self._search.candidates(self._refiner.frame)
-            fits += [self._refiner.one(*candidate.place_mm, FIRST_STEPS) for candidate in found]
-        best = min(fits, key=lambda fit: fit.left)
-        return self._refiner.one(*best.places_mm[0], 1) if len(fits) > 1 else best
+            if signal >= FAINT * self._hearing.expected:
+                return fits[0]
+        found = self._search.candidates(self._refiner.frame)
+        fits += [self._refiner.one(*candidate.place_mm, FIRST_STEPS) for candidate in found]
+        best = min(fits, key=lambda fit: fit.left, default=NO_FIT._replace(left=self._refiner.energy))
+        return self._refiner.one(*best.places_mm[0], 1) if best.places_mm else best
 
     def _follow(self, elapsed_s: float, signal: float) -> Fit:
         """Fit the fingers of the last frame from where they were going, less those that have lifted."""
         places = self._course.ahead(elapsed_s)
         if len(places) == 1:
-            return self._refiner.one(*places[0], FOLLOW_STEPS)
+            fit = self._refiner.one(*places[0], FOLLOW_STEPS)
+            if self._hearing.excess(fit.left, signal) < FAIR:
+                return fit
+            # It may have turned sharply, or stopped: then it is nearer to where it was.
+            other = self._refiner.one(*self._course.places_mm[0], FIRST_STEPS)
+            return other if other.left < fit.left else self._refiner.one(*fit.places_mm[0], 1)
         fit, dropped = self._recount.prune(self._refiner.several(places, FOLLOW_STEPS - 1), signal)
         for count, k in enumerate(dropped):
             self._course.drop(k, len(places) - count)

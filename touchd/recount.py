@@ -17,7 +17,7 @@ ANEW_ABOVE = FAIR
 """Of fingers that are followed: above it they may not be where they are thought to be."""
 FITS_A_SECOND = 1250.0
 """Of frames' own time, that a search may take: a fit costs about a fifth of a millisecond."""
-FITS_AT_ONCE = 30.0
+FITS_AT_ONCE = 40.0
 """Before any finger is followed: enough for five, one added to the other."""
 _SOON_S, _AGAIN_S, _SELDOM_S = 0.02, 0.05, 2.0
 _GAIN = 0.8

@@ -17,7 +17,7 @@ MOST_FINGERS = 5
 SCAN_MM = 5.0
 """Spacing of the scan: half of it, on the diagonal, is within reach of Gauss-Newton."""
 _CANDIDATES = 3
-_BLOCKS, _BLOCK_COST = 3, 0.5
+_BLOCKS, _BLOCK_COST = 6, 0.5
 """In which a scan is made, and what one takes, in fits."""
 _APART_MM = 7.0
 """Candidates closer to each other lead to the same place."""

@@ -78,8 +78,8 @@ def _estimator_notes(run: Run) -> str:
         "they fit in, measured as a product of a buffer of that size with itself. `MACs` are multiply-adds, at most.",
         "- What the atlas does once a second, to see how warm the untouched plate is and what its gains are, is in the "
         "daemon's times and not in these.",
-        "- `missed`: touches in which no finger was found in that frame, a search of the atlas going on in the next ones for "
-        "some; the errors are of the others.",
+        "- `missed`: touches in which no finger was found in that frame; for some a search of the atlas goes on in the "
+        "next ones. The errors are of the others.",
         "- Percentiles are of the calls after the burn-in, "
         + f"{min(one.calls for one in run.estimators):,} to {max(one.calls for one in run.estimators):,} each.",
     ]
