@@ -18,7 +18,7 @@ GROUPS = {
     "network": ("networks that ship", COLOURS[0], "o"),
     "route": ("the default network, otherwise computed", COLOURS[2], "s"),
     "dictionary": ("recorded touches looked up", COLOURS[3], "D"),
-    "given": ("other models that were given", COLOURS[5], "^"),
+    "given": ("other models", COLOURS[5], "^"),
 }
 PAPER = "#555555"
 BY_ITS_RECIPE_MM = {"R": 6.0, "C-10": 8.1}
@@ -63,7 +63,7 @@ def draw_errors(run: Run) -> Figure:
     _say(axes, 1e3 * REGRESSION_MS, reported.mean_mm, "paper's regression, 0.44 ms", (8, 0))
     axes.plot(
         [run.bare_us.p50] * len(BY_ITS_RECIPE_MM), list(BY_ITS_RECIPE_MM.values()), "P", color=PAPER, ms=8,
-        label="its heads by its recipe on the twin, features not counted",
+        label="its heads on the twin, without features",
     )  # fmt: skip
     for head, median_mm in BY_ITS_RECIPE_MM.items():
         _say(axes, run.bare_us.p50, median_mm, f"{head}  ", (-28 if head == "R" else -36, 0))
@@ -78,6 +78,7 @@ def draw_errors(run: Run) -> Figure:
         axes.axhline(bound_mm, color=COLOURS[4], lw=1.4, ls="-.")
         low = min(low, bound_mm / 1.8)
     axes.set_ylim(low / 1.7, high * 2)
+    axes.set_xlim(left=min(run.bare_us.p50, *(one.p50_us for one in run.estimators)) / 1.8)  # room for names
     _label_all(axes, run)
     bottom = axes.get_ylim()[0] * 1.1
     for x_us, text, colour in ((run.bare_us.p50, "bare network", "black"), (1e3 * KEYPAD_MS, "paper's keypad", PAPER)):
@@ -88,7 +89,7 @@ def draw_errors(run: Run) -> Figure:
             color=COLOURS[4],
         )  # fmt: skip
     axes.grid(alpha=0.25, which="both")
-    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=3, frameon=False, fontsize=9)
+    figure.legend(loc="outside lower center", ncols=3, frameon=False, fontsize=9)
     axes.set_title(f"{run.touches.count} touches of a {run.touches.finger} finger that no training saw", fontsize=11)
     return figure
 
