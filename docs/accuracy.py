@@ -7,8 +7,6 @@ Recordings are simulated into a temporary folder, or into one that is kept and u
 
 from __future__ import annotations
 
-import argparse
-import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +15,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from docs.generate import with_block
+from docs import measured
 from touchd.atlas import Atlas
 from touchd.config import ModelSettings, Settings
 from touchd.evaluation.atlasplots import FieldImage, NoiseLevel, draw_field, draw_fingers, draw_learning, draw_noise
@@ -35,7 +33,6 @@ from touchd.evaluation.frames import see, touched_frames
 from touchd.evaluation.maps import draw_maps
 from touchd.evaluation.matching import match_frames, scores_by_fingers
 from touchd.evaluation.metrics import position_scores
-from touchd.evaluation.plots import save
 from touchd.evaluation.replay import replay
 from touchd.evaluation.score import Judgement
 from touchd.model import Model
@@ -54,7 +51,7 @@ from touchd.twin.simulate import DEFAULT_PLATE, meta_of, simulate_scene, simulat
 
 ROOT = Path(__file__).resolve().parent.parent
 MODEL = ROOT / "models" / "regression.onnx"
-PAGE, PICTURES = ROOT / "docs" / "accuracy.md", ROOT / "docs" / "accuracy"
+PAGE = ROOT / "docs" / "accuracy.md"
 
 LEVELS_DB = (70.0, 60.0, 50.0, 40.0)
 TOUCHES = 1500
@@ -237,30 +234,18 @@ PARTS = {part.__name__: part for part in (field, maps, noise, conditions, sessio
 
 def picture(figure: Figure, name: str, caption: str) -> str:
     """Save a picture, and return what the page says of it."""
-    PICTURES.mkdir(exist_ok=True)
-    save(figure, PICTURES / f"{name}.png")
-    return f"![{caption}](accuracy/{name}.png)"
+    return measured.picture(PAGE, figure, name, caption)
 
 
 def main() -> None:
     """Make the parts that are asked for, by default all."""
-    parser = argparse.ArgumentParser(prog="python -m docs.accuracy", description=__doc__)
-    parser.add_argument("parts", nargs="*", metavar="PART", help=f"of {', '.join(PARTS)}")
-    parser.add_argument("--keep", type=Path, help="folder for the recordings, to be used again")
-    given = parser.parse_args()
-    if unknown := set(given.parts) - set(PARTS):
-        parser.error(f"no part {', '.join(sorted(unknown))}")
-    with tempfile.TemporaryDirectory() as temporary:
-        folder = given.keep or Path(temporary)
-        folder.mkdir(parents=True, exist_ok=True)
+    with measured.asked(PAGE, __doc__ or "", PARTS, "the recordings") as (folder, wanted):
         model = Model(MODEL)
         assert model.atlas is not None
         bench = Bench(folder, Instrument(DEFAULT_PLATE), model, model.atlas)
-        for name, part in PARTS.items():
-            if not given.parts or name in given.parts:
-                content = part(bench)  # may take minutes: the page is read afterwards
-                PAGE.write_text(with_block(PAGE.read_text(), name, content))
-                print(f"{name}: done")
+        for name, part in wanted.items():
+            measured.fill(PAGE, name, part(bench))
+            print(f"{name}: done")
 
 
 if __name__ == "__main__":

@@ -8,7 +8,6 @@ networks of the paper's recipe are made in a temporary folder, or in one that is
 
 from __future__ import annotations
 
-import argparse
 import importlib
 import re
 import tempfile
@@ -21,12 +20,11 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from docs.generate import with_block
+from docs import measured
 from tests.numerics import agreement, curves, degenerate, independence, limits, longruns
 from tests.numerics.curvepage import ATLAS, NETWORK, PAPER, answer_table, draw, small, table
 from tests.numerics.watch import frames_of, run
 from touchd.benchmark.machine import this_machine
-from touchd.evaluation.plots import save
 from touchd.model import Model, default_model_path
 from touchd.recording import Recording, read, write
 from touchd.training.dataset import Dataset, digest, make_dataset, split, thin
@@ -36,7 +34,7 @@ from touchd.twin.scenes import SCENES
 from touchd.twin.simulate import DEFAULT_PLATE, simulate_scene, simulate_touches
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGE, PICTURES = ROOT / "docs" / "numerics.md", ROOT / "docs" / "numerics"
+PAGE = ROOT / "docs" / "numerics.md"
 
 TRAINING_TOUCHES, TRAINING_SEED, PAPER_SEED = 6404, 1, 1
 TOUCHES = 400
@@ -329,9 +327,7 @@ def atlas_learning(page: str) -> dict[int, tuple[float, float]]:
 
 def picture(figure: Figure, name: str, caption: str) -> str:
     """Save a picture, and return what the page says of it."""
-    PICTURES.mkdir(exist_ok=True)
-    save(figure, PICTURES / f"{name}.png")
-    return f"![{caption[0].upper() + caption[1:]}](numerics/{name}.png)"
+    return measured.picture(PAGE, figure, name, caption[0].upper() + caption[1:])
 
 
 PARTS: dict[str, Callable[[Bench], str]] = {
@@ -342,24 +338,15 @@ PARTS |= {axis.name: curve(axis) for axis in curves.AXES} | {"learning": learnin
 
 def main() -> None:
     """Make the parts that are asked for, by default all."""
-    parser = argparse.ArgumentParser(prog="python -m docs.numerics", description=__doc__)
-    parser.add_argument("parts", nargs="*", metavar="PART", help=f"of {', '.join(PARTS)}")
-    parser.add_argument("--keep", type=Path, help="folder for the training recording and networks, to be used again")
-    given = parser.parse_args()
-    if unknown := set(given.parts) - set(PARTS):
-        parser.error(f"no part {', '.join(sorted(unknown))}")
-    with tempfile.TemporaryDirectory() as temporary:
-        folder = given.keep or Path(temporary)
-        folder.mkdir(parents=True, exist_ok=True)
+    with measured.asked(PAGE, __doc__ or "", PARTS, "the training recording and networks") as (folder, wanted):
         bench = Bench(folder)
-        for name, part in PARTS.items():
-            if not given.parts or name in given.parts:
-                started_s = time.monotonic()
-                content = part(bench)  # may take minutes: the page is read afterwards
-                took = f"\n\n`python -m docs.numerics {name}`, {time.monotonic() - started_s:.0f} s."
-                PAGE.write_text(with_block(PAGE.read_text(), name, content + took))
-                print(f"{name}: {took.strip()}", flush=True)
-        PAGE.write_text(with_block(PAGE.read_text(), "machine", f"Made on: {this_machine().line()}."))
+        for name, part in wanted.items():
+            started_s = time.monotonic()
+            content = part(bench)
+            took = f"\n\n`python -m docs.numerics {name}`, {time.monotonic() - started_s:.0f} s."
+            measured.fill(PAGE, name, content + took)
+            print(f"{name}: {took.strip()}", flush=True)
+        measured.fill(PAGE, "machine", f"Made on: {this_machine().line()}.")
 
 
 if __name__ == "__main__":

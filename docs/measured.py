@@ -1,0 +1,56 @@
+"""Pages that are measured part by part: which parts are asked for, and where what they say is put."""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TypeVar
+
+from matplotlib.figure import Figure
+
+from docs.generate import with_block
+from touchd.evaluation.plots import save
+
+Part = TypeVar("Part", bound=Callable[..., str])
+
+
+def picture(page: Path, figure: Figure, name: str, caption: str) -> str:
+    """Save a picture in the folder beside a page that has its name, and return what the page says of it."""
+    folder = page.with_suffix("")
+    folder.mkdir(exist_ok=True)
+    save(figure, folder / f"{name}.png")
+    return f"![{caption}]({folder.name}/{name}.png)"
+
+
+def fill(page: Path, name: str, content: str) -> None:
+    """Put what a part says into its place on the page."""
+    page.write_text(with_block(page.read_text(), name, content))
+
+
+@contextmanager
+def asked(page: Path, what: str, parts: Mapping[str, Part], kept: str) -> Iterator[tuple[Path, dict[str, Part]]]:
+    """Read the command line: yield a folder for what is computed on the way, and the parts to be made, by default all.
+
+    Parameters
+    ----------
+    page : Path
+    what : str
+        Of the program, for its help.
+    parts : mapping of callables
+        By name.
+    kept : str
+        What lies in the folder.
+    """
+    parser = argparse.ArgumentParser(prog=f"python -m docs.{page.stem}", description=what)
+    parser.add_argument("parts", nargs="*", metavar="PART", help=f"of {', '.join(parts)}")
+    parser.add_argument("--keep", type=Path, help=f"folder for {kept}, to be used again")
+    given = parser.parse_args()
+    if unknown := set(given.parts) - set(parts):
+        parser.error(f"no part {', '.join(sorted(unknown))}")
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = given.keep or Path(temporary)
+        folder.mkdir(parents=True, exist_ok=True)
+        yield folder, {name: part for name, part in parts.items() if not given.parts or name in given.parts}
