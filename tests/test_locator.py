@@ -252,3 +252,20 @@ def test_a_finger_that_turns_sharply_is_followed() -> None:
         x += step
         assert at(rig.touch((x, 45.0, 1)), (x, 45.0)), f"at {x}"
     assert rig.asked == 1
+
+
+def test_no_finger_is_lost_while_others_come_down() -> None:
+    """Pressing down over some frames, far from each other: those that were found are found in every frame."""
+    rng = np.random.default_rng(4)
+    places = [(25.0, 25.0), (90.0, 30.0), (60.0, 65.0), (25.0, 70.0), (60.0, 30.0)]
+    rig, known = Rig(noise=2.0), 0
+    for frame in range(150):
+        fingers = []
+        for k, (x, y) in enumerate(places):
+            pressed = min(max((frame - 20 * k) / 12, 0.0), 1.0)
+            if pressed:
+                fingers.append((x + rng.normal(0, 0.1), y + rng.normal(0, 0.1), complex(pressed * (1 - 0.1 * k))))
+        found = len(rig.touch(*fingers))
+        assert found >= known, f"frame {frame}"
+        known = max(known, found)
+    assert known == len(places)

@@ -131,7 +131,10 @@ class Locator:
             fit = self._begin(start, signal)
         excess = hearing.excess(fit.left, signal)
         if self._recount.is_due(excess, signal, elapsed_s):
-            fit = self._look_again(fit, residual, signal, elapsed_s, followed=followed)
+            # Only one finger that is well explained can wait for what may be beside it; of several, or after a change,
+            # one may be lost for as long as the search takes.
+            waits = not followed or (len(fit.places_mm) == 1 and excess < FAIR)
+            fit = self._look_again(fit, residual, signal, elapsed_s if waits else 0.0, followed=followed)
             excess = hearing.excess(fit.left, signal)
         significant = sum(fit.energies) > hearing.least
         confidence = 1 / (1 + (max(excess, 0.0) / EXCESS_OF_HALF) ** 2) if significant else 0.0

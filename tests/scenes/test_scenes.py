@@ -33,6 +33,16 @@ def test_every_touch_is_found_once_and_nothing_else(name: str, seed: int, instru
     assert np.median(np.linalg.norm(result.error_mm, axis=1)) < 3.0
 
 
+@pytest.mark.parametrize("name", ["two", "cross", "five"])
+@pytest.mark.parametrize("seed", [11, 12])
+def test_several_fingers_are_found_and_none_is_lost_while_others_come(
+    name: str, seed: int, instrument: Instrument
+) -> None:
+    result, _ = scene(name, instrument, seed)
+    print(f"{name} {seed}: {result.found} of {result.touches}, {result.split} split")
+    assert (result.missed, result.ghosts, result.split) == (0, 0, 0)
+
+
 def test_lost_frames_are_counted(instrument: Instrument) -> None:
     stage = stage_scene("lostframes", DEFAULT_PLATE, seed=11)
     outcome = play(stage, instrument)
