@@ -127,12 +127,13 @@ class Recount:
 
     def _as_of_now(self, found: Fit, known: int, fit: Fit) -> Found:
         """Return what was found in an earlier frame as a fit of this one, if it is better than the present one."""
-        if known and known != len(fit.places_mm):
-            return fit, len(fit.places_mm)
+        count = len(fit.places_mm)
+        if known and (known != count or len(found.places_mm) == count):
+            return fit, count  # fingers have come or gone meanwhile, or nothing was found
         now = self._refiner.several([*(fit.places_mm if known else []), *found.places_mm[known:]], _STEPS)
         if apart_mm(now) > MERGED_MM and is_worth(now, fit, self._hearing.expected):
             return now, known
-        return fit, len(fit.places_mm)
+        return fit, count
 
     def _settle(self, found: Fit, known: int, fit: Fit, signal: float) -> Found:
         """Return what was found without what is none, and decide when to search again."""

@@ -87,7 +87,7 @@ class Search:
         """Return places at which one finger would explain most of what is left, the best first."""
         for _ in self._scan(left):
             pass
-        return self._best(count)
+        return self._best(self._score(), count)
 
     def _scan(self, left: Array) -> Iterator[float]:
         """Compare what is left with the field everywhere, block by block; yields what each costs, in fits."""
@@ -98,9 +98,13 @@ class Search:
             np.dot(self._unit[rows], self._pair, out=self._products[rows])
             yield _BLOCK_COST
 
-    def _best(self, count: int) -> list[Candidate]:
-        """Return the best places of the scan made last."""
-        score = np.einsum("ij,ij->i", self._products, self._products)
+    def _score(self) -> NDArray[np.float32]:
+        """Return what a finger at each place of the scan made last would explain, counts squared."""
+        score: NDArray[np.float32] = np.einsum("ij,ij->i", self._products, self._products)
+        return score
+
+    def _best(self, score: NDArray[np.float32], count: int) -> list[Candidate]:
+        """Return the best places of a scan with this score, which is used up."""
         found: list[Candidate] = []
         for _ in range(count):
             best = int(score.argmax())
@@ -155,10 +159,10 @@ class Search:
                 more = []
                 for one in beam:
                     yield from self._scan(refiner.residual(one))
-                    found = self._best(_CANDIDATES)
-                    if one is fit and fit.places_mm and fit.left < fair and not _is_seen(found, fit):
+                    score = self._score()
+                    if one is fit and fit.places_mm and fit.left < fair and not score.max() > SEEN * fit.left:
                         return fit
-                    for candidate in found:
+                    for candidate in self._best(score, _CANDIDATES):
                         more.append(refiner.several([*one.places_mm, candidate.place_mm], _FIRST_STEPS))
                         yield 1.0
                 more.sort(key=lambda one: one.left)
@@ -187,10 +191,6 @@ def is_worth(fit: Fit, other: Fit, noise: float) -> bool:
     if not other.places_mm or more <= 0:
         return fit.left < other.left
     return fit.left - noise < WORTH**more * (other.left - noise)
-
-
-def _is_seen(found: list[Candidate], fit: Fit) -> bool:
-    return bool(found) and found[0].energy > SEEN * fit.left
 
 
 def _different(fits: list[Fit]) -> list[Fit]:
