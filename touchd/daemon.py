@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import faulthandler
+import math
 import sys
 import time
 from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -193,7 +195,8 @@ def run(
     preroll: PreRoll | None = None
     control: Control | None = None
     try:
-        bus = ZeromqSink(settings.bus)
+        with realtime.giving_way() if choice.speed == math.inf else nullcontext():
+            bus = ZeromqSink(settings.bus)
         sinks: list[Sink] = [bus]
         if echo:
             sinks.append(JsonlSink(sys.stdout))

@@ -8,7 +8,8 @@ from __future__ import annotations
 import ctypes
 import gc
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 import structlog
 
@@ -41,11 +42,37 @@ def apply(settings: RealtimeSettings) -> list[str]:
     return refused
 
 
+@contextmanager
+def giving_way() -> Iterator[None]:
+    """Have threads that are started within it never interrupt another one for having something to do (SCHED_BATCH).
+
+    For the bus's thread of a replay at full speed: on the same processor it would interrupt each frame to send the
+    message of the one before, though nobody waits for any single one of them. Threads of a process that was scheduled
+    otherwise, or that the system does not allow it, are as they would have been.
+    """
+    if os.sched_getscheduler(0) != os.SCHED_OTHER or not _set_policy(os.SCHED_BATCH):
+        yield
+        return
+    try:
+        yield
+    finally:
+        _set_policy(os.SCHED_OTHER)
+
+
 def freeze(settings: RealtimeSettings) -> None:
     """Have the garbage collector leave alone what was made so far; to be called once everything is loaded."""
     if settings.freeze_gc:
         gc.collect()
         gc.freeze()
+
+
+def _set_policy(policy: int) -> bool:
+    """Set this thread's own policy, and return whether that is allowed."""
+    try:
+        os.sched_setscheduler(0, policy, os.sched_param(0))
+    except OSError:
+        return False
+    return True
 
 
 def _schedule(priority: int) -> None:

@@ -16,7 +16,7 @@ from touchd.benchmark.budgets import BUDGETS
 from touchd.benchmark.machine import this_machine
 from touchd.benchmark.page import page
 from touchd.benchmark.plots import draw
-from touchd.benchmark.results import Run
+from touchd.benchmark.results import BareTimes, Run
 from touchd.errors import ConfigError, OutputError
 from touchd.verbs.benchmark import PICTURES, command
 
@@ -73,6 +73,15 @@ def test_every_estimator_scene_and_picture_is_on_the_page(run: Run, tmp_path: Pa
         assert f"(pictures/{name})" in text
         assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
     assert "what is not there" in text
+
+
+def test_what_the_bus_takes_by_itself_stands_beside_the_daemon(run: Run, tmp_path: Path) -> None:
+    floor = run.model_copy(update={"bus_us": BareTimes(p50=160.0, p99=1500.0, p999=4321.0), "placed": True})
+    text = page(floor, "pictures")
+    assert "p50 160, p99 1,500, p99.9 4,321 us" in text
+    assert "a processor to itself" in text
+    assert "a processor to itself" not in page(run, "pictures")
+    assert draw(floor, tmp_path)
 
 
 def test_a_run_is_compared_by_its_ratios_to_the_bare_network_and_not_by_its_times(run: Run) -> None:

@@ -10,6 +10,7 @@ import os
 import sys
 import time
 from collections.abc import Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -119,7 +120,8 @@ def run(task: Task) -> None:
     loop = Loop.load(task.loop)
     rate_hz = task.rate_hz or float("inf")
     source = LoopSource(loop, rate_hz, task.seconds, burst, begun)
-    bus = ZeromqSink(settings.bus)
+    with realtime.giving_way() if task.rate_hz is None else nullcontext():
+        bus = ZeromqSink(settings.bus)
     messages = make_messages(settings)
     pipeline, _ = make_pipeline(source, settings, messages, [bus], model=model)
     most_frames = loop.lead + round(task.seconds * min(rate_hz, 200_000)) + 1

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from touchd.benchmark.child import Task
 from touchd.benchmark.loop import Loop
+from touchd.benchmark.placement import apart, daemon_cpus
 from touchd.benchmark.results import DaemonResult, Day, rounded
 from touchd.benchmark.stopwatch import spread
 from touchd.client import Subscriber
@@ -65,14 +66,14 @@ def measure(
     bus = {"bind": [address]} if rate_hz is not None else {"bind": [address], "high_water_mark": ENDLESS}
     settings: dict[str, Any] = {
         "bus": bus, "model": {"path": str(model)}, "baseline": {"absorb_s": FOREVER_S},
-        "preroll": {"folder": str(folder)},
+        "preroll": {"folder": str(folder)}, "realtime": {"cpus": daemon_cpus()},
     }  # fmt: skip
     task = Task(
         loop=stored, rate_hz=rate_hz, seconds=seconds, bare=bare, output=output, settings=settings,
         patience_s=PATIENCE_S,
     )  # fmt: skip
     begun_ns = time.monotonic_ns()
-    with Subscriber(address, ("touch", "health"), PATIENCE_S) as events, _running(task) as process:
+    with apart(), Subscriber(address, ("touch", "health"), PATIENCE_S) as events, _running(task) as process:
         heard = dict(_heard(events, process))
         lost = events.lost.total()
     with np.load(output) as found:

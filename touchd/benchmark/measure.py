@@ -10,12 +10,22 @@ from pathlib import Path
 
 import onnx
 
-from touchd.benchmark import daemon, skips
+from touchd.benchmark import bus, daemon, skips
 from touchd.benchmark.estimators import NETWORKS, Estimator, atlases, bare, dictionaries, network, routes
 from touchd.benchmark.loop import Loop
 from touchd.benchmark.machine import this_machine
+from touchd.benchmark.placement import daemon_cpus
 from touchd.benchmark.race import race
-from touchd.benchmark.results import DaemonResult, EstimatorResult, Run, SkipResult, Touches, rounded
+from touchd.benchmark.results import (
+    BUS_RATE_HZ,
+    BareTimes,
+    DaemonResult,
+    EstimatorResult,
+    Run,
+    SkipResult,
+    Touches,
+    rounded,
+)
 from touchd.benchmark.scenes import WANTED, make_loop
 from touchd.benchmark.stopwatch import undisturbed
 from touchd.benchmark.touches import FINGER, SEED, UNTOUCHED, HeldOut, held_out
@@ -34,6 +44,9 @@ DICTIONARY_SEED = 1
 KEYPAD = "keypad"
 REPEATS = 3
 """At full speed, of which the one of median ratio counts: how processes and threads share the cores differs."""
+TAIL = "moving", BUS_RATE_HZ
+"""The cell of which the tail counts: run `REPEATS` times in turns with the bare bus, and the median tail taken of both.
+A computer shared with others may hold a process up for longer than anything that is measured."""
 _NO_TIME_DOMAIN = "the time domain: no model that takes samples is shipped, and none was given (--also)"
 
 
@@ -103,7 +116,7 @@ def benchmark(models: Path, *, quick: bool, progress: Progress, also: Sequence[P
         for scene in WANTED:
             progress("simulating scenes", 0.4)
             loops[scene] = make_loop(scene, instrument)
-        cells = _cells(models, folder, scale, loops, progress)
+        cells, bus_us = _cells(models, folder, scale, loops, progress)
     saved = _skips(models, loops, found, scale, progress)
     bound_mm = rounded(_bound_mm(held, instrument), 3) if scale.bound else None
     left_out: tuple[str, ...] = () if any(one.domain == "time" for one in estimators) else (_NO_TIME_DOMAIN,)
@@ -112,7 +125,8 @@ def benchmark(models: Path, *, quick: bool, progress: Progress, also: Sequence[P
     return Run(
         quick=quick, seconds=rounded(time.monotonic() - begun_s, 3), machine=machine,
         touches=Touches(count=held.count, seed=SEED, finger=FINGER, bound_mm=bound_mm), bare_us=bare_us,
-        estimators=tuple(found), left_out=left_out, daemon=tuple(cells), skips=tuple(saved), day=daemon.day(cells),
+        estimators=tuple(found), left_out=left_out, daemon=tuple(cells), placed=bool(daemon_cpus()),
+        bus_us=bus_us, skips=tuple(saved), day=daemon.day(cells),
     )  # fmt: skip
 
 
@@ -143,27 +157,37 @@ def _given(also: Sequence[Path], instrument: Instrument) -> Iterator[Estimator]:
         yield network(model, onnx.load(path), path.stem, "given")
 
 
-def _cells(models: Path, folder: Path, scale: Scale, loops: dict[str, Loop], progress: Progress) -> list[DaemonResult]:
-    """Run the daemon through every scene at every rate."""
+def _cells(
+    models: Path, folder: Path, scale: Scale, loops: dict[str, Loop], progress: Progress
+) -> tuple[list[DaemonResult], BareTimes | None]:
+    """Run the daemon through every scene at every rate, and the bus without it."""
     wanted = [
         (scene, rate_hz)
         for scene in loops
         for rate_hz in (scale.keypad_rates_hz if scene == KEYPAD else scale.rates_hz)
     ]
-    cells = []
+    cells, floors = [], []
     for number, (scene, rate_hz) in enumerate(wanted):
         rate = "full speed" if rate_hz is None else f"{rate_hz:g} frames/s"
         progress(f"daemon: {scene}, {rate}", 0.4 + 0.5 * number / len(wanted))
-        seconds, repeats = (scale.cell_s, 1) if rate_hz is not None else (scale.full_speed_s, REPEATS)
         model = _path(models, KEYPAD if scene == KEYPAD else NETWORKS[0])
-        found = [
-            daemon.measure(
-                scene, loops[scene], rate_hz, seconds, model=model, bare=folder / "bare.onnx", folder=folder
+        seconds = scale.full_speed_s if rate_hz is None else scale.cell_s
+        tail = (scene, rate_hz) == TAIL
+        found = []
+        for _ in range(REPEATS if tail or (rate_hz is None and scene in scale.repeated) else 1):
+            if tail:
+                floors.append(bus.measure(BUS_RATE_HZ, seconds, folder))
+            found.append(
+                daemon.measure(
+                    scene, loops[scene], rate_hz, seconds, model=model, bare=folder / "bare.onnx", folder=folder
+                )
             )
-            for _ in range(repeats if scene in scale.repeated else 1)
-        ]  # fmt: skip
-        cells.append(sorted(found, key=lambda cell: cell.ratio)[len(found) // 2])
-    return cells
+        found.sort(key=lambda cell: cell.p999_us if tail else cell.ratio)
+        cells.append(found[len(found) // 2])
+    if not floors:
+        return cells, None
+    floor = sorted(floors, key=lambda floor: floor.p999)[len(floors) // 2]
+    return cells, BareTimes(p50=rounded(floor.p50), p99=rounded(floor.p99), p999=rounded(floor.p999))
 
 
 def _skips(

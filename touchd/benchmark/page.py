@@ -45,13 +45,16 @@ def page(run: Run, pictures: str) -> str:
         _estimator_notes(run),
         "## The daemon, end to end",
         "A daemon in a process of its own with all that it has in service (bus, health, pre-roll), and a subscriber in "
-        "another. Scenes of a human finger are computed by the digital twin beforehand, at 125 frames a second, and "
+        "another"
+        + (", each with a processor to itself" if run.placed else "")
+        + ". Scenes of a human finger are computed by the digital twin beforehand, at 125 frames a second, and "
         "played to and fro: at 1,000 the finger is eight times as quick. Times go from a frame complete on the "
         "computer to its event decoded by the subscriber (of a still finger only ten frames a second have a message); "
         "where nothing is sent (idle), to the decision; at full speed, where messages queue up, to the socket, and "
         "shown is the run of median ratio out of three. "
         "`handed` is to the socket, or to the decision, in all of them, and `x bare` its ratio to the bare network in "
-        "that process. Frames at a steady rate find the processor's caches cold and its clock low; those at full speed "
+        "that process. At full speed the bus's thread sends when the frames leave it time to (SCHED_BATCH). "
+        "Frames at a steady rate find the processor's caches cold and its clock low; those at full speed "
         "do not. `frames/CPU s` is how many frames a second of processor time is enough for, that of the bus's own "
         "thread included.",
     ]
@@ -94,6 +97,14 @@ def _daemon_notes(run: Run) -> str:
         lines.append(
             f"- A typical day ({d.idle:.0%} idle, {d.still:.0%} a still finger, {d.moving:.0%} a moving one, 125 "
             f"frames a second) costs **{d.cpu_s_per_hour:.0f} s of processor time an hour**."
+        )
+    if run.bus_us is not None:
+        b = run.bus_us
+        lines.append(
+            f"- The bus with nothing behind it, from process to process at 1,000 messages a second, in turns with the "
+            f"moving finger at 1,000 frames/s: p50 {b.p50:,.0f}, p99 {b.p99:,.0f}, p99.9 {b.p999:,.0f} us. So much of "
+            "the times to the subscriber is ZeroMQ's, the kernel's and this computer's; of either the run of median "
+            "99.9th percentile out of three is shown."
         )
     cells = run.daemon
     if cells:

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
-from touchd.benchmark.results import DaemonResult, EstimatorResult, Run
+from touchd.benchmark.results import BUS_RATE_HZ, BareTimes, DaemonResult, EstimatorResult, Run
 from touchd.evaluation.plots import COLOURS, save
 from touchd.reproduction.paper import HEADS, KEYPAD_MS, REGRESSION_MS
 
@@ -133,12 +133,15 @@ def draw_latency(run: Run) -> Figure:
     left.axhline(1e3 * KEYPAD_MS, color=PAPER, lw=1, ls=":")
     left.set(yscale="log", ylabel="frame complete to subscriber (us)", xlabel="frames a second",
              xticks=range(len(RATES)), xticklabels=[f"{rate:,.0f}" for rate in RATES], xlim=(-0.55, 2.95))  # fmt: skip
+    if run.bus_us is not None:
+        x = RATES.index(BUS_RATE_HZ) + len(scenes) / 2 * 0.14
+        _bar(left, x, run.bus_us, "black", "the bus alone")
     left.text(2.93, 1e3 * REGRESSION_MS, "paper: 0.44 ms", fontsize=8, color=PAPER, ha="right", va="bottom")
     left.text(2.93, 1e3 * KEYPAD_MS, "paper: 0.28 ms", fontsize=8, color=PAPER, ha="right", va="top")
     left.set_title("dot: median; bar: to the 99th; tick: 99.9th percentile (idle: to the decision)", fontsize=10)
     _spell_out(left, x=False)
     left.grid(alpha=0.25, axis="y", which="both")
-    left.legend(loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=len(scenes), frameon=False, fontsize=9)
+    left.legend(loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=len(scenes) + 1, frameon=False, fontsize=9)
     full = [cell for scene in scenes if (cell := run.cell(scene, None)) is not None]
     right.barh([cell.scene for cell in full], [cell.frames_per_cpu_s for cell in full],
                color=[COLOURS[scenes.index(cell.scene)] for cell in full])  # fmt: skip
@@ -155,14 +158,17 @@ def draw_latency(run: Run) -> Figure:
 
 
 def _bars(axes: Axes, cells: list[DaemonResult], number: int, count: int) -> None:
-    colour = COLOURS[number]
     for cell in cells:
         assert cell.rate_hz is not None
         x = RATES.index(cell.rate_hz) + (number - (count - 1) / 2) * 0.14
-        axes.plot([x, x], [cell.p50_us, cell.p99_us], color=colour, lw=3, alpha=0.6, solid_capstyle="butt")
-        axes.plot(x, cell.p999_us, "_", color=colour, ms=9, mew=1.6)
-        label = cell.scene if cell is cells[0] else None
-        axes.plot(x, cell.p50_us, "o", color=colour, ms=7, label=label)
+        times = BareTimes(p50=cell.p50_us, p99=cell.p99_us, p999=cell.p999_us)
+        _bar(axes, x, times, COLOURS[number], cell.scene if cell is cells[0] else None)
+
+
+def _bar(axes: Axes, x: float, times_us: BareTimes, colour: str, label: str | None) -> None:
+    axes.plot([x, x], [times_us.p50, times_us.p99], color=colour, lw=3, alpha=0.6, solid_capstyle="butt")
+    axes.plot(x, times_us.p999, "_", color=colour, ms=9, mew=1.6)
+    axes.plot(x, times_us.p50, "o", color=colour, ms=7, label=label)
 
 
 def _spell_out(axes: Axes, *, x: bool = True) -> None:

@@ -10,6 +10,8 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from touchd.benchmark.machine import Machine
 from touchd.errors import ConfigError, OutputError
 
+BUS_RATE_HZ = 1000.0
+
 
 class _Part(BaseModel):
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
@@ -131,6 +133,11 @@ class Run(_Part):
     estimators: tuple[EstimatorResult, ...]
     left_out: tuple[str, ...]
     daemon: tuple[DaemonResult, ...]
+    placed: bool = False
+    """Whether the daemon had a processor of its own, and its subscriber another."""
+    bus_us: BareTimes | None = None
+    """A message over a bus with nothing behind it, from process to process at `BUS_RATE_HZ`: the floor of the daemon's
+    times to the subscriber."""
     skips: tuple[SkipResult, ...]
     day: Day | None
 

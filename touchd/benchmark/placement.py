@@ -1,0 +1,26 @@
+"""Which processor the daemon gets and which its subscriber, so that a run does not depend on where threads wander."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+
+def daemon_cpus() -> tuple[int, ...]:
+    """Return the processor for the daemon and all its threads; none if there is but one."""
+    cpus = sorted(os.sched_getaffinity(0))
+    # The last one: interrupts mostly go to the first.
+    return (cpus[-1],) if len(cpus) > 1 else ()
+
+
+@contextmanager
+def apart() -> Iterator[None]:
+    """Keep this thread, and those it starts, off the daemon's processor."""
+    before = os.sched_getaffinity(0)
+    rest = before - set(daemon_cpus())
+    os.sched_setaffinity(0, rest)
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, before)
