@@ -127,6 +127,8 @@ class Service:
             log.info("end of stream", frames=self._pipeline.counters.frames)
         finally:
             self._manager.stopping()
+            for sink in self._sinks:
+                sink.poll()  # who subscribed just now hears the end, too
             self._publish(self._pipeline.lose(self._stream_ns), self._clock())
             self._enter("stopping")
             self._source.close()
