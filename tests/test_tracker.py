@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from touchd.assignment import assign
 from touchd.config import TrackerSettings
 from touchd.event import Contact
 from touchd.filter import OneEuro
@@ -50,6 +51,29 @@ def test_a_finger_is_down_after_two_frames_and_up_after_two_without_it() -> None
     stroke.feed()
     assert stroke.phases() == ["down", "up"]
     assert not stroke.tracker.busy
+
+
+places = st.lists(st.tuples(st.floats(0, 60), st.floats(0, 60)), min_size=1, max_size=5, unique=True)
+
+
+@given(places, places)
+def test_which_finger_is_which_is_decided_by_the_least_way_of_all_together(
+    before: list[tuple[float, float]], after: list[tuple[float, float]]
+) -> None:
+    stroke, reach_mm = Stroke(), SETTINGS.reach_mm
+    stroke.feed(*(at(*place) for place in before))
+    touches = [at(*place) for place in after]
+    found = stroke.tracker._match(touches)
+    taken = [touch for touch in found if touch is not None]
+    assert len(set(map(id, taken))) == len(taken)
+
+    def way_mm(place: tuple[float, float], touch: Touch | None) -> float:
+        return reach_mm if touch is None else math.dist(place, (touch.x_mm, touch.y_mm))
+
+    ways_mm = [[way_mm(place, touch) for touch in touches] + [reach_mm] * len(before) for place in before]
+    costs = [[way if way <= reach_mm else 1e9 for way in row] for row in ways_mm]
+    least_mm = sum(row[j] for row, j in zip(costs, assign(costs), strict=True))
+    assert sum(map(way_mm, before, found)) == pytest.approx(least_mm)
 
 
 def test_a_single_frame_is_no_finger() -> None:

@@ -118,13 +118,16 @@ class Refiner:
         information[0, 0], information[0, 1], information[1, 0], information[1, 1] = a, b, b, c
         return Fit([(x, y)], [strength], [explained], information, max(self.energy - explained, 0.0))
 
-    def several(self, places_mm: Sequence[Place], steps: int) -> Fit:
-        """Fit any number of fingers jointly from places nearby, in at most so many steps (at least one)."""
+    def several(self, places_mm: Sequence[Place], steps: int, still_mm: float = STILL_MM / 10) -> Fit:
+        """Fit any number of fingers jointly from places nearby, in at most so many steps (at least one).
+
+        Steps shorter than `still_mm` end it.
+        """
         count = len(places_mm)
         if not count:
             return Fit([], [], [], np.zeros((0, 0)), self.energy)
         inside, pair = self._lookup.inside, np.arange(2 * count).reshape(2, count).T.ravel()
-        at = [inside(*place) for place in places_mm]
+        at, gained = [inside(*place) for place in places_mm], 0.0
         for step in range(steps + 1):
             at, gram = self._gram_of(at)
             own = gram[:count, :count].copy()
@@ -142,17 +145,18 @@ class Refiner:
             damped = information.copy()
             damped.ravel()[:: 2 * count + 1] *= 1 + _DAMPING
             damped.ravel()[:: 2 * count + 1] += 1e-30
-            move = np.linalg.solve(damped, gradient).tolist()
-            longest_mm, places = 0.0, []
-            for (x, y), step_x, step_y in zip(at, move[::2], move[1::2], strict=True):
+            move = np.linalg.solve(damped, gradient)
+            longest_mm, places, steps_mm = 0.0, [], move.tolist()
+            for (x, y), step_x, step_y in zip(at, steps_mm[::2], steps_mm[1::2], strict=True):
                 length = math.hypot(step_x, step_y)
                 shorter = LONGEST_STEP_MM / length if length > LONGEST_STEP_MM else 1.0
                 places.append(inside(x + shorter * step_x, y + shorter * step_y))
                 longest_mm = max(longest_mm, length)
             at = places
-            if longest_mm < STILL_MM / 10:
+            if longest_mm < still_mm:
+                gained = gradient @ move  # what the last step explains besides, as with one finger
                 break
-        left = self.energy - (z.conj() @ gram[:count, -1]).real
+        left = self.energy - (z.conj() @ gram[:count, -1]).real - gained
         strengths, norms = z.tolist(), gram.diagonal()[:count].real.tolist()
         energies = [abs(strength) ** 2 * norm for strength, norm in zip(strengths, norms, strict=True)]
         return Fit(at, strengths, energies, information, max(float(left), 0.0))
@@ -245,7 +249,8 @@ def sigmas_mm(information: NDArray[np.float64], variance: float) -> list[float]:
         det = a * c - b * b
         return [math.sqrt(variance * (a + c) / (2 * det))] if det > 0 else [math.inf]
     try:
-        spread = np.diag(np.linalg.inv(information)) * variance
+        spread = np.linalg.inv(information).diagonal().tolist()
     except np.linalg.LinAlgError:
         return [math.inf] * (len(information) // 2)
-    return [math.sqrt(pair) if pair > 0 else math.inf for pair in spread.reshape(-1, 2).mean(axis=1).tolist()]
+    pairs = [variance * (x + y) / 2 for x, y in zip(spread[::2], spread[1::2], strict=True)]
+    return [math.sqrt(pair) if pair > 0 else math.inf for pair in pairs]

@@ -107,9 +107,14 @@ class Tracker:
         tracks = self._tracks
         if not tracks or not touches:
             return [None] * len(tracks)
+        costs = [[self._cost(track, touch) for touch in touches] for track in tracks]
+        nearest = [row.index(min(row)) for row in costs]
+        if len(set(nearest)) == len(nearest) and all(map(_is_within_reach, costs)):
+            # Each has one nearest to it, and no two the same: no choice can be cheaper.
+            return [touches[j] for j in nearest]
         # A track may also stay without a touch, at the price of the reach: a column of its own for each.
         alone = [self._reach_mm] * len(tracks)
-        columns = assign([[self._cost(track, touch) for touch in touches] + alone for track in tracks])
+        columns = assign([row + alone for row in costs])
         return [touches[j] if j < len(touches) else None for j in columns]
 
     def _cost(self, track: _Track, touch: Touch) -> float:
@@ -178,6 +183,10 @@ class Tracker:
             return None
         self._reported_ns = t_ns
         return contacts
+
+
+def _is_within_reach(costs: list[float]) -> bool:
+    return min(costs) < _NEVER
 
 
 def _lives(track: _Track) -> bool:
