@@ -34,6 +34,7 @@ class Baseline:
         self._step = np.zeros(shape, np.float32)
         self._weight = np.zeros((), np.float32)
         self._energy = np.zeros((), np.float32)
+        self._left_out: list[int] = []
         self.retune(settings)
         self._patience = _PATIENCE_WINDOWS * settings.learn_frames
         self.window: Signal = np.zeros((settings.learn_frames, *shape), np.float32)
@@ -53,6 +54,7 @@ class Baseline:
         ndarray of shape (learn_frames,) or None
             The residual energies of the frames learned from once the baseline is known, None before.
         """
+        self.signal[...] = counts
         self.window[self._filled] = counts
         self._filled += 1
         self._tried += 1
@@ -82,8 +84,14 @@ class Baseline:
         # One conversion, then floats alone: to mix them in one call takes twice as long, and memory each time.
         self.signal[...] = counts
         _subtract(self.signal, self.mean, self.residual)
+        for channel in self._left_out:
+            self.residual[channel] = 0
         self._flat.dot(self._flat, self._energy)
         return self._energy.item()
+
+    def leave_out(self, channels: NDArray[np.bool_]) -> None:
+        """Have no residual, and so no drift, in some channels, shape (channels,), until others are named."""
+        self._left_out = np.flatnonzero(channels).tolist()
 
     def energy(self) -> float:
         """Return the energy of the untouched signal itself (counts squared)."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchd.baseline import Baseline
 from touchd.config import Settings
@@ -88,6 +89,9 @@ class Finder:
 
     def hear_anew(self) -> None:
         """Take note that the noise is another from now on."""
+
+    def leave_out(self, channels: NDArray[np.bool_]) -> None:
+        """Take note that some channels, shape (channels,), say nothing: the network sees no change in them."""
 
     def untouched(self, elapsed_s: float, *, followed: bool) -> None:
         """Take note of an untouched frame, and whether the baseline followed it."""
@@ -206,6 +210,10 @@ class AtlasFinder(Finder):
     def hear_anew(self) -> None:
         """Take note that the noise is another from now on."""
         self._locator.hear_anew()
+
+    def leave_out(self, channels: NDArray[np.bool_]) -> None:
+        """Take note that some channels, shape (channels,), say nothing."""
+        self._locator.leave_out(channels)
 
     def leaving(self) -> bool:
         """Return whether the negative of the residual is a finger: one that the baseline held has gone."""

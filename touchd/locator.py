@@ -44,6 +44,7 @@ class Locator:
         self._rest = Rest(atlas, self._refiner)
         self._untouched: Array = np.zeros(atlas.size, np.float32)
         self._baseline: Array = atlas.baseline
+        self._left_out = np.zeros(atlas.description.acquisition.channels, bool)
         self.watch_still = True
         """Whether `holds` will be asked."""
         self.rebase(atlas.baseline)
@@ -84,6 +85,12 @@ class Locator:
     def hear_anew(self) -> None:
         """Take note that the noise is another from now on; what it was holds until enough of it is heard."""
         self._hearing.hear_anew()
+
+    def leave_out(self, channels: np.typing.NDArray[np.bool_]) -> None:
+        """Listen to no channels of these, shape (channels,), until others are named; their residual is zero."""
+        self._left_out = channels
+        self._rest.armed = False
+        self._listen_to(~self._drift.dead)
 
     def forget(self) -> None:
         """Start afresh with the next frame: no finger is being followed."""
@@ -206,5 +213,5 @@ class Locator:
 
     def _listen_to(self, channels: np.typing.NDArray[np.bool_]) -> None:
         """Leave out the other channels, and bins that drown in noise."""
-        self._hearing.listen_to(channels, self._drift.directions)
+        self._hearing.listen_to(channels & ~self._left_out, self._drift.directions)
         self._refiner.mask = self._hearing.mask

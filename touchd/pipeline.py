@@ -12,12 +12,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
+import numpy as np
+
 from touchd.baseline import Baseline
 from touchd.config import Settings
 from touchd.counters import Counters
 from touchd.event import Event
 from touchd.finder import finder_for
 from touchd.frame import Acquisition, Frame
+from touchd.frozen import LASTING_FRAMES, Channels, Frozen
 from touchd.gate import Gate
 from touchd.keypad import Layout
 from touchd.message import Messages, is_change
@@ -30,6 +33,9 @@ NOTHING: list[Event] = []
 _LONGEST_STEP_S = 0.1
 LATE_FRAMES = 32
 """A frame numbered at most so much lower than the last is a repetition, not a device that starts again."""
+
+TURN_EVERY = 16
+"""Of untouched frames; while touched another channel is looked at in each, since one that freezes keeps a finger."""
 
 
 def _everybody(_topic: str) -> bool:
@@ -73,6 +79,7 @@ class Pipeline:
         self._finder = finder_for(model)(acquisition, model, settings, layout, self.baseline, self.gate, self.counters)
         self._standing = Standing(acquisition.shape, settings.baseline)
         self._residual = self.baseline.residual
+        self._frozen = Frozen(self.baseline.signal, self._leave_out)
         self.screen_off = False
         """Whether frames only keep the baseline, since nobody sees what is touched."""
         self._messages = messages
@@ -90,6 +97,8 @@ class Pipeline:
         """Take one frame through every stage and return the events it causes, mostly none."""
         if not self._in_order(frame):
             return NOTHING
+        if self._frozen.repeats(frame.counts):
+            return self._hear_nothing(frame)
         elapsed_s = min(max(frame.t_ns - self._last_ns, 0) * 1e-9, _LONGEST_STEP_S)
         self._last_ns = frame.t_ns
 
@@ -104,6 +113,7 @@ class Pipeline:
             self._untouched(frame, energy, elapsed_s)
             return self._track(frame, ()) if self.tracker.busy else NOTHING
 
+        self._frozen.turn()
         faint = self._finder.is_faint(energy)
         if faint:
             self.counters.skipped["faint"] += 1
@@ -116,6 +126,14 @@ class Pipeline:
     def noise_counts(self) -> float:
         """Return the RMS of an untouched frame against the baseline, ADC counts; 0 before it is known."""
         return math.sqrt(self.gate.noise_energy / self._residual.size)
+
+    @property
+    def fault(self) -> str | None:
+        """What is wrong with the frames that come, for a person; None if nothing is known."""
+        if self._frozen.frames >= LASTING_FRAMES:
+            return "the DAQ repeats one frame"
+        channels = np.flatnonzero(self._frozen.channels).tolist()
+        return f"the DAQ repeats what it heard on channels {channels}" if channels else None
 
     def lose(self, t_ns: int) -> list[Event]:
         """End all contacts because no further frame comes, and return the events."""
@@ -177,6 +195,23 @@ class Pipeline:
         counters.frames += 1
         return True
 
+    def _hear_nothing(self, frame: Frame) -> list[Event]:
+        """The frame is the one before, under a new number: it says nothing of the plate, and nothing is learned.
+
+        It is as if none came: when there are several, nobody can know where the fingers are.
+        """
+        skipped = self.counters.skipped
+        skipped["frozen"] = skipped.get("frozen", 0) + 1
+        if self._frozen.frames < LASTING_FRAMES:
+            return NOTHING
+        self._standing.clear()
+        return self.lose(frame.t_ns)
+
+    def _leave_out(self, channels: Channels) -> None:
+        """Some channels say nothing of the plate, the others do."""
+        self.baseline.leave_out(channels)
+        self._finder.leave_out(channels)
+
     def _learn(self, frame: Frame) -> list[Event]:
         """Learn the untouched plate and its noise before anything is sensed."""
         self.counters.skipped["learning"] += 1
@@ -193,6 +228,8 @@ class Pipeline:
     def _untouched(self, frame: Frame, energy: float, elapsed_s: float) -> None:
         """The gate is closed: the plate's drift and noise are followed."""
         self._standing.clear()
+        if not frame.sequence % TURN_EVERY:
+            self._frozen.turn()
         if self.gate.follow(energy):
             self._finder.hear_anew()
         followed = not self.tracker.busy

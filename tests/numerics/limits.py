@@ -204,8 +204,6 @@ def _noise(level_db: float) -> Change:
 
 
 CHANNELS = range(4)
-FROZEN = "frozen"
-"""Begun while a finger is down, its last frame comes again and again: nothing in it tells that the finger has left."""
 
 
 def cases() -> Iterator[Case]:
@@ -219,7 +217,7 @@ def cases() -> Iterator[Case]:
     yield of("all frames alike", "positive full scale", lambda x, _: 0 * x + FULL)
     yield of("all frames alike", "negative full scale", lambda x, _: 0 * x - FULL - 1)
     yield of("all frames alike", "full-scale noise", lambda x, rng: rng.uniform(-FULL - 1, FULL, x.shape))
-    yield of(FROZEN, "the first frame again and again", lambda x, _: np.repeat(x[:1], len(x), axis=0))
+    yield of("frozen", "the first frame again and again", lambda x, _: np.repeat(x[:1], len(x), axis=0))
     for percent in (1, 2, 5, 10, 20, 50):
         yield of("clipped", f"{percent} % of the samples", _clipped(percent / 100))
     for percent in (1, 10, 50, 100):
