@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from structlog.testing import capture_logs
 
 from tests.conftest import Scene
 from touchd.config import HealthSettings, Settings
@@ -314,6 +315,26 @@ def test_health_takes_a_devices_counts_for_what_never_reached_the_pipeline(
     assert (last.lost, last.corrupt, last.clipped, last.late) == (3, 4, 6, 7)
     assert (last.skipped["behind"], last.skipped["test_pattern"]) == (13, 5)
     assert "repeated" not in last.skipped
+
+
+def test_health_says_while_the_daq_repeats_one_frame_and_the_log_once_a_period(
+    make: Callable[..., Bench], circle: list[Frame]
+) -> None:
+    last = circle[249]
+    again = [last._replace(sequence=last.sequence + n) for n in range(1, 251)]
+    after = [frame._replace(sequence=frame.sequence + 250) for frame in circle[250:]]
+    bench = make([*circle[:250], *again, *after], period_s=0.5)
+    with capture_logs() as logs:
+        bench.service.run()
+    told = [(event.reason, event.skipped.get("frozen", 0)) for event in bench.sink.health]
+    assert [reason for reason, _ in told if reason] == ["the DAQ repeats one frame"] * 4
+    assert told[0] == (None, 0)
+    assert told[-1] == (None, 250)
+    warned = [entry["frozen"] for entry in logs if entry["event"] == "frames frozen"]
+    assert len(warned) <= 5
+    assert sum(warned) == 250
+    assert bench.sink.states() == ["starting", "streaming", "stopping"]
+    assert bench.sink.phases()[:3] == [(1, "down"), (1, "up"), (2, "down")]
 
 
 def test_latency_is_measured_up_to_the_last_sink_and_told_for_each_period(

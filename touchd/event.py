@@ -114,7 +114,7 @@ class HealthEvent(Struct, gc=False):
     unheard: dict[str, int] = {}
     """Messages that were not made because nobody was subscribed, by topic."""
     reason: str | None = None
-    """Why the device is in this state, for a person; last, see `encode`."""
+    """Why the device is in this state, or what is wrong with its frames, for a person; last, see `encode`."""
 
 
 class SpectrumEvent(Struct, gc=False):
