@@ -6,7 +6,15 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from touchd.features import FrequencyFeatures, TimeFeatures, band_bins, make_features, windowed_dft
+from touchd.features import (
+    Domain,
+    FrequencyFeatures,
+    TimeFeatures,
+    band_bins,
+    make_features,
+    noise_to_signal,
+    windowed_dft,
+)
 from touchd.frame import Acquisition, Chirp
 
 RIG = Acquisition(channels=4, samples=250, sample_rate_hz=250e3)
@@ -83,3 +91,31 @@ def test_features_do_not_depend_on_what_was_in_the_buffer(domain: str) -> None:
     features.extract(signal, a)
     features.extract(signal, b)
     assert (a == b).all()
+
+
+@pytest.mark.parametrize("domain", ["frequency", "time"])
+def test_white_noise_has_the_energy_in_the_features_that_its_gain_says(domain: Domain) -> None:
+    features = make_features(domain, RIG)
+    noise = np.random.default_rng(5).standard_normal((4000, *RIG.shape)).astype(np.float32)
+    rows = np.empty((len(noise), features.size), np.float32)
+    for signal, out in zip(noise, rows, strict=True):
+        features.extract(signal, out)
+    energy = np.square(rows, dtype=np.float64).sum() / len(noise)
+    assert energy == pytest.approx(features.noise_gain * np.prod(RIG.shape), rel=0.01)
+
+
+def test_the_gain_of_the_bins_is_that_of_the_window() -> None:
+    assert FrequencyFeatures(RIG).noise_gain == pytest.approx(49 * np.square(np.hanning(250)).sum() / 250, rel=1e-6)
+    assert TimeFeatures(RIG).noise_gain == 1
+
+
+@given(
+    vector=hnp.arrays(np.float32, 392, elements=st.floats(-1e6, 1e6, width=32)),
+    noise_energy=st.floats(0, 1e12),
+)
+def test_noise_to_signal_is_that_of_float64(vector: np.ndarray, noise_energy: float) -> None:
+    route = FrequencyFeatures(RIG)
+    energy = max(np.square(vector, dtype=np.float64).sum(), 1e-12)
+    expected = np.sqrt(route.noise_gain * noise_energy / energy)
+    for shaped in (vector, vector.reshape(4, 98)):
+        assert noise_to_signal(route, noise_energy, shaped) == pytest.approx(expected, rel=1e-5)

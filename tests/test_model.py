@@ -31,11 +31,11 @@ def description(**changes: object) -> Description:
     return Description.model_validate(values | changes)
 
 
-def export(network: Regression | Classifier, about: Description, path: Path) -> Model:
+def export(network: Regression | PlainRegression | Classifier, about: Description, path: Path) -> Model:
     return write_model(make_graph(network, about), path)
 
 
-N = TypeVar("N", Regression, Classifier)
+N = TypeVar("N", Regression, PlainRegression, Classifier)
 
 
 def seen(network: N) -> N:
@@ -121,6 +121,29 @@ def test_whatever_it_is_fed_a_model_answers_with_a_place_on_the_plate(regression
     assert 0 <= estimate.y_mm <= 150
     assert 0 < estimate.sigma_mm < 200
     assert 0 <= estimate.confidence <= 1
+
+
+def test_the_error_of_noise_is_told_apart_and_grows_with_the_noise(tmp_path: Path) -> None:
+    network = seen(Regression(392, (200.0, 150.0)))
+    model = export(network, description(), tmp_path / "a.onnx")
+    features = np.random.default_rng(6).standard_normal((20, 392)).astype(np.float32) * 50
+    with torch.inference_mode():
+        _, sigma_mm, _, noise_mm = (part.numpy() for part in network.double()(torch.from_numpy(features).double()))
+    for row, sigma, noise in zip(features, sigma_mm[:, 0], noise_mm[:, 0], strict=True):
+        model.features[0] = row
+        estimate = model.estimate()
+        assert (estimate.sigma_mm, estimate.noise_mm) == pytest.approx((sigma, noise), rel=1e-4)
+        for ratio in (0.0, 0.1, 1.0):
+            assert estimate.error_mm(ratio) == pytest.approx(np.sqrt(sigma**2 + (ratio * noise) ** 2), rel=1e-4)
+
+
+def test_a_model_that_does_not_tell_the_error_of_noise_apart_has_one_sigma_in_any_noise(tmp_path: Path) -> None:
+    network = seen(PlainRegression(392, (200.0, 150.0)))
+    network.sigma_mm.fill_(3.0)
+    model = export(network, description(), tmp_path / "plain.onnx")
+    estimate = model.estimate()
+    assert "noise_mm" not in model.outputs
+    assert estimate.error_mm(0.0) == estimate.error_mm(10.0) == 3.0
 
 
 def test_a_louder_touch_is_at_the_same_place() -> None:

@@ -227,7 +227,7 @@ def test_a_device_that_counts_from_the_start_again_is_followed_after_it_was_lear
     assert (counters.frames, counters.lost, counters.repeated) == (2 * len(frames), 0, 0)
 
 
-@pytest.mark.parametrize("field", ["confidence", "sigma_mm"])
+@pytest.mark.parametrize("field", ["confidence", "sigma_mm", "noise_mm"])
 def test_a_network_that_says_nan_places_nothing(
     field: str, scene: Scene, make: Callable[..., Pipeline], model: Model, monkeypatch: pytest.MonkeyPatch
 ) -> None:

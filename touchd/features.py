@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Literal, Protocol
 
 import numpy as np
@@ -19,6 +20,8 @@ class Features(Protocol):
     size: int
     shape: tuple[int, int]
     """Of the features with an axis for the channels."""
+    noise_gain: float
+    """Energy of the features of white noise over that of its samples."""
 
     def extract(self, signal: Vector, out: Vector) -> None:
         """Write the features of a signal of shape (channels, samples) to `out`, of shape (size,) or `shape`."""
@@ -57,6 +60,8 @@ class FrequencyFeatures:
         self._matrix = windowed_dft(acquisition).astype(np.float32)
         self.shape = (acquisition.channels, self._matrix.shape[1])
         self.size = self.shape[0] * self.shape[1]
+        # Each bin holds the window's energy times the variance of a sample.
+        self.noise_gain = float(np.square(self._matrix, dtype=np.float64).sum()) / acquisition.samples
 
     def extract(self, signal: Vector, out: Vector) -> None:
         """Write the bins of a signal of shape (channels, samples) to `out`, of shape (size,) or `shape`."""
@@ -69,10 +74,26 @@ class TimeFeatures:
     def __init__(self, acquisition: Acquisition) -> None:
         self.shape = acquisition.shape
         self.size = acquisition.channels * acquisition.samples
+        self.noise_gain = 1.0
 
     def extract(self, signal: Vector, out: Vector) -> None:
         """Write the samples of a signal of shape (channels, samples) to `out`, of shape (size,) or `shape`."""
         out[...] = signal.reshape(out.shape)
+
+
+def noise_to_signal(route: Features, noise_energy: float, features: Vector) -> float:
+    """Return the norm that white noise has in the features over their own norm.
+
+    Parameters
+    ----------
+    route : Features
+        What the features were taken by.
+    noise_energy : float
+        Energy of the samples of the noise in them, ADC counts squared.
+    features : array of any shape
+    """
+    flat = features.reshape(-1)
+    return math.sqrt(route.noise_gain * noise_energy / max(float(flat.dot(flat)), 1e-12))
 
 
 def make_features(domain: Domain, acquisition: Acquisition) -> Features:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from touchd.baseline import Baseline
 from touchd.config import Settings
 from touchd.counters import Counters
-from touchd.features import make_features
+from touchd.features import make_features, noise_to_signal
 from touchd.frame import Acquisition
 from touchd.gate import Gate
 from touchd.keypad import Layout
@@ -164,11 +164,13 @@ class Finder:
         if self._skip_still:
             self._still.look(self._residual, self._gate)
         estimate = self._estimate()
+        sigma_mm = estimate.error_mm(noise_to_signal(self._features, self._gate.noise_energy, self._model.features))
         # Asked this way round, so that a network that says NaN places nothing.
-        if not (estimate.confidence >= confident and estimate.sigma_mm <= self._max_sigma_mm):
+        if not (estimate.confidence >= confident and sigma_mm <= self._max_sigma_mm):
             return ()
         force = (self._energy / self._signal_energy) ** 0.5
-        return (self._finished(Touch(*estimate[:4], force, estimate.key)),)
+        found = Touch(estimate.x_mm, estimate.y_mm, sigma_mm, estimate.confidence, force, estimate.key)
+        return (self._finished(found),)
 
     def _estimate(self) -> Estimate:
         """Features and network."""

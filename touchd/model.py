@@ -63,11 +63,17 @@ class Estimate(NamedTuple):
     x_mm: float
     y_mm: float
     sigma_mm: float
-    """Predicted standard error, per axis."""
+    """Predicted standard error, per axis; without that of noise where `noise_mm` tells it."""
     confidence: float
     """0..1: how much the frame looks like a finger."""
     key: str | None = None
     """Keypad head only: the key, None beside all keys."""
+    noise_mm: float = 0.0
+    """Predicted standard error, per axis, of noise as strong as the features; 0 where it is not told apart."""
+
+    def error_mm(self, noise_to_signal: float) -> float:
+        """Return the predicted standard error, per axis, in noise of this norm over that of the features."""
+        return math.hypot(self.sigma_mm, self.noise_mm * noise_to_signal)
 
 
 class Model:
@@ -175,7 +181,9 @@ class Model:
             "keypad": {"probability": len(d.layout.key) + 1 if d.layout else 0},
         }[d.head]
         found = {name: buffer.shape[1] for name, buffer in self.outputs.items()}
-        if found != expected:
+        # A network that does not tell the error of noise apart has it in its sigma.
+        optional = {"noise_mm": 1} if d.head == "regression" and "noise_mm" in found else {}
+        if found != expected | optional:
             raise ModelInvalid(
                 f"the network's outputs are {found}, but its {d.head} head means {expected}",
                 str(self.path),
@@ -186,7 +194,9 @@ class Model:
 def _read_regression(model: Model) -> Estimate:
     said = model.outputs
     position_mm = said["position_mm"].item
-    return Estimate(position_mm(0), position_mm(1), said["sigma_mm"].item(), said["confidence"].item())
+    sigma_mm, confidence = said["sigma_mm"].item(), said["confidence"].item()
+    noise_mm = said["noise_mm"].item() if "noise_mm" in said else 0.0
+    return Estimate(position_mm(0), position_mm(1), sigma_mm, confidence, None, noise_mm)
 
 
 def _read_grid(model: Model) -> Estimate:

@@ -52,7 +52,7 @@ def test_a_network_is_given_the_features_of_its_training_set_to_the_bit(one: Rec
 def test_the_network_as_a_finder_says_what_it_says_to_the_daemon(one: Recording, model: Model) -> None:
     frames = touched_frames(one)
     seen = see(network_finder(model, frames), frames)
-    judged = judge(model, network_features(model, frames), frames.true_mm[:, 0])
+    judged = judge(model, network_features(model, frames), frames.true_mm[:, 0], frames.noise_energy())
     mine = match_frames(seen, reach_mm=np.inf).judged
     np.testing.assert_array_equal(mine.place_mm, judged.place_mm)
     np.testing.assert_array_equal(mine.sigma_mm, judged.sigma_mm)

@@ -40,7 +40,7 @@ def test_a_model_carries_the_scores_that_it_is_given_on_its_test_touches(
     model, data = Model(tmp_path / "a.onnx"), make_dataset(touches)
     features = data.residual if model.description.input == "residual" else data.signal
     test = result.parts.test
-    for score, value in scores(judge(model, features[test], data.position_mm[test])).items():
+    for score, value in scores(judge(model, features[test], data.position_mm[test], data.noise_energy)).items():
         assert model.description.scores[score] == pytest.approx(value, abs=1e-4), score
 
 

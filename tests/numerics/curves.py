@@ -14,6 +14,7 @@ from touchd.config import ModelSettings
 from touchd.evaluation.finders import atlas_finder
 from touchd.evaluation.frames import see, touched_frames
 from touchd.evaluation.matching import match_frames
+from touchd.evaluation.score import judge
 from touchd.features import band_bins
 from touchd.model import Model
 from touchd.recording import Recording
@@ -71,11 +72,10 @@ def by_network(model: Model, *, refuses: bool = True) -> Contender:
     settings = ModelSettings()
 
     def answer(_recording: Recording, data: Dataset) -> Answer:
-        said = model.run(data.residual if model.description.input == "residual" else data.signal)
-        error_mm = _distance(said["position_mm"], data.position_mm)
-        sure = said["confidence"][:, 0] >= settings.min_confidence
-        sure &= said["sigma_mm"][:, 0] <= settings.max_sigma_mm
-        return Answer(error_mm[sure] if refuses else error_mm, len(error_mm))
+        features = data.residual if model.description.input == "residual" else data.signal
+        said = judge(model, features, data.position_mm, data.noise_energy)
+        sure = (said.confidence >= settings.min_confidence) & (said.sigma_mm <= settings.max_sigma_mm)
+        return Answer(said.distance_mm[sure] if refuses else said.distance_mm, len(sure))
 
     return answer
 

@@ -30,7 +30,7 @@ def stale(instrument: Instrument) -> Dataset:
 
 
 def scored(name: str, data: Dataset) -> dict[str, float]:
-    found = scores(judge(Model(MODELS / f"{name}.onnx"), data.residual, data.position_mm))
+    found = scores(judge(Model(MODELS / f"{name}.onnx"), data.residual, data.position_mm, data.noise_energy))
     print(f"{name}: " + ", ".join(f"{key} {value:.4g}" for key, value in found.items()))
     return found
 

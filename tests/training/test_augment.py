@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -12,6 +14,9 @@ from touchd.training.augment import Augmenter, Bank, make_bank
 from touchd.training.dataset import Dataset
 from touchd.training.field import Field
 from touchd.training.synthetic import Synthesiser
+
+NONE = torch.zeros(KNOWN, 1)
+"""No noise of the touches' own."""
 
 
 def seeded(seed: int = 0) -> torch.Generator:
@@ -55,7 +60,7 @@ def test_tones_have_unit_norm(bank: Bank) -> None:
 def test_an_augmented_finger_is_still_at_its_place(bank: Bank, augmenter: Augmenter) -> None:
     """Its direction stays nearer to its own touch than to any that is far away."""
     residual = bank.residual
-    fingers = augmenter.fingers(residual)
+    fingers, _ = augmenter.fingers(residual, NONE)
     assert fingers.shape == residual.shape
     assert torch.isfinite(fingers).all()
     assert not torch.equal(fingers, residual)
@@ -63,6 +68,41 @@ def test_an_augmented_finger_is_still_at_its_place(bank: Bank, augmenter: Augmen
     other = torch.nn.functional.cosine_similarity(fingers, residual.roll(KNOWN // 2, dims=0))
     assert own.median() > 0.7
     assert other.abs().median() < 0.4
+
+
+def test_the_noise_that_is_told_is_the_noise_that_was_added(bank: Bank, field: Field) -> None:
+    """The same draws from a bank without noise and tones give the same fingers less their noise."""
+    silent = replace(bank, noise=torch.zeros_like(bank.noise), tones=torch.zeros_like(bank.tones))
+    rows = torch.arange(KNOWN).repeat(20)
+    none = torch.zeros(len(rows), 1)
+    noisy, told = make(bank, field, 5).fingers(bank.residual[rows], none)
+    clean, nothing = make(silent, field, 5).fingers(bank.residual[rows], none)
+    assert not nothing.any()
+    added = (noisy - clean).norm(dim=1, keepdim=True) / noisy.norm(dim=1, keepdim=True)
+    # Told is what is expected of such noise, and of four channels one is louder than another.
+    assert (told / added).log().abs().median() < 0.1
+    assert (told.square().sum() / added.square().sum()).item() == pytest.approx(1, abs=0.1)
+
+
+def test_noise_of_a_recorded_touch_grows_with_the_touch(bank: Bank, field: Field) -> None:
+    silent = replace(bank, tones=torch.zeros_like(bank.tones))
+    one, without = make(silent, field, 5).fingers(bank.residual, NONE)
+    two, told = make(silent, field, 5).fingers(bank.residual, NONE + 1)
+    assert torch.equal(one, two)
+    assert (told > without).all()
+
+
+@pytest.mark.parametrize("another", [False, True])
+def test_held_out_touches_have_the_noise_that_was_asked_for(another: bool, bank: Bank, field: Field) -> None:
+    augmenter = make(bank, field, 6)
+    own, noise = augmenter.held_out(bank.residual, 1.0, another=another)
+    louder, louder_noise = augmenter.held_out(bank.residual, 10.0, another=another)
+    assert torch.equal(own, bank.residual) is not another
+    typical = (noise * own.norm(dim=1, keepdim=True) / bank.residual.norm(dim=1).median()).mean().item()
+    assert typical == pytest.approx(augmenter.own_noise(bank.residual), rel=1e-3)
+    if not another:
+        added = (louder - own).square().sum(dim=1, keepdim=True) / louder.square().sum(dim=1, keepdim=True)
+        assert added.sum().item() == pytest.approx(0.99 * louder_noise.square().sum().item(), rel=0.1)
 
 
 @pytest.mark.parametrize("n", [1, 7, 384])
@@ -74,7 +114,7 @@ def test_as_many_others_are_drawn_as_were_asked_for(n: int, augmenter: Augmenter
 
 def test_the_same_seed_draws_the_same(bank: Bank, field: Field) -> None:
     one, two = make(bank, field, 3), make(bank, field, 3)
-    assert torch.equal(one.fingers(bank.residual), two.fingers(bank.residual))
+    assert torch.equal(one.fingers(bank.residual, NONE)[0], two.fingers(bank.residual, NONE)[0])
     assert torch.equal(one.others(50), two.others(50))
 
 

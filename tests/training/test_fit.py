@@ -12,7 +12,7 @@ from touchd.errors import TrainingError
 from touchd.frame import Plate
 from touchd.training.fit import Batches, Curve, fit
 from touchd.training.recipe import RECIPES
-from touchd.training.task import PaperPositionTask
+from touchd.training.task import Batch, PaperPositionTask
 
 PLATE = Plate(width_mm=200, height_mm=200)
 
@@ -23,8 +23,9 @@ def run(errors_mm: list[float], *, spoilt: bool = False, **how: float | int | No
     task = PaperPositionTask(8, PLATE, RECIPES["paper-regression"])
     weights: list[Tensor] = []
 
-    def epoch() -> Iterator[tuple[Tensor, Tensor]]:
-        yield torch.randn(16, 8) * (float("nan") if spoilt else 1.0), torch.rand(16, 2) - 0.5
+    def epoch() -> Iterator[Batch]:
+        features = torch.randn(16, 8) * (float("nan") if spoilt else 1.0)
+        yield Batch(features, torch.rand(16, 2) - 0.5, torch.zeros(16, 1))
 
     def validate() -> float:
         weights.append(task.network.head.weight.detach().clone())

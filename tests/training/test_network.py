@@ -49,10 +49,19 @@ def test_the_network_says_a_place_as_its_histogram_means_it(places: list[tuple[f
 @given(st.integers(0, 1000))
 def test_no_place_lies_outside_the_plate_and_every_sigma_is_positive(seed: int) -> None:
     features = 1e3 * torch.randn((16, 8), generator=torch.Generator().manual_seed(seed))
-    place_mm, sigma_mm, confidence = NETWORK.eval()(features)
+    place_mm, sigma_mm, confidence, noise_mm = NETWORK.eval()(features)
     assert ((place_mm >= 0) & (place_mm <= torch.tensor([200.0, 100.0]))).all()
     assert (sigma_mm > 0).all()
+    assert (noise_mm > 0).all()
     assert ((confidence >= 0) & (confidence <= 1)).all()
+
+
+@given(st.lists(st.tuples(st.floats(-5, 5), st.floats(-5, 5), st.floats(0, 10)), min_size=1, max_size=20))
+def test_the_standard_error_is_the_root_of_the_sum_of_both_squares(rows: list[tuple[float, float, float]]) -> None:
+    sigma, noise, ratio = np.array(rows).T
+    logs = torch.from_numpy(np.stack([sigma, noise], axis=1))
+    found = NETWORK.log_sigma(logs, torch.from_numpy(ratio)[:, None]).numpy()[:, 0]
+    np.testing.assert_allclose(np.exp(found), np.hypot(np.exp(sigma), ratio * np.exp(noise)), rtol=1e-9)
 
 
 @pytest.fixture(scope="module")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from math import nan, sqrt
 
 import numpy as np
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from touchd.atlas import Atlas
 from touchd.config import ModelSettings, TrackerSettings
 from touchd.evaluation.frames import Find, Look, TouchedFrames
-from touchd.features import make_features
+from touchd.features import Features, make_features, noise_to_signal
 from touchd.locator import Locator
 from touchd.model import Estimate, Model
 from touchd.noise import MEMORY_FRAMES
@@ -32,7 +32,9 @@ def network_finder(model: Model, frames: TouchedFrames) -> Find:
     unknown (NaN) for a network that does not take the residual.
     """
     of_residual = model.description.input == "residual"
-    extract = _extractor(model, frames)
+    route = _route(model, frames)
+    extract = route.extract
+    noise_energy = frames.noise_energy()
     plain = np.empty_like(model.features[0])
     lengths = []
     for i in range(len(frames)):
@@ -44,8 +46,9 @@ def network_finder(model: Model, frames: TouchedFrames) -> Find:
         features = model.features[0]
         extract(_input(model, look), features)
         force = min(1.0, float(np.linalg.norm(features)) / full) if of_residual and full else nan
-        x_mm, y_mm, sigma_mm, confidence, key = model.estimate()
-        return (Touch(x_mm, y_mm, sigma_mm, confidence, force, key),)
+        said = model.estimate()
+        sigma_mm = said.error_mm(noise_to_signal(route, noise_energy, features))
+        return (Touch(said.x_mm, said.y_mm, sigma_mm, said.confidence, force, said.key),)
 
     return find
 
@@ -62,7 +65,7 @@ def atlas_finder(model: Model, atlas: Atlas, frames: TouchedFrames) -> Find:
         if (one != other).any():
             locator.rebase(frames.baseline(i))
             locator.hear((one - other) * np.float32(sqrt(3) / 2))
-    extract = _extractor(model, frames)
+    extract = _route(model, frames).extract
 
     def find(look: Look) -> Sequence[Touch]:
         def start() -> Estimate:
@@ -79,15 +82,15 @@ def atlas_finder(model: Model, atlas: Atlas, frames: TouchedFrames) -> Find:
 
 def network_features(model: Model, frames: TouchedFrames) -> Array:
     """Return what a network takes of each frame, shape (n, inputs)."""
-    extract = _extractor(model, frames)
+    extract = _route(model, frames).extract
     features = np.empty((len(frames), model.description.inputs), np.float32)
     for i, row in enumerate(features):
         extract(_input(model, frames.look(i)), row)
     return features
 
 
-def _extractor(model: Model, frames: TouchedFrames) -> Callable[[Array, Array], None]:
-    return make_features(model.description.domain, frames.acquisition).extract
+def _route(model: Model, frames: TouchedFrames) -> Features:
+    return make_features(model.description.domain, frames.acquisition)
 
 
 def _input(model: Model, look: Look) -> Array:

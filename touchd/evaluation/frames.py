@@ -15,7 +15,7 @@ from touchd.evaluation.truth import fingers_only
 from touchd.frame import Acquisition, Counts
 from touchd.recording import Recording
 from touchd.tracker import Touch
-from touchd.training.dataset import baseline_frames, residual_of
+from touchd.training.dataset import baseline_frames, noise_energy, noise_of, residual_of
 
 Array = NDArray[np.float32]
 
@@ -60,6 +60,10 @@ class TouchedFrames:
     def baseline(self, i: int) -> Array:
         """Return the untouched plate beside frame i, shape (channels, samples)."""
         return np.asarray(self.counts[self.beside[i]].mean(axis=0, dtype=np.float32))
+
+    def noise_energy(self) -> float:
+        """Return the energy of the noise in a residual, ADC counts squared."""
+        return noise_energy(noise_of(self.counts[np.unique(self.beside)]), self.acquisition)
 
     def look(self, i: int) -> Look:
         """Return frame i as the daemon would have it."""

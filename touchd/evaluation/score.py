@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.evaluation.metrics import position_scores
+from touchd.features import make_features, noise_to_signal
 from touchd.keypad import Layout
 from touchd.model import Description, Model
 
@@ -41,15 +42,20 @@ class Judgement:
         return np.asarray(np.linalg.norm(self.error_mm, axis=1))
 
 
-def judge(model: Model, features: NDArray[np.float32], true_mm: NDArray[np.float32]) -> Judgement:
-    """Return what a model says of features of shape (n, inputs), one by one as the daemon asks it."""
+def judge(model: Model, features: NDArray[np.float32], true_mm: NDArray[np.float32], noise_energy: float) -> Judgement:
+    """Return what a model says of features of shape (n, inputs), one by one as the daemon asks it.
+
+    `noise_energy` is that of an untouched residual, ADC counts squared.
+    """
     d = model.description
+    route = make_features(d.domain, d.acquisition)
     rows = np.empty((len(features), 4))
     found = np.zeros(len(features), np.int64)
     for i, row in enumerate(features):
         model.features[0] = row
         estimate = model.estimate()
-        rows[i] = estimate[:4]
+        sigma_mm = estimate.error_mm(noise_to_signal(route, noise_energy, row))
+        rows[i] = estimate.x_mm, estimate.y_mm, sigma_mm, estimate.confidence
         if d.head != "regression":
             found[i] = int(model.outputs["probability"][0].argmax())
     plain = Judgement(true_mm, rows[:, :2], rows[:, 2], rows[:, 3])

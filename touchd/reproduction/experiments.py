@@ -158,7 +158,6 @@ def located(model: Model, touches: tuple[Rows, Rows]) -> Data:
     if "position_mm" in outputs:
         return found | {
             "place_mm": outputs["position_mm"],
-            "sigma_mm": outputs["sigma_mm"],
             "confidence": outputs["confidence"],
         }
     winner = outputs["probability"].argmax(axis=1)

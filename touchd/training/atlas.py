@@ -16,11 +16,11 @@ from touchd.evaluation.score import Judgement, scores
 from touchd.features import band_bins, windowed_dft
 from touchd.model import Model
 from touchd.training.calibration import FAR_MM, LEVELS_DB, Level, calibrate, field_error, level_of, within_sigma
-from touchd.training.dataset import Array, Dataset, Split
+from touchd.training.dataset import BASELINE_NOISE, Array, Dataset, Split
 from touchd.training.field import STEP_MM, Field, Learned
 from touchd.training.gaussnewton import FieldMap, Placed, place
 from touchd.training.phase import aligned
-from touchd.training.regression import BASELINE_NOISE, Complex, Floats, Touches, touches_of
+from touchd.training.regression import Complex, Floats, Touches, touches_of
 
 SPARED = 0.01
 """Share of the signal, on validation touches, that the faintest bins may hold together to be left out."""

@@ -6,13 +6,14 @@ instrument would add it.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from touchd.features import Features, make_features
-from touchd.training.dataset import Dataset
+from touchd.training.dataset import BASELINE_NOISE, Dataset
 from touchd.training.synthetic import Synthesiser
 
 # Phases relative to the recorded touches, rad. On the reference plate the strengths of human fingers of
@@ -96,9 +97,23 @@ class Augmenter:
         self._bank = bank
         self._synthesiser = synthesiser
         self._generator = generator
+        self._power = bank.noise.square().sum(dim=1).mean()
 
-    def fingers(self, residual: Tensor) -> Tensor:
-        """Return residuals of touches as another finger, hour and instrument would have given them, (n, inputs)."""
+    def fingers(self, residual: Tensor, own_noise: Tensor) -> tuple[Tensor, Tensor]:
+        """Return residuals of touches as another finger, hour and instrument would have given them, and their noise.
+
+        Parameters
+        ----------
+        residual : tensor of shape (n, inputs)
+        own_noise : tensor of shape (n, 1)
+            Deviation of the noise in them, in that of a recorded frame.
+
+        Returns
+        -------
+        tensor of shape (n, inputs)
+        tensor of shape (n, 1)
+            The norm of the noise in them, tones included, over their own: what is expected of noise at that level.
+        """
         n = len(residual)
         phase = FINGER_PHASE * self._symmetric(n)
         # Mostly fingers of all sizes, and some that are just being put down or lifted.
@@ -107,9 +122,35 @@ class Augmenter:
         residual = self._strength(residual, phase, FINGER_TURN) * size
         disturbed = residual + self._instrument(self._draw(n), share=0.3)
         tone = self._tone(n) * self._log_uniform(n, 0.02, 0.4) * residual.norm(dim=1, keepdim=True)
-        disturbed = disturbed + tone * self._chance(n, 0.15)
-        noise = self._uniform(n, 0.0, 1.5) + self._chance(n, 0.1) * self._log_uniform(n, 1.0, 10.0)
-        return self._deaf(disturbed + self._noise(n, noise), share=0.1)
+        tone = tone * self._chance(n, 0.15)
+        level = self._uniform(n, 0.0, 1.5) + self._chance(n, 0.1) * self._log_uniform(n, 1.0, 10.0)
+        white = self._noise(n, level)
+        heard = self._hearing(n, share=0.1)
+        fingers = (disturbed + tone + white) * heard
+        noise = self._power * (level.square() + (own_noise * size).square()) + tone.square().sum(dim=1, keepdim=True)
+        return fingers, _ratio(noise * heard.mean(dim=1, keepdim=True), fingers)
+
+    def own_noise(self, residual: Tensor) -> float:
+        """Return the norm of the noise in recorded residuals (n, inputs) over the norm of the median one."""
+        return float((BASELINE_NOISE * self._power).sqrt() / residual.norm(dim=1).median().clamp_min(1e-6))
+
+    def held_out(self, residual: Tensor, level: float, *, another: bool) -> tuple[Tensor, Tensor]:
+        """Return recorded residuals in louder noise and their noise, as `fingers` does.
+
+        Parameters
+        ----------
+        residual : tensor of shape (n, inputs)
+        level : float
+            Deviation of the noise, in that of the recording; not under 1.
+        another : bool
+            Whether as another finger would have given them.
+        """
+        n = len(residual)
+        if another:
+            residual = self._strength(residual, FINGER_PHASE * self._symmetric(n), FINGER_TURN)
+        added = math.sqrt(BASELINE_NOISE * (level**2 - 1.0))
+        louder = residual + self._noise(n, torch.full((n, 1), added))
+        return louder, _ratio(self._power * BASELINE_NOISE * level**2, louder)
 
     def others(self, n: int) -> Tensor:
         """Return residuals that are no single finger, shape (n, inputs): one of the kinds below for each row."""
@@ -117,13 +158,14 @@ class Augmenter:
         each = -(-n // len(kinds))
         batch = torch.cat([kind(each) for kind in kinds])
         keep = torch.randperm(len(batch), generator=self._generator)[:n]
-        return self._deaf(batch[keep] + self._noise(n, self._uniform(n, 0.2, 1.5)), share=0.1)
+        noisy = batch[keep] + self._noise(n, self._uniform(n, 0.2, 1.5))
+        return noisy * self._hearing(n, share=0.1)
 
     # -- what is no finger -------------------------------------------------------------------------
 
     def _nothing(self, n: int) -> Tensor:
         """Noise alone, and tones that are not locked to the chirp."""
-        level: Tensor = self._bank.noise.square().sum(dim=1).mean().sqrt()
+        level = self._power.sqrt()
         several = self._tone(n) + self._tone(n) * self._uniform(n, 0.0, 1.0) * self._chance(n, 0.6)
         several = several + self._tone(n) * self._uniform(n, 0.0, 1.0) * self._chance(n, 0.3)
         tones = several * self._log_uniform(n, 0.1, 100.0) * level
@@ -195,14 +237,14 @@ class Augmenter:
         a, b = parts[:, :, 0], parts[:, :, 1]
         return torch.stack([a * real - b * imaginary, a * imaginary + b * real], dim=2).reshape(n, -1)
 
-    def _deaf(self, residual: Tensor, share: float) -> Tensor:
-        """Silence one channel in this share of the rows: dead, or without a disc."""
-        n, channels = len(residual), self._bank.channels
+    def _hearing(self, n: int, share: float) -> Tensor:
+        """Return 1, shape (n, inputs), but 0 for one channel in this share of the rows: dead, or without a disc."""
+        channels, inputs = self._bank.channels, self._bank.noise.shape[1]
         if channels < 3:
-            return residual
+            return torch.ones((n, inputs))
         dead = torch.randint(channels, (n, 1), generator=self._generator) == torch.arange(channels)
         heard = 1.0 - dead.float() * self._chance(n, share)
-        return residual * heard.repeat_interleave(residual.shape[1] // channels, dim=1)
+        return heard.repeat_interleave(inputs // channels, dim=1)
 
     def _tone(self, n: int) -> Tensor:
         return self._bank.tones[torch.randint(len(self._bank.tones), (n,), generator=self._generator)]
@@ -228,3 +270,8 @@ class Augmenter:
 
     def _log_uniform(self, n: int, low: float, high: float) -> Tensor:
         return torch.exp(self._uniform(n, 0.0, 1.0) * torch.tensor(high / low).log()) * low
+
+
+def _ratio(noise: Tensor, features: Tensor) -> Tensor:
+    """Return the norm of noise of this energy over that of the features, shape (n, 1)."""
+    return (noise / features.square().sum(dim=1, keepdim=True).clamp_min(1e-12)).sqrt()

@@ -19,6 +19,8 @@ MIN_TOUCHES = 100
 PAUSE_S = 10.0
 PAUSE_RATIO = 3.0
 """An untouched frame so much farther than the one on the other side lies beyond a pause, in which the plate changed."""
+BASELINE_NOISE = 1.5
+"""Noise power of a residual over that of a frame: the baseline is the mean of two."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +49,11 @@ class Dataset:
 
     def __len__(self) -> int:
         return len(self.residual)
+
+    @property
+    def noise_energy(self) -> float:
+        """Energy of the noise in a residual's samples, ADC counts squared."""
+        return noise_energy(self.noise, self.acquisition)
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,6 +196,11 @@ def _derivative(signal: Array, sample_rate_hz: float) -> NDArray[np.float64]:
     samples = signal.shape[-1]
     omega = 2j * np.pi * np.fft.rfftfreq(samples, 1 / sample_rate_hz)
     return np.fft.irfft(omega * np.fft.rfft(signal, axis=-1), samples, axis=-1)
+
+
+def noise_energy(noise: float, acquisition: Acquisition) -> float:
+    """Return the energy of the noise in a residual's samples, from the deviation of a frame's."""
+    return BASELINE_NOISE * noise**2 * acquisition.channels * acquisition.samples
 
 
 def noise_of(untouched: NDArray[np.int16]) -> float:

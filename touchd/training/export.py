@@ -17,12 +17,11 @@ from touchd.model import METADATA_KEY, Description, Model
 from touchd.training.network import Network
 
 OPSET = 17
-_OUTPUTS = {"regression": ["position_mm", "sigma_mm", "confidence"], "grid": ["probability"], "keypad": ["probability"]}
 
 
 def make_graph(network: Network, description: Description) -> onnx.ModelProto:
     """Return the network as a graph with its description inside."""
-    names = _OUTPUTS[description.head]
+    names = list(network.outputs)
     with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
         # The TorchScript exporter needs no package beyond torch and onnx; its notice of age is no news to the user.
         warnings.simplefilter("ignore", DeprecationWarning)

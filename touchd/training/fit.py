@@ -8,11 +8,10 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import torch
-from torch import Tensor
 from torch.optim.lr_scheduler import OneCycleLR
 
 from touchd.errors import TrainingError
-from touchd.training.task import Task
+from touchd.training.task import Batch, Task
 
 PATIENCE = 30
 """Epochs without a better validation RMSE after which a training at a constant rate ends."""
@@ -26,8 +25,7 @@ class Batches:
     """What a network is shown in an epoch."""
 
     steps: int
-    epoch: Callable[[], Iterator[tuple[Tensor, Tensor]]]
-    """Yields features, and the positions of their first rows in plate sizes from the centre."""
+    epoch: Callable[[], Iterator[Batch]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,9 +74,9 @@ def fit(
     for epoch in range(1, epochs + 1):
         task.network.train()
         total = torch.zeros(())
-        for features, position in batches.epoch():
+        for batch in batches.epoch():
             optimiser.zero_grad()
-            loss = task.loss(features, position)
+            loss = task.loss(batch)
             loss.backward()  # type: ignore[no-untyped-call]  # torch leaves it unannotated
             optimiser.step()
             total += loss.detach()

@@ -70,8 +70,12 @@ class Regression(nn.Module):
     area_mm : tensor of shape (2, 2), optional
         Lower and upper corner of the part of the plate that matters, by default all of it: every position lies on
         it, those beyond it on its edge. The smaller it is, the finer are the bins.
+    noise_apart : bool
+        Whether the standard error that noise gives is told apart, per noise-to-signal amplitude: how much noise
+        there is in a residual cannot be seen in it, but who measured the untouched plate knows.
     """
 
+    outputs: tuple[str, ...] = ("position_mm", "sigma_mm", "confidence", "noise_mm")
     size_mm: Tensor
     corner_mm: Tensor
     span_mm: Tensor
@@ -86,6 +90,8 @@ class Regression(nn.Module):
         bins: int = 32,
         drift: Tensor | None = None,
         area_mm: Tensor | None = None,
+        *,
+        noise_apart: bool = True,
     ) -> None:
         super().__init__()
         self.normalise = Normalise(drift)
@@ -94,8 +100,9 @@ class Regression(nn.Module):
         self.last: nn.Module = nn.BatchNorm1d(widths[-1] + 1)
         self.head = nn.Linear(widths[-1] + 1, 2 * bins)
         self.finger = nn.Linear(widths[-1] + 1, 1)
-        self.log_sigma = nn.Linear(widths[-1] + 1, 1)
-        nn.init.constant_(self.log_sigma.bias, 4.0)  # nothing is known at first: half a plate
+        self.noise_apart = noise_apart
+        self.log_error = nn.Linear(widths[-1] + 1, 1 + noise_apart)
+        nn.init.constant_(self.log_error.bias, 4.0)  # nothing is known at first: half a plate
         self.bins = bins
         self.register_buffer("size_mm", torch.tensor(size_mm))
         area_mm = torch.stack([torch.zeros(2), self.size_mm]) if area_mm is None else area_mm
@@ -109,17 +116,26 @@ class Regression(nn.Module):
 
     def heads(self) -> tuple[nn.Linear, ...]:
         """Return the layers that `last` feeds."""
-        return self.head, self.log_sigma, self.finger
+        return self.head, self.log_error, self.finger
 
     def raw(self, features: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Return logits of the histograms (n, 2, bins), log of sigma in mm (n, 1), and finger logit (n, 1)."""
+        """Return logits of the histograms (n, 2, bins), logs of the errors in mm (n, 1 or 2), finger logit (n, 1).
+
+        The errors are sigma and, where it is told apart, that of noise as strong as the features.
+        """
         direction, log_norm = self.normalise(features)
         stage = self.last(torch.cat([self.trunk(direction), log_norm], dim=1))
         votes = self.head(stage).reshape(-1, 2, self.bins)
-        # Sigma watches the trunk and does not bend it: its likelihood is wild while errors are large.
-        log_sigma: Tensor = self.log_sigma(stage.detach())
+        # They watch the trunk and do not bend it: their likelihood is wild while errors are large.
+        log_error: Tensor = self.log_error(stage.detach())
         finger: Tensor = self.finger(stage)
-        return votes, log_sigma, finger
+        return votes, log_error, finger
+
+    def log_sigma(self, log_error: Tensor, noise: Tensor) -> Tensor:
+        """Return the log of the standard error (n, 1), of the errors' logs and the noise-to-signal amplitude (n, 1)."""
+        if log_error.shape[1] == 1:
+            return log_error
+        return torch.logaddexp(2 * log_error[:, :1], 2 * (log_error[:, 1:] + noise.log())) / 2
 
     def place_mm(self, votes: Tensor) -> Tensor:
         """Return the positions (n, 2) in mm that histograms of logits (n, 2, bins) mean."""
@@ -131,10 +147,15 @@ class Regression(nn.Module):
         place_mm = (position + 0.5) * self.size_mm
         return torch.minimum(torch.maximum(place_mm, self.corner_mm), self.corner_mm + self.span_mm)
 
-    def forward(self, features: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Return position in mm (n, 2), sigma in mm (n, 1), and confidence (n, 1)."""
-        votes, log_sigma, logit = self.raw(features)
-        return self.place_mm(votes), log_sigma.clamp(-5.0, 5.0).exp(), logit.sigmoid()
+    def forward(self, features: Tensor) -> tuple[Tensor, ...]:
+        """Return position in mm (n, 2), sigma in mm (n, 1), confidence (n, 1), and the error of noise in mm (n, 1).
+
+        The last only where it is told apart: per noise-to-signal amplitude; sigma is then what is left without noise.
+        """
+        votes, log_error, logit = self.raw(features)
+        error_mm = log_error.clamp(-5.0, 5.0).exp()
+        said = self.place_mm(votes), error_mm[:, :1], logit.sigmoid()
+        return (*said, error_mm[:, 1:]) if self.noise_apart else said
 
     def targets(self, position: Tensor, spread: float) -> Tensor:
         """Return the histograms (n, 2, bins) of positions in plate sizes from the centre, (n, 2).
@@ -155,6 +176,7 @@ class PlainRegression(nn.Module):
     and its confidence is always 1.
     """
 
+    outputs: tuple[str, ...] = ("position_mm", "sigma_mm", "confidence")
     size_mm: Tensor
     sigma_mm: Tensor
 
@@ -200,6 +222,8 @@ class Classifier(nn.Module):
     drift : tensor of shape (k, inputs), optional
         See `Normalise`.
     """
+
+    outputs: tuple[str, ...] = ("probability",)
 
     def __init__(
         self,
@@ -249,6 +273,7 @@ class Keypad(Regression):
         Left and upper edges, right and lower edges.
     """
 
+    outputs: tuple[str, ...] = ("probability",)
     low_mm: Tensor
     high_mm: Tensor
 
@@ -262,7 +287,8 @@ class Keypad(Regression):
         drift: Tensor | None = None,
     ) -> None:
         area_mm = torch.stack([keys_mm[:, :2].amin(dim=0) - BESIDE_MM, keys_mm[:, 2:].amax(dim=0) + BESIDE_MM])
-        super().__init__(inputs, size_mm, widths, bins, drift, area_mm)
+        # A probability is one figure: what noise is usual has to be in it.
+        super().__init__(inputs, size_mm, widths, bins, drift, area_mm, noise_apart=False)
         self.register_buffer("low_mm", keys_mm[:, :2])
         self.register_buffer("high_mm", keys_mm[:, 2:])
 

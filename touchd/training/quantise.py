@@ -54,7 +54,7 @@ def quantise(model: Model, recording: Recording, path: Path) -> Model:
     features = data.residual if description.input == "residual" else data.signal
     with tempfile.TemporaryDirectory() as folder:
         made = write_model(graph, Path(folder) / "int8.onnx")
-        found = scores(judge(made, features[test], data.position_mm[test]))
+        found = scores(judge(made, features[test], data.position_mm[test], data.noise_energy))
     rounded = {name: round(value, 4) for name, value in found.items()}
     describe(graph, stated.model_copy(update={"scores": rounded}))
     return write_model(graph, path)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.linalg import blas, cho_factor, cho_solve, lapack
 from threadpoolctl import threadpool_limits
 
-from touchd.training.dataset import Dataset
+from touchd.training.dataset import BASELINE_NOISE, Dataset
 from touchd.training.kernel import WHITE_SHARE, Kernel, distances
 
 Array = NDArray[np.float32]
@@ -23,8 +23,6 @@ T = TypeVar("T")
 
 RIDGE = 1e-4
 """Share of a bin's signal that is added to its noise, for what no field of this band explains."""
-BASELINE_NOISE = 1.5
-"""Noise power of a residual over that of a frame: the baseline is the mean of two."""
 LEAST_SIGNAL = 1e-3
 """Of the noise: what a bin's signal is taken for where it drowns."""
 FAINT = 0.1

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 import torch
@@ -25,8 +25,19 @@ FINGER_SHARE = 0.5  # weight of the finger-or-not cross-entropy beside the posit
 Positions = NDArray[np.float32]
 
 
+class Batch(NamedTuple):
+    """What a network is shown at once: n fingers, then other things."""
+
+    features: Tensor
+    """Shape (m, inputs), m >= n."""
+    position: Tensor
+    """Of the fingers, in plate sizes from the centre, shape (n, 2)."""
+    noise: Tensor
+    """In the fingers: its norm over that of the features, shape (n, 1); 0 where it is not known."""
+
+
 class Task(Protocol):
-    """What the training loop asks of a task. Positions are in plate sizes from the centre, shape (n, 2)."""
+    """What the training loop asks of a task."""
 
     wants_others: bool
     """Whether it learns what is no finger."""
@@ -36,8 +47,8 @@ class Task(Protocol):
         """What is trained."""
         ...
 
-    def loss(self, features: Tensor, position: Tensor) -> Tensor:
-        """Return the loss of features whose first rows are touches at the positions, and the rest no finger."""
+    def loss(self, batch: Batch) -> Tensor:
+        """Return the loss of what is shown."""
         ...
 
     def scores(self, features: NDArray[np.float32], position_mm: Positions) -> dict[str, float]:
@@ -57,26 +68,25 @@ class PositionTask:
     def __init__(self, inputs: int, plate: Plate, recipe: Recipe, drift: Tensor) -> None:
         self.network = Regression(inputs, (plate.width_mm, plate.height_mm), recipe.widths, drift=drift)
 
-    def loss(self, features: Tensor, position: Tensor) -> Tensor:
+    def loss(self, batch: Batch) -> Tensor:
         """Return cross-entropy of the position, quantile loss of sigma, and cross-entropy of finger or not."""
+        features, position, noise = batch
         network, n = self.network, len(position)
-        votes, log_sigma, logit = network.raw(features)
+        votes, log_error, logit = network.raw(features)
         votes = votes[:n]
         place = -(network.targets(position, SPREAD_BINS) * votes.log_softmax(dim=2)).sum(dim=2).mean()
         error_mm = (network.place_mm(votes.detach()) - network.truth_mm(position)).abs()
-        sigma = _pinball((error_mm + 1e-3).log() - log_sigma[:n], WITHIN_SIGMA)
+        sigma = _pinball((error_mm + 1e-3).log() - network.log_sigma(log_error[:n], noise), WITHIN_SIGMA)
         truth = (torch.arange(len(features)) < n).float()[:, None]
         finger = nn.functional.binary_cross_entropy_with_logits(logit, truth)
         return place + sigma + FINGER_SHARE * finger
 
     def scores(self, features: NDArray[np.float32], position_mm: Positions) -> dict[str, float]:
-        """Return the scores of the position, and the shares of errors within sigma and of confident touches."""
+        """Return the scores of the position, and the share of confident touches."""
         with torch.inference_mode():
-            place_mm, sigma_mm, confidence = self.network.eval()(torch.from_numpy(features))
-        error_mm = place_mm.numpy() - position_mm
-        within = float((np.abs(error_mm) <= sigma_mm.numpy()).mean())
+            place_mm, _, confidence, *_ = self.network.eval()(torch.from_numpy(features))
         confident = float((confidence.numpy() >= 0.5).mean())
-        return position_scores(error_mm) | {"within_sigma": within, "confident": confident}
+        return position_scores(place_mm.numpy() - position_mm) | {"confident": confident}
 
     def description(self) -> dict[str, Any]:
         """Return nothing: the head says it all."""
@@ -91,9 +101,9 @@ class PaperPositionTask:
     def __init__(self, inputs: int, plate: Plate, recipe: Recipe) -> None:
         self.network = PlainRegression(inputs, (plate.width_mm, plate.height_mm), recipe.widths, DROPOUT)
 
-    def loss(self, features: Tensor, position: Tensor) -> Tensor:
+    def loss(self, batch: Batch) -> Tensor:
         """Return the mean squared error, in plate sizes."""
-        return nn.functional.mse_loss(self.network.raw(features), position)
+        return nn.functional.mse_loss(self.network.raw(batch.features), batch.position)
 
     def scores(self, features: NDArray[np.float32], position_mm: Positions) -> dict[str, float]:
         """Return the scores of the position."""
@@ -120,7 +130,7 @@ class KeyTask(PositionTask):
         """Return the scores of the position behind the keys, the accuracy, and touches taken for another key."""
         network = self.network.eval()
         with torch.inference_mode():
-            place_mm, _, _ = Regression.forward(network, torch.from_numpy(features))
+            place_mm, *_ = Regression.forward(network, torch.from_numpy(features))
             probability = network(torch.from_numpy(features)).numpy()
             true_mm = network.truth_mm(torch.from_numpy(position_mm) / network.size_mm - 0.5)
         truth = labels_of(position_mm, self._layout)
@@ -158,10 +168,10 @@ class ClassTask:
         classes, dropout = len(self._centres_mm), DROPOUT if recipe.paper else 0.0
         self.network = Classifier(inputs, classes, recipe.widths, dropout, not recipe.paper, drift)
 
-    def loss(self, features: Tensor, position: Tensor) -> Tensor:
+    def loss(self, batch: Batch) -> Tensor:
         """Return the cross-entropy of zone or key."""
-        labels = self.labels((position.numpy() + 0.5) * self._size_mm)
-        return nn.functional.cross_entropy(self.network.raw(features), torch.from_numpy(labels))
+        labels = self.labels((batch.position.numpy() + 0.5) * self._size_mm)
+        return nn.functional.cross_entropy(self.network.raw(batch.features), torch.from_numpy(labels))
 
     def labels(self, position_mm: NDArray[np.floating[Any]]) -> NDArray[np.int64]:
         """Return the class of each position, shape (n,)."""

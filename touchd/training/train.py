@@ -10,26 +10,28 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from touchd.evaluation.score import Judgement, judge, scores
 from touchd.keypad import Layout
 from touchd.model import Description, Model
 from touchd.recording import Recording
-from touchd.training.augment import Augmenter, make_bank
-from touchd.training.dataset import Dataset, Split, make_dataset, split, thin
+from touchd.training.augment import Augmenter, Bank, make_bank
+from touchd.training.dataset import BASELINE_NOISE, Dataset, Split, make_dataset, split, thin
 from touchd.training.dispersion import fitted_note, is_known
 from touchd.training.exactness import TOLERANCE, Exactness, check_graph
 from touchd.training.export import describe, make_graph, write_model
 from touchd.training.field import Field
 from touchd.training.fit import Batches, Curve, Progress, fit
+from touchd.training.honesty import make_honest
 from touchd.training.inspection import inspect
-from touchd.training.network import PlainRegression
+from touchd.training.network import PlainRegression, Regression
 from touchd.training.nuisance import drift_directions
 from touchd.training.recipe import RECIPES, Recipe
 from touchd.training.sparse import learn_field
 from touchd.training.synthetic import Synthesiser
-from touchd.training.task import Positions, make_task
+from touchd.training.task import Batch, Positions, make_task
 
 BATCH = 512  # fingers a step
 SYNTHETIC = 0.8  # of them, the share drawn from the learned field; the others are the recorded touches
@@ -112,14 +114,16 @@ def train(
 
     for text in inspect(recording, len(parts.train) / len(data)):
         note(text)
-    peak = None
+    peak, augmenter = None, None
     if recipe.paper:
         batches = _paper_batches(data, parts, generator)
         optimiser = torch.optim.Adam(task.network.parameters(), lr=PAPER_LEARNING_RATE)
     else:
         keys = layout if recipe.head == "keypad" else None
         synthesiser = _synthesiser(data, parts, keys, generator, progress, note, field)
-        batches = _augmented_batches(data, parts, synthesiser, generator, others=task.wants_others)
+        bank = make_bank(data, torch.from_numpy(parts.train), generator)
+        augmenter = Augmenter(bank, synthesiser, generator)
+        batches = _augmented_batches(bank, augmenter, synthesiser, generator, others=task.wants_others)
         optimiser = torch.optim.AdamW(task.network.parameters(), lr=LEARNING_RATE, weight_decay=WEIGHT_DECAY)
         peak = LEARNING_RATE
 
@@ -131,6 +135,9 @@ def train(
     )  # fmt: skip
     if isinstance(task.network, PlainRegression):
         task.network.sigma_mm.fill_(validate() / np.sqrt(2))  # per axis
+    elif isinstance(task.network, Regression) and task.network.noise_apart and augmenter is not None:
+        held_out = torch.from_numpy(features[parts.validation])
+        make_honest(task.network, augmenter, held_out, _positions(data, parts.validation))
 
     description = Description(
         name=recipe.name,
@@ -151,7 +158,9 @@ def train(
         note(f"float32 rounds this network's answers by up to {exactness.rounding:.2g} mm")
     # The scores are those of the exported model, so it is asked before they can stand in it.
     with tempfile.TemporaryDirectory() as folder:
-        judged = judge(write_model(graph, Path(folder) / "model.onnx"), features[parts.test], test_mm)
+        judged = judge(
+            write_model(graph, Path(folder) / "model.onnx"), features[parts.test], test_mm, data.noise_energy
+        )
     found = task.scores(features[parts.test], test_mm) | scores(judged)
     if found["rmse_mm"] > GUESSED * _guess_mm(data.position_mm[parts.train], test_mm):
         note("the model places touches no better than the middle of all of them: it has learned nothing")
@@ -185,41 +194,44 @@ def _synthesiser(
     return Synthesiser(field, (plate.width_mm, plate.height_mm), generator, layout)
 
 
+def _positions(data: Dataset, indices: NDArray[np.int64]) -> Tensor:
+    """Return positions in plate sizes from the centre, shape (n, 2)."""
+    plate = data.meta.plate
+    return torch.from_numpy(data.position_mm[indices]) / torch.tensor([plate.width_mm, plate.height_mm]) - 0.5
+
+
 def _augmented_batches(
-    data: Dataset, parts: Split, synthesiser: Synthesiser | None, generator: torch.Generator, *, others: bool
+    bank: Bank, augmenter: Augmenter, synthesiser: Synthesiser | None, generator: torch.Generator, *, others: bool
 ) -> Batches:
     """Return batches of drawn and recorded touches under all disturbances, and of what is no finger."""
-    bank = make_bank(data, torch.from_numpy(parts.train), generator)
-    augmenter = Augmenter(bank, synthesiser, generator)
-    count = len(parts.train)
+    count = len(bank.residual)
     recorded = BATCH if synthesiser is None else round(BATCH * (1 - SYNTHETIC))
     steps = max(STEPS, 2 * -(-count // BATCH))
+    own_noise = torch.zeros((BATCH, 1))  # what is drawn has none
+    own_noise[:recorded] = BASELINE_NOISE**0.5
 
-    def epoch() -> Iterator[tuple[Tensor, Tensor]]:
+    def epoch() -> Iterator[Batch]:
         for _ in range(steps):
             some = torch.randint(count, (recorded,), generator=generator)
             residual, position = bank.residual[some], bank.position[some]
             if synthesiser is not None:
                 drawn, place = synthesiser.draw(BATCH - recorded)
                 residual, position = torch.cat([residual, drawn]), torch.cat([position, place])
-            fingers = augmenter.fingers(residual)
-            yield (torch.cat([fingers, augmenter.others(OTHERS)]) if others else fingers), position
+            fingers, noise = augmenter.fingers(residual, own_noise)
+            yield Batch(torch.cat([fingers, augmenter.others(OTHERS)]) if others else fingers, position, noise)
 
     return Batches(steps, epoch)
 
 
 def _paper_batches(data: Dataset, parts: Split, generator: torch.Generator) -> Batches:
     """Return batches of the recorded touches, each once an epoch, as the paper has them."""
-    plate = data.meta.plate
-    size_mm = torch.tensor([plate.width_mm, plate.height_mm])
     features = torch.from_numpy(data.signal[parts.train])
-    position = torch.from_numpy(data.position_mm[parts.train]) / size_mm - 0.5
-
+    position = _positions(data, parts.train)
     steps = max(1, len(features) // PAPER_BATCH)  # the few that are left over wait for another epoch
 
-    def epoch() -> Iterator[tuple[Tensor, Tensor]]:
+    def epoch() -> Iterator[Batch]:
         order = torch.randperm(len(features), generator=generator)
         for some in torch.split(order[: steps * PAPER_BATCH], PAPER_BATCH):
-            yield features[some], position[some]
+            yield Batch(features[some], position[some], torch.zeros((len(some), 1)))
 
     return Batches(steps, epoch)

@@ -100,7 +100,8 @@ def _score_frames(truth: Recording, model: Model, plot: Path | None) -> dict[str
         judged = match_frames(alone, reach_mm=inf).judged
     else:
         true_mm = np.array([s.true_mm[0] for s in alone], np.float32).reshape(-1, 2)
-        judged = judge(model, network_features(model, frames)[frames.fingers == 1], true_mm)
+        features = network_features(model, frames)[frames.fingers == 1]
+        judged = judge(model, features, true_mm, frames.noise_energy())
     if plot is not None:
         _draw(judged, matches, model, truth, plot)
     found: dict[str, Any] = {"n": 0, "rmse_mm": None}

@@ -1,0 +1,80 @@
+"""A network alone places fingers with a standard error that knows the noise of the untouched plate."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from touchd.baseline import Baseline
+from touchd.config import Settings
+from touchd.counters import Counters
+from touchd.features import windowed_dft
+from touchd.finder import Finder
+from touchd.frame import Acquisition, Plate
+from touchd.gate import Gate
+from touchd.model import Description, Model
+from touchd.training.export import make_graph, write_model
+from touchd.training.network import PlainRegression, Regression
+
+RIG = Acquisition(channels=4, samples=250, sample_rate_hz=250e3)
+LEVELS = (1.0, 10.0, 100.0)
+"""Deviations of the noise, counts."""
+SETTINGS = Settings.model_validate({"model": {"min_confidence": 0.0, "keep_confidence": 0.0, "max_sigma_mm": 1e6}})
+
+
+def model_of(network: Regression | PlainRegression, folder: Path) -> Model:
+    about = Description(
+        name="test", head="regression", domain="frequency", input="residual", acquisition=RIG,
+        plate=Plate(width_mm=200, height_mm=200),
+    )  # fmt: skip
+    return write_model(make_graph(network, about), folder / "a.onnx")
+
+
+def placed(model: Model, residual: np.ndarray, deviation: float, settings: Settings = SETTINGS) -> list[float]:
+    """The sigma of what is found in a residual by one who has heard white noise of this deviation."""
+    baseline, gate = Baseline(RIG.shape, settings.baseline), Gate(settings.gate)
+    rng = np.random.default_rng(1)
+    energies = np.square(rng.normal(scale=deviation, size=(400, *RIG.shape))).sum(axis=(1, 2))
+    gate.learn(energies)
+    finder = Finder(RIG, model, settings, None, baseline, gate, Counters())
+    baseline.residual[...] = residual
+    found = finder.find(float(np.square(residual).sum()), 0.01, alive=True)
+    return [touch.sigma_mm for touch in found]
+
+
+@pytest.fixture(scope="module")
+def residual() -> np.ndarray:
+    return np.random.default_rng(2).normal(scale=200.0, size=RIG.shape).astype(np.float32)
+
+
+def test_sigma_grows_with_the_gates_noise_as_float64_has_it(residual: np.ndarray, tmp_path: Path) -> None:
+    torch.manual_seed(3)
+    network = Regression(392, (200.0, 200.0)).eval()
+    model = model_of(network, tmp_path)
+    features = (residual.astype(np.float64) @ windowed_dft(RIG)).reshape(1, -1)
+    with torch.inference_mode():
+        _, sigma, _, noise = network.double()(torch.from_numpy(features))
+    sigma_mm, noise_mm = sigma.item(), noise.item()
+    gain = np.square(np.hanning(250)).sum() * 49 / 250
+    for deviation in LEVELS:
+        ratio = np.sqrt(gain * deviation**2 * 1000) / np.linalg.norm(features)
+        assert placed(model, residual, deviation) == [pytest.approx(np.hypot(sigma_mm, noise_mm * ratio), rel=5e-3)]
+
+
+def test_a_finger_that_noise_leaves_too_unsure_is_not_placed(residual: np.ndarray, tmp_path: Path) -> None:
+    torch.manual_seed(3)
+    model = model_of(Regression(392, (200.0, 200.0)), tmp_path)
+    quiet, *_, loud = (placed(model, residual, deviation)[0] for deviation in LEVELS)
+    between = SETTINGS.model_copy(
+        update={"model": SETTINGS.model.model_copy(update={"max_sigma_mm": (quiet + loud) / 2})}
+    )
+    assert len(placed(model, residual, LEVELS[0], between)) == 1
+    assert placed(model, residual, LEVELS[-1], between) == []
+
+
+def test_a_network_that_knows_nothing_of_noise_says_the_same_in_any(residual: np.ndarray, tmp_path: Path) -> None:
+    model = model_of(PlainRegression(392, (200.0, 200.0)), tmp_path)
+    assert {sigma for deviation in LEVELS for sigma in placed(model, residual, deviation)} == {1.0}
