@@ -19,7 +19,7 @@ from touchd.drift import Drift
 from touchd.hearing import EXCESS_OF_HALF, SPREAD, Hearing
 from touchd.model import Estimate
 from touchd.recount import Recount
-from touchd.refine import NO_FIT, Fit, Refiner
+from touchd.refine import NO_FIT, STILL_MM, Fit, Refiner
 from touchd.rest import Rest
 from touchd.search import ENOUGH, FAIR, GOOD, NOISE_MARGIN, Search
 from touchd.tracker import Touch
@@ -189,7 +189,7 @@ class Locator:
             # It may have turned sharply, or stopped: then it is nearer to where it was.
             other = self._refiner.one(*self._course.places_mm[0], FIRST_STEPS)
             return other if other.left < fit.left else self._refiner.one(*fit.places_mm[0], 1)
-        fit, dropped = self._recount.prune(self._refiner.several(places, FOLLOW_STEPS - 1), signal)
+        fit, dropped = self._recount.prune(self._refiner.several(places, FOLLOW_STEPS - 1, STILL_MM), signal)
         for count, k in enumerate(dropped):
             self._course.drop(k, len(places) - count)
         return fit
