@@ -72,7 +72,7 @@ def test_68_percent_of_the_errors_are_within_sigma_in_the_touches_own_noise_and_
     residual, position = held(dataset, slice(KNOWN, COUNT))
     shares = []
     for level in (1.0, *(louder / augmenter.own_noise(residual) for louder in LOUDER)):
-        features, noise = augmenter.held_out(residual, level, another=False)
+        features, noise = augmenter.held_out(residual, level)
         with torch.inference_mode():
             place_mm, sigma_mm, _, noise_mm = mine(features)
         error_mm = (place_mm - mine.truth_mm(position)).abs()

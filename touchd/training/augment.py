@@ -134,22 +134,20 @@ class Augmenter:
         """Return the norm of the noise in recorded residuals (n, inputs) over the norm of the median one."""
         return float((BASELINE_NOISE * self._power).sqrt() / residual.norm(dim=1).median().clamp_min(1e-6))
 
-    def held_out(self, residual: Tensor, level: float, *, another: bool) -> tuple[Tensor, Tensor]:
-        """Return recorded residuals in louder noise and their noise, as `fingers` does.
+    def held_out(self, residual: Tensor, level: float) -> tuple[Tensor, Tensor]:
+        """Return recorded residuals in louder noise, every other one of another finger, and their noise, as `fingers`.
 
         Parameters
         ----------
         residual : tensor of shape (n, inputs)
         level : float
             Deviation of the noise, in that of the recording; not under 1.
-        another : bool
-            Whether as another finger would have given them.
         """
         n = len(residual)
-        if another:
-            residual = self._strength(residual, FINGER_PHASE * self._symmetric(n), FINGER_TURN)
+        another = self._strength(residual, FINGER_PHASE * self._symmetric(n), FINGER_TURN)
+        mixed = torch.where(torch.arange(n)[:, None] % 2 == 0, residual, another)
         added = math.sqrt(BASELINE_NOISE * (level**2 - 1.0))
-        louder = residual + self._noise(n, torch.full((n, 1), added))
+        louder = mixed + self._noise(n, torch.full((n, 1), added))
         return louder, _ratio(self._power * BASELINE_NOISE * level**2, louder)
 
     def others(self, n: int) -> Tensor:

@@ -41,7 +41,7 @@ def make_honest(network: Regression, augmenter: Augmenter, residual: Tensor, pos
     """Scale a network's sigma and its error of noise such that 68 % of the errors are within sigma.
 
     In training it was shown more kinds of disturbance than most plates know, and is cautious without them. So two
-    scales are found on touches that it was not trained on: with their own noise and with louder, as they are and as
+    scales are found on touches that it was not trained on: with their own noise and with louder, half of them as
     another finger would have given them. By the quantile: a few touches in a wrong lobe do not count.
 
     Parameters
@@ -57,11 +57,7 @@ def make_honest(network: Regression, augmenter: Augmenter, residual: Tensor, pos
     """
     own = augmenter.own_noise(residual)
     levels = [1.0, *(louder / own for louder in LOUDER if own < louder / 1.1)]
-    told = [
-        _told(network, *augmenter.held_out(residual, level, another=another), position)
-        for level in levels
-        for another in (False, True)
-    ]
+    told = [_told(network, *augmenter.held_out(residual, level), position) for level in levels]
 
     def cost(logs: NDArray[np.float64]) -> float:
         scales = np.exp(np.clip(logs, -np.log(MOST), np.log(MOST)))
