@@ -28,7 +28,7 @@ class Gate:
     """
 
     def __init__(self, settings: GateSettings) -> None:
-        self._count = 0
+        self._count, self._weight, self._margin = 0, 1.0, 1.0
         self._mean = 0.0
         self._variance = 0.0
         self._deviation = 0.0
@@ -50,7 +50,7 @@ class Gate:
         """Start afresh from the energies of untouched frames, shape (n,), n >= 2. Closes the gate."""
         roots = np.cbrt(energies)
         self._run = 0
-        self._count = len(roots)
+        self._know(len(roots))
         self._mean = float(roots.mean())
         self._variance = float(roots.var(ddof=1))
         self._told = self.noise_energy
@@ -69,7 +69,8 @@ class Gate:
         deviation for as long as they are remembered, and keep the threshold above many a finger.
         """
         self._last.append(energy)
-        below = energy < self._mean**3
+        step = energy ** (1 / 3) - self._mean
+        below = step < 0
         self._run = self._run + 1 if below is self._below else 1
         self._below = below
         if self._run == _CHANGED_FRAMES:
@@ -79,9 +80,9 @@ class Gate:
                 return True
             self._told = told
             return False
-        self._count = min(self._count + 1, self._memory)
-        weight = 1.0 / self._count
-        step = energy ** (1 / 3) - self._mean
+        if self._count != self._memory:
+            self._know(min(self._count + 1, self._memory))
+        weight = self._weight
         self._mean += weight * step
         # The exact update of an exponentially weighted variance (West, CACM 22:532, 1979).
         self._variance = (1.0 - weight) * (self._variance + weight * step * step)
@@ -107,9 +108,17 @@ class Gate:
         self._close_ratio = settings.close_ratio
         self._memory = settings.noise_frames
 
-    def _set_thresholds(self) -> None:
+    def _know(self, frames: int) -> None:
+        """Take note that the noise is known from so many frames."""
+        self._count = frames
+        self._weight = 1.0 / frames
         # The deviation is known from few frames at first: its upper confidence limit keeps the stated rate.
-        self._deviation = math.sqrt(self._variance) * (1.0 + 2.0 / math.sqrt(2.0 * self._count))
-        excess = self._quantile * self._deviation
-        self._open_above = (self._mean + excess) ** 3
-        self._close_below = (self._mean + self._close_ratio * excess) ** 3
+        self._margin = 1.0 + 2.0 / math.sqrt(2.0 * frames)
+
+    def _set_thresholds(self) -> None:
+        mean = self._mean
+        self._deviation = deviation = math.sqrt(self._variance) * self._margin
+        excess = self._quantile * deviation
+        opens, closes = mean + excess, mean + self._close_ratio * excess
+        self._open_above = opens * opens * opens
+        self._close_below = closes * closes * closes
