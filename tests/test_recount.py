@@ -12,7 +12,7 @@ from tests.fields import Field, Finger, make_atlas
 from touchd.hearing import Hearing
 from touchd.lookup import Place
 from touchd.recount import FITS_A_SECOND, FITS_AT_ONCE, Recount
-from touchd.refine import NO_FIT, Fit, Refiner
+from touchd.refine import NO_FIT, STILL_MM, Fit, Refiner
 from touchd.search import Search
 
 FIELD = Field()
@@ -35,9 +35,9 @@ class Rig:
         self.fits = 0
         several = self.search._refiner.several
 
-        def counted(places_mm: Sequence[Place], steps: int) -> Fit:
+        def counted(places_mm: Sequence[Place], steps: int, still_mm: float = STILL_MM / 10) -> Fit:
             self.fits += 1
-            return several(places_mm, steps)
+            return several(places_mm, steps, still_mm)
 
         self.search._refiner.several = counted  # type: ignore[method-assign]  # to count
 

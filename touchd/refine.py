@@ -154,7 +154,7 @@ class Refiner:
                 longest_mm = max(longest_mm, length)
             at = places
             if longest_mm < still_mm:
-                gained = gradient @ move  # what the last step explains besides, as with one finger
+                gained = float(gradient @ move)  # what the last step explains besides, as with one finger
                 break
         left = self.energy - (z.conj() @ gram[:count, -1]).real - gained
         strengths, norms = z.tolist(), gram.diagonal()[:count].real.tolist()
