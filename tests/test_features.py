@@ -117,5 +117,4 @@ def test_noise_to_signal_is_that_of_float64(vector: np.ndarray, noise_energy: fl
     route = FrequencyFeatures(RIG)
     energy = max(np.square(vector, dtype=np.float64).sum(), 1e-12)
     expected = np.sqrt(route.noise_gain * noise_energy / energy)
-    for shaped in (vector, vector.reshape(4, 98)):
-        assert noise_to_signal(route, noise_energy, shaped) == pytest.approx(expected, rel=1e-5)
+    assert noise_to_signal(route, noise_energy, float(vector @ vector)) == pytest.approx(expected, rel=1e-5)

@@ -81,8 +81,8 @@ class TimeFeatures:
         out[...] = signal.reshape(out.shape)
 
 
-def noise_to_signal(route: Features, noise_energy: float, features: Vector) -> float:
-    """Return the norm that white noise has in the features over their own norm.
+def noise_to_signal(route: Features, noise_energy: float, energy: float) -> float:
+    """Return the norm that white noise has in features over their own norm.
 
     Parameters
     ----------
@@ -90,10 +90,10 @@ def noise_to_signal(route: Features, noise_energy: float, features: Vector) -> f
         What the features were taken by.
     noise_energy : float
         Energy of the samples of the noise in them, ADC counts squared.
-    features : array of any shape
+    energy : float
+        Of the features.
     """
-    flat = features.reshape(-1)
-    return math.sqrt(route.noise_gain * noise_energy / max(float(flat.dot(flat)), 1e-12))
+    return math.sqrt(route.noise_gain * noise_energy / max(energy, 1e-12))
 
 
 def make_features(domain: Domain, acquisition: Acquisition) -> Features:

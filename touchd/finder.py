@@ -55,6 +55,7 @@ class Finder:
         self._model, self._baseline, self._gate, self._counters = model, baseline, gate, counters
         self._features = make_features(model.description.domain, acquisition)
         self._input = model.features.reshape(self._features.shape)
+        self._flat, self._power = model.features.reshape(-1), np.zeros((), np.float32)
         self._of_residual = model.description.input == "residual"
         self._residual = baseline.residual
         self._signal = baseline.residual if self._of_residual else baseline.signal
@@ -164,7 +165,8 @@ class Finder:
         if self._skip_still:
             self._still.look(self._residual, self._gate)
         estimate = self._estimate()
-        sigma_mm = estimate.error_mm(noise_to_signal(self._features, self._gate.noise_energy, self._model.features))
+        self._flat.dot(self._flat, self._power)
+        sigma_mm = estimate.error_mm(noise_to_signal(self._features, self._gate.noise_energy, self._power.item()))
         # Asked this way round, so that a network that says NaN places nothing.
         if not (estimate.confidence >= confident and sigma_mm <= self._max_sigma_mm):
             return ()

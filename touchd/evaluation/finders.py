@@ -47,7 +47,7 @@ def network_finder(model: Model, frames: TouchedFrames) -> Find:
         extract(_input(model, look), features)
         force = min(1.0, float(np.linalg.norm(features)) / full) if of_residual and full else nan
         said = model.estimate()
-        sigma_mm = said.error_mm(noise_to_signal(route, noise_energy, features))
+        sigma_mm = said.error_mm(noise_to_signal(route, noise_energy, float(features @ features)))
         return (Touch(said.x_mm, said.y_mm, sigma_mm, said.confidence, force, said.key),)
 
     return find

@@ -54,7 +54,7 @@ def judge(model: Model, features: NDArray[np.float32], true_mm: NDArray[np.float
     for i, row in enumerate(features):
         model.features[0] = row
         estimate = model.estimate()
-        sigma_mm = estimate.error_mm(noise_to_signal(route, noise_energy, row))
+        sigma_mm = estimate.error_mm(noise_to_signal(route, noise_energy, float(row @ row)))
         rows[i] = estimate.x_mm, estimate.y_mm, sigma_mm, estimate.confidence
         if d.head != "regression":
             found[i] = int(model.outputs["probability"][0].argmax())
