@@ -101,7 +101,7 @@ class Refiner:
         x, y = inside(x_mm, y_mm)
         while True:
             x, y = self._look_up(x, y)
-            strength, a, b, c, right_x, right_y, explained = self._normal_equations()
+            strength, a, b, c, right_x, right_y, explained, along_x, along_y = self._normal_equations()
             steps -= 1
             det = a * c - b * b
             if det <= 0:
@@ -112,7 +112,9 @@ class Refiner:
             x, y = inside(x + shorter * step_x, y + shorter * step_y)
             if length < STILL_MM or steps <= 0:
                 # What the last step explains besides, to second order: no need to look again.
-                explained += right_x * step_x + right_y * step_y if shorter == 1.0 else 0.0
+                if shorter == 1.0:
+                    explained += right_x * step_x + right_y * step_y
+                    strength /= 1 + step_x * along_x + step_y * along_y
                 break
         information = self._information
         information[0, 0], information[0, 1], information[1, 0], information[1, 1] = a, b, b, c
@@ -133,7 +135,7 @@ class Refiner:
             own = gram[:count, :count].copy()
             own.ravel()[:: count + 1] += 1e-6 / count * own.trace().real
             solved = np.linalg.solve(own, gram[:count, count:])
-            z = solved[:, -1]
+            z = strengths = solved[:, -1]
             twice = np.concatenate([z, z])
             # What the strengths leave of the products of the derivatives with each other, and with the frame.
             inner = twice.conj()[:, None] * (gram[count:, count:] - gram[count:, :count] @ solved)
@@ -154,12 +156,14 @@ class Refiner:
                 longest_mm = max(longest_mm, length)
             at = places
             if longest_mm < still_mm:
-                gained = float(gradient @ move)  # what the last step explains besides, as with one finger
+                # What the last step changes, to second order and to first, as with one finger.
+                gained = float(gradient @ move)
+                strengths = z - (solved[:, :count] * move[::2] + solved[:, count:-1] * move[1::2]) @ z
                 break
         left = self.energy - (z.conj() @ gram[:count, -1]).real - gained
-        strengths, norms = z.tolist(), gram.diagonal()[:count].real.tolist()
-        energies = [abs(strength) ** 2 * norm for strength, norm in zip(strengths, norms, strict=True)]
-        return Fit(at, strengths, energies, information, max(float(left), 0.0))
+        norms = gram.diagonal()[:count].real.tolist()
+        energies = [abs(strength) ** 2 * norm for strength, norm in zip(z.tolist(), norms, strict=True)]
+        return Fit(at, strengths.tolist(), energies, information, max(float(left), 0.0))
 
     def _gram_of(self, places_mm: Sequence[Place]) -> tuple[list[Place], NDArray[np.complex128]]:
         """Return the places looked up, and the complex products of u, then u_x, then u_y of all fingers.
@@ -215,19 +219,24 @@ class Refiner:
             np.multiply(self._field, self.mask, self._field)
         return place
 
-    def _normal_equations(self) -> tuple[complex, float, float, float, float, float, float]:
-        """Return the strength, Re(J^H J) as xx, xy, yy, both parts of Re(J^H r), and the energy explained."""
+    def _normal_equations(self) -> tuple[complex, float, float, float, float, float, float, complex, complex]:
+        """Return the strength, Re(J^H J) as xx, xy, yy, both parts of Re(J^H r), the energy explained, and more.
+
+        The last two are the parts of u_x and u_y along u: to first order, what a step of 1 mm adds to the field.
+        """
         self._turn_value()
         self._field.dot(self._columns, self._gram)
         (uu, ux, uy, ud, ud_i, _), (_, xx, xy, xd, xd_i, ux_i), (_, _, yy, yd, yd_i, uy_i) = self._gram.tolist()
         if uu <= 0:
-            return 0j, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+            return 0j, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0j, 0j
         z, z_i = ud / uu, ud_i / uu
         power = z * z + z_i * z_i
         a = power * (xx - (ux * ux + ux_i * ux_i) / uu)
         b = power * (xy - (ux * uy + ux_i * uy_i) / uu)
         c = power * (yy - (uy * uy + uy_i * uy_i) / uu)
-        return complex(z, z_i), a, b, c, z * xd + z_i * xd_i - power * ux, z * yd + z_i * yd_i - power * uy, power * uu
+        right_x, right_y = z * xd + z_i * xd_i - power * ux, z * yd + z_i * yd_i - power * uy
+        along_x, along_y = complex(ux / uu, ux_i / uu), complex(uy / uu, uy_i / uu)
+        return complex(z, z_i), a, b, c, right_x, right_y, power * uu, along_x, along_y
 
     def _turn_value(self) -> None:
         """Put i u beside u."""
