@@ -11,6 +11,7 @@ from click.testing import CliRunner
 
 from touchd import recording
 from touchd.errors import TrainingError
+from touchd.evaluation.score import judge
 from touchd.model import Model
 from touchd.recording import Recording
 from touchd.training.dataset import make_dataset, split
@@ -48,6 +49,20 @@ def test_it_places_touches_as_the_original_does_in_less_than_half_the_size(
     assert stated.model_copy(update={"precision": "float32", "scores": {}}) == original.description.model_copy(
         update={"scores": {}}
     )
+
+
+def test_it_is_less_sure_by_as_much_as_it_errs_more(touches: Recording, tmp_path: Path) -> None:
+    """On the touches of the validation part just as many of its errors are within sigma as of the original's."""
+    original = train(touches, tmp_path / "a.onnx", RECIPES["best"], epochs=3).model
+    made = quantise(original, touches, tmp_path / "b.onnx")
+    data = make_dataset(touches)
+    part = split(len(data), original.description.seed).validation
+    one, two = (
+        judge(model, data.residual[part], data.position_mm[part], data.noise_energy) for model in (original, made)
+    )
+    errors = [np.quantile(np.abs(said.error_mm) / said.sigma_mm[:, None], 0.6827) for said in (one, two)]
+    assert errors[0] == pytest.approx(errors[1], rel=1e-3)
+    assert not np.allclose(one.sigma_mm, two.sigma_mm, rtol=1e-4)
 
 
 def test_another_recording_and_an_integer_model_are_refused(
