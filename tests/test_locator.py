@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from tests.fields import COUNTS, RIG, Field, Finger, make_atlas
+from touchd.assess import DRY_S
 from touchd.atlas import Atlas
 from touchd.locator import Locator
 from touchd.model import Estimate
@@ -132,6 +133,29 @@ def test_water_leads_by_more_than_fingers_do_and_is_none(phase_rad: float, finge
     touches = [rig.touch((70, 30, cmath.rect(0.7, phase_rad))) for _ in range(5)]
     assert all(len(found) == finger for found in touches)
     assert not rig.locator.leaving
+
+
+def test_a_finger_whose_contact_is_small_at_first_is_no_drop_for_long() -> None:
+    """On a transducer it leads all the time; in its first moments as water does."""
+    rig = Rig()
+    found = [bool(rig.touch((70, 30, cmath.rect(0.7, phase)))) for phase in (0.8, 0.55, *[0.3] * 20)]
+    waited = math.ceil(DRY_S / FRAME_S) - 1
+    assert found == [False] * (2 + waited) + [True] * (20 - waited)
+
+
+def test_a_drop_that_looks_otherwise_for_a_moment_is_a_drop_still() -> None:
+    """In single frames, while a finger is down, and after frames in which only the finger was seen."""
+    rig, drop = Rig(), (70, 30, cmath.rect(0.7, 0.6))
+    half_way = (70, 30, cmath.rect(0.7, 0.42))
+    assert not any(rig.touch(half_way if i % 4 == 3 else drop) for i in range(40))
+    finger = (30.0, 60.0, 1.0)
+    for i in range(60):
+        seen = [finger] if i % 10 < 2 else [finger, half_way if i % 3 else drop]
+        assert at(rig.touch(*seen), (30, 60)), f"frame {i}"
+    for _ in range(5):
+        rig.touch(drop)
+    rig.locator.hear(rig.residual([]))
+    assert at(rig.touch((70, 30, cmath.rect(0.7, 0.3))), (70, 30)), "the plate was dry since"
 
 
 @pytest.mark.parametrize("dead", range(4))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import cmath
 import math
+from typing import NamedTuple
 
 from touchd.atlas import Atlas
 from touchd.hearing import SPREAD, Hearing
@@ -16,8 +17,14 @@ PHASE_RAD = (-1.2, 0.45)
 less than 0.3; human fingers lag by up to 0.4 (twin)."""
 PHASE_SIGMAS = 2.5
 """So far within the upper bound a finger's phase has to be: that of a faint drop scatters, and it stays for hours."""
-WET_RAD, WET_MM = 0.15, 3.0
-"""What leads by so much is a drop still, where there was one so near in the last frame."""
+WET_RAD, WET_MM, WET_S = 0.15, 3.0, 10.0
+"""What leads by so much is a drop still, where one was seen so near, for so long since: of a faint one, or while a
+finger comes down elsewhere, single frames say otherwise, or nothing."""
+DRY_RAD, DRY_S, DRY_CONFIDENCE = 0.38, 0.03, 0.9
+"""Unless it has led by less than that for so long, in good fits: a finger whose contact was small at first. On a
+transducer, whose own mass shifts both, light fingers lead by 0.15-0.36 and drops by 0.7 or more; elsewhere drops lead
+by 0.5 or more, and by 0.41 while they are fitted together with a finger (twin)."""
+MOST_WET = 16
 CORNER_MM = 12.0
 """Beyond the touched part of the plate the field is not known; where that is so on two sides, a finger looks like two,
 one along either edge. Two so near a corner of the touched part are not placed."""
@@ -31,6 +38,16 @@ WELL_KNOWN = 0.6
 UNUSUAL = 14.0
 """What a touch leaves beyond it counts so much more than noise: it is alike in many bins. Of silicone and human fingers
 68 and 95 % are then within one and two standard errors (twin)."""
+
+
+class _Wet(NamedTuple):
+    """A place where a drop was seen."""
+
+    place_mm: Place
+    dry_s: float
+    """For how long it has looked like a finger."""
+    left_s: float
+    """For how long it will be remembered if nothing is seen there."""
 
 
 class Assessor:
@@ -47,20 +64,25 @@ class Assessor:
         d = atlas.description
         self._field_scale = d.field_scale
         self._corners_mm = [(x, y) for x in (d.low_mm[0], d.high_mm[0]) for y in (d.low_mm[1], d.high_mm[1])]
-        self._wet: list[Place] = []
+        self._wet: list[_Wet] = []
+        self._fingers: list[Place] = []
         self.per_strength = 1.0
         """The change of the signal, as a share of its size, by a finger of strength 1."""
 
     def forget(self) -> None:
         """Start afresh with the next frame."""
+        self._wet, self._fingers = [], []
+
+    def dry(self) -> None:
+        """Take note that nothing is on the plate."""
         self._wet = []
 
     def leaving(self, fit: Fit) -> bool:
         """Return whether a fit shows the negative of fingers alone."""
         return all(abs(cmath.phase(z)) > LEAVING_RAD for z in fit.strengths)
 
-    def touches(self, fit: Fit, confidence: float) -> tuple[Touch, ...]:
-        """Return the fingers of a fit with their standard errors; what is water is none."""
+    def touches(self, fit: Fit, confidence: float, elapsed_s: float) -> tuple[Touch, ...]:
+        """Return the fingers of a fit, so long after the last, with their standard errors; what is water is none."""
         hearing = self._hearing
         variance, several = hearing.variance, len(fit.places_mm) > 1
         sizes = [abs(z) for z in fit.strengths]
@@ -74,17 +96,34 @@ class Assessor:
         for k, (x_mm, y_mm) in enumerate(fit.places_mm):
             phase, energy = cmath.phase(fit.strengths[k]), fit.energies[k]
             # The noise over a finger's energy is the variance of its phase.
-            limit = PHASE_RAD[1] - PHASE_SIGMAS * math.sqrt(variance / energy) if energy > 0 else -math.inf
-            if phase >= limit or (phase > WET_RAD and self._was_wet(x_mm, y_mm)):
-                wet.append((x_mm, y_mm))
+            scatter = PHASE_SIGMAS * math.sqrt(variance / energy) if energy > 0 else math.inf
+            dry_s = math.inf
+            if phase >= PHASE_RAD[1] - scatter:
+                dry_s = 0.0
+            elif phase > WET_RAD:
+                dry_s = self._dry_s((x_mm, y_mm), phase + 2 * scatter, elapsed_s, confidence)  # beyond doubt
+            if dry_s < DRY_S:
+                # A finger that lifts is like a drop in its last frames.
+                lifting = any(math.dist((x_mm, y_mm), place) < WET_MM for place in self._fingers)
+                wet.append(_Wet((x_mm, y_mm), dry_s, 0.0 if lifting else WET_S))
             elif phase > PHASE_RAD[0] and k not in cornered:
                 touches.append(Touch(x_mm, y_mm, errors_mm[k], confidence, sizes[k] * self.per_strength))
-        self._wet = wet
+        for one in self._wet:
+            if one.left_s > elapsed_s and all(math.dist(one.place_mm, place) >= WET_MM for place in fit.places_mm):
+                wet.append(one._replace(left_s=one.left_s - elapsed_s))
+        self._wet = wet[:MOST_WET]
+        self._fingers = [(touch.x_mm, touch.y_mm) for touch in touches]
         return tuple(touches)
 
-    def _was_wet(self, x_mm: float, y_mm: float) -> bool:
-        """A drop stays where it is: where one was seen, what is half-way to it still is one."""
-        return any(math.hypot(x_mm - x, y_mm - y) < WET_MM for x, y in self._wet)
+    def _dry_s(self, place_mm: Place, phase: float, elapsed_s: float, confidence: float) -> float:
+        """Return for how long what leads by so much at most has been like no drop; infinite where there was none.
+
+        A drop stays where it is: where one was seen, what is half-way to it still is one for a while.
+        """
+        near = [one.dry_s for one in self._wet if math.dist(one.place_mm, place_mm) < WET_MM]
+        if not near:
+            return math.inf
+        return min(near) + elapsed_s if phase < DRY_RAD and confidence > DRY_CONFIDENCE else 0.0
 
     def _cornered(self, places_mm: list[Place]) -> set[int]:
         """Return which of several fingers are, with another one, too near to one corner to be two."""

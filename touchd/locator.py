@@ -78,6 +78,7 @@ class Locator:
 
     def hear(self, residual: Array) -> None:
         """Take in the residual of an untouched frame, shape (channels, samples)."""
+        self._assessor.dry()
         self._drift.features(residual, self._untouched)
         if self._hearing.hear(self._untouched):
             self._listen_to(~self._drift.dead)
@@ -157,7 +158,7 @@ class Locator:
         self._course.take(fit.places_mm, elapsed_s)
         self._rest.arm(fit, self._course.moved_mm if self.watch_still else math.inf, hearing.variance)
         self.leaving = self._assessor.leaving(fit)
-        return self._assessor.touches(fit, confidence)
+        return self._assessor.touches(fit, confidence, elapsed_s)
 
     def holds(self, residual: Array) -> bool:
         """Return whether the finger of the last frame located is still where it was, but for the noise."""
