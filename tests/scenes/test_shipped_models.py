@@ -7,6 +7,7 @@ import pytest
 from touchd.evaluation.score import judge, scores
 from touchd.model import Model, default_model_path
 from touchd.training.dataset import Dataset, make_dataset
+from touchd.twin.electronics import Electronics
 from touchd.twin.instrument import Instrument
 from touchd.twin.simulate import simulate_touches
 
@@ -22,6 +23,12 @@ def silicone(instrument: Instrument) -> Dataset:
 @pytest.fixture(scope="module")
 def human(instrument: Instrument) -> Dataset:
     return make_dataset(simulate_touches(TOUCHES, seed=20_262, finger="human", instrument=instrument))
+
+
+@pytest.fixture(scope="module")
+def noisy(instrument: Instrument) -> Dataset:
+    electronics = Electronics(noise_db=40.0)
+    return make_dataset(simulate_touches(400, seed=20_264, instrument=instrument, electronics=electronics))
 
 
 @pytest.fixture(scope="module")
@@ -47,6 +54,15 @@ def test_neither_another_finger_nor_a_stale_baseline_spoils_them(
     kind: str, most_mm: float, request: pytest.FixtureRequest
 ) -> None:
     assert scored("regression", request.getfixturevalue(kind))["mean_mm"] <= most_mm
+
+
+@pytest.mark.parametrize("kind", ["silicone", "human", "noisy"])
+@pytest.mark.parametrize("name", ["regression", "int8", "small"])
+def test_68_percent_of_the_errors_are_within_sigma_in_any_noise_and_for_any_finger(
+    name: str, kind: str, request: pytest.FixtureRequest
+) -> None:
+    """At 60 dB and at 40: within 5 points of it, and 3 for the chance of so few touches."""
+    assert scored(name, request.getfixturevalue(kind))["within_sigma"] == pytest.approx(0.683, abs=0.08)
 
 
 @pytest.mark.parametrize(("name", "least"), [("grid10", 0.97), ("keypad", 0.985)])
