@@ -158,6 +158,25 @@ def test_a_drop_that_looks_otherwise_for_a_moment_is_a_drop_still() -> None:
     assert at(rig.touch((70, 30, cmath.rect(0.7, 0.3))), (70, 30)), "the plate was dry since"
 
 
+@pytest.mark.parametrize("strength", [0.15, 0.2, 0.3, 0.4, 1.0])
+def test_a_faint_finger_is_not_placed_where_the_noise_looks_like_one(strength: float) -> None:
+    """A tone is alike in many bins: here it is, but for its phase, a finger elsewhere."""
+    rig, rng, hum = Rig(), np.random.default_rng(5), (30.0, 60.0)
+
+    def heard(*fingers: Finger) -> np.ndarray:
+        return rig.residual([(*hum, cmath.rect(0.3, rng.uniform(-math.pi, math.pi))), *fingers])
+
+    rig.locator.learn(np.stack([heard() for _ in range(64)]), ATLAS.baseline)
+    placed = 0
+    for _ in range(60):
+        for _ in range(3):
+            found = rig.see(heard((85.0, 25.0, strength)), (60.0, 45.0))
+            assert all(math.dist((touch.x_mm, touch.y_mm), hum) > 10 for touch in found)
+            placed += bool(found)
+        rig.locator.forget()
+    assert strength < 1 or placed > 60
+
+
 @pytest.mark.parametrize("dead", range(4))
 def test_with_a_channel_that_dies_the_finger_is_still_placed(dead: int) -> None:
     rig = Rig()

@@ -26,6 +26,8 @@ from touchd.tracker import Touch
 
 FAINT = 6.0
 """A finger with less than so many times the noise's energy may be seen elsewhere by the network."""
+AMBIGUOUS_MM = 7.0
+"""A faint finger that may as well be so far away is not placed."""
 FIRST_STEPS, FOLLOW_STEPS = 5, 3
 _DRIFT_EVERY_S = 0.04
 
@@ -151,6 +153,10 @@ class Locator:
         by_itself = excess > ENOUGH and energy - hearing.by_itself(refiner.frame) < fit.left
         if by_itself or not confidence >= confident or (self._recount.pending and not followed):
             return self._lose()
+        if not followed and signal < FAINT * expected and len(fit.places_mm) == 1:
+            fit = fit._replace(information=fit.information.copy())  # other fits write over it
+            if self._is_ambiguous(fit):
+                return self._lose()
         self._drift_s += elapsed_s
         if excess < GOOD and self._drift_s > _DRIFT_EVERY_S:
             self._drift.follow(refiner.residual(fit), self._drift_s)
@@ -179,6 +185,15 @@ class Locator:
         fits += [self._refiner.one(*candidate.place_mm, FIRST_STEPS) for candidate in found]
         best = min(fits, key=lambda fit: fit.left, default=NO_FIT._replace(left=self._refiner.energy))
         return self._refiner.one(*best.places_mm[0], 1) if best.places_mm else best
+
+    def _is_ambiguous(self, fit: Fit) -> bool:
+        """Return whether a finger elsewhere leaves no more than noise, too: what is alike in many bins resembles one."""
+        noise = (1 + SPREAD) * self._hearing.expected
+        for candidate in self._search.candidates(self._refiner.frame):
+            other = self._refiner.one(*candidate.place_mm, FIRST_STEPS)
+            if other.left < noise and math.dist(other.places_mm[0], fit.places_mm[0]) > AMBIGUOUS_MM:
+                return True
+        return False
 
     def _follow(self, elapsed_s: float, signal: float) -> Fit:
         """Fit the fingers of the last frame from where they were going, less those that have lifted."""
