@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -20,9 +21,10 @@ def augmenter(dataset: Dataset) -> Augmenter:
     return made(dataset)
 
 
-def made(dataset: Dataset) -> Augmenter:
+def made(dataset: Dataset, noise: float = 1.0) -> Augmenter:
     generator = torch.Generator().manual_seed(1)
-    return Augmenter(make_bank(dataset, torch.arange(KNOWN), generator, pool=512), None, generator)
+    bank = make_bank(dataset, torch.arange(KNOWN), generator, pool=512)
+    return Augmenter(replace(bank, noise=noise * bank.noise), None, generator)
 
 
 @pytest.fixture(scope="module")
@@ -80,3 +82,15 @@ def test_68_percent_of_the_errors_are_within_sigma_in_the_touches_own_noise_and_
     print("within sigma: " + ", ".join(f"{share:.0%}" for share in shares))
     assert np.mean(shares) == pytest.approx(0.683, abs=0.05)
     assert all(0.55 < share < 0.8 for share in shares)
+
+
+def test_a_recording_without_noise_tells_nothing_of_it(network: Regression, dataset: Dataset) -> None:
+    mine, (residual, position) = copy.deepcopy(network), held(dataset, slice(KNOWN, COUNT))
+    silent = made(dataset, noise=0.0)
+    make_honest(mine, silent, residual, position)
+    features, _ = silent.held_out(residual, 1.0)
+    with torch.inference_mode():
+        place_mm, sigma_mm, _, noise_mm = mine(features)
+    error_mm = (place_mm - mine.truth_mm(position)).abs()
+    assert (error_mm <= sigma_mm).float().mean().item() == pytest.approx(0.683, abs=0.1)
+    assert torch.isfinite(noise_mm).all()

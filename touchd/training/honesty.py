@@ -56,7 +56,7 @@ def make_honest(network: Regression, augmenter: Augmenter, residual: Tensor, pos
         In plate sizes from the centre.
     """
     own = augmenter.own_noise(residual)
-    levels = [1.0, *(louder / own for louder in LOUDER if own < louder / 1.1)]
+    levels = [1.0, *(louder / own for louder in LOUDER if 0 < own < louder / 1.1)]
     told = [_told(network, *augmenter.held_out(residual, level), position) for level in levels]
 
     def cost(logs: NDArray[np.float64]) -> float:
