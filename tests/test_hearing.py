@@ -42,6 +42,23 @@ def test_a_bin_that_drowns_is_left_out() -> None:
     assert heard.expected == pytest.approx(ATLAS.size - 2, rel=0.05)
 
 
+def test_noise_of_few_shapes_is_told_from_white_noise_whatever_its_size() -> None:
+    """Trigger jitter has one."""
+    rng = np.random.default_rng(4)
+    shape = rng.standard_normal(ATLAS.size)
+    for size in (1e-3, 1.0, 1e5):
+        heard = hearing(size)
+        said = [heard.is_alike]
+        for _ in range(64):
+            jitter = rng.choice([-1, 1]) * rng.uniform(0.5, 2) * shape
+            heard.hear((size * (jitter + 0.2 * rng.standard_normal(ATLAS.size))).astype(np.float32))
+        said.append(heard.is_alike)
+        for _ in range(200):
+            heard.hear((size * rng.standard_normal(ATLAS.size)).astype(np.float32))
+        said.append(heard.is_alike)
+        assert said == [False, True, False]
+
+
 def test_with_every_channel_dead_all_are_listened_to() -> None:
     assert hearing(1.0, NOWHERE, 0, 1, 2, 3).mask is None
 

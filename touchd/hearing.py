@@ -17,6 +17,10 @@ SIGNIFICANT = 80.0
 """What a fit explains, in variances of a feature, for noise alone not to do so anywhere on a plate: at the best of a
 thousand places noise explains some 15, neighbouring bins being correlated twice that."""
 
+ALIKE, COMPARED_FRAMES = 50.0, 32
+"""White noise in n features is of n shapes, or of n / 3 since neighbouring bins are correlated; with fewer than n / 50,
+over so many frames that are heard, it is not white: tones and jitter have two to four (twin)."""
+
 
 class Hearing:
     """Knows the noise in each feature, and leaves out dead channels and bins that drown.
@@ -32,6 +36,8 @@ class Hearing:
         self._per_channel = 2 * len(d.bins)
         self._error, self._noise_scale = atlas.error, d.noise_scale
         self._energy = np.zeros((), np.float32)
+        self.mask = None
+        self._last, self._before = np.zeros(atlas.size, np.float32), np.zeros(atlas.size, np.float32)
         self.forget()
 
     channels: NDArray[np.bool_]
@@ -54,10 +60,32 @@ class Hearing:
     def forget(self) -> None:
         """Begin to hear anew."""
         self._noise.forget()
+        self._alike, self._compared, self._last_energy = 0.0, 0, 0.0
 
     def hear(self, features: Array) -> bool:
         """Take in the features of an untouched frame, and return whether now enough were heard to listen by them."""
+        self._compare(features)
         return self._noise.hear(features)
+
+    @property
+    def is_alike(self) -> bool:
+        """Whether the noise is of few shapes, as tones and trigger jitter are, so that a finger's may be among them."""
+        return self._alike * self.alive > ALIKE
+
+    def _compare(self, features: Array) -> None:
+        """Follow the squared cosine between a frame of noise and the one before, whose mean is one over its shapes."""
+        last, before = self._before, self._last
+        np.copyto(last, features)
+        if self.mask is not None:
+            np.multiply(last, self.mask, last)
+        last.dot(last, self._energy)
+        energy = self._energy.item()
+        last.dot(before, self._energy)
+        if energy > 0 and self._last_energy > 0:
+            self._compared = min(self._compared + 1, COMPARED_FRAMES)
+            cosine2 = self._energy.item() ** 2 / (energy * self._last_energy)
+            self._alike += (cosine2 - self._alike) / self._compared
+        self._last, self._before, self._last_energy = last, before, energy
 
     def hear_anew(self) -> None:
         """Let the frames to come tell what noise there is, and no earlier ones."""

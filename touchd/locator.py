@@ -153,7 +153,7 @@ class Locator:
         by_itself = excess > ENOUGH and energy - hearing.by_itself(refiner.frame) < fit.left
         if by_itself or not confidence >= confident or (self._recount.pending and not followed):
             return self._lose()
-        if not followed and signal < FAINT * expected and len(fit.places_mm) == 1:
+        if hearing.is_alike and not followed and signal < FAINT * expected and len(fit.places_mm) == 1:
             fit = fit._replace(information=fit.information.copy())  # other fits write over it
             if self._is_ambiguous(fit):
                 return self._lose()
@@ -187,7 +187,7 @@ class Locator:
         return self._refiner.one(*best.places_mm[0], 1) if best.places_mm else best
 
     def _is_ambiguous(self, fit: Fit) -> bool:
-        """Return whether a finger elsewhere leaves no more than noise, too: what is alike in many bins resembles one."""
+        """Return whether a finger elsewhere leaves as little as noise: what is alike in many bins resembles one."""
         noise = (1 + SPREAD) * self._hearing.expected
         for candidate in self._search.candidates(self._refiner.frame):
             other = self._refiner.one(*candidate.place_mm, FIRST_STEPS)
