@@ -228,11 +228,12 @@ def test_every_valid_frame_is_found_whatever_lies_between_and_however_it_is_cut(
     stream = b"".join(chain.from_iterable((between, frame[2]) for between, frame in parts))
     pieces = [stream[i : i + piece] for i in range(0, len(stream), piece)]
     found = read(FrameReader(SMALL), *pieces, ended=False)
-    expected = [frame[:2] for _, frame in parts]
-    # A cut frame that is completed by what follows would be a frame: only then may there be more.
-    assert [frame for frame in found if frame in expected] == expected
+    # A cut frame that is completed by what follows it is a frame, too: so there may be more than these.
+    rest = iter(found)
+    assert all(frame[:2] in rest for _, frame in parts), "each was found, in this order"
     for header, samples in found:
-        assert build_frame(SMALL, header, samples) in stream, "what is found was sent"
+        sent = build_frame(SMALL, header, samples)
+        assert found.count((header, samples)) <= stream.count(sent), "what is found was sent, and so often"
 
 
 @given(st.lists(st.tuples(rubbish.filter(len), small_frames()), min_size=1, max_size=4))
