@@ -177,8 +177,16 @@ def unrolled(atlas: Atlas, steps: int, *, samples: bool = False) -> onnx.ModelPr
         at = g("Min", g("Max", at, bounds[0]), bounds[1])
     square = g("MatMul", gram, g.hold(_column(_UU)[:, None]))
     z = g("Div", g("MatMul", gram, g.hold(np.stack([_column(_UD[0]), _column(_UD[1])], axis=1))), square)
+    # What the last step does to the strength: a complex division, unless it was shortened.
+    along = g("MatMul", gram, g.hold(np.stack([_column(form) for form in (*_UX, *_UY)], axis=1)))
+    change = g("Div", g("Gemm", step, g("Reshape", along, g.hold([2, 2], np.int64)), transA=1), square)
+    change = g("Add", g("Where", g("Less", longest, length), g.hold(0.0), change), g.hold([[1.0, 0.0]]))
+    row = g("Reshape", z, g.hold([1, 2], np.int64))
+    products = g("Reshape", g("Gemm", row, change, transA=1), g.hold([1, 4], np.int64))
+    quotient = g("MatMul", products, g.hold([[1, 0], [0, -1], [0, 1], [1, 0]]))
+    z = g("Div", quotient, g("ReduceSumSquare", change, keepdims=1))
     strength = g("Mul", z, g("Mul", loud, g.hold(1 / unit)))
-    # What is explained, and what the last step explains besides, unless it was shortened.
+    # What is explained, and what the last step explains besides, likewise.
     right = g("MatMul", two, g.hold(np.stack([_RX, _RY], axis=1)))
     besides = g("Div", g("MatMul", right, step), g("Pow", square, g.hold(3.0)))
     besides = g("Where", g("Less", longest, length), g.hold(0.0), besides)
