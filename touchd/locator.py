@@ -29,6 +29,8 @@ FAINT = 6.0
 AMBIGUOUS_MM = 7.0
 """A faint finger that may as well be so far away is not placed."""
 FIRST_STEPS, FOLLOW_STEPS = 5, 3
+_STILL_TOGETHER_MM = STILL_MM / 4
+"""What the step after a shorter one would change is below 1e-3 mm, and of fingers that are followed few steps are longer."""
 _DRIFT_EVERY_S = 0.04
 
 
@@ -205,7 +207,7 @@ class Locator:
             # It may have turned sharply, or stopped: then it is nearer to where it was.
             other = self._refiner.one(*self._course.places_mm[0], FIRST_STEPS)
             return other if other.left < fit.left else self._refiner.one(*fit.places_mm[0], 1)
-        fit, dropped = self._recount.prune(self._refiner.several(places, FOLLOW_STEPS - 1, STILL_MM), signal)
+        fit, dropped = self._recount.prune(self._refiner.several(places, FOLLOW_STEPS - 1, _STILL_TOGETHER_MM), signal)
         for count, k in enumerate(dropped):
             self._course.drop(k, len(places) - count)
         return fit
