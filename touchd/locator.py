@@ -30,7 +30,7 @@ AMBIGUOUS_MM = 7.0
 """A faint finger that may as well be so far away is not placed."""
 FIRST_STEPS, FOLLOW_STEPS = 5, 3
 _STILL_TOGETHER_MM = STILL_MM / 4
-"""What the step after a shorter one would change is below 1e-3 mm, and of fingers that are followed few steps are longer."""
+"""After a shorter step the next one would be less than 1e-3 mm; of fingers that are followed few are longer."""
 _DRIFT_EVERY_S = 0.04
 
 
