@@ -23,7 +23,7 @@ finger comes down elsewhere, single frames say otherwise, or nothing."""
 DRY_RAD, DRY_S, DRY_CONFIDENCE = 0.38, 0.03, 0.9
 """Unless it has led by less than that for so long, in good fits: a finger whose contact was small at first. On a
 transducer, whose own mass shifts both, light fingers lead by 0.15-0.36 and drops by 0.7 or more; elsewhere drops lead
-by 0.5 or more, and by 0.41 while they are fitted together with a finger (twin)."""
+by 0.5 or more, and by as little as 0.25 while they are fitted together with a strong finger (twin)."""
 MOST_WET = 16
 CORNER_MM = 12.0
 """Beyond the touched part of the plate the field is not known; where that is so on two sides, a finger looks like two,
@@ -101,7 +101,8 @@ class Assessor:
             if phase >= PHASE_RAD[1] - scatter:
                 dry_s = 0.0
             elif phase > WET_RAD:
-                dry_s = self._dry_s((x_mm, y_mm), phase + 2 * scatter, elapsed_s, confidence)  # beyond doubt
+                # Beyond doubt; and not beside another finger, from which a drop's phase has a share.
+                dry_s = self._dry_s((x_mm, y_mm), phase + 2 * scatter, 0.0 if several else elapsed_s, confidence)
             if dry_s < DRY_S:
                 # A finger that lifts is like a drop in its last frames.
                 lifting = any(math.dist((x_mm, y_mm), place) < WET_MM for place in self._fingers)
