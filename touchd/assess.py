@@ -25,6 +25,7 @@ DRY_RAD, DRY_S, DRY_CONFIDENCE = 0.38, 0.03, 0.9
 transducer, whose own mass shifts both, light fingers lead by 0.15-0.36 and drops by 0.7 or more; elsewhere drops lead
 by 0.5 or more, and by as little as 0.25 while they are fitted together with a strong finger (twin)."""
 MOST_WET = 16
+"""Places remembered at most: more would be a wet plate, on which nothing is told apart."""
 CORNER_MM = 12.0
 """Beyond the touched part of the plate the field is not known; where that is so on two sides, a finger looks like two,
 one along either edge. Two so near a corner of the touched part are not placed."""
