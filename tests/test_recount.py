@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from tests.fields import Field, Finger, make_atlas
 from touchd.hearing import Hearing
@@ -50,7 +51,7 @@ class Rig:
         """One frame in which some of the fingers are known; what is found."""
         signal = self.show(fingers, seed)
         fit = self.refiner.several([place[:2] for place in fingers[:known]], 3) if known else NO_FIT
-        fit = fit if known else fit._replace(left=self.refiner.energy)
+        fit = fit if known else replace(fit, left=self.refiner.energy)
         self.fits = 0
         if self.recount.is_due(self.hearing.excess(fit.left, signal), signal, elapsed_s):
             fit, _ = self.recount.look(fit, signal, elapsed_s, followed=known > 0)
@@ -107,7 +108,7 @@ def test_what_nothing_explains_is_searched_ever_more_seldom_unless_it_grows() ->
     def frame(scale: float) -> bool:
         rig.refiner.frame[:] = scale * palm
         signal = rig.refiner.take() - rig.hearing.expected
-        fit = NO_FIT._replace(left=rig.refiner.energy)
+        fit = replace(NO_FIT, left=rig.refiner.energy)
         due = rig.recount.is_due(rig.hearing.excess(fit.left, signal), signal, 0.05)
         if due:
             rig.recount.look(fit, signal, 0.0, followed=False)

@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from tests.fields import BINS, Field, Finger, make_atlas
 from touchd.refine import Fit, Refiner
@@ -49,7 +50,7 @@ def test_fingers_well_apart_are_counted_and_found_in_noise(count: int) -> None:
     for seed in range(10):
         fingers = fingers_of(count, seed)
         refiner, search = searching(FIELD.frame(fingers, DEVIATION, seed))
-        found += all_found(search.add(NONE._replace(left=refiner.energy), NOISE), fingers, 0.5)
+        found += all_found(search.add(replace(NONE, left=refiner.energy), NOISE), fingers, 0.5)
     assert found >= 9
 
 
@@ -75,7 +76,7 @@ def test_two_fingers_nearer_than_can_be_told_are_one(distance_mm: float) -> None
     for seed in range(10):
         (x, y, z), *_ = fingers_of(1, seed)
         refiner, search = searching(FIELD.frame([(x, y, z), (x + distance_mm, y, 0.8 * z)], 1.0, seed))
-        fit = search.add(NONE._replace(left=refiner.energy), ATLAS.size)
+        fit = search.add(replace(NONE, left=refiner.energy), ATLAS.size)
         assert len(fit.places_mm) == 1
         assert math.dist(fit.places_mm[0], (x + distance_mm / 2, y)) < 0.5 * distance_mm
 
@@ -83,14 +84,14 @@ def test_two_fingers_nearer_than_can_be_told_are_one(distance_mm: float) -> None
 def test_of_many_fingers_none_are_nearer_than_merged_ones() -> None:
     for seed in range(10):
         refiner, search = searching(FIELD.frame(fingers_of(3, seed, 6.0), DEVIATION, seed))
-        assert apart_mm(search.add(NONE._replace(left=refiner.energy), NOISE)) > 4.0
+        assert apart_mm(search.add(replace(NONE, left=refiner.energy), NOISE)) > 4.0
 
 
 def test_noise_alone_is_explained_by_no_finger_to_speak_of() -> None:
     """One may be tried; it explains a few dozen variances, a finger of strength 1 thousands."""
     for seed in range(10):
         refiner, search = searching(FIELD.frame([], DEVIATION, seed))
-        fit = search.add(NONE._replace(left=refiner.energy), NOISE)
+        fit = search.add(replace(NONE, left=refiner.energy), NOISE)
         assert len(fit.places_mm) <= 1
         assert sum(fit.energies) < 60 * DEVIATION**2
 
@@ -124,7 +125,7 @@ def test_nothing_left_gives_no_candidates() -> None:
 
 def test_another_finger_has_to_earn_its_place() -> None:
     def fit(count: int, left: float) -> Fit:
-        return NONE._replace(places_mm=[(0.0, 0.0)] * count, left=left)
+        return replace(NONE, places_mm=[(0.0, 0.0)] * count, left=left)
 
     assert is_worth(fit(2, 40.0), fit(1, 100.0), 0.0)
     assert not is_worth(fit(2, 45.0), fit(1, 100.0), 0.0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import cmath
 import math
+from operator import mul
 from typing import NamedTuple
 
 from touchd.atlas import Atlas
@@ -66,9 +67,11 @@ class Assessor:
         self._field_scale = d.field_scale
         self._corners_mm = [(x, y) for x in (d.low_mm[0], d.high_mm[0]) for y in (d.low_mm[1], d.high_mm[1])]
         self._wet: list[_Wet] = []
-        self._fingers: list[Place] = []
+        self._fingers: list[Touch] = []
         self.per_strength = 1.0
         """The change of the signal, as a share of its size, by a finger of strength 1."""
+        self.leaving = False
+        """Whether the fit assessed last shows the negative of fingers alone."""
 
     def forget(self) -> None:
         """Start afresh with the next frame."""
@@ -78,24 +81,21 @@ class Assessor:
         """Take note that nothing is on the plate."""
         self._wet = []
 
-    def leaving(self, fit: Fit) -> bool:
-        """Return whether a fit shows the negative of fingers alone."""
-        return all(abs(cmath.phase(z)) > LEAVING_RAD for z in fit.strengths)
-
     def touches(self, fit: Fit, confidence: float, elapsed_s: float) -> tuple[Touch, ...]:
         """Return the fingers of a fit, so long after the last, with their standard errors; what is water is none."""
         hearing = self._hearing
         variance, several = hearing.variance, len(fit.places_mm) > 1
-        sizes = [abs(z) for z in fit.strengths]
-        power = sum([size * size for size in sizes]) if several else sizes[0] * sizes[0]
-        missed = hearing.mean_error * power / 2
+        sizes, phases = list(map(abs, fit.strengths)), list(map(cmath.phase, fit.strengths))
+        self.leaving = min(map(abs, phases)) > LEAVING_RAD
+        missed = hearing.mean_error * sum(map(mul, sizes, sizes)) / 2
         left = max(fit.left - (1 + SPREAD) * hearing.expected, 0.0) / hearing.alive
         error = WELL_KNOWN * self._field_scale * missed + UNUSUAL * max(left - TYPICAL * missed, 0.0)
         errors_mm = sigmas_mm(fit.information, variance + error)
         cornered = self._cornered(fit.places_mm) if several else ()
-        touches, wet = [], []
+        touches: list[Touch] = []
+        wet: list[_Wet] = []
         for k, (x_mm, y_mm) in enumerate(fit.places_mm):
-            phase, energy = cmath.phase(fit.strengths[k]), fit.energies[k]
+            phase, energy = phases[k], fit.energies[k]
             # The noise over a finger's energy is the variance of its phase.
             scatter = PHASE_SIGMAS * math.sqrt(variance / energy) if energy > 0 else math.inf
             dry_s = math.inf
@@ -106,7 +106,7 @@ class Assessor:
                 dry_s = self._dry_s((x_mm, y_mm), phase + 2 * scatter, 0.0 if several else elapsed_s, confidence)
             if dry_s < DRY_S:
                 # A finger that lifts is like a drop in its last frames.
-                lifting = any(math.dist((x_mm, y_mm), place) < WET_MM for place in self._fingers)
+                lifting = any(math.dist((x_mm, y_mm), (one.x_mm, one.y_mm)) < WET_MM for one in self._fingers)
                 wet.append(_Wet((x_mm, y_mm), dry_s, 0.0 if lifting else WET_S))
             elif phase > PHASE_RAD[0] and k not in cornered:
                 touches.append(Touch(x_mm, y_mm, errors_mm[k], confidence, sizes[k] * self.per_strength))
@@ -114,7 +114,7 @@ class Assessor:
             if one.left_s > elapsed_s and all(math.dist(one.place_mm, place) >= WET_MM for place in fit.places_mm):
                 wet.append(one._replace(left_s=one.left_s - elapsed_s))
         self._wet = wet[:MOST_WET]
-        self._fingers = [(touch.x_mm, touch.y_mm) for touch in touches]
+        self._fingers = touches
         return tuple(touches)
 
     def _dry_s(self, place_mm: Place, phase: float, elapsed_s: float, confidence: float) -> float:

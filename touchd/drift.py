@@ -74,12 +74,11 @@ class Drift:
     def features(self, residual: Array, out: Array) -> None:
         """Write the corrected bins of a residual of shape (channels, samples) to `out`, of shape (size,)."""
         table = out.reshape(self._channels, -1)
-        np.dot(residual, self._matrix, out=table)
+        residual.dot(self._matrix, table)
         if self._scale is not None:
             np.multiply(table, self._scale, out=table)
         if self._moved:
-            np.dot(self._along, self._directions, out=self._drifted)
-            np.subtract(out, self._drifted, out=out)
+            np.subtract(out, self._drifted, out)
 
     def follow(self, left: Array, elapsed_s: float) -> None:
         """Take in what the fingers do not explain of a frame's bins, shape (size,), so long after the last one."""
@@ -88,6 +87,7 @@ class Drift:
             self._weight[...] = 1 - math.exp(-elapsed_s / FOLLOW_S)
             np.multiply(self._step, self._weight, out=self._step)
             np.add(self._along, self._step, out=self._along)
+            np.dot(self._along, self._directions, out=self._drifted)
             self._moved = True
 
     @property

@@ -171,8 +171,7 @@ class Finder:
         if not (estimate.confidence >= confident and sigma_mm <= self._max_sigma_mm):
             return ()
         force = (self._energy / self._signal_energy) ** 0.5
-        found = Touch(estimate.x_mm, estimate.y_mm, sigma_mm, estimate.confidence, force, estimate.key)
-        return (self._finished(found),)
+        return self._finish((Touch(estimate.x_mm, estimate.y_mm, sigma_mm, estimate.confidence, force, estimate.key),))
 
     def _estimate(self) -> Estimate:
         """Features and network."""
@@ -180,11 +179,13 @@ class Finder:
         self._counters.inferred += 1
         return self._model.estimate()
 
-    def _finished(self, touch: Touch) -> Touch:
-        """Return a touch, whose force is the change of the signal, with its force in full scales, and its key."""
-        force = min(1.0, touch.force / self._force_full_scale)
-        key = self._layout.at(touch.x_mm, touch.y_mm) if self._layout else touch.key
-        return Touch(touch.x_mm, touch.y_mm, touch.sigma_mm, touch.confidence, force, key)
+    def _finish(self, touches: tuple[Touch, ...]) -> tuple[Touch, ...]:
+        """Return touches, whose force is the change of the signal, with their force in full scales, and their keys."""
+        for touch in touches:
+            touch.force = min(1.0, touch.force / self._force_full_scale)
+            if self._layout:
+                touch.key = self._layout.at(touch.x_mm, touch.y_mm)
+        return touches
 
 
 class AtlasFinder(Finder):
@@ -250,7 +251,7 @@ class AtlasFinder(Finder):
             # What lets the network be skipped: the finger was followed, and is where it was going; or there is so
             # little above the noise that something may be there, but where cannot be told.
             self._counters.skipped["tracking" if tracked else "faint"] += 1
-        return tuple(self._finished(touch) for touch in found if touch.sigma_mm <= self._max_sigma_mm)
+        return self._finish(tuple([touch for touch in found if touch.sigma_mm <= self._max_sigma_mm]))
 
 
 def finder_for(model: Model) -> type[Finder]:

@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable
 
 import numpy as np
+from msgspec.structs import replace
 
 from touchd.assess import Assessor
 from touchd.atlas import Array, Atlas
@@ -138,7 +139,7 @@ class Locator:
         if followed:
             fit = self._follow(elapsed_s, signal)
         elif self._recount.pending:
-            fit = NO_FIT._replace(left=energy)  # where to begin is being searched already
+            fit = replace(NO_FIT, left=energy)  # where to begin is being searched already
         else:
             fit = self._begin(start, signal)
         excess = hearing.excess(fit.left, signal)
@@ -152,11 +153,11 @@ class Locator:
         confidence = 1 / (1 + (max(excess, 0.0) / EXCESS_OF_HALF) ** 2) if significant else 0.0
         # An emitter that falls silent, or a gain that changes, looks like a finger on the emitter: but what the plate
         # and its electronics do by themselves explains it better.
-        by_itself = excess > ENOUGH and energy - hearing.by_itself(refiner.frame) < fit.left
+        by_itself = excess > (GOOD if followed else ENOUGH) and energy - hearing.by_itself(refiner.frame) < fit.left
         if by_itself or not confidence >= confident or (self._recount.pending and not followed):
             return self._lose()
         if hearing.is_alike and not followed and signal < FAINT * expected and len(fit.places_mm) == 1:
-            fit = fit._replace(information=fit.information.copy())  # other fits write over it
+            fit = replace(fit, information=fit.information.copy())  # other fits write over it
             if self._is_ambiguous(fit):
                 return self._lose()
         self._drift_s += elapsed_s
@@ -165,8 +166,9 @@ class Locator:
             self._drift_s = 0.0
         self._course.take(fit.places_mm, elapsed_s)
         self._rest.arm(fit, self._course.moved_mm if self.watch_still else math.inf, hearing.variance)
-        self.leaving = self._assessor.leaving(fit)
-        return self._assessor.touches(fit, confidence, elapsed_s)
+        touches = self._assessor.touches(fit, confidence, elapsed_s)
+        self.leaving = self._assessor.leaving
+        return touches
 
     def holds(self, residual: Array) -> bool:
         """Return whether the finger of the last frame located is still where it was, but for the noise."""
@@ -185,7 +187,7 @@ class Locator:
                 return fits[0]
         found = self._search.candidates(self._refiner.frame)
         fits += [self._refiner.one(*candidate.place_mm, FIRST_STEPS) for candidate in found]
-        best = min(fits, key=lambda fit: fit.left, default=NO_FIT._replace(left=self._refiner.energy))
+        best = min(fits, key=lambda fit: fit.left, default=replace(NO_FIT, left=self._refiner.energy))
         return self._refiner.one(*best.places_mm[0], 1) if best.places_mm else best
 
     def _is_ambiguous(self, fit: Fit) -> bool:

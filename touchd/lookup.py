@@ -41,6 +41,7 @@ class Lookup:
             for size, origin, count in zip((d.plate.width_mm, d.plate.height_mm), d.origin_mm, last, strict=True)
         )
         """Where it ends."""
+        self._limits = (*self.low_mm, *self.high_mm)
         self._weights = _weights(d.step_mm)
         self._into_x, self._into_y = into[:2], into[2]
         self._along_y = np.zeros((2, 4 * self._size), np.float32)
@@ -48,7 +49,7 @@ class Lookup:
 
     def inside(self, x_mm: float, y_mm: float) -> Place:
         """Return the nearest place at which the field is known."""
-        (low_x, low_y), (high_x, high_y) = self.low_mm, self.high_mm
+        low_x, low_y, high_x, high_y = self._limits
         # Written so that what is no number becomes the corner instead of an index.
         x = x_mm if low_x < x_mm < high_x else high_x if x_mm >= high_x else low_x
         y = y_mm if low_y < y_mm < high_y else high_y if y_mm >= high_y else low_y

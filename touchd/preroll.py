@@ -114,12 +114,12 @@ class PreRoll:
 
     def _doubtful(self, events: Sequence[Event]) -> bool:
         least = self._settings.min_confidence
-        return any(
-            contact.phase == "down" and contact.confidence < least
-            for event in events
-            if isinstance(event, TouchEvent)
-            for contact in event.contacts
-        )
+        for event in events:
+            if isinstance(event, TouchEvent):
+                for contact in event.contacts:
+                    if contact.phase == "down" and contact.confidence < least:
+                        return True
+        return False
 
     def _save(self, reason: str) -> None:
         now_ns = self._clock()

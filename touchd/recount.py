@@ -6,6 +6,7 @@ import math
 from collections.abc import Generator
 
 import numpy as np
+from msgspec.structs import replace
 
 from touchd.hearing import EXCESS_OF_HALF, Hearing
 from touchd.refine import NO_FIT, Fit, Refiner
@@ -120,7 +121,7 @@ class Recount:
         if followed:
             found = yield from search.steps(fit, expected)
         if self._hearing.excess(found.left, signal) > ANEW_ABOVE or not followed:
-            anew = yield from search.steps(NO_FIT._replace(left=energy), expected)
+            anew = yield from search.steps(replace(NO_FIT, left=energy), expected)
             if is_worth(anew, found, expected):
                 return anew, 0
         return found, len(fit.places_mm)
@@ -155,8 +156,8 @@ class Recount:
             if len(fit.places_mm) < 2:
                 break
             others = [j for j in range(len(fit.places_mm)) if j != k]
-            rest = fit._replace(
-                places_mm=[fit.places_mm[j] for j in others], strengths=[fit.strengths[j] for j in others]
+            rest = replace(
+                fit, places_mm=[fit.places_mm[j] for j in others], strengths=[fit.strengths[j] for j in others]
             )
             left = self._refiner.residual(rest)
             remains = float(left @ left) - self._hearing.by_itself(left) - expected

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from touchd.atlas import Array, Atlas
@@ -25,7 +25,7 @@ STILL_MM = 0.2
 _DAMPING = 1e-3
 
 
-class Fit(NamedTuple):
+class Fit(Struct, gc=False, frozen=True):
     """Fingers that explain a frame."""
 
     places_mm: list[Place]

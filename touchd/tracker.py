@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from copy import copy
 from math import hypot, sqrt
-from typing import NamedTuple
+
+from msgspec import Struct
 
 from touchd.assignment import assign
 from touchd.config import TrackerSettings
@@ -17,7 +17,7 @@ _DEAD_SIGMAS = 1.5
 """Movement within so many standard errors is none."""
 
 
-class Touch(NamedTuple):
+class Touch(Struct, gc=False):
     """A finger found in one frame."""
 
     x_mm: float
@@ -174,7 +174,7 @@ class Tracker:
         # Below 0 the clock stepped back: waiting until it has caught up could take for ever.
         due = due or quiet_ns < 0 or quiet_ns + round(elapsed_s * 1e9) > self._refresh_ns
         # Copies: a message must not change after it was handed on.
-        contacts = [copy(track.contact) for track in self._tracks if track.contact is not None] if due else []
+        contacts = [track.contact.__copy__() for track in self._tracks if track.contact is not None] if due else []
         if self._missed:
             self._missed = False
             self._tracks = [track for track in self._tracks if _lives(track)]
