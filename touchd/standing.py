@@ -25,6 +25,8 @@ class Verdict(StrEnum):
 # one frame differs from the one before by more than this share (2 on average for independent frames).
 _SAME_BELOW = 0.25
 _NOISE_ABOVE = 1.5
+# A finger that is being followed is compared with where it was so often: what stays does so for seconds.
+_LOOK_NS = 50_000_000
 # One odd frame during a press must not cost the baseline.
 _LIFTED_FRAMES = 3
 
@@ -50,7 +52,7 @@ class Standing:
     def clear(self) -> None:
         """Forget everything: the gate has closed."""
         self._same_since_ns: int | None = None
-        self._noise_since_ns = 0
+        self._noise_since_ns = self._looked_ns = 0
         self._follows = False  # whether `_previous` is the frame before
         self._unlike = 0.0
         self._lifted = 0
@@ -69,18 +71,21 @@ class Standing:
         leaving : bool
             Whether the negative of the residual looks like a finger.
         """
-        flat = residual.reshape(-1)
         if self._same_since_ns is None:
-            self._begin(t_ns, flat, energy)
-            self._noise_since_ns = t_ns
+            self._begin(t_ns, residual.reshape(-1), energy)
+            self._noise_since_ns = self._looked_ns = t_ns
             return None
+        if finger:  # no noise, whatever it does, and nothing that has gone: what it differs by need seldom be known
+            self._noise_since_ns, self._follows, self._lifted = t_ns, False, 0
+            if t_ns - self._looked_ns < _LOOK_NS and t_ns - self._same_since_ns < self._absorb_ns:
+                return None
+        self._looked_ns = t_ns
+        flat = residual.reshape(-1)
         if self._distance(flat, energy, self._reference, self._reference_energy) > _SAME_BELOW * energy:
             self._begin(t_ns, flat, energy)
-        if finger:  # no noise, whatever it does: what it differs by need not be known
-            self._noise_since_ns, self._follows = t_ns, False
-        else:
+        if not finger:
             self._compare(t_ns, flat, energy)
-        self._lifted = self._lifted + 1 if leaving and not finger else 0
+            self._lifted = self._lifted + 1 if leaving else 0
 
         if self._lifted >= _LIFTED_FRAMES:
             return Verdict.LIFTED
