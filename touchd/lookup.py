@@ -13,6 +13,8 @@ Place = tuple[float, float]
 PER_CELL = 8192
 """Places are looked up on a raster of so many points a cell (0.3 um on the shipped grid), so that the splines' weights
 come of a table. A fit starts from the raster's point, and its last step leads to anywhere: nothing is rounded away."""
+CELLS = 4
+"""Whose nodes are kept: of a few fingers, and of where they come to next."""
 # Powers of the fraction of a cell to the four cubic B-splines that are not zero there.
 _SPLINES = np.array([[1, 4, 1, 0], [-3, 0, 3, 0], [3, -6, 3, 0], [-1, 3, -3, 1]], np.float64) / 6
 
@@ -24,13 +26,15 @@ class Lookup:
     ----------
     atlas : Atlas
     into : array of shape (3, size)
-        Where the field, its derivative by x and that by y (per mm) are put.
+        Where the field, its derivative by x and that by y (per mm) are put: of each the real parts of all channels and
+        bins, then the imaginary parts.
     """
 
     def __init__(self, atlas: Atlas, into: Array) -> None:
         d = atlas.description
-        self._nodes = atlas.coefficients
-        rows, columns, size = self._nodes.shape
+        rows, columns, size = atlas.coefficients.shape
+        channels = d.acquisition.channels
+        self._nodes = atlas.coefficients.reshape(rows, columns, channels, 2, -1).swapaxes(2, 3)
         (self._x0_mm, self._y0_mm), self._unit_mm = d.origin_mm, d.step_mm / PER_CELL
         self._per_unit = PER_CELL / d.step_mm
         # Every place has its four neighbours, and lies on the plate.
@@ -44,11 +48,11 @@ class Lookup:
         """Where it ends."""
         self._limits = (*self.low_mm, *self.high_mm)
         self._of_rows, self._of_columns = _weights(d.step_mm)
-        self._cell = (0, 0)
-        self._around = np.zeros((4, 4, size), np.float32)
+        self._into = into
         self._weights = np.zeros(48, np.float32)
-        self._into, self._lines = into, self._around.reshape(16, size)
         self._shares = self._weights.reshape(3, 16)
+        # Nodes around cells, together: fingers stay in a cell for some frames, and a product wants the nodes so.
+        self._cells = {(-1, k): np.zeros((16, size), np.float32) for k in range(CELLS)}
 
     def inside(self, x_mm: float, y_mm: float) -> Place:
         """Return the nearest place at which the field is known."""
@@ -62,14 +66,21 @@ class Lookup:
         """Look up the point of the raster nearest to a place inside, and return it."""
         across = int((x_mm - self._x0_mm) * self._per_unit + 0.5)
         down = int((y_mm - self._y0_mm) * self._per_unit + 0.5)
-        cell = row, column = down // PER_CELL, across // PER_CELL
-        if cell != self._cell:
-            # The nodes around it, together: a finger stays in a cell for some frames, and a product wants them so.
-            np.copyto(self._around, self._nodes[row - 1 : row + 3, column - 1 : column + 3])
-            self._cell = cell
+        cell = down // PER_CELL, across // PER_CELL
+        around = self._cells.get(cell)
+        if around is None:
+            around = self._fetch(cell)
         np.multiply(self._of_rows[down % PER_CELL], self._of_columns[across % PER_CELL], self._weights)
-        self._shares.dot(self._lines, self._into)
+        self._shares.dot(around, self._into)
         return self._x0_mm + across * self._unit_mm, self._y0_mm + down * self._unit_mm
+
+    def _fetch(self, cell: tuple[int, int]) -> Array:
+        """Put the nodes around a cell where those of the cell fetched longest ago were, shape (16, size)."""
+        row, column = cell
+        nodes = self._nodes[row - 1 : row + 3, column - 1 : column + 3]
+        around = self._cells[cell] = self._cells.pop(next(iter(self._cells)))
+        around.reshape(nodes.shape)[...] = nodes
+        return around
 
 
 @cache

@@ -54,43 +54,45 @@ class Refiner:
     def __init__(self, atlas: Atlas) -> None:
         d = atlas.description
         self._channels, self._bins, n = d.acquisition.channels, len(d.bins), atlas.size
-        # u, its derivatives by x and y, the frame d, -i d and i u: real products with the last two are the imaginary
-        # parts of the complex ones.
-        rows = np.zeros((6, n), np.float32)
-        self._field, self._columns = rows[:3], rows.T
-        self._value, self._turned_value = rows[0], rows[5]
-        self._turned_frame = rows[4]
-        self._frame: Array = rows[3]
+        # Here each row is the real parts of all channels, then the imaginary parts, so that one product of rows with
+        # rows, half by half, holds all parts of the complex ones. The rows are u, its derivatives by x and y, and d.
+        order = np.arange(n).reshape(self._channels, 2, self._bins).swapaxes(0, 1).reshape(-1)
+        self._order, self._back = order, np.argsort(order)
+        rows = np.zeros((4, n), np.float32)
+        self._field, self._known = rows[:3], rows[3]
+        halves = rows.reshape(8, -1)
+        self._fields, self._columns, self._value = halves[:6], halves.T, halves[:2]
         self._lookup = Lookup(atlas, self._field)
-        # i times a feature vector: its real and imaginary parts change places, and the real ones their sign.
-        parts = np.arange(n).reshape(self._channels, 2, self._bins)
-        self._swapped = parts[:, ::-1].reshape(-1)
-        self._signs = np.broadcast_to(np.array([[-1], [1]], np.float32), parts.shape).reshape(-1)
-        self._back = -self._signs
-        self._gram = np.zeros((3, 6), np.float32)
+        self._gram = np.zeros((6, 8), np.float32)
         self._information = np.zeros((2, 2))
         self._energy = np.zeros((), np.float32)
-        self._factor = np.zeros((), np.float32)
-        self._left = np.zeros(n, np.float32)
-        self._part = np.zeros(n, np.float32)
-        self._many = np.zeros((14, n), np.float32)  # two fingers; for more it grows
-        self.mask: NDArray[np.float32] | None = None
-        """0 for each feature of a dead channel, 1 for the others; None if all are alive."""
+        self._turn = np.zeros((2, 2), np.float32)
+        self._left, self._part = np.zeros((2, n // 2), np.float32), np.zeros((2, n // 2), np.float32)
+        self._residual = np.zeros(n, np.float32)
+        self._many = np.zeros((7, n), np.float32)  # two fingers; for more it grows
+        self._mask: NDArray[np.float32] | None = None
+        self._heard: NDArray[np.float32] | None = None
+        self.frame: Array = np.zeros(n, np.float32)
+        """The features of the frame to fit, shape (channels * 2 * bins,): fill it, then call `take`."""
         self.energy = 0.0
         """Of the frame taken in, counts squared."""
 
     @property
-    def frame(self) -> Array:
-        """The features of the frame to fit, shape (channels * 2 * bins,): fill it, then call `take`."""
-        return self._frame
+    def mask(self) -> NDArray[np.float32] | None:
+        """0 for each feature that is left out, 1 for the others; None if all are heard."""
+        return self._mask
+
+    @mask.setter
+    def mask(self, mask: NDArray[np.float32] | None) -> None:
+        self._mask = mask
+        self._heard = None if mask is None else mask[self._order]
 
     def take(self) -> float:
         """Take in the frame in `frame`, and return its energy (counts squared)."""
-        frame, turned = self._frame, self._turned_frame
-        if self.mask is not None:
-            np.multiply(frame, self.mask, frame)
-        frame.take(self._swapped, 0, turned, "wrap")  # in this mode it needs no copy
-        np.multiply(turned, self._back, turned)
+        frame = self.frame
+        if self._mask is not None:
+            np.multiply(frame, self._mask, frame)
+        frame.take(self._order, 0, self._known, "wrap")  # in this mode it needs no copy
         frame.dot(frame, self._energy)
         self.energy = self._energy.item()
         return self.energy
@@ -172,28 +174,28 @@ class Refiner:
         """
         count = len(places_mm)
         length = 3 * count + 1
-        if 2 * length > len(self._many):
-            self._many = np.zeros((2 * length, len(self._frame)), np.float32)
-        rows, turned = self._many[:length], self._many[length : 2 * length]
+        if length > len(self._many):
+            self._many = np.zeros((length, len(self.frame)), np.float32)
+        rows = self._many[:length]
         at = []
         for k, place in enumerate(places_mm):
             at.append(self._look_up(*place))
             rows[k : 3 * count : count] = self._field
-        rows[3 * count] = self._frame
-        rows.take(self._swapped, 1, turned, "wrap")
-        np.multiply(turned, self._signs, turned)
-        # With i b the real product of a and b turns into minus the imaginary part of conj(a) b.
-        products = rows[:-1] @ self._many[: 2 * length].T
-        table = np.empty((3 * count, length), np.complex128)
-        table.real = products[:, :length]
-        np.negative(products[:, length:], table.imag)
+        rows[-1] = self._known
+        halves = rows.reshape(2 * length, -1)
+        products = halves[:-2] @ halves.T
+        (same, real_by_imaginary), (imaginary_by_real, both) = products.reshape(length - 1, 2, length, 2).transpose(1, 3, 0, 2)
+        table = np.empty((length - 1, length), np.complex128)
+        np.add(same, both, table.real)
+        np.subtract(real_by_imaginary, imaginary_by_real, table.imag)
         return at, table
 
     def shift(self, fit: Fit) -> Array:
         """Return the matrix from a small change of the frame to that of one finger's x and y, mm, (2, size)."""
         z = fit.strengths[0]
         self._look_up(*fit.places_mm[0])
-        u, u_x, u_y = self._as_complex(self._field)
+        real, imaginary = self._field.reshape(3, 2, -1).swapaxes(0, 1)
+        u, u_x, u_y = real + np.complex64(1j) * imaginary
         parts = [z * (along - u * (np.vdot(u, along) / np.vdot(u, u))) for along in (u_x, u_y)]
         slope = np.stack([part.reshape(self._channels, self._bins) for part in parts])
         rows = np.stack([slope.real, slope.imag], axis=2).reshape(2, -1)
@@ -201,22 +203,22 @@ class Refiner:
 
     def residual(self, fit: Fit) -> Array:
         """Return what a fit leaves of the frame, shape (channels * 2 * bins,); valid until it is asked again."""
-        left, part = self._left, self._part
-        np.copyto(left, self._frame)
+        left, turn = self._left, self._turn
+        left[...] = self._known.reshape(2, -1)
         for (x, y), strength in zip(fit.places_mm, fit.strengths, strict=True):
             self._look_up(x, y)
-            self._turn_value()
-            for row, factor in ((self._value, strength.real), (self._turned_value, strength.imag)):
-                self._factor[...] = factor
-                np.multiply(row, self._factor, out=part)
-                np.subtract(left, part, out=left)
-        return left
+            turn[0, 0] = turn[1, 1] = strength.real
+            turn[1, 0], turn[0, 1] = strength.imag, -strength.imag
+            turn.dot(self._value, self._part)
+            np.subtract(left, self._part, left)
+        left.take(self._back, None, self._residual, "wrap")
+        return self._residual
 
     def _look_up(self, x_mm: float, y_mm: float) -> Place:
         """Put the field and its derivatives (per mm) at a place into `_field`, and return that place."""
         place = self._lookup.at(x_mm, y_mm)
-        if self.mask is not None:
-            np.multiply(self._field, self.mask, self._field)
+        if self._heard is not None:
+            np.multiply(self._field, self._heard, self._field)
         return place
 
     def _normal_equations(self) -> tuple[complex, float, float, float, float, float, float, complex, complex]:
@@ -224,31 +226,26 @@ class Refiner:
 
         The last two are the parts of u_x and u_y along u: to first order, what a step of 1 mm adds to the field.
         """
-        self._turn_value()
-        self._field.dot(self._columns, self._gram)
-        (uu, ux, uy, ud, ud_i, _), (_, xx, xy, xd, xd_i, ux_i), (_, _, yy, yd, yd_i, uy_i) = self._gram.tolist()
+        self._fields.dot(self._columns, self._gram)
+        # Products of real (r) and imaginary parts (i) of u (0), u_x, u_y and the frame.
+        (
+            (r0r0, _, r0rx, r0ix, r0ry, r0iy, r0rd, r0id), (_, i0i0, i0rx, i0ix, i0ry, i0iy, i0rd, i0id),
+            (_, _, rxrx, _, rxry, _, rxrd, rxid), (_, _, _, ixix, _, ixiy, ixrd, ixid),
+            (_, _, _, _, ryry, _, ryrd, ryid), (_, _, _, _, _, iyiy, iyrd, iyid),
+        ) = self._gram.tolist()  # fmt: skip
+        uu = r0r0 + i0i0
         if uu <= 0:
             return 0j, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0j, 0j
-        z, z_i = ud / uu, ud_i / uu
+        z, z_i = (r0rd + i0id) / uu, (r0id - i0rd) / uu
+        ux, ux_i, uy, uy_i = r0rx + i0ix, r0ix - i0rx, r0ry + i0iy, r0iy - i0ry
         power = z * z + z_i * z_i
-        a = power * (xx - (ux * ux + ux_i * ux_i) / uu)
-        b = power * (xy - (ux * uy + ux_i * uy_i) / uu)
-        c = power * (yy - (uy * uy + uy_i * uy_i) / uu)
-        right_x, right_y = z * xd + z_i * xd_i - power * ux, z * yd + z_i * yd_i - power * uy
+        a = power * (rxrx + ixix - (ux * ux + ux_i * ux_i) / uu)
+        b = power * (rxry + ixiy - (ux * uy + ux_i * uy_i) / uu)
+        c = power * (ryry + iyiy - (uy * uy + uy_i * uy_i) / uu)
+        right_x = z * (rxrd + ixid) + z_i * (rxid - ixrd) - power * ux
+        right_y = z * (ryrd + iyid) + z_i * (ryid - iyrd) - power * uy
         along_x, along_y = complex(ux / uu, ux_i / uu), complex(uy / uu, uy_i / uu)
         return complex(z, z_i), a, b, c, right_x, right_y, power * uu, along_x, along_y
-
-    def _turn_value(self) -> None:
-        """Put i u beside u."""
-        turned = self._turned_value
-        self._value.take(self._swapped, 0, turned, "wrap")
-        np.multiply(turned, self._signs, turned)
-
-    def _as_complex(self, rows: Array) -> NDArray[np.complex64]:
-        """Return rows of features (n, channels * 2 * bins) as complex bins (n, channels * bins)."""
-        parts = rows.reshape(len(rows), self._channels, 2, self._bins)
-        bins: NDArray[np.complex64] = parts[:, :, 0] + np.complex64(1j) * parts[:, :, 1]
-        return bins.reshape(len(rows), -1)
 
 
 def sigmas_mm(information: NDArray[np.float64], variance: float) -> list[float]:
