@@ -80,15 +80,17 @@ def test_encoding_late_changes_the_latency_and_nothing_else(event: TouchEvent, r
 def test_the_latency_is_read_after_everything_else_is_encoded(monkeypatch: pytest.MonkeyPatch) -> None:
     steps = []
 
+    to_json = msgspec.json.Encoder().encode
+
     def encoding(event: Event) -> bytes:
         steps.append("encode")
-        return encode(event)
+        return to_json(event)
 
     def clock() -> int:
         steps.append("clock")
         return 0
 
-    monkeypatch.setattr("touchd.event.encode", encoding)
+    monkeypatch.setattr("touchd.event._to_json", encoding)
     encode_at(TouchEvent("plate", 1, 0, "", 1, []), 0, clock)
     assert steps == ["encode", "clock"]
 

@@ -15,6 +15,7 @@ from typing import Any, cast
 import msgspec
 import numpy as np
 import pytest
+from msgspec import structs
 
 from tests.conftest import Scene
 from touchd.config import Settings
@@ -64,7 +65,7 @@ def drain(source: Source) -> list[Frame]:
         while True:
             frame = source.read(1.0)
             if frame is not None:
-                frames.append(frame._replace(counts=frame.counts.copy()))
+                frames.append(structs.replace(frame, counts=frame.counts.copy()))
     except EndOfStream:
         source.close()
         return frames
@@ -165,7 +166,7 @@ def test_a_daq_that_repeats_one_frame_says_nothing_of_the_plate(scene: Scene, ma
     assert pipeline.tracker.alive
     mean, noise, skipped = pipeline.baseline.mean.copy(), pipeline.noise_counts(), dict(pipeline.counters.skipped)
     hour = range(1, 3600 * 125 // 1000)
-    again = [frames[299]._replace(sequence=300 + n, t_ns=frames[299].t_ns + n * 1000 * PERIOD_NS) for n in hour]
+    again = [structs.replace(frames[299], sequence=300 + n, t_ns=frames[299].t_ns + n * 1000 * PERIOD_NS) for n in hour]
     events = run(pipeline, again)
     assert phases(events) == [(1, "up")]
     assert isinstance(events[0], TouchEvent)
@@ -176,7 +177,7 @@ def test_a_daq_that_repeats_one_frame_says_nothing_of_the_plate(scene: Scene, ma
     np.testing.assert_array_equal(pipeline.baseline.mean, mean)
     assert pipeline.noise_counts() == noise
 
-    later = [f._replace(sequence=f.sequence + 10_000, t_ns=f.t_ns + 4_000_000_000_000) for f in frames[300:400]]
+    later = [structs.replace(f, sequence=f.sequence + 10_000, t_ns=f.t_ns + 4_000_000_000_000) for f in frames[300:400]]
     touches = [event for event in run(pipeline, later) if isinstance(event, TouchEvent)]
     assert fault(pipeline) is None
     assert pipeline.counters.skipped["learning"] == skipped["learning"]
@@ -193,9 +194,9 @@ def test_a_daq_that_is_frozen_from_the_start_is_learned_once_it_lives(
     frames = frames_of(scene("tap"))
     pipeline = make()
     dead = np.zeros_like(frames[0].counts)
-    assert run(pipeline, [f._replace(counts=dead) for f in frames[:50]]) == []
+    assert run(pipeline, [structs.replace(f, counts=dead) for f in frames[:50]]) == []
     assert pipeline.counters.skipped["learning"] <= 1
-    later = [f._replace(sequence=f.sequence + 50, t_ns=f.t_ns + 50 * PERIOD_NS) for f in frames]
+    later = [structs.replace(f, sequence=f.sequence + 50, t_ns=f.t_ns + 50 * PERIOD_NS) for f in frames]
     assert phases(run(pipeline, later)) == phases(run(make(), frames))
 
 
@@ -206,7 +207,7 @@ def test_health_names_the_channels_that_say_nothing(scene: Scene, make: Callable
     pipeline = make()
     run(pipeline, frames[:40])
     assert fault(pipeline) is None
-    run(pipeline, [frame._replace(counts=own) for frame, own in zip(frames[40:], counts[40:], strict=True)])
+    run(pipeline, [structs.replace(frame, counts=own) for frame, own in zip(frames[40:], counts[40:], strict=True)])
     assert fault(pipeline) == "the DAQ repeats what it heard on channels [2]"
     assert "frozen" not in pipeline.counters.skipped, "the frames are used"
 
@@ -219,7 +220,7 @@ def test_a_device_that_counts_from_the_start_again_is_followed_after_it_was_lear
     pipeline = make(notify=lambda reason, _fields: notices.append(reason))
     once = phases(run(pipeline, frames))
     later_ns = frames[-1].t_ns + PERIOD_NS
-    again = phases(run(pipeline, [frame._replace(t_ns=frame.t_ns + later_ns) for frame in frames]))
+    again = phases(run(pipeline, [structs.replace(frame, t_ns=frame.t_ns + later_ns) for frame in frames]))
     assert notices == ["restarted"]
     assert [phase for _, phase in again] == [phase for _, phase in once], "every touch is found again"
     assert {i for i, _ in again}.isdisjoint({i for i, _ in once}), "under an id of its own"
@@ -249,7 +250,7 @@ def test_lost_frames_are_counted_and_every_frame_is_accounted_for(scene: Scene, 
 
 def test_the_first_frame_may_bear_any_number(scene: Scene, make: Callable[..., Pipeline]) -> None:
     pipeline = make()
-    pipeline.process(frames_of(scene("idle"))[0]._replace(sequence=123_456))
+    pipeline.process(structs.replace(frames_of(scene("idle"))[0], sequence=123_456))
     assert pipeline.counters.lost == 0
 
 
@@ -532,7 +533,7 @@ def test_an_idle_frame_costs_less_than_a_third_of_a_touched_one(scene: Scene, ma
 
     def cost_s(pipeline: Pipeline, pair: list[Frame], round_: int) -> float:
         numbers = range(1000 + 25 * round_, 1025 + 25 * round_)
-        batch = [pair[n % 2]._replace(sequence=n, t_ns=n * PERIOD_NS) for n in numbers]
+        batch = [structs.replace(pair[n % 2], sequence=n, t_ns=n * PERIOD_NS) for n in numbers]
         started_s = time.perf_counter()
         for frame in batch:
             pipeline.process(frame)

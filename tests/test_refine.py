@@ -11,7 +11,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from tests.fields import COUNTS, PLATE, Field, Finger, as_complex, features_of, gauss_newton, look_up, make_atlas
+from tests.fields import COUNTS, PLATE, Field, Finger, features_of, gauss_newton, look_up, make_atlas
 from touchd.lookup import Lookup
 from touchd.refine import STILL_MM, Fit, Refiner
 

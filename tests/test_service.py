@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from structlog.testing import capture_logs
 
 from tests.conftest import Scene
@@ -56,7 +57,7 @@ class Script:
             return None
         assert isinstance(step, Frame)
         self._clock.now_ns += PERIOD_NS
-        return step._replace(t_ns=self._clock.now_ns, received_ns=self._clock.now_ns)
+        return replace(step, t_ns=self._clock.now_ns, received_ns=self._clock.now_ns)
 
     def close(self) -> None:
         self.closed += 1
@@ -293,7 +294,7 @@ def test_a_device_that_was_away_has_its_plate_learned_anew_and_one_that_stalled_
     idle = circle[:60]
     back = Change("streaming", "frames arrive")
     stalled = live(
-        [back, *idle, Change("stalled", "silent"), back, *[f._replace(sequence=f.sequence + 60) for f in idle]]
+        [back, *idle, Change("stalled", "silent"), back, *[replace(f, sequence=f.sequence + 60) for f in idle]]
     )
     stalled.service.run()
     assert stalled.pipeline.counters.skipped["learning"] == 32
@@ -321,8 +322,8 @@ def test_health_says_while_the_daq_repeats_one_frame_and_the_log_once_a_period(
     make: Callable[..., Bench], circle: list[Frame]
 ) -> None:
     last = circle[249]
-    again = [last._replace(sequence=last.sequence + n) for n in range(1, 251)]
-    after = [frame._replace(sequence=frame.sequence + 250) for frame in circle[250:]]
+    again = [replace(last, sequence=last.sequence + n) for n in range(1, 251)]
+    after = [replace(frame, sequence=frame.sequence + 250) for frame in circle[250:]]
     bench = make([*circle[:250], *again, *after], period_s=0.5)
     with capture_logs() as logs:
         bench.service.run()

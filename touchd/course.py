@@ -38,7 +38,7 @@ class Course:
         """Return where the fingers will be so much later."""
         places = []
         for (x, y), (vx, vy) in zip(self.places_mm, self._speed, strict=True):
-            places.append((x + vx * elapsed_s, y + vy * elapsed_s))  # noqa: PERF401 - of one, a loop is quicker
+            places.append((x + vx * elapsed_s, y + vy * elapsed_s))
         return places
 
     def take(self, places_mm: list[Place], elapsed_s: float) -> None:

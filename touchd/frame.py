@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 Counts = NDArray[np.int16]
 
 
-class Frame(NamedTuple):
+class Frame(Struct, gc=False, frozen=True):
     """What the receivers heard during one chirp.
 
-    A named tuple, since one is made for each frame: it costs a third of a frozen dataclass.
+    A struct, since one is made for each frame: it costs a quarter of a named tuple.
     """
 
     counts: Counts

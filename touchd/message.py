@@ -92,7 +92,9 @@ class Messages:
                     KeyEvent(self._device, next(self._seq["key"]), t_ns, wall, contact.key, "press", contact.confidence)
                 )
             elif contact.phase == "up" and (key := self._pressed.pop(contact.id, None)) is not None:
-                events.append(KeyEvent(self._device, next(self._seq["key"]), t_ns, wall, key, "release", contact.confidence))
+                events.append(
+                    KeyEvent(self._device, next(self._seq["key"]), t_ns, wall, key, "release", contact.confidence)
+                )
         return events
 
     def _wall(self, t_ns: int) -> str:

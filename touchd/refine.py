@@ -184,10 +184,10 @@ class Refiner:
         rows[-1] = self._known
         halves = rows.reshape(2 * length, -1)
         products = halves[:-2] @ halves.T
-        (same, real_by_imaginary), (imaginary_by_real, both) = products.reshape(length - 1, 2, length, 2).transpose(1, 3, 0, 2)
+        of_real, of_imaginary = products[::2], products[1::2]
         table = np.empty((length - 1, length), np.complex128)
-        np.add(same, both, table.real)
-        np.subtract(real_by_imaginary, imaginary_by_real, table.imag)
+        np.add(of_real[:, ::2], of_imaginary[:, 1::2], table.real)
+        np.subtract(of_real[:, 1::2], of_imaginary[:, ::2], table.imag)
         return at, table
 
     def shift(self, fit: Fit) -> Array:

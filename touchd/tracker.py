@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from math import hypot, sqrt
 
 from msgspec import Struct
+from msgspec.structs import replace
 
 from touchd.assignment import assign
 from touchd.config import TrackerSettings
@@ -174,7 +175,7 @@ class Tracker:
         # Below 0 the clock stepped back: waiting until it has caught up could take for ever.
         due = due or quiet_ns < 0 or quiet_ns + round(elapsed_s * 1e9) > self._refresh_ns
         # Copies: a message must not change after it was handed on.
-        contacts = [track.contact.__copy__() for track in self._tracks if track.contact is not None] if due else []
+        contacts = [replace(track.contact) for track in self._tracks if track.contact is not None] if due else []
         if self._missed:
             self._missed = False
             self._tracks = [track for track in self._tracks if _lives(track)]

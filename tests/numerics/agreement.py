@@ -63,7 +63,7 @@ def compared(recording: Recording, atlas: Atlas) -> Agreement:
             result.other += 1
             continue
         for a, b in pairs:
-            distance_mm = dist(a[:2], b[:2])
+            distance_mm = dist(_place(a), _place(b))
             early = distance_mm > ROUNDING_MM and distance_mm < _early_mm(mine[number], a, b, atlas) + ROUNDING_MM
             (result.begun_elsewhere_mm if early else result.rounding_mm).append(distance_mm)
         off = np.abs(mine[number].baseline - its[number].baseline).max()
@@ -73,12 +73,16 @@ def compared(recording: Recording, atlas: Atlas) -> Agreement:
     return result
 
 
+def _place(touch: Touch) -> tuple[float, float]:
+    return touch.x_mm, touch.y_mm
+
+
 def _early_mm(look: Look, one: Touch, other: Touch, atlas: Atlas) -> float:
     """How far two places of one finger are from the minimum of the frame, together."""
     features = reference.atlas_features(look.residual, reference.plate_of(look.baseline, atlas), atlas)
     fit = reference.refine(atlas, features - look.drifted, np.array(look.places_mm), look.mask)
-    which = min(range(len(look.places_mm)), key=lambda k: dist(look.places_mm[k], one[:2]))
-    return dist(fit.places_mm[which], one[:2]) + dist(fit.places_mm[which], other[:2])
+    which = min(range(len(look.places_mm)), key=lambda k: dist(look.places_mm[k], _place(one)))
+    return dist(fit.places_mm[which], _place(one)) + dist(fit.places_mm[which], _place(other))
 
 
 def outline(result: Run) -> list[tuple[int, list[tuple[int, str]]]]:
@@ -109,8 +113,8 @@ def truncations(look: Look, features: reference.Floats, atlas: Atlas) -> Iterato
         return
     fit = reference.refine(atlas, features - look.drifted, np.array(look.places_mm), look.mask)
     for touch in look.touches:
-        which = min(range(len(look.places_mm)), key=lambda k: dist(look.places_mm[k], touch[:2]))
-        yield dist(fit.places_mm[which], touch[:2]), touch.sigma_mm
+        which = min(range(len(look.places_mm)), key=lambda k: dist(look.places_mm[k], _place(touch)))
+        yield dist(fit.places_mm[which], _place(touch)), touch.sigma_mm
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,6 +150,6 @@ def atlas_shift(recording: Recording, atlas: Atlas) -> NetworkShift:
     models = (Model(path, atlas=False), Model(path.with_name("int8.onnx"), atlas=False))
     single, small = (see(atlas_finder(model, atlas, frames), frames) for model in models)
     both = [(a.found[0], b.found[0]) for a, b in zip(single, small, strict=True) if len(a.found) == len(b.found) == 1]
-    places = np.array([[one[:2], other[:2]] for one, other in both])
+    places = np.array([[_place(one), _place(other)] for one, other in both])
     name = f"atlas, begun by int8 beside float32 ({len(both)} placed once by both)"
     return shift(name, places[:, 0], places[:, 1])

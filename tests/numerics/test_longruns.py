@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from itertools import pairwise
+from itertools import count, pairwise
 
 import numpy as np
 import pytest
@@ -100,7 +100,7 @@ def test_counters_and_messages_count_on_past_2_32(taps: Recording, atlas_model: 
     pipeline = result.pipeline
     counters = pipeline.counters
     counters.frames = counters.lost = counters.inferred = counters.skipped["gate"] = 2**32 - 10
-    pipeline._messages._seq["touch"] = 2**32 - 2
+    pipeline._messages._seq["touch"] = count(2**32 - 1)
     pipeline.tracker._next_id = 2**32 - 1
     events = [e for frame in frames_of(taps) for e in pipeline.process(frame) if isinstance(e, TouchEvent)]
     assert counters.frames == 2**32 - 10 + len(taps.frames)

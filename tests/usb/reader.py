@@ -6,6 +6,8 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+from msgspec.structs import replace
+
 from tests.processes import PATIENCE_S
 from touchd.event import State
 from touchd.frame import Frame
@@ -29,7 +31,7 @@ class Reader:
     def step(self) -> Frame | None:
         frame = self.source.read(0.05)
         if frame is not None:
-            self.frames.append(frame._replace(counts=frame.counts.copy()))
+            self.frames.append(replace(frame, counts=frame.counts.copy()))
         for change in self.source.changes():
             self.changes.append(change)
             if not self.states or change.state != self.states[-1]:
