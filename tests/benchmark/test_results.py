@@ -16,7 +16,7 @@ from touchd.benchmark.budgets import BUDGETS
 from touchd.benchmark.machine import this_machine
 from touchd.benchmark.page import page
 from touchd.benchmark.plots import draw
-from touchd.benchmark.results import BareTimes, Run
+from touchd.benchmark.results import Apart, BareTimes, Run
 from touchd.errors import ConfigError, OutputError
 from touchd.verbs.benchmark import PICTURES, command
 
@@ -76,12 +76,16 @@ def test_every_estimator_scene_and_picture_is_on_the_page(run: Run, tmp_path: Pa
 
 
 def test_what_the_bus_takes_by_itself_stands_beside_the_daemon(run: Run, tmp_path: Path) -> None:
-    floor = run.model_copy(update={"bus_us": BareTimes(p50=160.0, p99=1500.0, p999=4321.0), "placed": True})
-    text = page(floor, "pictures")
+    floor = BareTimes(p50=160.0, p99=1500.0, p999=4321.0)
+    apart = Apart(daemon_us=BareTimes(p50=260.0, p99=1600.0, p999=5432.0), bus_us=floor)
+    placed = run.model_copy(update={"bus_us": floor, "placed": True, "apart": apart})
+    text = page(placed, "pictures")
     assert "p50 160, p99 1,500, p99.9 4,321 us" in text
-    assert "a processor to itself" in text
-    assert "a processor to itself" not in page(run, "pictures")
-    assert draw(floor, tmp_path)
+    assert "both on one processor" in text
+    assert "p99.9 5,432 us" in text
+    for what in ("both on one processor", "on another processor"):
+        assert what not in page(run, "pictures")
+    assert draw(placed, tmp_path)
 
 
 def test_a_run_is_compared_by_its_ratios_to_the_bare_network_and_not_by_its_times(run: Run) -> None:

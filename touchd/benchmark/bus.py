@@ -13,7 +13,7 @@ from pathlib import Path
 
 import zmq
 
-from touchd.benchmark.placement import apart, daemon_cpus
+from touchd.benchmark.placement import daemon_cpus, subscribing
 from touchd.benchmark.stopwatch import Spread, spread
 from touchd.config import RealtimeSettings
 from touchd.errors import JobError
@@ -25,8 +25,8 @@ BURN_IN_S = 0.3
 PATIENCE_MS = 10_000
 
 
-def measure(rate_hz: float, seconds: float, folder: Path) -> Spread:
-    """Return how long messages take from one process to another, in us.
+def measure(rate_hz: float, seconds: float, folder: Path, *, apart: bool = False) -> Spread:
+    """Return how long messages take from one process to another, in us: on one processor, or `apart` on two.
 
     Raises
     ------
@@ -35,7 +35,7 @@ def measure(rate_hz: float, seconds: float, folder: Path) -> Spread:
     """
     address = f"ipc://{folder}/bare-bus"
     took_us, cpus = [], daemon_cpus()
-    with apart(), zmq.Context() as context, context.socket(zmq.SUB) as socket:
+    with subscribing(apart=apart), zmq.Context() as context, context.socket(zmq.SUB) as socket:
         socket.setsockopt(zmq.RCVTIMEO, PATIENCE_MS)
         socket.connect(address)
         socket.subscribe(b"touch")

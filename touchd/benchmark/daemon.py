@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from touchd.benchmark.child import Task
 from touchd.benchmark.loop import Loop
-from touchd.benchmark.placement import apart, daemon_cpus
+from touchd.benchmark.placement import daemon_cpus, subscribing
 from touchd.benchmark.results import DaemonResult, Day, rounded
 from touchd.benchmark.stopwatch import spread
 from touchd.client import Subscriber
@@ -34,8 +34,9 @@ ENDLESS = 10_000_000
 
 
 def measure(
-    scene: str, loop: Loop, rate_hz: float | None, seconds: float, *, model: Path, bare: Path, folder: Path
-) -> DaemonResult:
+    scene: str, loop: Loop, rate_hz: float | None, seconds: float, *, model: Path, bare: Path, folder: Path,
+    apart: bool = False,
+) -> DaemonResult:  # fmt: skip
     """Run the daemon through one scene at one rate.
 
     Parameters
@@ -51,6 +52,8 @@ def measure(
         The bare network.
     folder : Path
         For what the two processes exchange.
+    apart : bool
+        Whether the subscriber has another processor than the daemon even at a steady rate; at full speed it has.
 
     Raises
     ------
@@ -73,7 +76,11 @@ def measure(
         patience_s=PATIENCE_S,
     )  # fmt: skip
     begun_ns = time.monotonic_ns()
-    with apart(), Subscriber(address, ("touch", "health"), PATIENCE_S) as events, _running(task) as process:
+    with (
+        subscribing(apart=apart or rate_hz is None),
+        Subscriber(address, ("touch", "health"), PATIENCE_S) as events,
+        _running(task) as process,
+    ):
         heard = dict(_heard(events, process))
         lost = events.lost.total()
     with np.load(output) as found:

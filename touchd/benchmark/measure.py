@@ -6,7 +6,9 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from typing import TypeVar
 
 import onnx
 
@@ -18,6 +20,7 @@ from touchd.benchmark.placement import daemon_cpus
 from touchd.benchmark.race import race
 from touchd.benchmark.results import (
     BUS_RATE_HZ,
+    Apart,
     BareTimes,
     DaemonResult,
     EstimatorResult,
@@ -27,7 +30,7 @@ from touchd.benchmark.results import (
     rounded,
 )
 from touchd.benchmark.scenes import WANTED, make_loop
-from touchd.benchmark.stopwatch import undisturbed
+from touchd.benchmark.stopwatch import Spread, undisturbed
 from touchd.benchmark.touches import FINGER, SEED, UNTOUCHED, HeldOut, held_out
 from touchd.errors import ModelMissing
 from touchd.evaluation.bound import median_bound_mm
@@ -36,6 +39,7 @@ from touchd.training.dataset import make_dataset, noise_of, split
 from touchd.twin.instrument import Instrument
 from touchd.twin.simulate import DEFAULT_PLATE, simulate_touches
 
+_Found = TypeVar("_Found")
 Progress = Callable[[str, float], object]
 """Told what is going on, and which part of all is done."""
 
@@ -45,8 +49,9 @@ KEYPAD = "keypad"
 REPEATS = 3
 """At full speed, of which the one of median ratio counts: how processes and threads share the cores differs."""
 TAIL = "moving", BUS_RATE_HZ
-"""The cell of which the tail counts: run `REPEATS` times in turns with the bare bus, and the median tail taken of both.
-A computer shared with others may hold a process up for longer than anything that is measured."""
+"""The cell of which the tail counts: run `REPEATS` times in turns with the bare bus, and the median tail taken of both,
+with the subscriber on the daemon's processor and on another. A computer shared with others may hold a process up, or
+let it wait to be woken from another processor, for longer than anything that is measured."""
 _NO_TIME_DOMAIN = "the time domain: no model that takes samples is shipped, and none was given (--also)"
 
 
@@ -116,7 +121,7 @@ def benchmark(models: Path, *, quick: bool, progress: Progress, also: Sequence[P
         for scene in WANTED:
             progress("simulating scenes", 0.4)
             loops[scene] = make_loop(scene, instrument)
-        cells, bus_us = _cells(models, folder, scale, loops, progress)
+        cells, tails = _cells(models, folder, scale, loops, progress)
     saved = _skips(models, loops, found, scale, progress)
     bound_mm = rounded(_bound_mm(held, instrument), 3) if scale.bound else None
     left_out: tuple[str, ...] = () if any(one.domain == "time" for one in estimators) else (_NO_TIME_DOMAIN,)
@@ -126,7 +131,8 @@ def benchmark(models: Path, *, quick: bool, progress: Progress, also: Sequence[P
         quick=quick, seconds=rounded(time.monotonic() - begun_s, 3), machine=machine,
         touches=Touches(count=held.count, seed=SEED, finger=FINGER, bound_mm=bound_mm), bare_us=bare_us,
         estimators=tuple(found), left_out=left_out, daemon=tuple(cells), placed=bool(daemon_cpus()),
-        bus_us=bus_us, skips=tuple(saved), day=daemon.day(cells),
+        bus_us=tails.bus_us if tails else None, apart=tails.apart if tails else None, skips=tuple(saved),
+        day=daemon.day(cells),
     )  # fmt: skip
 
 
@@ -157,37 +163,64 @@ def _given(also: Sequence[Path], instrument: Instrument) -> Iterator[Estimator]:
         yield network(model, onnx.load(path), path.stem, "given")
 
 
+@dataclass(frozen=True, slots=True)
+class _Tails:
+    """The tail of the times to a subscriber, and of the bus by itself."""
+
+    cell: DaemonResult
+    bus_us: BareTimes
+    apart: Apart | None
+
+
 def _cells(
     models: Path, folder: Path, scale: Scale, loops: dict[str, Loop], progress: Progress
-) -> tuple[list[DaemonResult], BareTimes | None]:
+) -> tuple[list[DaemonResult], _Tails | None]:
     """Run the daemon through every scene at every rate, and the bus without it."""
     wanted = [
         (scene, rate_hz)
         for scene in loops
         for rate_hz in (scale.keypad_rates_hz if scene == KEYPAD else scale.rates_hz)
     ]
-    cells, floors = [], []
+    cells: list[DaemonResult] = []
+    tails = None
     for number, (scene, rate_hz) in enumerate(wanted):
         rate = "full speed" if rate_hz is None else f"{rate_hz:g} frames/s"
         progress(f"daemon: {scene}, {rate}", 0.4 + 0.5 * number / len(wanted))
-        model = _path(models, KEYPAD if scene == KEYPAD else NETWORKS[0])
-        seconds = scale.full_speed_s if rate_hz is None else scale.cell_s
-        tail = (scene, rate_hz) == TAIL
-        found = []
-        for _ in range(REPEATS if tail or (rate_hz is None and scene in scale.repeated) else 1):
-            if tail:
-                floors.append(bus.measure(BUS_RATE_HZ, seconds, folder))
-            found.append(
-                daemon.measure(
-                    scene, loops[scene], rate_hz, seconds, model=model, bare=folder / "bare.onnx", folder=folder
-                )
-            )
-        found.sort(key=lambda cell: cell.p999_us if tail else cell.ratio)
-        cells.append(found[len(found) // 2])
-    if not floors:
-        return cells, None
-    floor = sorted(floors, key=lambda floor: floor.p999)[len(floors) // 2]
-    return cells, BareTimes(p50=rounded(floor.p50), p99=rounded(floor.p99), p999=rounded(floor.p999))
+        cell = partial(
+            daemon.measure, scene, loops[scene], rate_hz, scale.full_speed_s if rate_hz is None else scale.cell_s,
+            model=_path(models, KEYPAD if scene == KEYPAD else NETWORKS[0]), bare=folder / "bare.onnx", folder=folder,
+        )  # fmt: skip
+        if (scene, rate_hz) == TAIL:
+            tails = _tails(cell, scale.cell_s, folder)
+            cells.append(tails.cell)
+        else:
+            repeats = REPEATS if rate_hz is None and scene in scale.repeated else 1
+            cells.append(_middle([cell() for _ in range(repeats)], lambda found: found.ratio))
+    return cells, tails
+
+
+def _tails(cell: Callable[..., DaemonResult], seconds: float, folder: Path) -> _Tails:
+    found: dict[bool, list[DaemonResult]] = {False: [], True: []}
+    floors: dict[bool, list[Spread]] = {False: [], True: []}
+    for _ in range(REPEATS):
+        for apart in (False, True) if daemon_cpus() else (False,):
+            floors[apart].append(bus.measure(BUS_RATE_HZ, seconds, folder, apart=apart))
+            found[apart].append(cell(apart=apart))
+    beside, floor = _middle(found[False], lambda one: one.p999_us), _middle(floors[False], lambda one: one.p999)
+    if not found[True]:
+        return _Tails(beside, _times(floor), None)
+    other, floor_apart = _middle(found[True], lambda one: one.p999_us), _middle(floors[True], lambda one: one.p999)
+    times = BareTimes(p50=other.p50_us, p99=other.p99_us, p999=other.p999_us)
+    return _Tails(beside, _times(floor), Apart(daemon_us=times, bus_us=_times(floor_apart)))
+
+
+def _times(found: Spread) -> BareTimes:
+    return BareTimes(p50=rounded(found.p50), p99=rounded(found.p99), p999=rounded(found.p999))
+
+
+def _middle(found: list[_Found], key: Callable[[_Found], float]) -> _Found:
+    """Return the one whose key is the median."""
+    return sorted(found, key=key)[len(found) // 2]
 
 
 def _skips(

@@ -46,7 +46,7 @@ def page(run: Run, pictures: str) -> str:
         "## The daemon, end to end",
         "A daemon in a process of its own with all that it has in service (bus, health, pre-roll), and a subscriber in "
         "another"
-        + (", each with a processor to itself" if run.placed else "")
+        + (": at a steady rate both on one processor, at full speed each on its own" if run.placed else "")
         + ". Scenes of a human finger are computed by the digital twin beforehand, at 125 frames a second, and "
         "played to and fro: at 1,000 the finger is eight times as quick. Times go from a frame complete on the "
         "computer to its event decoded by the subscriber (of a still finger only ten frames a second have a message); "
@@ -105,6 +105,13 @@ def _daemon_notes(run: Run) -> str:
             f"moving finger at 1,000 frames/s: p50 {b.p50:,.0f}, p99 {b.p99:,.0f}, p99.9 {b.p999:,.0f} us. So much of "
             "the times to the subscriber is ZeroMQ's, the kernel's and this computer's; of either the run of median "
             "99.9th percentile out of three is shown."
+        )
+    if run.apart is not None:
+        whole, alone = run.apart.daemon_us, run.apart.bus_us
+        lines.append(
+            f"- With the subscriber on another processor than the daemon: p50 {whole.p50:,.0f}, p99 {whole.p99:,.0f}, "
+            f"p99.9 {whole.p999:,.0f} us, and the bus with nothing behind it {alone.p50:,.0f}, {alone.p99:,.0f} and "
+            f"{alone.p999:,.0f} us. What that takes longer is the time until the one processor has woken the other."
         )
     cells = run.daemon
     if cells:

@@ -15,11 +15,11 @@ def daemon_cpus() -> tuple[int, ...]:
 
 
 @contextmanager
-def apart() -> Iterator[None]:
-    """Keep this thread, and those it starts, off the daemon's processor."""
+def subscribing(*, apart: bool) -> Iterator[None]:
+    """Keep this thread, and those it starts, on the daemon's processor, or off it."""
     before = os.sched_getaffinity(0)
-    rest = before - set(daemon_cpus())
-    os.sched_setaffinity(0, rest)
+    own = set(daemon_cpus()) or before
+    os.sched_setaffinity(0, (before - own or before) if apart else own)
     try:
         yield
     finally:

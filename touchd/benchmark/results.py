@@ -18,7 +18,7 @@ class _Part(BaseModel):
 
 
 class BareTimes(_Part):
-    """The bare run of the paper's network, us."""
+    """Of the bare network, or of the bare bus, us."""
 
     p50: float
     p99: float
@@ -121,6 +121,15 @@ class Touches(_Part):
     """Median error that no unbiased estimate goes below (Cramer-Rao)."""
 
 
+class Apart(_Part):
+    """A moving finger at `BUS_RATE_HZ` with the subscriber on another processor than the daemon."""
+
+    daemon_us: BareTimes
+    """To the subscriber."""
+    bus_us: BareTimes
+    """The bus with nothing behind it, likewise."""
+
+
 class Run(_Part):
     """Everything."""
 
@@ -134,10 +143,11 @@ class Run(_Part):
     left_out: tuple[str, ...]
     daemon: tuple[DaemonResult, ...]
     placed: bool = False
-    """Whether the daemon had a processor of its own, and its subscriber another."""
+    """Whether it was seen to that the subscriber was on the daemon's processor, but at full speed on another."""
     bus_us: BareTimes | None = None
     """A message over a bus with nothing behind it, from process to process at `BUS_RATE_HZ`: the floor of the daemon's
     times to the subscriber."""
+    apart: Apart | None = None
     skips: tuple[SkipResult, ...]
     day: Day | None
 
