@@ -99,7 +99,9 @@ class Pipeline:
             return NOTHING
         if self._frozen.repeats(frame.counts):
             return self._hear_nothing(frame)
-        elapsed_s = min(max(frame.t_ns - self._last_ns, 0) * 1e-9, _LONGEST_STEP_S)
+        elapsed_s = (frame.t_ns - self._last_ns) * 1e-9
+        if not 0.0 <= elapsed_s <= _LONGEST_STEP_S:
+            elapsed_s = 0.0 if elapsed_s < 0.0 else _LONGEST_STEP_S
         self._last_ns = frame.t_ns
 
         if self._learning:

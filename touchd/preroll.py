@@ -90,7 +90,8 @@ class PreRoll:
             self._current = self._free.pop() if self._free else Block(self._block_frames, self._acquisition)
         if events and self._due_ns is None and self._doubtful(events):
             self._due_ns = self._clock() + AFTER_NS
-        self.poll()
+        if self._asked or self._due_ns is not None:
+            self.poll()
 
     def request(self, reason: str) -> None:
         """Have what is in memory saved at the next `poll`; safe to call from a signal handler."""

@@ -55,6 +55,8 @@ class Tracker:
         self._missed = False  # whether a track may have ended
         self.alive = False
         """Whether any contact is down."""
+        self.busy = False
+        """Whether any finger is being followed, confirmed or not."""
         self._next_id = 1
         self._last_ns = 0
         self._reported_ns = 0
@@ -64,11 +66,6 @@ class Tracker:
         self._settings = settings
         self._reach_mm, self._dead_band_mm = settings.reach_mm, settings.dead_band_mm
         self._refresh_ns = round(settings.refresh_s * 1e9)
-
-    @property
-    def busy(self) -> bool:
-        """Whether any finger is being followed, confirmed or not."""
-        return bool(self._tracks)
 
     def update(self, t_ns: int, touches: Sequence[Touch]) -> list[Contact] | None:
         """Take in the fingers of one frame.
@@ -180,6 +177,7 @@ class Tracker:
             self._missed = False
             self._tracks = [track for track in self._tracks if _lives(track)]
             self.alive = any(track.contact is not None for track in self._tracks)
+        self.busy = bool(self._tracks)
         if not contacts:
             return None
         self._reported_ns = t_ns
