@@ -40,7 +40,7 @@ def _redact(key: object, value: Any) -> Any:
         return {str(inner): _redact(inner, item) for inner, item in value.items()}
     if isinstance(value, np.number):
         return value.item()
-    # Not any sequence: bytes are one, and so is the named tuple that a frame is.
+    # Not any sequence: bytes are one, and so are named tuples, whatever they hold.
     if type(value) in (list, tuple, set, frozenset):
         return [_redact(None, item) for item in value]
     return f"<{type(value).__name__}>"
