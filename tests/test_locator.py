@@ -143,6 +143,16 @@ def test_a_finger_whose_contact_is_small_at_first_is_no_drop_for_long() -> None:
     assert found == [False] * (2 + waited) + [True] * (20 - waited)
 
 
+def test_a_drop_that_looks_just_like_a_finger_for_a_moment_is_none_and_a_finger_on_it_soon_one() -> None:
+    """Alone or beside one: among several drops a faint one may have any phase for a frame."""
+    for others in ([], [(30.0, 60.0, 1.0)]):
+        rig = Rig()
+        phases = [0.6, 0.6, 0.0, 0.6, -0.2, 0.6, *[0.0] * 20]
+        found = [len(rig.touch(*others, (70, 30, cmath.rect(0.7, phase)))) - len(others) for phase in phases]
+        waited = math.ceil(DRY_S / FRAME_S) - 1
+        assert found == [0] * (6 + waited) + [1] * (20 - waited)
+
+
 def test_a_drop_that_looks_otherwise_for_a_moment_is_a_drop_still() -> None:
     """In single frames, while a finger is down, and after frames in which only the finger was seen."""
     rig, drop = Rig(), (70, 30, cmath.rect(0.7, 0.6))

@@ -19,10 +19,10 @@ less than 0.3; human fingers lag by up to 0.4 (twin)."""
 PHASE_SIGMAS = 2.5
 """So far within the upper bound a finger's phase has to be: that of a faint drop scatters, and it stays for hours."""
 WET_RAD, WET_MM, WET_S = 0.15, 3.0, 10.0
-"""What leads by so much is a drop still, where one was seen so near, for so long since: of a faint one, or while a
-finger comes down elsewhere, single frames say otherwise, or nothing."""
+"""What leads by so much may be a drop still, where one was seen so near, for so long since: of a faint one, or while a
+finger comes down elsewhere, single frames say otherwise, or nothing. What leads by less is none after a while."""
 DRY_RAD, DRY_S, DRY_CONFIDENCE = 0.38, 0.03, 0.9
-"""Unless it has led by less than that for so long, in good fits: a finger whose contact was small at first. On a
+"""Nor is what has led by less than that for so long, in good fits: a finger whose contact was small at first. On a
 transducer, whose own mass shifts both, light fingers lead by 0.15-0.36 and drops by 0.7 or more; elsewhere drops lead
 by 0.5 or more, and by as little as 0.25 while they are fitted together with a strong finger (twin)."""
 MOST_WET = 16
@@ -96,14 +96,18 @@ class Assessor:
         wet: list[_Wet] = []
         for k, (x_mm, y_mm) in enumerate(fit.places_mm):
             phase, energy = phases[k], fit.energies[k]
+            if abs(phase) > LEAVING_RAD:
+                continue  # neither a finger nor water
             # The noise over a finger's energy is the variance of its phase.
             scatter = PHASE_SIGMAS * math.sqrt(variance / energy) if energy > 0 else math.inf
             dry_s = math.inf
             if phase >= PHASE_RAD[1] - scatter:
                 dry_s = 0.0
-            elif phase > WET_RAD:
+            elif self._wet:
                 # Beyond doubt; and not beside another finger, from which a drop's phase has a share.
-                dry_s = self._dry_s((x_mm, y_mm), phase + 2 * scatter, 0.0 if several else elapsed_s, confidence)
+                doubtful = several or phase + 2 * scatter >= DRY_RAD or confidence <= DRY_CONFIDENCE
+                before_s = self._dry_s((x_mm, y_mm))
+                dry_s = 0.0 if doubtful and phase > WET_RAD and before_s < math.inf else before_s + elapsed_s
             if dry_s < DRY_S:
                 # A finger that lifts is like a drop in its last frames.
                 lifting = any(math.dist((x_mm, y_mm), (one.x_mm, one.y_mm)) < WET_MM for one in self._fingers)
@@ -117,15 +121,13 @@ class Assessor:
         self._fingers = touches
         return tuple(touches)
 
-    def _dry_s(self, place_mm: Place, phase: float, elapsed_s: float, confidence: float) -> float:
-        """Return for how long what leads by so much at most has been like no drop; infinite where there was none.
+    def _dry_s(self, place_mm: Place) -> float:
+        """Return for how long what is at a place has been like no drop; infinite where there was none.
 
-        A drop stays where it is: where one was seen, what is half-way to it still is one for a while.
+        A drop stays where it is: where one was seen, what is like a finger in a single frame still is one.
         """
         near = [one.dry_s for one in self._wet if math.dist(one.place_mm, place_mm) < WET_MM]
-        if not near:
-            return math.inf
-        return min(near) + elapsed_s if phase < DRY_RAD and confidence > DRY_CONFIDENCE else 0.0
+        return min(near, default=math.inf)
 
     def _cornered(self, places_mm: list[Place]) -> set[int]:
         """Return which of several fingers are, with another one, too near to one corner to be two."""
