@@ -56,4 +56,3 @@ def test_a_network_sees_what_it_was_trained_on(domain: Domain, kind: Kind, tmp_p
     transform = 4 * 250 * 98 if domain == "frequency" else 0
     weights = sum(a * b for a, b in ((SIZES[domain], 400), (400, 300), (300, 200), (200, 100), (100, 2)))
     assert estimator.macs == transform + weights
-    assert estimator.domain == domain

@@ -49,6 +49,13 @@ def test_fresh_touches_are_placed_as_the_cards_say(name: str, most_mm: float, si
     assert found["confident"] > 0.98
 
 
+def test_the_papers_network_on_samples_does_as_its_card_says(instrument: Instrument) -> None:
+    """It sees the signal itself, plate and all."""
+    data = make_dataset(simulate_touches(TOUCHES, seed=20_261, instrument=instrument), "time")
+    found = scores(judge(Model(MODELS / "time.onnx"), data.signal, data.position_mm, data.noise_energy))
+    assert 5.0 < found["mean_mm"] <= 9.0
+
+
 @pytest.mark.parametrize(("kind", "most_mm"), [("human", 1.1), ("stale", 1.5)])
 def test_neither_another_finger_nor_a_stale_baseline_spoils_them(
     kind: str, most_mm: float, request: pytest.FixtureRequest
@@ -75,7 +82,7 @@ def test_zones_and_keys_are_the_right_ones(name: str, least: float, silicone: Da
 
 def test_all_know_where_they_come_from_and_are_small_enough_to_ship() -> None:
     paths = sorted(MODELS.glob("*.onnx"))
-    assert {path.stem for path in paths} == {"regression", "small", "int8", "grid10", "keypad"}
+    assert {path.stem for path in paths} == {"regression", "small", "int8", "grid10", "keypad", "time"}
     assert sum(path.stat().st_size for path in paths) < 10e6
     one = Model(default_model_path()).description
     for path in paths:

@@ -16,7 +16,7 @@ from touchd.benchmark import graphs
 from touchd.benchmark.boundnetwork import BoundNetwork
 from touchd.benchmark.touches import RATE_HZ, Block
 from touchd.config import ModelSettings
-from touchd.features import Domain, band_bins, make_features, windowed_dft
+from touchd.features import band_bins, make_features, windowed_dft
 from touchd.frame import Acquisition
 from touchd.locator import FIRST_STEPS, FOLLOW_STEPS, Locator
 from touchd.model import Estimate, Model
@@ -25,7 +25,7 @@ from touchd.tracker import Touch
 Array = NDArray[np.float32]
 Place = tuple[float, float] | None
 """x and y, mm; None where an estimator finds no finger."""
-NETWORKS = ("regression", "small", "int8", "grid10", "keypad")
+NETWORKS = ("regression", "small", "int8", "grid10", "keypad", "time")
 LOOK_UP_MACS = 62
 """Of one step of Gauss-Newton, for each feature: 32 + 12 for the splines, 18 for the products among the columns."""
 _NODES_READ = 16
@@ -55,8 +55,6 @@ class Estimator:
     slow: bool = False
     """Whether it is asked once only."""
     remark: str = ""
-    domain: Domain = "frequency"
-    """What it takes of a residual."""
 
 
 def network(model: Model, graph: onnx.ModelProto, name: str, group: str = "network") -> Estimator:
@@ -78,12 +76,13 @@ def network(model: Model, graph: onnx.ModelProto, name: str, group: str = "netwo
     def rebase(block: Block) -> None:
         np.copyto(baseline, block.baseline)
 
+    in_time = model.description.domain == "time"
     remark = {"grid": "answers with the middle of a zone", "keypad": "answers with the middle of a key"}
-    table = windowed_dft(a).size if model.description.domain == "frequency" else 0
+    table = 0 if in_time else windowed_dft(a).size
     return Estimator(
         name, group, locate if model.description.input == "residual" else locate_by_signal,
         graphs.multiply_adds(graph) + a.channels * table, graphs.weight_bytes(graph) + 4 * table, rebase,
-        remark=remark.get(model.description.head, ""), domain=model.description.domain,
+        remark=remark.get(model.description.head, "takes samples, not a spectrum" if in_time else ""),
     )  # fmt: skip
 
 

@@ -52,7 +52,6 @@ TAIL = "moving", BUS_RATE_HZ
 """The cell of which the tail counts: run `REPEATS` times in turns with the bare bus, and the median tail taken of both,
 with the subscriber on the daemon's processor and on another. A computer shared with others may hold a process up, or
 let it wait to be woken from another processor, for longer than anything that is measured."""
-_NO_TIME_DOMAIN = "the time domain: no model that takes samples is shipped, and none was given (--also)"
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,9 +123,7 @@ def benchmark(models: Path, *, quick: bool, progress: Progress, also: Sequence[P
         cells, tails = _cells(models, folder, scale, loops, progress)
     saved = _skips(models, loops, found, scale, progress)
     bound_mm = rounded(_bound_mm(held, instrument), 3) if scale.bound else None
-    left_out: tuple[str, ...] = () if any(one.domain == "time" for one in estimators) else (_NO_TIME_DOMAIN,)
-    if not scale.dictionary:
-        left_out += ("kNN and GCC, in a quick run",)
+    left_out = () if scale.dictionary else ("kNN and GCC, in a quick run",)
     return Run(
         quick=quick, seconds=rounded(time.monotonic() - begun_s, 3), machine=machine,
         touches=Touches(count=held.count, seed=SEED, finger=FINGER, bound_mm=bound_mm), bare_us=bare_us,
