@@ -15,6 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from touchd.config import LogSettings
+from touchd.frame import Frame
 from touchd.log import PRIVATE, REDACTED, configure, redact
 
 
@@ -115,15 +116,15 @@ def test_objects_are_named_not_printed() -> None:
     class Contact:
         x_mm: float = 7391.0
 
-    class Frame(NamedTuple):
+    class Pair(NamedTuple):
         counts: int = 7391
 
-    stream = io.StringIO()
+    stream, frame = io.StringIO(), Frame(np.full((1, 1), 7391, np.int16), 7391, 0, 0)
     configure(LogSettings(), stream)
-    structlog.get_logger().info("odd", a=Contact(), b=Frame(), c=np.full(3, 7391), d=[Contact()], e=b"7391")
+    structlog.get_logger().info("odd", a=Contact(), b=Pair(), c=np.full(3, 7391), d=[frame], e=b"7391")
     (line,) = logged(stream)
     assert "7391" not in stream.getvalue()
-    named = {"a": "<Contact>", "b": "<Frame>", "c": "<ndarray>", "d": ["<Contact>"], "e": "<bytes>"}
+    named = {"a": "<Contact>", "b": "<Pair>", "c": "<ndarray>", "d": ["<Frame>"], "e": "<bytes>"}
     assert line | named == line
 
 

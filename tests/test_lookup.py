@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from tests.fields import COUNTS, PLATE, Field, make_atlas
 from tests.fields import look_up as in_float64
-from touchd.lookup import PER_CELL, Lookup
+from touchd.lookup import CELLS, PER_CELL, Lookup
 
 ATLAS = make_atlas(Field())
 ANYWHERE = st.floats(allow_nan=True, allow_infinity=True) | st.floats(-20, 150)
@@ -42,6 +42,18 @@ def test_what_is_looked_up_is_the_field_of_the_point_that_is_told(x_mm: float, y
     for row, exact in zip(into, in_float64(ATLAS, x, y), strict=True):
         real, imaginary = row.reshape(2, -1)
         np.testing.assert_allclose(real + 1j * imaginary, exact, atol=2e-6 * COUNTS)
+
+
+@given(st.lists(st.tuples(st.floats(6, 114), st.floats(6, 84)), min_size=1, max_size=6), st.data())
+@settings(deadline=None)
+def test_places_may_be_asked_for_again_and_in_any_order(places: list[tuple[float, float]], data: st.DataObject) -> None:
+    """More cells than are kept, and those that are kept, those that were, and those next to them."""
+    lookup, into = looking()
+    for at in data.draw(st.lists(st.sampled_from(places), min_size=1, max_size=4 * CELLS)):
+        x, y = lookup.at(*at)
+        for row, exact in zip(into, in_float64(ATLAS, x, y), strict=True):
+            real, imaginary = row.reshape(2, -1)
+            np.testing.assert_allclose(real + 1j * imaginary, exact, atol=2e-6 * COUNTS)
 
 
 @given(st.floats(-1e3, 1e3), st.floats(-1e3, 1e3))

@@ -42,6 +42,16 @@ def test_what_moves_is_never_absorbed() -> None:
     assert first_verdict(moving, finger=True) is None
 
 
+def test_a_finger_that_moves_and_then_rests_is_absorbed_30_s_after_it_came_to_rest() -> None:
+    """To 50 ms, however often it is looked at meanwhile."""
+    rng = np.random.default_rng(RNG_SEED)
+    moving = [rng.standard_normal(SHAPE).astype(np.float32) for _ in range(1003)]
+    verdict = first_verdict([*moving, *still(5000)], finger=True)
+    assert verdict is not None
+    assert verdict[1] is Verdict.ABSORBED
+    assert 0 <= (verdict[0] - 1003) * PERIOD_NS - 30e9 < 50e6 + PERIOD_NS
+
+
 def test_noise_that_has_grown_is_found_within_two_seconds() -> None:
     rng = np.random.default_rng(RNG_SEED)
     verdict = first_verdict([rng.standard_normal(SHAPE).astype(np.float32) for _ in range(1000)])

@@ -8,6 +8,7 @@ from operator import mul
 from typing import NamedTuple
 
 from touchd.atlas import Atlas
+from touchd.course import LONGEST_STEP_MM
 from touchd.hearing import SPREAD, Hearing
 from touchd.lookup import Place
 from touchd.refine import Fit, sigmas_mm
@@ -20,7 +21,9 @@ PHASE_SIGMAS = 2.5
 """So far within the upper bound a finger's phase has to be: that of a faint drop scatters, and it stays for hours."""
 WET_RAD, WET_MM, WET_S = 0.15, 3.0, 10.0
 """What leads by so much may be a drop still, where one was seen so near, for so long since: of a faint one, or while a
-finger comes down elsewhere, single frames say otherwise, or nothing. What leads by less is none after a while."""
+finger comes down elsewhere, single frames say otherwise, or nothing."""
+SURE_S = 0.1
+"""So may what leads by less, where one was there for so long: a finger is like a drop for a few frames at most."""
 DRY_RAD, DRY_S, DRY_CONFIDENCE = 0.38, 0.03, 0.9
 """Nor is what has led by less than that for so long, in good fits: a finger whose contact was small at first. On a
 transducer, whose own mass shifts both, light fingers lead by 0.15-0.36 and drops by 0.7 or more; elsewhere drops lead
@@ -46,10 +49,19 @@ class _Wet(NamedTuple):
     """A place where a drop was seen."""
 
     place_mm: Place
+    wet_s: float
+    """For how long it has been there."""
     dry_s: float
-    """For how long it has looked like a finger."""
+    """For how long it has looked like a finger; below 0 if it did not in the last frame."""
     left_s: float
     """For how long it will be remembered if nothing is seen there."""
+
+    def drying(self, elapsed_s: float) -> float:
+        """Return for how long it looks like a finger if it does so long after the last frame."""
+        return self.dry_s + elapsed_s if self.dry_s >= 0 else 0.0
+
+
+_WET = -1.0
 
 
 class Assessor:
@@ -94,40 +106,49 @@ class Assessor:
         cornered = self._cornered(fit.places_mm) if several else ()
         touches: list[Touch] = []
         wet: list[_Wet] = []
-        for k, (x_mm, y_mm) in enumerate(fit.places_mm):
+        judged: list[Place] = []
+        for k, place in enumerate(fit.places_mm):
             phase, energy = phases[k], fit.energies[k]
             if abs(phase) > LEAVING_RAD:
                 continue  # neither a finger nor water
+            judged.append(place)
             # The noise over a finger's energy is the variance of its phase.
             scatter = PHASE_SIGMAS * math.sqrt(variance / energy) if energy > 0 else math.inf
+            drop = self._drop_at(place) if self._wet else None
             dry_s = math.inf
             if phase >= PHASE_RAD[1] - scatter:
-                dry_s = 0.0
-            elif self._wet:
+                dry_s = _WET
+            elif drop is not None and phase > WET_RAD:
                 # Beyond doubt; and not beside another finger, from which a drop's phase has a share.
                 doubtful = several or phase + 2 * scatter >= DRY_RAD or confidence <= DRY_CONFIDENCE
-                before_s = self._dry_s((x_mm, y_mm))
-                dry_s = 0.0 if doubtful and phase > WET_RAD and before_s < math.inf else before_s + elapsed_s
+                dry_s = _WET if doubtful else drop.drying(elapsed_s)
+            elif drop is not None and drop.wet_s >= SURE_S and not self._was_finger(place, several=several):
+                dry_s = drop.drying(elapsed_s)
             if dry_s < DRY_S:
                 # A finger that lifts is like a drop in its last frames.
-                lifting = any(math.dist((x_mm, y_mm), (one.x_mm, one.y_mm)) < WET_MM for one in self._fingers)
-                wet.append(_Wet((x_mm, y_mm), dry_s, 0.0 if lifting else WET_S))
+                left_s = 0.0 if self._was_finger(place, several=True) else WET_S
+                wet.append(_Wet(place, drop.wet_s + elapsed_s if drop else 0.0, dry_s, left_s))
             elif phase > PHASE_RAD[0] and k not in cornered:
-                touches.append(Touch(x_mm, y_mm, errors_mm[k], confidence, sizes[k] * self.per_strength))
+                touches.append(Touch(*place, errors_mm[k], confidence, sizes[k] * self.per_strength))
         for one in self._wet:
-            if one.left_s > elapsed_s and all(math.dist(one.place_mm, place) >= WET_MM for place in fit.places_mm):
+            if one.left_s > elapsed_s and all(math.dist(one.place_mm, place) >= WET_MM for place in judged):
                 wet.append(one._replace(left_s=one.left_s - elapsed_s))
         self._wet = wet[:MOST_WET]
         self._fingers = touches
         return tuple(touches)
 
-    def _dry_s(self, place_mm: Place) -> float:
-        """Return for how long what is at a place has been like no drop; infinite where there was none.
+    def _drop_at(self, place_mm: Place) -> _Wet | None:
+        """Return the drop that was seen near a place, and was one last; None if there was none.
 
         A drop stays where it is: where one was seen, what is like a finger in a single frame still is one.
         """
-        near = [one.dry_s for one in self._wet if math.dist(one.place_mm, place_mm) < WET_MM]
-        return min(near, default=math.inf)
+        near = [one for one in self._wet if math.dist(one.place_mm, place_mm) < WET_MM]
+        return min(near, key=lambda one: one.dry_s, default=None)
+
+    def _was_finger(self, place_mm: Place, *, several: bool) -> bool:
+        """Return whether a finger of the last frame may have come to a place; of several fingers none comes far."""
+        reach_mm = WET_MM if several or len(self._fingers) > 1 else LONGEST_STEP_MM
+        return any(math.dist(place_mm, (one.x_mm, one.y_mm)) < reach_mm for one in self._fingers)
 
     def _cornered(self, places_mm: list[Place]) -> set[int]:
         """Return which of several fingers are, with another one, too near to one corner to be two."""

@@ -14,8 +14,8 @@ from touchd.config import GateSettings
 _CHANGED_FRAMES, _LEARN_FRAMES = 48, 32
 """Noise is another when so many frames in a row hold less than its mean, or more: by chance once in 2^47. The first of
 them may have seen it change: so many of the last are learned from."""
-_SET_EVERY = 8
-"""Untouched frames, once the noise is known from as many as it is followed over: few change it but little."""
+_SET_EVERY = 128
+"""Thresholds are set anew after one in so many of the frames that the noise is known from: few change it little."""
 _CHANGED = 1.25
 """A change of its energy by this factor is worth telling."""
 
@@ -84,7 +84,6 @@ class Gate:
             return False
         if self._count != self._memory:
             self._know(min(self._count + 1, self._memory))
-            self._due = 0
         weight = self._weight
         self._mean += weight * step
         # The exact update of an exponentially weighted variance (West, CACM 22:532, 1979).
@@ -121,7 +120,7 @@ class Gate:
         self._margin = 1.0 + 2.0 / math.sqrt(2.0 * frames)
 
     def _set_thresholds(self) -> None:
-        self._due = _SET_EVERY
+        self._due = self._count // _SET_EVERY
         mean = self._mean
         self._deviation = deviation = math.sqrt(self._variance) * self._margin
         excess = self._quantile * deviation

@@ -152,7 +152,7 @@ class Locator:
         significant = sum(fit.energies) > hearing.least
         confidence = 1 / (1 + (max(excess, 0.0) / EXCESS_OF_HALF) ** 2) if significant else 0.0
         # An emitter that falls silent, or a gain that changes, looks like a finger on the emitter: but what the plate
-        # and its electronics do by themselves explains it better.
+        # and its electronics do by themselves explains it better. A finger that is followed was none of that.
         by_itself = excess > (GOOD if followed else ENOUGH) and energy - hearing.by_itself(refiner.frame) < fit.left
         if by_itself or not confidence >= confident or (self._recount.pending and not followed):
             return self._lose()

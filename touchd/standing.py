@@ -77,7 +77,7 @@ class Standing:
             return None
         if finger:  # no noise, whatever it does, and nothing that has gone: what it differs by need seldom be known
             self._noise_since_ns, self._follows, self._lifted = t_ns, False, 0
-            if t_ns - self._looked_ns < _LOOK_NS and t_ns - self._same_since_ns < self._absorb_ns:
+            if 0 <= t_ns - self._looked_ns < _LOOK_NS and t_ns - self._same_since_ns < self._absorb_ns:
                 return None
         self._looked_ns = t_ns
         flat = residual.reshape(-1)

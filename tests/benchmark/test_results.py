@@ -78,7 +78,7 @@ def test_every_estimator_scene_and_picture_is_on_the_page(run: Run, tmp_path: Pa
 def test_what_the_bus_takes_by_itself_stands_beside_the_daemon(run: Run, tmp_path: Path) -> None:
     floor = BareTimes(p50=160.0, p99=1500.0, p999=4321.0)
     apart = Apart(daemon_us=BareTimes(p50=260.0, p99=1600.0, p999=5432.0), bus_us=floor)
-    placed = run.model_copy(update={"bus_us": floor, "placed": True, "apart": apart})
+    placed = run.model_copy(update={"bus_us": floor, "apart": apart})
     text = page(placed, "pictures")
     assert "p50 160, p99 1,500, p99.9 4,321 us" in text
     assert "both on one processor" in text

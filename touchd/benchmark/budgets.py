@@ -38,7 +38,7 @@ BUDGETS = (
         lambda run: cell.handed_p999_us if (cell := run.cell("moving", 1000.0)) else None,
     ),
     Budget(
-        "the same, to the subscriber", "us", 1000.0,
+        "the same, to a subscriber on the daemon's processor", "us", 1000.0,
         lambda run: cell.p999_us if (cell := run.cell("moving", 1000.0)) else None,
     ),
     Budget("idle, full speed", "frames/CPU s", 100_000.0, _full_speed("idle", "frames_per_cpu_s"), True),

@@ -26,8 +26,8 @@ Array = NDArray[np.float32]
 Place = tuple[float, float] | None
 """x and y, mm; None where an estimator finds no finger."""
 NETWORKS = ("regression", "small", "int8", "grid10", "keypad", "time")
-LOOK_UP_MACS = 62
-"""Of one step of Gauss-Newton, for each feature: 32 + 12 for the splines, 18 for the products among the columns."""
+LOOK_UP_MACS = 72
+"""Of one step of Gauss-Newton, for each feature: 48 for the splines, 24 for the products of all parts."""
 _NODES_READ = 16
 
 

@@ -127,7 +127,7 @@ def benchmark(models: Path, *, quick: bool, progress: Progress, also: Sequence[P
     return Run(
         quick=quick, seconds=rounded(time.monotonic() - begun_s, 3), machine=machine,
         touches=Touches(count=held.count, seed=SEED, finger=FINGER, bound_mm=bound_mm), bare_us=bare_us,
-        estimators=tuple(found), left_out=left_out, daemon=tuple(cells), placed=bool(daemon_cpus()),
+        estimators=tuple(found), left_out=left_out, daemon=tuple(cells),
         bus_us=tails.bus_us if tails else None, apart=tails.apart if tails else None, skips=tuple(saved),
         day=daemon.day(cells),
     )  # fmt: skip

@@ -46,7 +46,7 @@ def page(run: Run, pictures: str) -> str:
         "## The daemon, end to end",
         "A daemon in a process of its own with all that it has in service (bus, health, pre-roll), and a subscriber in "
         "another"
-        + (": at a steady rate both on one processor, at full speed each on its own" if run.placed else "")
+        + (": at a steady rate both on one processor, at full speed each on its own" if run.apart else "")
         + ". Scenes of a human finger are computed by the digital twin beforehand, at 125 frames a second, and "
         "played to and fro: at 1,000 the finger is eight times as quick. Times go from a frame complete on the "
         "computer to its event decoded by the subscriber (of a still finger only ten frames a second have a message); "

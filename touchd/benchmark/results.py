@@ -122,7 +122,10 @@ class Touches(_Part):
 
 
 class Apart(_Part):
-    """A moving finger at `BUS_RATE_HZ` with the subscriber on another processor than the daemon."""
+    """A moving finger at `BUS_RATE_HZ` with the subscriber on another processor than the daemon.
+
+    A run that has it was placed: its subscriber is on the daemon's processor, but at full speed on another.
+    """
 
     daemon_us: BareTimes
     """To the subscriber."""
@@ -142,8 +145,6 @@ class Run(_Part):
     estimators: tuple[EstimatorResult, ...]
     left_out: tuple[str, ...]
     daemon: tuple[DaemonResult, ...]
-    placed: bool = False
-    """Whether it was seen to that the subscriber was on the daemon's processor, but at full speed on another."""
     bus_us: BareTimes | None = None
     """A message over a bus with nothing behind it, from process to process at `BUS_RATE_HZ`: the floor of the daemon's
     times to the subscriber."""
