@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -45,6 +47,7 @@ class Baseline:
     def retune(self, settings: BaselineSettings) -> None:
         """Follow the plate with another time constant."""
         self._time_constant_s = settings.time_constant_s
+        self._weighed_s = math.nan  # of what time `_weight` is
 
     def learn(self, counts: Counts) -> NDArray[np.float64] | None:
         """Take in one frame while learning.
@@ -100,7 +103,9 @@ class Baseline:
 
     def follow(self, elapsed_s: float) -> None:
         """Move the baseline towards the last frame, which was untouched and came this long after the one before."""
-        self._weight.fill(elapsed_s / (self._time_constant_s + elapsed_s))
+        if elapsed_s != self._weighed_s:
+            self._weighed_s = elapsed_s
+            self._weight.fill(elapsed_s / (self._time_constant_s + elapsed_s))
         _multiply(self.residual, self._weight, self._step)
         _add(self.mean, self._step, self.mean)
 

@@ -111,7 +111,11 @@ class Pipeline:
         if self.screen_off:
             return self._rest(frame, energy, elapsed_s, is_open=is_open)
         if not is_open:
-            self._count_closed(energy)
+            # What lets features and network be skipped: noise alone explains the frame, whatever they would say of it.
+            if self._skip.gate:
+                self.counters.skipped["gate"] += 1
+            else:
+                self._look_all_the_same(energy)
             self._untouched(frame, energy, elapsed_s)
             return self._track(frame, ()) if self.tracker.busy else NOTHING
 
@@ -240,13 +244,10 @@ class Pipeline:
             self.followed_ns = frame.t_ns
         self._finder.untouched(elapsed_s, followed=followed)
 
-    def _count_closed(self, energy: float) -> None:
-        """What lets features and network be skipped: noise alone explains the frame, whatever they would say of it."""
-        if self._skip.gate:
-            self.counters.skipped["gate"] += 1
-        else:
-            self._finder.find(energy, 0.0, alive=False)
-            self._finder.forget()
+    def _look_all_the_same(self, energy: float) -> None:
+        """Nothing is skipped: features and network see an untouched frame, and what they say of it is forgotten."""
+        self._finder.find(energy, 0.0, alive=False)
+        self._finder.forget()
 
     def _rest(self, frame: Frame, energy: float, elapsed_s: float, *, is_open: bool) -> list[Event]:
         """What lets all but the baseline be skipped: the screen is off, and no touch can mean anything."""
