@@ -88,6 +88,28 @@ def test_when_a_tone_ends_the_gate_is_soon_as_keen_as_before(tone: float, decay_
         assert not alarms(gate, energies[2000 + until :] * end[until:])
 
 
+@pytest.mark.parametrize(("memory", "within"), [(10, 0.0), (100, 0.0), (300, 0.01), (1000, 0.01)])
+def test_thresholds_set_seldom_are_those_set_with_each_frame(
+    memory: int, within: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The same while the noise is known from few frames, and to 1 % of its energy when from many, rising as it may."""
+    energies = np.random.default_rng(9).chisquare(SAMPLES, 6000) * np.exp(np.linspace(0, 1, 6000))
+
+    def thresholds() -> np.ndarray:
+        gate = learned(energies[:32], noise_frames=memory)
+        found = []
+        for energy in energies[32:].tolist():
+            gate.follow(energy)
+            found.append(gate.threshold_energy)
+        return np.array(found)
+
+    seldom = thresholds()
+    monkeypatch.setattr("touchd.gate._SET_EVERY", 10**9)
+    each = thresholds()
+    assert np.abs(seldom / each - 1).max() <= within
+    assert within == 0 or (seldom != each).any()
+
+
 def test_taps_that_the_gate_did_not_see_raise_its_threshold_for_no_longer_than_they_last() -> None:
     """A finger too faint to open it is taken for noise, and would hide the next one too."""
     energies = np.random.default_rng(8).chisquare(SAMPLES, 4000)

@@ -52,6 +52,14 @@ def test_a_finger_that_moves_and_then_rests_is_absorbed_30_s_after_it_came_to_re
     assert 0 <= (verdict[0] - 1003) * PERIOD_NS - 30e9 < 50e6 + PERIOD_NS
 
 
+def test_a_finger_is_compared_at_once_when_the_clock_steps_back() -> None:
+    standing, rng = Standing(SHAPE, BaselineSettings()), np.random.default_rng(RNG_SEED)
+    before, after = rng.standard_normal((2, *SHAPE)).astype(np.float32)
+    for t_ns, thing in ((10**12, before), (10**12 - 40 * 10**9, after)):
+        standing.watch(t_ns, thing, float(np.sum(thing.astype(float) ** 2)), finger=True, leaving=False)
+    np.testing.assert_array_equal(standing._reference, after.ravel())
+
+
 def test_noise_that_has_grown_is_found_within_two_seconds() -> None:
     rng = np.random.default_rng(RNG_SEED)
     verdict = first_verdict([rng.standard_normal(SHAPE).astype(np.float32) for _ in range(1000)])

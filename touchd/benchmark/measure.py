@@ -197,6 +197,7 @@ def _cells(
 
 
 def _tails(cell: Callable[..., DaemonResult], seconds: float, folder: Path) -> _Tails:
+    """Run the cell and the bare bus in turns, on one processor and on two where there are two, and take the middle."""
     found: dict[bool, list[DaemonResult]] = {False: [], True: []}
     floors: dict[bool, list[Spread]] = {False: [], True: []}
     for _ in range(REPEATS):
