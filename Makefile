@@ -35,7 +35,7 @@ vm-packages:
 
 # The package in a virtual machine with the kernel's own USB; the machine is made once and kept in ~/.cache/touchd-vm.
 vm-test: setup test-packages vm-packages
-	$(BIN)/python -m pytest tests/vm/scenario.py $(ARGS)
+	$(BIN)/python -m pytest -o faulthandler_timeout=900 tests/vm/scenario.py $(ARGS)
 
 lint: setup
 	$(BIN)/ruff check .

@@ -148,7 +148,7 @@ import sys
 asked = set()
 class Refuse:
     def find_spec(self, name, path=None, target=None):
-        if name in {{"torch", "scipy", "matplotlib", "sklearn", "joblib", "onnx", "rich"}}:
+        if name in {{"torch", "scipy", "matplotlib", "sklearn", "loky", "onnx", "rich"}}:
             asked.add(name)
             raise ModuleNotFoundError(name=name)
 sys.meta_path.insert(0, Refuse())

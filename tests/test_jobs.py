@@ -21,6 +21,7 @@ from tests.processes import PATIENCE_S, ROOT, environment
 from touchd.errors import JobError, OutputError, TrainingError
 from touchd.jobs import Job, Shared, run
 from touchd.jobs.identity import code_digest, digest
+from touchd.jobs.local import _uninterrupted
 from touchd.jobs.store import Store
 
 WINDOW = np.hanning(300)
@@ -117,7 +118,10 @@ def test_a_run_that_is_killed_goes_on_where_it_was_and_leaves_no_worker(tmp_path
         workers = children(process.pid)
         assert len(workers) >= 2
         process.send_signal(end)
-        process.wait(PATIENCE_S)
+        try:
+            process.wait(PATIENCE_S)
+        finally:
+            process.kill()
         # A pipe is at its end when the last process that holds it has gone, or is about to.
         process.stdout.read()
     deadline = time.monotonic() + PATIENCE_S
@@ -129,6 +133,23 @@ def test_a_run_that_is_killed_goes_on_where_it_was_and_leaves_no_worker(tmp_path
     before = len(lines(log))
     assert list(run(numbered(log, MANY, 0.2), workers=1, cache=cache).values()) == [i * i for i in range(MANY)]
     assert len(lines(log)) - before == MANY - kept
+
+
+@pytest.mark.parametrize("error", [None, ZeroDivisionError])
+def test_an_interrupt_amid_what_holds_locks_comes_when_they_are_released(error: type[Exception] | None) -> None:
+    did = []
+
+    def hold_a_lock() -> None:
+        signal.raise_signal(signal.SIGINT)
+        did.append("whole")
+        if error is not None:
+            raise error
+
+    before = signal.getsignal(signal.SIGINT)
+    with pytest.raises(KeyboardInterrupt):
+        _uninterrupted(hold_a_lock)()
+    assert did == ["whole"]
+    assert signal.getsignal(signal.SIGINT) == before
 
 
 @pytest.mark.parametrize("workers", [1, 2])

@@ -31,7 +31,7 @@ VERBS = {
     "simulate": "Write a recording made by the digital twin.",
     "train": "Train a model on a labelled recording.",
 }
-EXTRAS = {"torch": "train", "scipy": "train", "sklearn": "train", "joblib": "train", "onnx": "train",
+EXTRAS = {"torch": "train", "scipy": "train", "sklearn": "train", "loky": "train", "onnx": "train",
           "matplotlib": "train", "rich": "train", "dask": "cluster", "distributed": "cluster", "nidaqmx": "ni",
           }  # fmt: skip
 

@@ -17,10 +17,11 @@ import argparse
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from joblib import Parallel, delayed
+from loky import ProcessPoolExecutor
 
 from tests.scenes.stages import RATE_HZ, empty_stage, play, score
 from touchd.evaluation.stream import found_contacts
@@ -169,11 +170,11 @@ def main() -> int:
         count = round(arguments.minutes * 60 / PIECE_S)
         seeds = range(arguments.seed, arguments.seed + count)
         total = np.zeros(5)
-        play_all = Parallel(n_jobs=arguments.jobs, return_as="generator")
-        for p in play_all(delayed(judge)(name, seed, instrument) for seed in seeds):
-            total += p.touches, p.missed, p.split, p.ghosts, p.seconds
-            if p.missed or p.ghosts:
-                print(f"  seed {p.seed}: {p.missed} missed, {p.ghosts} ghosts", *p.strays, sep="\n    ", flush=True)
+        with ProcessPoolExecutor(arguments.jobs) as pool:
+            for p in pool.map(partial(judge, name, instrument=instrument), seeds):
+                total += p.touches, p.missed, p.split, p.ghosts, p.seconds
+                if p.missed or p.ghosts:
+                    print(f"  seed {p.seed}: {p.missed} missed, {p.ghosts} ghosts", *p.strays, sep="\n    ", flush=True)
         minutes = count * PIECE_S / 60
         print(f"{name:14} {minutes:7g} " + "{:8.0f} {:7.0f} {:6.0f} {:7.0f} {:7.0f}".format(*total), flush=True)
         ghosts += int(total[3])

@@ -1,4 +1,4 @@
-"""Jobs on the cores of this computer: a process for each, through joblib."""
+"""Jobs on the cores of this computer: a process for each, through loky."""
 
 from __future__ import annotations
 
@@ -8,24 +8,28 @@ import signal
 import tempfile
 import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Future
 from contextlib import ExitStack, contextmanager
 from functools import cache
-from typing import Any
+from itertools import islice
+from queue import SimpleQueue
+from typing import Any, ParamSpec
 
 from touchd.errors import JobError
 from touchd.jobs.job import Failure, Parcel, Task, one_thread, perform
 
 ORPHAN_CHECK_S = 0.5
+P = ParamSpec("P")
 
 
 def cores() -> int:
-    """How many processes can work at once here; 1 where joblib is not installed, since then there is but this one."""
+    """How many processes can work at once here; 1 where loky is not installed, since then there is but this one."""
     try:
-        import joblib
+        import loky
     except ModuleNotFoundError:
         return 1
-    count: int = joblib.cpu_count()
+    count: int = loky.cpu_count()
     return count
 
 
@@ -39,10 +43,10 @@ def on_cores(
     JobError
         When a worker died.
     """
-    import joblib
-    from joblib.externals.loky import BrokenProcessPool, get_reusable_executor
+    from loky import BrokenProcessPool, ProcessPoolExecutor
 
-    under_way: dict[str, None] = {}
+    under_way: set[str] = set()
+    ended: SimpleQueue[Future[tuple[str, bytes | Failure]]] = SimpleQueue()
     with ExitStack() as stack:
         # Files without a name, reached through this process: they vanish with it.
         paths = {}
@@ -52,45 +56,61 @@ def on_cores(
             file.flush()
             paths[name] = f"/proc/{os.getpid()}/fd/{file.fileno()}"
 
-        def calls() -> Iterator[Any]:
-            for task in tasks:
-                under_way[task.job.name] = None
-                yield joblib.delayed(_in_worker)(os.getpid(), task, {name: paths[name] for name in task.job.shared})
+        pool = ProcessPoolExecutor(workers)
+        stack.callback(_uninterrupted(pool.shutdown), wait=True, kill_workers=True)
 
-        parallel = joblib.Parallel(
-            n_jobs=workers, backend="loky", return_as="generator_unordered", pre_dispatch="n_jobs", batch_size=1,
-            # What jobs get must not depend on how many of them there are: no memory maps for large arguments.
-            max_nbytes=None,
-        )  # fmt: skip
-        # joblib keeps its processes for later; here they end with the work.
-        stack.callback(lambda: get_reusable_executor().shutdown(wait=True, kill_workers=True))
+        def begin(count: int) -> None:
+            for task in islice(tasks, count):
+                under_way.add(task.job.name)
+                used = {name: paths[name] for name in task.job.shared}
+                pool.submit(_in_worker, os.getpid(), task, used).add_done_callback(ended.put)
+
         try:
-            with _interrupt_for_parent():
-                outcomes = parallel(calls())
-            for name, outcome in outcomes:
-                del under_way[name]
+            # Processes that ignore Ctrl-C, which is this one's affair; it does too, for the tenth of a second it takes.
+            # To block the signal instead would lose none, but loky unblocks it before it starts its workers.
+            with _interrupted(signal.SIG_IGN):
+                begin(workers)
+            while under_way:
+                name, outcome = ended.get().result()
+                under_way.remove(name)
                 yield name, outcome
+                _uninterrupted(begin)(1)
         except BrokenProcessPool as error:
             raise JobError(
-                "a worker process was killed, perhaps since memory ran out", ", ".join(under_way),
+                "a worker process was killed, perhaps since memory ran out", ", ".join(sorted(under_way)),
                 "run again, with fewer jobs at a time; what is finished is kept",
             ) from error  # fmt: skip
 
 
 @contextmanager
-def _interrupt_for_parent() -> Iterator[None]:
-    """Start processes that ignore Ctrl-C, which is this one's affair; it does too, for the tenth of a second it takes.
-
-    To block the signal instead would lose none, but joblib unblocks it before it starts its workers.
-    """
+def _interrupted(handler: Callable[[int, object], object] | signal.Handlers) -> Iterator[None]:
+    """Have Ctrl-C do that; it comes to the main thread only."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    before = signal.signal(signal.SIGINT, handler)
     try:
         yield
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+def _uninterrupted(call: Callable[P, object]) -> Callable[P, None]:
+    """Let Ctrl-C wait until a call has returned.
+
+    Where it came while the pool's own locks were taken they stayed so, and the pool's end waited for them for ever.
+    """
+
+    def whole(*args: P.args, **kwargs: P.kwargs) -> None:
+        came: list[int] = []
+        try:
+            with _interrupted(lambda number, _: came.append(number)):
+                call(*args, **kwargs)
+        finally:
+            for number in came[:1]:
+                signal.raise_signal(number)
+
+    return whole
 
 
 def _in_worker(parent: int, task: Task, paths: Mapping[str, str]) -> tuple[str, bytes | Failure]:
@@ -113,7 +133,7 @@ def _load(path: str) -> Any:
 
 @cache
 def _settle(parent: int) -> None:
-    """Leave Ctrl-C to the parent process also in a worker that joblib started later, and end when the parent has gone.
+    """Leave Ctrl-C to the parent process also in a worker that loky started later, and end when the parent has gone.
 
     Nobody would take the results.
     """
