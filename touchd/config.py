@@ -245,7 +245,7 @@ class LogSettings(_Section):
 
 
 class RealtimeSettings(_Section):
-    """Optional: what makes latency steadier on a busy computer; docs/deployment.md has the measured benefit."""
+    """Optional: what makes latency steadier; docs/deployment.md has the measured benefit."""
 
     cpus: tuple[Annotated[int, Field(ge=0)], ...] = Field(
         (), description="Processors that the daemon may run on; empty leaves it to the kernel."
@@ -256,6 +256,12 @@ class RealtimeSettings(_Section):
     nice: int = Field(0, ge=-20, le=19, description="Among ordinary programs, lower is ahead.")
     lock_memory: bool = Field(False, description="Keep all of the daemon's memory from being swapped out.")
     freeze_gc: bool = Field(True, description="Leave what was loaded at the start out of Python's garbage collection.")
+    awake_from_hz: float = Field(
+        500.0,
+        ge=0,
+        description="With so many frames a second or more, keep the processors from sleeping between them while a "
+        "finger is on the plate, if the system permits it; 0 never does.",
+    )
 
 
 class Settings(_Section):

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 import structlog
 
 from touchd import realtime
+from touchd.awake import Awake
 from touchd.config import Settings
 from touchd.control import Control, path_of
 from touchd.errors import SourceError
@@ -203,7 +204,8 @@ def run(
         messages = make_messages(settings)
         pipeline, _ = make_pipeline(source, settings, messages, sinks, model=model)
         service = Service(
-            source, pipeline, sinks, messages, settings.health, model.description.name, manager=manager
+            source, pipeline, sinks, messages, settings.health, model.description.name, manager=manager,
+            awake=Awake(settings.realtime.awake_from_hz),
         )  # fmt: skip
         preroll = make_preroll(source, settings, model, choice)
         if preroll is not None:

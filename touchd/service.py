@@ -12,6 +12,7 @@ import numpy as np
 import structlog
 
 from touchd import __version__
+from touchd.awake import Awake
 from touchd.config import HealthSettings
 from touchd.control import Control
 from touchd.event import Event, HealthEvent, Latency, State
@@ -50,6 +51,8 @@ class Service:
         Monotonic time, ns.
     manager : Notifier, optional
         The service manager, told of readiness, state and life.
+    awake : Awake, optional
+        What keeps the processors awake while the plate is touched.
     """
 
     def __init__(
@@ -62,6 +65,7 @@ class Service:
         model_name: str,
         clock: Callable[[], int] = time.monotonic_ns,
         manager: Notifier | None = None,
+        awake: Awake | None = None,
     ) -> None:
         self._source = source
         # A device has states of its own; of any other source only its silence is known.
@@ -77,6 +81,7 @@ class Service:
         self._model_name = model_name
         self._clock = clock
         self._manager = manager or Notifier()
+        self._awake = awake or Awake(0.0)
         self._state: State = "starting"
         self._reason: str | None = None
         self._away = False
@@ -131,6 +136,7 @@ class Service:
                 sink.poll()  # who subscribed just now hears the end, too
             self._publish(self._pipeline.lose(self._stream_ns), self._clock())
             self._enter("stopping")
+            self._awake.close()
             self._source.close()
             for sink in self._sinks:
                 sink.close()
@@ -138,7 +144,9 @@ class Service:
     def _step(self) -> None:
         """Take at most one frame, and do what is due beside it."""
         frame = self._source.read(READ_TIMEOUT_S)
+        period_ns = 0
         if frame is not None:
+            period_ns = frame.t_ns - self._stream_ns
             self._stream_ns = frame.t_ns
             self._seen_ns = frame.received_ns
             if self._state != "streaming":
@@ -164,6 +172,8 @@ class Service:
             self._enter("stalled")
         if now_ns - self._health_ns >= self._period_ns:
             self._publish_health()
+        if self._pipeline.tracker.alive is not self._awake.held:
+            self._awake.follow(self._pipeline.tracker.alive, period_ns)
         if self._control is not None and now_ns - self._control_ns >= _CONTROL_NS:
             self._control_ns = now_ns
             for command in self._control.poll():

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import zmq
 
+from touchd.awake import Awake
 from touchd.benchmark.placement import daemon_cpus, subscribing
 from touchd.benchmark.stopwatch import Spread, spread
 from touchd.config import RealtimeSettings
@@ -25,7 +26,7 @@ BURN_IN_S = 0.3
 PATIENCE_MS = 10_000
 
 
-def measure(rate_hz: float, seconds: float, folder: Path, *, apart: bool = False) -> Spread:
+def measure(rate_hz: float, seconds: float, folder: Path, *, apart: bool = False, awake: bool = True) -> Spread:
     """Return how long messages take from one process to another, in us: on one processor, or `apart` on two.
 
     Raises
@@ -39,8 +40,8 @@ def measure(rate_hz: float, seconds: float, folder: Path, *, apart: bool = False
         socket.setsockopt(zmq.RCVTIMEO, PATIENCE_MS)
         socket.connect(address)
         socket.subscribe(b"touch")
-        command = [sys.executable, "-m", "touchd.benchmark.bus", address, str(rate_hz), str(seconds), *map(str, cpus)]
-        with subprocess.Popen(command) as process:  # noqa: S603 - this very module
+        command = [sys.executable, "-m", "touchd.benchmark.bus", address, rate_hz, seconds, int(awake), *cpus]
+        with subprocess.Popen([str(part) for part in command]) as process:  # noqa: S603 - this very module
             try:
                 while body := socket.recv_multipart()[1]:
                     took_us.append((time.monotonic_ns() - int.from_bytes(body[:8], "little")) * 1e-3)
@@ -52,9 +53,11 @@ def measure(rate_hz: float, seconds: float, folder: Path, *, apart: bool = False
     return spread(counted)
 
 
-def run(address: str, rate_hz: float, seconds: float, cpus: tuple[int, ...]) -> None:
+def run(address: str, rate_hz: float, seconds: float, awake: bool, cpus: tuple[int, ...]) -> None:
     """Send, once somebody is subscribed; an empty message ends it."""
     apply(RealtimeSettings(cpus=cpus))
+    if awake:
+        Awake(rate_hz).hold()
     with zmq.Context() as context, context.socket(zmq.XPUB) as socket:
         socket.bind(address)
         socket.recv()
@@ -70,4 +73,4 @@ def run(address: str, rate_hz: float, seconds: float, cpus: tuple[int, ...]) -> 
 
 
 if __name__ == "__main__":
-    run(sys.argv[1], float(sys.argv[2]), float(sys.argv[3]), tuple(map(int, sys.argv[4:])))
+    run(sys.argv[1], float(sys.argv[2]), float(sys.argv[3]), sys.argv[4] == "1", tuple(map(int, sys.argv[5:])))

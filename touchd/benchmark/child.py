@@ -18,6 +18,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from touchd import realtime
+from touchd.awake import Awake
 from touchd.benchmark.boundnetwork import BoundNetwork
 from touchd.benchmark.loop import BURST, Loop, LoopSource
 from touchd.config import LogSettings, Settings
@@ -129,7 +130,8 @@ def run(task: Task) -> None:
     meta = describe(source.acquisition, model.description.plate, real_hz, source="benchmark", device=None)
     preroll = PreRoll(source.acquisition, real_hz, lambda: meta, settings.preroll)
     clocked = Clocked(preroll, most_frames)
-    service = Service(source, pipeline, [bus], messages, settings.health, model.description.name)
+    awake = Awake(settings.realtime.awake_from_hz)
+    service = Service(source, pipeline, [bus], messages, settings.health, model.description.name, awake=awake)
     service.keep(clocked)  # type: ignore[arg-type]  # it does all that is asked of a pre-roll
     realtime.freeze(settings.realtime)
     ready_ns = time.monotonic_ns()

@@ -35,7 +35,7 @@ ENDLESS = 10_000_000
 
 def measure(
     scene: str, loop: Loop, rate_hz: float | None, seconds: float, *, model: Path, bare: Path, folder: Path,
-    apart: bool = False,
+    apart: bool = False, awake: bool = True,
 ) -> DaemonResult:  # fmt: skip
     """Run the daemon through one scene at one rate.
 
@@ -54,6 +54,8 @@ def measure(
         For what the two processes exchange.
     apart : bool
         Whether the subscriber has another processor than the daemon even at a steady rate; at full speed it has.
+    awake : bool
+        Whether the processors are kept from sleeping while the plate is touched, as is the default at high rates.
 
     Raises
     ------
@@ -69,7 +71,8 @@ def measure(
     bus = {"bind": [address]} if rate_hz is not None else {"bind": [address], "high_water_mark": ENDLESS}
     settings: dict[str, Any] = {
         "bus": bus, "model": {"path": str(model)}, "baseline": {"absorb_s": FOREVER_S},
-        "preroll": {"folder": str(folder)}, "realtime": {"cpus": daemon_cpus()},
+        "preroll": {"folder": str(folder)},
+        "realtime": {"cpus": daemon_cpus()} | ({} if awake else {"awake_from_hz": 0}),
     }  # fmt: skip
     task = Task(
         loop=stored, rate_hz=rate_hz, seconds=seconds, bare=bare, output=output, settings=settings,

@@ -1,0 +1,69 @@
+"""Keeps the processors from sleeping between frames that come fast, while a finger is on the plate.
+
+A processor with nothing to do sleeps, and takes its time to wake: real ones up to some tenths of a millisecond, that of
+a virtual machine as long as its host lets it wait. Linux takes requests for less (PM quality of service): a number of
+microseconds written to a device file, which counts as long as the file is open, so that it ends with the process
+whatever ends that.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import structlog
+
+DEVICE = Path("/dev/cpu_dma_latency")
+_AT_ONCE_US = (0).to_bytes(4, "little")
+_UNEVEN = 1.05
+"""Frames of the rate that is asked for may come so much later than its period says."""
+
+log = structlog.get_logger()
+
+
+class Awake:
+    """Holds the processors awake, and lets them sleep again.
+
+    Parameters
+    ----------
+    from_hz : float
+        Frames a second from which it does so; 0 is never.
+    device : Path
+    """
+
+    def __init__(self, from_hz: float, device: Path = DEVICE) -> None:
+        self._longest_ns = _UNEVEN * 1e9 / from_hz if from_hz else 0.0
+        self._device = device
+        self._file: int | None = None
+        self.held = False
+        """Whether the processors are kept awake."""
+
+    def follow(self, touched: bool, period_ns: int) -> None:
+        """Hold them awake if the plate is touched and the last two frames came close enough; let go if it is not."""
+        if touched == self.held:
+            return
+        if not touched:
+            self.close()
+        elif 0 < period_ns <= self._longest_ns:
+            self.hold()
+
+    def hold(self) -> None:
+        """Keep the processors awake. Where the system refuses it that is logged, and not tried again."""
+        try:
+            self._file = os.open(self._device, os.O_WRONLY | os.O_CLOEXEC)
+            os.write(self._file, _AT_ONCE_US)
+            self.held = True
+        except OSError as error:
+            self.close()
+            self._longest_ns = 0.0
+            log.info(
+                "processors may sleep between frames", reason=f"{self._device}: {error.strerror}",
+                fix="see realtime.awake_from_hz in docs/deployment.md",
+            )  # fmt: skip
+
+    def close(self) -> None:
+        """Let the processors sleep."""
+        self.held = False
+        if self._file is not None:
+            os.close(self._file)
+            self._file = None
