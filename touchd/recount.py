@@ -18,8 +18,10 @@ ANEW_ABOVE = FAIR
 """Of fingers that are followed: above it they may not be where they are thought to be."""
 FITS_A_SECOND = 1250.0
 """Of frames' own time, that a search may take: a fit costs about a fifth of a millisecond."""
-FITS_AT_ONCE = 40.0
+FITS_AT_ONCE = 55.0
 """Before any finger is followed: enough for five, one added to the other."""
+_BEGIN_COST = 1.0
+"""What it takes to begin a search, in fits: the rest of its frame's allowance, and more, is for later frames."""
 _SOON_S, _AGAIN_S, _SELDOM_S = 0.02, 0.05, 2.0
 _GAIN = 0.8
 _WEAK = 1.4
@@ -88,9 +90,8 @@ class Recount:
         fresh = self._running is None
         if self._running is None:
             self._search.look_at(self._refiner)
-            self._running, self._credit = self._all(fit, signal, followed=followed), 0.0
-            if not followed:
-                self._credit = FITS_AT_ONCE
+            self._running = self._all(fit, signal, followed=followed)
+            self._credit = -_BEGIN_COST if followed else FITS_AT_ONCE
         self._credit += FITS_A_SECOND * elapsed_s if elapsed_s else math.inf
         try:
             while self._credit > 0:

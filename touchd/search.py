@@ -17,8 +17,10 @@ MOST_FINGERS = 5
 SCAN_MM = 5.0
 """Spacing of the scan: half of it, on the diagonal, is within reach of Gauss-Newton."""
 _CANDIDATES = 3
-_BLOCKS, _BLOCK_COST = 6, 0.5
+_BLOCKS, _BLOCK_COST = 6, 0.7
 """In which a scan is made, and what one takes, in fits."""
+_COLD_COST, _REST_COST = 0.3, 0.5
+"""What the first block takes besides, since nothing of it is in a cache, and what comes before a scan or after it."""
 _APART_MM = 7.0
 """Candidates closer to each other lead to the same place."""
 MERGED_MM = 4.0
@@ -94,9 +96,11 @@ class Search:
         parts = left.reshape(self._parts)
         self._pair[:, 0] = left
         self._pair[:, 1] = np.stack([parts[:, 1], -parts[:, 0]], axis=1).reshape(-1)
+        cost = _BLOCK_COST + _COLD_COST
         for rows in self._blocks:
             np.dot(self._unit[rows], self._pair, out=self._products[rows])
-            yield _BLOCK_COST
+            yield cost
+            cost = _BLOCK_COST
 
     def _score(self) -> NDArray[np.float32]:
         """Return what a finger at each place of the scan made last would explain, counts squared."""
@@ -158,8 +162,11 @@ class Search:
             while beam and (not beam[0].places_mm or enough < beam[0].left) and len(beam[0].places_mm) < MOST_FINGERS:
                 more = []
                 for one in beam:
-                    yield from self._scan(refiner.residual(one))
+                    left = refiner.residual(one)
+                    yield _REST_COST
+                    yield from self._scan(left)
                     score = self._score()
+                    yield _REST_COST
                     if one is fit and fit.places_mm and fit.left < fair and not score.max() > SEEN * fit.left:
                         return fit
                     for candidate in self._best(score, _CANDIDATES):
