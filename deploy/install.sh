@@ -83,6 +83,7 @@ install_all() {
         systemctl daemon-reload
         udevadm control --reload
         udevadm trigger --action=change --subsystem-match=usb --property-match=DEVTYPE=usb_device
+        udevadm trigger --action=change --subsystem-match=misc --sysname-match=cpu_dma_latency
         systemctl try-restart touchd.service
         echo "touchd is installed: it starts when the DAQ is plugged in; touchd doctor checks the set-up"
     else

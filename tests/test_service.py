@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from msgspec.structs import replace
 from structlog.testing import capture_logs
 
 from tests.conftest import Scene
+from touchd.awake import Awake
 from touchd.config import HealthSettings, Settings
 from touchd.errors import DeviceLost
 from touchd.event import Event, HealthEvent, Latency, TouchEvent
@@ -107,7 +109,8 @@ class Keeper:
 class Bench:
     """A service with a source of its own and sinks that keep everything."""
 
-    def __init__(self, recording: Recording, model: Model, steps: Sequence[Step], period_s: float = 1.0) -> None:
+    def __init__(self, recording: Recording, model: Model, steps: Sequence[Step], period_s: float = 1.0,
+                 awake: Awake | None = None) -> None:  # fmt: skip
         self.clock = Clock()
         self.source = Script(recording, steps, self.clock)
         self.sink = Keeper(self.clock, self._heard)
@@ -123,6 +126,7 @@ class Bench:
             HealthSettings(period_s=period_s),
             "the model",
             self.clock,
+            awake=awake,
         )
 
     def _heard(self, event: Event) -> None:
@@ -238,6 +242,27 @@ def test_a_source_that_fails_is_reported_after_an_orderly_end(make: Callable[...
     assert bench.sink.phases() == [(1, "down"), (1, "up")]
     assert bench.sink.states()[-1] == "stopping"
     assert (bench.sink.closed, bench.other.closed, bench.source.closed) == (1, 1, 1)
+
+
+def test_processors_are_kept_awake_while_a_finger_is_there_and_no_longer(
+    make: Callable[..., Bench], circle: list[Frame], tmp_path: Path
+) -> None:
+    device = tmp_path / "cpu_dma_latency"
+    device.touch()
+    awake = Awake(1e9 / PERIOD_NS, device)
+    bench = make([*circle, *[None] * 25, *circle[:40]], awake=awake)
+    told: list[tuple[str, bool]] = []
+
+    def note(event: Event) -> None:
+        told.append((event.state if isinstance(event, HealthEvent) else event.type, awake.held))
+
+    bench.when = note
+    bench.service.run()
+    assert bench.sink.phases() == [(1, "down"), (1, "up")]
+    changes = [pair for before, pair in pairwise([("", False), *told]) if pair[1] != before[1]]
+    # At once after the message of the first touch, and until the message of its end is out.
+    assert changes == [("touch", True), ("streaming", False)]
+    assert not awake.held
 
 
 class Live(Script):

@@ -21,6 +21,11 @@ _UNEVEN = 1.05
 log = structlog.get_logger()
 
 
+def permitted(device: Path = DEVICE) -> bool:
+    """Return whether this process may keep the processors awake."""
+    return os.access(device, os.W_OK)
+
+
 class Awake:
     """Holds the processors awake, and lets them sleep again.
 

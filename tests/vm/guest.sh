@@ -17,6 +17,7 @@ wait_for() {
 }
 active() { [ "$(show ActiveState)" = active ]; }
 another_process() { [ "$(show MainPID)" != "$1" ] && active; }
+keeps_awake() { find "/proc/$(show MainPID)/fd" -lname /dev/cpu_dma_latency | grep -q .; }
 streaming() { show StatusText | grep -q '^streaming: '; }
 
 lost() { show StatusText | grep -q '^lost: '; }
@@ -35,8 +36,8 @@ modprobe dummy_hcd
 say package
 dpkg --install touchd_*.deb
 found installed $?
-# An emulated processor is slow: fewer frames, all else as shipped.
-sed -i 's/^rate_hz = 125$/rate_hz = 40/' /etc/touchd/touchd.toml
+# An emulated processor is slow: fewer frames, which count as many; all else as shipped.
+sed -i 's/^rate_hz = 125$/rate_hz = 40/; s/^awake_from_hz = 500.0$/awake_from_hz = 30.0/' /etc/touchd/touchd.toml
 found before-plug "$(show ActiveState)"
 
 say plug
@@ -71,6 +72,8 @@ say touched again
 wait_for 60 streaming
 touchd listen --topic touch --timeout 60 --json --count 1 > /dev/null
 found touched-again $?
+wait_for 60 keeps_awake
+found keeps-awake "$? $(stat -c '%G %a' /dev/cpu_dma_latency)"
 
 say unplug for good
 echo unplug >&3

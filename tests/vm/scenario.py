@@ -98,6 +98,10 @@ def test_killed_or_frozen_it_is_there_again_and_so_are_touches(found: Found) -> 
     assert (found["frozen-restarts"], found["frozen-said"], found["touched-again"]) == ("0", "1", "0")
 
 
+def test_it_may_keep_the_processors_awake_while_touched(found: Found) -> None:
+    assert found["keeps-awake"] == "0 touchd-dev 660"
+
+
 def test_without_the_device_it_waits_and_a_stopped_one_is_started_by_plugging_in(found: Found) -> None:
     assert (found["lost"], found["lost-active"]) == ("0", "active")
     assert found["stopped"] == "success 0"

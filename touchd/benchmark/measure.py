@@ -12,6 +12,7 @@ from typing import TypeVar
 
 import onnx
 
+from touchd.awake import permitted
 from touchd.benchmark import bus, daemon, skips
 from touchd.benchmark.estimators import NETWORKS, Estimator, atlases, bare, dictionaries, network, routes
 from touchd.benchmark.loop import Loop
@@ -20,10 +21,10 @@ from touchd.benchmark.placement import daemon_cpus
 from touchd.benchmark.race import race
 from touchd.benchmark.results import (
     BUS_RATE_HZ,
-    Apart,
     BareTimes,
     DaemonResult,
     EstimatorResult,
+    Otherwise,
     Run,
     SkipResult,
     Touches,
@@ -50,8 +51,8 @@ REPEATS = 3
 """At full speed, of which the one of median ratio counts: how processes and threads share the cores differs."""
 TAIL = "moving", BUS_RATE_HZ
 """The cell of which the tail counts: run `REPEATS` times in turns with the bare bus, and the median tail taken of both,
-with the subscriber on the daemon's processor and on another. A computer shared with others may hold a process up, or
-let it wait to be woken from another processor, for longer than anything that is measured."""
+with the subscriber on the daemon's processor and on another, and where nothing keeps the processors awake. A computer
+shared with others may hold a process up for longer than anything that is measured."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,8 +129,8 @@ def benchmark(models: Path, *, quick: bool, progress: Progress, also: Sequence[P
         quick=quick, seconds=rounded(time.monotonic() - begun_s, 3), machine=machine,
         touches=Touches(count=held.count, seed=SEED, finger=FINGER, bound_mm=bound_mm), bare_us=bare_us,
         estimators=tuple(found), left_out=left_out, daemon=tuple(cells),
-        bus_us=tails.bus_us if tails else None, apart=tails.apart if tails else None, skips=tuple(saved),
-        day=daemon.day(cells),
+        bus_us=tails.bus_us if tails else None, apart=tails.apart if tails else None,
+        asleep=tails.asleep if tails else None, skips=tuple(saved), day=daemon.day(cells),
     )  # fmt: skip
 
 
@@ -166,7 +167,8 @@ class _Tails:
 
     cell: DaemonResult
     bus_us: BareTimes
-    apart: Apart | None
+    apart: Otherwise | None
+    asleep: Otherwise | None
 
 
 def _cells(
@@ -197,19 +199,25 @@ def _cells(
 
 
 def _tails(cell: Callable[..., DaemonResult], seconds: float, folder: Path) -> _Tails:
-    """Run the cell and the bare bus in turns, on one processor and on two where there are two, and take the middle."""
-    found: dict[bool, list[DaemonResult]] = {False: [], True: []}
-    floors: dict[bool, list[Spread]] = {False: [], True: []}
+    """Run the cell and the bare bus in turns, as ever and in what other circumstances there are; take the middle."""
+    ways: dict[str, dict[str, bool]] = {"": {}}
+    if daemon_cpus():
+        ways["apart"] = {"apart": True}
+    if permitted():
+        ways["asleep"] = {"awake": False}
+    found: dict[str, list[DaemonResult]] = {way: [] for way in ways}
+    floors: dict[str, list[Spread]] = {way: [] for way in ways}
     for _ in range(REPEATS):
-        for apart in (False, True) if daemon_cpus() else (False,):
-            floors[apart].append(bus.measure(BUS_RATE_HZ, seconds, folder, apart=apart))
-            found[apart].append(cell(apart=apart))
-    beside, floor = _middle(found[False], lambda one: one.p999_us), _middle(floors[False], lambda one: one.p999)
-    if not found[True]:
-        return _Tails(beside, _times(floor), None)
-    other, floor_apart = _middle(found[True], lambda one: one.p999_us), _middle(floors[True], lambda one: one.p999)
-    times = BareTimes(p50=other.p50_us, p99=other.p99_us, p999=other.p999_us)
-    return _Tails(beside, _times(floor), Apart(daemon_us=times, bus_us=_times(floor_apart)))
+        for way, options in ways.items():
+            floors[way].append(bus.measure(BUS_RATE_HZ, seconds, folder, **options))
+            found[way].append(cell(**options))
+    cells = {way: _middle(found[way], lambda one: one.p999_us) for way in ways}
+    bare_us = {way: _times(_middle(floors[way], lambda one: one.p999)) for way in ways}
+    other = {
+        way: Otherwise(daemon_us=BareTimes(p50=one.p50_us, p99=one.p99_us, p999=one.p999_us), bus_us=bare_us[way])
+        for way, one in cells.items()
+    }
+    return _Tails(cells[""], bare_us[""], other.get("apart"), other.get("asleep"))
 
 
 def _times(found: Spread) -> BareTimes:

@@ -113,6 +113,14 @@ def _daemon_notes(run: Run) -> str:
             f"p99.9 {whole.p999:,.0f} us, and the bus with nothing behind it {alone.p50:,.0f}, {alone.p99:,.0f} and "
             f"{alone.p999:,.0f} us. What that takes longer is the time until the one processor has woken the other."
         )
+    if run.asleep is not None:
+        whole, alone = run.asleep.daemon_us, run.asleep.bus_us
+        lines.append(
+            "- From 500 frames a second on the processors are kept awake while a finger is on the plate "
+            f"(`realtime.awake_from_hz`). Where they may sleep: p50 {whole.p50:,.0f}, p99 {whole.p99:,.0f}, p99.9 "
+            f"{whole.p999:,.0f} us, and the bus with nothing behind it {alone.p50:,.0f}, {alone.p99:,.0f} and "
+            f"{alone.p999:,.0f} us."
+        )
     cells = run.daemon
     if cells:
         lines.append(

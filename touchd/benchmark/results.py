@@ -121,11 +121,8 @@ class Touches(_Part):
     """Median error that no unbiased estimate goes below (Cramer-Rao)."""
 
 
-class Apart(_Part):
-    """A moving finger at `BUS_RATE_HZ` with the subscriber on another processor than the daemon.
-
-    A run that has it was placed: its subscriber is on the daemon's processor, but at full speed on another.
-    """
+class Otherwise(_Part):
+    """A moving finger at `BUS_RATE_HZ` in other circumstances than those of the run."""
 
     daemon_us: BareTimes
     """To the subscriber."""
@@ -148,7 +145,11 @@ class Run(_Part):
     bus_us: BareTimes | None = None
     """A message over a bus with nothing behind it, from process to process at `BUS_RATE_HZ`: the floor of the daemon's
     times to the subscriber."""
-    apart: Apart | None = None
+    apart: Otherwise | None = None
+    """The same with the subscriber on another processor than the daemon. A run that has it was placed: its subscriber
+    is on the daemon's processor, but at full speed on another."""
+    asleep: Otherwise | None = None
+    """The same where nothing keeps the processors awake; only in a run that was permitted to."""
     skips: tuple[SkipResult, ...]
     day: Day | None
 
