@@ -81,7 +81,7 @@ def test_a_refusal_is_logged_once_and_leaves_no_file_open(path: str) -> None:
             awake.follow(True, MS_NS)
     assert [(line["log_level"], line["event"]) for line in logs] == [("info", "processors may sleep between frames")]
     assert path in logs[0]["reason"]
-    assert "deployment.md" in logs[0]["fix"]
+    assert "60-touchd.rules" in logs[0]["fix"]
     assert (awake.held, holders(Path(path))) == (False, 0)
 
 

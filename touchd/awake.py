@@ -63,7 +63,7 @@ class Awake:
             self._longest_ns = 0.0
             log.info(
                 "processors may sleep between frames", reason=f"{self._device}: {error.strerror}",
-                fix="see realtime.awake_from_hz in docs/deployment.md",
+                fix="permit it as deploy/60-touchd.rules does, or set realtime.awake_from_hz = 0",
             )  # fmt: skip
 
     def close(self) -> None:

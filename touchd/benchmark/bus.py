@@ -13,7 +13,7 @@ from pathlib import Path
 
 import zmq
 
-from touchd.awake import Awake
+from touchd.awake import Awake, permitted
 from touchd.benchmark.placement import daemon_cpus, subscribing
 from touchd.benchmark.stopwatch import Spread, spread
 from touchd.config import RealtimeSettings
@@ -56,7 +56,7 @@ def measure(rate_hz: float, seconds: float, folder: Path, *, apart: bool = False
 def run(address: str, rate_hz: float, seconds: float, awake: bool, cpus: tuple[int, ...]) -> None:
     """Send, once somebody is subscribed; an empty message ends it."""
     apply(RealtimeSettings(cpus=cpus))
-    if awake:
+    if awake and permitted():
         Awake(rate_hz).hold()
     with zmq.Context() as context, context.socket(zmq.XPUB) as socket:
         socket.bind(address)
