@@ -5,7 +5,10 @@
 from __future__ import annotations
 
 import os
+import signal
 
+# A shell lets what it runs in the background ignore Ctrl-C, and so would all that a test starts and interrupts.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 # Before numpy is imported, and inherited by every process that a test starts: two busy threads of BLAS on two busy
 # cores wait for each other for milliseconds.
 for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):

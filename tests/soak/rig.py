@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from tests.usb.backend import FakeBus, FakeDaq, Transfer
 from tests.usb.plate import recorded
 from tests.usb.reader import INFO
+from touchd.awake import Awake
 from touchd.config import BusSettings, DeviceSettings, Settings
 from touchd.daemon import make_messages, make_pipeline
 from touchd.event import Event
@@ -233,7 +234,8 @@ def run(frames: int, rate_hz: float, folder: Path, model: Model, seed: int = 0) 
     pipeline, _ = make_pipeline(source, settings, messages, model=model)  # no sinks: as if all were subscribed to
     watch = Watch(pipeline, device)
     watch.found.expect(frames)
-    service = Service(source, pipeline, [watch, *sinks], messages, settings.health, "the model")
+    awake = Awake(settings.realtime.awake_from_hz)
+    service = Service(source, pipeline, [watch, *sinks], messages, settings.health, "the model", awake=awake)
     watch.service = service
     service.keep(cast(PreRoll, watch))  # what keeps frames is called when all else is done
     gc.collect()
