@@ -78,13 +78,15 @@ def test_every_estimator_scene_and_picture_is_on_the_page(run: Run, tmp_path: Pa
 def test_what_the_bus_takes_by_itself_stands_beside_the_daemon(run: Run, tmp_path: Path) -> None:
     floor = BareTimes(p50=160.0, p99=1500.0, p999=4321.0)
     apart = Otherwise(daemon_us=BareTimes(p50=260.0, p99=1600.0, p999=5432.0), bus_us=floor)
-    asleep = Otherwise(daemon_us=BareTimes(p50=360.0, p99=1700.0, p999=6543.0), bus_us=floor)
-    placed = run.model_copy(update={"bus_us": floor, "apart": apart, "asleep": asleep})
+    asleep = Otherwise(daemon_us=BareTimes(p50=360.0, p99=1700.0, p999=6543.0))
+    late = BareTimes(p50=0.1, p99=0.4, p999=765.0)
+    placed = run.model_copy(update={"bus_us": floor, "apart": apart, "asleep": asleep, "held_up_us": late})
     text = page(placed, "pictures")
     assert "p50 160, p99 1,500, p99.9 4,321 us" in text
     assert "both on one processor" in text
     assert "p99.9 5,432 us" in text
     assert "p99.9 6,543 us" in text
+    assert "p99.9 765 us late" in text
     for what in ("both on one processor", "on another processor", "kept awake"):
         assert what not in page(run, "pictures")
     assert draw(placed, tmp_path)

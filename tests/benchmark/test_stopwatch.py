@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from touchd.benchmark.stopwatch import BURN_IN, Floor, Stopwatch, ratio, spread, undisturbed
+from touchd.benchmark.stopwatch import BURN_IN, Floor, Stopwatch, held_up, ratio, spread, undisturbed
 
 
 def watch(batches_ns: list[list[int]]) -> Stopwatch:
@@ -41,6 +41,23 @@ def test_a_ratio_holds_while_the_computer_is_slower_now_and_then(slow: list[floa
     batches = [[round(1_000_000 * factor) * times] * 5 for factor in slow]
     batches[disturbed] = [round(1e9)] * 5
     assert abs(ratio(watch(batches), other) - times) < 1e-3 * times
+
+
+def test_what_holds_a_program_up_is_seen_by_one_that_only_looks_at_the_clock() -> None:
+    now_ns = 0
+
+    def clock() -> int:
+        # Each look takes 1 us; once the processor is taken away for 5.5 ms.
+        nonlocal now_ns
+        now_ns += 5_500_000 if 100_000_000 <= now_ns < 100_001_000 else 1_000
+        return now_ns
+
+    found = held_up(1000.0, 1.0, clock)
+    assert found.p50 <= 1.0
+    assert 4500.0 < found.most <= 5500.0
+    # Five thousandths of a second, all but the first of them later than 0.5 ms.
+    assert found.p999 > 3500.0
+    assert found.p99 <= 1.0
 
 
 def test_each_call_is_timed_once() -> None:

@@ -8,30 +8,24 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TypeVar
 
 import onnx
 
-from touchd.awake import permitted
-from touchd.benchmark import bus, daemon, skips
+from touchd.benchmark import daemon, skips, tail
 from touchd.benchmark.estimators import NETWORKS, Estimator, atlases, bare, dictionaries, network, routes
 from touchd.benchmark.loop import Loop
 from touchd.benchmark.machine import this_machine
-from touchd.benchmark.placement import daemon_cpus
 from touchd.benchmark.race import race
 from touchd.benchmark.results import (
-    BUS_RATE_HZ,
-    BareTimes,
     DaemonResult,
     EstimatorResult,
-    Otherwise,
     Run,
     SkipResult,
     Touches,
     rounded,
 )
 from touchd.benchmark.scenes import WANTED, make_loop
-from touchd.benchmark.stopwatch import Spread, undisturbed
+from touchd.benchmark.stopwatch import middle, undisturbed
 from touchd.benchmark.touches import FINGER, SEED, UNTOUCHED, HeldOut, held_out
 from touchd.errors import ModelMissing
 from touchd.evaluation.bound import median_bound_mm
@@ -40,7 +34,6 @@ from touchd.training.dataset import make_dataset, noise_of, split
 from touchd.twin.instrument import Instrument
 from touchd.twin.simulate import DEFAULT_PLATE, simulate_touches
 
-_Found = TypeVar("_Found")
 Progress = Callable[[str, float], object]
 """Told what is going on, and which part of all is done."""
 
@@ -49,10 +42,6 @@ DICTIONARY_SEED = 1
 KEYPAD = "keypad"
 REPEATS = 3
 """At full speed, of which the one of median ratio counts: how processes and threads share the cores differs."""
-TAIL = "moving", BUS_RATE_HZ
-"""The cell of which the tail counts: run `REPEATS` times in turns with the bare bus, and the median tail taken of both,
-with the subscriber on the daemon's processor and on another, and where nothing keeps the processors awake. A computer
-shared with others may hold a process up for longer than anything that is measured."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +50,7 @@ class Scale:
 
     touches: int = 1000
     passes: int = 5
-    race_s: float = 40.0
+    race_s: float = 30.0
     dictionary: int = 6404
     rates_hz: tuple[float | None, ...] = (125.0, 500.0, 1000.0, None)
     keypad_rates_hz: tuple[float | None, ...] = (125.0, None)
@@ -129,8 +118,9 @@ def benchmark(models: Path, *, quick: bool, progress: Progress, also: Sequence[P
         quick=quick, seconds=rounded(time.monotonic() - begun_s, 3), machine=machine,
         touches=Touches(count=held.count, seed=SEED, finger=FINGER, bound_mm=bound_mm), bare_us=bare_us,
         estimators=tuple(found), left_out=left_out, daemon=tuple(cells),
-        bus_us=tails.bus_us if tails else None, apart=tails.apart if tails else None,
-        asleep=tails.asleep if tails else None, skips=tuple(saved), day=daemon.day(cells),
+        bus_us=tails.bus_us if tails else None, held_up_us=tails.held_up_us if tails else None,
+        apart=tails.apart if tails else None, asleep=tails.asleep if tails else None, skips=tuple(saved),
+        day=daemon.day(cells),
     )  # fmt: skip
 
 
@@ -161,19 +151,9 @@ def _given(also: Sequence[Path], instrument: Instrument) -> Iterator[Estimator]:
         yield network(model, onnx.load(path), path.stem, "given")
 
 
-@dataclass(frozen=True, slots=True)
-class _Tails:
-    """The tail of the times to a subscriber, and of the bus by itself."""
-
-    cell: DaemonResult
-    bus_us: BareTimes
-    apart: Otherwise | None
-    asleep: Otherwise | None
-
-
 def _cells(
     models: Path, folder: Path, scale: Scale, loops: dict[str, Loop], progress: Progress
-) -> tuple[list[DaemonResult], _Tails | None]:
+) -> tuple[list[DaemonResult], tail.Tails | None]:
     """Run the daemon through every scene at every rate, and the bus without it."""
     wanted = [
         (scene, rate_hz)
@@ -189,44 +169,13 @@ def _cells(
             daemon.measure, scene, loops[scene], rate_hz, scale.full_speed_s if rate_hz is None else scale.cell_s,
             model=_path(models, KEYPAD if scene == KEYPAD else NETWORKS[0]), bare=folder / "bare.onnx", folder=folder,
         )  # fmt: skip
-        if (scene, rate_hz) == TAIL:
-            tails = _tails(cell, scale.cell_s, folder)
+        if (scene, rate_hz) == tail.TAIL:
+            tails = tail.measure(cell, scale.cell_s, folder)
             cells.append(tails.cell)
         else:
             repeats = REPEATS if rate_hz is None and scene in scale.repeated else 1
-            cells.append(_middle([cell() for _ in range(repeats)], lambda found: found.ratio))
+            cells.append(middle([cell() for _ in range(repeats)], lambda found: found.ratio))
     return cells, tails
-
-
-def _tails(cell: Callable[..., DaemonResult], seconds: float, folder: Path) -> _Tails:
-    """Run the cell and the bare bus in turns, as ever and in what other circumstances there are; take the middle."""
-    ways: dict[str, dict[str, bool]] = {"": {}}
-    if daemon_cpus():
-        ways["apart"] = {"apart": True}
-    if permitted():
-        ways["asleep"] = {"awake": False}
-    found: dict[str, list[DaemonResult]] = {way: [] for way in ways}
-    floors: dict[str, list[Spread]] = {way: [] for way in ways}
-    for _ in range(REPEATS):
-        for way, options in ways.items():
-            floors[way].append(bus.measure(BUS_RATE_HZ, seconds, folder, **options))
-            found[way].append(cell(**options))
-    cells = {way: _middle(found[way], lambda one: one.p999_us) for way in ways}
-    bare_us = {way: _times(_middle(floors[way], lambda one: one.p999)) for way in ways}
-    other = {
-        way: Otherwise(daemon_us=BareTimes(p50=one.p50_us, p99=one.p99_us, p999=one.p999_us), bus_us=bare_us[way])
-        for way, one in cells.items()
-    }
-    return _Tails(cells[""], bare_us[""], other.get("apart"), other.get("asleep"))
-
-
-def _times(found: Spread) -> BareTimes:
-    return BareTimes(p50=rounded(found.p50), p99=rounded(found.p99), p999=rounded(found.p999))
-
-
-def _middle(found: list[_Found], key: Callable[[_Found], float]) -> _Found:
-    """Return the one whose key is the median."""
-    return sorted(found, key=key)[len(found) // 2]
 
 
 def _skips(

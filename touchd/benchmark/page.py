@@ -106,20 +106,31 @@ def _daemon_notes(run: Run) -> str:
             "the times to the subscriber is ZeroMQ's, the kernel's and this computer's; of either the run of median "
             "99.9th percentile out of three is shown."
         )
+    if run.held_up_us is not None:
+        h = run.held_up_us
+        lines.append(
+            "- A program on that processor that never sleeps and does nothing but look at the clock sees each "
+            f"thousandth of a second p50 {h.p50:,.1f}, p99 {h.p99:,.1f}, p99.9 {h.p999:,.0f} us late: for so long this "
+            "computer, or the host of a virtual one, holds up whatever runs on it."
+        )
     if run.apart is not None:
         whole, alone = run.apart.daemon_us, run.apart.bus_us
         lines.append(
             f"- With the subscriber on another processor than the daemon: p50 {whole.p50:,.0f}, p99 {whole.p99:,.0f}, "
-            f"p99.9 {whole.p999:,.0f} us, and the bus with nothing behind it {alone.p50:,.0f}, {alone.p99:,.0f} and "
-            f"{alone.p999:,.0f} us. What that takes longer is the time until the one processor has woken the other."
+            f"p99.9 {whole.p999:,.0f} us"
+            + (
+                f", and the bus with nothing behind it {alone.p50:,.0f}, {alone.p99:,.0f} and {alone.p999:,.0f} us"
+                if alone is not None
+                else ""
+            )
+            + ". What that takes longer is the time until the one processor has woken the other."
         )
     if run.asleep is not None:
-        whole, alone = run.asleep.daemon_us, run.asleep.bus_us
+        whole = run.asleep.daemon_us
         lines.append(
             "- From 500 frames a second on the processors are kept awake while a finger is on the plate "
-            f"(`realtime.awake_from_hz`). Where they may sleep: p50 {whole.p50:,.0f}, p99 {whole.p99:,.0f}, p99.9 "
-            f"{whole.p999:,.0f} us, and the bus with nothing behind it {alone.p50:,.0f}, {alone.p99:,.0f} and "
-            f"{alone.p999:,.0f} us."
+            f"(`realtime.awake_from_hz`). Where they may sleep, that finger takes p50 {whole.p50:,.0f}, p99 "
+            f"{whole.p99:,.0f}, p99.9 {whole.p999:,.0f} us to the subscriber."
         )
     cells = run.daemon
     if cells:

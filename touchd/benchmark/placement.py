@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -16,11 +17,16 @@ def daemon_cpus() -> tuple[int, ...]:
 
 @contextmanager
 def subscribing(*, apart: bool) -> Iterator[None]:
-    """Keep this thread, and those it starts, on the daemon's processor, or off it."""
+    """Keep this thread, and those it starts, on the daemon's processor, or off it.
+
+    Meanwhile the garbage collector leaves alone what the benchmark has loaded, which no subscriber would have.
+    """
     before = os.sched_getaffinity(0)
     own = set(daemon_cpus()) or before
     os.sched_setaffinity(0, (before - own or before) if apart else own)
+    gc.freeze()
     try:
         yield
     finally:
+        gc.unfreeze()
         os.sched_setaffinity(0, before)

@@ -126,7 +126,7 @@ class Otherwise(_Part):
 
     daemon_us: BareTimes
     """To the subscriber."""
-    bus_us: BareTimes
+    bus_us: BareTimes | None = None
     """The bus with nothing behind it, likewise."""
 
 
@@ -145,6 +145,9 @@ class Run(_Part):
     bus_us: BareTimes | None = None
     """A message over a bus with nothing behind it, from process to process at `BUS_RATE_HZ`: the floor of the daemon's
     times to the subscriber."""
+    held_up_us: BareTimes | None = None
+    """How late the daemon's processor lets a program be that only looks at the clock, at the same rate: the floor of
+    both."""
     apart: Otherwise | None = None
     """The same with the subscriber on another processor than the daemon. A run that has it was placed: its subscriber
     is on the daemon's processor, but at full speed on another."""

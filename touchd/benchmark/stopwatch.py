@@ -7,11 +7,12 @@ import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+_Found = TypeVar("_Found")
 BURN_IN = 2
 """Batches at the start that do not count: caches, branch predictors and clocks settle."""
 
@@ -28,6 +29,27 @@ class Spread(NamedTuple):
 def spread(times_us: ArrayLike) -> Spread:
     """Return median, 99th and 99.9th percentile, and the largest of times (n,)."""
     return Spread(*np.percentile(np.asarray(times_us, float), (50, 99, 99.9, 100)).tolist())
+
+
+def held_up(rate_hz: float, seconds: float, clock: Callable[[], int] = time.monotonic_ns) -> Spread:
+    """Return how late a program sees the time that only looks at the clock and never sleeps, in us.
+
+    No program on this processor can be on time more often: what is late here was held up by the computer itself, or by
+    the host of a virtual one.
+    """
+    period_ns, late_us = 1e9 / rate_hz, []
+    start_ns = clock()
+    for i in range(round(rate_hz * seconds)):
+        due_ns = start_ns + round((i + 1) * period_ns)
+        while (now_ns := clock()) < due_ns:
+            pass
+        late_us.append((now_ns - due_ns) * 1e-3)
+    return spread(late_us)
+
+
+def middle(found: list[_Found], key: Callable[[_Found], float]) -> _Found:
+    """Return the one whose key is the median."""
+    return sorted(found, key=key)[len(found) // 2]
 
 
 class Stopwatch:
