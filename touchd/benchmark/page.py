@@ -110,7 +110,7 @@ def _daemon_notes(run: Run) -> str:
         h = run.held_up_us
         lines.append(
             "- A program on that processor that never sleeps and does nothing but look at the clock sees each "
-            f"thousandth of a second p50 {h.p50:,.1f}, p99 {h.p99:,.1f}, p99.9 {h.p999:,.0f} us late: for so long this "
+            f"thousandth of a second p50 {h.p50:,.2f}, p99 {h.p99:,.2f}, p99.9 {h.p999:,.0f} us late: for so long this "
             "computer, or the host of a virtual one, holds up whatever runs on it."
         )
     if run.apart is not None:
@@ -123,7 +123,7 @@ def _daemon_notes(run: Run) -> str:
                 if alone is not None
                 else ""
             )
-            + ". What that takes longer is the time until the one processor has woken the other."
+            + "."
         )
     if run.asleep is not None:
         whole = run.asleep.daemon_us
