@@ -26,7 +26,7 @@ BURN_IN_S = 0.3
 PATIENCE_MS = 10_000
 
 
-def measure(rate_hz: float, seconds: float, folder: Path, *, apart: bool = False, awake: bool = True) -> Spread:
+def measure(rate_hz: float, seconds: float, folder: Path, *, apart: bool = False) -> Spread:
     """Return how long messages take from one process to another, in us: on one processor, or `apart` on two.
 
     Raises
@@ -40,7 +40,7 @@ def measure(rate_hz: float, seconds: float, folder: Path, *, apart: bool = False
         socket.setsockopt(zmq.RCVTIMEO, PATIENCE_MS)
         socket.connect(address)
         socket.subscribe(b"touch")
-        command = [sys.executable, "-m", "touchd.benchmark.bus", address, rate_hz, seconds, int(awake), *cpus]
+        command = [sys.executable, "-m", "touchd.benchmark.bus", address, rate_hz, seconds, *cpus]
         with subprocess.Popen([str(part) for part in command]) as process:  # noqa: S603 - this very module
             try:
                 while body := socket.recv_multipart()[1]:
@@ -53,10 +53,10 @@ def measure(rate_hz: float, seconds: float, folder: Path, *, apart: bool = False
     return spread(counted)
 
 
-def run(address: str, rate_hz: float, seconds: float, awake: bool, cpus: tuple[int, ...]) -> None:
-    """Send, once somebody is subscribed; an empty message ends it."""
+def run(address: str, rate_hz: float, seconds: float, cpus: tuple[int, ...]) -> None:
+    """Send, once somebody is subscribed; an empty message ends it. The processors are kept awake as by the daemon."""
     apply(RealtimeSettings(cpus=cpus))
-    if awake and permitted():
+    if permitted():
         Awake(rate_hz).hold()
     with zmq.Context() as context, context.socket(zmq.XPUB) as socket:
         socket.bind(address)
@@ -73,4 +73,4 @@ def run(address: str, rate_hz: float, seconds: float, awake: bool, cpus: tuple[i
 
 
 if __name__ == "__main__":
-    run(sys.argv[1], float(sys.argv[2]), float(sys.argv[3]), sys.argv[4] == "1", tuple(map(int, sys.argv[5:])))
+    run(sys.argv[1], float(sys.argv[2]), float(sys.argv[3]), tuple(map(int, sys.argv[4:])))

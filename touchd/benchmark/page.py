@@ -5,6 +5,7 @@ from __future__ import annotations
 from touchd.benchmark import tables
 from touchd.benchmark.results import Run
 from touchd.benchmark.tables import Table
+from touchd.config import RealtimeSettings
 
 WIDTH = "---"
 
@@ -128,7 +129,8 @@ def _daemon_notes(run: Run) -> str:
     if run.asleep is not None:
         whole = run.asleep.daemon_us
         lines.append(
-            "- From 500 frames a second on the processors are kept awake while a finger is on the plate "
+            f"- From {RealtimeSettings().awake_from_hz:g} frames a second on the processors are kept awake while a "
+            "finger is on the plate "
             f"(`realtime.awake_from_hz`). Where they may sleep, that finger takes p50 {whole.p50:,.0f}, p99 "
             f"{whole.p99:,.0f}, p99.9 {whole.p999:,.0f} us to the subscriber."
         )
