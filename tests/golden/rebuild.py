@@ -1,13 +1,17 @@
-"""Rebuild the checked-in result of the shipped recording: `make golden`."""
+"""Rebuild the checked-in results, of the shipped recording and of every scene of the twin: `make golden`."""
 
 from __future__ import annotations
 
 import json
 import tempfile
+from functools import cache
 from pathlib import Path
 from typing import Any
 
+from tests.golden import scenes
 from tests.processes import through_the_bus
+from touchd.twin.instrument import Instrument
+from touchd.twin.simulate import DEFAULT_PLATE, simulate_scene
 from touchd.verbs.demo import SESSION
 
 GOLDEN = Path(__file__).parent / "session.jsonl"
@@ -44,11 +48,17 @@ def _short(value: Any) -> Any:
 
 
 def main() -> None:
-    """Write the result anew."""
+    """Write the results again."""
     with tempfile.TemporaryDirectory(prefix="touchd-golden-") as folder:
         lines = [json.dumps(_short(event), separators=(",", ":")) for event in received(Path(folder))]
     GOLDEN.write_text("\n".join(lines) + "\n")
     print(f"{GOLDEN}: {len(lines) - 1} messages, {GOLDEN.stat().st_size / 1e3:.0f} kB")
+    instrument = Instrument(DEFAULT_PLATE)
+    scene = cache(lambda name: simulate_scene(name, seed=scenes.SEED, instrument=instrument))
+    for case, (name, _) in scenes.CASES.items():
+        found = scenes.rows(case, scene(name))
+        path = scenes.write(case, found)
+        print(f"{path}: {len(found) - 1} events, {path.stat().st_size / 1e3:.0f} kB")
 
 
 if __name__ == "__main__":

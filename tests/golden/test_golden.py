@@ -6,11 +6,14 @@ After a change that is meant to alter it, `make golden` rebuilds the result; the
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from typing import Any
 
 import pytest
 
+from tests.golden import scenes
 from tests.golden.rebuild import GOLDEN, received
+from touchd.recording import Recording
 
 PLACE_MM = 0.02
 """Another processor adds up in another order."""
@@ -67,3 +70,30 @@ def test_a_difference_would_be_seen(golden: list[dict[str, Any]]) -> None:
         with pytest.raises(AssertionError):
             assert_same(contact | {name: contact[name] + step}, contact, "contact")
     assert_same(contact | {"x_mm": contact["x_mm"] + 0.01}, contact, "contact")
+
+
+@pytest.mark.parametrize("case", scenes.CASES)
+def test_scene(case: str, scene: Callable[[str], Recording]) -> None:
+    """What comes of a scene is what is checked in, field by field; if a difference is meant: make golden."""
+    assert scenes.differences(scenes.rows(case, scene(scenes.CASES[case][0])), scenes.stored(case)) == []
+
+
+def test_each_scene_has_one_file() -> None:
+    assert {path.stem for path in scenes.FOLDER.glob("*.jsonl")} == set(scenes.CASES)
+
+
+def test_a_difference_in_a_scene_would_be_seen() -> None:
+    """Of every column, of the events' number and order, and of the counters."""
+    golden = scenes.stored("cross")
+    assert scenes.differences(golden, golden) == []
+    for column in range(len(scenes.COLUMNS)):
+        changed = json.loads(json.dumps(golden))
+        value = changed[0][4][0][column]
+        step = 1.01 * scenes.TOLERANCE.get(scenes.COLUMNS[column], 1)
+        changed[0][4][0][column] = value + step if isinstance(value, float | int) else "other"
+        assert scenes.differences(changed, golden), scenes.COLUMNS[column]
+    for changed in (golden[1:], [*golden[:-2], golden[-1]]):
+        assert scenes.differences(changed, golden)
+    changed = json.loads(json.dumps(golden))
+    changed[-1]["counters"]["lost"] += 1
+    assert scenes.differences(changed, golden)

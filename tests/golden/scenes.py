@@ -1,0 +1,125 @@
+"""Every scene of the twin through the pipeline in this process, as rows that can be stored and compared."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from touchd.config import Settings
+from touchd.evaluation.replay import run_through
+from touchd.event import Contact, Event, KeyEvent, TouchEvent
+from touchd.frame import Frame
+from touchd.keypad import PHONE
+from touchd.recording import Recording
+from touchd.sources import EndOfStream
+from touchd.twin.scenes import SCENES
+
+FOLDER = Path(__file__).parent / "scenes"
+SEED = 21
+"""That of the scenes which tests share."""
+NETWORK_ALONE = ("tap", "hold", "swipe", "drop")
+"""Scenes that are also played without the field atlas."""
+CASES = {
+    **{name: (name, True) for name in SCENES},
+    **{f"{name}-network": (name, False) for name in NETWORK_ALONE},
+}
+"""Each result's scene, and whether the field atlas places its fingers."""
+COLUMNS = Contact.__struct_fields__
+TOLERANCE = {
+    "x_mm": 0.02, "y_mm": 0.02, "force": 0.005, "sigma_mm": 0.005, "confidence": 0.01, "vx_mm_s": 2.0, "vy_mm_s": 2.0,
+    "notice": 0.2,
+}  # fmt: skip
+"""By which a figure may differ on another processor, which adds up in another order."""
+
+
+class Frames:
+    """A source of a recording's frames, as fast as they are read."""
+
+    def __init__(self, recording: Recording) -> None:
+        self.acquisition = recording.acquisition
+        self._frames = zip(
+            recording.frames, recording.sequence.tolist(), recording.timestamp_ns.tolist(), strict=True
+        )  # fmt: skip
+
+    def read(self, timeout_s: float) -> Frame | None:  # noqa: ARG002 - frames are always there
+        found = next(self._frames, None)
+        if found is None:
+            raise EndOfStream
+        counts, sequence, t_ns = found
+        return Frame(counts, sequence, t_ns, t_ns)
+
+    def close(self) -> None:
+        self._frames = zip((), (), (), strict=True)
+
+
+def rows(case: str, recording: Recording) -> list[Any]:
+    """What touchd makes of a case's scene: a row for each event, then the counters and the changes of the baseline."""
+    name, atlas = CASES[case]
+    keypad = {"layout": PHONE} if name == "keypad" else {}
+    outcome = run_through(Frames(recording), Settings.model_validate({"keypad": keypad, "model": {"atlas": atlas}}))
+    last = {"counters": asdict(outcome.counters), "notices": outcome.notices}
+    found: list[Any] = json.loads(json.dumps([*(_row(event) for event in outcome.events), last]))
+    return found
+
+
+def _row(event: Event) -> list[Any]:
+    if isinstance(event, TouchEvent):
+        contacts = [[_short(getattr(contact, name)) for name in COLUMNS] for contact in event.contacts]
+        return ["touch", event.seq, event.t_ns, event.frame, contacts]
+    assert isinstance(event, KeyEvent)
+    return ["key", event.seq, event.t_ns, event.key, event.phase, _short(event.confidence)]
+
+
+def _short(value: Any) -> Any:
+    """Six digits are far more than any comparison asks for."""
+    return float(f"{value:.6g}") if isinstance(value, float) else value
+
+
+def write(case: str, found: list[Any]) -> Path:
+    """Store the rows of a case."""
+    path = FOLDER / f"{case}.jsonl"
+    lines = [json.dumps({"contact": COLUMNS}), *(json.dumps(row, separators=(",", ":")) for row in found)]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def stored(case: str) -> list[Any]:
+    """The rows that are checked in."""
+    head, *lines = (FOLDER / f"{case}.jsonl").read_text().splitlines()
+    assert json.loads(head) == {"contact": list(COLUMNS)}
+    return [json.loads(line) for line in lines]
+
+
+def differences(found: list[Any], golden: list[Any]) -> list[str]:
+    """Name each field in which events differ by more than its tolerance; empty if none does."""
+    *events, last = found
+    *expected, expected_last = golden
+    outline = [[_outline(event) for event in some] for some in (events, expected)]
+    for number, (mine, its) in enumerate(zip(*outline, strict=False)):
+        if mine != its:
+            return [f"event {number}: {mine}, not {its}"]
+    wrong = [] if len(events) == len(expected) else [f"{len(events)} events, not {len(expected)}"]
+    for number, (event, its) in enumerate(zip(events, expected, strict=False)):
+        pairs = zip(event[4], its[4], strict=True) if event[0] == "touch" else ()
+        for mine, other in pairs:
+            for column, a, b in zip(COLUMNS, mine, other, strict=True):
+                if column in TOLERANCE and abs(a - b) > TOLERANCE[column]:
+                    wrong.append(f"event {number}, contact {mine[0]}: {column} {a}, not {b}")
+    if last["counters"] != expected_last["counters"]:
+        wrong.append(f"counters {last['counters']}, not {expected_last['counters']}")
+    for (reason, mine), (expected_reason, its) in zip(last["notices"], expected_last["notices"], strict=False):
+        if reason != expected_reason or any(abs(mine[key] - its[key]) > TOLERANCE["notice"] for key in its):
+            wrong.append(f"notice {reason} {mine}, not {expected_reason} {its}")
+    if len(last["notices"]) != len(expected_last["notices"]):
+        wrong.append(f"notices {last['notices']}, not {expected_last['notices']}")
+    return wrong
+
+
+def _outline(event: list[Any]) -> list[Any]:
+    """What of an event has no tolerance."""
+    if event[0] != "touch":
+        return event[:5]
+    exact = [i for i, column in enumerate(COLUMNS) if column not in TOLERANCE]
+    return [*event[:4], [[contact[i] for i in exact] for contact in event[4]]]
