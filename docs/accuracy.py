@@ -16,10 +16,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from docs import measured
-from touchd.atlas import Atlas
-from touchd.config import ModelSettings, Settings
-from touchd.evaluation.atlasplots import FieldImage, NoiseLevel, draw_field, draw_fingers, draw_learning, draw_noise
-from touchd.evaluation.bound import (
+from touchd.config.schema import ModelSettings, Settings
+from touchd.evaluation.cramer_rao import (
     atlas_field,
     median_distance_mm,
     place_covariance,
@@ -28,25 +26,28 @@ from touchd.evaluation.bound import (
     residual_noise,
     twin_values,
 )
+from touchd.evaluation.dataset import Split, make_dataset, split
 from touchd.evaluation.finders import atlas_finder
-from touchd.evaluation.frames import see, touched_frames
-from touchd.evaluation.maps import draw_maps
 from touchd.evaluation.matching import match_frames, scores_by_fingers
 from touchd.evaluation.metrics import position_scores
+from touchd.evaluation.model_scores import Judgement
+from touchd.evaluation.plots.atlas import FieldImage, NoiseLevel, draw_field, draw_fingers, draw_learning, draw_noise
+from touchd.evaluation.plots.maps import draw_maps
 from touchd.evaluation.replay import replay
-from touchd.evaluation.score import Judgement
-from touchd.model import Model
-from touchd.recording import Recording, read, write
-from touchd.training.atlas import make_atlas
-from touchd.training.dataset import Split, make_dataset, split
-from touchd.training.dispersion import dispersion_of
-from touchd.training.field import learn_thoroughly
-from touchd.training.regression import touches_of
-from touchd.training.thermal import at_one_temperature
-from touchd.twin.dispersion import mindlin_wavenumber
+from touchd.evaluation.single_frames import see, touched_frames
+from touchd.localization.atlas import Atlas
+from touchd.localization.model import Model
+from touchd.recording.data import Recording
+from touchd.recording.format import read, write
+from touchd.training.data.one_temperature import at_one_temperature
+from touchd.training.field.dispersion import dispersion_of
+from touchd.training.field.learn import learn_thoroughly
+from touchd.training.field.make_atlas import make_atlas
+from touchd.training.field.regression import touches_of
 from touchd.twin.electronics import Electronics
-from touchd.twin.finger import Contact
 from touchd.twin.instrument import Instrument
+from touchd.twin.physics.dispersion import mindlin_wavenumber
+from touchd.twin.physics.finger import Contact
 from touchd.twin.simulate import DEFAULT_PLATE, meta_of, simulate_scene, simulate_touches
 
 ROOT = Path(__file__).resolve().parent.parent

@@ -13,9 +13,11 @@ from pathlib import Path
 import onnx
 from click.testing import CliRunner
 
-from touchd import cli, configtext, errors
-from touchd.config import Settings
-from touchd.model import Model
+from touchd import errors
+from touchd.cli import main as cli
+from touchd.config import render as configtext
+from touchd.config.schema import Settings
+from touchd.localization.model import Model
 
 ROOT = Path(__file__).resolve().parent.parent
 MODELS = ROOT / "models"

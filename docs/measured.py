@@ -12,7 +12,7 @@ from typing import TypeVar
 from matplotlib.figure import Figure
 
 from docs.generate import with_block
-from touchd.evaluation.plots import save
+from touchd.evaluation.plots.session import save
 
 Part = TypeVar("Part", bound=Callable[..., str])
 

@@ -24,13 +24,14 @@ from docs import measured
 from tests.numerics import agreement, curves, degenerate, independence, limits, longruns
 from tests.numerics.curvepage import ATLAS, NETWORK, PAPER, answer_table, draw, small, table
 from tests.numerics.watch import frames_of, run
-from touchd.benchmark.machine import this_machine
-from touchd.model import Model, default_model_path
-from touchd.recording import Recording, read, write
-from touchd.training.dataset import Dataset, digest, make_dataset, split, thin
-from touchd.training.recipe import RECIPES
+from touchd.evaluation.dataset import Dataset, digest, make_dataset, split, thin
+from touchd.lab.benchmark.machine import this_machine
+from touchd.localization.model import Model, default_model_path
+from touchd.recording.data import Recording
+from touchd.recording.format import read, write
+from touchd.training.network.recipe import RECIPES
 from touchd.twin.instrument import Instrument
-from touchd.twin.scenes import SCENES
+from touchd.twin.scenes.catalogue import SCENES
 from touchd.twin.simulate import DEFAULT_PLATE, simulate_scene, simulate_touches
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -83,7 +84,7 @@ class Bench:
 
     def paper(self, touches: int) -> Model:
         """Return the paper's recipe trained on so many touches."""
-        from touchd.training.train import train
+        from touchd.training.train_network import train
 
         path = self.folder / f"paper-{touches}.onnx"
         if not path.exists():

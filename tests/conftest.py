@@ -21,8 +21,9 @@ from pathlib import Path
 import pytest
 import structlog
 
-from touchd.model import Model, default_model_path
-from touchd.recording import Recording, write
+from touchd.localization.model import Model, default_model_path
+from touchd.recording.data import Recording
+from touchd.recording.format import write
 from touchd.twin.instrument import Instrument
 from touchd.twin.simulate import DEFAULT_PLATE, simulate_scene
 

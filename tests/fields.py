@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import spline_filter1d
 
-from touchd.atlas import Atlas, AtlasDescription
-from touchd.features import windowed_dft
 from touchd.frame import Acquisition, Plate
+from touchd.localization.atlas import Atlas, AtlasDescription
+from touchd.localization.features import windowed_dft
 
 RIG = Acquisition(channels=4, samples=250, sample_rate_hz=250e3)
 PLATE = Plate(width_mm=120, height_mm=90)

@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from touchd.config import Settings
-from touchd.message import Messages
-from touchd.model import Model
+from touchd.config.schema import Settings
+from touchd.localization.model import Model
 from touchd.pipeline import Pipeline
+from touchd.sinks.messages import Messages
 from touchd.sources.replay import ReplaySource
 
 _SET_HANDLER = 304

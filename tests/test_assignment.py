@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linear_sum_assignment
 
-from touchd.assignment import assign
+from touchd.tracking.assignment import assign
 
 
 @given(st.integers(1, 5), st.integers(0, 3), st.integers(0, 2**32 - 1))

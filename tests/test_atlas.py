@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from tests.fields import Field, make_atlas
-from touchd.atlas import MAX_BYTES, Atlas, atlas_path, load_atlas, save_atlas
 from touchd.errors import ModelInvalid, OutputError
+from touchd.localization.atlas import MAX_BYTES, Atlas, atlas_path, load_atlas, save_atlas
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from structlog.testing import capture_logs
 
-from touchd.awake import DEVICE, Awake, permitted
+from touchd.service.cpu_latency import DEVICE, Awake, permitted
 
 MS_NS = 1_000_000
 

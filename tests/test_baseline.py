@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from touchd.baseline import Baseline
-from touchd.config import BaselineSettings
+from touchd.config.schema import BaselineSettings
+from touchd.detection.baseline import Baseline
 
 SHAPE = (4, 250)
 SETTINGS = BaselineSettings()
@@ -88,7 +88,7 @@ def test_the_residual_of_full_scale_frames_does_not_wrap() -> None:
 
 
 def test_subtracting_is_the_arithmetic_of_training_bit_for_bit() -> None:
-    from touchd.training.dataset import residual_of
+    from touchd.evaluation.dataset import residual_of
 
     rng = np.random.default_rng(6)
     baseline = Baseline(SHAPE, SETTINGS)

@@ -16,10 +16,11 @@ import pytest
 
 from tests.conftest import Scene
 from tests.processes import PATIENCE_S, ROOT, Ended, environment, touchd
-from touchd import cli, errors
-from touchd.cli import VERBS, main
+from touchd import errors
+from touchd.cli import main as cli
+from touchd.cli.main import VERBS, main
 from touchd.errors import TouchdError
-from touchd.recording import write
+from touchd.recording.format import write
 
 
 class World:
@@ -267,7 +268,7 @@ def test_a_verb_whose_packages_are_missing_says_what_to_install(verb: str, packa
         f"        if name.partition('.')[0] == {package!r}:\n"
         "            raise ModuleNotFoundError(f'No module named {name!r}', name=name)\n"
         "sys.meta_path.insert(0, Absent())\n"
-        "from touchd.cli import main\n"
+        "from touchd.cli.main import main\n"
         "sys.exit(main(sys.argv[1:]))\n"
     )
     done = subprocess.run(
@@ -342,7 +343,7 @@ def test_a_reader_that_has_had_enough_is_no_failure() -> None:
 def test_the_help_names_every_verb_and_imports_none() -> None:
     program = (
         "import json, sys\n"
-        "from touchd.cli import main\n"
+        "from touchd.cli.main import main\n"
         "main(['--help'])\n"
         "print(json.dumps([name for name in sys.modules if name.startswith('touchd.verbs.')]))\n"
     )

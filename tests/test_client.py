@@ -10,7 +10,7 @@ import pytest
 import zmq
 
 from touchd.client import Subscriber
-from touchd.config import BusSettings
+from touchd.config.schema import BusSettings
 from touchd.errors import BusError, BusTimeout
 from touchd.event import Contact, Event, KeyEvent, TouchEvent, encode
 from touchd.sinks.zeromq import ZeromqSink

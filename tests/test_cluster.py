@@ -20,9 +20,9 @@ from tests.processes import PATIENCE_S, ROOT, environment, touchd
 from touchd.errors import ClusterError, JobError
 from touchd.jobs import Job, run
 from touchd.jobs import cluster as touchd_cluster
-from touchd.recording import read
-from touchd.reproduction.experiments import looked_up
-from touchd.reproduction.plan import head_jobs
+from touchd.lab.reproduction.experiments import looked_up
+from touchd.lab.reproduction.plan import head_jobs
+from touchd.recording.format import read
 from touchd.twin.instrument import Instrument
 from touchd.twin.simulate import simulate_touches
 

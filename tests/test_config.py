@@ -13,10 +13,10 @@ from hypothesis import HealthCheck, given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
-from touchd import configfile
-from touchd.config import BusSettings, DeviceSettings, LogSettings, Settings
-from touchd.configfile import load
-from touchd.configtext import fields, markdown, render, variable
+from touchd.config import load as configfile
+from touchd.config.load import load
+from touchd.config.render import fields, markdown, render, variable
+from touchd.config.schema import BusSettings, DeviceSettings, LogSettings, Settings
 from touchd.errors import ConfigError
 
 FILE_SETTINGS = hypothesis_settings(

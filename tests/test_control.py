@@ -14,13 +14,13 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from tests.processes import PATIENCE_S, end, started, touchd
+from touchd.cli.demo import SESSION
+from touchd.cli.screen import command
 from touchd.client import Subscriber
-from touchd.config import ControlSettings
-from touchd.control import COMMANDS, Control, path_of, send
+from touchd.config.schema import ControlSettings
 from touchd.errors import AddressInUse, BusError, ConfigError
 from touchd.event import Event, HealthEvent, TouchEvent
-from touchd.verbs.demo import SESSION
-from touchd.verbs.screen import command
+from touchd.service.control import COMMANDS, Control, path_of, send
 
 
 @pytest.fixture

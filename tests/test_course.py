@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from touchd.course import LONGEST_STEP_MM, Course
+from touchd.localization.prediction import LONGEST_STEP_MM, Course
 
 FRAME_S = 0.004
 SPEED = st.floats(-400, 400)

@@ -14,11 +14,12 @@ import numpy as np
 import pytest
 
 from tests.processes import PATIENCE_S, ROOT, end, environment, started, through_the_bus, touchd
+from touchd.cli.demo import SESSION
 from touchd.client import Subscriber
 from touchd.event import HealthEvent, TouchEvent
 from touchd.keypad import PHONE
-from touchd.recording import Recording, read
-from touchd.verbs.demo import SESSION
+from touchd.recording.data import Recording
+from touchd.recording.format import read
 
 
 def phases(messages: list[dict[str, Any]]) -> list[tuple[int, str]]:
@@ -153,7 +154,7 @@ class Refuse:
             raise ModuleNotFoundError(name=name)
 sys.meta_path.insert(0, Refuse())
 import touchd.cli
-code = touchd.cli.main(["--replay", {str(SESSION)!r}, "--speed", "max", "--bind", "ipc://{tmp_path}/bus"])
+code = touchd.cli.main.main(["--replay", {str(SESSION)!r}, "--speed", "max", "--bind", "ipc://{tmp_path}/bus"])
 print(code, *asked)
 """
     done = subprocess.run(

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from touchd.deviceclock import DeviceClock
+from touchd.sources.device_clock import DeviceClock
 
 COMPLETE_NS = 1_000_000
 LEAST_DELAY_NS = 120_000  # of a transfer; nothing on this side can tell it from an offset of the clocks

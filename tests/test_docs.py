@@ -19,16 +19,16 @@ import onnx
 import pytest
 from onnx import TensorProto, helper
 
-from touchd.cli import VERBS, touchd
+from touchd.cli.main import VERBS, touchd
 from touchd.client import Subscriber
-from touchd.config import BusSettings, Settings
-from touchd.configfile import load
+from touchd.config.load import load
+from touchd.config.schema import BusSettings, Settings
 from touchd.errors import TouchdError
 from touchd.event import Contact, HealthEvent, TouchEvent
 from touchd.frame import Acquisition, Frame, Plate
-from touchd.model import METADATA_KEY, Description
+from touchd.localization.model import METADATA_KEY, Description
 from touchd.sinks.zeromq import ZeromqSink
-from touchd.sources import EndOfStream, Source
+from touchd.sources.source import EndOfStream, Source
 
 ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.conftest import Scene
-from touchd import doctor
-from touchd.doctor import Finding, Sample, grade
+from touchd.doctor import checks as doctor
+from touchd.doctor.checks import Finding, Sample, grade
 from touchd.frame import Acquisition
 
 RIG = Acquisition(channels=4, samples=250, sample_rate_hz=250e3)

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.fields import BINS, RIG, Field, make_atlas, untouched
-from touchd.drift import FOLLOW_S, Drift
-from touchd.features import windowed_dft
+from touchd.localization.drift import FOLLOW_S, Drift
+from touchd.localization.features import windowed_dft
 
 ATLAS = make_atlas(Field())
 PLAIN = windowed_dft(RIG, np.array(BINS))

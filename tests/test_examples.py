@@ -15,7 +15,7 @@ from typing import NoReturn
 import pytest
 
 from touchd.client import Subscriber
-from touchd.config import BusSettings
+from touchd.config.schema import BusSettings
 from touchd.event import Contact, TouchEvent, encode
 from touchd.sinks.zeromq import ZeromqSink
 

@@ -6,7 +6,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from touchd.features import (
+from touchd.frame import Acquisition, Chirp
+from touchd.localization.features import (
     Domain,
     FrequencyFeatures,
     TimeFeatures,
@@ -15,7 +16,6 @@ from touchd.features import (
     noise_to_signal,
     windowed_dft,
 )
-from touchd.frame import Acquisition, Chirp
 
 RIG = Acquisition(channels=4, samples=250, sample_rate_hz=250e3)
 

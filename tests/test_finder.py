@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 import torch
 
-from touchd.baseline import Baseline
-from touchd.config import Settings
-from touchd.counters import Counters
-from touchd.features import windowed_dft
-from touchd.finder import Finder
+from touchd.config.schema import Settings
+from touchd.detection.baseline import Baseline
+from touchd.detection.gate import Gate
 from touchd.frame import Acquisition, Plate
-from touchd.gate import Gate
-from touchd.model import Description, Model
-from touchd.training.export import make_graph, write_model
-from touchd.training.network import PlainRegression, Regression
+from touchd.localization.features import windowed_dft
+from touchd.localization.model import Description, Model
+from touchd.localization.network_localizer import Finder
+from touchd.outcome import Counters
+from touchd.training.network.export import make_graph, write_model
+from touchd.training.network.network import PlainRegression, Regression
 
 RIG = Acquisition(channels=4, samples=250, sample_rate_hz=250e3)
 LEVELS = (1.0, 10.0, 100.0)

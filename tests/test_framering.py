@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.processes import PATIENCE_S
-from touchd.framering import FrameRing
+from touchd.sources.frame_ring import FrameRing
 
 SHAPE = (2, 3)
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from touchd.frozen import LASTING_FRAMES, Frozen
+from touchd.detection.stuck import LASTING_FRAMES, Frozen
 
 SHAPE = (4, 250)
 PLATE = 5000 * np.random.default_rng(0).standard_normal(SHAPE)

@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from touchd.gadget import BACKLOG, COMMANDS, Gadget
-from touchd.usbframe import Flag, FrameReader, Header, Info, Request, parse_info, parse_status
+from touchd.gadget.device import BACKLOG, COMMANDS, Gadget
+from touchd.sources.usb_protocol import Flag, FrameReader, Header, Info, Request, parse_info, parse_status
 
 INFO = Info(channels=2, samples=250, sample_rate_hz=250_000, min_frame_rate_hz=10, max_frame_rate_hz=1000)
 IN, OUT = 0xC0, 0x40

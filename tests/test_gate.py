@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from touchd.config import GateSettings
-from touchd.gate import Gate
+from touchd.config.schema import GateSettings
+from touchd.detection.gate import Gate
 
 SAMPLES = 1000
 
@@ -104,7 +104,7 @@ def test_thresholds_set_seldom_are_those_set_with_each_frame(
         return np.array(found)
 
     seldom = thresholds()
-    monkeypatch.setattr("touchd.gate._SET_EVERY", 10**9)
+    monkeypatch.setattr("touchd.detection.gate._SET_EVERY", 10**9)
     each = thresholds()
     assert np.abs(seldom / each - 1).max() <= within
     assert within == 0 or (seldom != each).any()

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.fields import Field, make_atlas
-from touchd.hearing import Hearing
+from touchd.localization.noise import Hearing
 
 ATLAS = make_atlas(Field())
 NOWHERE = np.zeros((0, ATLAS.size), np.float32)

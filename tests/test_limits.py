@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from touchd.config import Settings
+from touchd.config.schema import Settings
 from touchd.event import encode
 from touchd.frame import Frame
-from touchd.message import Messages
-from touchd.model import Model, default_model_path
+from touchd.localization.model import Model, default_model_path
 from touchd.pipeline import Pipeline
+from touchd.sinks.messages import Messages
 
 MODEL = Model(default_model_path())
 SHAPE = MODEL.description.acquisition.shape

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from tests.fields import COUNTS, RIG, Field, Finger, make_atlas
-from touchd.assess import DRY_S
-from touchd.atlas import Atlas
-from touchd.locator import Locator
-from touchd.model import Estimate
-from touchd.tracker import Touch
+from touchd.localization.atlas import Atlas
+from touchd.localization.atlas_localizer import Locator
+from touchd.localization.classify import DRY_S
+from touchd.localization.model import Estimate
+from touchd.touch import Touch
 
 FIELD = Field()
 ATLAS = make_atlas(FIELD)

@@ -14,9 +14,9 @@ import structlog
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from touchd.config import LogSettings
+from touchd.config.schema import LogSettings
 from touchd.frame import Frame
-from touchd.log import PRIVATE, REDACTED, configure, redact
+from touchd.service.log import PRIVATE, REDACTED, configure, redact
 
 
 @pytest.fixture(autouse=True)

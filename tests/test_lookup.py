@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from tests.fields import COUNTS, PLATE, Field, make_atlas
 from tests.fields import look_up as in_float64
-from touchd.lookup import CELLS, PER_CELL, Lookup
+from touchd.localization.spline import CELLS, PER_CELL, Lookup
 
 ATLAS = make_atlas(Field())
 ANYWHERE = st.floats(allow_nan=True, allow_infinity=True) | st.floats(-20, 150)

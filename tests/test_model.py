@@ -14,10 +14,10 @@ from hypothesis.extra import numpy as hnp
 from touchd.errors import ModelInvalid, ModelMismatch, ModelMissing, TrainingError
 from touchd.frame import Acquisition, Chirp, Plate
 from touchd.keypad import PHONE, load_layout
-from touchd.model import METADATA_KEY, Description, Model
-from touchd.training.exactness import TOLERANCE, check_graph
-from touchd.training.export import fold, make_graph, write_model
-from touchd.training.network import Classifier, PlainRegression, Regression
+from touchd.localization.model import METADATA_KEY, Description, Model
+from touchd.training.network.export import fold, make_graph, write_model
+from touchd.training.network.export_check import TOLERANCE, check_graph
+from touchd.training.network.network import Classifier, PlainRegression, Regression
 
 RIG = Acquisition(channels=4, samples=250, sample_rate_hz=250e3)
 PLATE = Plate(width_mm=200, height_mm=150)

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from touchd.noise import MEMORY_FRAMES, Noise
+from touchd.localization.noise_power import MEMORY_FRAMES, Noise
 
 CHANNELS, BINS = 4, 15
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from touchd.notify import Notifier
+from touchd.service.systemd import Notifier
 
 
 class Manager:

@@ -18,20 +18,21 @@ import pytest
 from msgspec import structs
 
 from tests.conftest import Scene
-from touchd.config import Settings
+from touchd.config.schema import Settings
 from touchd.errors import ModelMismatch
+from touchd.evaluation.dataset import make_dataset
 from touchd.event import Event, KeyEvent, SpectrumEvent, TouchEvent
-from touchd.features import FrequencyFeatures
 from touchd.frame import Frame
 from touchd.keypad import PHONE, Key, Layout, load_layout
-from touchd.message import Messages
-from touchd.model import Model
+from touchd.localization.features import FrequencyFeatures
+from touchd.localization.model import Model
 from touchd.pipeline import Pipeline
-from touchd.recording import Recording, write
-from touchd.sources import EndOfStream, Source
+from touchd.recording.data import Recording
+from touchd.recording.format import write
+from touchd.sinks.messages import Messages
 from touchd.sources.replay import ReplaySource
 from touchd.sources.simulated import SimulatedSource
-from touchd.training.dataset import make_dataset
+from touchd.sources.source import EndOfStream, Source
 from touchd.twin.instrument import Instrument
 from touchd.twin.simulate import simulate_touches
 

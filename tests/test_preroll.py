@@ -15,15 +15,16 @@ import pytest
 from structlog.testing import capture_logs
 
 from tests.processes import PATIENCE_S, end, started, touchd
-from touchd import preroll
+from touchd.cli.demo import SESSION
 from touchd.client import Subscriber
-from touchd.config import PreRollSettings
+from touchd.config.schema import PreRollSettings
 from touchd.event import Contact, TouchEvent
 from touchd.frame import Acquisition, Frame, Plate
-from touchd.preroll import PreRoll, default_folder
-from touchd.recorder import describe, write_blocks
-from touchd.recording import Recording, read
-from touchd.verbs.demo import SESSION
+from touchd.recording.data import Recording
+from touchd.recording.format import read
+from touchd.service import preroll
+from touchd.service.preroll import PreRoll, default_folder
+from touchd.sources.recorder import describe, write_blocks
 
 ACQUISITION = Acquisition(channels=2, samples=3, sample_rate_hz=250e3)
 RATE_HZ = 10

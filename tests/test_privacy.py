@@ -12,5 +12,7 @@ from tests.processes import PATIENCE_S, environment
 def test_the_inference_engine_makes_no_identifier_of_this_computer(tmp_path: Path) -> None:
     home = {"HOME": str(tmp_path), "XDG_CACHE_HOME": str(tmp_path / "cache")}
     variables = {name: value for name, value in environment(**home).items() if name != "ORT_DISABLE_TELEMETRY"}
-    subprocess.run([sys.executable, "-c", "import touchd.model"], check=True, timeout=PATIENCE_S, env=variables)
+    subprocess.run(
+        [sys.executable, "-c", "import touchd.localization.model"], check=True, timeout=PATIENCE_S, env=variables
+    )
     assert list(tmp_path.rglob("*")) == []

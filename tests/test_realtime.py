@@ -11,9 +11,9 @@ import pytest
 from structlog.testing import capture_logs
 
 from tests.processes import PATIENCE_S, environment
-from touchd import realtime
-from touchd.config import RealtimeSettings
-from touchd.configtext import section
+from touchd.config.render import section
+from touchd.config.schema import RealtimeSettings
+from touchd.service import realtime
 
 
 def of_a_process(setting: str, show: str) -> str:

@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from touchd import recording
 from touchd.errors import DeviceLost, OutputError
 from touchd.frame import Acquisition, Frame, Plate
-from touchd.recorder import Recorder, describe
-from touchd.recording import Recording, read
-from touchd.sources import EndOfStream
+from touchd.recording import format as recording
+from touchd.recording.data import Recording
+from touchd.recording.format import read
+from touchd.sources.recorder import Recorder, describe
+from touchd.sources.source import EndOfStream
 
 ACQUISITION = Acquisition(channels=2, samples=3, sample_rate_hz=250e3)
 META = describe(ACQUISITION, Plate(width_mm=400, height_mm=300), 125.0, source="test", notes="a note")

@@ -18,7 +18,6 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from touchd import npz
 from touchd.errors import (
     OutputError,
     RecordingError,
@@ -30,7 +29,9 @@ from touchd.errors import (
     RecordingVersion,
 )
 from touchd.frame import Plate
-from touchd.recording import Device, Meta, Reader, Recording, check, read, write
+from touchd.recording import npz
+from touchd.recording.data import Device, Meta, Recording
+from touchd.recording.format import Reader, check, read, write
 
 META = Meta(
     sample_rate_hz=250e3, bits=16, full_scale_v=10.0, frame_rate_hz=125.0, plate=Plate(width_mm=400.0, height_mm=300.0)

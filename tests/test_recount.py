@@ -10,11 +10,11 @@ import pytest
 from msgspec.structs import replace
 
 from tests.fields import Field, Finger, make_atlas
-from touchd.hearing import Hearing
-from touchd.lookup import Place
-from touchd.recount import FITS_A_SECOND, FITS_AT_ONCE, Recount
-from touchd.refine import NO_FIT, STILL_MM, Fit, Refiner
-from touchd.search import Search
+from touchd.localization.gauss_newton import NO_FIT, STILL_MM, Fit, Refiner
+from touchd.localization.multitouch import FITS_A_SECOND, FITS_AT_ONCE, Recount
+from touchd.localization.noise import Hearing
+from touchd.localization.pursuit import Search
+from touchd.localization.spline import Place
 
 FIELD = Field()
 ATLAS = make_atlas(FIELD)

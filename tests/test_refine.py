@@ -12,8 +12,8 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from tests.fields import COUNTS, PLATE, Field, Finger, features_of, gauss_newton, look_up, make_atlas
-from touchd.lookup import Lookup
-from touchd.refine import STILL_MM, Fit, Refiner
+from touchd.localization.gauss_newton import STILL_MM, Fit, Refiner
+from touchd.localization.spline import Lookup
 
 FIELD = Field()
 ATLAS = make_atlas(FIELD)

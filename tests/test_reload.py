@@ -9,16 +9,16 @@ from pathlib import Path
 import pytest
 
 from tests.conftest import Scene
-from touchd.config import Settings
-from touchd.configfile import load
-from touchd.configtext import fields
-from touchd.daemon import layout_of
+from touchd.config.load import load
+from touchd.config.render import fields
+from touchd.config.schema import Settings
 from touchd.event import TouchEvent
 from touchd.frame import Frame
-from touchd.message import Messages
-from touchd.model import Model
+from touchd.localization.model import Model
 from touchd.pipeline import Pipeline
-from touchd.reload import RESTART_ONLY, Reloader, compare
+from touchd.service.daemon import layout_of
+from touchd.service.reload import RESTART_ONLY, Reloader, compare
+from touchd.sinks.messages import Messages
 
 PERIOD_NS = 8_000_000
 Setting = dict[str, dict[str, object]]

@@ -10,8 +10,8 @@ import pytest
 from msgspec.structs import replace
 
 from tests.fields import BINS, Field, Finger, make_atlas
-from touchd.refine import Fit, Refiner
-from touchd.search import Search, apart_mm, is_worth
+from touchd.localization.gauss_newton import Fit, Refiner
+from touchd.localization.pursuit import Search, apart_mm, is_worth
 
 FIELD = Field()
 ATLAS = make_atlas(FIELD)

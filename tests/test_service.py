@@ -12,17 +12,17 @@ from msgspec.structs import replace
 from structlog.testing import capture_logs
 
 from tests.conftest import Scene
-from touchd.awake import Awake
-from touchd.config import HealthSettings, Settings
+from touchd.config.schema import HealthSettings, Settings
 from touchd.errors import DeviceLost
 from touchd.event import Event, HealthEvent, Latency, TouchEvent
 from touchd.frame import Frame
-from touchd.message import Messages
-from touchd.model import Model
+from touchd.localization.model import Model
 from touchd.pipeline import Pipeline
-from touchd.recording import Recording
-from touchd.service import READ_TIMEOUT_S, STALL_NS, Service
-from touchd.sources import Change, EndOfStream, Tally
+from touchd.recording.data import Recording
+from touchd.service.cpu_latency import Awake
+from touchd.service.loop import READ_TIMEOUT_S, STALL_NS, Service
+from touchd.sinks.messages import Messages
+from touchd.sources.source import Change, EndOfStream, Tally
 
 START_NS = 5_000_000_000
 PERIOD_NS = 8_000_000

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from touchd.config import BaselineSettings
-from touchd.standing import Standing, Verdict
+from touchd.config.schema import BaselineSettings
+from touchd.detection.relearn import Standing, Verdict
 
 SHAPE = (4, 250)
 PERIOD_NS = 8_000_000

@@ -8,15 +8,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.conftest import Scene
-from touchd.config import GateSettings, Settings
-from touchd.counters import Counters
+from touchd.config.schema import GateSettings, Settings
+from touchd.detection.gate import Gate
 from touchd.event import TouchEvent
 from touchd.frame import Frame
-from touchd.gate import Gate
-from touchd.message import Messages
-from touchd.model import Model
+from touchd.localization.model import Model
+from touchd.localization.still import Still
+from touchd.outcome import Counters
 from touchd.pipeline import Pipeline
-from touchd.still import Still
+from touchd.sinks.messages import Messages
 
 SHAPE = (4, 250)
 RATE = 0.01

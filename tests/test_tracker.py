@@ -7,11 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from touchd.assignment import assign
-from touchd.config import TrackerSettings
+from touchd.config.schema import TrackerSettings
 from touchd.event import Contact
-from touchd.filter import OneEuro
-from touchd.tracker import Touch, Tracker
+from touchd.touch import Touch
+from touchd.tracking.assignment import assign
+from touchd.tracking.one_euro import OneEuro
+from touchd.tracking.tracker import Tracker
 
 PERIOD_NS = 8_000_000
 SETTINGS = TrackerSettings()

@@ -2,7 +2,7 @@
 
 import sys
 
-from touchd.cli import main
+from touchd.cli.main import main
 
 
 def run() -> None:

@@ -26,10 +26,9 @@ from typing import Generic, Self, TypeVar, cast, overload
 import msgspec
 import zmq
 
-from touchd import curve
 from touchd.errors import BusError, BusTimeout
 from touchd.event import TOPICS, VERSION, Event, TouchEvent, decode
-from touchd.sinks import endpoint
+from touchd.sinks import curve, endpoint
 
 DEFAULT_ADDRESS = "tcp://127.0.0.1:5570"
 _FOR_EVER = -1  # to ZeroMQ

@@ -14,19 +14,20 @@ from collections.abc import Callable
 
 import numpy as np
 
-from touchd.baseline import Baseline
-from touchd.config import Settings
-from touchd.counters import Counters
+from touchd.config.schema import Settings
+from touchd.detection.baseline import Baseline
+from touchd.detection.gate import Gate
+from touchd.detection.relearn import Standing, Verdict
+from touchd.detection.stuck import LASTING_FRAMES, Channels, Frozen
 from touchd.event import Event
-from touchd.finder import finder_for
 from touchd.frame import Acquisition, Frame
-from touchd.frozen import LASTING_FRAMES, Channels, Frozen
-from touchd.gate import Gate
 from touchd.keypad import Layout
-from touchd.message import Messages, is_change
-from touchd.model import Model
-from touchd.standing import Standing, Verdict
-from touchd.tracker import Touch, Tracker
+from touchd.localization.model import Model
+from touchd.localization.network_localizer import finder_for
+from touchd.outcome import Counters
+from touchd.sinks.messages import Messages, is_change
+from touchd.touch import Touch
+from touchd.tracking.tracker import Tracker
 
 NOTHING: list[Event] = []
 # The baseline moves by at most this much time at once: after a gap it must not swallow a single frame whole.

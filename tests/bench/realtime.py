@@ -22,10 +22,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tests.processes import PATIENCE_S, started
-from touchd.benchmark.machine import this_machine
 from touchd.client import Subscriber
 from touchd.event import TouchEvent
-from touchd.recording import write
+from touchd.lab.benchmark.machine import this_machine
+from touchd.recording.format import write
 from touchd.twin.simulate import simulate_scene
 
 ROUNDS = 3

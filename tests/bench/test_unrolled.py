@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from tests.bench.unrolled import Unrolled, touches
-from touchd import refine
-from touchd.model import Model, default_model_path
-from touchd.refine import Refiner
+from touchd.localization import gauss_newton as refine
+from touchd.localization.gauss_newton import Refiner
+from touchd.localization.model import Model, default_model_path
 
 
 @pytest.mark.parametrize("samples", [False, True], ids=["features", "samples"])

@@ -1,9 +1,10 @@
 """`python -m tests.bench.unrolled`: Gauss-Newton on the field atlas in NumPy against the same in an ONNX graph.
 
 The graph holds the atlas' coefficients and takes a frame and a start to a place, a strength and the energy left, as
-`touchd.refine.Refiner.one` does. A node costs about a microsecond, whatever little it does, so that there are as few as
-possible: powers and products come of one Pow or ReduceProd each, sums and scales of one MatMul. What the graph leaves
-out, in its favour: it never stops early, has no mask for dead channels, and does not look for gradients that vanish.
+`touchd.localization.gauss_newton.Refiner.one` does. A node costs about a microsecond, however little it does, so that
+there are as few as possible: powers and products come of one Pow or ReduceProd each, sums and scales of one MatMul.
+What the graph leaves out, in its favour: it never stops early, has no mask for dead channels, and does not look for
+gradients that vanish.
 """
 
 from __future__ import annotations
@@ -25,11 +26,11 @@ import onnx
 from numpy.typing import ArrayLike, NDArray
 from onnx import TensorProto, helper, numpy_helper
 
-from touchd.atlas import Atlas
-from touchd.features import windowed_dft
-from touchd.lookup import _SPLINES, Lookup
-from touchd.model import Model, _load, default_model_path
-from touchd.refine import LONGEST_STEP_MM, Refiner
+from touchd.localization.atlas import Atlas
+from touchd.localization.features import windowed_dft
+from touchd.localization.gauss_newton import LONGEST_STEP_MM, Refiner
+from touchd.localization.model import Model, _load, default_model_path
+from touchd.localization.spline import _SPLINES, Lookup
 from touchd.twin.simulate import simulate_touches
 
 Array = NDArray[np.float32]
@@ -207,7 +208,7 @@ def unrolled(atlas: Atlas, steps: int, *, samples: bool = False) -> onnx.ModelPr
 
 
 class Unrolled:
-    """The graph, loaded as `touchd.model` loads a network: one thread, buffers bound once."""
+    """The graph, loaded as `touchd.localization.model` loads a network: one thread, buffers bound once."""
 
     def __init__(self, atlas: Atlas, steps: int, *, samples: bool = False) -> None:
         with tempfile.TemporaryDirectory() as folder:

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from touchd.benchmark import daemon
-from touchd.benchmark.estimators import bare
-from touchd.benchmark.loop import Loop
-from touchd.benchmark.results import DaemonResult
-from touchd.benchmark.scenes import make_loop
 from touchd.errors import JobError
-from touchd.model import default_model_path
+from touchd.lab.benchmark import daemon
+from touchd.lab.benchmark.estimators import bare
+from touchd.lab.benchmark.loop import Loop
+from touchd.lab.benchmark.results import DaemonResult
+from touchd.lab.benchmark.scenes import make_loop
+from touchd.localization.model import default_model_path
 from touchd.twin.instrument import Instrument
 
 

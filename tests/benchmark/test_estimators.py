@@ -10,13 +10,13 @@ import onnx
 import pytest
 import torch
 
-from touchd.benchmark.estimators import network
-from touchd.benchmark.touches import Block
-from touchd.features import Domain
 from touchd.frame import Acquisition, Plate
-from touchd.model import Description, Model
-from touchd.training.export import make_graph, write_model
-from touchd.training.network import PlainRegression
+from touchd.lab.benchmark.estimators import network
+from touchd.lab.benchmark.touches import Block
+from touchd.localization.features import Domain
+from touchd.localization.model import Description, Model
+from touchd.training.network.export import make_graph, write_model
+from touchd.training.network.network import PlainRegression
 
 RIG = Acquisition(channels=4, samples=250, sample_rate_hz=250e3)
 Kind = Literal["residual", "signal"]

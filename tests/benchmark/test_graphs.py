@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from touchd.benchmark import graphs
-from touchd.benchmark.boundnetwork import BoundNetwork
-from touchd.features import make_features
-from touchd.model import Model, default_model_path
+from touchd.lab.benchmark import graphs
+from touchd.lab.benchmark.boundnetwork import BoundNetwork
+from touchd.localization.features import make_features
+from touchd.localization.model import Model, default_model_path
 
 
 def written(graph: onnx.ModelProto, folder: Path, rows: int = 1) -> BoundNetwork:

@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from touchd.benchmark.loop import BURST_EVERY, PERIOD_NS, Loop, LoopSource
-from touchd.benchmark.scenes import LEARN_FRAMES, WANTED, make_loop
 from touchd.frame import Acquisition, Frame
-from touchd.sources import EndOfStream
+from touchd.lab.benchmark.loop import BURST_EVERY, PERIOD_NS, Loop, LoopSource
+from touchd.lab.benchmark.scenes import LEARN_FRAMES, WANTED, make_loop
+from touchd.sources.source import EndOfStream
 from touchd.twin.instrument import Instrument
 
 RIG = Acquisition(channels=2, samples=3, sample_rate_hz=250e3)

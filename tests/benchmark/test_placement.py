@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from touchd.benchmark import bus
-from touchd.benchmark.placement import daemon_cpus, subscribing
+from touchd.lab.benchmark import bus
+from touchd.lab.benchmark.placement import daemon_cpus, subscribing
 
 
 def test_the_subscriber_is_on_the_daemons_processor_or_keeps_off_it() -> None:

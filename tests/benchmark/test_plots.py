@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from touchd.benchmark.plots import BY_ITS_RECIPE_MM
+from touchd.lab.benchmark.plots import BY_ITS_RECIPE_MM
 
 ROOT = Path(__file__).resolve().parents[2]
 

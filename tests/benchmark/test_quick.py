@@ -5,12 +5,12 @@ from __future__ import annotations
 import pytest
 
 from tests.processes import touchd
-from touchd.benchmark import results, tables
-from touchd.benchmark.budgets import BUDGETS, Budget
-from touchd.benchmark.estimators import NETWORKS
-from touchd.benchmark.results import EstimatorResult, Run
-from touchd.benchmark.scenes import WANTED
-from touchd.model import default_model_path
+from touchd.lab.benchmark import results, tables
+from touchd.lab.benchmark.budgets import BUDGETS, Budget
+from touchd.lab.benchmark.estimators import NETWORKS
+from touchd.lab.benchmark.results import EstimatorResult, Run
+from touchd.lab.benchmark.scenes import WANTED
+from touchd.localization.model import default_model_path
 
 MARGIN = 2.0
 

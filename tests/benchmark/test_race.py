@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from touchd.benchmark.estimators import Estimator, Place
-from touchd.benchmark.race import race
-from touchd.benchmark.touches import BLOCK, Array, Block
+from touchd.lab.benchmark.estimators import Estimator, Place
+from touchd.lab.benchmark.race import race
+from touchd.lab.benchmark.touches import BLOCK, Array, Block
 
 SHAPE = (1, 2)
 

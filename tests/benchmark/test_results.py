@@ -11,14 +11,14 @@ import click.testing
 import pytest
 
 from tests.benchmark.conftest import cell, estimator
-from touchd.benchmark import results, tables
-from touchd.benchmark.budgets import BUDGETS
-from touchd.benchmark.machine import this_machine
-from touchd.benchmark.page import page
-from touchd.benchmark.plots import draw
-from touchd.benchmark.results import BareTimes, Otherwise, Run
+from touchd.cli.benchmark import PICTURES, command
 from touchd.errors import ConfigError, OutputError
-from touchd.verbs.benchmark import PICTURES, command
+from touchd.lab.benchmark import results, tables
+from touchd.lab.benchmark.budgets import BUDGETS
+from touchd.lab.benchmark.machine import this_machine
+from touchd.lab.benchmark.page import page
+from touchd.lab.benchmark.plots import draw
+from touchd.lab.benchmark.results import BareTimes, Otherwise, Run
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 

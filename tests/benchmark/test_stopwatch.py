@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from touchd.benchmark.stopwatch import BURN_IN, Floor, Stopwatch, held_up, ratio, spread, undisturbed
+from touchd.lab.benchmark.stopwatch import BURN_IN, Floor, Stopwatch, held_up, ratio, spread, undisturbed
 
 
 def watch(batches_ns: list[list[int]]) -> Stopwatch:

@@ -4,10 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from touchd.benchmark import scenes
-from touchd.benchmark.touches import BLOCK, SEED, STEP_MM, UNTOUCHED, held_out
-from touchd.reproduction.run import CENTRAL_SEED, CIRCLE_SEED, HELD_OUT, OTHER_HELD_OUT_SEED, OTHER_SEED, TRAINING_SEED
-from touchd.training.dataset import labels, noise_of
+from touchd.evaluation.dataset import labels, noise_of
+from touchd.lab.benchmark import scenes
+from touchd.lab.benchmark.touches import BLOCK, SEED, STEP_MM, UNTOUCHED, held_out
+from touchd.lab.reproduction.run import (
+    CENTRAL_SEED,
+    CIRCLE_SEED,
+    HELD_OUT,
+    OTHER_HELD_OUT_SEED,
+    OTHER_SEED,
+    TRAINING_SEED,
+)
 from touchd.twin.instrument import Instrument
 
 

@@ -113,7 +113,7 @@ def test_a_wrong_key_or_group_in_the_rules_would_be_found(tmp_path: Path, right:
 
 
 def test_the_rules_name_the_ids_that_are_the_default() -> None:
-    from touchd.config import DeviceSettings
+    from touchd.config.schema import DeviceSettings
 
     default = DeviceSettings()
     assert f'ATTR{{idVendor}}=="{default.vendor_id:04x}", ATTR{{idProduct}}=="{default.product_id:04x}"' in (

@@ -14,9 +14,9 @@ from pathlib import Path
 import pytest
 
 from tests.processes import PATIENCE_S, command, environment
+from touchd.cli.demo import SESSION
 from touchd.client import Subscriber
 from touchd.event import TouchEvent
-from touchd.verbs.demo import SESSION
 
 WATCHDOG_S = 1.0
 

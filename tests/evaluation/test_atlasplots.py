@@ -7,7 +7,8 @@ import pytest
 from matplotlib.axes import Axes
 
 from tests.evaluation.test_stream import META, message, truth
-from touchd.evaluation.atlasplots import (
+from touchd.evaluation.model_scores import Judgement
+from touchd.evaluation.plots.atlas import (
     FieldImage,
     NoiseLevel,
     draw_field,
@@ -16,7 +17,6 @@ from touchd.evaluation.atlasplots import (
     draw_noise,
     followed,
 )
-from touchd.evaluation.score import Judgement
 
 TWO = truth([(0, 20, 50.0, 60.0)], [(0, 20, 150.0, 100.0)], frames=20)
 MESSAGES = [message(i, (1, "hold", 50.1, 60.0), (2, "hold", 150.0, 99.8)) for i in range(0, 20, 4)]

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import spline_filter1d
 from scipy.stats import chi2
 
-from touchd.atlas import Atlas, AtlasDescription
 from touchd.errors import RecordingValues, SimulationError
-from touchd.evaluation.bound import (
+from touchd.evaluation.cramer_rao import (
     TouchField,
     atlas_field,
     median_bound_mm,
@@ -27,10 +26,11 @@ from touchd.evaluation.bound import (
     twin_field,
     whitener,
 )
-from touchd.features import band_bins, windowed_dft
+from touchd.localization.atlas import Atlas, AtlasDescription
+from touchd.localization.features import band_bins, windowed_dft
 from touchd.twin.electronics import Digitiser, Electronics
-from touchd.twin.finger import Contact
 from touchd.twin.instrument import REFERENCE_C, Instrument
+from touchd.twin.physics.finger import Contact
 from touchd.twin.simulate import simulate_touches
 
 Floats = NDArray[np.float64]

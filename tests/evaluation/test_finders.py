@@ -11,15 +11,15 @@ import pytest
 from click.testing import CliRunner
 
 from tests.evaluation.twinatlas import twin_atlas
-from touchd.atlas import Atlas, atlas_path, save_atlas
+from touchd.cli.evaluate import command
 from touchd.evaluation.finders import atlas_finder, network_finder
-from touchd.evaluation.frames import TouchedFrames, see, touched_frames
 from touchd.evaluation.matching import match_frames, scores_by_fingers
-from touchd.model import Model, default_model_path
-from touchd.recording import write
+from touchd.evaluation.single_frames import TouchedFrames, see, touched_frames
+from touchd.localization.atlas import Atlas, atlas_path, save_atlas
+from touchd.localization.model import Model, default_model_path
+from touchd.recording.format import write
 from touchd.twin.instrument import Instrument
 from touchd.twin.simulate import simulate_touches
-from touchd.verbs.evaluate import command
 
 
 @pytest.fixture(scope="module")

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 
 from touchd.errors import RecordingValues
+from touchd.evaluation.dataset import make_dataset
 from touchd.evaluation.finders import network_features, network_finder
-from touchd.evaluation.frames import Look, see, touched_frames
 from touchd.evaluation.matching import match_frames, scores_by_fingers
-from touchd.evaluation.score import judge
+from touchd.evaluation.model_scores import judge
+from touchd.evaluation.single_frames import Look, see, touched_frames
 from touchd.evaluation.truth import fingers_only
-from touchd.model import Model
-from touchd.recording import Recording
-from touchd.tracker import Touch
-from touchd.training.dataset import make_dataset
+from touchd.localization.model import Model
+from touchd.recording.data import Recording
+from touchd.touch import Touch
 from touchd.twin.instrument import Instrument
 from touchd.twin.simulate import simulate_scene, simulate_touches
 

@@ -12,9 +12,9 @@ from matplotlib.figure import Figure
 from matplotlib.quiver import Quiver, QuiverKey
 
 from tests.evaluation.test_stream import META, contact, truth
-from touchd.evaluation.maps import cell_bias, cells_of, draw_error_map, draw_maps
-from touchd.evaluation.plots import COLOURS, draw_session
-from touchd.evaluation.score import Judgement
+from touchd.evaluation.model_scores import Judgement
+from touchd.evaluation.plots.maps import cell_bias, cells_of, draw_error_map, draw_maps
+from touchd.evaluation.plots.session import COLOURS, draw_session
 from touchd.frame import Plate
 
 PLATE = Plate(width_mm=200, height_mm=100)
@@ -103,7 +103,7 @@ def test_contacts_are_named_while_their_colours_differ(
     spans = [(8 * i, 8 * i + 6, 50.0, 60.0) for i in range(count)]
     events = [event for i, (start, stop, x, y) in enumerate(spans) for event in contact(i + 1, start, stop, x, y)]
     drawn: list[Figure] = []
-    monkeypatch.setattr("touchd.evaluation.plots.save", lambda figure, _path: drawn.append(figure))
+    monkeypatch.setattr("touchd.evaluation.plots.session.save", lambda figure, _path: drawn.append(figure))
     draw_session(truth(spans, frames=8 * count), events, tmp_path / "session.png")
     legend = drawn[0].axes[0].get_legend()
     assert legend is not None

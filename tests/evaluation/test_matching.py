@@ -13,7 +13,7 @@ from scipy.optimize import linear_sum_assignment
 
 from touchd.evaluation.force import FEWEST
 from touchd.evaluation.matching import REACH_MM, Seen, match, match_frames, scores_by_fingers
-from touchd.tracker import Touch
+from touchd.touch import Touch
 
 Places = list[tuple[float, float]]
 

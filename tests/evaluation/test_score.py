@@ -10,16 +10,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from touchd.evaluation.maps import cell_medians
-from touchd.evaluation.modelplots import confusion, sigma_deciles
-from touchd.evaluation.score import Judgement, classes, judge, scores
+from touchd.evaluation.dataset import make_dataset
+from touchd.evaluation.model_scores import Judgement, classes, judge, scores
+from touchd.evaluation.plots.maps import cell_medians
+from touchd.evaluation.plots.model import confusion, sigma_deciles
 from touchd.frame import Plate
 from touchd.keypad import PHONE, load_layout
-from touchd.model import Model
-from touchd.recording import Recording
-from touchd.training.dataset import make_dataset
-from touchd.training.recipe import RECIPES
-from touchd.training.train import train
+from touchd.localization.model import Model
+from touchd.recording.data import Recording
+from touchd.training.network.recipe import RECIPES
+from touchd.training.train_network import train
 from touchd.twin.instrument import Instrument
 from touchd.twin.simulate import simulate_touches
 

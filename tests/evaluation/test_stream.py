@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from touchd.evaluation.matching import REACH_MM
-from touchd.evaluation.stream import SLACK_FRAMES, found_contacts, score_stream
+from touchd.evaluation.replay_scores import SLACK_FRAMES, found_contacts, score_stream
 from touchd.evaluation.truth import true_touches
 from touchd.event import Contact, Phase, TouchEvent
 from touchd.frame import Plate
-from touchd.recording import Meta, Recording
+from touchd.recording.data import Meta, Recording
 
 META = Meta(sample_rate_hz=250e3, bits=16, full_scale_v=10, frame_rate_hz=125, plate=Plate(width_mm=200, height_mm=200))
 FIRST = 1000

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from tests.evaluation.test_stream import FIRST, contact, message, truth
 from touchd.evaluation.matching import REACH_MM, scores_by_fingers
-from touchd.evaluation.stream import SLACK_FRAMES, score_stream
+from touchd.evaluation.replay_scores import SLACK_FRAMES, score_stream
 from touchd.event import TouchEvent
-from touchd.recording import Recording
+from touchd.recording.data import Recording
 
 Way = NDArray[np.float64]
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.atlas import Atlas, AtlasDescription
-from touchd.features import band_bins, windowed_dft
+from touchd.localization.atlas import Atlas, AtlasDescription
+from touchd.localization.features import band_bins, windowed_dft
 from touchd.twin.electronics import Electronics
-from touchd.twin.finger import Contact
 from touchd.twin.instrument import REFERENCE_C, Instrument
+from touchd.twin.physics.finger import Contact
 
 STEP_MM, MARGIN_MM, AREA_MM2 = 2.5, 5.0, 20.0
 

@@ -10,9 +10,9 @@ from typing import Any
 
 from tests.golden import scenes
 from tests.processes import through_the_bus
+from touchd.cli.demo import SESSION
 from touchd.twin.instrument import Instrument
 from touchd.twin.simulate import DEFAULT_PLATE, simulate_scene
-from touchd.verbs.demo import SESSION
 
 GOLDEN = Path(__file__).parent / "session.jsonl"
 COUNTERS = ("frames", "lost", "corrupt", "skipped", "inferred")

@@ -7,14 +7,14 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from touchd.config import Settings
+from touchd.config.schema import Settings
 from touchd.evaluation.replay import run_through
 from touchd.event import Contact, Event, KeyEvent, TouchEvent
 from touchd.frame import Frame
 from touchd.keypad import PHONE
-from touchd.recording import Recording
-from touchd.sources import EndOfStream
-from touchd.twin.scenes import SCENES
+from touchd.recording.data import Recording
+from touchd.sources.source import EndOfStream
+from touchd.twin.scenes.catalogue import SCENES
 
 FOLDER = Path(__file__).parent / "scenes"
 SEED = 21

@@ -13,7 +13,7 @@ import pytest
 
 from tests.golden import scenes
 from tests.golden.rebuild import GOLDEN, received
-from touchd.recording import Recording
+from touchd.recording.data import Recording
 
 PLACE_MM = 0.02
 """Another processor adds up in another order."""

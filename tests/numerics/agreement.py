@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from tests.numerics import reference
 from tests.numerics.watch import Look, Run, frames_of, run
-from touchd.atlas import Atlas
 from touchd.evaluation.finders import atlas_finder
-from touchd.evaluation.frames import see, touched_frames
-from touchd.model import Model, default_model_path
-from touchd.recording import Recording
-from touchd.tracker import Touch
+from touchd.evaluation.single_frames import see, touched_frames
+from touchd.localization.atlas import Atlas
+from touchd.localization.model import Model, default_model_path
+from touchd.recording.data import Recording
+from touchd.touch import Touch
 
 FEATURES_RELATIVE = 1e-6
 ROUNDING_MM = 1e-3

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
 from tests.numerics import curves
-from touchd.evaluation.plots import COLOURS
+from touchd.evaluation.plots.session import COLOURS
 
 ATLAS, NETWORK, PAPER = "field atlas", "network alone", "paper's recipe"
 STYLES = {ATLAS: ("o-", 0), NETWORK: ("s-", 2), PAPER: ("^-", 1), "kNN": ("D--", 3), "GCC": ("v--", 4)}

@@ -9,17 +9,17 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.atlas import Atlas
-from touchd.config import ModelSettings
+from touchd.config.schema import ModelSettings
+from touchd.evaluation.dataset import Dataset, make_dataset
 from touchd.evaluation.finders import atlas_finder
-from touchd.evaluation.frames import see, touched_frames
 from touchd.evaluation.matching import match_frames
-from touchd.evaluation.score import judge
-from touchd.features import band_bins
-from touchd.model import Model
-from touchd.recording import Recording
-from touchd.training.dataset import Dataset, make_dataset
-from touchd.training.dictionary import Correlation, Nearest
+from touchd.evaluation.model_scores import judge
+from touchd.evaluation.single_frames import see, touched_frames
+from touchd.lab.dictionary import Correlation, Nearest
+from touchd.localization.atlas import Atlas
+from touchd.localization.features import band_bins
+from touchd.localization.model import Model
+from touchd.recording.data import Recording
 from touchd.twin.electronics import Dead, Electronics
 from touchd.twin.instrument import Instrument
 from touchd.twin.simulate import simulate_touches

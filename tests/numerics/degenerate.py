@@ -15,18 +15,18 @@ from numpy.typing import NDArray
 from onnx import numpy_helper
 
 from tests.numerics import reference
-from touchd.atlas import Atlas
-from touchd.baseline import Baseline
-from touchd.config import BaselineSettings
-from touchd.model import Model, default_model_path
-from touchd.recording import Recording
-from touchd.refine import Refiner
+from touchd.config.schema import BaselineSettings
+from touchd.detection.baseline import Baseline
+from touchd.localization.atlas import Atlas
+from touchd.localization.gauss_newton import Refiner
+from touchd.localization.model import Model, default_model_path
+from touchd.recording.data import Recording
 from touchd.twin.electronics import Electronics
-from touchd.twin.finger import force_of
 from touchd.twin.instrument import REFERENCE_C, Instrument
-from touchd.twin.path import still
+from touchd.twin.physics.finger import force_of
+from touchd.twin.scenes.timeline import Stage
+from touchd.twin.scenes.trajectory import still
 from touchd.twin.simulate import recording_of, stream
-from touchd.twin.stage import Stage
 
 Place = tuple[float, float]
 RATE_HZ = 125.0

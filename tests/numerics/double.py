@@ -24,12 +24,13 @@ from typing import Any
 import numpy as np
 import onnx
 
-from touchd.atlas import atlas_path
-from touchd.benchmark.graphs import in_double
+from touchd.lab.benchmark.graphs import in_double
+from touchd.localization.atlas import atlas_path
 
 SHARED = (
-    "assignment", "config", "counters", "errors", "event", "filter", "frame", "gate", "keypad", "message", "npz",
-    "tracker", "recording",
+    "tracking", "tracking.assignment", "config", "config.schema", "outcome", "errors", "event", "tracking.one_euro",
+    "frame", "detection", "detection.gate", "keypad", "sinks", "sinks.messages", "recording", "recording.npz",
+    "tracking.tracker", "touch", "recording.data", "recording.validate", "recording.format", "localization",
 )  # fmt: skip
 """Modules that compute in float64 anyway, or hold nothing but plain data: both runs use the same ones."""
 _WIDER = {"np.float32": "np.float64", "np.complex64": "np.complex128"}
@@ -68,8 +69,7 @@ def _own_modules() -> Iterator[None]:
         if name not in shared:
             del sys.modules[name]
     finder = _Doubling()
-    package = sys.modules["touchd"]
-    attributes = dict(vars(package))
+    attributes = {name: dict(vars(module)) for name, module in kept.items() if name in shared}
     sys.meta_path.insert(0, finder)
     try:
         yield
@@ -78,7 +78,8 @@ def _own_modules() -> Iterator[None]:
         for name in [name for name in sys.modules if name.startswith("touchd")]:
             del sys.modules[name]
         sys.modules.update(kept)
-        vars(package).update(attributes)
+        for name, own in attributes.items():
+            vars(kept[name]).update(own)
 
 
 @cache
@@ -87,8 +88,13 @@ def double() -> Any:
     for name in SHARED:
         importlib.import_module(f"touchd.{name}")
     with _own_modules():
-        names = ("pipeline", "finder", "locator", "refine", "drift", "model", "baseline")
-        return SimpleNamespace(**{name: importlib.import_module(f"touchd.{name}") for name in names})
+        names = (
+            "pipeline", "localization.network_localizer", "localization.atlas_localizer", "localization.gauss_newton",
+            "localization.drift", "localization.model", "detection.baseline",
+        )  # fmt: skip
+        return SimpleNamespace(
+            **{name.rpartition(".")[2]: importlib.import_module(f"touchd.{name}") for name in names}
+        )
 
 
 @cache

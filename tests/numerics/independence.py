@@ -14,14 +14,15 @@ import onnxruntime as ort
 from numpy.typing import NDArray
 
 from tests.numerics.agreement import NetworkShift, shift
-from touchd.config import Settings
+from touchd.config.schema import Settings
 from touchd.evaluation.replay import run_through
 from touchd.event import TouchEvent
 from touchd.frame import Acquisition, Frame
-from touchd.model import Model, default_model_path
-from touchd.recording import Recording, write
-from touchd.sources import EndOfStream, Source
+from touchd.localization.model import Model, default_model_path
+from touchd.recording.data import Recording
+from touchd.recording.format import write
 from touchd.sources.replay import ReplaySource
+from touchd.sources.source import EndOfStream, Source
 
 Rows = NDArray[np.float32]
 Contacts = list[tuple[int, list[tuple[float | str, ...]]]]

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tests.numerics.watch import Run, frames_of, run
-from touchd.config import Settings
-from touchd.model import Model
-from touchd.recording import Recording
+from touchd.config.schema import Settings
+from touchd.localization.model import Model
+from touchd.recording.data import Recording
 from touchd.twin.electronics import Electronics
 from touchd.twin.instrument import Instrument
 from touchd.twin.simulate import simulate_scene

@@ -15,11 +15,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.baseline import Baseline
-from touchd.config import BaselineSettings, GateSettings
-from touchd.deviceclock import DeviceClock
-from touchd.gate import Gate
-from touchd.noise import MEMORY_FRAMES, Noise
+from touchd.config.schema import BaselineSettings, GateSettings
+from touchd.detection.baseline import Baseline
+from touchd.detection.gate import Gate
+from touchd.localization.noise_power import MEMORY_FRAMES, Noise
+from touchd.sources.device_clock import DeviceClock
 
 SHAPE = (1, 64)
 YEAR_S = 365 * 24 * 3600

@@ -17,9 +17,9 @@ import onnx
 from numpy.typing import NDArray
 from onnx.reference import ReferenceEvaluator
 
-from touchd.atlas import Atlas
-from touchd.benchmark.graphs import in_double
 from touchd.frame import Acquisition
+from touchd.lab.benchmark.graphs import in_double
+from touchd.localization.atlas import Atlas
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from tests.numerics.curves import AXES, SEED, Contender, by_atlas, by_dictionary, by_network, measured
-from touchd.model import Model, default_model_path
-from touchd.training.dataset import make_dataset
+from touchd.evaluation.dataset import make_dataset
+from touchd.localization.model import Model, default_model_path
 from touchd.twin.instrument import Instrument
 from touchd.twin.simulate import simulate_touches
 

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from tests.numerics.degenerate import flushed, slowdowns, with_small_weights
-from touchd.baseline import Baseline
-from touchd.config import BaselineSettings
-from touchd.model import default_model_path
+from touchd.config.schema import BaselineSettings
+from touchd.detection.baseline import Baseline
+from touchd.localization.model import default_model_path
 from touchd.twin.instrument import Instrument
 from touchd.twin.simulate import simulate_touches
 
@@ -22,7 +22,7 @@ TINY = float(np.finfo(np.float32).tiny)
 
 @pytest.fixture(scope="module")
 def features(instrument: Instrument) -> np.ndarray:
-    from touchd.training.dataset import make_dataset
+    from touchd.evaluation.dataset import make_dataset
 
     return make_dataset(simulate_touches(40, seed=7203, instrument=instrument), least=1).residual
 

@@ -8,8 +8,8 @@ import pytest
 
 from tests.numerics.agreement import ROUNDING_MM
 from tests.numerics.independence import by_batch_and_threads, chunked, farthest_mm, whole, with_blas_threads
-from touchd.recording import Recording
-from touchd.training.dataset import make_dataset
+from touchd.evaluation.dataset import make_dataset
+from touchd.recording.data import Recording
 from touchd.twin.instrument import Instrument
 from touchd.twin.simulate import simulate_scene, simulate_touches
 

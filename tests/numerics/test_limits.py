@@ -16,9 +16,9 @@ from hypothesis import strategies as st
 from tests.numerics.degenerate import in_nodes, on_discs, on_the_edge, taps_at
 from tests.numerics.limits import Case, Verdict, cases, changed, image, judge, moments, tones, tried
 from tests.numerics.watch import frames_of, run
-from touchd.model import Model
-from touchd.recording import Recording
-from touchd.refine import Refiner
+from touchd.localization.gauss_newton import Refiner
+from touchd.localization.model import Model
+from touchd.recording.data import Recording
 from touchd.twin.instrument import Instrument
 from touchd.twin.simulate import simulate_scene
 

@@ -14,12 +14,12 @@ from hypothesis import strategies as st
 from tests.numerics.independence import contacts_of
 from tests.numerics.longruns import SHAPE, long_gate, long_noise, resting_baseline, year_of_clock
 from tests.numerics.watch import Run, frames_of, run
-from touchd.config import GateSettings
+from touchd.config.schema import GateSettings
+from touchd.detection.gate import Gate
 from touchd.event import TouchEvent, encode
-from touchd.filter import OneEuro
-from touchd.gate import Gate
-from touchd.model import Model
-from touchd.recording import Recording
+from touchd.localization.model import Model
+from touchd.recording.data import Recording
+from touchd.tracking.one_euro import OneEuro
 from touchd.twin.instrument import Instrument
 from touchd.twin.simulate import simulate_scene
 

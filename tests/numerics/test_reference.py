@@ -15,12 +15,12 @@ from tests.numerics import reference
 from tests.numerics.agreement import FEATURES_RELATIVE, ROUNDING_MM, compared, networks
 from tests.numerics.double import double_model, narrow_arrays
 from tests.numerics.watch import frames_of, run
-from touchd.features import FrequencyFeatures
+from touchd.evaluation.dataset import make_dataset
 from touchd.frame import Acquisition
-from touchd.model import Model, default_model_path
-from touchd.training.dataset import make_dataset
+from touchd.localization.features import FrequencyFeatures
+from touchd.localization.model import Model, default_model_path
 from touchd.twin.instrument import Instrument
-from touchd.twin.scenes import SCENES
+from touchd.twin.scenes.catalogue import SCENES
 from touchd.twin.simulate import simulate_scene, simulate_touches
 
 RIG = Acquisition(channels=4, samples=250, sample_rate_hz=250e3)

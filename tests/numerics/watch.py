@@ -10,14 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tests.numerics.double import double, double_model
-from touchd import finder, pipeline
-from touchd.config import Settings
+from touchd import pipeline
+from touchd.config.schema import Settings
 from touchd.event import Event, TouchEvent
 from touchd.frame import Frame
-from touchd.message import Messages
-from touchd.model import Model, default_model_path
-from touchd.recording import Recording
-from touchd.tracker import Touch
+from touchd.localization import network_localizer
+from touchd.localization.model import Model, default_model_path
+from touchd.recording.data import Recording
+from touchd.sinks.messages import Messages
+from touchd.touch import Touch
 
 Array = NDArray[Any]
 
@@ -73,7 +74,7 @@ def run(
     modules: Any = double() if wide else _SINGLE
     chosen: Any = model or (double_model(default_model_path()) if wide else Model(default_model_path()))
 
-    class Watched(modules.finder.Locator):  # type: ignore[misc]  # a class of a module made at run time
+    class Watched(modules.network_localizer.Locator):  # type: ignore[misc]  # a class of a module made at run time
         def rebase(self, baseline: Array) -> None:
             super().rebase(baseline)
             self.told = baseline.copy()
@@ -92,14 +93,14 @@ def run(
             )  # fmt: skip
             return touches
 
-    kept = modules.finder.Locator
-    modules.finder.Locator = Watched
+    kept = modules.network_localizer.Locator
+    modules.network_localizer.Locator = Watched
     try:
         made = modules.pipeline.Pipeline(
             chosen.description.acquisition, chosen, settings or Settings(), Messages("plate", 0)
         )
     finally:
-        modules.finder.Locator = kept
+        modules.network_localizer.Locator = kept
     result.pipeline = made
     for number, frame in enumerate(frames):  # noqa: B007  the watched locator reads it
         result.events += made.process(frame)
@@ -107,7 +108,7 @@ def run(
 
 
 class _Single:
-    finder, pipeline = finder, pipeline
+    network_localizer, pipeline = network_localizer, pipeline
 
 
 _SINGLE = _Single()

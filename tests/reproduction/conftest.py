@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from touchd.recording import Recording
+from touchd.recording.data import Recording
 from touchd.twin.instrument import Instrument
 from touchd.twin.simulate import simulate_touches
 

@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from touchd import recording
+from touchd.cli.reproduce import command
 from touchd.jobs import local
-from touchd.model import default_model_path
-from touchd.recording import Recording
-from touchd.reproduction import plan, run
-from touchd.verbs.reproduce import command
+from touchd.lab.reproduction import plan, run
+from touchd.localization.model import default_model_path
+from touchd.recording import format as recording
+from touchd.recording.data import Recording
 
 FEW = ["--epochs", "1", "--jobs", "1"]
 

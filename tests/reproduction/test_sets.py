@@ -8,10 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from touchd.keypad import PHONE, load_layout
-from touchd.recording import Recording
-from touchd.reproduction import paper
-from touchd.reproduction.scores import confusion, keypad_scores, zone_accuracy
-from touchd.reproduction.sets import central
+from touchd.lab.reproduction import paper
+from touchd.lab.reproduction.scores import confusion, keypad_scores, zone_accuracy
+from touchd.lab.reproduction.sets import central
+from touchd.recording.data import Recording
 
 LAYOUT = load_layout(PHONE)
 KEYS = len(LAYOUT.key)

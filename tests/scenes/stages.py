@@ -7,16 +7,16 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.config import Settings
+from touchd.config.schema import Settings
 from touchd.evaluation.replay import Outcome, run_through
-from touchd.evaluation.stream import StreamScores, score_stream
+from touchd.evaluation.replay_scores import StreamScores, score_stream
 from touchd.frame import Acquisition, Frame
-from touchd.recording import Meta, Recording
-from touchd.sources import EndOfStream
+from touchd.recording.data import Meta, Recording
+from touchd.sources.source import EndOfStream
 from touchd.twin.electronics import Electronics
 from touchd.twin.instrument import REFERENCE_C, Instrument
+from touchd.twin.scenes.timeline import Path, Stage
 from touchd.twin.simulate import DEFAULT_PLATE, stream
-from touchd.twin.stage import Path, Stage
 
 RATE_HZ = 125.0
 

@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 
 from tests.scenes.stages import at, empty_stage, play, score
-from touchd.config import Settings
+from touchd.cli.demo import SESSION
+from touchd.config.schema import Settings
 from touchd.evaluation.metrics import position_scores
 from touchd.evaluation.replay import Outcome, replay
-from touchd.evaluation.stream import StreamScores, score_stream
+from touchd.evaluation.replay_scores import StreamScores, score_stream
 from touchd.event import TouchEvent
-from touchd.recording import read
+from touchd.recording.format import read
 from touchd.twin.electronics import Electronics
 from touchd.twin.instrument import REFERENCE_C, Instrument
 from touchd.twin.simulate import DEFAULT_PLATE, stage_scene
-from touchd.verbs.demo import SESSION
 
 
 def scene(name: str, instrument: Instrument, seed: int) -> tuple[StreamScores, Outcome]:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from touchd.evaluation.score import judge, scores
-from touchd.model import Model, default_model_path
-from touchd.training.dataset import Dataset, make_dataset
+from touchd.evaluation.dataset import Dataset, make_dataset
+from touchd.evaluation.model_scores import judge, scores
+from touchd.localization.model import Model, default_model_path
 from touchd.twin.electronics import Electronics
 from touchd.twin.instrument import Instrument
 from touchd.twin.simulate import simulate_touches

@@ -12,13 +12,13 @@ import pytest
 from click.testing import CliRunner
 from structlog.testing import capture_logs
 
-from touchd import curve
+from touchd.cli.keygen import command as keygen
 from touchd.client import Subscriber
-from touchd.config import BusSettings
+from touchd.config.schema import BusSettings
 from touchd.errors import BusError, BusTimeout, ConfigError, OutputError
 from touchd.event import Event, KeyEvent
+from touchd.sinks import curve
 from touchd.sinks.zeromq import ZeromqSink
-from touchd.verbs.keygen import command as keygen
 
 Bus = Callable[..., ZeromqSink]
 

@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 
 from touchd.client import Subscriber
-from touchd.config import BusSettings
+from touchd.config.schema import BusSettings
 from touchd.errors import AddressInUse, BusError, BusTimeout, InsecureBind
 from touchd.event import KeyEvent
 from touchd.sinks.zeromq import ZeromqSink

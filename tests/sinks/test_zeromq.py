@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 import zmq
 
-from touchd.config import BusSettings
+from touchd.config.schema import BusSettings
 from touchd.errors import BusTimeout
 from touchd.event import TOPICS, Contact, Event, HealthEvent, KeyEvent, Latency, SpectrumEvent, TouchEvent
 from touchd.sinks import zeromq

@@ -14,9 +14,9 @@ for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
 import numpy as np  # noqa: E402 - after its threads are limited
 
 from tests.soak.rig import Result, complaints, run  # noqa: E402 - as above
-from touchd.config import LogSettings  # noqa: E402 - as above
-from touchd.log import configure  # noqa: E402 - as above
-from touchd.model import Model, default_model_path  # noqa: E402 - as above
+from touchd.config.schema import LogSettings  # noqa: E402 - as above
+from touchd.localization.model import Model, default_model_path  # noqa: E402 - as above
+from touchd.service.log import configure  # noqa: E402 - as above
 
 
 def report(what: str, result: Result) -> list[str]:

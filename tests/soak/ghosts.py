@@ -24,13 +24,13 @@ import numpy as np
 from loky import ProcessPoolExecutor
 
 from tests.scenes.stages import RATE_HZ, empty_stage, play, score
-from touchd.evaluation.stream import found_contacts
-from touchd.twin.acts import END_S, FORCES_N, IDLE_S
+from touchd.evaluation.replay_scores import found_contacts
 from touchd.twin.electronics import Electronics, Tone
 from touchd.twin.instrument import Instrument
-from touchd.twin.path import anywhere, still
+from touchd.twin.scenes.one_finger import END_S, FORCES_N, IDLE_S
+from touchd.twin.scenes.timeline import Stage
+from touchd.twin.scenes.trajectory import anywhere, still
 from touchd.twin.simulate import DEFAULT_PLATE
-from touchd.twin.stage import Stage
 
 PIECE_S = 60.0
 NEAR_MM = 10.0

@@ -17,20 +17,20 @@ from numpy.typing import NDArray
 from tests.usb.backend import FakeBus, FakeDaq, Transfer
 from tests.usb.plate import recorded
 from tests.usb.reader import INFO
-from touchd.awake import Awake
-from touchd.config import BusSettings, DeviceSettings, Settings
-from touchd.daemon import make_messages, make_pipeline
+from touchd.config.schema import BusSettings, DeviceSettings, Settings
 from touchd.event import Event
 from touchd.frame import Frame
-from touchd.model import Model
+from touchd.localization.model import Model
 from touchd.pipeline import Pipeline
-from touchd.preroll import PreRoll
-from touchd.service import Service
-from touchd.sinks import Sink
+from touchd.service.cpu_latency import Awake
+from touchd.service.daemon import make_messages, make_pipeline
+from touchd.service.loop import Service
+from touchd.service.preroll import PreRoll
+from touchd.sinks.sink import Sink
 from touchd.sinks.zeromq import ZeromqSink
 from touchd.sources.live import DaqSource
 from touchd.sources.usb import open_usb
-from touchd.usbframe import Flag
+from touchd.sources.usb_protocol import Flag
 
 CORRUPT_EVERY = 10_000
 SKIP_EVERY = 25_000

@@ -8,7 +8,7 @@ import pytest
 
 from tests.soak import rig
 from tests.soak.rig import complaints, run
-from touchd.model import Model
+from touchd.localization.model import Model
 
 
 @pytest.mark.parametrize(("frames", "rate_hz"), [(4_000, float("inf")), (2_000, 1000.0)])

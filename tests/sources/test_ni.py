@@ -23,14 +23,14 @@ from nidaqmx.task.collections import AIChannelCollection, AOChannelCollection
 from nidaqmx.task.triggering import StartTrigger, Triggers
 from numpy.typing import NDArray
 
-from touchd.config import DeviceSettings, NiSettings
+from touchd.chirp import waveform
+from touchd.config.schema import DeviceSettings, NiSettings
 from touchd.errors import ConfigError, SourceError
 from touchd.frame import Acquisition
 from touchd.sources.daq import DaqAbsent, DaqGone
 from touchd.sources.live import DaqSource
 from touchd.sources.ni import NiDaq
-from touchd.twin.chirp import waveform
-from touchd.usbframe import FrameReader
+from touchd.sources.usb_protocol import FrameReader
 
 ACQUISITION = Acquisition(channels=4, samples=250, sample_rate_hz=250e3)
 SETTINGS = NiSettings()

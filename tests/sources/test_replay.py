@@ -10,9 +10,10 @@ import pytest
 
 from touchd.errors import ConfigError, RecordingMissing, RecordingTruncated
 from touchd.frame import Frame, Plate
-from touchd.recording import Meta, Recording, write
-from touchd.sources import EndOfStream
+from touchd.recording.data import Meta, Recording
+from touchd.recording.format import write
 from touchd.sources.replay import ReplaySource
+from touchd.sources.source import EndOfStream
 
 META = Meta(
     sample_rate_hz=250e3, bits=16, full_scale_v=10.0, frame_rate_hz=125.0, plate=Plate(width_mm=400.0, height_mm=300.0)

@@ -11,8 +11,9 @@ import pytest
 
 from touchd.errors import SimulationError
 from touchd.frame import Frame, Plate
-from touchd.sources import EndOfStream, Source, simulated
+from touchd.sources import simulated
 from touchd.sources.simulated import SimulatedSource
+from touchd.sources.source import EndOfStream, Source
 from touchd.twin.instrument import Instrument
 from touchd.twin.simulate import simulate_scene
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from touchd.recording import Recording
-from touchd.training.dataset import Dataset, make_dataset
-from touchd.training.field import Field
-from touchd.training.sparse import learn_field
+from touchd.evaluation.dataset import Dataset, make_dataset
+from touchd.recording.data import Recording
+from touchd.training.field.few_touches import learn_field
+from touchd.training.field.learn import Field
 from touchd.twin.instrument import Instrument
 from touchd.twin.simulate import simulate_touches
 

@@ -9,11 +9,11 @@ import pytest
 import torch
 
 from tests.training.conftest import KNOWN
-from touchd.training import augment
-from touchd.training.augment import Augmenter, Bank, make_bank
-from touchd.training.dataset import Dataset
-from touchd.training.field import Field
-from touchd.training.synthetic import Synthesiser
+from touchd.evaluation.dataset import Dataset
+from touchd.training.data import augment
+from touchd.training.data.augment import Augmenter, Bank, make_bank
+from touchd.training.data.synthetic import Synthesiser
+from touchd.training.field.learn import Field
 
 NONE = torch.zeros(KNOWN, 1)
 """No noise of the touches' own."""

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from touchd.training.calibration import Level, calibrate, field_error
+from touchd.training.field.error_scale import Level, calibrate, field_error
 
 ERROR = 0.04
 

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 
 from tests.training.conftest import COUNT
 from touchd.errors import TrainingError
-from touchd.features import make_features
-from touchd.recording import Recording
-from touchd.training.dataset import MIN_TOUCHES, Dataset, digest, make_dataset, split, thin
+from touchd.evaluation.dataset import MIN_TOUCHES, Dataset, digest, make_dataset, split, thin
+from touchd.localization.features import make_features
+from touchd.recording.data import Recording
 
 
 def truth_of(touches: Recording) -> Any:

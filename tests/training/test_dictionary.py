@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.training.conftest import KNOWN
-from touchd.features import band_bins
-from touchd.training.dataset import Dataset
-from touchd.training.dictionary import LAGS_S, Correlation, Nearest
+from touchd.evaluation.dataset import Dataset
+from touchd.lab.dictionary import LAGS_S, Correlation, Nearest
+from touchd.localization.features import band_bins
 
 
 def correlation(dataset: Dataset) -> Correlation:

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from tests.training.waves import Waves, touch
-from touchd.training.dataset import Dataset
-from touchd.training.dispersion import dispersion_of, fit_dispersion, frequencies, known_dispersion
-from touchd.training.regression import touches_of
+from touchd.evaluation.dataset import Dataset
+from touchd.training.field.dispersion import dispersion_of, fit_dispersion, frequencies, known_dispersion
+from touchd.training.field.regression import touches_of
 
 F_HZ = np.linspace(50e3, 100e3, 15)
 

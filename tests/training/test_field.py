@@ -9,10 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.training.conftest import KNOWN
+from touchd.evaluation.dataset import Dataset
 from touchd.keypad import Key, Layout
-from touchd.training.dataset import Dataset
-from touchd.training.field import STEP_MM, Field
-from touchd.training.synthetic import BORDER_MM, Synthesiser
+from touchd.training.data.synthetic import BORDER_MM, Synthesiser
+from touchd.training.field.learn import STEP_MM, Field
 
 SIZE_MM = (200.0, 200.0)
 

@@ -10,9 +10,9 @@ from torch import Tensor
 
 from touchd.errors import TrainingError
 from touchd.frame import Plate
-from touchd.training.fit import Batches, Curve, fit
-from touchd.training.recipe import RECIPES
-from touchd.training.task import Batch, PaperPositionTask
+from touchd.training.network.loop import Batches, Curve, fit
+from touchd.training.network.objectives import Batch, PaperPositionTask
+from touchd.training.network.recipe import RECIPES
 
 PLATE = Plate(width_mm=200, height_mm=200)
 

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from scipy.ndimage import map_coordinates, spline_filter
 
 from tests.training.waves import Waves
-from touchd.atlas import Atlas, AtlasDescription
 from touchd.frame import Acquisition, Plate
-from touchd.training.gaussnewton import FieldMap, place
+from touchd.localization.atlas import Atlas, AtlasDescription
+from touchd.training.field.place import FieldMap, place
 
 RIG = Acquisition(channels=3, samples=250, sample_rate_hz=250e3)
 BINS = (51, 60, 70, 80)

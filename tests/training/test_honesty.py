@@ -10,10 +10,10 @@ import pytest
 import torch
 
 from tests.training.conftest import COUNT, KNOWN
-from touchd.training.augment import Augmenter, make_bank
-from touchd.training.dataset import Dataset
-from touchd.training.honesty import LOUDER, make_honest
-from touchd.training.network import Regression
+from touchd.evaluation.dataset import Dataset
+from touchd.training.data.augment import Augmenter, make_bank
+from touchd.training.network.network import Regression
+from touchd.training.network.sigma_calibration import LOUDER, make_honest
 
 
 @pytest.fixture(scope="module")

@@ -14,11 +14,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from touchd.errors import TrainingError
+from touchd.evaluation.dataset import PAUSE_S, baseline_frames, make_dataset
 from touchd.frame import Chirp, Plate
-from touchd.recording import Recording
-from touchd.training.dataset import PAUSE_S, baseline_frames, make_dataset
-from touchd.training.inspection import coverage, density, inspect
-from touchd.training.join import join
+from touchd.recording.data import Recording
+from touchd.training.data.inspection import coverage, density, inspect
+from touchd.training.data.join import join
 
 PLATE = Plate(width_mm=200, height_mm=200)
 Change = Callable[[np.ndarray, np.ndarray], None]

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from tests.training.waves import Waves, touch
-from touchd.training.leftout import displacements, foretold, left_out
-from touchd.training.regression import Prior, Regression, Touches, each
+from touchd.training.field.leave_one_out import displacements, foretold, left_out
+from touchd.training.field.regression import Prior, Regression, Touches, each
 
 K = np.array([0.2, 0.25, 0.3])
 

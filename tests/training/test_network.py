@@ -12,12 +12,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from touchd.errors import TrainingError
-from touchd.model import Model
-from touchd.recording import Recording
-from touchd.training.dataset import Dataset, digest
-from touchd.training.network import Regression
-from touchd.training.task import SPREAD_BINS
-from touchd.training.train import Result, train
+from touchd.evaluation.dataset import Dataset, digest
+from touchd.localization.model import Model
+from touchd.recording.data import Recording
+from touchd.training.network.network import Regression
+from touchd.training.network.objectives import SPREAD_BINS
+from touchd.training.train_network import Result, train
 
 NETWORK = Regression(8, (200.0, 100.0), (4,))
 HALF = st.floats(-0.5, 0.5, width=32)

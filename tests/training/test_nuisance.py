@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from touchd.features import make_features
-from touchd.recording import Recording
-from touchd.training.dataset import Dataset
-from touchd.training.nuisance import MOST, drift_directions
+from touchd.evaluation.dataset import Dataset
+from touchd.localization.features import make_features
+from touchd.recording.data import Recording
+from touchd.training.data.drift_directions import MOST, drift_directions
 from touchd.twin.instrument import REFERENCE_C, Instrument
 
 

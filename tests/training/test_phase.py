@@ -7,9 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.training.test_gaussnewton import atlas  # noqa: F401  the same field of random waves
-from touchd.atlas import Atlas
-from touchd.training.gaussnewton import FieldMap, place
-from touchd.training.phase import aligned, mean_direction
+from touchd.localization.atlas import Atlas
+from touchd.training.field.phase import aligned, mean_direction
+from touchd.training.field.place import FieldMap, place
 
 
 def lead_rad(place_mm: np.ndarray) -> np.ndarray:

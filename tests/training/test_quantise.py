@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from touchd import recording
+from touchd.cli.quantise import command
 from touchd.errors import TrainingError
-from touchd.evaluation.score import judge
-from touchd.model import Model
-from touchd.recording import Recording
-from touchd.training.dataset import make_dataset, split
-from touchd.training.quantise import quantise
-from touchd.training.recipe import RECIPES
-from touchd.training.train import train
-from touchd.verbs.quantise import command
+from touchd.evaluation.dataset import make_dataset, split
+from touchd.evaluation.model_scores import judge
+from touchd.localization.model import Model
+from touchd.recording import format as recording
+from touchd.recording.data import Recording
+from touchd.training.network.quantise import quantise
+from touchd.training.network.recipe import RECIPES
+from touchd.training.train_network import train
 
 
 @pytest.fixture(scope="module")

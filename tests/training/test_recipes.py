@@ -12,15 +12,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from touchd.errors import TrainingError
+from touchd.evaluation.dataset import make_dataset
 from touchd.frame import Plate
 from touchd.keypad import PHONE, load_layout
-from touchd.model import Model
-from touchd.recording import Recording
-from touchd.training.dataset import make_dataset
-from touchd.training.network import PlainRegression, multiply_adds
-from touchd.training.recipe import RECIPES
-from touchd.training.task import ClassTask, make_task
-from touchd.training.train import train
+from touchd.localization.model import Model
+from touchd.recording.data import Recording
+from touchd.training.network.network import PlainRegression, multiply_adds
+from touchd.training.network.objectives import ClassTask, make_task
+from touchd.training.network.recipe import RECIPES
+from touchd.training.train_network import train
 
 PLATE = Plate(width_mm=200, height_mm=200)
 LAYOUT = load_layout(PHONE)

@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.training.waves import Waves, touch
-from touchd.training.kernel import covariance
-from touchd.training.regression import Prior, Regression, Touches, each, smooth
-from touchd.training.selection import RIDGES, WHITE_SHARES, choose, cut, region_of, surprises
+from touchd.training.field.kernel import covariance
+from touchd.training.field.regression import Prior, Regression, Touches, each, smooth
+from touchd.training.field.selection import RIDGES, WHITE_SHARES, choose, cut, region_of, surprises
 
 K = np.linspace(0.2, 0.3, 3)
 

@@ -8,10 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.training.waves import Waves, touch
-from touchd.training.field import learn_thoroughly
-from touchd.training.leftout import Displaced
-from touchd.training.regression import Touches
-from touchd.training.relabel import MOST_MM, label_noise_mm, replaced
+from touchd.training.data.relabel import MOST_MM, label_noise_mm, replaced
+from touchd.training.field.learn import learn_thoroughly
+from touchd.training.field.leave_one_out import Displaced
+from touchd.training.field.regression import Touches
 
 K = np.linspace(0.2, 0.3, 9)
 

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from touchd.errors import OutputError
-from touchd.evaluation.score import Judgement
+from touchd.evaluation.model_scores import Judgement
 from touchd.keypad import PHONE, load_layout
-from touchd.recording import Recording
-from touchd.training import report
-from touchd.training.recipe import RECIPES
-from touchd.training.report import findings, page, report_folder, write_report
-from touchd.training.train import Result, train
+from touchd.recording.data import Recording
+from touchd.training.network.recipe import RECIPES
+from touchd.training.report import network_report as report
+from touchd.training.report.network_report import findings, page, report_folder, write_report
+from touchd.training.train_network import Result, train
 
 
 @pytest.fixture(scope="module")

@@ -6,12 +6,12 @@ import numpy as np
 import torch
 
 from tests.training.test_field import SIZE_MM, unlike
-from touchd.training.dataset import Dataset
-from touchd.training.dispersion import known_dispersion
-from touchd.training.field import OUTER_ROUNDS, Field, Learner
-from touchd.training.regression import Prior, touches_of
-from touchd.training.sparse import learn_field
-from touchd.training.synthetic import Synthesiser
+from touchd.evaluation.dataset import Dataset
+from touchd.training.data.synthetic import Synthesiser
+from touchd.training.field.dispersion import known_dispersion
+from touchd.training.field.few_touches import learn_field
+from touchd.training.field.learn import OUTER_ROUNDS, Field, Learner
+from touchd.training.field.regression import Prior, touches_of
 
 FEW = 110
 """Under one for each degree of freedom of the touched square."""

@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.training.waves import Waves, touch
-from touchd.training.field import Learner
-from touchd.training.regression import Prior
-from touchd.training.strength import along_band, fit_strengths
+from touchd.training.field.amplitude import along_band, fit_strengths
+from touchd.training.field.learn import Learner
+from touchd.training.field.regression import Prior
 
 K = np.linspace(0.2, 0.3, 9)
 

@@ -8,11 +8,11 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from touchd.features import band_bins, windowed_dft
-from touchd.recording import Recording
-from touchd.thermal import stretch_matrix
-from touchd.training.dataset import make_dataset
-from touchd.training.thermal import NEAR_S, at_one_temperature, smooth
+from touchd.evaluation.dataset import make_dataset
+from touchd.localization.features import band_bins, windowed_dft
+from touchd.localization.thermal import stretch_matrix
+from touchd.recording.data import Recording
+from touchd.training.data.one_temperature import NEAR_S, at_one_temperature, smooth
 
 
 def test_what_warmth_did_to_the_touches_is_taken_back(touches: Recording) -> None:

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from touchd.training.timeleft import EPOCH_S, FIELD_S, TOUCHES, TimeLeft, say
+from touchd.training.report.time_left import EPOCH_S, FIELD_S, TOUCHES, TimeLeft, say
 
 
 class Clock:

@@ -13,22 +13,23 @@ from click.testing import CliRunner
 from hypothesis import given
 from hypothesis import strategies as st
 
-from touchd.atlas import atlas_path, load_atlas
+from touchd.cli.train import command
 from touchd.errors import ModelMismatch, TrainingError
-from touchd.features import band_bins
-from touchd.model import Model
-from touchd.recording import Recording, write
-from touchd.training.atlas import SPARED, informative
-from touchd.training.atlasreport import write_atlas_report
-from touchd.training.dataset import make_dataset
-from touchd.training.gaussnewton import place
-from touchd.training.inspection import freedom
-from touchd.training.recipe import RECIPES
-from touchd.training.regression import touches_of
-from touchd.training.thermal import at_one_temperature
-from touchd.training.train import train
-from touchd.training.trainatlas import AMPLE, HOPELESS, AtlasResult, check_density, train_atlas
-from touchd.verbs.train import command
+from touchd.evaluation.dataset import make_dataset
+from touchd.localization.atlas import atlas_path, load_atlas
+from touchd.localization.features import band_bins
+from touchd.localization.model import Model
+from touchd.recording.data import Recording
+from touchd.recording.format import write
+from touchd.training.data.inspection import freedom
+from touchd.training.data.one_temperature import at_one_temperature
+from touchd.training.field.make_atlas import SPARED, informative
+from touchd.training.field.place import place
+from touchd.training.field.regression import touches_of
+from touchd.training.network.recipe import RECIPES
+from touchd.training.report.atlas_report import write_atlas_report
+from touchd.training.train_atlas import AMPLE, HOPELESS, AtlasResult, check_density, train_atlas
+from touchd.training.train_network import train
 
 QUICK = 30
 """Epochs: enough to tell the parts of the plate apart."""

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from tests.training.waves import Waves, touch
-from touchd.training.field import OUTER_ROUNDS, Field, Learner
-from touchd.training.inspection import freedom
-from touchd.training.kernel import distances
-from touchd.training.regression import Prior, Touches
-from touchd.training.sparse import FEW, learn_by_waves
-from touchd.training.waves import CUT, basis_of, covariance, product_of
+from touchd.training.data.inspection import freedom
+from touchd.training.field.few_touches import FEW, learn_by_waves
+from touchd.training.field.kernel import distances
+from touchd.training.field.learn import OUTER_ROUNDS, Field, Learner
+from touchd.training.field.regression import Prior, Touches
+from touchd.training.field.wave_product import CUT, basis_of, covariance, product_of
 
 SIZE_MM = 80.0
 K = np.linspace(0.26, 0.3, 5)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from touchd.training.regression import Touches
+from touchd.training.field.regression import Touches
 
 
 class Waves:

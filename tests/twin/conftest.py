@@ -10,8 +10,8 @@ import pytest
 
 from touchd.frame import Plate
 from touchd.twin.instrument import Instrument
-from touchd.twin.plate import Modes, solve
-from touchd.twin.transducer import LoadedModes, default_layout, loaded_modes
+from touchd.twin.physics.plate import Modes, solve
+from touchd.twin.physics.transducer import LoadedModes, default_layout, loaded_modes
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from touchd.twin import transducer
 from touchd.twin.cache import Arrays, folder, remember
 from touchd.twin.instrument import Instrument
+from touchd.twin.physics import transducer
 
 
 class Count:

@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from touchd.twin import chebyshev
+from touchd.twin.physics import chebyshev
 
 
 @given(st.floats(-3, 3), st.floats(1e-6, 2), st.integers(1, 12), st.integers(0, 2**31))

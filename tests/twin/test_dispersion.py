@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from touchd.frame import Plate
-from touchd.twin.dispersion import (
+from touchd.twin.physics.dispersion import (
     lamb_group_velocity,
     lamb_phase_velocity,
     mindlin_group_velocity,
     mindlin_phase_velocity,
 )
-from touchd.twin.material import stiffness_of
+from touchd.twin.physics.material import stiffness_of
 
 HZ = [50e3, 75e3, 100e3]
 

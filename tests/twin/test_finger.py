@@ -7,7 +7,7 @@ import pytest
 from scipy import special
 
 from touchd.errors import SimulationError
-from touchd.twin.finger import Contact, area_of, bessel_struve, drop_mass_mg, force_of, impedance, patches
+from touchd.twin.physics.finger import Contact, area_of, bessel_struve, drop_mass_mg, force_of, impedance, patches
 
 TABLE = [
     ("silicone", np.pi * 2.5**2, 75e3, 12 + 15j),

@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 
 from touchd.errors import SimulationError
 from touchd.frame import Plate
-from touchd.recording import Recording
+from touchd.recording.data import Recording
 from touchd.twin.electronics import Electronics
-from touchd.twin.finger import force_of
-from touchd.twin.hand import FIVE_APART_MM, PASS_MM, TWO_APART_MM
 from touchd.twin.instrument import REFERENCE_C, Instrument
+from touchd.twin.physics.finger import force_of
+from touchd.twin.scenes.robot import AREAS_MM2, MARGIN_MM, TouchSet, write_touches
+from touchd.twin.scenes.several_fingers import FIVE_APART_MM, PASS_MM, TWO_APART_MM
+from touchd.twin.scenes.timeline import Stage
 from touchd.twin.simulate import DEFAULT_PLATE, simulate_touches, stage_scene
-from touchd.twin.stage import Stage
-from touchd.twin.training_set import AREAS_MM2, MARGIN_MM, TouchSet, write_touches
 
 Floats = NDArray[np.float64]
 

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from touchd import chirp
 from touchd.errors import SimulationError
 from touchd.frame import Acquisition, Plate
-from touchd.twin import chirp
 from touchd.twin import instrument as instrument_module
-from touchd.twin.finger import Contact
 from touchd.twin.instrument import REFERENCE_C, Instrument
-from touchd.twin.transducer import default_layout
+from touchd.twin.physics.finger import Contact
+from touchd.twin.physics.transducer import default_layout
 
 Floats = NDArray[np.float64]
 TOUCH = Contact(70.0, 50.0, 20.0, "silicone")

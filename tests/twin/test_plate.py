@@ -7,10 +7,10 @@ import pytest
 
 from touchd.errors import SimulationError
 from touchd.frame import Plate
-from touchd.twin import material
-from touchd.twin.legendre import derivative, disc_average, values
-from touchd.twin.material import Material, stiffness_of
-from touchd.twin.plate import Modes, polynomials_for, solve
+from touchd.twin.physics import material
+from touchd.twin.physics.legendre import derivative, disc_average, values
+from touchd.twin.physics.material import Material, stiffness_of
+from touchd.twin.physics.plate import Modes, polynomials_for, solve
 
 THIN = [13.468, 19.596, 24.270, 34.801, 34.801, 61.093, 61.093, 63.686, 69.265, 77.172, 105.46, 105.46]
 UPPER_BOUNDS = [13.49, 19.79, 24.43, 35.02, 35.02]

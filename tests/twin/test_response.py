@@ -7,14 +7,14 @@ import pytest
 
 from touchd.errors import SimulationError
 from touchd.frame import Plate
-from touchd.twin import legendre
-from touchd.twin.dispersion import mindlin_group_velocity, mindlin_wavenumber
-from touchd.twin.finger import Contact, impedance, patches
 from touchd.twin.instrument import Instrument
-from touchd.twin.material import stiffness_of
-from touchd.twin.plate import Modes, size_m
-from touchd.twin.response import Response
-from touchd.twin.transducer import LoadedModes, default_layout, load
+from touchd.twin.physics import legendre
+from touchd.twin.physics.dispersion import mindlin_group_velocity, mindlin_wavenumber
+from touchd.twin.physics.finger import Contact, impedance, patches
+from touchd.twin.physics.material import stiffness_of
+from touchd.twin.physics.plate import Modes, size_m
+from touchd.twin.physics.response import Response
+from touchd.twin.physics.transducer import LoadedModes, default_layout, load
 
 NU = 2 * np.pi * np.array([20e3, 51.3e3, 77.7e3, 98e3, 120e3]) - 3000j
 THREE = [

@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from touchd.cli import main
+from touchd.cli.main import main
 from touchd.frame import Plate
 from touchd.twin.electronics import Electronics
 from touchd.twin.instrument import Instrument
-from touchd.twin.session import Session, parts_kept, simulate_session
+from touchd.twin.robot_session import Session, parts_kept, simulate_session
+from touchd.twin.scenes.robot import TouchSet
 from touchd.twin.simulate import BLOCK, simulate_touches
-from touchd.twin.training_set import TouchSet
 
 PLATE = Plate(width_mm=90, height_mm=60, thickness_mm=5)
 ELECTRONICS = Electronics(jitter_s=5e-9)

@@ -9,12 +9,13 @@ import pytest
 
 from touchd.errors import SimulationError
 from touchd.frame import Plate
-from touchd.recording import Recording, read, write
+from touchd.recording.data import Recording
+from touchd.recording.format import read, write
 from touchd.twin.electronics import Electronics
 from touchd.twin.instrument import REFERENCE_C, Instrument
-from touchd.twin.scenes import SCENES, default_keys
+from touchd.twin.scenes.catalogue import SCENES, default_keys
+from touchd.twin.scenes.robot import AREAS_MM2
 from touchd.twin.simulate import simulate_scene, simulate_touches, stage_scene, stream
-from touchd.twin.training_set import AREAS_MM2
 
 SQUARE = Plate(width_mm=200, height_mm=200, thickness_mm=5)
 

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner, Result
 
+from touchd.cli.simulate import command
 from touchd.errors import OutputError, SimulationError
-from touchd.recording import read
-from touchd.verbs.simulate import command
+from touchd.recording.format import read
 
 SMALL = ["--plate", "90x80x5"]
 

@@ -15,15 +15,7 @@ from typing import Any
 import usb.backend
 from usb.core import USBError, USBTimeoutError
 
-from touchd.usbframe import (
-    Header,
-    Info,
-    Request,
-    Status,
-    build_frame,
-    build_info,
-    build_status,
-)
+from touchd.sources.usb_protocol import Header, Info, Request, Status, build_frame, build_info, build_status
 
 ENDPOINT = 0x81
 PACKET_BYTES = 512

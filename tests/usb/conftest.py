@@ -10,7 +10,7 @@ import pytest
 
 from tests.usb.backend import FakeBus, FakeDaq
 from tests.usb.reader import INFO, Reader
-from touchd.config import DeviceSettings
+from touchd.config.schema import DeviceSettings
 from touchd.frame import Acquisition
 from touchd.sources import live as live_module
 from touchd.sources.daq import acquisition_of

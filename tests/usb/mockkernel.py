@@ -27,8 +27,8 @@ from gi.repository import GLib, UMockdev  # noqa: E402 - after the version is ch
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from tests.usb.player import Player  # noqa: E402 - after the path is known
-from touchd.gadget import Gadget  # noqa: E402 - as above
-from touchd.usbframe import INTERFACE_CLASS, Info  # noqa: E402 - as above
+from touchd.gadget.device import Gadget  # noqa: E402 - as above
+from touchd.sources.usb_protocol import INTERFACE_CLASS, Info  # noqa: E402 - as above
 
 INFO = Info(channels=4, samples=250, sample_rate_hz=250_000, min_frame_rate_hz=10, firmware=(1, 2, 3))
 HOLD_S = 0.005

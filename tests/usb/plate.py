@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from touchd.recording import read
-from touchd.verbs.demo import SESSION
+from touchd.cli.demo import SESSION
+from touchd.recording.format import read
 
 
 def interleaved(counts: np.ndarray[tuple[int, ...], np.dtype[np.int16]]) -> bytes:

@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from tests.processes import PATIENCE_S
 from tests.usb.backend import FakeBus, FakeDaq, Transfer
 from tests.usb.reader import Reader
-from touchd.config import DeviceSettings
+from touchd.config.schema import DeviceSettings
 from touchd.sources.daq import acquisition_of
 from touchd.sources.usb import open_usb
-from touchd.usbframe import Info
+from touchd.sources.usb_protocol import Info
 
 SMALL = Info(channels=2, samples=30, sample_rate_hz=250_000, min_frame_rate_hz=10)
 SIZE = SMALL.frame_bytes

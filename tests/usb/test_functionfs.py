@@ -17,17 +17,17 @@ import pytest
 from tests.processes import PATIENCE_S, touchd
 from tests.usb.backend import FakeBus, FakeDaq, Transfer, usb_error
 from tests.usb.reader import Reader
-from touchd import functionfs
-from touchd.config import DeviceSettings
+from touchd.cli.gadget import info_of, samples_of
+from touchd.config.schema import DeviceSettings
 from touchd.errors import GadgetError
-from touchd.functionfs import ConfigFs, FunctionFs, descriptors, first_udc, strings
-from touchd.gadget import Gadget
+from touchd.gadget import functionfs
+from touchd.gadget.device import Gadget
+from touchd.gadget.functionfs import ConfigFs, FunctionFs, descriptors, first_udc, strings
 from touchd.sources.daq import acquisition_of
 from touchd.sources.simulated import SimulatedSource
 from touchd.sources.usb import find_daq, open_usb
+from touchd.sources.usb_protocol import Info, build_info, parse_status
 from touchd.twin.instrument import Instrument
-from touchd.usbframe import Info, build_info, parse_status
-from touchd.verbs.gadget import info_of, samples_of
 
 EP0, EP1 = 100, 101
 INFO = Info(channels=4, samples=250, sample_rate_hz=250_000, max_frame_rate_hz=1000, min_frame_rate_hz=10)

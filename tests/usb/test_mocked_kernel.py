@@ -17,7 +17,7 @@ import pytest
 from tests.processes import PATIENCE_S, ROOT, command, environment
 from tests.usb.client import Scenario
 from tests.usb.plate import write
-from touchd.recording import read
+from touchd.recording.format import read
 
 PRELOAD = "libumockdev-preload.so.0"
 PYTHON = "/usr/bin/python3"  # Debian's, which has its packages

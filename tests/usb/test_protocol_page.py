@@ -8,8 +8,9 @@ from typing import Any
 
 import pytest
 
-from touchd import gadget, usbframe
+from touchd.gadget import device as gadget
 from touchd.sources import live, usb
+from touchd.sources import usb_protocol as usbframe
 
 # Before a test makes it quicker.
 READ_TIMEOUT_MS = live.READ_TIMEOUT_S * 1000

@@ -15,17 +15,17 @@ from tests.usb.client import Scenario
 from tests.usb.plate import recorded
 from tests.usb.player import Player
 from tests.usb.reader import INFO
-from touchd.config import BusSettings, DeviceSettings, HealthSettings, Settings
-from touchd.daemon import make_messages, make_pipeline
+from touchd.config.schema import BusSettings, DeviceSettings, HealthSettings, Settings
 from touchd.errors import ReaderFailed, TouchdError
 from touchd.event import Event, HealthEvent
-from touchd.gadget import COMMANDS, Gadget
-from touchd.model import Model
-from touchd.service import Service
-from touchd.sinks import Sink
+from touchd.gadget.device import COMMANDS, Gadget
+from touchd.localization.model import Model
+from touchd.service.daemon import make_messages, make_pipeline
+from touchd.service.loop import Service
+from touchd.sinks.sink import Sink
 from touchd.sinks.zeromq import ZeromqSink
 from touchd.sources.usb import open_usb
-from touchd.usbframe import Request
+from touchd.sources.usb_protocol import Request
 
 
 class Cable:

@@ -13,15 +13,15 @@ import pytest
 from tests.processes import PATIENCE_S
 from tests.usb.backend import FakeBus, FakeDaq
 from tests.usb.reader import INFO, Reader
-from touchd.config import DeviceSettings
+from touchd.config.schema import DeviceSettings
 from touchd.errors import ConfigError, DeviceLost, ModelMismatch, ReaderFailed, SourceError
 from touchd.frame import Acquisition, Chirp
-from touchd.model import Model
-from touchd.sources import EndOfStream, LiveSource
+from touchd.localization.model import Model
 from touchd.sources import live as live_module
 from touchd.sources.daq import acquisition_of
+from touchd.sources.source import EndOfStream, LiveSource
 from touchd.sources.usb import find_daq, libusb, open_usb
-from touchd.usbframe import UNKNOWN_TEMPERATURE, Flag, Info, Request, Status, build_info
+from touchd.sources.usb_protocol import UNKNOWN_TEMPERATURE, Flag, Info, Request, Status, build_info
 
 Read = Callable[..., Reader]
 GONE = (errno.EIO, errno.ENODEV, errno.EPROTO, errno.ESHUTDOWN)

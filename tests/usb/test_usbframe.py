@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from touchd.usbframe import (
+from touchd.sources.usb_protocol import (
     HEADER_BYTES,
     Flag,
     FrameReader,

@@ -8,12 +8,12 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from touchd import configfile
-from touchd.config import DeviceSettings, Settings
-from touchd.configfile import load
-from touchd.configtext import render
+from touchd.cli.config import command
+from touchd.config import load as configfile
+from touchd.config.load import load
+from touchd.config.render import render
+from touchd.config.schema import DeviceSettings, Settings
 from touchd.errors import ConfigError
-from touchd.verbs.config import command
 
 
 @pytest.fixture(autouse=True)

@@ -13,15 +13,15 @@ import pytest
 
 from tests.conftest import Scene
 from tests.processes import Ended, touchd
-from touchd.config import BusSettings
-from touchd.doctor import Finding
-from touchd.doctorhost import check_addresses, judge_clock, take
+from touchd.config.schema import BusSettings
+from touchd.doctor.checks import Finding
+from touchd.doctor.host import check_addresses, judge_clock, take
 from touchd.errors import CheckFailed, SourceError
 from touchd.event import HealthEvent, Latency
 from touchd.frame import Acquisition, Frame
-from touchd.recording import write
+from touchd.recording.format import write
 from touchd.sinks.zeromq import ZeromqSink
-from touchd.sources import EndOfStream
+from touchd.sources.source import EndOfStream
 
 CHECKS = ["clock", "bus", "model", "frame rate", "lost frames", "channels", "noise", "clipping", "baseline", "latency"]
 

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from touchd.cli.evaluate import command
 from touchd.errors import RecordingValues
-from touchd.model import default_model_path
-from touchd.recording import read, write
+from touchd.localization.model import default_model_path
+from touchd.recording.format import read, write
 from touchd.twin.instrument import Instrument
 from touchd.twin.simulate import simulate_scene, simulate_touches
-from touchd.verbs.evaluate import command
 
 POSITIONS = {"n", "rmse_mm", "mean_mm", "sd_mm", "median_mm", "p95_mm", "max_mm"}
 SHIPPED = default_model_path()

@@ -14,11 +14,11 @@ from typing import TextIO
 import pytest
 from click.testing import CliRunner
 
-from touchd.config import BusSettings
+from touchd.cli.listen import command
+from touchd.config.schema import BusSettings
 from touchd.errors import BusTimeout
 from touchd.event import Contact, Event, HealthEvent, KeyEvent, Latency, Phase, SpectrumEvent, State, TouchEvent
 from touchd.sinks.zeromq import ZeromqSink
-from touchd.verbs.listen import command
 
 WALL = "2025-01-01T12:34:56.789000Z"
 
@@ -43,7 +43,7 @@ class Listen:
     """`touchd listen` in a process of its own."""
 
     def __init__(self, sink: ZeromqSink, *options: str, topic: str = "touch") -> None:
-        call = "from touchd.verbs.listen import command; command()"
+        call = "from touchd.cli.listen import command; command()"
         self.process = subprocess.Popen(
             [sys.executable, "-c", call, sink.addresses[0], *options],
             stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,

@@ -13,14 +13,15 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
-from touchd import daemon
-from touchd.config import Settings
-from touchd.daemon import SourceChoice
+from touchd.cli.record import command
+from touchd.config.schema import Settings
 from touchd.errors import ConfigError, DeviceLost, OutputError, SourceError, TouchdError
 from touchd.frame import Acquisition, Frame, Plate
-from touchd.recording import Meta, Recording, read, write
-from touchd.sources import EndOfStream
-from touchd.verbs.record import command
+from touchd.recording.data import Meta, Recording
+from touchd.recording.format import read, write
+from touchd.service import daemon
+from touchd.sources.open import SourceChoice
+from touchd.sources.source import EndOfStream
 
 META = Meta(
     sample_rate_hz=250e3, bits=16, full_scale_v=10.0, frame_rate_hz=125.0,

@@ -11,15 +11,16 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from touchd.cli import evaluate
+from touchd.cli import train as train_verb
 from touchd.errors import ModelMismatch, OutputError, TouchdError, TrainingError
 from touchd.frame import Acquisition, Chirp, Plate
-from touchd.model import Model
-from touchd.recording import Recording, read, write
+from touchd.localization.model import Model
+from touchd.recording.data import Recording
+from touchd.recording.format import read, write
 from touchd.twin.instrument import Instrument
+from touchd.twin.physics.transducer import Layout
 from touchd.twin.simulate import simulate_touches
-from touchd.twin.transducer import Layout
-from touchd.verbs import evaluate
-from touchd.verbs import train as train_verb
 
 COUNT = 150
 

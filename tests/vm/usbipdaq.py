@@ -17,8 +17,8 @@ from pathlib import Path
 
 from player import Player  # type: ignore[import-not-found]  # beside this file, where it runs
 
-from touchd.gadget import Gadget
-from touchd.usbframe import INTERFACE_CLASS, Info
+from touchd.gadget.device import Gadget
+from touchd.sources.usb_protocol import INTERFACE_CLASS, Info
 
 PORT = Path("/sys/devices/platform/vhci_hcd.0")
 INFO = Info(channels=4, samples=250, sample_rate_hz=250_000, min_frame_rate_hz=10, firmware=(1, 2, 3))

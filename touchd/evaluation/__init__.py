@@ -1,1 +1,1 @@
-"""How good a model or a whole replay is, and pictures of it."""
+"""Score models and replays on labelled recordings, and bound what any estimator could reach."""

@@ -8,14 +8,14 @@ from math import nan, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.atlas import Atlas
-from touchd.config import ModelSettings, TrackerSettings
-from touchd.evaluation.frames import Find, Look, TouchedFrames
-from touchd.features import Features, make_features, noise_to_signal
-from touchd.locator import Locator
-from touchd.model import Estimate, Model
-from touchd.noise import MEMORY_FRAMES
-from touchd.tracker import Touch
+from touchd.config.schema import ModelSettings, TrackerSettings
+from touchd.evaluation.single_frames import Find, Look, TouchedFrames
+from touchd.localization.atlas import Atlas
+from touchd.localization.atlas_localizer import Locator
+from touchd.localization.features import Features, make_features, noise_to_signal
+from touchd.localization.model import Estimate, Model
+from touchd.localization.noise_power import MEMORY_FRAMES
+from touchd.touch import Touch
 
 Array = NDArray[np.float32]
 

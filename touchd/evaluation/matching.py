@@ -10,11 +10,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.assignment import assign
 from touchd.evaluation.force import force_scores
 from touchd.evaluation.metrics import position_scores
-from touchd.evaluation.score import Judgement
-from touchd.tracker import Touch
+from touchd.evaluation.model_scores import Judgement
+from touchd.touch import Touch
+from touchd.tracking.assignment import assign
 
 Floats = NDArray[np.float64]
 Place = tuple[float, float]

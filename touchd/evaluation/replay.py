@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from touchd.config import Settings
-from touchd.counters import Counters
-from touchd.daemon import make_messages, make_pipeline
+from touchd.config.schema import Settings
 from touchd.event import Event, TouchEvent
-from touchd.sources import EndOfStream, Source
+from touchd.outcome import Counters
+from touchd.service.daemon import make_messages, make_pipeline
 from touchd.sources.replay import ReplaySource
+from touchd.sources.source import EndOfStream, Source
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.recording import Recording
+from touchd.recording.data import Recording
 
 STILL_MM_S = 5.0
 """A finger slower than this is still; a faster one moves."""

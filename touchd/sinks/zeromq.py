@@ -13,11 +13,10 @@ import structlog
 import zmq
 from zmq.auth.thread import ThreadAuthenticator
 
-from touchd import curve
-from touchd.config import BusSettings
+from touchd.config.schema import BusSettings
 from touchd.errors import AddressInUse, BusError, BusTimeout
 from touchd.event import TOPICS, Event, TouchEvent, encode, encode_at
-from touchd.sinks import endpoint
+from touchd.sinks import curve, endpoint
 
 log = structlog.get_logger()
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Protocol
 
 from touchd.frame import Acquisition, Chirp
-from touchd.recording import Device
-from touchd.usbframe import Info
+from touchd.recording.data import Device
+from touchd.sources.usb_protocol import Info
 
 
 class DaqAbsent(Exception):

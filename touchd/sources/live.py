@@ -21,16 +21,16 @@ from collections.abc import Callable
 import numpy as np
 import structlog
 
-from touchd.config import DeviceSettings
-from touchd.deviceclock import DeviceClock
+from touchd.config.schema import DeviceSettings
 from touchd.errors import ConfigError, DeviceLost, ReaderFailed, SourceError, TouchdError
 from touchd.event import State
 from touchd.frame import Acquisition, Frame
-from touchd.framering import FrameRing
-from touchd.recording import Device
-from touchd.sources import Change, EndOfStream, Tally
+from touchd.recording.data import Device
 from touchd.sources.daq import Daq, DaqAbsent, DaqGone, DaqHalted, DaqOverflow, acquisition_of, device_of
-from touchd.usbframe import SEQUENCE_SPAN, Flag, FrameReader, Header, Info
+from touchd.sources.device_clock import DeviceClock
+from touchd.sources.frame_ring import FrameRing
+from touchd.sources.source import Change, EndOfStream, Tally
+from touchd.sources.usb_protocol import SEQUENCE_SPAN, Flag, FrameReader, Header, Info
 
 READ_TIMEOUT_S = 0.1
 """How soon the thread notices that it shall end, while no frame comes."""

@@ -20,12 +20,12 @@ from nidaqmx.constants import AcquisitionType, RegenerationMode
 from nidaqmx.errors import DaqError, DaqNotFoundError, DaqNotSupportedError
 from numpy.typing import NDArray
 
-from touchd.config import NiSettings
+from touchd.chirp import waveform
+from touchd.config.schema import NiSettings
 from touchd.errors import ConfigError, SourceError
 from touchd.frame import Acquisition
 from touchd.sources.daq import DaqAbsent, DaqGone
-from touchd.twin.chirp import waveform
-from touchd.usbframe import Header, Info, build_frame
+from touchd.sources.usb_protocol import Header, Info, build_frame
 
 _WHOLE = 1 << 30  # no packets: every read is a frame
 _BUFFER_S = 1.0  # what the driver keeps for a computer that is late

@@ -9,8 +9,9 @@ from pathlib import Path
 
 from touchd.errors import ConfigError
 from touchd.frame import Counts, Frame
-from touchd.recording import Reader, Recording
-from touchd.sources import EndOfStream
+from touchd.recording.data import Recording
+from touchd.recording.format import Reader
+from touchd.sources.source import EndOfStream
 
 MIN_SPEED = 0.001
 _MAX_WAIT_S = 1e6

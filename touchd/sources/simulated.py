@@ -9,10 +9,10 @@ from collections.abc import Callable, Sequence
 
 from touchd.errors import SimulationError
 from touchd.frame import Counts, Frame, Plate
-from touchd.sources import EndOfStream
-from touchd.twin.acts import Key
+from touchd.sources.source import EndOfStream
 from touchd.twin.electronics import Electronics
 from touchd.twin.instrument import Instrument
+from touchd.twin.scenes.one_finger import Key
 from touchd.twin.simulate import DEFAULT_PLATE, meta_of, stage_scene, stream
 
 _AHEAD = 2
@@ -30,7 +30,7 @@ class SimulatedSource:
     Parameters
     ----------
     scene : str
-        One of `touchd.twin.scenes.SCENES`.
+        One of `touchd.twin.scenes.catalogue.SCENES`.
     seed : int
     rate_hz : float, optional
         Frames a second; by default the scene's own, 125 or 100.

@@ -15,12 +15,12 @@ import usb.backend.libusb1
 import usb.core
 import usb.util
 
-from touchd.config import DeviceSettings
+from touchd.config.schema import DeviceSettings
 from touchd.errors import SourceError
 from touchd.frame import Acquisition
 from touchd.sources.daq import DaqAbsent, DaqGone, DaqHalted, DaqOverflow
 from touchd.sources.live import DaqSource, open_live
-from touchd.usbframe import (
+from touchd.sources.usb_protocol import (
     INFO_BYTES,
     INTERFACE_CLASS,
     STATUS_BYTES,

@@ -1,1 +1,1 @@
-"""From a labelled recording to a model. Needs the extra `train`; nothing here is imported by the daemon."""
+"""From a labelled recording to a model: `train_network` and `train_atlas` are the front doors."""

@@ -1,1 +1,1 @@
-"""The digital twin: a plate, its transducers, what touches it, and the instrument that listens."""
+"""The digital twin: a plate with its transducers and electronics, and what touches it."""

@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from touchd.chirp import waveform
 from touchd.errors import SimulationError
 from touchd.frame import Acquisition
-from touchd.twin.chirp import waveform
 
 Floats = NDArray[np.float64]
 

@@ -17,12 +17,13 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from touchd import chirp
 from touchd.errors import SimulationError
 from touchd.frame import Acquisition, Plate
-from touchd.twin import chebyshev, chirp
-from touchd.twin.finger import Contact, patches
-from touchd.twin.response import Response
-from touchd.twin.transducer import Layout, default_layout, loaded_modes
+from touchd.twin.physics import chebyshev
+from touchd.twin.physics.finger import Contact, patches
+from touchd.twin.physics.response import Response
+from touchd.twin.physics.transducer import Layout, default_layout, loaded_modes
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]

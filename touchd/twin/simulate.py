@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from touchd.errors import SimulationError
 from touchd.frame import Plate
-from touchd.recording import Device, Meta, Recording
-from touchd.twin.acts import Key
+from touchd.recording.data import Device, Meta, Recording
 from touchd.twin.electronics import Digitiser, Electronics
 from touchd.twin.instrument import REFERENCE_C, Instrument
-from touchd.twin.scenes import write_scene
-from touchd.twin.stage import Stage
-from touchd.twin.training_set import COUNT, TOUCH_RATE_HZ, TouchSet, write_touches
+from touchd.twin.scenes.catalogue import write_scene
+from touchd.twin.scenes.one_finger import Key
+from touchd.twin.scenes.robot import COUNT, TOUCH_RATE_HZ, TouchSet, write_touches
+from touchd.twin.scenes.timeline import Stage
 
 Progress = Callable[[int], object]
 """Called with the number of frames just finished."""
@@ -110,7 +110,7 @@ def simulate_scene(
     Parameters
     ----------
     name : str
-        One of `touchd.twin.scenes.SCENES`.
+        One of `touchd.twin.scenes.catalogue.SCENES`.
     seed : int
         The same seed gives the same recording, to the bit.
     frames : int, optional

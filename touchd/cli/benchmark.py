@@ -1,0 +1,150 @@
+"""`touchd benchmark`: run time against error, and the daemon end to end."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from touchd.errors import OutputError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from touchd.lab.benchmark.results import Run
+    from touchd.lab.benchmark.tables import Table
+
+PICTURES = "benchmarks"
+WIDTH = 150
+"""Columns that the widest table needs."""
+
+
+@click.command()
+@click.option("--quick", is_flag=True, help="Less of everything, in about 20 s.")
+@click.option("--json", "stored", type=click.Path(path_type=Path), metavar="FILE", help="Store the figures here.")
+@click.option(
+    "--compare", "other", type=click.Path(path_type=Path), metavar="FILE",
+    help="Compare with a stored run, by ratios to the bare network.",
+)  # fmt: skip
+@click.option(
+    "--docs", type=click.Path(path_type=Path, exists=True, file_okay=False), metavar="FOLDER",
+    help="Write benchmarks.md there, with its pictures and figures.",
+)  # fmt: skip
+@click.option(
+    "--from", "given", type=click.Path(path_type=Path), metavar="FILE", help="Measure nothing: show a stored run."
+)
+@click.option("--models", type=click.Path(path_type=Path), help="Folder of the models.  [default: shipped]")
+@click.option(
+    "--also", type=click.Path(path_type=Path), multiple=True, metavar="FILE",
+    help="A further model for the example rig; may be given several times.",
+)  # fmt: skip
+def command(
+    quick: bool,
+    stored: Path | None,
+    other: Path | None,
+    docs: Path | None,
+    given: Path | None,
+    models: Path | None,
+    also: tuple[Path, ...],
+) -> None:
+    """Measure what touchd costs, and what its positions are worth.
+
+    Every estimator's run time against its error on the same simulated touches, the daemon from a frame to a subscriber
+    in another process, and what each skip saves. All beside one run of the source paper's network in the same process,
+    so that computers can be compared. It takes less than three minutes; leave the computer alone meanwhile.
+    """
+    # Before numpy is imported, and inherited: threads that wait for each other would be measured.
+    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ[name] = "1"
+    from rich.console import Console
+
+    from touchd.lab.benchmark import results
+
+    stored_run = results.load(other) if other else None
+    run = results.load(given) if given else _measured(quick, models, also)
+    if stored:
+        results.store(run, stored)
+    # Rows stay lines, in a pipe as well.
+    console = Console(width=max(Console().width, WIDTH))
+    _show(console, run, stored_run)
+    if docs:
+        _write(run, docs)
+        click.echo(f"{docs / 'benchmarks.md'}: written, with its pictures and figures")
+
+
+def _measured(quick: bool, models: Path | None, also: tuple[Path, ...]) -> Run:
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    from touchd.lab.benchmark.measure import benchmark
+    from touchd.localization.model import default_model_path
+
+    columns = (BarColumn(), TimeElapsedColumn(), TextColumn("{task.description}"))
+    # Drawn when something has happened, and by no thread of its own, which would disturb what is measured.
+    with Progress(*columns, console=Console(stderr=True), auto_refresh=False) as bar:
+        task = bar.add_task("", total=1.0)
+
+        def progress(what: str, done: float) -> None:
+            bar.update(task, description=what, completed=done, refresh=True)
+
+        run = benchmark(models or default_model_path().parent, quick=quick, progress=progress, also=also)
+        progress("done", 1.0)
+    return run
+
+
+def _show(console: Console, run: Run, other: Run | None) -> None:
+    from touchd.lab.benchmark import tables
+
+    console.print(run.machine.line(), highlight=False)
+    made = [
+        tables.estimator_table(run), tables.daemon_table(run), tables.share_table(run), tables.skip_table(run),
+        tables.budget_table(run),
+    ]  # fmt: skip
+    if other is not None:
+        made.append(tables.comparison_table(run, other))
+    for table in made:
+        if table.rows:
+            _print(console, table)
+    if run.day is not None:
+        console.print(f"A typical day: {run.day.cpu_s_per_hour:.0f} s of processor time an hour", highlight=False)
+    for what in run.left_out:
+        console.print(f"Left out: {what}", highlight=False)
+
+
+def _print(console: Console, table: Table) -> None:
+    from rich import box
+    from rich.table import Table as RichTable
+
+    shown = RichTable(title=table.title, box=box.SIMPLE, title_justify="left", pad_edge=False)
+    for i, heading in enumerate(table.headings):
+        shown.add_column(heading, justify="left" if i == 0 else "right", no_wrap=i == 0)
+    for row in table.rows:
+        shown.add_row(*row)
+    console.print(shown, highlight=False)
+
+
+def _write(run: Run, folder: Path) -> None:
+    """Write page, pictures and figures: all is made before anything is replaced."""
+    from touchd.lab.benchmark import results
+    from touchd.lab.benchmark.page import page
+    from touchd.lab.benchmark.plots import draw
+
+    pictures = folder / PICTURES
+    try:
+        with tempfile.TemporaryDirectory(dir=folder, prefix=".benchmarks.") as made:
+            names = draw(run, Path(made))
+            results.store(run, Path(made) / "benchmarks.json")
+            (Path(made) / "benchmarks.md").write_text(page(run, PICTURES), "utf-8")
+            pictures.mkdir(exist_ok=True)
+            for name in names:
+                shutil.move(Path(made) / name, pictures / name)
+            for name in ("benchmarks.json", "benchmarks.md"):
+                shutil.move(Path(made) / name, folder / name)
+    except OSError as error:
+        raise OutputError(
+            f"cannot be written ({error.strerror})", str(folder), "check the folder and its space"
+        ) from error

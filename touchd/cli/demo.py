@@ -1,0 +1,141 @@
+"""`touchd demo`: the whole of touchd on a recording, as an application sees it."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+
+from touchd.cli.listen import describe
+from touchd.errors import BusError, RecordingValues
+from touchd.evaluation.metrics import position_scores
+from touchd.evaluation.replay_scores import score_stream
+from touchd.event import Event, HealthEvent, TouchEvent, decode
+from touchd.localization.model import Model
+from touchd.recording.format import read
+
+SESSION = Path(__file__).resolve().parent.parent / "demo" / "session.npz"
+"""The recording that ships with touchd."""
+_PATIENCE_S = 30
+
+
+def _speed(ctx: click.Context, param: click.Parameter, value: str) -> str:
+    """Return the speed as it was written, for the daemon, once it is known to be one."""
+    from touchd.cli.main import parse_speed
+
+    parse_speed(ctx, param, value)
+    return value
+
+
+@click.command()
+@click.argument("recording", type=click.Path(path_type=Path), default=SESSION)
+@click.option("--json", "as_json", is_flag=True, help="Print the summary as one JSON object, and nothing else.")
+@click.option("--speed", default="1", callback=_speed, metavar="N|max", help="Speed of the replay.  [default: 1]")
+@click.option("--model", type=click.Path(path_type=Path), help="The model to use.")
+def command(recording: Path, as_json: bool, speed: str, model: Path | None) -> None:
+    """Replay a recording through the daemon, print what a separate subscriber receives, and sum up.
+
+    RECORDING, the shipped one if none is named, must hold the truth (`contacts_mm`). The daemon and the subscriber are
+    processes of their own, which meet over ZeroMQ.
+    """
+    truth = read(recording)
+    if truth.contacts_mm is None:
+        raise RecordingValues(
+            "there is no truth to compare with", str(recording),
+            "use a recording with contacts_mm, or replay it: touchd --replay FILE --print",
+        )  # fmt: skip
+    if model:
+        Model(model).check(truth.acquisition)  # its own words and exit status, which the daemon's would hide
+    events: list[Event] = []
+    for event in _received(recording, speed, model):
+        events.append(event)
+        if not as_json:
+            for line in describe(event):
+                click.echo(line)
+    touches = [event for event in events if isinstance(event, TouchEvent)]
+    last = [event for event in events if isinstance(event, HealthEvent)][-1]
+    scores = score_stream(truth, touches)
+    latency_us = [event.latency_us for event in touches]
+    summary: dict[str, Any] = {
+        "frames": last.frames,
+        "lost": last.lost,
+        "touches": scores.touches,
+        "found": scores.found,
+        "missed": scores.missed,
+        "ghosts": scores.ghosts,
+        "split": scores.split,
+        "rmse_mm": round(position_scores(scores.error_mm)["rmse_mm"], 3) if len(scores.error_mm) else None,
+        "latency_us": _percentiles(latency_us),
+        "inferred": last.inferred,
+        "skipped": last.skipped,
+    }
+    click.echo(json.dumps(summary) if as_json else _table(summary, recording))
+
+
+def _received(recording: Path, speed: str, model: Path | None) -> Iterator[Event]:
+    """Yield what a subscriber process receives from a daemon process that replays the recording."""
+    touchd = [sys.executable, "-m", "touchd"]
+    with ExitStack() as stack:
+        folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="touchd-demo-"))
+        address = f"ipc://{folder}/bus"
+        replay = [*touchd, "--replay", str(recording), "--speed", speed, "--bind", address]
+        replay += ["--await-subscriber", str(_PATIENCE_S), *(["--model", str(model)] if model else [])]
+        listen = [*touchd, "listen", address, "--topic", "touch", "--topic", "health", "--json", "--until-stopped"]
+        complaints = stack.enter_context(tempfile.TemporaryFile("w+"))
+        # Both are this very program, given file names only.
+        daemon = stack.enter_context(subprocess.Popen(replay, stderr=complaints, stdin=subprocess.DEVNULL))  # noqa: S603
+        stack.callback(daemon.terminate)
+        listener = stack.enter_context(
+            subprocess.Popen(  # noqa: S603
+                [*listen, "--timeout", str(_PATIENCE_S)], stdout=subprocess.PIPE, stderr=complaints
+            )
+        )
+        stack.callback(listener.terminate)
+
+        def end_with_the_daemon() -> None:
+            if daemon.wait():  # it failed: nobody will tell the subscriber to stop
+                listener.terminate()
+
+        threading.Thread(target=end_with_the_daemon, daemon=True).start()
+        assert listener.stdout is not None
+        for line in listener.stdout:
+            yield decode(json.loads(line)["type"], line)
+        for process, what in ((daemon, "the daemon"), (listener, "the subscriber")):
+            if process.wait(_PATIENCE_S):
+                complaints.seek(0)
+                said = complaints.read().strip().splitlines() or ["no word"]
+                raise BusError(f"{what} ended with status {process.returncode}: {said[-1]}", fix="see the line above")
+
+
+def _percentiles(latency_us: list[float]) -> dict[str, float] | None:
+    if not latency_us:
+        return None
+    p50, p99, highest = np.percentile(latency_us, (50, 99, 100)).round(1).tolist()
+    return {"p50": p50, "p99": p99, "max": highest}
+
+
+def _table(summary: dict[str, Any], recording: Path) -> str:
+    latency_us = summary["latency_us"]
+    rmse_mm = summary["rmse_mm"]
+    skipped = ", ".join(f"{count} {reason}" for reason, count in summary["skipped"].items())
+    lines = [
+        ("recording", recording.name),
+        ("frames", f"{summary['frames']}, {summary['lost']} lost"),
+        ("touches", f"{summary['found']} of {summary['touches']} found, {summary['split']} split, "
+         f"{summary['ghosts']} ghosts"),
+        ("RMSE", "no contact" if rmse_mm is None else f"{rmse_mm:.2f} mm"),
+        ("latency", "no message" if latency_us is None else
+         f"p50 {latency_us['p50']:.0f} us, p99 {latency_us['p99']:.0f} us, max {latency_us['max']:.0f} us"),
+        ("inferred", f"{summary['inferred']} frames"),
+        ("skipped", f"{sum(summary['skipped'].values())} frames: {skipped}"),
+    ]  # fmt: skip
+    return "\n" + "\n".join(f"{name:10} {text}" for name, text in lines)

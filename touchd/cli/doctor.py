@@ -1,0 +1,134 @@
+"""`touchd doctor`: looks at the whole set-up, and says what is wrong and what to do."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from touchd.doctor.checks import Finding, Sample
+from touchd.errors import CheckFailed, TouchdError
+
+if TYPE_CHECKING:
+    from touchd.config.schema import Settings
+    from touchd.localization.model import Model
+    from touchd.sources.open import SourceChoice
+
+_COLOURS = {"ok": "green", "warning": "yellow", "failure": "red"}
+
+
+@click.command(name="doctor", short_help="Check the whole set-up.")
+@click.option("--replay", type=click.Path(path_type=Path), help="Examine a recording instead of the DAQ.")
+@click.option("--simulate", metavar="SCENE", help="Examine a scene of the digital twin instead of the DAQ.")
+@click.option("--seed", default=0, help="Seed of a simulated scene.", show_default=True)
+@click.option("--seconds", type=click.FloatRange(0.5), default=3.0, show_default=True, metavar="S",
+              help="How long frames are taken.")  # fmt: skip
+@click.option("--reference", type=click.Path(path_type=Path), metavar="PATH",
+              help="A recording of the untouched plate from the time of the training, or the training recording.  "
+              "[default: MODEL.untouched.npz beside the model]")  # fmt: skip
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@click.option("--config", "config", type=click.Path(path_type=Path), help="Configuration file (TOML).")
+@click.pass_context
+def command(
+    ctx: click.Context,
+    replay: Path | None,
+    simulate: str | None,
+    seed: int,
+    seconds: float,
+    reference: Path | None,
+    as_json: bool,
+    config: Path | None,
+) -> None:
+    """Check the DAQ, its frames, the model, the computer and the bus, a line for each.
+
+    Leave the plate alone meanwhile, and stop the daemon first: only one program at a time can read the DAQ. Each line
+    says ok, warning or failure, and what to do. The exit status is 0 unless there is a failure.
+    """
+    from touchd.config.load import load
+    from touchd.service.log import configure
+    from touchd.sources.open import SourceChoice
+
+    settings = load(config or (ctx.obj or {}).get("config"))
+    configure(settings.log.model_copy(update={"level": "error"}))
+    choice = SourceChoice(replay, simulate, float("inf"), seed=seed)
+    findings = []
+    for finding in _examine(settings, choice, seconds, reference):
+        findings.append(finding)
+        if not as_json:
+            _print(finding)
+    failures = sum(finding.level == "failure" for finding in findings)
+    if as_json:
+        click.echo(json.dumps({"failures": failures, "checks": [finding._asdict() for finding in findings]}, indent=1))
+    if failures:
+        raise CheckFailed(f"{failures} of {len(findings)} checks failed", fix="do what their lines say")
+
+
+def _print(finding: Finding) -> None:
+    level = click.style(f"{finding.level:8}", fg=_COLOURS[finding.level])
+    click.echo(f"{level} {finding.check:12} {finding.text}")
+    if finding.fix:
+        click.echo(f"{'':21} -> {finding.fix}")
+
+
+def _examine(settings: Settings, choice: SourceChoice, seconds: float, reference: Path | None) -> Iterator[Finding]:
+    """Yield the findings as they come; what a failure makes impossible is left out."""
+    from touchd.doctor import host as doctorhost
+    from touchd.doctor import usb as doctorusb
+    from touchd.service.daemon import load_model
+
+    yield doctorhost.check_clock()
+    yield from doctorhost.check_addresses(settings.bus)
+    try:
+        model = load_model(settings)
+    except TouchdError as error:
+        yield Finding("model", "failure", error.what, error.fix)
+        return
+    yield Finding("model", "ok", f"{model.description.name}, {model.description.head} head, {model.path}")
+    if choice.replay is None and choice.simulate is None:
+        device = doctorusb.examine(settings.device)
+        yield from device
+        if any(finding.level == "failure" for finding in device):
+            return
+    try:
+        yield from _examine_frames(settings, choice, seconds, reference, model)
+    except TouchdError as error:
+        where = f"{error.where}: " if error.where else ""
+        yield Finding("frames", "failure", f"{where}{error.what}", error.fix)
+
+
+def _examine_frames(
+    settings: Settings, choice: SourceChoice, seconds: float, reference: Path | None, model: Model
+) -> Iterator[Finding]:
+    from touchd.doctor import checks as doctor
+    from touchd.doctor import host as doctorhost
+    from touchd.sources.open import open_source
+
+    source = open_source(choice, settings, model)
+    with closing(source):
+        rate_hz = doctorhost.expected_rate_hz(source, settings.device)
+        model.check(source.acquisition)
+        sample = doctorhost.take(source, seconds)
+    yield doctor.check_rate(sample, rate_hz)
+    yield doctor.check_lost(sample)
+    yield doctor.check_dead(sample)
+    yield doctor.check_noise(sample)
+    yield doctor.check_clipping(sample, source.acquisition)
+    yield _examine_baseline(sample, reference, model)
+    yield doctor.check_time(doctorhost.time_frames(sample, source.acquisition, model), 1 / rate_hz)
+
+
+def _examine_baseline(sample: Sample, reference: Path | None, model: Model) -> Finding:
+    from touchd.doctor import checks as doctor
+    from touchd.doctor import host as doctorhost
+
+    path = reference or model.path.with_suffix(".untouched.npz")
+    if reference is None and not path.exists():
+        return Finding(
+            "baseline", "warning", "not compared: there is no recording of the plate from the time of the training",
+            f"give --reference TRAINING.npz; or keep one: touchd record -o {path.name} --seconds 1, beside the model",
+        )  # fmt: skip
+    return doctor.check_baseline(sample, doctorhost.untouched(path, model))

@@ -1,0 +1,147 @@
+"""`touchd gadget`: this computer as a DAQ on a real USB cable."""
+
+from __future__ import annotations
+
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING
+
+import click
+
+from touchd.errors import GadgetError
+
+if TYPE_CHECKING:
+    from touchd.frame import Acquisition
+    from touchd.gadget.device import Gadget
+    from touchd.gadget.functionfs import ConfigFs, FunctionFs
+    from touchd.sources.source import Source
+    from touchd.sources.usb_protocol import Info
+
+_LOOK_S = 0.2
+
+
+@click.command(name="gadget", short_help="Be a DAQ on a USB cable.")
+@click.option("--udc", metavar="NAME", help="The port, a name in /sys/class/udc.  [default: the first]")
+@click.option("--functionfs", type=click.Path(path_type=Path), metavar="DIR",
+              help="Use the FunctionFS that is mounted here, and leave the rest of the set-up alone.")  # fmt: skip
+@click.option("--replay", type=click.Path(path_type=Path), help="Send a recording, again and again.")
+@click.option("--simulate", metavar="SCENE", help="Send a scene of the digital twin, live.  [default: demo]")
+@click.option("--seed", default=0, help="Seed of the scene.", show_default=True)
+@click.option("--serial", default="TWIN0001", show_default=True, help="Serial number of the device.")
+@click.option("--commands", is_flag=True,
+              help="Obey lines on standard input: plug, unplug, corrupt, short, halt, silent, normal.")  # fmt: skip
+@click.pass_context
+def command(
+    ctx: click.Context,
+    udc: str | None,
+    functionfs: Path | None,
+    replay: Path | None,
+    simulate: str | None,
+    seed: int,
+    serial: str,
+    commands: bool,
+) -> None:
+    """Be a DAQ: stream the digital twin or a recording over a real USB cable.
+
+    For a Linux board with a USB device port. It speaks the protocol of docs/usb-protocol.md, so any host with touchd
+    takes it for a DAQ; frames come at the rate that the host asks for. Setting the port up needs root, and is undone
+    at the end. With --commands it can be unplugged and fail on request, to test hosts.
+    """
+    from touchd.config.load import load
+    from touchd.gadget.device import Gadget
+    from touchd.gadget.functionfs import ConfigFs, FunctionFs, first_udc
+    from touchd.service.log import configure
+    from touchd.sources.open import SourceChoice, open_source
+
+    settings = load((ctx.obj or {}).get("config"))
+    configure(settings.log)
+    choice = SourceChoice(replay, simulate or (None if replay else "demo"), float("inf"), loop=True, seed=seed)
+    with ExitStack() as stack:
+        source = open_source(choice, settings)
+        stack.callback(source.close)
+        gadget = Gadget(info_of(source.acquisition), samples_of(source))
+        device: ConfigFs | None = None
+        folder = functionfs
+        if folder is None:
+            device = ConfigFs(serial, settings.device.vendor_id, settings.device.product_id)
+            stack.callback(device.remove)
+            device.create()
+            folder = device.folder
+        endpoints = FunctionFs(folder, gadget)
+        if device is not None:
+            udc = udc or first_udc()
+            device.plug(udc)
+            click.echo(f"plugged in at {udc}: {serial}", err=True)
+        _serve(gadget, endpoints, device, udc or "", commands)
+
+
+def info_of(acquisition: Acquisition) -> Info:
+    """Return what GET_INFO shall say of frames of this geometry."""
+    from touchd import __version__
+    from touchd.sources.usb_protocol import Info
+
+    chirp = acquisition.chirp
+    major, minor, patch = (int(part) for part in __version__.split(".")[:3])
+    return Info(
+        channels=acquisition.channels,
+        samples=acquisition.samples,
+        sample_rate_hz=round(acquisition.sample_rate_hz),
+        bits=acquisition.bits,
+        dac_rate_hz=round(chirp.dac_rate_hz),
+        chirp_start_hz=round(chirp.start_hz),
+        chirp_stop_hz=round(chirp.stop_hz),
+        chirp_us=round(chirp.duration_s * 1e6),
+        full_scale_mv=round(acquisition.full_scale_v * 1e3),
+        max_frame_rate_hz=max(1, min(1000, int(acquisition.sample_rate_hz / acquisition.samples))),
+        min_frame_rate_hz=1,
+        firmware=(major, minor, patch),
+    )
+
+
+def samples_of(source: Source) -> Iterator[bytes]:
+    """Yield each frame's samples as the wire orders them, interleaved."""
+    from touchd.sources.source import EndOfStream
+
+    while True:
+        try:
+            frame = source.read(1.0)
+        except EndOfStream:
+            return
+        if frame is not None:
+            yield frame.counts.T.astype("<i2").tobytes()
+
+
+def _serve(gadget: Gadget, endpoints: FunctionFs, device: ConfigFs | None, udc: str, commands: bool) -> None:
+    """Wait for a signal, the end of the commands, or a failure."""
+    stop = threading.Event()
+
+    def handle(_number: int, _frame: FrameType | None) -> None:
+        stop.set()
+
+    def obey() -> None:
+        for line in sys.stdin:
+            name = line.strip().removeprefix("!")
+            try:
+                if name == "plug" and device is not None:
+                    device.plug(udc)
+                elif name == "unplug" and device is not None:
+                    device.unplug()
+                elif name:
+                    gadget.command(name)
+            except (ValueError, GadgetError) as error:
+                click.echo(f"touchd: {error}", err=True)
+        stop.set()
+
+    with ExitStack() as stack:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            stack.callback(signal.signal, number, signal.signal(number, handle))
+        if commands:
+            threading.Thread(target=obey, daemon=True, name="gadget-commands").start()
+        while not stop.wait(_LOOK_S):
+            if endpoints.error is not None:
+                raise endpoints.error

@@ -1,0 +1,35 @@
+"""`touchd keygen`: CURVE keys for a bus that leaves this computer."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+from touchd.sinks.curve import make_files
+
+
+@click.command(name="keygen", short_help="Make a CURVE key pair.")
+@click.argument("folder", metavar="DIR", type=click.Path(file_okay=False, path_type=Path))
+@click.option("--name", default="touchd", show_default=True, help="Name of the key files.")
+def command(folder: Path, name: str) -> None:
+    """Make a CURVE key pair in DIR.
+
+    Writes NAME.key, the public key, and NAME.key_secret, which only you can read. The daemon needs a pair, and every
+    client one of its own. Existing keys are never overwritten.
+    """
+    public_path, secret_path = (path.absolute() for path in make_files(folder, name))
+    click.echo(f"""\
+public key: {public_path}
+secret key: {secret_path} (leave it on this computer)
+
+For the daemon, in its configuration:
+
+    [bus]
+    curve_secret_key = {json.dumps(str(secret_path))}
+
+  and hand {public_path.name} to the clients: --server-key {public_path.name}
+
+For a client: copy {public_path.name} into the folder that the daemon's configuration names as bus.curve_clients.
+The client then says who it is with --client-key {secret_path.name}.""")

@@ -1,0 +1,173 @@
+"""The command line: `touchd` alone is the daemon, verbs stand beside it."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+import traceback
+from pathlib import Path
+from typing import Any
+
+import click
+
+from touchd import __version__
+from touchd.errors import ConfigError, MissingExtra, TouchdError
+
+VERBS = {
+    "benchmark": "Measure run time against error, and the daemon.",
+    "config": "Print the effective configuration.",
+    "demo": "Replay the shipped recording and sum up.",
+    "doctor": "Check the whole set-up.",
+    "draw": "Draw a replayed session.",
+    "evaluate": "Score a model on a labelled recording.",
+    "gadget": "Be a DAQ on a USB cable.",
+    "keygen": "Make a key pair for a bus beyond loopback.",
+    "listen": "Print the events of a running daemon.",
+    "quantise": "Write a model with weights of 8 bits.",
+    "record": "Write frames to a file.",
+    "reproduce": "Run the source paper's experiments again.",
+    "screen": "Tell the daemon that the screen is off, or on.",
+    "simulate": "Write a recording made by the digital twin.",
+    "train": "Train a model on a labelled recording.",
+}
+EXTRAS = {"torch": "train", "scipy": "train", "sklearn": "train", "loky": "train", "onnx": "train",
+          "matplotlib": "train", "rich": "train", "dask": "cluster", "distributed": "cluster", "nidaqmx": "ni",
+          }  # fmt: skip
+
+
+class Verbs(click.Group):
+    """Imports a verb's module only when it is called, so that the daemon starts without their weight."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002 - click's signature
+        """Return the names of all verbs."""
+        return sorted(VERBS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002 - click's signature
+        """Return a verb's command, or None if there is no such verb."""
+        if cmd_name not in VERBS:
+            return None
+        command: click.Command = importlib.import_module(f"touchd.cli.{cmd_name}").command
+        command.name = cmd_name
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002 - click's signature
+        """Write the list of verbs without importing any."""
+        with formatter.section("Verbs"):
+            formatter.write_dl(sorted(VERBS.items()))
+
+
+def parse_speed(_ctx: click.Context, _param: click.Parameter, value: str) -> float:
+    """Return a speed option as a number, infinite for `max`."""
+    if value == "max":
+        return float("inf")
+    try:
+        speed = float(value)
+    except ValueError:
+        speed = 0.0
+    if not 0 < speed < float("inf"):
+        raise click.BadParameter("a number above 0, or max")
+    return speed
+
+
+@click.group(cls=Verbs, invoke_without_command=True, context_settings={"help_option_names": ["-h", "--help"]})
+@click.option("--config", "config", type=click.Path(path_type=Path), help="Configuration file (TOML).")
+@click.option("--replay", type=click.Path(path_type=Path), help="Take frames from a recording: a file or a folder.")
+@click.option("--simulate", metavar="SCENE", help="Take frames live from the digital twin.")
+@click.option("--ni", is_flag=True, help="Take frames from NI hardware: see [ni] in the configuration.")
+@click.option("--speed", default="1", callback=parse_speed, metavar="N|max", help="Speed of a replay.  [default: 1]")
+@click.option("--loop", is_flag=True, help="Begin again at the end.")
+@click.option("--seed", default=0, help="Seed of a simulated scene.", show_default=True)
+@click.option("--bind", multiple=True, metavar="ADDRESS", help="Publish here: tcp:// or ipc://. May be given again.")
+@click.option("--model", type=click.Path(path_type=Path), help="The model to use.")
+@click.option("--print", "echo", is_flag=True, help="Also print each event as a line of JSON.")
+@click.option("--await-subscriber", default=0.0, metavar="SECONDS", help="Wait so long for a subscriber first.")
+@click.option("--debug", is_flag=True, help="Show tracebacks, and log at level debug.")
+@click.version_option(__version__, prog_name="touchd")
+@click.pass_context
+def touchd(
+    ctx: click.Context,
+    config: Path | None,
+    replay: Path | None,
+    simulate: str | None,
+    ni: bool,
+    speed: float,
+    loop: bool,
+    seed: int,
+    bind: tuple[str, ...],
+    model: Path | None,
+    echo: bool,
+    await_subscriber: float,
+    debug: bool,
+) -> None:
+    """Find touches on a plate by ultrasound and publish them.
+
+    Without a verb this is the daemon: it reads frames, finds touches, and publishes events over ZeroMQ. Frames come
+    from the DAQ on USB, which may be plugged in later, unless another source is named.
+    """
+    ctx.obj = {"debug": debug, "config": config}
+    if ctx.invoked_subcommand is not None:
+        return
+    from touchd.config.load import load
+    from touchd.service.daemon import run
+    from touchd.service.log import configure
+    from touchd.sources.open import SourceChoice
+
+    overrides: dict[str, Any] = {}
+    if bind:
+        overrides["bus"] = {"bind": bind}
+    if model:
+        overrides["model"] = {"path": model}
+    if debug:
+        overrides["log"] = {"level": "debug"}
+    settings = load(config, overrides)
+    configure(settings.log)
+    run(
+        settings,
+        SourceChoice(replay, simulate, speed, loop, seed, ni),
+        echo=echo,
+        await_subscriber_s=await_subscriber,
+        read_settings=lambda: load(config, overrides),
+    )
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command line and return its exit status: each failure has its own, see `touchd.errors`."""
+    arguments = sys.argv[1:] if arguments is None else arguments
+    debug = "--debug" in arguments or bool(os.environ.get("TOUCHD_DEBUG"))
+    try:
+        result = touchd.main(args=arguments, prog_name="touchd", standalone_mode=False)
+        return result if isinstance(result, int) else 0
+    except click.exceptions.Exit as stop:
+        return stop.exit_code
+    except click.ClickException as error:
+        error.show()
+        return ConfigError.exit_code if isinstance(error, click.FileError) else error.exit_code
+    except (click.Abort, KeyboardInterrupt):
+        return 130
+    except BrokenPipeError:
+        # The reader of our output has gone: nothing is left to be said, not even at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except TouchdError as error:
+        return _explain(error, debug)
+    except ModuleNotFoundError as error:
+        extra = EXTRAS.get((error.name or "").partition(".")[0])
+        if extra is None:
+            return _explain(error, debug)
+        return _explain(
+            MissingExtra(f"this verb needs {error.name}", fix=f"install it with: pip install 'touchd[{extra}]'"), debug
+        )
+    except Exception as error:
+        return _explain(error, debug)
+
+
+def _explain(error: Exception, debug: bool) -> int:
+    """Say what went wrong in one line, with the traceback if asked for, and return the exit status."""
+    if debug:
+        traceback.print_exception(error)
+    if isinstance(error, TouchdError):
+        click.echo(f"touchd: {error}", err=True)
+        return error.exit_code
+    click.echo(f"touchd: internal error: {error!r} -> run again with --debug and report what it prints", err=True)
+    return 1

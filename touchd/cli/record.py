@@ -1,0 +1,158 @@
+"""`touchd record`: the frames of any source, into a file."""
+
+from __future__ import annotations
+
+import re
+import signal
+import time
+from contextlib import ExitStack
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING
+
+import click
+
+from touchd.errors import ConfigError, SourceError
+from touchd.frame import Plate
+
+if TYPE_CHECKING:
+    from touchd.recording.data import Meta
+    from touchd.sources.recorder import Recorder
+    from touchd.sources.source import Source
+
+# How soon a signal is noticed while no frame comes.
+_TIMEOUT_S = 0.2
+
+
+def _speed(_ctx: click.Context, _param: click.Parameter, value: str) -> float:
+    from touchd.cli.main import parse_speed
+
+    return parse_speed(_ctx, _param, value)
+
+
+def _plate(_ctx: click.Context, _param: click.Parameter, value: str | None) -> Plate | None:
+    """Return the plate of `400x300` or `400x300x5`."""
+    if value is None:
+        return None
+    sizes = re.fullmatch(r"(\d+(?:\.\d+)?)x(\d+(?:\.\d+)?)(?:x(\d+(?:\.\d+)?))?", value.lower())
+    sizes_mm = [float(size) for size in sizes.groups() if size] if sizes else []
+    if not sizes_mm or min(sizes_mm) <= 0 or max(sizes_mm) > 1e6:
+        raise click.BadParameter("write WIDTHxHEIGHT or WIDTHxHEIGHTxTHICKNESS in mm, for example 400x300x5")
+    names = ("width_mm", "height_mm", "thickness_mm")
+    return Plate.model_validate(dict(zip(names, sizes_mm, strict=False)))
+
+
+@click.command(name="record", short_help="Write frames to a file.")
+@click.option("-o", "--output", type=click.Path(path_type=Path), required=True,
+              help="What to write: one file if it ends in .npz, else a folder of chunks.")  # fmt: skip
+@click.option("--replay", type=click.Path(path_type=Path), help="Take frames from a recording: a file or a folder.")
+@click.option("--simulate", metavar="SCENE", help="Take frames live from the digital twin.")
+@click.option("--ni", is_flag=True, help="Take frames from NI hardware: see [ni] in the configuration.")
+@click.option("--speed", default="1", callback=_speed, metavar="N|max", help="Speed of a replay.  [default: 1]")
+@click.option("--loop", is_flag=True, help="Begin again at the end.")
+@click.option("--seed", default=0, help="Seed of a simulated scene.", show_default=True)
+@click.option("--frames", type=click.IntRange(1), metavar="N", help="End after so many frames.")
+@click.option("--seconds", type=click.FloatRange(0, min_open=True), metavar="S", help="End after so long.")
+@click.option("--chunk-frames", type=click.IntRange(1, 1_000_000), default=5000, show_default=True, metavar="N",
+              help="Frames in a chunk of a folder: as much is lost in a power cut.")  # fmt: skip
+@click.option("--plate", callback=_plate, metavar="WxH[xT]", help="The plate's size in mm, if the source has none.")
+@click.option("--notes", default="", help="A remark to keep with the recording.")
+@click.option("--config", "config", type=click.Path(path_type=Path), help="Configuration file (TOML).")
+@click.pass_context
+def command(
+    ctx: click.Context,
+    output: Path,
+    replay: Path | None,
+    simulate: str | None,
+    ni: bool,
+    speed: float,
+    loop: bool,
+    seed: int,
+    frames: int | None,
+    seconds: float | None,
+    chunk_frames: int,
+    plate: Plate | None,
+    notes: str,
+    config: Path | None,
+) -> None:
+    """Write the frames of the DAQ, or of another source, to a file.
+
+    A recording can reveal a PIN: whoever has it can find every touch. It is created readable by you only. Ctrl-C and
+    SIGTERM end it and save what there is. Frames alone are kept, not the true contacts of a labelled recording.
+    """
+    from touchd.config.load import load
+    from touchd.sources.open import SourceChoice, open_source
+    from touchd.sources.recorder import MAX_FILE_FRAMES, Recorder
+
+    if output.suffix == ".npz" and frames is not None and frames > MAX_FILE_FRAMES:
+        raise ConfigError(
+            f"one file holds at most {MAX_FILE_FRAMES} frames", "--frames",
+            "record into a folder: give -o a name that does not end in .npz",
+        )  # fmt: skip
+    settings = load(config or (ctx.obj or {}).get("config"))
+    source = open_source(SourceChoice(replay, simulate, speed, loop, seed, ni), settings)
+    with ExitStack() as stack:
+        stack.callback(source.close)
+        kind = "simulated" if simulate else "replay" if replay else "ni" if ni else "usb"
+        meta = _meta(source, plate, settings.device.rate_hz, kind, notes)
+        recorder = Recorder(source, output, meta, chunk_frames=chunk_frames)
+        click.echo(f"recording to {output}: it can reveal a PIN, and only you can read it")
+        try:
+            _record(recorder, frames, seconds)
+        finally:  # also when the device has gone: what came before is worth keeping
+            recorder.close()
+            if recorder.frames:
+                dropped = f", {recorder.dropped} out of order and not kept" if recorder.dropped else ""
+                click.echo(f"{output}: {recorder.frames} frames saved, {recorder.lost} lost on their way here{dropped}")
+    if not recorder.frames:
+        raise SourceError("no frame came, nothing is saved", fix="check that the source runs")
+
+
+def _record(recorder: Recorder, frames: int | None, seconds: float | None) -> None:
+    """Pass frames through the recorder until the end, a limit or a signal."""
+    from touchd.sources.source import EndOfStream
+
+    stop = False
+
+    def handle(_number: int, _frame: FrameType | None) -> None:
+        nonlocal stop
+        stop = True
+
+    first_ns = None
+    # The last of 125 frames in a second begins 8 ms before its end; half a period for what the times may jitter.
+    last_s = (seconds or 0) - 1.5 / recorder.meta.frame_rate_hz
+    started_s = time.monotonic()
+    with ExitStack() as stack:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            stack.callback(signal.signal, number, signal.signal(number, handle))
+        while not stop and (frames is None or recorder.frames < frames):
+            try:
+                frame = recorder.read(_TIMEOUT_S)
+            except EndOfStream:
+                break
+            if frame is None:
+                for change in recorder.changes():
+                    click.echo(f"device {change.state}: {change.reason}", err=True)
+                # A silent source must not make a recording of ten seconds last for ever.
+                if seconds is not None and time.monotonic() - started_s >= seconds:
+                    break
+                continue
+            first_ns = frame.t_ns if first_ns is None else first_ns
+            if seconds is not None and frame.t_ns - first_ns >= last_s * 1e9:
+                break
+
+
+def _meta(source: Source, plate: Plate | None, rate_hz: float, kind: str, notes: str) -> Meta:
+    """Return the description of what will be recorded: the source's own, if it has one."""
+    from touchd.recording.data import Meta
+    from touchd.sources.recorder import describe
+
+    known = getattr(source, "meta", None)
+    if not isinstance(known, Meta):
+        if plate is None:
+            raise ConfigError("the plate's size is not known", "--plate", "add --plate WIDTHxHEIGHT, in mm")
+        device = getattr(source, "device", None)
+        return describe(source.acquisition, plate, rate_hz, source=kind, device=device, notes=notes)
+    fresh = describe(source.acquisition, plate or known.plate, known.frame_rate_hz, source=known.source or kind)
+    changes = {"plate": fresh.plate, "source": fresh.source, "created": fresh.created, "notes": notes or known.notes}
+    return known.model_copy(update=changes)

@@ -1,0 +1,106 @@
+"""`touchd reproduce`: the source paper's experiments, run again."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+import click
+
+from touchd.errors import OutputError, RecordingValues
+
+
+@click.command()
+@click.argument("recording", type=click.Path(path_type=Path), required=False)
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path), default=Path("reproduction.md"), show_default=True,
+    help="The report to write (Markdown); its pictures go to a folder of the same name.",
+)  # fmt: skip
+@click.option("--layout", type=click.Path(path_type=Path), help="Keys of the keypad (TOML).  [default: 3 x 4]")
+@click.option("--seed", default=0, show_default=True, help="Seed of the splits and of all trainings.")
+@click.option("--models", type=click.Path(path_type=Path), help="Folder of the models to judge.  [default: shipped]")
+@click.option("--touches", type=click.IntRange(min=200), default=6404, show_default=True, help="Touches to simulate.")
+@click.option("--epochs", type=click.IntRange(min=1), help="Of every training.  [default: the recipes']")
+@click.option("--jobs", type=click.IntRange(min=1), help="Processes to use.  [default: one a core]")
+@click.option("--dask", metavar="ADDRESS", help="Run on the workers of this Dask scheduler, such as tcp://host:8786.")
+@click.option("--cache", type=click.Path(path_type=Path), help="Where results are kept.  [default: the user's cache]")
+@click.option("--force", is_flag=True, help="Replace the report if it exists.")
+def command(
+    recording: Path | None,
+    output: Path,
+    layout: Path | None,
+    seed: int,
+    models: Path | None,
+    touches: int,
+    epochs: int | None,
+    jobs: int | None,
+    dask: str | None,
+    cache: Path | None,
+    force: bool,
+) -> None:
+    """Run the source paper's experiments on the digital twin, or on RECORDING, and write a report.
+
+    Regression and grids in both domains, the keypad, kNN and GCC, and the models that ship, each beside the paper's
+    own figure. It takes about an hour on two cores. A run that was stopped goes on where it was.
+    """
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    from touchd.keypad import PHONE, load_layout
+    from touchd.lab.reproduction.figures import draw
+    from touchd.lab.reproduction.report import report
+    from touchd.lab.reproduction.run import Scale, reproduce
+    from touchd.recording.format import read
+    from touchd.twin import cache as kept
+
+    if output.exists() and not force:
+        raise OutputError("already there", str(output), "choose another name, or add --force")
+    given = read(recording) if recording else None
+    if given is not None and given.contacts_mm is None:
+        raise RecordingValues("there is no truth to learn from", str(recording), "use a recording with contacts_mm")
+    scale = Scale(touches=touches, epochs=epochs)
+    if touches < scale.touches:
+        part = touches / scale.touches
+        scale = Scale(touches, max(200, round(part * scale.other_touches)), max(200, round(part * scale.held_out)),
+                      epochs=epochs)  # fmt: skip
+    keys = load_layout(layout or PHONE)
+    bar = Progress(
+        BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.description}"),
+        console=Console(stderr=True),
+    )  # fmt: skip
+    with bar:
+        task = bar.add_task("")
+
+        def progress(what: str, done: int, steps: int) -> None:
+            bar.update(task, description=what, completed=done, total=steps)
+
+        results = reproduce(
+            given, keys, seed=seed, scale=scale, models=models, progress=progress,
+            workers=jobs, dask=dask, cache=cache or kept.folder() / "jobs",
+        )  # fmt: skip
+    made_by = "touchd reproduce" + (f" {recording.name}" if recording else "")
+    # Where it ran, and what it found done, do not matter.
+    stated = {"--layout": layout and layout.name, "--seed": seed or None, "--epochs": epochs}
+    stated |= {"--touches": None if given or touches == Scale().touches else touches}
+    made_by += "".join(f" {option} {value}" for option, value in stated.items() if value is not None)
+    _write(output, report(results, output.stem, made_by), lambda folder: draw(results, folder))
+    click.echo(f"{output}: written, with its pictures in {output.with_suffix('')}")
+
+
+def _write(page: Path, text: str, draw: Callable[[Path], None]) -> None:
+    """Write the report and its pictures: all of it is made before anything is replaced."""
+    pictures = page.with_suffix("")
+    try:
+        with tempfile.TemporaryDirectory(dir=page.parent, prefix=f".{page.stem}.") as made:
+            draw(Path(made))
+            (Path(made) / page.name).write_text(text, "utf-8")
+            pictures.mkdir(exist_ok=True)
+            for file in sorted(Path(made).glob("*.png")):
+                shutil.move(file, pictures / file.name)
+            shutil.move(Path(made) / page.name, page)
+    except OSError as error:
+        raise OutputError(
+            f"cannot be written ({error.strerror})", str(page), "check the folder and its space"
+        ) from error

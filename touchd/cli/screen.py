@@ -1,0 +1,26 @@
+"""`touchd screen`: tell the daemon whether the screen is on."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from touchd.config.load import load
+from touchd.service.control import SERVICE_PATH, path_of, send
+
+
+@click.command(name="screen", short_help="Tell the daemon that the screen is off, or on.")
+@click.argument("state", type=click.Choice(["off", "on"]))
+@click.option(
+    "--socket", "path", type=click.Path(path_type=Path), metavar="FILE",
+    help=f"The daemon's control socket.  [default: control.socket, or {SERVICE_PATH}]",
+)  # fmt: skip
+@click.pass_obj
+def command(settings: dict[str, Path | None] | None, state: str, path: Path | None) -> None:
+    """Tell the running daemon that the screen went off or on.
+
+    While it is off no touches are looked for: contacts end, and frames only keep the untouched plate. A daemon that
+    starts takes the screen to be on.
+    """
+    send(path or path_of(load((settings or {}).get("config")).control) or SERVICE_PATH, f"screen {state}")

@@ -1,0 +1,162 @@
+"""`touchd simulate`: a recording made by the digital twin."""
+
+from __future__ import annotations
+
+import math
+import sys
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+
+import click
+
+from touchd.config.schema import LogSettings
+from touchd.errors import OutputError, SimulationError
+from touchd.frame import Plate
+from touchd.keypad import load_layout
+from touchd.recording import format as recording
+from touchd.service.log import configure
+from touchd.twin.electronics import Electronics
+from touchd.twin.instrument import Instrument
+from touchd.twin.physics.finger import TISSUES
+from touchd.twin.physics.material import MATERIALS
+from touchd.twin.robot_session import Session, parts_kept, simulate_session
+from touchd.twin.scenes.catalogue import SCENES
+from touchd.twin.scenes.robot import COUNT, MOST_FINGERS, TouchSet
+from touchd.twin.simulate import simulate_scene, stage_scene
+
+TOUCHES = "touches"
+_SCENE_LINES = "\n".join(f"  {name:13} {scene.what}" for name, scene in SCENES.items())
+
+
+def parse_plate(_ctx: click.Context, _param: click.Parameter, value: str) -> tuple[float, float, float]:
+    """Return WIDTHxHEIGHTxTHICKNESS as three lengths in mm."""
+    try:
+        width, height, thickness = (float(part) for part in value.lower().split("x"))
+    except ValueError:
+        raise click.BadParameter("three lengths in mm such as 200x200x5") from None
+    if not all(0 < length < math.inf for length in (width, height, thickness)):
+        raise click.BadParameter("lengths above 0")
+    return width, height, thickness
+
+
+@click.command(
+    epilog=f"\b\nScenes:\n  {TOUCHES:13} a robot's training set: an untouched frame before each touch\n{_SCENE_LINES}"
+)
+@click.argument("scene", type=click.Choice([TOUCHES, *SCENES]), metavar="SCENE")
+@click.option("-o", "--output", type=click.Path(path_type=Path), required=True, help="The recording to write (.npz).")
+@click.option(
+    "--seed", default=0, show_default=True, type=click.IntRange(min=0), help="The same seed, the same counts."
+)
+@click.option("--frames", type=click.IntRange(min=1), help="Frames of a scene.  [default: as it needs]")
+@click.option("--rate-hz", type=float, help="Frames a second of a scene.  [default: 125; demo 100]")
+@click.option("--count", type=click.IntRange(min=1), help=f"Touches of a training set.  [default: {COUNT}]")
+@click.option("--finger", type=click.Choice(list(TISSUES)), help="Another finger than the scene's own.")
+@click.option("--keypad", type=click.Path(path_type=Path), help="Layout of the keys (TOML).  [default: 3 x 4 keys]")
+@click.option("--code", help="What is typed on the keypad.")
+@click.option("--plate", default="200x200x5", show_default=True, callback=parse_plate, metavar="WxHxT", help="In mm.")
+@click.option("--material", default="glass", show_default=True, type=click.Choice(list(MATERIALS)))
+@click.option("--loss", default=5e-3, show_default=True, help="Loss factor of the plate.")
+@click.option("--noise-db", default=60.0, show_default=True, help="White noise, so far below the untouched signal.")
+@click.option("--jitter-ns", default=0.0, show_default=True, help="Standard deviation of the trigger.")
+@click.option(
+    "--stale-k", default=0.0, show_default=True, help="Touches: so much warmer is the plate than beside each touch."
+)
+@click.option(
+    "--temperature-k",
+    "warmer_k",
+    default=0.0,
+    show_default=True,
+    help="Touches: so much warmer, baseline included, is the plate than the reference.",
+)
+@click.option(
+    "--fingers", default=1, show_default=True, type=click.IntRange(1, MOST_FINGERS), help="Fingers of each touch."
+)
+@click.option("--apart-mm", default=0.0, show_default=True, help="Least distance of their centres.")
+@click.option("--edge-gap-mm", type=float, metavar="MM", help="Exact distance of two fingers from edge to edge.")
+@click.option(
+    "--label-noise-mm", default=0.0, show_default=True, help="Touches: standard deviation of the truth, per axis."
+)
+@click.option("--tail", is_flag=True, help="Include what still rings from the chirps before.")
+@click.option("--jobs", type=click.IntRange(min=1), metavar="N", help="Processes for touches.  [default: all cores]")
+@click.option("--dask", metavar="ADDRESS", help="Compute touches on the Dask cluster of this scheduler.")
+@click.option("--force", is_flag=True, help="Replace the recording if it exists.")
+def command(
+    scene: str,
+    output: Path,
+    seed: int,
+    frames: int | None,
+    rate_hz: float | None,
+    count: int | None,
+    finger: str | None,
+    keypad: Path | None,
+    code: str | None,
+    plate: tuple[float, float, float],
+    material: str,
+    loss: float,
+    noise_db: float,
+    jitter_ns: float,
+    stale_k: float,
+    warmer_k: float,
+    fingers: int,
+    apart_mm: float,
+    edge_gap_mm: float | None,
+    label_noise_mm: float,
+    tail: bool,
+    jobs: int | None,
+    dask: str | None,
+    force: bool,
+) -> None:
+    """Write a recording of SCENE, computed from the physics of a plate, with its truth."""
+    if scene == TOUCHES and not (frames is None and rate_hz is None and keypad is None and code is None):
+        raise click.UsageError("--frames, --rate-hz, --keypad and --code are for scenes; use --count")
+    touches = TouchSet(
+        count or COUNT, finger or "silicone", None, stale_k, fingers, apart_mm, edge_gap_mm, warmer_k, label_noise_mm
+    )
+    if scene != TOUCHES and (count is not None or replace(touches, finger="silicone") != TouchSet()):
+        raise click.UsageError(
+            "--count, --stale-k, --temperature-k, --fingers, --apart-mm, --edge-gap-mm and --label-noise-mm are for "
+            "touches; use --frames"
+        )
+    if scene != TOUCHES and not (jobs is None and dask is None):
+        raise click.UsageError("--jobs and --dask are for touches; a scene is computed frame after frame")
+    if jobs is not None and dask is not None:
+        raise click.UsageError("--jobs counts processes of this computer; with --dask the cluster's own are used")
+    if output.exists() and not force:
+        raise OutputError("already there", str(output), "choose another name, or add --force")
+    width, height, thickness = plate
+    keys = [(key.name, *key.centre_mm) for key in load_layout(keypad).key] if keypad else None
+    described = Plate(width_mm=width, height_mm=height, thickness_mm=thickness, material=material)
+    electronics = Electronics(noise_db=noise_db, jitter_s=jitter_ns * 1e-9)
+    if scene == TOUCHES:
+        total = 2 * touches.count
+        period_s = 0.5
+    else:
+        stage = stage_scene(scene, described, seed=seed, frames=frames, rate_hz=rate_hz, keys=keys, code=code)
+        total = len(stage.sequence)
+        period_s = 1 / stage.rate_hz
+    if tail and period_s > MOST_TAIL_S:
+        raise SimulationError(
+            f"a tail of {period_s:g} s", "tail", f"frames {MOST_TAIL_S:g} s apart or more hear nothing of it"
+        )
+    tail_period_s = period_s if tail else None
+    configure(LogSettings())  # on standard error, beside the progress
+    with ExitStack() as stack:
+        if scene == TOUCHES:
+            session = Session(touches, seed, described, loss, tail_period_s, electronics)
+            kept = stack.enter_context(parts_kept(session))
+            with click.progressbar(length=total, label=scene, file=sys.stderr) as bar:
+                made = simulate_session(session, workers=jobs, dask=dask, kept=kept, progress=bar.update)
+        else:
+            instrument = Instrument(described, loss=loss, tail_period_s=tail_period_s)
+            with click.progressbar(length=total, label=scene, file=sys.stderr) as bar:
+                made = simulate_scene(
+                    scene, seed=seed, frames=frames, rate_hz=rate_hz, instrument=instrument, electronics=electronics,
+                    finger=finger, keys=keys, code=code, progress=bar.update,
+                )  # fmt: skip
+        recording.write(output, made)
+    click.echo(f"{output}: {len(made.frames)} frames, {output.stat().st_size / 1e6:.1f} MB")
+
+
+MOST_TAIL_S = 0.05
+"""After that long even a loss factor of 1e-3 leaves nothing above -60 dB."""

@@ -1,0 +1,168 @@
+"""`touchd train`: a model from a labelled recording."""
+
+from __future__ import annotations
+
+import math
+import os
+from pathlib import Path
+
+import click
+
+from touchd.errors import OutputError
+from touchd.localization.atlas import atlas_path
+from touchd.training.network.recipe import RECIPES
+
+_RECIPES = "\n".join(["\b", "Recipes:", *(f"  {recipe.name:16}  {recipe.what}" for recipe in RECIPES.values())])
+
+
+@click.command(epilog=_RECIPES)
+@click.argument("recording", type=click.Path(path_type=Path), nargs=-1, required=True)
+@click.option("-o", "--output", type=click.Path(path_type=Path), required=True, help="The model to write (ONNX).")
+@click.option(
+    "--recipe", type=click.Choice(list(RECIPES)), default="best", show_default=True, metavar="NAME",
+    help="What to train, and how: see below.",
+)  # fmt: skip
+@click.option("--n", "grid", default=10, show_default=True, help="Zones along each side, for the grid recipes.")
+@click.option(
+    "--layout", type=click.Path(path_type=Path), help="Keys (TOML), for the keypad recipes.  [default: 3 x 4]"
+)
+@click.option(
+    "--network", type=click.Path(path_type=Path),
+    help="For the recipe atlas: a network trained on RECORDING before, instead of training one.",
+)  # fmt: skip
+@click.option("--seed", default=0, show_default=True, help="Seed of the split, the weights and the augmentation.")
+@click.option("--epochs", type=click.IntRange(min=1), help="Passes over the touches.  [default: the recipe's]")
+@click.option(
+    "--patience", type=click.IntRange(min=1),
+    help="Epochs without a better validation RMSE after which training stops: for the paper's recipes, whose rate is "
+    "constant.  [default: 30]",
+)  # fmt: skip
+@click.option("--no-report", is_flag=True, help="Write no report beside the model.")
+@click.option("--force", is_flag=True, help="Replace the model, its atlas and report, if they exist.")
+def command(
+    recording: tuple[Path, ...],
+    output: Path,
+    recipe: str,
+    grid: int,
+    layout: Path | None,
+    network: Path | None,
+    seed: int,
+    epochs: int | None,
+    patience: int | None,
+    no_report: bool,
+    force: bool,
+) -> None:
+    """Train a model on RECORDING, a labelled recording of single touches, or several of one plate taken alike.
+
+    What looks wrong with them, such as a dead channel or too few touches, is said before training begins.
+    The touches are split at random into 70 % for training, 20 % for validation and 10 % for the test; the scores
+    printed at the end, and stored in the model, are those of the test. A folder beside the model, named .report, has
+    them with pictures: learning curve, errors over the plate, and how well the standard error is predicted.
+
+    The recipe atlas writes two files, the network and beside it the field atlas, named .atlas.npz: the scores printed
+    are those of both together.
+    """
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn
+
+    from touchd.evaluation.dataset import labels, split
+    from touchd.keypad import PHONE, load_layout
+    from touchd.recording.format import read
+    from touchd.training.data.join import join
+    from touchd.training.report.atlas_report import write_atlas_report
+    from touchd.training.report.network_report import PAGE, remove_report, write_report
+    from touchd.training.report.time_left import TimeLeft, say
+    from touchd.training.train_atlas import train_atlas
+    from touchd.training.train_network import train
+
+    chosen = RECIPES[recipe]
+    if network and not chosen.atlas:
+        raise click.UsageError("--network is for the recipe atlas")
+    _check_free(output, network, force=force)
+    epochs = epochs or chosen.epochs
+    options = f" --n {grid}" * (chosen.head == "grid")
+    options += f" --layout {layout.name}" if layout and chosen.head == "keypad" else ""
+    options += f" --patience {patience}" if patience else ""
+    options += f" --network {network.name}" if network else f" --seed {seed} --epochs {epochs}"
+    names = [path.name for path in recording]
+    said = f"touchd train {' '.join(names)} -o {output.name} --recipe {recipe}{options}"
+    touches = join([read(path) for path in recording], [str(path) for path in recording])
+    bar = Progress(
+        TextColumn("{task.description:8}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[note]}"),
+        TextColumn("{task.fields[left]}"),
+        console=Console(stderr=True),
+    )
+    tasks: dict[str, TaskID] = {}
+    left = TimeLeft(len(split(len(labels(touches)[1]), seed).train), 0 if network else epochs)
+
+    def progress(what: str, done: int, steps: int, rmse_mm: float) -> None:
+        # Started by the first step: what is refused before it is refused in one line.
+        bar.start()
+        if what not in tasks:
+            tasks[what] = bar.add_task(what, note="", left="")
+        note = "" if math.isnan(rmse_mm) else f"validation {rmse_mm:.2f} mm"
+        bar.update(tasks[what], completed=done, total=steps, note=note, left=say(left.after(what, done, steps)))
+
+    def warn(note: str) -> None:
+        # At once, not after minutes of training; the console keeps it clear of the bar.
+        bar.console.print(
+            f"touchd: warning: {note}", style="bold yellow", markup=False, highlight=False, soft_wrap=True
+        )
+
+    try:
+        if chosen.atlas:
+            made = train_atlas(
+                touches, output, network, seed=seed, epochs=epochs, command=said, progress=progress, warn=warn
+            )
+            result, scores, path = made.network, made.scores, made.path
+        else:
+            made = None
+            result = train(
+                touches,
+                output,
+                chosen,
+                grid=grid,
+                layout=load_layout(layout or PHONE) if chosen.head == "keypad" else None,
+                seed=seed,
+                epochs=epochs,
+                patience=patience,
+                command=said,
+                progress=progress,
+                warn=warn,
+            )
+            scores, path = result.scores, output
+            atlas_path(output).unlink(missing_ok=True)  # that of the model which was replaced
+    finally:
+        if tasks:
+            bar.stop()
+    click.echo(f"{path}: on {scores['n']:.0f} touches never seen in training:")
+    for name, value in scores.items():
+        if name != "n":
+            click.echo(f"  {name:17} {value:8.3f}")
+    for each in (output, atlas_path(output)):
+        if no_report or not (made or each == output):
+            remove_report(each)  # that of the model which was replaced
+    if no_report:
+        return
+    if result:
+        folder = write_report(result, touches.meta, names)
+        click.echo(f"{folder / PAGE}: scores, learning curve and pictures")
+    if made:
+        folder = write_atlas_report(made, touches.meta, names)
+        click.echo(f"{folder / PAGE}: the atlas' scores, maps and pictures")
+
+
+def _check_free(output: Path, network: Path | None, *, force: bool) -> None:
+    """Raise OutputError if the model or its atlas is there already, or cannot be written.
+
+    An atlas that lies beside another model than its own would be taken for its.
+    """
+    for file in (output, atlas_path(output)):
+        given = network is not None and file.exists() and file.samefile(network)
+        if file.exists() and not force and not given:
+            raise OutputError("already there", str(file), "choose another name, or add --force")
+    if not os.access(output.parent, os.W_OK | os.X_OK):
+        raise OutputError("no folder that can be written to", str(output.parent), "make it, or choose another name")

@@ -1,0 +1,1 @@
+"""The configuration: `schema` declares every key, `load` reads them, `render` writes them out."""

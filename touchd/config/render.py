@@ -1,0 +1,164 @@
+"""The configuration as text: a commented TOML file, and the reference of every key."""
+
+from __future__ import annotations
+
+import json
+import types
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Literal, Union, get_args, get_origin
+
+import annotated_types
+from pydantic import BaseModel, SecretStr
+from pydantic.fields import FieldInfo
+
+from touchd.config.schema import Settings
+
+_NAMES = {int: "a whole number", float: "a number", bool: "true or false", str: "a text", Path: "a path"}
+
+
+def section(table: str) -> type[BaseModel]:
+    """Return the model of a table."""
+    model: type[BaseModel] = type(Settings.model_fields[table].default)
+    return model
+
+
+def fields() -> Iterator[tuple[str, str, FieldInfo]]:
+    """Yield the table, the key and the definition of every setting, in order."""
+    for table in Settings.model_fields:
+        for key, field in section(table).model_fields.items():
+            yield table, key, field
+
+
+def variable(table: str, key: str) -> str:
+    """Return the environment variable that sets a key."""
+    return f"TOUCHD_{table}__{key}".upper()
+
+
+def is_secret(key: str) -> bool:
+    """Return whether the value of a key must not be repeated in a message."""
+    return any(word in key.lower() for word in ("secret", "password", "token"))
+
+
+def expected(field: FieldInfo) -> str:
+    """Return what a key takes: its type and its range, in words."""
+    kind = _kind(field.annotation)
+    limits: dict[type, Any] = {type(limit): limit for limit in field.metadata}
+    low, above = limits.get(annotated_types.Ge), limits.get(annotated_types.Gt)
+    high, below = limits.get(annotated_types.Le), limits.get(annotated_types.Lt)
+    length = limits.get(annotated_types.MinLen)
+    words = []
+    if low and high:
+        words.append(f"{low.ge:g} to {high.le:g}")
+    elif low:
+        words.append(f"at least {low.ge:g}")
+    elif high:
+        words.append(f"at most {high.le:g}")
+    if above:
+        words.append(f"above {above.gt:g}")
+    if below:
+        words.append(f"below {below.lt:g}")
+    if length:
+        words.append("not empty")
+    return f"{kind}, {' and '.join(words)}" if words else kind
+
+
+def _kind(annotation: Any) -> str:
+    origin, arguments = get_origin(annotation), get_args(annotation)
+    if origin is Literal:
+        return f"one of {', '.join(map(str, arguments))}"
+    if origin in (Union, types.UnionType):
+        return " or ".join("empty" if part is type(None) else _kind(part) for part in arguments)
+    if origin is tuple:
+        return "a list of whole numbers" if _of_numbers(annotation) else "a list of addresses, tcp:// or ipc://"
+    return _NAMES.get(annotation, str(annotation))
+
+
+def expected_item(field: FieldInfo) -> str:
+    """Return what the items of a list must be, in words."""
+    return "a whole number, at least 0" if _of_numbers(field.annotation) else "an address, tcp:// or ipc://"
+
+
+def _of_numbers(annotation: Any) -> bool:
+    item = get_args(annotation)[0]
+    return get_args(item)[:1] == (int,)
+
+
+def toml_value(value: Any, key: str = "") -> str:
+    """Return a value as TOML writes it; a path that is not set is an empty text."""
+    if value is None:
+        return '""'
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, tuple | list):
+        return f"[{', '.join(toml_value(item) for item in value)}]"
+    if isinstance(value, int) and key in ("vendor_id", "product_id"):
+        return f"0x{value:04x}"
+    if isinstance(value, int | float):
+        return repr(value)
+    # JSON's escapes are TOML's, but for the one control character that JSON lets through.
+    return json.dumps(str(value), ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def render(settings: Settings) -> str:
+    """Return a TOML file of the settings: every key with its value, default, range and meaning.
+
+    It can be loaded again. The value of a secret is not written.
+    """
+    lines = [
+        "# The configuration of touchd: every key, and the value in effect. A key that is left out takes its default.",
+        f"# Each can also be set by the environment variable TOUCHD_TABLE__KEY, for example {variable('bus', 'bind')}.",
+    ]
+    previous = ""
+    for table, key, field in fields():
+        if table != previous:
+            lines += ["", f"# {_summary(table)}", f"[{table}]"]
+            previous = table
+        lines += [
+            f"# {field.description}",
+            f"# {_capital(expected(field))}. Default: {toml_value(field.default, key)}",
+        ]
+        value = getattr(getattr(settings, table), key)
+        if isinstance(value, SecretStr):
+            lines.append(f"# {key} is secret and not shown.")
+        else:
+            lines.append(f"{key} = {toml_value(value, key)}")
+    return "\n".join(lines) + "\n"
+
+
+def markdown() -> str:
+    """Return the reference of all settings: a table for each section."""
+    lines = [
+        "# Configuration",
+        "",
+        "<!-- Generated from touchd/config/schema.py: do not edit. -->",
+        "",
+        "The command line wins over the environment, the environment over the file, the file over the defaults.",
+        "`touchd` reads the file that `--config` names, or else `/etc/touchd/touchd.toml` if there is one.",
+        "`touchd config` prints what is in effect; `touchd config --default` prints a file to start from.",
+        "An empty text unsets a path. A list is given in a variable with commas between its items, or as JSON.",
+        "A key, table or variable that touchd does not know is an error.",
+    ]
+    previous = ""
+    for table, key, field in fields():
+        if table != previous:
+            lines += ["", f"## `[{table}]`", "", _summary(table), ""]
+            lines += ["| key | takes | default | meaning | variable |", "|---|---|---|---|---|"]
+            previous = table
+        cells = [
+            f"`{key}`",
+            expected(field),
+            f"`{toml_value(field.default, key)}`",
+            field.description or "",
+            f"`{variable(table, key)}`",
+        ]
+        lines.append(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |")
+    return "\n".join(lines) + "\n"
+
+
+def _summary(table: str) -> str:
+    return (section(table).__doc__ or "").split("\n", 1)[0]
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]

@@ -1,0 +1,160 @@
+"""What `touchd doctor` finds out by trying: the clock, the bus's addresses, frames from a source, their time."""
+
+from __future__ import annotations
+
+import ctypes
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchd.config.schema import BusSettings, DeviceSettings
+from touchd.doctor.checks import Finding, Sample
+from touchd.errors import AddressInUse, BusError, BusTimeout, RecordingValues, SourceError
+from touchd.event import HealthEvent
+from touchd.frame import Acquisition, Counts
+from touchd.localization.features import make_features
+from touchd.localization.model import Model
+from touchd.recording.data import Meta
+from touchd.recording.format import Reader
+from touchd.sources.source import EndOfStream, LiveSource, Source
+
+_SILENCE_S = 5.0
+"""How long a device may take to send its first frame."""
+_LISTEN_S = 2.5
+"""A daemon says something on `health` each second."""
+_REFERENCE_FRAMES = 256
+_TIMED_FRAMES = 500
+_UNSYNCHRONISED = 5  # adjtimex(2): TIME_ERROR
+_EARLIEST_S = 1735689600  # 2025: a computer without a battery for its clock begins in 1970
+
+
+def check_clock() -> Finding:
+    """Say whether this computer's clock is set; messages carry its time, and nothing else depends on it."""
+    timex = (ctypes.c_char * 512)()  # struct timex, all zero: only ask
+    state = ctypes.CDLL(None).adjtimex(ctypes.byref(timex))
+    return judge_clock(state, time.time())
+
+
+def judge_clock(state: int, now_s: float) -> Finding:
+    """Judge what adjtimex(2) answered, and UTC in seconds."""
+    if now_s < _EARLIEST_S:
+        return Finding("clock", "failure", "this computer's clock is not set", "set it: timedatectl set-ntp true")
+    if state in (_UNSYNCHRONISED, -1):
+        text = "this computer's clock follows no time server: `wall` in messages may be off"
+        return Finding("clock", "warning", text, "timedatectl set-ntp true; touches do not depend on it")
+    return Finding("clock", "ok", "this computer's clock follows a time server")
+
+
+def check_addresses(settings: BusSettings) -> Iterator[Finding]:
+    """Bind each address and let it go again."""
+    from touchd.sinks.zeromq import ZeromqSink
+
+    for address in settings.bind:
+        try:
+            ZeromqSink(settings.model_copy(update={"bind": (address,)})).close()
+        except AddressInUse as error:
+            yield _occupied(address, error, settings)
+        except BusError as error:
+            yield Finding("bus", "failure", f"{error.where}: {error.what}", error.fix)
+        else:
+            yield Finding("bus", "ok", f"{address} is free")
+
+
+def _occupied(address: str, error: AddressInUse, settings: BusSettings) -> Finding:
+    """Say who holds an address: a daemon of touchd publishes its health there."""
+    from touchd.client import Subscriber
+
+    if settings.curve_secret_key is None:
+        try:
+            with Subscriber(address, ("health",), timeout_s=_LISTEN_S) as events:
+                event = next(events)
+            assert isinstance(event, HealthEvent)
+            return Finding("bus", "warning", f"{address}: a daemon publishes there, in state {event.state}",
+                           "stop it for the examination: systemctl stop touchd")  # fmt: skip
+        except BusTimeout:
+            pass
+    return Finding("bus", "failure", f"{address}: {error.what}", error.fix)
+
+
+def expected_rate_hz(source: Source, settings: DeviceSettings) -> float:
+    """Return the frames a second that a source was asked for, or says that it has."""
+    meta = getattr(source, "meta", None)
+    return meta.frame_rate_hz if isinstance(meta, Meta) else float(settings.rate_hz)
+
+
+def take(source: Source, seconds: float) -> Sample:
+    """Take frames for so long by their own time.
+
+    Raises
+    ------
+    SourceError
+        None comes, or fewer than can be judged.
+    """
+    live = source if isinstance(source, LiveSource) else None
+    counts: list[Counts] = []
+    sequence: list[int] = []
+    t_ns: list[int] = []
+    reason = "no frame came"
+    deadline_s = time.monotonic() + _SILENCE_S
+    while not t_ns or t_ns[-1] - t_ns[0] < seconds * 1e9:
+        try:
+            frame = source.read(0.1)
+        except EndOfStream:
+            break
+        if frame is not None:
+            counts.append(frame.counts.copy())
+            sequence.append(frame.sequence)
+            t_ns.append(frame.t_ns)
+            deadline_s = time.monotonic() + _SILENCE_S
+            continue
+        for change in live.changes() if live is not None else ():
+            reason = change.reason
+        if time.monotonic() > deadline_s:
+            break
+    if len(t_ns) < 2:
+        raise SourceError(reason, "source", "look at the cable and the power, and stop the daemon if it runs")
+    corrupt = live.tally.corrupt if live is not None else 0
+    return Sample(np.array(counts), np.array(sequence, np.int64), np.array(t_ns, np.int64), corrupt)
+
+
+def untouched(path: Path, model: Model) -> NDArray[np.float64]:
+    """Return the mean untouched frame of a recording, of shape (channels, samples), ADC counts.
+
+    Raises
+    ------
+    RecordingError
+        It cannot be read, or has no untouched frame.
+    ModelMismatch
+        It is of another acquisition than the model.
+    """
+    reader = Reader(path)
+    model.check(reader.acquisition)
+    total, count = np.zeros(reader.acquisition.shape), 0
+    for chunk in reader:
+        free = slice(None) if chunk.contacts_mm is None else np.isnan(chunk.contacts_mm[..., 0]).all(axis=1)
+        frames = chunk.frames[free][: _REFERENCE_FRAMES - count]
+        total += frames.sum(axis=0, dtype=np.float64)
+        count += len(frames)
+        if count == _REFERENCE_FRAMES:
+            break
+    if not count:
+        raise RecordingValues("has no frame of the untouched plate", str(path), "record the plate without a finger")
+    return total / count
+
+
+def time_frames(sample: Sample, acquisition: Acquisition, model: Model) -> list[float]:
+    """Return what each of some frames takes from its counts to a position, in microseconds."""
+    features = make_features(model.description.domain, acquisition)
+    baseline = sample.untouched.astype(np.float32)
+    residual = np.zeros_like(baseline)
+    spent_us = []
+    for i in range(_TIMED_FRAMES):
+        begin_ns = time.perf_counter_ns()
+        np.subtract(sample.counts[i % len(sample.counts)], baseline, out=residual)
+        features.extract(residual, model.features[0])
+        model.estimate()
+        spent_us.append((time.perf_counter_ns() - begin_ns) * 1e-3)
+    return spent_us

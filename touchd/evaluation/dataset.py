@@ -1,0 +1,211 @@
+"""From a labelled recording to features and positions, split for training, validation and test."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchd.errors import TrainingError
+from touchd.frame import Acquisition
+from touchd.localization.features import Domain, make_features
+from touchd.recording.data import Meta, Recording
+
+Array = NDArray[np.float32]
+
+MIN_TOUCHES = 100
+PAUSE_S = 10.0
+PAUSE_RATIO = 3.0
+"""An untouched frame so much farther than the one on the other side lies beyond a pause, in which the plate changed."""
+BASELINE_NOISE = 1.5
+"""Noise power of a residual over that of a frame: the baseline is the mean of two."""
+
+
+@dataclass(frozen=True, slots=True)
+class Dataset:
+    """n touches of one finger, with the untouched plate beside each: all features in ADC counts."""
+
+    meta: Meta
+    acquisition: Acquisition
+    domain: Domain
+    residual: Array
+    """Features of touched less untouched, shape (n, inputs): bit for bit what the daemon would compute."""
+    signal: Array
+    """Features of the touched frame itself, shape (n, inputs): the paper's input."""
+    untouched: Array
+    """Features of the untouched plate beside each touch, shape (n, inputs)."""
+    stretch: Array
+    """Derivative of `untouched` by a stretch of time, shape (n, inputs): what a warmer plate adds."""
+    delay: Array
+    """Derivative of `untouched` by a delay, shape (n, inputs), per second: what trigger jitter adds."""
+    position_mm: Array
+    """Shape (n, 2)."""
+    noise: float
+    """Standard deviation of one sample's noise, ADC counts."""
+    sha256: str
+    """Digest of the recording's frames and truth."""
+
+    def __len__(self) -> int:
+        return len(self.residual)
+
+    @property
+    def noise_energy(self) -> float:
+        """Energy of the noise in a residual's samples, ADC counts squared."""
+        return noise_energy(self.noise, self.acquisition)
+
+
+@dataclass(frozen=True, slots=True)
+class Split:
+    """Indices of the touches of each part."""
+
+    train: NDArray[np.int64]
+    validation: NDArray[np.int64]
+    test: NDArray[np.int64]
+
+
+def split(count: int, seed: int) -> Split:
+    """Return a random split into 70, 20 and 10 % (the paper's), the same for the same seed."""
+    order = np.random.default_rng([seed, 0x5B117]).permutation(count)
+    train, validation = round(0.7 * count), round(0.9 * count)
+    return Split(order[:train], order[train:validation], order[validation:])
+
+
+def thin(parts: Split, share: float) -> Split:
+    """Return the split with this share of its training part; a larger share holds all of a smaller one.
+
+    Raises
+    ------
+    TrainingError
+        If the share is not above 0 and at most 1, or leaves less than two touches.
+    """
+    count = round(share * len(parts.train)) if 0 < share <= 1 else 0
+    if not count:
+        raise TrainingError(
+            f"a share of {share:g} of {len(parts.train)} touches", "share", "use one above 0, at most 1"
+        )
+    return replace(parts, train=parts.train[:count])
+
+
+def residual_of(counts: NDArray[np.int16], baseline: Array) -> Array:
+    """Return a frame less its baseline, in the arithmetic of `touchd.detection.baseline.Baseline.subtract`."""
+    return np.subtract(counts, baseline, dtype=np.float32)
+
+
+def make_dataset(recording: Recording, domain: Domain = "frequency", least: int = MIN_TOUCHES) -> Dataset:
+    """Return the features of all single touches of a labelled recording, of which there must be `least`.
+
+    Raises
+    ------
+    TrainingError
+        If the recording is not labelled, has too few touches or no untouched frames, or touches lie outside
+        the plate.
+    """
+    position_mm, touched, untouched = labels(recording, least)
+    pairs = baseline_frames(recording.timestamp_ns, touched, untouched)
+    acquisition = recording.acquisition
+    features = make_features(domain, acquisition)
+    residual = np.empty((len(touched), features.size), np.float32)
+    signal, plain, stretch, delay = (np.empty_like(residual) for _ in range(4))
+    seconds = np.arange(acquisition.samples) / acquisition.sample_rate_hz
+    for i, frame in enumerate(touched):
+        baseline = recording.frames[pairs[i]].mean(axis=0, dtype=np.float32)
+        features.extract(residual_of(recording.frames[frame], baseline), residual[i])
+        features.extract(recording.frames[frame].astype(np.float32), signal[i])
+        features.extract(baseline, plain[i])
+        slope = _derivative(baseline, acquisition.sample_rate_hz)
+        features.extract((slope * seconds).astype(np.float32), stretch[i])
+        features.extract(slope.astype(np.float32), delay[i])
+    return Dataset(
+        meta=recording.meta,
+        acquisition=acquisition,
+        domain=domain,
+        residual=residual,
+        signal=signal,
+        untouched=plain,
+        stretch=stretch,
+        delay=delay,
+        position_mm=position_mm,
+        noise=noise_of(recording.frames[untouched]),
+        sha256=digest(recording),
+    )
+
+
+def digest(recording: Recording) -> str:
+    """Return the SHA-256 of a recording's frames and truth, in hexadecimal."""
+    state = hashlib.sha256(np.ascontiguousarray(recording.frames).tobytes())
+    if recording.contacts_mm is not None:
+        state.update(np.ascontiguousarray(recording.contacts_mm).tobytes())
+    return state.hexdigest()
+
+
+def baseline_frames(
+    timestamp_ns: NDArray[np.int64], touched: NDArray[np.int64], untouched: NDArray[np.int64]
+) -> NDArray[np.int64]:
+    """Return the two untouched frames beside each touched one, shape (n, 2).
+
+    One on each side: half the noise, and a steady drift cancels. Across a pause only the near one counts, twice.
+    """
+    after = np.searchsorted(untouched, touched)
+    pairs = untouched[np.stack([np.clip(after - 1, 0, None), np.clip(after, None, len(untouched) - 1)], axis=1)]
+    apart_s = np.abs(timestamp_ns[pairs] - timestamp_ns[touched][:, None]) * 1e-9
+    near, far = apart_s.min(axis=1), apart_s.max(axis=1)
+    alone = (far > PAUSE_S) & (far > PAUSE_RATIO * near)
+    pairs[alone] = pairs[alone, apart_s[alone].argmin(axis=1)][:, None]
+    return pairs
+
+
+def labels(recording: Recording, least: int = MIN_TOUCHES) -> tuple[Array, NDArray[np.int64], NDArray[np.int64]]:
+    """Return the positions (n, 2) of single touches, their frames (n,), and the untouched frames (m,).
+
+    Raises
+    ------
+    TrainingError
+        As `make_dataset`.
+    """
+    truth = recording.contacts_mm
+    if truth is None:
+        raise TrainingError("the recording has no `contacts_mm`", fix="record with the touches' true positions")
+    down = np.isfinite(truth[:, :, 0])
+    fingers = down.sum(axis=1)
+    touched, untouched = np.flatnonzero(fingers == 1), np.flatnonzero(fingers == 0)
+    if len(touched) < least:
+        raise TrainingError(
+            f"{len(touched)} touches of a single finger are too few, at least {least} are needed",
+            fix="record more touches; several thousand are usual",
+        )
+    if not len(untouched):
+        raise TrainingError("no untouched frame", fix="record the untouched plate between touches")
+    position_mm = truth[touched, down[touched].argmax(axis=1)]
+    plate = recording.meta.plate
+    outside = ((position_mm < 0) | (position_mm > [plate.width_mm, plate.height_mm])).any(axis=1)
+    if outside.any():
+        first = position_mm[outside][0]
+        raise TrainingError(
+            f"{outside.sum()} touches lie outside the plate of {plate.width_mm:g} x {plate.height_mm:g} mm, "
+            f"the first at ({first[0]:.1f}, {first[1]:.1f})",
+            "contacts_mm",
+            "correct the truth or the plate's size",
+        )
+    return position_mm, touched, untouched
+
+
+def _derivative(signal: Array, sample_rate_hz: float) -> NDArray[np.float64]:
+    """Return the time derivative of a band-limited signal of shape (channels, samples), per second."""
+    samples = signal.shape[-1]
+    omega = 2j * np.pi * np.fft.rfftfreq(samples, 1 / sample_rate_hz)
+    return np.fft.irfft(omega * np.fft.rfft(signal, axis=-1), samples, axis=-1)
+
+
+def noise_energy(noise: float, acquisition: Acquisition) -> float:
+    """Return the energy of the noise in a residual's samples, from the deviation of a frame's."""
+    return BASELINE_NOISE * noise**2 * acquisition.channels * acquisition.samples
+
+
+def noise_of(untouched: NDArray[np.int16]) -> float:
+    """Return the deviation of a sample's noise: the lower quartile over pairs of successive untouched frames."""
+    if len(untouched) < 2:
+        return 0.0
+    pairs = untouched[: 2 * (len(untouched) // 2)].astype(np.float32)
+    return float(np.percentile((pairs[1::2] - pairs[::2]).std(axis=(1, 2)), 25) / np.sqrt(2))

@@ -1,0 +1,104 @@
+"""A model judged on single touches: what it says of each, and its scores."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchd.evaluation.metrics import position_scores
+from touchd.keypad import Layout
+from touchd.localization.features import make_features, noise_to_signal
+from touchd.localization.model import Description, Model
+
+
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """What a model said of n touches, beside the truth."""
+
+    true_mm: NDArray[np.float32]
+    """Shape (n, 2)."""
+    place_mm: NDArray[np.float64]
+    """Shape (n, 2)."""
+    sigma_mm: NDArray[np.float64]
+    """Predicted standard error of either axis, shape (n,)."""
+    confidence: NDArray[np.float64]
+    """Shape (n,)."""
+    true_class: NDArray[np.int64] | None = None
+    """Grid and keypad heads: number of the zone or key, shape (n,); beside all keys it is that of the keys."""
+    found_class: NDArray[np.int64] | None = None
+    keys: int = 0
+    """Keypad head: how many keys there are."""
+
+    @property
+    def error_mm(self) -> NDArray[np.float64]:
+        """Position less truth, shape (n, 2)."""
+        return np.asarray(self.place_mm - self.true_mm)
+
+    @property
+    def distance_mm(self) -> NDArray[np.float64]:
+        """Shape (n,)."""
+        return np.asarray(np.linalg.norm(self.error_mm, axis=1))
+
+
+def judge(model: Model, features: NDArray[np.float32], true_mm: NDArray[np.float32], noise_energy: float) -> Judgement:
+    """Return what a model says of features of shape (n, inputs), one by one as the daemon asks it.
+
+    `noise_energy` is that of an untouched residual, ADC counts squared.
+    """
+    d = model.description
+    route = make_features(d.domain, d.acquisition)
+    rows = np.empty((len(features), 4))
+    found = np.zeros(len(features), np.int64)
+    for i, row in enumerate(features):
+        model.features[0] = row
+        estimate = model.estimate()
+        sigma_mm = estimate.error_mm(noise_to_signal(route, noise_energy, float(row @ row)))
+        rows[i] = estimate.x_mm, estimate.y_mm, sigma_mm, estimate.confidence
+        if d.head != "regression":
+            found[i] = int(model.outputs["probability"][0].argmax())
+    plain = Judgement(true_mm, rows[:, :2], rows[:, 2], rows[:, 3])
+    if d.head == "regression":
+        return plain
+    keys = len(d.layout.key) if d.layout and d.head == "keypad" else 0
+    return Judgement(true_mm, plain.place_mm, plain.sigma_mm, plain.confidence, classes(true_mm, d), found, keys)
+
+
+def classes(true_mm: NDArray[np.float32], description: Description) -> NDArray[np.int64]:
+    """Return the zone of a grid, or the key of a layout, under each position (n, 2)."""
+    if description.head == "keypad" and description.layout is not None:
+        return labels_of(true_mm, description.layout)
+    plate = description.plate
+    return zones_of(true_mm, description.grid, np.array([plate.width_mm, plate.height_mm]))
+
+
+def zones_of(position_mm: NDArray[np.floating], grid: int, size_mm: NDArray[np.floating]) -> NDArray[np.int64]:
+    """Return the zone of each position (n, 2), counted row by row, on a grid over a plate of this size (2,)."""
+    column, row = np.clip(position_mm / size_mm * grid, 0, grid - 1e-6).astype(np.int64).T
+    return np.asarray(row * grid + column)
+
+
+def labels_of(position_mm: NDArray[np.floating], layout: Layout) -> NDArray[np.int64]:
+    """Return the number of the key under each position (n, 2), that of the keys where there is none."""
+    labels = np.full(len(position_mm), len(layout.key))
+    place_mm = position_mm.astype(np.float64)
+    for number, key in reversed(list(enumerate(layout.key))):  # of keys that overlap the first counts, as in Layout.at
+        offset_mm = place_mm - [key.x_mm, key.y_mm]
+        labels[((offset_mm >= 0) & (offset_mm < [key.width_mm, key.height_mm])).all(axis=1)] = number
+    return labels
+
+
+def key_scores(found: NDArray[np.int64], truth: NDArray[np.int64], keys: int) -> dict[str, float]:
+    """Return the accuracy, and how many touches of a key were taken for another key; class `keys` is no key."""
+    wrong = (found != truth) & (found != keys) & (truth != keys)
+    return {"accuracy": float((found == truth).mean()), "key_to_key_errors": float(wrong.sum())}
+
+
+def scores(judged: Judgement) -> dict[str, float]:
+    """Return the scores of a judgement: of the position, and by head of its sigma or its classes."""
+    found = position_scores(judged.error_mm) | {"confident": float((judged.confidence >= 0.5).mean())}
+    if judged.true_class is None or judged.found_class is None:
+        return found | {"within_sigma": float((np.abs(judged.error_mm) <= judged.sigma_mm[:, None]).mean())}
+    of_keys = key_scores(judged.found_class, judged.true_class, judged.keys)
+    return found | (of_keys if judged.keys else {"accuracy": of_keys["accuracy"]})

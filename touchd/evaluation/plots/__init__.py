@@ -1,0 +1,1 @@
+"""Pictures of models, error maps and replayed sessions."""

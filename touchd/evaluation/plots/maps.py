@@ -1,0 +1,187 @@
+"""Maps of the plate: where on it a model errs, which way, and in which of its zones."""
+
+from __future__ import annotations
+
+from math import sqrt
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from touchd.evaluation.model_scores import Judgement
+from touchd.evaluation.plots.session import draw_transducers
+from touchd.frame import Plate
+from touchd.localization.model import Description
+from touchd.recording.data import Meta
+
+Floats = NDArray[np.float64]
+
+MAP = "viridis"  # told apart by every eye, and in grey
+NOTHING = "#e8eaed"
+ARROW, CHANCE = "#14213d", "#b8bec6"
+CELL_TOUCHES = 6
+"""Touches a cell of the error map holds on average: a median of fewer says little."""
+BIAS_TOUCHES = 24
+"""The same of the bias map, where errors in all directions shall cancel."""
+MOST_CELLS = 25
+"""Along either side."""
+
+
+def cells_of(position_mm: NDArray[np.float32], plate: Plate, touches: int) -> tuple[NDArray[np.int64], tuple[int, int]]:
+    """Return in which cell of the plate each of n places lies, (n,), counted row by row, and how many rows and columns.
+
+    The cells are about square and hold so many touches each on average.
+    """
+    side_mm = sqrt(plate.width_mm * plate.height_mm * touches / len(position_mm))
+    columns, rows = (
+        int(np.clip(round(length / side_mm), 3, MOST_CELLS)) for length in (plate.width_mm, plate.height_mm)
+    )
+    column, row = np.clip(position_mm / [plate.width_mm, plate.height_mm], 0, 1 - 1e-9).T * [[columns], [rows]]
+    return row.astype(int) * columns + column.astype(int), (rows, columns)
+
+
+def cell_medians(position_mm: NDArray[np.float32], value: Floats, plate: Plate) -> tuple[Floats, NDArray[np.int64]]:
+    """Return median value and number of touches in each cell of the plate, shape (rows, columns), NaN where none."""
+    cell, shape = cells_of(position_mm, plate, CELL_TOUCHES)
+    count = np.bincount(cell, minlength=shape[0] * shape[1])
+    medians = np.array([np.median(value[cell == i]) if count[i] else np.nan for i in range(len(count))])
+    return medians.reshape(shape), count.reshape(shape)
+
+
+def cell_bias(
+    position_mm: NDArray[np.float32], error_mm: Floats, plate: Plate
+) -> tuple[Floats, Floats, NDArray[np.bool_], float]:
+    """Return where and which way a model errs on the whole, cell by cell, of those c that hold three touches or more.
+
+    The bias is the median error of either axis, which a few gross errors do not move. It is beyond chance where it
+    would be so long in one of twenty cells without any: compared with the standard error of a median, 1.25 that of a
+    mean, from the median absolute deviation.
+
+    Returns
+    -------
+    centre_mm, bias_mm : arrays of shape (c, 2)
+    beyond_chance : array of shape (c,)
+    side_mm : float
+        Shorter side of a cell.
+    """
+    cell, (rows, columns) = cells_of(position_mm, plate, BIAS_TOUCHES)
+    size_mm = np.array([plate.width_mm / columns, plate.height_mm / rows])
+    used = np.flatnonzero(np.bincount(cell, minlength=rows * columns) >= 3)
+    bias_mm, beyond = np.empty((len(used), 2)), np.empty(len(used), bool)
+    for i, number in enumerate(used):
+        mine = error_mm[cell == number]
+        bias_mm[i] = np.median(mine, axis=0)
+        spread_mm = 1.4826 * np.median(np.abs(mine - bias_mm[i]), axis=0)
+        # chi^2 of two degrees of freedom is 5.99 or more in one of twenty.
+        beyond[i] = np.sum((bias_mm[i] / np.maximum(1.2533 * spread_mm, 1e-12)) ** 2) * len(mine) > 5.99
+    centre_mm = (np.stack([used % columns, used // columns], axis=1) + 0.5) * size_mm
+    return centre_mm, bias_mm, beyond, float(size_mm.min())
+
+
+def draw_error_map(judged: Judgement, meta: Meta) -> Figure:
+    """Draw the median error in each cell of the plate."""
+    figure = Figure(figsize=(7.0, 6.0), layout="constrained")
+    _error_map(figure, figure.add_subplot(), judged, meta)
+    return figure
+
+
+def draw_maps(judged: Judgement, meta: Meta, remark: str = "") -> Figure:
+    """Draw the median error, and beside it the bias, in each cell of the plate; the remark stands above both."""
+    figure = Figure(figsize=(13.5, 6.4 if remark else 6.0), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    _error_map(figure, left, judged, meta)
+    _bias_map(right, judged, meta)
+    if remark:
+        figure.suptitle(remark, fontsize=11)
+    return figure
+
+
+def _error_map(figure: Figure, axes: Axes, judged: Judgement, meta: Meta) -> None:
+    plate = meta.plate
+    medians, count = cell_medians(judged.true_mm, judged.distance_mm, plate)
+    # One cell that is far off shall not make all others look alike.
+    top = float(np.nanpercentile(medians, 95))
+    image = axes.imshow(
+        np.ma.masked_invalid(medians), cmap=MAP, vmin=0, vmax=max(top, 1e-6), extent=_extent(plate)
+    )  # fmt: skip
+    figure.colorbar(image, ax=axes, label="median error (mm)", extend="max", shrink=0.85)
+    for row, column in np.argwhere(count > 0):
+        _say_in_cell(axes, plate, medians.shape, row, column, f"{count[row, column]}", medians[row, column] > top / 2)
+    _draw_plate(axes, meta)
+    axes.set_title(f"error of {len(judged.true_mm)} touches; in each cell: how many; grey: none", fontsize=10)
+
+
+def _bias_map(axes: Axes, judged: Judgement, meta: Meta) -> None:
+    centre_mm, bias_mm, beyond, side_mm = cell_bias(judged.true_mm, judged.error_mm, meta.plate)
+    _draw_plate(axes, meta)
+    axes.set_facecolor("white")
+    axes.set_aspect("equal")
+    axes.set_title("bias: median error of each cell, as an arrow; dark: beyond chance", fontsize=10)
+    rows, columns = cells_of(judged.true_mm, meta.plate, BIAS_TOUCHES)[1]
+    for draw, parts, length_mm in (
+        (axes.axvline, columns, meta.plate.width_mm),
+        (axes.axhline, rows, meta.plate.height_mm),
+    ):
+        for i in range(1, parts):
+            draw(i * length_mm / parts, color=NOTHING, lw=0.8, zorder=0)
+    length_mm = np.linalg.norm(bias_mm, axis=1)
+    if not length_mm.any():
+        return
+    # Most arrows stay within their cell; that a few are longer shall not make the others vanish.
+    scale = max(float(np.percentile(length_mm, 90)), float(length_mm.max()) / 2) / (0.95 * side_mm)
+    for chosen, colour in ((~beyond, CHANCE), (beyond, ARROW)):
+        arrows = axes.quiver(
+            *centre_mm[chosen].T, *bias_mm[chosen].T, color=colour, angles="xy", scale_units="xy", pivot="middle",
+            scale=scale, width=0.0045, clip_on=False,
+        )  # fmt: skip
+        arrows.set_in_layout(False)  # what reaches beyond the plate needs no room
+    unit_mm = _round_down(side_mm * scale)
+    axes.quiverkey(arrows, 0.9, -0.115, unit_mm, f"{unit_mm:g} mm", labelpos="W", coordinates="axes")
+
+
+def _round_down(length: float) -> float:
+    """Return the largest of 1, 2 and 5 times a power of ten that is not above a length."""
+    power = 10.0 ** np.floor(np.log10(length))
+    return float(max(step for step in (1, 2, 5) if step * power <= length * (1 + 1e-9)) * power)
+
+
+def draw_zones(judged: Judgement, description: Description, meta: Meta) -> Figure:
+    """Draw the share of touches in each zone of a grid that were taken for another zone."""
+    assert judged.true_class is not None
+    assert judged.found_class is not None
+    n = description.grid
+    count = np.bincount(judged.true_class, minlength=n**2)
+    wrong = np.bincount(judged.true_class[judged.found_class != judged.true_class], minlength=n**2)
+    share = np.divide(100.0 * wrong, count, out=np.full(n**2, np.nan), where=count > 0).reshape(n, n)
+    figure = Figure(figsize=(7.0, 6.0), layout="constrained")
+    axes = figure.add_subplot()
+    image = axes.imshow(np.ma.masked_invalid(share), cmap=MAP, vmin=0, vmax=100, extent=_extent(meta.plate))
+    figure.colorbar(image, ax=axes, label="touches taken for another zone (%)", shrink=0.85)
+    for row, column in np.argwhere(count.reshape(n, n) > 0):
+        text = f"{count.reshape(n, n)[row, column]}"
+        _say_in_cell(axes, meta.plate, (n, n), row, column, text, share[row, column] > 50)
+    _draw_plate(axes, meta)
+    axes.set_title(f"{n} x {n} zones, {len(judged.true_mm)} touches; in each zone: how many", fontsize=10)
+    return figure
+
+
+def _extent(plate: Plate) -> tuple[float, float, float, float]:
+    """Left, right, bottom and top of an image of the plate: y runs down."""
+    return 0, plate.width_mm, plate.height_mm, 0
+
+
+def _draw_plate(axes: Axes, meta: Meta) -> None:
+    plate = meta.plate
+    axes.set_facecolor(NOTHING)
+    axes.set(xlabel="x (mm)", ylabel="y (mm)", xlim=(0, plate.width_mm), ylim=(plate.height_mm, 0))
+    draw_transducers(meta, axes, colour="white")
+    if meta.receivers_mm or meta.emitter_mm:
+        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.09), ncols=2, frameon=False)
+
+
+def _say_in_cell(
+    axes: Axes, plate: Plate, shape: tuple[int, ...], row: int, column: int, text: str, bright: bool
+) -> None:
+    x_mm, y_mm = (column + 0.5) * plate.width_mm / shape[1], (row + 0.5) * plate.height_mm / shape[0]
+    axes.text(x_mm, y_mm, text, ha="center", va="center", fontsize=7, color="black" if bright else "white")

@@ -1,0 +1,221 @@
+"""Scores of a whole replay: which of the recording's touches were found, and how well."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchd.evaluation.matching import Matches, Place, Seen, match, match_frames
+from touchd.evaluation.truth import TrueTouch, fingers_only, true_touches
+from touchd.event import TouchEvent
+from touchd.recording.data import Recording
+from touchd.touch import Touch
+
+SLACK_FRAMES = 10
+"""A contact may end so many frames after its touch: release and filter take their time."""
+
+
+@dataclass(slots=True)
+class FoundContact:
+    """One contact as the events tell it, from its first message to its last."""
+
+    frames: list[int] = field(default_factory=list)
+    position_mm: list[Place] = field(default_factory=list)
+    downs: int = 0
+    ups: int = 0
+    followed: list[int | None] = field(default_factory=list)
+    """In each of its frames the index of the touch that it is, by `match`; None if it is none."""
+    touch: int | None = None
+    """Index of the touch that it is on the whole; None for a ghost."""
+
+
+@dataclass(frozen=True, slots=True)
+class StreamScores:
+    """How a replay's contacts match the truth."""
+
+    touches: int
+    found: int
+    """Touches with at least one contact."""
+    missed: int
+    ghosts: int
+    """Contacts that belong to no touch."""
+    split: int
+    """Contacts beyond the first of a touch."""
+    switches: int
+    """How often a contact went on as another finger."""
+    clean: bool
+    """Whether each contact has exactly one down and one up."""
+    error_mm: NDArray[np.float64]
+    """Position less truth for each contact of each message, shape (n, 2)."""
+    moving: NDArray[np.bool_]
+    """Whether the finger was moving, for each error, shape (n,)."""
+    jitter_mm: float | None
+    """RMS distance of a still finger's positions from their own mean, over all touches."""
+    down_latency_ms: float | None
+    """Median time from a touch's first frame to that of its contact's first message."""
+    settled: Matches
+    """What a subscriber believes in each frame that is settled, beside the truth; see `settled_frames`."""
+
+
+def found_contacts(events: Iterable[TouchEvent]) -> list[FoundContact]:
+    """Return the contacts that touch messages tell of, in order of their ids."""
+    contacts: dict[int, FoundContact] = {}
+    for event in events:
+        for contact in event.contacts:
+            found = contacts.setdefault(contact.id, FoundContact())
+            found.downs += contact.phase == "down"
+            found.ups += contact.phase == "up"
+            if contact.phase != "up":
+                found.frames.append(event.frame)
+                found.position_mm.append((contact.x_mm, contact.y_mm))
+    return [contacts[i] for i in sorted(contacts)]
+
+
+def score_stream(recording: Recording, events: Sequence[TouchEvent]) -> StreamScores:
+    """Match the contacts of a replay's touch messages with the fingers of the recording's truth.
+
+    In each message contacts and fingers are assigned to each other, see `match`. A contact is the touch that it follows
+    in most messages, of those which began before it. It is a ghost if it follows none in at least half of the messages
+    in which there is a finger.
+    """
+    recording = fingers_only(recording)
+    touches, contacts = true_touches(recording), found_contacts(events)
+    seconds = dict(zip(recording.sequence.tolist(), (recording.timestamp_ns * 1e-9).tolist(), strict=True))
+    rows = _rows(touches)
+    _follow(contacts, touches, rows)
+    for contact in contacts:
+        contact.touch = _touch_of(contact, touches, rows)
+    owned = [[contact for contact in contacts if contact.touch == i] for i in range(len(touches))]
+    errors = _errors(contacts, touches, rows)
+    parts = list(errors.values())
+    error_mm = np.concatenate([error for error, _ in parts]) if parts else np.empty((0, 2))
+    latency_ms = [
+        1e3 * (seconds[mine[0].frames[0]] - touch.start_s)
+        for mine, touch in zip(owned, touches, strict=True) if mine
+    ]  # fmt: skip
+    still = [error[~moving] for error, moving in parts if not moving.all()]
+    # Of a still finger, what differs from its own mean is jitter.
+    wander = [np.square(error - error.mean(axis=0)).sum(axis=1) for error in still]
+    found = sum(map(bool, owned))
+    return StreamScores(
+        touches=len(touches),
+        found=found,
+        missed=len(touches) - found,
+        ghosts=sum(contact.touch is None for contact in contacts),
+        split=sum(map(len, owned)) - found,
+        switches=sum(map(_switches, contacts)),
+        clean=all(contact.downs == 1 and contact.ups == 1 for contact in contacts),
+        error_mm=error_mm,
+        moving=np.concatenate([moving for _, moving in parts]) if parts else np.empty(0, bool),
+        jitter_mm=float(np.sqrt(np.concatenate(wander).mean())) if wander else None,
+        down_latency_ms=float(np.median(latency_ms)) if latency_ms else None,
+        settled=match_frames(settled_frames(recording, events)),
+    )
+
+
+def settled_frames(recording: Recording, events: Iterable[TouchEvent]) -> Iterator[Seen]:
+    """Yield what a subscriber believes in each frame: the contacts of the last message that are not up.
+
+    Frames less than `SLACK_FRAMES` after a finger landed or lifted are left out: confirming that takes its time.
+    """
+    truth = recording.contacts_mm
+    if truth is None:
+        return
+    messages = {event.frame: event.contacts for event in events}
+    alive: tuple[Touch, ...] = ()
+    down = np.isfinite(truth[:, :, 0])
+    changed_at = int(recording.sequence[0]) - SLACK_FRAMES
+    for i, number in enumerate(recording.sequence.tolist()):
+        if number in messages:
+            alive = tuple(
+                Touch(c.x_mm, c.y_mm, c.sigma_mm, c.confidence, c.force) for c in messages[number] if c.phase != "up"
+            )
+        if i and (down[i] != down[i - 1]).any():
+            changed_at = number
+        if number >= changed_at + SLACK_FRAMES:
+            places = [(x, y) for x, y in truth[i, down[i]].tolist()]
+            force_n = recording.force_n[i, down[i]].tolist() if recording.force_n is not None else None
+            yield Seen(places, alive, force_n)
+
+
+Rows = dict[int, dict[int, int]]
+"""By frame: the touches that are down in it, each with the row of that frame."""
+Errors = dict[tuple[int, int], tuple[NDArray[np.float64], NDArray[np.bool_]]]
+
+
+def _rows(touches: list[TrueTouch]) -> Rows:
+    rows: Rows = {}
+    for index, touch in enumerate(touches):
+        for row, number in enumerate(touch.frames.tolist()):
+            rows.setdefault(number, {})[index] = row
+    return rows
+
+
+def _follow(contacts: list[FoundContact], touches: list[TrueTouch], rows: Rows) -> None:
+    """Find out which touch each contact is, message by message."""
+    messages: dict[int, list[tuple[FoundContact, int]]] = {}
+    for contact in contacts:
+        contact.followed = [None] * len(contact.frames)
+        for k, number in enumerate(contact.frames):
+            messages.setdefault(number, []).append((contact, k))
+    for number, alive in messages.items():
+        down = list(rows.get(number, {}).items())
+        true_mm = [_place(touches[index], row) for index, row in down]
+        for i, j in match(true_mm, [contact.position_mm[k] for contact, k in alive]):
+            contact, k = alive[j]
+            contact.followed[k] = down[i][0]
+
+
+def _touch_of(contact: FoundContact, touches: list[TrueTouch], rows: Rows) -> int | None:
+    together = sum(number in rows for number in contact.frames)
+    count = Counter(index for index in contact.followed if index is not None)
+    if not count or 2 * count.total() < together:
+        return None
+    for index, _ in count.most_common():
+        frames = touches[index].frames
+        if frames[0] <= contact.frames[0] <= frames[-1] + SLACK_FRAMES:
+            return index
+    return None
+
+
+def _switches(contact: FoundContact) -> int:
+    seen = [index for index in contact.followed if index is not None]
+    return sum(before != after for before, after in pairwise(seen))
+
+
+def _errors(contacts: list[FoundContact], touches: list[TrueTouch], rows: Rows) -> Errors:
+    """Return position less truth, (n, 2), and whether the finger moved, (n,), by contact and touch.
+
+    Where a contact is no finger for a moment, being too far from any, it is compared with its own touch still, unless
+    another contact is that one now: large errors count.
+    """
+    taken = {
+        (number, index)
+        for contact in contacts
+        for number, index in zip(contact.frames, contact.followed, strict=True)
+    }  # fmt: skip
+    found: dict[tuple[int, int], list[tuple[float, float, bool]]] = {}
+    for name, contact in enumerate(contacts):
+        if contact.touch is None:
+            continue
+        for number, place, index in zip(contact.frames, contact.position_mm, contact.followed, strict=True):
+            if index is None and (number, contact.touch) not in taken:
+                index = contact.touch
+            row = rows.get(number, {}).get(index) if index is not None else None
+            if index is None or row is None:
+                continue
+            x_mm, y_mm = _place(touches[index], row)
+            moving = bool(touches[index].moving[row])
+            found.setdefault((name, index), []).append((place[0] - x_mm, place[1] - y_mm, moving))
+    tables = {key: np.array(values) for key, values in found.items()}
+    return {key: (table[:, :2], table[:, 2] > 0) for key, table in tables.items()}
+
+
+def _place(touch: TrueTouch, row: int) -> Place:
+    x_mm, y_mm = touch.position_mm[row].tolist()
+    return x_mm, y_mm

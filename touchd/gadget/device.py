@@ -1,0 +1,126 @@
+"""A DAQ made of software: the device's side of the USB protocol, whatever carries it.
+
+`touchd.gadget.functionfs` puts it on a real cable; the tests put it on buses of their own. Only the standard library is
+needed.
+"""
+
+from __future__ import annotations
+
+import errno
+import time
+from collections.abc import Callable, Iterator
+
+from touchd.sources.usb_protocol import Flag, Header, Info, Request, Status, build_frame, build_info, build_status
+
+BACKLOG = 8
+"""Frames that a device keeps for a host that is late; then it drops the oldest ones."""
+COMMANDS = ("corrupt", "short", "halt", "silent", "normal")
+"""What `Gadget.command` takes; each but the last is a fault."""
+_VENDOR_IN, _VENDOR_OUT = 0xC0, 0x40  # recipient device
+_PAUSE_NS = 1_000_000_000
+
+
+class Gadget:
+    """Answers vendor requests, and makes the frames that are due.
+
+    Parameters
+    ----------
+    info : Info
+        What GET_INFO answers.
+    samples : iterator of bytes
+        One frame's samples at a time, interleaved; when it ends, so does the stream.
+    clock : callable
+        Monotonic time, ns.
+    """
+
+    def __init__(self, info: Info, samples: Iterator[bytes], clock: Callable[[], int] = time.monotonic_ns) -> None:
+        self.info = info
+        self.running = False
+        self.rate_hz = 0
+        self.frames_sent = 0
+        self.overruns = 0
+        self._samples = samples
+        self._clock = clock
+        self._born_ns = clock()
+        self._sequence = 0
+        self._chirp_ns = 0  # of the next frame
+        self._dropped = False
+        self._fault = ""
+
+    def control(self, kind: int, request: int, value: int, length: int) -> bytes | None:
+        """Answer a request: the data of one to the host, nothing for one from it; None is a stall.
+
+        Parameters
+        ----------
+        kind, request, value, length : int
+            bmRequestType, bRequest, wValue and wLength.
+        """
+        if kind == _VENDOR_IN and request == Request.GET_INFO:
+            return build_info(self.info)[:length]
+        if kind == _VENDOR_IN and request == Request.GET_STATUS:
+            status = Status(self.frames_sent, self.overruns, running=self.running)
+            return build_status(status)[:length]
+        if kind == _VENDOR_OUT and request == Request.START:
+            if not self.info.min_frame_rate_hz <= value <= self.info.max_frame_rate_hz:
+                return None
+            self.rate_hz, self._chirp_ns = value, self._clock()
+            self.running = True
+            return b""
+        if kind == _VENDOR_OUT and request == Request.STOP:
+            self.running = False
+            return b""
+        return None
+
+    def command(self, name: str) -> None:
+        """Make a fault, one of COMMANDS: of the next frame, or silence until `normal`. To test hosts with."""
+        if name not in COMMANDS:
+            raise ValueError(f"no such command: {name!r}")
+        self._fault = "" if name == "normal" else name
+
+    def wait_s(self) -> float:
+        """Return how long it is until a frame is due, seconds; infinite while stopped or silent."""
+        if not self.running or self._fault == "silent":
+            return float("inf")
+        return max(0.0, (self._complete_ns() - self._clock()) * 1e-9)
+
+    def next_transfer(self) -> bytes | int | None:
+        """Return what goes over the endpoint now: a frame, EPIPE for a halt, or None if nothing is due."""
+        if self.wait_s() > 0:
+            return None
+        fault, self._fault = self._fault, ""
+        if fault == "halt":
+            return errno.EPIPE
+        self._catch_up()
+        samples = next(self._samples, None)
+        if samples is None:
+            self.running = False
+            return None
+        flags = Flag.DROPPED_BEFORE if self._dropped else Flag(0)
+        header = Header(self._sequence, (self._chirp_ns - self._born_ns) // 1000, flags)
+        frame = build_frame(self.info, header, samples)
+        self._dropped = False
+        self._advance()
+        self.frames_sent += 1
+        if fault == "corrupt":
+            at = len(frame) // 2
+            return frame[:at] + bytes([frame[at] ^ 1]) + frame[at + 1 :]
+        return frame[: len(frame) // 2 + 1] if fault == "short" else frame
+
+    def _catch_up(self) -> None:
+        """Drop what the host did not fetch in time, as a device with little memory does."""
+        period_ns = 1_000_000_000 // self.rate_hz
+        late_ns = self._clock() - self._complete_ns()
+        if late_ns > max(_PAUSE_NS, (BACKLOG + 1) * period_ns):
+            self._chirp_ns += late_ns  # nobody was there: the scene has waited
+        for _ in range(late_ns // period_ns - BACKLOG if late_ns <= _PAUSE_NS else 0):
+            next(self._samples, None)
+            self._advance()
+            self.overruns += 1
+            self._dropped = True
+
+    def _advance(self) -> None:
+        self._sequence = (self._sequence + 1) % (1 << 32)
+        self._chirp_ns += 1_000_000_000 // self.rate_hz
+
+    def _complete_ns(self) -> int:
+        return self._chirp_ns + 1_000_000_000 * self.info.samples // self.info.sample_rate_hz

@@ -1,0 +1,263 @@
+"""A software DAQ on a real cable: Linux's FunctionFS carries its endpoints, ConfigFS makes it a USB device.
+
+The kernel side is described in Documentation/usb/functionfs.rst and gadget_configfs.rst of the Linux sources.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import struct
+import subprocess
+import threading
+import time
+from pathlib import Path
+from typing import Final
+
+import structlog
+
+from touchd.errors import GadgetError
+from touchd.gadget.device import Gadget
+from touchd.sources.usb_protocol import INTERFACE_CLASS
+
+ENDPOINT: Final = 0x81
+_MAGIC_DESCRIPTORS_V2, _MAGIC_STRINGS = 3, 2
+# Three speeds; and vendor requests with the device as recipient, which otherwise never reach a function.
+_FULL_SPEED, _HIGH_SPEED, _SUPER_SPEED, _ALL_CONTROL = 1, 2, 4, 64
+_EVENT = struct.Struct("<BBHHHB3x")  # a setup packet, and the type of the event
+_DISABLE, _SETUP = 3, 4
+_BULK, _ENGLISH = 2, 0x0409
+_IDLE_S = 0.02
+# While nobody is connected, or a transfer is cut off: to be tried again.
+_AWAY = (errno.ESHUTDOWN, errno.ECONNRESET, errno.EAGAIN, errno.EINTR, errno.ENODEV, errno.EIO, errno.EBADFD)
+
+log = structlog.get_logger()
+
+
+def descriptors() -> bytes:
+    """Return what is written to ep0 first: the interface and its endpoint for full, high and super speed."""
+    interface = struct.pack("<9B", 9, 4, 0, 0, 1, *INTERFACE_CLASS, 1)
+
+    def endpoint(packet_bytes: int) -> bytes:
+        return struct.pack("<4BHB", 7, 5, ENDPOINT, _BULK, packet_bytes, 0)
+
+    companion = struct.pack("<4BH", 6, 0x30, 0, 0, 0)
+    body = struct.pack("<III", 2, 2, 3)
+    for packet_bytes, rest in ((64, b""), (512, b""), (1024, companion)):
+        body += interface + endpoint(packet_bytes) + rest
+    flags = _FULL_SPEED | _HIGH_SPEED | _SUPER_SPEED | _ALL_CONTROL
+    return struct.pack("<III", _MAGIC_DESCRIPTORS_V2, 12 + len(body), flags) + body
+
+
+def strings() -> bytes:
+    """Return what is written to ep0 next: the interface's name."""
+    text = struct.pack("<H", _ENGLISH) + b"touchd DAQ\0"
+    return struct.pack("<IIII", _MAGIC_STRINGS, 16 + len(text), 1, 1) + text
+
+
+class FunctionFs:
+    """A gadget's endpoints in a folder where FunctionFS is mounted; two threads serve them until the process ends.
+
+    Parameters
+    ----------
+    folder : Path
+        Holds `ep0`, and once that has got the descriptors `ep1`.
+    gadget : Gadget
+
+    Raises
+    ------
+    GadgetError
+        The kernel does not take the descriptors, or the folder is none of FunctionFS.
+    """
+
+    def __init__(self, folder: Path, gadget: Gadget) -> None:
+        self._gadget = gadget
+        try:
+            self._ep0 = os.open(folder / "ep0", os.O_RDWR)
+            os.write(self._ep0, descriptors())
+            os.write(self._ep0, strings())
+            self._ep1 = os.open(folder / "ep1", os.O_RDWR)
+        except OSError as error:
+            raise GadgetError(
+                f"FunctionFS cannot be used ({error.strerror})", str(folder), "mount it: mount -t functionfs NAME DIR"
+            ) from error
+        self._asked = threading.Event()
+        self.error: GadgetError | None = None
+        """Why a thread has ended."""
+        for serve in (self.serve_control, self.serve_frames):
+            threading.Thread(target=self._guard, args=(serve,), daemon=True, name=f"gadget-{serve.__name__}").start()
+
+    def serve_control(self) -> None:
+        """Answer requests until ep0 is closed."""
+        while event := os.read(self._ep0, _EVENT.size):
+            kind, request, value, _, length, event_type = _EVENT.unpack(event)
+            if event_type == _DISABLE:
+                self._gadget.running = False
+            elif event_type == _SETUP:
+                answer = self._gadget.control(kind, request, value, length)
+                log.debug("request", kind=kind, request=request, value=value, stalled=answer is None)
+                self._answer(answer, to_host=bool(kind & 0x80))
+                self._asked.set()
+
+    def serve_frames(self) -> None:
+        """Send what is due for as long as the process lives."""
+        while True:
+            self.send_next()
+
+    def send_next(self) -> None:
+        """Send what is due, or wait a moment for it."""
+        transfer = self._gadget.next_transfer()
+        try:
+            if transfer is None:
+                self._asked.wait(min(self._gadget.wait_s(), _IDLE_S))
+                self._asked.clear()
+            elif isinstance(transfer, int):
+                os.read(self._ep1, 1)  # in the wrong direction: halts the endpoint
+            else:
+                os.write(self._ep1, transfer)
+        except OSError as error:
+            if error.errno == errno.EBADMSG:  # how the kernel confirms a halt
+                return
+            if error.errno not in _AWAY:
+                raise
+            time.sleep(_IDLE_S)
+
+    def _answer(self, answer: bytes | None, *, to_host: bool) -> None:
+        """Send an answer or acknowledge; a transfer in the wrong direction is how FunctionFS is told to stall."""
+        try:
+            if answer is None:
+                os.read(self._ep0, 0) if to_host else os.write(self._ep0, b"")
+            elif to_host:
+                os.write(self._ep0, answer)
+            else:
+                os.read(self._ep0, 0)
+        except OSError as error:
+            # EL2HLT confirms a stall, EIDRM says that the host has thought better of it.
+            if error.errno not in (errno.EL2HLT, errno.EIDRM, *_AWAY):
+                raise
+
+    def _guard(self, serve: object) -> None:
+        assert callable(serve)
+        try:
+            serve()
+        except Exception as error:
+            self.error = GadgetError(f"the device has failed: {error!r}", "FunctionFS", "start it again")
+            self.error.__cause__ = error
+
+
+class ConfigFs:
+    """A USB device with one function, made in ConfigFS; needs root.
+
+    Parameters
+    ----------
+    serial : str
+    vendor_id, product_id : int
+    name : str
+        Of the gadget and of its function.
+    root, mounts : Path
+        Where gadgets are made, and where FunctionFS is mounted.
+    """
+
+    def __init__(
+        self,
+        serial: str,
+        vendor_id: int,
+        product_id: int,
+        *,
+        name: str = "touchd",
+        root: Path = Path("/sys/kernel/config/usb_gadget"),
+        mounts: Path = Path("/dev"),
+    ) -> None:
+        self.folder = mounts / f"ffs-{name}"
+        """Where the endpoints will be."""
+        self._gadget = root / name
+        self._function = self._gadget / "functions" / f"ffs.{name}"
+        self._link = self._gadget / "configs" / "c.1" / self._function.name
+        self._name = name
+        self._files = {
+            "idVendor": f"{vendor_id:#06x}", "idProduct": f"{product_id:#06x}", "bcdDevice": "0x0100",
+            "strings/0x409/serialnumber": serial, "strings/0x409/manufacturer": "touchd",
+            "strings/0x409/product": "touchd reference DAQ", "configs/c.1/strings/0x409/configuration": "stream",
+        }  # fmt: skip
+
+    def create(self) -> None:
+        """Make the device, and mount its FunctionFS; what an earlier one left behind is replaced.
+
+        Raises
+        ------
+        GadgetError
+            No root, or no support in the kernel.
+        """
+        for module in ("libcomposite", "usb_f_fs"):  # may be built in
+            subprocess.run(["modprobe", "-q", module], check=False)  # noqa: S603, S607 - fixed names
+        if not self._gadget.parent.is_dir():
+            _run("mount", "-t", "configfs", "none", str(self._gadget.parent.parent))
+        self.remove()
+        try:
+            for folder in ("strings/0x409", "configs/c.1/strings/0x409"):
+                (self._gadget / folder).mkdir(parents=True, exist_ok=True)
+            self._function.mkdir(parents=True, exist_ok=True)
+            for name, text in self._files.items():
+                (self._gadget / name).write_text(text)
+            self._link.symlink_to(self._function)
+            self.folder.mkdir(exist_ok=True)
+        except OSError as error:
+            raise GadgetError(
+                f"the USB device cannot be made ({error.strerror})",
+                str(error.filename or self._gadget),
+                "run it as root, on a kernel with CONFIG_USB_CONFIGFS_F_FS and /sys/kernel/config mounted",
+            ) from error
+        _run("mount", "-t", "functionfs", self._name, str(self.folder))
+
+    def plug(self, udc: str) -> None:
+        """Connect the device to a port, a name in /sys/class/udc; its endpoints must be served by then."""
+        self._write_udc(udc)
+
+    def unplug(self) -> None:
+        """Disconnect the device, as if the cable were pulled."""
+        with contextlib.suppress(GadgetError):  # it was not connected
+            self._write_udc("\n")
+
+    def remove(self) -> None:
+        """Take everything away again, as far as it is there."""
+        if not self._gadget.is_dir():
+            return
+        self.unplug()
+        if self.folder.is_mount():
+            _run("umount", "-l", str(self.folder))
+        with contextlib.suppress(OSError):
+            self._link.unlink(missing_ok=True)
+        for folder in (
+            self.folder, self._gadget / "configs/c.1/strings/0x409", self._gadget / "configs/c.1", self._function,
+            self._gadget / "strings/0x409", self._gadget,
+        ):  # fmt: skip
+            with contextlib.suppress(OSError):
+                folder.rmdir()
+
+    def _write_udc(self, udc: str) -> None:
+        try:
+            (self._gadget / "UDC").write_text(udc)
+        except OSError as error:
+            raise GadgetError(
+                f"the port {udc.strip()!r} cannot be used ({error.strerror})",
+                "--udc",
+                "name one of /sys/class/udc that no other gadget uses",
+            ) from error
+
+
+def first_udc(ports: Path = Path("/sys/class/udc")) -> str:
+    """Return the name of the first port that can be a USB device; raises GadgetError if there is none."""
+    with contextlib.suppress(OSError):
+        for port in sorted(ports.iterdir()):
+            return port.name
+    raise GadgetError(
+        "this computer has no port that can be a USB device", "--udc",
+        "use a board with one (and its driver, such as dwc2), or load dummy_hcd to test without a cable",
+    )  # fmt: skip
+
+
+def _run(*command: str) -> None:
+    done = subprocess.run(command, capture_output=True, text=True, check=False)  # noqa: S603 - arguments of our own
+    if done.returncode:
+        raise GadgetError(f"{command[0]} failed: {done.stderr.strip()}", command[-1], "run it as root")

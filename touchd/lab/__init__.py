@@ -1,0 +1,1 @@
+"""Measurements of everything else: run time against error, and the source paper's experiments."""

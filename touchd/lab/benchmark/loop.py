@@ -1,0 +1,135 @@
+"""Frames that are played as long as wanted: to and fro, so that there is no seam."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchd.frame import Acquisition, Counts, Frame
+from touchd.sources.source import EndOfStream
+
+PERIOD_NS = 8_000_000
+"""Of the frames' own time at full speed, as at 125 frames a second."""
+BURST_EVERY, BURST = 250, 10
+"""At full speed so many bare runs come after so many frames."""
+
+
+@dataclass(frozen=True, slots=True)
+class Loop:
+    """A scene to be played: first what leads to it, once, then the rest to and fro."""
+
+    acquisition: Acquisition
+    frames: NDArray[np.int16]
+    """Shape (n, channels, samples)."""
+    lead: int
+    """How many of the frames lead to it."""
+
+    def save(self, path: Path) -> None:
+        """Write it for another process."""
+        np.savez(path, frames=self.frames, lead=self.lead, acquisition=self.acquisition.model_dump_json())
+
+    @classmethod
+    def load(cls, path: Path) -> Loop:
+        """Read what `save` wrote."""
+        with np.load(path) as found:
+            acquisition = Acquisition.model_validate_json(str(found["acquisition"]))
+            return cls(acquisition, found["frames"], int(found["lead"]))
+
+    def order(self) -> NDArray[np.int64]:
+        """Return the indices of the frames of one round, to and fro."""
+        there = np.arange(self.lead, len(self.frames))
+        return np.concatenate([there, there[-2:0:-1]])
+
+
+class LoopSource:
+    """Frames of a loop, each when it is due; all of what leads to it comes at once.
+
+    Parameters
+    ----------
+    loop : Loop
+    rate_hz : float
+        Infinite is as fast as frames are taken.
+    seconds : float
+        How long it goes on, after the lead.
+    between : callable
+        Called now and then at full speed, on time that is not counted.
+    begun : callable
+        Called before the first frame after the lead.
+    """
+
+    def __init__(
+        self,
+        loop: Loop,
+        rate_hz: float,
+        seconds: float,
+        between: Callable[[], object] = lambda: None,
+        begun: Callable[[], object] = lambda: None,
+    ) -> None:
+        self.acquisition = loop.acquisition
+        self.lead = loop.lead
+        self._paced = rate_hz != float("inf")
+        self._period_ns = round(1e9 / rate_hz) if self._paced else PERIOD_NS
+        self._seconds = seconds
+        self._between, self._begun = between, begun
+        frames: list[Counts] = list(loop.frames)
+        self._leading = frames[: loop.lead]
+        self._round = [frames[i] for i in loop.order().tolist()]
+        self._number = 0
+        self._start_ns = 0
+        self._end_ns = 0
+        self._apart_ns = 0
+        self._next_burst = 0
+        self._open = True
+
+    @property
+    def apart_s(self) -> float:
+        """Time taken by what came between the frames."""
+        return self._apart_ns * 1e-9
+
+    def read(self, timeout_s: float) -> Frame | None:  # noqa: ARG002 - the next frame is never so far away
+        """Return the next frame when it is due.
+
+        Raises
+        ------
+        EndOfStream
+            When the time is over.
+        """
+        number = self._number
+        now_ns = time.monotonic_ns()
+        if not self._open:
+            raise EndOfStream
+        if number < self.lead:
+            if not number:
+                self._start_ns = now_ns - self.lead * self._period_ns
+            counts = self._leading[number]
+        else:
+            if number == self.lead:
+                self._begun()
+                now_ns = time.monotonic_ns()
+                self._start_ns = now_ns - number * self._period_ns
+                self._end_ns = now_ns + round(self._seconds * 1e9)
+                self._next_burst = number + BURST_EVERY
+            if now_ns >= self._end_ns:
+                raise EndOfStream
+            counts = self._round[(number - self.lead) % len(self._round)]
+            if self._paced:
+                due_ns = self._start_ns + number * self._period_ns
+                while now_ns < due_ns:
+                    time.sleep((due_ns - now_ns) * 1e-9)
+                    now_ns = time.monotonic_ns()
+            elif number >= self._next_burst:
+                self._next_burst = number + BURST_EVERY
+                self._between()
+                now_ns, before_ns = time.monotonic_ns(), now_ns
+                self._apart_ns += now_ns - before_ns
+        self._number = number + 1
+        return Frame(counts, number, self._start_ns + number * self._period_ns, now_ns)
+
+    def close(self) -> None:
+        """End it."""
+        self._open = False

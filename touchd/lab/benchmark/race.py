@@ -1,0 +1,103 @@
+"""All estimators on the same touches, in turns with the bare network."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from touchd.evaluation.metrics import position_scores
+from touchd.lab.benchmark.estimators import Estimator, Place
+from touchd.lab.benchmark.results import BareTimes, EstimatorResult, rounded
+from touchd.lab.benchmark.stopwatch import Floor, Stopwatch, ratio, spread
+from touchd.lab.benchmark.touches import BLOCK, Block
+
+Tick = Callable[[], object]
+
+
+@dataclass(slots=True)
+class _Entry:
+    estimator: Estimator
+    watch: Stopwatch = field(default_factory=Stopwatch)
+    beside: Stopwatch = field(default_factory=Stopwatch)
+    """The bare network in the same turns."""
+    places: list[Place] = field(default_factory=list)
+
+
+def race(
+    estimators: Sequence[Estimator],
+    bare: Callable[[], object],
+    blocks: Sequence[Block],
+    passes: int,
+    limit_s: float,
+    tick: Tick = lambda: None,
+) -> tuple[BareTimes, list[EstimatorResult]]:
+    """Time and score every estimator.
+
+    Parameters
+    ----------
+    estimators : sequence of Estimator
+    bare : callable
+        Runs the bare network once.
+    blocks : sequence of Block
+        Each block is one batch of every estimator, beside a batch of the bare network.
+    passes : int
+        How often the blocks are gone through; slow estimators see them once.
+    limit_s : float
+        No pass begins after so long.
+    tick : callable
+        Called after each block.
+    """
+    entries = [_Entry(one) for one in estimators]
+    begun_s = time.monotonic()
+    for number in range(passes):
+        if number and time.monotonic() - begun_s > limit_s:
+            break
+        for block in blocks:
+            for entry in entries:
+                if number and entry.estimator.slow:
+                    continue
+                entry.beside.time(bare, BLOCK)
+                places = _batch(entry, block)
+                if not number:
+                    entry.places += places
+            tick()
+    true_mm = np.concatenate([block.true_mm for block in blocks])
+    floor = Floor()
+    bare_times = spread(np.concatenate([entry.beside.times_us for entry in entries]))
+    times = BareTimes(p50=rounded(bare_times.p50), p99=rounded(bare_times.p99), p999=rounded(bare_times.p999))
+    return times, [_result(entry, true_mm, floor) for entry in entries]
+
+
+def _batch(entry: _Entry, block: Block) -> list[Place]:
+    """Ask an estimator for the touches of a block, one by one."""
+    estimator, clock = entry.estimator, time.perf_counter_ns
+    prepare, locate = estimator.prepare, estimator.locate
+    estimator.rebase(block)
+    times_ns, places = [], []
+    for before, residual in zip(block.before, block.residual, strict=True):
+        prepare(before)
+        begun_ns = clock()
+        place = locate(residual)
+        times_ns.append(clock() - begun_ns)
+        places.append(place)
+    entry.watch.add(times_ns)
+    return places
+
+
+def _result(entry: _Entry, true_mm: np.ndarray, floor: Floor) -> EstimatorResult:
+    estimator, times_us = entry.estimator, entry.watch.times_us
+    found = np.array([place is not None for place in entry.places])
+    error_mm = np.array([place for place in entry.places if place is not None]).reshape(-1, 2) - true_mm[found]
+    scores = position_scores(error_mm)
+    took = spread(times_us)
+    return EstimatorResult(
+        name=estimator.name, group=estimator.group, remark=estimator.remark,
+        p50_us=rounded(took.p50), p99_us=rounded(took.p99), p999_us=rounded(took.p999), max_us=rounded(took.most),
+        ratio=rounded(ratio(entry.watch, entry.beside)), floor_us=rounded(floor.us(estimator.bytes)),
+        calls=len(times_us), macs=estimator.macs, bytes=estimator.bytes,
+        touches=len(found), missed=int((~found).sum()),
+        rmse_mm=rounded(scores["rmse_mm"]), median_mm=rounded(scores["median_mm"]), p95_mm=rounded(scores["p95_mm"]),
+    )  # fmt: skip

@@ -1,0 +1,58 @@
+"""Scenes of the twin, computed once, that are played as long as wanted."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from touchd.errors import SimulationError
+from touchd.lab.benchmark.loop import Loop
+from touchd.recording.data import Recording
+from touchd.twin.instrument import Instrument
+from touchd.twin.simulate import simulate_scene
+
+SEED = 211
+RAMP_FRAMES = 10
+"""In which a finger comes down or lifts."""
+
+
+class _Wanted(NamedTuple):
+    act: str
+    """The scene of `touchd.twin.scenes.catalogue`."""
+    frames: int
+    fingers: int
+
+
+WANTED = {
+    "idle": _Wanted("idle", 300, 0),
+    "still": _Wanted("hold", 450, 1),
+    "moving": _Wanted("circle", 450, 1),
+    "two fingers": _Wanted("two", 500, 2),
+    "keypad": _Wanted("keypad", 500, 1),
+}
+LEARN_FRAMES = 60
+"""Untouched frames before anything is touched, at least: the baseline is learned from them."""
+
+
+def make_loop(name: str, instrument: Instrument) -> Loop:
+    """Simulate a scene of `WANTED`; what is played is its longest run with all fingers down."""
+    act, count, fingers = WANTED[name]
+    recording = simulate_scene(act, seed=SEED, frames=count, instrument=instrument)
+    first, last = _longest_run(recording, fingers)
+    return Loop(recording.acquisition, recording.frames[:last], first)
+
+
+def _longest_run(recording: Recording, fingers: int) -> tuple[int, int]:
+    """Return the first frame, and the one after the last, of the longest run with that many fingers settled."""
+    truth = recording.contacts_mm
+    assert truth is not None  # the twin knows it
+    down = np.isfinite(truth[:, :, 0]).sum(axis=1) == fingers
+    down[:LEARN_FRAMES] = False
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], down, [False]]).astype(np.int8)))
+    runs = edges.reshape(-1, 2)
+    if not len(runs):
+        raise SimulationError(f"no {fingers} fingers are ever down together", "frames", "simulate more")
+    first, last = runs[(runs[:, 1] - runs[:, 0]).argmax()].tolist()
+    ramp = RAMP_FRAMES if fingers else 0
+    return first + ramp, last - ramp

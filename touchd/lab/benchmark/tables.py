@@ -1,0 +1,123 @@
+"""The tables of a run, as text: shown on the terminal and written into the page alike."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from touchd.lab.benchmark.budgets import BUDGETS
+from touchd.lab.benchmark.results import DaemonResult, EstimatorResult, Run
+from touchd.lab.reproduction.paper import HEADS, KEYPAD_MS, REGRESSION_MS
+
+
+class Table(NamedTuple):
+    """Headings and rows of text; the first column is a name."""
+
+    title: str
+    headings: tuple[str, ...]
+    rows: list[list[str]]
+
+
+def estimator_table(run: Run) -> Table:
+    """Return time, error and cost of every estimator, beside the paper's own."""
+    headings = ("estimator", "p50 us", "p99 us", "p99.9 us", "max us", "x bare", "floor us", "RMSE mm", "median mm",
+                "p95 mm", "missed", "k MACs", "kB")  # fmt: skip
+    bare = run.bare_us
+    rows = [["bare network", number(bare.p50), number(bare.p99), number(bare.p999), *["-"] * 9]]
+    rows += [_estimator_row(one) for one in run.estimators]
+    mean_mm = HEADS["R", "frequency"].mean_mm
+    rows.append([f"paper: regression, mean error {mean_mm:g} mm", number(1e3 * REGRESSION_MS), *["-"] * 11])
+    rows.append(["paper: keypad", number(1e3 * KEYPAD_MS), *["-"] * 11])
+    return Table("Run time against error", headings, rows)
+
+
+def _estimator_row(one: EstimatorResult) -> list[str]:
+    return [
+        one.name, number(one.p50_us), number(one.p99_us), number(one.p999_us), number(one.max_us), f"{one.ratio:.2f}",
+        number(one.floor_us), f"{one.rmse_mm:.3f}", f"{one.median_mm:.3f}", f"{one.p95_mm:.3f}",
+        str(one.missed), f"{one.macs / 1e3:,.0f}", f"{one.bytes / 1e3:,.0f}",
+    ]  # fmt: skip
+
+
+def daemon_table(run: Run) -> Table:
+    """Return the daemon's latency and load for every scene and rate."""
+    headings = ("scene", "frames/s", "ends at", "p50 us", "p99 us", "p99.9 us", "handed p50 us", "x bare", "CPU",
+                "frames/CPU s", "MB", "GC pauses, longest us", "lost")  # fmt: skip
+    return Table("The daemon, from a frame complete to where it ends", headings, [_cell_row(c) for c in run.daemon])
+
+
+def _cell_row(cell: DaemonResult) -> list[str]:
+    rate = f"{cell.rate_hz:,.0f}" if cell.rate_hz is not None else f"full: {cell.frames_per_s:,.0f}"
+    pauses = f"{cell.gc_pauses}, {number(cell.gc_longest_us)}" if cell.gc_pauses else "0"
+    return [
+        cell.scene, rate, cell.to, number(cell.p50_us), number(cell.p99_us), number(cell.p999_us),
+        number(cell.handed_p50_us), f"{cell.ratio:.2f}", f"{cell.cpu_share:.1%}", f"{cell.frames_per_cpu_s:,.0f}",
+        f"{cell.rss_mb:.0f}", pauses, str(cell.lost),
+    ]  # fmt: skip
+
+
+def share_table(run: Run) -> Table:
+    """Return what became of the frames in each scene."""
+    reasons = list(dict.fromkeys(why for cell in run.daemon for why in cell.skipped if why != "learning"))
+    seen: dict[str, DaemonResult] = {}
+    for cell in run.daemon:
+        seen.setdefault(cell.scene, cell)
+    rows = [
+        [scene, *(f"{cell.skipped.get(why, 0):.1%}" for why in reasons), f"{cell.inferred:.1%}"]
+        for scene, cell in seen.items()
+    ]
+    return Table("What became of the frames", ("scene", *reasons, "network"), rows)
+
+
+def skip_table(run: Run) -> Table:
+    """Return what each skip saves."""
+    rows = [
+        [one.name, one.scene, number(one.with_us), number(one.without_us), f"{one.saved:.0%}", one.same]
+        for one in run.skips
+    ]
+    return Table("What each skip saves", ("skip", "scene", "with, us", "without, us", "saved", "events"), rows)
+
+
+def budget_table(run: Run) -> Table:
+    """Return the budgets with what was measured."""
+    rows = []
+    for budget in BUDGETS:
+        value = budget.read(run)
+        if value is not None:
+            bound = "at least" if budget.least else "at most"
+            verdict = "held" if budget.holds(value) else "not held"
+            rows.append([budget.what, f"{bound} {budget.limit:,g} {budget.unit}", number(value), verdict])
+    return Table("Budgets", ("what", "budget", "measured", ""), rows)
+
+
+def comparison_table(run: Run, other: Run) -> Table:
+    """Return every time of a run as a ratio to the bare network, beside that of a stored run."""
+    rows = []
+    ours, theirs = _ratios(run), _ratios(other)
+    for name, now in ours.items():
+        then = theirs.get(name)
+        rows.append([
+            name, f"{now:.2f}", "-" if then is None else f"{then:.2f}",
+            "-" if not then else f"{now / then - 1:+.0%}",
+        ])  # fmt: skip
+    return Table("Ratios to the bare network", ("what", "now", "stored", "change"), rows)
+
+
+def _ratios(run: Run) -> dict[str, float]:
+    found = {one.name: one.ratio for one in run.estimators}
+    for cell in run.daemon:
+        rate = "full speed" if cell.rate_hz is None else f"{cell.rate_hz:g} frames/s"
+        found[f"daemon, {cell.scene}, {rate}"] = cell.ratio
+    return found
+
+
+def plain(table: Table) -> str:
+    """Return a table as text in columns, for a log."""
+    rows = [list(table.headings), *table.rows]
+    widths = [max(len(row[i]) for row in rows) for i in range(len(table.headings))]
+    lines = ["  ".join([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])]).rstrip() for row in rows]
+    return "\n".join([table.title, *lines, ""])
+
+
+def number(value: float) -> str:
+    """Return a value with about three digits, and never a power."""
+    return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.1f}" if abs(value) >= 10 else f"{value:.2f}"

@@ -1,0 +1,158 @@
+"""The report's pictures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from touchd.evaluation.plots.session import COLOURS, TRUTH, save
+from touchd.lab.reproduction import paper, plan
+from touchd.lab.reproduction.run import CIRCLE_HEADS, Results
+from touchd.lab.reproduction.scores import confusion, distance_mm, error_scores, keypad_scores
+
+DOMAIN_STYLE = {"frequency": (COLOURS[0], "o"), "time": (COLOURS[3], "s")}
+PAPER = "black"
+
+
+def draw(results: Results, folder: Path) -> None:
+    """Write all pictures of a report into a folder that exists.
+
+    Raises
+    ------
+    OutputError
+        If one cannot be written.
+    """
+    save(_heads(results), folder / "heads.png")
+    save(_keypad(results), folder / "keypad.png")
+    save(_learning(results), folder / "learning.png")
+    if not results.given:
+        save(_circle(results), folder / "circle.png")
+        save(_errors(results), folder / "errors.png")
+
+
+def _heads(results: Results) -> Figure:
+    figure = Figure(figsize=(10.5, 4.3), layout="constrained")
+    plate = results.recording.meta.plate
+    areas = (
+        ("full plate", results.full, plate.width_mm),
+        ("central 11 x 11 cm", results.central, paper.CENTRAL_MM),
+    )
+    for number, (title, found, side_mm) in enumerate(areas):
+        axes = figure.add_subplot(1, 2, number + 1)
+        for domain in plan.DOMAINS:
+            colour, marker = DOMAIN_STYLE[domain]
+            mean = {head: error_scores(found[plan.head_name(head, domain)])["mean_mm"] for head in plan.HEADS}
+            grids = [mean[f"C-{n}"] for n in plan.GRIDS]
+            axes.plot(plan.GRIDS, grids, color=colour, marker=marker, ms=5, lw=1.5, label=f"C-N, {domain}")
+            axes.axhline(mean["R"], color=colour, ls=":", lw=1.8, label=f"R, {domain}")
+        perfect = [paper.perfect_mean_mm(side_mm, n) for n in plan.GRIDS]
+        axes.plot(plan.GRIDS, perfect, color=TRUTH, lw=5, zorder=0, label="no zone mistaken")
+        for n in (2, 10):
+            reported = paper.HEADS[f"C-{n}", "frequency"].mean_mm
+            axes.plot(n, reported, "*", color=PAPER, ms=11, label="the paper's C-2, C-10" if n == 2 else None)
+        axes.set(xlabel="N", xticks=plan.GRIDS, title=title, ylim=(0, None))
+        axes.grid(alpha=0.25)
+        if number == 0:
+            axes.set_ylabel("mean error (mm)")
+            axes.legend(fontsize=8, frameon=False)
+    return figure
+
+
+def _keypad(results: Results) -> Figure:
+    matrix = confusion(results.full[plan.keypad_name(1.0, plan.KEYPAD_SEEDS[0])], results.layout)
+    names = [*(key.name for key in results.layout.key), "L"]
+    figure = Figure(figsize=(6.2, 5.6), layout="constrained")
+    axes = figure.add_subplot()
+    shares = matrix / np.maximum(matrix.sum(axis=1, keepdims=True), 1)
+    image = axes.imshow(shares, cmap="Blues", vmin=0, vmax=1)
+    for row, column in np.argwhere(matrix):
+        colour = "white" if shares[row, column] > 0.5 else "black"
+        axes.text(column, row, str(matrix[row, column]), ha="center", va="center", color=colour, fontsize=8)
+    ticks = range(len(names))
+    axes.set(xlabel="key found", ylabel="key touched", xticks=ticks, yticks=ticks)
+    axes.set_xticklabels(names)
+    axes.set_yticklabels(names)
+    figure.colorbar(image, label="share of the touches of a key", shrink=0.8)
+    return figure
+
+
+def _learning(results: Results) -> Figure:
+    figure = Figure(figsize=(6.2, 4.0), layout="constrained")
+    axes = figure.add_subplot()
+    shares = np.array(plan.SHARES)
+    contenders = (
+        ("network", plan.keypad_name, COLOURS[0], "o"),
+        ("kNN (k = 1)", lambda share, seed: plan.lookup_name("kNN", share, seed), COLOURS[1], "s"),
+    )
+    for number, (label, name, colour, marker) in enumerate(contenders):
+        accuracy = 100 * np.array([
+            [keypad_scores(results.full[name(share, seed)], results.layout)["accuracy"] for seed in plan.KEYPAD_SEEDS]
+            for share in plan.SHARES
+        ])  # fmt: skip
+        mean, spread = accuracy.mean(axis=1), accuracy.std(axis=1)
+        axes.errorbar(100 * shares, mean, spread, color=colour, marker=marker, ms=5, capsize=3, label=label)
+        reported = [100 * values[number] for values in paper.KEYPAD_LEARNING.values()]
+        where = [100 * share for share in paper.KEYPAD_LEARNING]
+        axes.plot(where, reported, "*", color=colour, mec="black", ms=12, label=f"the paper's {label.split()[0]}")
+    if not results.given:
+        better = keypad_scores(results.full[plan.BETTER_KEYPAD], results.layout)["accuracy"]
+        axes.plot(20, 100 * better, "D", color=COLOURS[2], ms=8, label="touchd's keypad")
+    axes.set(xlabel="share of the training touches (%)", ylabel="accuracy of the keypad (%)", xticks=100 * shares)
+    axes.grid(alpha=0.25)
+    axes.legend(fontsize=8, frameon=False, loc="lower right")
+    return figure
+
+
+def _circle(results: Results) -> Figure:
+    figure = Figure(figsize=(10.5, 3.4), layout="constrained")
+    for number, name in enumerate((*CIRCLE_HEADS, "touchd")):
+        data = results.circle[name]
+        axes = figure.add_subplot(1, 4, number + 1)
+        axes.plot(*data["truth_mm"].T, color=TRUTH, lw=6, solid_capstyle="round", label="the finger's way")
+        axes.plot(*data["place_mm"].T, ".", color=COLOURS[0], ms=3, label="found, each frame by itself")
+        title = f"{name}: mean {distance_mm(data).mean():.1f} mm"
+        axes.set(xlim=(0, 200), ylim=(200, 0), aspect="equal", xlabel="x (mm)", title=title)
+        axes.grid(alpha=0.25)
+        if number == 0:
+            axes.set_ylabel("y (mm)")
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=2, fontsize=8, frameon=False)
+    return figure
+
+
+def _errors(results: Results) -> Figure:
+    figure = Figure(figsize=(10.5, 4.2), layout="constrained")
+    models = figure.add_subplot(1, 2, 1)
+    contenders = {name: results.held_out[name, "silicone"] for name in ("regression", "int8", "small")}
+    contenders |= {
+        "kNN on residuals": results.full[plan.dictionary_name("kNN", True)],
+        "GCC on residuals": results.full[plan.dictionary_name("GCC", True)],
+        "the paper's R on the twin": results.full[plan.head_name("R", "frequency")],
+    }
+    for number, (name, data) in enumerate(contenders.items()):
+        _cumulative(models, distance_mm(data), name, COLOURS[number])
+    models.set(title="silicone finger", ylabel="share of touches (%)")
+    kinds = figure.add_subplot(1, 2, 2)
+    labels = {
+        "silicone": "silicone finger", "human": "human finger", "stale": "baseline stale by 1 K",
+        "noise": "noise 20 dB worse",
+    }  # fmt: skip
+    for number, (kind, label) in enumerate(labels.items()):
+        _cumulative(kinds, distance_mm(results.held_out["regression", kind]), label, COLOURS[number])
+    kinds.set(title="the network that ships")
+    for axes in (models, kinds):
+        axes.set(xlabel="error (mm)", xscale="log", xlim=(0.01, 50), ylim=(0, 100))
+        axes.axvline(4.4, color=PAPER, ls="--", lw=1)
+        axes.annotate("the paper's\nmean, 4.4 mm", (4.8, 6), fontsize=8)
+        axes.xaxis.set_major_formatter("{x:g}")
+        axes.grid(alpha=0.25, which="both")
+        axes.legend(fontsize=8, framealpha=1, edgecolor="none", loc="upper left")
+    return figure
+
+
+def _cumulative(axes: Axes, distance_mm: np.ndarray, label: str, colour: str) -> None:
+    ordered = np.sort(distance_mm)
+    axes.plot(ordered, 100 * np.arange(1, len(ordered) + 1) / len(ordered), color=colour, lw=1.6, label=label)

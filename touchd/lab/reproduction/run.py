@@ -1,0 +1,121 @@
+"""Run the experiments and collect what the report needs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from touchd.errors import ModelMissing
+from touchd.evaluation.dataset import digest as dataset_digest
+from touchd.jobs import Job, Shared, run
+from touchd.jobs.identity import digest
+from touchd.keypad import Layout
+from touchd.lab.reproduction import plan
+from touchd.lab.reproduction.experiments import Data, judged, raced
+from touchd.lab.reproduction.paper import CENTRAL_MM
+from touchd.lab.reproduction.sets import central, simulated
+from touchd.localization.model import default_model_path
+from touchd.recording.data import Recording
+
+SHIPPED = ("regression", "small", "int8", "grid10", "keypad")
+HELD_OUT = {"silicone": 201, "human": 202, "noise": 203, "stale": 204}
+"""Kinds of held-out touches and the seeds that only they have."""
+TRAINING_SEED, CENTRAL_SEED, OTHER_SEED, OTHER_HELD_OUT_SEED, CIRCLE_SEED = 1, 2, 3, 205, 206
+CIRCLE_HEADS = ("C-5", "C-10", "R")
+
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """How much is computed: the paper's size by default, less for a try."""
+
+    touches: int = 6404
+    other_touches: int = 5700
+    held_out: int = 3000
+    circle_frames: int = 900
+    epochs: int | None = None
+
+
+@dataclass(slots=True)
+class Results:
+    """Everything that was measured, by the names of the jobs."""
+
+    scale: Scale
+    layout: Layout
+    recording: Recording
+    given: bool
+    """Whether the recording is the user's own and not the twin's."""
+    full: Mapping[str, Data] = field(default_factory=dict)
+    central: Mapping[str, Data] = field(default_factory=dict)
+    other: Mapping[str, Data] = field(default_factory=dict)
+    held_out: dict[tuple[str, str], Data] = field(default_factory=dict)
+    """By model and kind of touches."""
+    circle: dict[str, Data] = field(default_factory=dict)
+    """By model."""
+    took_us: dict[str, float] = field(default_factory=dict)
+
+
+def reproduce(
+    recording: Recording | None,
+    layout: Layout,
+    *,
+    seed: int,
+    scale: Scale,
+    models: Path | None = None,
+    progress: Progress,
+    **how: Any,
+) -> Results:
+    """Run all experiments; `how` is passed on to `touchd.jobs.run`: workers, dask, cache.
+
+    With a recording of the user's, what needs the twin is left out.
+    """
+    given = recording is not None
+    progress("simulating", 0, 1)
+    touches = recording if recording is not None else simulated("silicone", scale.touches, TRAINING_SEED)
+    middle = touches if recording is not None else simulated("central", scale.touches, CENTRAL_SEED)
+    results = Results(scale, layout, touches, given)
+
+    def batch(jobs: list[Job], recording: Recording) -> dict[str, Data]:
+        # Two recordings of the same touches are the same, whenever they were made.
+        identity = digest([dataset_digest(recording), recording.meta.plate, recording.acquisition])
+        return run(jobs, shared={"recording": Shared(recording, identity)}, progress=progress, **how)
+
+    jobs = plan.head_jobs(seed, scale.epochs) + plan.keypad_jobs(seed, scale.epochs, layout)
+    results.full = batch(jobs + plan.better_jobs(seed, scale.epochs, layout), touches)
+    results.central = batch(plan.head_jobs(seed, scale.epochs), central(middle, CENTRAL_MM))
+    paper_keypad = results.full[plan.keypad_name(1.0, plan.KEYPAD_SEEDS[0])]["model"]
+    progress("timing", 0, 1)
+    results.took_us = raced(touches, paper_keypad, plan.SHARES, seed)
+    if given:
+        return results
+    results.other = batch(plan.plate_jobs(seed, scale.epochs), simulated("other", scale.other_touches, OTHER_SEED))
+    _judge(results, models or default_model_path().parent, progress)
+    return results
+
+
+def _judge(results: Results, models: Path, progress: Progress) -> None:
+    """Score the shipped models, and some of those just trained, on touches of seeds that no training saw."""
+    count = results.scale.held_out
+    contenders = {name: (models / f"{name}.onnx") for name in SHIPPED}
+    for path in contenders.values():
+        if not path.is_file():
+            raise ModelMissing("no such model", str(path), "train it, or name the folder of the models: --models")
+    model_bytes = {name: path.read_bytes() for name, path in contenders.items()}
+    model_bytes[plan.BETTER_KEYPAD] = results.full[plan.BETTER_KEYPAD]["model"]
+    for number, (kind, seed) in enumerate(HELD_OUT.items()):
+        progress("judging", number, len(HELD_OUT) + 2)
+        for name, data in judged(model_bytes, simulated(kind, count, seed)).items():
+            results.held_out[name, kind] = data
+    progress("judging", len(HELD_OUT), len(HELD_OUT) + 2)
+    other = {plan.OTHER_PLATE: results.other[plan.OTHER_PLATE]["model"]}
+    results.held_out[plan.OTHER_PLATE, "other"] = judged(other, simulated("other", count, OTHER_HELD_OUT_SEED))[
+        plan.OTHER_PLATE
+    ]
+    progress("judging", len(HELD_OUT) + 1, len(HELD_OUT) + 2)
+    circle = simulated("circle", results.scale.circle_frames, CIRCLE_SEED)
+    drawn = {head: results.full[plan.head_name(head, "frequency")]["model"] for head in CIRCLE_HEADS}
+    results.circle = judged(drawn | {"touchd": model_bytes["regression"]}, circle)
+    progress("judging", len(HELD_OUT) + 2, len(HELD_OUT) + 2)

@@ -1,0 +1,66 @@
+"""The recordings of the experiments: simulated with seeds of their own, or cut from one that was given."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from touchd.frame import Plate
+from touchd.lab.reproduction.paper import CENTRAL_MM
+from touchd.recording.data import Recording
+from touchd.twin.electronics import Electronics
+from touchd.twin.instrument import Instrument
+from touchd.twin.physics.transducer import Layout as Transducers
+from touchd.twin.simulate import DEFAULT_PLATE, simulate_scene, simulate_touches
+
+NOISY_DB = 40.0
+"""20 dB worse than the reference."""
+STALE_K = 1.0
+OTHER_PLATE = Plate(width_mm=170, height_mm=240, thickness_mm=4, material="glass")
+OTHER_TRANSDUCERS = Transducers(
+    emitter_mm=(90.0, 18.0), receivers_mm=((14.0, 60.0), (152.0, 40.0), (25.0, 222.0), (158.0, 205.0))
+)
+"""A plate that no shipped model and no constant in the code was made for."""
+
+
+def simulated(kind: str, count: int, seed: int) -> Recording:
+    """Return simulated touches of a kind, or a scene.
+
+    "silicone" and "human" are fingers on the reference plate; "central" is the silicone one on the middle
+    11 x 11 cm; "noise" has noise 20 dB stronger; in "stale" the plate is 1 K warmer than its baseline;
+    "other" is another plate; "circle" is a human finger that draws one.
+    """
+    if kind == "circle":
+        return simulate_scene("circle", seed=seed, finger="human", frames=count)
+    if kind == "other":
+        return simulate_touches(count, seed=seed, instrument=Instrument(OTHER_PLATE, layout=OTHER_TRANSDUCERS))
+    if kind == "central":
+        return simulate_touches(count, seed=seed, margin_mm=(DEFAULT_PLATE.width_mm - CENTRAL_MM) / 2)
+    finger = "human" if kind == "human" else "silicone"
+    electronics = Electronics(noise_db=NOISY_DB) if kind == "noise" else None
+    stale_k = STALE_K if kind == "stale" else 0.0
+    return simulate_touches(count, seed=seed, finger=finger, electronics=electronics, stale_k=stale_k)
+
+
+def central(recording: Recording, side_mm: float) -> Recording:
+    """Return the touches on the central square of a plate, as if the square were the whole plate.
+
+    Positions are counted from its corner, so that grids are laid over it and scores are its own. Frames with
+    touches elsewhere are left out.
+    """
+    plate, truth = recording.meta.plate, recording.contacts_mm
+    assert truth is not None  # the verb has seen it
+    low_mm = np.array([plate.width_mm - side_mm, plate.height_mm - side_mm]) / 2
+    place_mm = truth - low_mm
+    down = np.isfinite(place_mm[:, :, 0])
+    outside = down & ((place_mm < 0) | (place_mm > side_mm)).any(axis=2)
+    keep = ~outside.any(axis=1)
+    meta = recording.meta.model_copy(
+        update={"plate": plate.model_copy(update={"width_mm": side_mm, "height_mm": side_mm})}
+    )
+    return replace(
+        recording, meta=meta, frames=recording.frames[keep], sequence=recording.sequence[keep],
+        timestamp_ns=recording.timestamp_ns[keep], contacts_mm=place_mm[keep].astype(np.float32), force_n=None,
+        temperature_c=None,
+    )  # fmt: skip

@@ -1,0 +1,184 @@
+"""The field atlas: what a touch of unit strength at any place adds to each bin, learned from labelled touches.
+
+A touch at (x, y) with the complex strength z adds z u(x, y) to the bins of a frame's residual. u is stored as
+the coefficients of cubic B-splines on a grid, which give its gradient too. The atlas lies beside the network
+that it was learned with, as `NAME.atlas.npz` beside `NAME.onnx`.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from touchd.errors import ModelInvalid, OutputError, RecordingError
+from touchd.frame import Acquisition, Plate
+from touchd.recording import npz
+
+FORMAT = "touchd-atlas"
+MAX_BYTES = 8_000_000
+_KEYS = ("format", "version", "description", "coefficients", "scale", "baseline", "error")
+_MARGIN_NODES = 2
+"""Nodes beyond the touched part on each side: every point of it has its four neighbours."""
+
+Array = NDArray[np.float32]
+
+
+class AtlasDescription(BaseModel):
+    """What an atlas says of itself: the JSON object `description` in its file."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
+
+    version: Literal[1] = 1
+    acquisition: Acquisition
+    plate: Plate
+    bins: tuple[int, ...] = Field(min_length=1)
+    """Indices of the DFT bins it holds: those that tell something of a finger."""
+    step_mm: float = Field(gt=0)
+    origin_mm: tuple[float, float]
+    """x and y of the first node."""
+    low_mm: tuple[float, float]
+    high_mm: tuple[float, float]
+    """Corners of the part that was touched: beyond it the field is not known."""
+    noise_scale: float = Field(default=1.0, gt=0)
+    field_scale: float = Field(default=1.0, gt=0)
+    """How much larger the errors of held-out touches are than white noise, and the field's own error, explain."""
+    touches: int = Field(default=0, ge=0)
+    """How many it was learned from."""
+    wavenumber_rad_m: tuple[float, ...] = ()
+    """Of the plate's flexural wave at each bin: the dispersion that limits the field's band."""
+    fitted: bool = False
+    """Whether the dispersion was fitted to the touches, the material being unknown."""
+    scores: dict[str, float] = {}
+    """Of the test touches, from the network's answer on, for example `rmse_mm`."""
+    data_sha256: str = ""
+    """Digest of the training recording's frames and truth."""
+    command: str = ""
+    seed: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Atlas:
+    """A loaded atlas."""
+
+    description: AtlasDescription
+    coefficients: Array
+    """B-spline coefficients, shape (rows, columns, channels * 2 * bins): for each channel the real parts of all
+    bins, then the imaginary parts, as `touchd.localization.features` orders them; ADC counts at strength 1."""
+    baseline: Array
+    """The untouched plate at the temperature that the field is meant for, shape (channels, samples), ADC counts."""
+    error: Array
+    """Mean square of what the field misses in each channel and bin at strength 1, shape (channels, bins)."""
+
+    @property
+    def size(self) -> int:
+        """Length of a feature vector: channels * 2 * bins."""
+        return int(self.coefficients.shape[2])
+
+
+def atlas_path(model: Path) -> Path:
+    """Return where the atlas of a network lies: `plate.atlas.npz` for `plate.onnx`."""
+    return model.with_suffix(".atlas.npz")
+
+
+def save_atlas(atlas: Atlas, path: Path) -> None:
+    """Write an atlas, whole or not at all.
+
+    Half precision: its rounding, 5e-4 of each coefficient, is far below what any touch teaches.
+
+    Raises
+    ------
+    OutputError
+        If it cannot be written, or would be larger than 8 MB.
+    """
+    scale = np.float32(np.abs(atlas.coefficients).max() or 1.0)
+    temporary: Path | None = None
+    try:
+        with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
+            temporary = Path(file.name)
+            np.savez_compressed(
+                file, format=np.array(FORMAT), version=np.array(1),
+                description=np.array(atlas.description.model_dump_json()),
+                coefficients=(atlas.coefficients / scale).astype(np.float16), scale=np.array(scale),
+                baseline=atlas.baseline, error=atlas.error,
+            )  # fmt: skip
+            size_bytes = file.tell()
+        if size_bytes > MAX_BYTES:
+            raise OutputError(
+                f"the atlas would take {size_bytes / 1e6:.1f} MB, more than {MAX_BYTES / 1e6:.0f}",
+                str(path),
+                "learn it for a smaller plate, or from fewer bins",
+            )
+        temporary.chmod(0o644)
+        os.replace(temporary, path)
+    except OSError as error:
+        raise OutputError(
+            f"cannot be written ({error.strerror})", str(path), "check the folder and its space"
+        ) from error
+    finally:
+        if temporary is not None:
+            temporary.unlink(missing_ok=True)
+
+
+def load_atlas(path: Path) -> Atlas:
+    """Read an atlas.
+
+    Raises
+    ------
+    ModelInvalid
+        If the file is no atlas, or its parts do not fit each other.
+    """
+    try:
+        found = npz.load(path, _KEYS)
+    except RecordingError as error:
+        raise _invalid(path, str(error)) from error
+    missing = [key for key in _KEYS if key not in found]
+    if missing or str(found["format"]) != FORMAT or str(found["version"]) != "1":
+        raise _invalid(path, f"{', '.join(missing)} missing" if missing else "another format or version")
+    try:
+        description = AtlasDescription.model_validate_json(str(found["description"]))
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise _invalid(path, f"description: {'.'.join(map(str, first['loc']))}: {first['msg']}") from error
+    numbers = ("coefficients", "scale", "baseline", "error")
+    if found["scale"].shape != () or any(found[key].dtype.kind != "f" for key in numbers):
+        raise _invalid(path, f"{', '.join(f'{key} {found[key].dtype}{found[key].shape}' for key in numbers)}")
+    coefficients = found["coefficients"].astype(np.float32) * found["scale"].astype(np.float32)
+    atlas = Atlas(
+        description,
+        np.ascontiguousarray(coefficients),
+        found["baseline"].astype(np.float32),
+        found["error"].astype(np.float32),
+    )
+    _check(atlas, path)
+    return atlas
+
+
+def _check(atlas: Atlas, path: Path) -> None:
+    """Raise ModelInvalid unless the arrays have the shapes that the description means, and hold numbers."""
+    d = atlas.description
+    channels, bins = d.acquisition.channels, len(d.bins)
+    if atlas.coefficients.ndim != 3 or atlas.size != channels * 2 * bins or min(atlas.coefficients.shape[:2]) < 4:
+        raise _invalid(
+            path, f"coefficients of shape {atlas.coefficients.shape}, not (rows, columns, {channels * 2 * bins})"
+        )
+    if atlas.baseline.shape != d.acquisition.shape or atlas.error.shape != (channels, bins):
+        raise _invalid(path, f"baseline of shape {atlas.baseline.shape} and error of shape {atlas.error.shape}")
+    rows, columns, _ = atlas.coefficients.shape
+    reach_mm = (
+        d.origin_mm[0] + (columns - _MARGIN_NODES) * d.step_mm, d.origin_mm[1] + (rows - _MARGIN_NODES) * d.step_mm
+    )  # fmt: skip
+    if any(d.low_mm[i] < d.origin_mm[i] + d.step_mm or not d.low_mm[i] < d.high_mm[i] < reach_mm[i] for i in (0, 1)):
+        raise _invalid(path, f"the touched part {d.low_mm} to {d.high_mm} mm is not on the grid")
+    if not all(np.isfinite(array).all() for array in (atlas.coefficients, atlas.baseline, atlas.error)):
+        raise _invalid(path, "numbers that are none")
+
+
+def _invalid(path: Path, what: str) -> ModelInvalid:
+    return ModelInvalid(f"not a usable atlas ({what})", str(path), "train it again: touchd train --recipe atlas")

@@ -1,0 +1,67 @@
+"""A recording in memory: its frames, their truth, and what it says of the rig."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from touchd.frame import Acquisition, Chirp, Plate
+
+
+class Device(BaseModel):
+    """The DAQ that took a recording."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore")
+    serial: str = ""
+    firmware: str = ""
+
+
+class Meta(BaseModel):
+    """The JSON object of a recording's `meta` key."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
+
+    sample_rate_hz: float = Field(gt=0)
+    bits: int = Field(ge=2, le=16)
+    full_scale_v: float = Field(gt=0)
+    frame_rate_hz: float = Field(gt=0)
+    plate: Plate
+    chirp: Chirp = Chirp()
+    emitter_mm: tuple[float, float] | None = None
+    receivers_mm: tuple[tuple[float, float], ...] | None = None
+    source: str = ""
+    device: Device = Device()
+    created: str = ""
+    notes: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """A whole recording in memory, or one chunk of it: n frames, k contacts."""
+
+    meta: Meta
+    frames: NDArray[np.int16]
+    """ADC counts of shape (n, channels, samples)."""
+    sequence: NDArray[np.int64]
+    """The device's frame counter, shape (n,)."""
+    timestamp_ns: NDArray[np.int64]
+    """Start of the chirp since the first frame, shape (n,), ns."""
+    contacts_mm: NDArray[np.float32] | None = None
+    """Truth of shape (n, k, 2), NaN where finger k is not touching."""
+    force_n: NDArray[np.float32] | None = None
+    """Shape (n, k), NaN where unknown or not touching."""
+    temperature_c: NDArray[np.float32] | None = None
+    """Shape (n,)."""
+
+    @property
+    def acquisition(self) -> Acquisition:
+        """The geometry of the frames."""
+        _, channels, samples = self.frames.shape
+        m = self.meta
+        return Acquisition(
+            channels=channels, samples=samples, sample_rate_hz=m.sample_rate_hz, bits=m.bits,
+            full_scale_v=m.full_scale_v, chirp=m.chirp,
+        )  # fmt: skip

@@ -1,0 +1,194 @@
+"""The recording format, version 1: a `.npz` file, or a folder of numbered ones. See docs/formats.md."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+from touchd.errors import OutputError, RecordingMissing, RecordingShape, RecordingValues, RecordingVersion
+from touchd.recording import npz
+from touchd.recording.data import Device, Meta, Recording
+from touchd.recording.validate import ARRAYS, REQUIRED, check, check_continues
+
+FORMAT = "touchd-recording"
+VERSION = 1
+_CHUNK_NAME = re.compile(r"(?!\.)(?:.*[^0-9])?([0-9]+)\.npz", re.DOTALL)
+
+
+def write(path: Path, recording: Recording, *, compress: bool = True) -> None:
+    """Write one file, readable by its owner only; after a power cut it is there whole, or not at all.
+
+    An existing file is replaced.
+
+    Raises
+    ------
+    RecordingShape, RecordingValues
+        The recording breaks the format; nothing is written.
+    OutputError
+        The file cannot be written; nothing is left behind.
+    """
+    check(recording, str(path))
+    arrays: dict[str, Any] = {name: getattr(recording, name) for name in ARRAYS}
+    arrays = {name: array for name, array in arrays.items() if array is not None}
+    save = np.savez_compressed if compress else np.savez
+    temporary = ""
+    try:
+        # mkstemp creates with mode 0600. A dot in front: no reader takes it for a chunk.
+        handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent)
+        with os.fdopen(handle, "wb") as file:
+            save(file, format=FORMAT, version=VERSION, meta=recording.meta.model_dump_json(), **arrays)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+        temporary = ""
+        _sync_folder(path.parent)
+    except (OSError, ValueError) as error:
+        reason = (error.strerror if isinstance(error, OSError) else None) or str(error)
+        raise OutputError(f"cannot be written ({reason})", str(path), "check folder, space and permissions") from error
+    finally:
+        if temporary:
+            with contextlib.suppress(OSError):
+                os.unlink(temporary)
+
+
+def _sync_folder(folder: Path) -> None:
+    # The new name is safe only once the folder is on disk too; some file systems cannot do this.
+    with contextlib.suppress(OSError):
+        handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            os.fsync(handle)
+        finally:
+            os.close(handle)
+
+
+def read(path: Path) -> Recording:
+    """Read a whole recording, a file or a folder of chunks, into memory.
+
+    Raises
+    ------
+    RecordingError
+        One of its subclasses, see `touchd.errors`.
+    """
+    chunks = list(Reader(path))
+    if len(chunks) == 1:
+        return chunks[0]
+    arrays = {
+        name: np.concatenate([getattr(chunk, name) for chunk in chunks])
+        for name in ARRAYS
+        if getattr(chunks[0], name) is not None
+    }
+    return Recording(meta=chunks[0].meta, **arrays)
+
+
+class Reader:
+    """Iterates over the chunks of a recording, one in memory at a time; a file is one chunk.
+
+    Every iteration starts at the beginning. The first chunk is kept, so a single file is read once only.
+
+    Parameters
+    ----------
+    path : Path
+        A `.npz` file, or a folder of files whose names end in a number.
+
+    Raises
+    ------
+    RecordingError
+        One of its subclasses, on construction for the first chunk and during iteration for the others.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.chunk_paths = _chunk_paths(path)
+        self._first = _read_file(self.chunk_paths[0])
+        self.meta = self._first.meta
+        self.acquisition = self._first.acquisition
+
+    def __iter__(self) -> Iterator[Recording]:
+        """Yield the chunks in order."""
+        previous, previous_path = self._first, self.chunk_paths[0]
+        yield previous
+        for path in self.chunk_paths[1:]:
+            chunk = _read_file(path)
+            check_continues(previous, previous_path, chunk, path)
+            yield chunk
+            previous, previous_path = chunk, path
+
+
+def _chunk_paths(path: Path) -> list[Path]:
+    try:
+        if not path.is_dir():
+            return [path]
+        matches = [(match, entry) for entry in path.iterdir() if (match := _CHUNK_NAME.fullmatch(entry.name))]
+    except (OSError, ValueError) as error:
+        raise RecordingMissing(f"cannot be listed ({error})", str(path), "check the permissions") from error
+    if not matches:
+        raise RecordingMissing(
+            "this folder holds no numbered .npz chunks", str(path), "name a recording: a .npz file, or its folder"
+        )
+    return [entry for _, entry in sorted(matches, key=lambda m: (int(m[0][1]), m[1].name))]
+
+
+def _read_file(path: Path) -> Recording:
+    where = str(path)
+    arrays = npz.load(path, ("format", "version", "meta", *ARRAYS))
+    kind = _scalar(arrays, "format", "U", where) if "format" in arrays else None
+    if kind != FORMAT:
+        found = f"is the format {str(kind)[:40]!r}" if kind is not None else "has no key 'format'"
+        raise RecordingVersion(f"{found}: not a touchd recording", where, "see docs/formats.md for what one holds")
+    version = _scalar(arrays, "version", "iu", where)
+    if version != VERSION:
+        fix = "upgrade touchd" if version > VERSION else "record it again"
+        raise RecordingVersion(f"is version {version} of the format; this touchd reads version {VERSION}", where, fix)
+    for name in REQUIRED:
+        if name not in arrays:
+            raise _missing_key(name, where)
+    meta = _parse_meta(_scalar(arrays, "meta", "U", where), where)
+    content: dict[str, Any] = {name: arrays[name] for name in ARRAYS if name in arrays}
+    recording = Recording(meta=meta, **content)
+    check(recording, where)
+    return recording
+
+
+def _scalar(arrays: dict[str, NDArray[Any]], key: str, kinds: str, where: str) -> Any:
+    if key not in arrays:
+        raise _missing_key(key, where)
+    array = arrays[key]
+    if array.shape != () or array.dtype.kind not in kinds:
+        wanted = "text" if kinds == "U" else "a whole number"
+        found = f"{array.dtype} of shape {array.shape}"
+        raise RecordingShape(
+            f"is {found}, must be {wanted} of shape ()", f"{where}: {key}", "write it with numpy.savez"
+        )
+    try:
+        return array.item()
+    except ValueError as error:
+        raise RecordingValues("is not valid text", f"{where}: {key}", "write the recording again") from error
+
+
+def _missing_key(key: str, where: str) -> RecordingShape:
+    return RecordingShape(f"the key '{key}' is missing", where, "see docs/formats.md for what a recording holds")
+
+
+def _parse_meta(text: str, where: str) -> Meta:
+    try:
+        return Meta.model_validate_json(text)
+    except ValidationError as error:
+        problems = [
+            f"{'.'.join(map(str, e['loc'])) or 'meta'}: {e['msg'][:1].lower()}{e['msg'][1:]}"
+            for e in error.errors(include_url=False, include_context=False)
+        ]
+        raise RecordingValues("; ".join(problems), f"{where}: meta", "correct these keys of the JSON object") from error
+    except ValueError as error:  # lone surrogates cannot be encoded for the JSON parser
+        raise RecordingValues("is not valid text", f"{where}: meta", "write the recording again") from error
+
+
+__all__ = ["FORMAT", "VERSION", "Device", "Meta", "Reader", "Recording", "check", "read", "write"]

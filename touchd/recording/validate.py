@@ -1,0 +1,120 @@
+"""What makes a recording valid, beyond being a readable file: types, shapes, order and finite numbers."""
+
+from __future__ import annotations
+
+import re
+from operator import attrgetter
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchd.errors import RecordingShape, RecordingValues
+from touchd.recording.data import Recording
+
+# Key: type, shape; n frames of (channels, samples), k contacts.
+ARRAYS: dict[str, tuple[type[np.generic], str]] = {
+    "frames": (np.int16, "(n, channels, samples)"),
+    "sequence": (np.int64, "(n,)"),
+    "timestamp_ns": (np.int64, "(n,)"),
+    "contacts_mm": (np.float32, "(n, k, 2)"),
+    "force_n": (np.float32, "(n, k)"),
+    "temperature_c": (np.float32, "(n,)"),
+}
+REQUIRED = ("frames", "sequence", "timestamp_ns")
+_SEE = "see docs/formats.md"
+
+
+def check(recording: Recording, where: str = "recording") -> None:
+    """Refuse a recording that breaks the format; `where` names it in the error.
+
+    Raises
+    ------
+    RecordingShape
+        An array has the wrong type or shape.
+    RecordingValues
+        Counters or times do not increase, or a number is NaN or infinite where it must not be.
+    """
+    _check_shapes(recording, where)
+    for name in ("sequence", "timestamp_ns"):
+        values = getattr(recording, name)
+        # Compared, not subtracted: a difference of two int64 can overflow.
+        stuck = np.flatnonzero(values[1:] <= values[:-1])
+        if stuck.size:
+            i = int(stuck[0])
+            raise RecordingValues(
+                f"must increase from frame to frame, but frame {i + 1} has {values[i + 1]} after {values[i]}",
+                f"{where}: {name}", "drop the repeated frames, or sort them",
+            )  # fmt: skip
+    if recording.timestamp_ns[0] < 0:
+        raise RecordingValues(
+            f"is negative: {recording.timestamp_ns[0]}", f"{where}: timestamp_ns", "count from the first frame"
+        )
+    for name, allow_nan in (("contacts_mm", True), ("force_n", True), ("temperature_c", False)):
+        values = getattr(recording, name)
+        bad = None if values is None else np.isinf(values) if allow_nan else ~np.isfinite(values)
+        if bad is not None and bad.any():
+            i = int(np.flatnonzero(bad.reshape(len(bad), -1).any(axis=1))[0])
+            kind = "infinite" if allow_nan else "not a finite number"
+            fix = "write NaN where the truth is unknown" if allow_nan else "leave the key out where it is unknown"
+            raise RecordingValues(f"is {kind} in frame {i}", f"{where}: {name}", fix)
+    if recording.contacts_mm is not None:
+        nan = np.isnan(recording.contacts_mm)
+        half = np.argwhere(nan[..., 0] != nan[..., 1])
+        if half.size:
+            raise RecordingValues(
+                f"has x without y, or y without x, for contact {half[0][1]} in frame {half[0][0]}",
+                f"{where}: contacts_mm", "write both coordinates, or NaN for both",
+            )  # fmt: skip
+
+
+def _check_shapes(recording: Recording, where: str) -> None:
+    sizes: dict[str, int] = {"2": 2}
+    origin: dict[str, str] = {}
+    for name, (dtype, shape) in ARRAYS.items():
+        array = getattr(recording, name)
+        if array is None and name not in REQUIRED:
+            continue
+        at = f"{where}: {name}"
+        if not isinstance(array, np.ndarray) or array.dtype != dtype:
+            found = array.dtype if isinstance(array, np.ndarray) else type(array).__name__
+            raise RecordingShape(f"is {found}, must be {np.dtype(dtype)}", at, f"convert it to {np.dtype(dtype)}")
+        axes = re.findall(r"\w+", shape)
+        if array.ndim != len(axes):
+            raise RecordingShape(f"has shape {array.shape}, must be {shape}", at, _SEE)
+        for axis, size in zip(axes, array.shape, strict=True):
+            expected = sizes.setdefault(axis, size)
+            first = origin.setdefault(axis, f"{name} has shape {array.shape}")
+            if size != expected:
+                raise RecordingShape(f"has shape {array.shape}, must be {shape}, but {first}", at, _SEE)
+        if name == "frames" and array.size == 0:
+            raise RecordingShape(f"has shape {array.shape}: no frames", at, "record again, for longer")
+    receivers = recording.meta.receivers_mm
+    if receivers is not None and len(receivers) != sizes["channels"]:
+        raise RecordingShape(
+            f"names {len(receivers)} receivers, but frames has shape {recording.frames.shape}: "
+            f"{sizes['channels']} channels", f"{where}: meta.receivers_mm", "name one receiver for each channel",
+        )  # fmt: skip
+
+
+def check_continues(before: Recording, before_path: Path, chunk: Recording, path: Path) -> None:
+    """Refuse a chunk that cannot follow the one before it."""
+    where = f"{path}, after {before_path.name}"
+    fix = "keep the chunks of different recordings in different folders"
+    for part in ("acquisition", "meta.plate", "meta.emitter_mm", "meta.receivers_mm"):
+        old, new = attrgetter(part)(before), attrgetter(part)(chunk)
+        if old != new:
+            raise RecordingShape(f"{part.removeprefix('meta.')} changes from {old} to {new}", where, fix)
+    for name in ARRAYS:
+        was, now = (_shape_of_one(getattr(recording, name)) for recording in (before, chunk))
+        if was != now:
+            raise RecordingShape(f"{name} changes from {was} to {now}", where, fix)
+    for name in ("sequence", "timestamp_ns"):
+        old_last, new_first = getattr(before, name)[-1], getattr(chunk, name)[0]
+        if new_first <= old_last:
+            raise RecordingValues(f"{name} goes back from {old_last} to {new_first}", where, fix)
+
+
+def _shape_of_one(array: NDArray[Any] | None) -> str:
+    return "absent" if array is None else f"shape ({', '.join(['n', *map(str, array.shape[1:])])})"

@@ -1,0 +1,1 @@
+"""The daemon: `daemon` puts it together, `loop` runs it."""

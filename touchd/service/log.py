@@ -1,0 +1,91 @@
+"""Logging: one line an event, for a person on a terminal, as JSON for a machine. Never where somebody touched."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, TextIO, cast
+
+import numpy as np
+import structlog
+from structlog.typing import EventDict, Processor, WrappedLogger
+
+from touchd.config.schema import LogSettings
+
+PRIVATE = frozenset({"key", "keys", "contact", "contacts", "contacts_mm", "x_mm", "y_mm", "pin", "code"})
+"""What a PIN could be read from. Redacted at any depth."""
+REDACTED = "[private]"
+_PLAIN = (str, int, float, bool, type(None), Path, BaseException)
+
+
+def redact(_logger: WrappedLogger | None, _method: str, event_dict: EventDict) -> EventDict:
+    """Replace what a log must not hold; a structlog processor.
+
+    Private keys lose their values. Objects other than numbers, text and containers of them are named by their type
+    only, since the text of an event, a frame or an array would tell its content.
+    """
+    return {key: _redact(key, value) for key, value in event_dict.items()}
+
+
+def _redact(key: object, value: Any) -> Any:
+    if str(key).lower() in PRIVATE:
+        return REDACTED
+    # exc_info and stack_info are structlog's own; it turns them into text after us.
+    if isinstance(value, _PLAIN) or key in ("exc_info", "stack_info"):
+        return value
+    if isinstance(value, Mapping):
+        return {str(inner): _redact(inner, item) for inner, item in value.items()}
+    if isinstance(value, np.number):
+        return value.item()
+    # Not any sequence: bytes are one, and so are named tuples, whatever they hold.
+    if type(value) in (list, tuple, set, frozenset):
+        return [_redact(None, item) for item in value]
+    return f"<{type(value).__name__}>"
+
+
+class _Unfailing:
+    """A text stream to which a line that cannot be written is lost: a full disk must not end the daemon."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        with contextlib.suppress(OSError, ValueError):  # ValueError: the stream was closed
+            self._stream.write(text)
+        return len(text)
+
+    def flush(self) -> None:
+        with contextlib.suppress(OSError, ValueError):
+            self._stream.flush()
+
+
+def configure(settings: LogSettings, stream: TextIO | None = None) -> None:
+    """Send all log events of this process to `stream`, standard error unless told otherwise.
+
+    Levels below the one that is set are replaced by a function that does nothing; code that runs for every frame
+    keeps a bound logger, `structlog.get_logger().bind()`, made after this call, to have no more cost than that.
+    """
+    stream = stream or sys.stderr
+    json = settings.format == "json" or (settings.format == "auto" and not stream.isatty())
+    render: list[Processor] = (
+        [structlog.processors.format_exc_info, structlog.processors.JSONRenderer(default=str)]
+        if json
+        # The default formatter prints the variables of each function in a traceback: contacts, for one.
+        else [structlog.dev.ConsoleRenderer(colors=stream.isatty(), exception_formatter=structlog.dev.plain_traceback)]
+    )
+    structlog.configure(
+        processors=[
+            structlog.contextvars.merge_contextvars,
+            structlog.processors.add_log_level,
+            structlog.processors.TimeStamper(fmt="iso", utc=True),
+            redact,
+            *render,
+        ],
+        wrapper_class=structlog.make_filtering_bound_logger(getattr(logging, settings.level.upper())),
+        logger_factory=structlog.WriteLoggerFactory(cast(TextIO, _Unfailing(stream))),
+        # Not cached: a logger made at import would keep the level and stream of a time before this call.
+        cache_logger_on_first_use=False,
+    )

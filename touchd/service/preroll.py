@@ -1,0 +1,186 @@
+"""The last seconds of frames, in memory, so that a ghost touch becomes a file that can be replayed."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from datetime import UTC, datetime
+from pathlib import Path
+from types import FrameType
+
+import structlog
+
+from touchd.config.schema import PreRollSettings
+from touchd.event import Event, TouchEvent
+from touchd.frame import Acquisition, Frame
+from touchd.recording.data import Meta
+from touchd.sources.recorder import Block, write_blocks
+
+AFTER_NS = 1_000_000_000
+"""A doubtful touch is saved so much later, with how it went on."""
+_OURS = re.compile(r"preroll-\d{8}T\d{6}Z-[a-z0-9]+(-\d+)?\.npz")
+
+log = structlog.get_logger()
+
+
+class PreRoll:
+    """Keeps a copy of each frame for some seconds, and writes them as a recording when asked to.
+
+    Memory is taken in blocks of a second that are used again. Writing is done by a thread of its own; whatever goes
+    wrong there is logged and nothing else.
+
+    Parameters
+    ----------
+    acquisition : Acquisition
+        Of the frames.
+    rate_hz : float
+        Frames a second.
+    meta : callable
+        Returns the description of a recording, dated now.
+    settings : PreRollSettings
+    clock : callable
+        Monotonic time, ns.
+    """
+
+    def __init__(
+        self,
+        acquisition: Acquisition,
+        rate_hz: float,
+        meta: Callable[[], Meta],
+        settings: PreRollSettings,
+        clock: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
+        self._acquisition = acquisition
+        self._meta = meta
+        self._settings = settings
+        self._folder = settings.folder or default_folder()
+        self._clock = clock
+        self._block_frames = max(1, round(rate_hz))
+        self._span_ns = round(settings.seconds * 1e9)
+        self._blocks: deque[Block] = deque()
+        self._current = Block(self._block_frames, acquisition)
+        self._free: list[Block] = []
+        self._lent: list[Block] = []
+        self._last: Frame | None = None
+        self._asked = ""
+        self._due_ns: int | None = None
+        self._saved_ns: int | None = None
+        self._writing: Future[None] | None = None
+        self._writer = ThreadPoolExecutor(1, "touchd-preroll")
+
+    def keep(self, frame: Frame, events: Sequence[Event]) -> None:
+        """Keep a copy of a frame, and see whether the events that it caused call for saving."""
+        last = self._last
+        if last is not None and (frame.sequence <= last.sequence or frame.t_ns <= last.t_ns):
+            if frame.sequence == last.sequence:
+                return  # seen already
+            self._forget()  # the device counts anew: no recording holds both
+        self._last = frame
+        current = self._current
+        current.append(frame, frame.t_ns)
+        if current.size == self._block_frames:
+            self._blocks.append(current)
+            while len(self._blocks) > 1 and frame.t_ns - int(self._blocks[1].timestamp_ns[0]) >= self._span_ns:
+                self._recycle(self._blocks.popleft())
+            self._current = self._free.pop() if self._free else Block(self._block_frames, self._acquisition)
+        if events and self._due_ns is None and self._doubtful(events):
+            self._due_ns = self._clock() + AFTER_NS
+        if self._asked or self._due_ns is not None:
+            self.poll()
+
+    def request(self, reason: str) -> None:
+        """Have what is in memory saved at the next `poll`; safe to call from a signal handler."""
+        self._asked = reason
+
+    def poll(self) -> None:
+        """Save if that was asked for and is due; to be called also while no frame comes."""
+        if self._asked:
+            reason, self._asked = self._asked, ""
+            self._save(reason)
+        elif self._due_ns is not None and self._clock() >= self._due_ns:
+            self._due_ns = None
+            self._save("doubtful")
+
+    def close(self) -> None:
+        """Save what is still to be saved, and wait until it is written."""
+        if self._due_ns is not None:
+            self._due_ns = self._clock()
+        self.poll()
+        self._writer.shutdown()
+
+    def _doubtful(self, events: Sequence[Event]) -> bool:
+        least = self._settings.min_confidence
+        for event in events:
+            if isinstance(event, TouchEvent):
+                for contact in event.contacts:
+                    if contact.phase == "down" and contact.confidence < least:
+                        return True
+        return False
+
+    def _save(self, reason: str) -> None:
+        now_ns = self._clock()
+        blocks = [block for block in (*self._blocks, self._current) if block.size]
+        too_soon = self._saved_ns is not None and now_ns - self._saved_ns < self._settings.interval_s * 1e9
+        if not blocks or too_soon or (self._writing is not None and not self._writing.done()):
+            why = "no frames yet" if not blocks else "the last one was saved just now"
+            log.warning("pre-roll not saved", reason=reason, why=why)
+            return
+        self._saved_ns = now_ns
+        # Full blocks are lent to the writer as they are; the one in hand goes on being filled.
+        self._lent = blocks[:-1] if blocks[-1] is self._current else blocks
+        handed = [*self._lent, *([self._current.copy()] if self._current.size else [])]
+        self._writing = self._writer.submit(self._write, reason, handed)
+
+    def _recycle(self, block: Block) -> None:
+        if self._writing is not None and not self._writing.done() and any(block is lent for lent in self._lent):
+            return  # the writer has it; another one is made
+        block.size = 0
+        self._free.append(block)
+
+    def _forget(self) -> None:
+        while self._blocks:
+            self._recycle(self._blocks.popleft())
+        self._current.size = 0
+
+    def _write(self, reason: str, blocks: list[Block]) -> None:
+        try:
+            self._folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+            stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
+            name = f"preroll-{stamp}-{reason}"
+            taken = len(list(self._folder.glob(f"{name}*.npz")))
+            path = self._folder / (f"{name}-{taken}.npz" if taken else f"{name}.npz")
+            epoch_ns = int(blocks[0].timestamp_ns[0])
+            frames = write_blocks(path, self._meta(), blocks, epoch_ns=epoch_ns, compress=False)
+            log.info("pre-roll saved: it can reveal a PIN", path=path, frames=frames, reason=reason)
+            self._prune()
+        except Exception as error:
+            # A full disk, or whatever: touches go on.
+            log.warning("pre-roll not saved", reason=reason, why=str(error))
+
+    def _prune(self) -> None:
+        """Delete the oldest of our own files beyond those that are to be kept."""
+        ours = sorted(path for path in self._folder.iterdir() if _OURS.fullmatch(path.name))
+        for path in ours[: -self._settings.keep]:
+            path.unlink(missing_ok=True)
+
+
+def default_folder() -> Path:
+    """Return systemd's state directory of the service, or else the user's."""
+    if managed := os.environ.get("STATE_DIRECTORY"):
+        return Path(managed.partition(":")[0]) / "preroll"
+    home = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
+    return Path(home) / "touchd" / "preroll"
+
+
+def save_on_signal(preroll: PreRoll) -> None:
+    """Have SIGUSR1 save the pre-roll."""
+
+    def handle(_number: int, _frame: FrameType | None) -> None:
+        preroll.request("sigusr1")
+
+    signal.signal(signal.SIGUSR1, handle)

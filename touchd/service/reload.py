@@ -1,0 +1,95 @@
+"""Which settings a running daemon can take over, and taking them over."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import structlog
+
+from touchd.config.render import fields
+from touchd.config.schema import HealthSettings, Settings
+from touchd.errors import TouchdError
+from touchd.keypad import Layout
+from touchd.pipeline import Pipeline
+from touchd.service import log as logging
+
+RESTART_ONLY = frozenset({"device", "bus", "control", "realtime", "model.path", "baseline.learn_frames"})
+"""Tables and keys that hold from the start to the end: what is open, bound, loaded or learned by then."""
+
+log = structlog.get_logger()
+
+
+@dataclass(frozen=True, slots=True)
+class Changes:
+    """What a newly read configuration changes."""
+
+    settings: Settings
+    """The old ones with all that can be taken over."""
+    taken: tuple[str, ...]
+    """Keys that differ and are taken over."""
+    waiting: tuple[str, ...]
+    """Keys that differ and need a restart."""
+
+
+def compare(running: Settings, read: Settings) -> Changes:
+    """Return what becomes of each key in which the settings just read differ from those in use."""
+    taken: list[str] = []
+    waiting: list[str] = []
+    values = running.model_dump()
+    for table, key, _ in fields():
+        new = getattr(getattr(read, table), key)
+        if new == getattr(getattr(running, table), key):
+            continue
+        if table in RESTART_ONLY or f"{table}.{key}" in RESTART_ONLY:
+            waiting.append(f"{table}.{key}")
+        else:
+            values[table][key] = new
+            taken.append(f"{table}.{key}")
+    return Changes(Settings.model_validate(values), tuple(taken), tuple(waiting))
+
+
+class Reloader:
+    """Reads the configuration again for a daemon that runs.
+
+    Parameters
+    ----------
+    settings : Settings
+        Those in use.
+    read : callable
+        Returns the settings as they now are; raises ConfigError if they are wrong.
+    layout_of : callable
+        Returns the keys that settings mean; raises ConfigError if there is a mistake in them.
+    pipeline : Pipeline
+    """
+
+    def __init__(
+        self,
+        settings: Settings,
+        read: Callable[[], Settings],
+        layout_of: Callable[[Settings], Layout | None],
+        pipeline: Pipeline,
+    ) -> None:
+        self.settings = settings
+        self._read = read
+        self._layout_of = layout_of
+        self._pipeline = pipeline
+
+    def reload(self) -> HealthSettings:
+        """Take over what can be, or keep everything if anything is wrong; return the settings of `health`.
+
+        Nothing is raised: a mistake in a file must not end a daemon that works.
+        """
+        try:
+            changes = compare(self.settings, self._read())
+            layout = self._layout_of(changes.settings)
+        except TouchdError as error:
+            log.error("the configuration is wrong, the old one stays in use", error=str(error))
+            return self.settings.health
+        self._pipeline.retune(changes.settings, layout)
+        self.settings = changes.settings
+        logging.configure(changes.settings.log)
+        log.info("configuration read again", taken=changes.taken)
+        if changes.waiting:
+            log.warning("settings that wait for a restart", waiting=changes.waiting)
+        return changes.settings.health

@@ -1,0 +1,234 @@
+"""A recorder around any source: the frames go on to whoever reads them, and into a file."""
+
+from __future__ import annotations
+
+import os
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack, suppress
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchd.errors import OutputError
+from touchd.frame import Acquisition, Frame, Plate
+from touchd.recording import format as recording
+from touchd.recording.data import Device, Meta, Recording
+from touchd.sources.source import Change, LiveSource, Source
+
+CHUNK_FRAMES = 5000
+"""Frames in a chunk of a folder: at 125 frames a second, a power cut costs at most 40 s."""
+MAX_FILE_FRAMES = 60_000
+"""Frames in a single file, which is kept in memory until the end: 120 MB of 4 x 250 counts."""
+
+
+def describe(
+    acquisition: Acquisition,
+    plate: Plate,
+    frame_rate_hz: float,
+    *,
+    source: str,
+    device: Device | None = None,
+    notes: str = "",
+) -> Meta:
+    """Return a recording's description, dated now."""
+    return Meta(
+        sample_rate_hz=acquisition.sample_rate_hz,
+        bits=acquisition.bits,
+        full_scale_v=acquisition.full_scale_v,
+        chirp=acquisition.chirp,
+        frame_rate_hz=frame_rate_hz,
+        plate=plate,
+        source=source,
+        device=device or Device(),
+        created=datetime.now(UTC).isoformat(timespec="seconds"),
+        notes=notes,
+    )
+
+
+class Recorder:
+    """A source that keeps what it passes on.
+
+    A path that ends in `.npz` becomes one file, written by `close`. Any other becomes a folder of numbered chunks, each
+    written as soon as it is full, by a thread of its own so that no frame has to wait for the disk.
+
+    Parameters
+    ----------
+    source : Source
+        Where the frames come from; closed together with the recorder.
+    path : Path
+        What to write; it must not exist yet.
+    meta : Meta
+        The recording's description, see `describe`.
+    chunk_frames : int
+        Frames in a chunk.
+    max_file_frames : int
+        Frames in a single file.
+
+    Raises
+    ------
+    OutputError
+        The path exists, or nothing can be written there.
+    """
+
+    def __init__(
+        self,
+        source: Source,
+        path: Path,
+        meta: Meta,
+        *,
+        chunk_frames: int = CHUNK_FRAMES,
+        max_file_frames: int = MAX_FILE_FRAMES,
+    ) -> None:
+        self.acquisition = source.acquisition
+        self.meta = meta
+        self.path = path
+        self.frames = 0
+        """Frames kept so far."""
+        self.lost = 0
+        """Frames that the source's counter jumped over."""
+        self.dropped = 0
+        """Frames passed on but not kept, since their counter or time did not go forward."""
+        self._source = source
+        self._single = path.suffix == ".npz"
+        self._chunk_frames = chunk_frames
+        self._max_frames = max_file_frames if self._single else None
+        self._blocks: list[Block] = []
+        self._chunks = 0
+        self._last: Frame | None = None
+        self._epoch_ns = 0
+        self._writing: Future[int] | None = None
+        self._closed = False
+        _prepare(path, self._single)
+        self._writer = ThreadPoolExecutor(1, "touchd-recorder")
+
+    def read(self, timeout_s: float) -> Frame | None:
+        """Return the source's next frame, having kept a copy.
+
+        Raises
+        ------
+        EndOfStream
+            When the source has no further frame.
+        OutputError
+            A chunk could not be written, or a single file is full; `close` still saves what is in memory.
+        """
+        frame = self._source.read(timeout_s)
+        if self._writing is not None and self._writing.done():
+            self._finish_writing()
+        if frame is not None:
+            self._keep(frame)
+        return frame
+
+    def changes(self) -> list[Change]:
+        """Take the changes of a live source's state; no frame comes before they are taken."""
+        return self._source.changes() if isinstance(self._source, LiveSource) else []
+
+    def close(self) -> None:
+        """Write what has not been written, and close the source. Without a frame there will be no file.
+
+        Raises
+        ------
+        OutputError
+            The rest could not be written.
+        """
+        if self._closed:
+            return
+        self._closed = True
+        with ExitStack() as steps:  # the last one goes first, and each is done whatever became of the others
+            steps.callback(self._remove_if_empty)
+            steps.callback(self._writer.shutdown)
+            steps.callback(self._finish_writing)
+            steps.callback(self._flush)
+            steps.callback(self._finish_writing)
+            steps.callback(self._source.close)
+
+    def _keep(self, frame: Frame) -> None:
+        if self._last is None:
+            self._epoch_ns = frame.t_ns
+        elif frame.sequence <= self._last.sequence or frame.t_ns <= self._last.t_ns:
+            self.dropped += 1
+            return
+        if self.frames == self._max_frames:
+            raise OutputError(
+                f"is full: one file holds {self._max_frames} frames", str(self.path),
+                "record into a folder: give a name that does not end in .npz",
+            )  # fmt: skip
+        if not self._blocks or self._blocks[-1].size == self._chunk_frames:
+            self._blocks.append(Block(self._chunk_frames, self.acquisition))
+        if self._last is not None:
+            self.lost += frame.sequence - self._last.sequence - 1
+        self._blocks[-1].append(frame, frame.t_ns - self._epoch_ns)
+        self._last = frame
+        self.frames += 1
+        if not self._single and self._blocks[-1].size == self._chunk_frames:
+            self._finish_writing()
+            self._flush()
+
+    def _flush(self) -> None:
+        """Hand what is in memory to the writing thread."""
+        blocks, self._blocks = self._blocks, []
+        if blocks:
+            path = self.path if self._single else self.path / f"{self._chunks:06d}.npz"
+            self._chunks += 1
+            self._writing = self._writer.submit(write_blocks, path, self.meta, blocks)
+
+    def _finish_writing(self) -> None:
+        writing, self._writing = self._writing, None
+        if writing is not None:
+            writing.result()
+
+    def _remove_if_empty(self) -> None:
+        if self.frames == 0 and not self._single:
+            with suppress(OSError):
+                self.path.rmdir()
+
+
+class Block:
+    """Room for so many frames, partly filled."""
+
+    def __init__(self, frames: int, acquisition: Acquisition) -> None:
+        self.size = 0
+        self.counts: NDArray[np.int16] = np.empty((frames, *acquisition.shape), np.int16)
+        self.sequence: NDArray[np.int64] = np.empty(frames, np.int64)
+        self.timestamp_ns: NDArray[np.int64] = np.empty(frames, np.int64)
+
+    def append(self, frame: Frame, timestamp_ns: int) -> None:
+        """Copy a frame in; there must be room."""
+        self.counts[self.size] = frame.counts
+        self.sequence[self.size] = frame.sequence
+        self.timestamp_ns[self.size] = timestamp_ns
+        self.size += 1
+
+    def copy(self) -> Block:
+        """Return a block of its own with the same frames, and no further room."""
+        twin = Block.__new__(Block)
+        twin.size = self.size
+        twin.counts, twin.sequence = self.counts[: self.size].copy(), self.sequence[: self.size].copy()
+        twin.timestamp_ns = self.timestamp_ns[: self.size].copy()
+        return twin
+
+
+def write_blocks(path: Path, meta: Meta, blocks: list[Block], *, epoch_ns: int = 0, compress: bool = True) -> int:
+    """Write blocks as one file, whose time counts from `epoch_ns`, and return how many frames that are."""
+    frames = np.concatenate([block.counts[: block.size] for block in blocks])
+    sequence = np.concatenate([block.sequence[: block.size] for block in blocks])
+    timestamp_ns = np.concatenate([block.timestamp_ns[: block.size] for block in blocks]) - epoch_ns
+    recording.write(path, Recording(meta, frames, sequence, timestamp_ns), compress=compress)
+    return len(frames)
+
+
+def _prepare(path: Path, single: bool) -> None:
+    """Find out now, not after an hour of recording, that nothing can be written."""
+    try:
+        if os.path.lexists(path):
+            raise OutputError("exists already", str(path), "choose another name, or delete it first")
+        if not path.parent.is_dir():
+            raise OutputError("no such folder", str(path.parent), "create it first")
+        if not os.access(path.parent, os.W_OK | os.X_OK):
+            raise OutputError("the folder may not be written", str(path.parent), "check its permissions")
+        if not single:
+            path.mkdir(mode=0o700)
+    except (OSError, ValueError) as error:
+        reason = (error.strerror if isinstance(error, OSError) else None) or str(error)
+        raise OutputError(f"cannot be written ({reason})", str(path), "check folder, space and permissions") from error

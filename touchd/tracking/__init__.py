@@ -1,0 +1,1 @@
+"""From touches, frame by frame, to contacts: `tracker` is the front door."""

@@ -1,0 +1,184 @@
+"""From positions, frame by frame, to contacts that go down, move, hold and come up."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import hypot, sqrt
+
+from msgspec.structs import replace
+
+from touchd.config.schema import TrackerSettings
+from touchd.event import Contact
+from touchd.touch import Touch
+from touchd.tracking.assignment import assign
+from touchd.tracking.one_euro import OneEuro
+
+_NEVER = 1e9  # mm: finite, as the assignment asks
+_DEAD_SIGMAS = 1.5
+"""Movement within so many standard errors is none."""
+
+
+class _Track:
+    """One finger from its first frame to its last."""
+
+    __slots__ = ("contact", "filter", "missing", "seen")
+
+    def __init__(self, touch: Touch, settings: TrackerSettings) -> None:
+        self.filter = OneEuro(touch.x_mm, touch.y_mm, settings.min_cutoff_hz, settings.beta)
+        self.seen = 1
+        self.missing = 0
+        self.contact: Contact | None = None  # until it is confirmed
+
+
+class Tracker:
+    """Keeps the contacts of a plate.
+
+    A finger is reported `down` once it was found in `confirm_frames` frames in a row, and `up` once it
+    was missing from `release_frames` of them. Which finger is which is decided by the assignment of
+    positions to contacts with the smallest total distance, none farther than `reach_mm`.
+    """
+
+    def __init__(self, settings: TrackerSettings) -> None:
+        self.retune(settings)
+        self._tracks: list[_Track] = []
+        self._missed = False  # whether a track may have ended
+        self.alive = False
+        """Whether any contact is down."""
+        self.busy = False
+        """Whether any finger is being followed, confirmed or not."""
+        self._next_id = 1
+        self._last_ns = 0
+        self._reported_ns = 0
+
+    def retune(self, settings: TrackerSettings) -> None:
+        """Take other settings; the filter's hold from the next contact on."""
+        self._settings = settings
+        self._reach_mm, self._dead_band_mm = settings.reach_mm, settings.dead_band_mm
+        self._refresh_ns = round(settings.refresh_s * 1e9)
+
+    def update(self, t_ns: int, touches: Sequence[Touch]) -> list[Contact] | None:
+        """Take in the fingers of one frame.
+
+        Returns
+        -------
+        list of Contact or None
+            All contacts alive and those that ended in this frame, if a message is due: a contact went
+            down, moved beyond the dead band or went up, or the next frame would come later than `refresh_s`
+            after the last message. Else None.
+        """
+        elapsed_s = max(t_ns - self._last_ns, 1) * 1e-9
+        self._last_ns = t_ns
+        if len(self._tracks) == len(touches) == 1 and self._cost(self._tracks[0], touches[0]) < _NEVER:
+            # One finger and one touch within its reach: there is nothing to choose.
+            return self._report(t_ns, self._advance(self._tracks[0], touches[0], elapsed_s), elapsed_s)
+        due = False
+        matched = self._match(touches)
+        for track, touch in zip(self._tracks, matched, strict=True):
+            due |= self._miss(track) if touch is None else self._advance(track, touch, elapsed_s)
+        for touch in touches:
+            if touch not in matched and len(self._tracks) < self._settings.max_contacts:
+                self._tracks.append(_Track(touch, self._settings))
+                due |= self._confirm(self._tracks[-1], touch)
+        return self._report(t_ns, due, elapsed_s)
+
+    def release_all(self, t_ns: int) -> list[Contact] | None:
+        """End every contact, as when the frames stop. Returns the same as `update`."""
+        self._last_ns = t_ns
+        for track in self._tracks:
+            track.missing = self._settings.release_frames - 1
+        ends = [self._miss(track) for track in self._tracks]
+        return self._report(t_ns, any(ends), 0.0)
+
+    def _match(self, touches: Sequence[Touch]) -> list[Touch | None]:
+        """Return, for each track, the touch that continues it."""
+        tracks = self._tracks
+        if not tracks or not touches:
+            return [None] * len(tracks)
+        costs = [[self._cost(track, touch) for touch in touches] for track in tracks]
+        nearest = [row.index(min(row)) for row in costs]
+        if len(set(nearest)) == len(nearest) and all(map(_is_within_reach, costs)):
+            # Each has one nearest to it, and no two the same: no choice can be cheaper.
+            return [touches[j] for j in nearest]
+        # A track may also stay without a touch, at the price of the reach: a column of its own for each.
+        alone = [self._reach_mm] * len(tracks)
+        columns = assign([row + alone for row in costs])
+        return [touches[j] if j < len(touches) else None for j in columns]
+
+    def _cost(self, track: _Track, touch: Touch) -> float:
+        distance_mm = hypot(track.filter.x_mm - touch.x_mm, track.filter.y_mm - touch.y_mm)
+        return distance_mm if distance_mm <= self._reach_mm else _NEVER
+
+    def _advance(self, track: _Track, touch: Touch, elapsed_s: float) -> bool:
+        track.missing = 0
+        track.filter.update(touch.x_mm, touch.y_mm, elapsed_s, touch.sigma_mm)
+        contact = track.contact
+        if contact is None:
+            track.seen += 1
+            return self._confirm(track, touch)
+        at = track.filter
+        contact.confidence, contact.force = touch.confidence, touch.force
+        contact.vx_mm_s, contact.vy_mm_s = at.vx_mm_s, at.vy_mm_s
+        dead_band_mm = max(self._dead_band_mm, _DEAD_SIGMAS * touch.sigma_mm)
+        moved_mm = hypot(contact.x_mm - at.x_mm, contact.y_mm - at.y_mm)
+        if moved_mm <= dead_band_mm:
+            contact.phase = "hold"
+            # It is said to be where it was: that much more, per axis, may it be off.
+            contact.sigma_mm = hypot(touch.sigma_mm, moved_mm * sqrt(0.5))
+            return False
+        contact.phase = "move"
+        contact.sigma_mm = touch.sigma_mm
+        contact.x_mm, contact.y_mm, contact.key = at.x_mm, at.y_mm, touch.key
+        return True
+
+    def _confirm(self, track: _Track, touch: Touch) -> bool:
+        if track.seen < self._settings.confirm_frames:
+            return False
+        at = track.filter
+        track.contact = Contact(
+            self._next_id, "down", at.x_mm, at.y_mm, touch.force, touch.sigma_mm, touch.confidence,
+            at.vx_mm_s, at.vy_mm_s, touch.key,
+        )  # fmt: skip
+        self._next_id += 1
+        self.alive = True
+        return True
+
+    def _miss(self, track: _Track) -> bool:
+        track.missing += 1
+        self._missed = True
+        contact = track.contact
+        if contact is None:
+            return False
+        contact.phase = "hold"
+        if track.missing < self._settings.release_frames:
+            return False
+        contact.phase = "up"
+        contact.vx_mm_s = contact.vy_mm_s = 0.0
+        return True
+
+    def _report(self, t_ns: int, due: bool, elapsed_s: float) -> list[Contact] | None:
+        # The next frame is expected as long after this one as this one came after the last.
+        quiet_ns = t_ns - self._reported_ns
+        # Below 0 the clock stepped back: waiting until it has caught up could take for ever.
+        due = due or quiet_ns < 0 or quiet_ns + round(elapsed_s * 1e9) > self._refresh_ns
+        # Copies: a message must not change after it was handed on.
+        contacts = [replace(track.contact) for track in self._tracks if track.contact is not None] if due else []
+        if self._missed:
+            self._missed = False
+            self._tracks = [track for track in self._tracks if _lives(track)]
+            self.alive = any(track.contact is not None for track in self._tracks)
+        self.busy = bool(self._tracks)
+        if not contacts:
+            return None
+        self._reported_ns = t_ns
+        return contacts
+
+
+def _is_within_reach(costs: list[float]) -> bool:
+    return min(costs) < _NEVER
+
+
+def _lives(track: _Track) -> bool:
+    if track.contact is None:
+        # An unconfirmed finger that misses one frame was none.
+        return track.missing == 0
+    return track.contact.phase != "up"

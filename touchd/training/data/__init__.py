@@ -1,0 +1,1 @@
+"""Touches for training: inspected, joined, augmented, and brought to one temperature."""

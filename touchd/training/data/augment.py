@@ -1,0 +1,275 @@
+"""What a training set cannot hold: fresh noise, other strengths and phases, and all that is no finger.
+
+Everything works on features, which are linear in the samples; so each disturbance is added where the
+instrument would add it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from touchd.evaluation.dataset import BASELINE_NOISE, Dataset
+from touchd.localization.features import Features, make_features
+from touchd.training.data.synthetic import Synthesiser
+
+# Phases relative to the recorded touches, rad. On the reference plate the strengths of human fingers of
+# 25-100 mm^2 lie between -0.3 and 0.2 of that of the silicone finger, turning by under 0.1 over the band; a
+# drop of water, a pure mass, is 0.5 ahead at its lower end and 0.8 at its upper one; and a finger that leaves
+# the plate is pi away.
+FINGER_PHASE = 0.33
+FINGER_TURN = 0.2
+OTHER_PHASE = 0.52
+OTHER_TURN = 0.6
+
+
+@dataclass(frozen=True, slots=True)
+class Bank:
+    """A dataset as tensors, with noise to draw from."""
+
+    residual: Tensor
+    untouched: Tensor
+    stretch: Tensor
+    delay: Tensor
+    position: Tensor
+    """In plate sizes from the centre, shape (n, 2)."""
+    noise: Tensor
+    """Features of white noise of the recording's level, shape (m, inputs)."""
+    tones: Tensor
+    """Features of tones of unit norm that are not locked to the chirp, shape (m, inputs)."""
+    channels: int
+    bins: int
+    """Bins a channel; 0 in the time domain, where phase means nothing."""
+    neighbours: Tensor
+    """Indices of the touches nearest to each touch, shape (n, k)."""
+
+
+def make_bank(dataset: Dataset, indices: Tensor, generator: torch.Generator, pool: int = 8192) -> Bank:
+    """Return the touches of some indices of a dataset, ready to draw from."""
+    a = dataset.acquisition
+    features = make_features(dataset.domain, a)
+    white = torch.randn((pool, a.channels, a.samples), generator=generator) * dataset.noise
+    tones = _features_of(features, _tones(pool, dataset, generator))
+    size_mm = torch.tensor([dataset.meta.plate.width_mm, dataset.meta.plate.height_mm])
+    place_mm = torch.from_numpy(dataset.position_mm)[indices]
+    nearest = torch.cdist(place_mm, place_mm).topk(min(24, len(indices)), largest=False).indices
+    return Bank(
+        residual=torch.from_numpy(dataset.residual)[indices],
+        untouched=torch.from_numpy(dataset.untouched)[indices],
+        stretch=torch.from_numpy(dataset.stretch)[indices],
+        delay=torch.from_numpy(dataset.delay)[indices],
+        position=place_mm / size_mm - 0.5,
+        noise=_features_of(features, white),
+        tones=tones / tones.norm(dim=1, keepdim=True).clamp_min(1e-6),
+        channels=a.channels,
+        bins=features.size // a.channels // 2 if dataset.domain == "frequency" else 0,
+        neighbours=nearest,
+    )
+
+
+def _features_of(features: Features, signals: Tensor) -> Tensor:
+    """Return the features of signals of shape (m, channels, samples)."""
+    rows = torch.empty((len(signals), features.size))
+    for signal, out in zip(signals.numpy(), rows.numpy(), strict=True):
+        features.extract(signal, out)
+    return rows
+
+
+def _tones(count: int, dataset: Dataset, generator: torch.Generator) -> Tensor:
+    """Return tones of any frequency about the chirp's band, each channel with its own size and phase."""
+    a = dataset.acquisition
+    low_hz, high_hz = 0.9 * a.chirp.start_hz, 1.1 * a.chirp.stop_hz
+    f_hz = low_hz + (high_hz - low_hz) * torch.rand((count, 1, 1), generator=generator)
+    phase = 2 * torch.pi * torch.rand((count, a.channels, 1), generator=generator)
+    size = 0.3 + torch.rand((count, a.channels, 1), generator=generator)
+    seconds = torch.arange(a.samples) / a.sample_rate_hz
+    signal: Tensor = size * torch.cos(2 * torch.pi * f_hz * seconds + phase)
+    return signal
+
+
+class Augmenter:
+    """Draws batches of fingers and of other things from a bank and, where there is one, from the learned field."""
+
+    def __init__(self, bank: Bank, synthesiser: Synthesiser | None, generator: torch.Generator) -> None:
+        self._bank = bank
+        self._synthesiser = synthesiser
+        self._generator = generator
+        self._power = bank.noise.square().sum(dim=1).mean()
+
+    def fingers(self, residual: Tensor, own_noise: Tensor) -> tuple[Tensor, Tensor]:
+        """Return residuals of touches as another finger, hour and instrument would have given them, and their noise.
+
+        Parameters
+        ----------
+        residual : tensor of shape (n, inputs)
+        own_noise : tensor of shape (n, 1)
+            Deviation of the noise in them, in that of a recorded frame.
+
+        Returns
+        -------
+        tensor of shape (n, inputs)
+        tensor of shape (n, 1)
+            The norm of the noise in them, tones included, over their own: what is expected of noise at that level.
+        """
+        n = len(residual)
+        phase = FINGER_PHASE * self._symmetric(n)
+        # Mostly fingers of all sizes, and some that are just being put down or lifted.
+        weak = self._chance(n, 0.2)
+        size = weak * self._log_uniform(n, 0.05, 0.5) + (1 - weak) * self._log_uniform(n, 0.5, 5.0)
+        residual = self._strength(residual, phase, FINGER_TURN) * size
+        disturbed = residual + self._instrument(self._draw(n), share=0.3)
+        tone = self._tone(n) * self._log_uniform(n, 0.02, 0.4) * residual.norm(dim=1, keepdim=True)
+        tone = tone * self._chance(n, 0.15)
+        level = self._uniform(n, 0.0, 1.5) + self._chance(n, 0.1) * self._log_uniform(n, 1.0, 10.0)
+        white = self._noise(n, level)
+        heard = self._hearing(n, share=0.1)
+        fingers = (disturbed + tone + white) * heard
+        noise = self._power * (level.square() + (own_noise * size).square()) + tone.square().sum(dim=1, keepdim=True)
+        return fingers, _ratio(noise * heard.mean(dim=1, keepdim=True), fingers)
+
+    def own_noise(self, residual: Tensor) -> float:
+        """Return the norm of the noise in recorded residuals (n, inputs) over the norm of the median one."""
+        return float((BASELINE_NOISE * self._power).sqrt() / residual.norm(dim=1).median().clamp_min(1e-6))
+
+    def held_out(self, residual: Tensor, level: float) -> tuple[Tensor, Tensor]:
+        """Return recorded residuals in louder noise, every other one of another finger, and their noise, as `fingers`.
+
+        Parameters
+        ----------
+        residual : tensor of shape (n, inputs)
+        level : float
+            Deviation of the noise, in that of the recording; not under 1.
+        """
+        n = len(residual)
+        another = self._strength(residual, FINGER_PHASE * self._symmetric(n), FINGER_TURN)
+        mixed = torch.where(torch.arange(n)[:, None] % 2 == 0, residual, another)
+        added = math.sqrt(BASELINE_NOISE * (level**2 - 1.0))
+        louder = mixed + self._noise(n, torch.full((n, 1), added))
+        return louder, _ratio(self._power * BASELINE_NOISE * level**2, louder)
+
+    def others(self, n: int) -> Tensor:
+        """Return residuals that are no single finger, shape (n, inputs): one of the kinds below for each row."""
+        kinds = [self._nothing, self._out_of_phase, self._moved_baseline, self._two_fingers, self._palm, self._drift]
+        each = -(-n // len(kinds))
+        batch = torch.cat([kind(each) for kind in kinds])
+        keep = torch.randperm(len(batch), generator=self._generator)[:n]
+        noisy = batch[keep] + self._noise(n, self._uniform(n, 0.2, 1.5))
+        return noisy * self._hearing(n, share=0.1)
+
+    # -- what is no finger -------------------------------------------------------------------------
+
+    def _nothing(self, n: int) -> Tensor:
+        """Noise alone, and tones that are not locked to the chirp."""
+        level = self._power.sqrt()
+        several = self._tone(n) + self._tone(n) * self._uniform(n, 0.0, 1.0) * self._chance(n, 0.6)
+        several = several + self._tone(n) * self._uniform(n, 0.0, 1.0) * self._chance(n, 0.3)
+        tones = several * self._log_uniform(n, 0.1, 100.0) * level
+        return self._noise(n, self._uniform(n, 0.5, 2.0)) + tones * self._chance(n, 0.8)
+
+    def _out_of_phase(self, n: int) -> Tensor:
+        """Water, dirt, and a finger that leaves a baseline which held it."""
+        sign = torch.where(self._symmetric(n) < 0, -1.0, 1.0)
+        phase = sign * self._uniform(n, OTHER_PHASE, torch.pi)
+        # A finger that leaves is by far the most usual of them.
+        phase = torch.where(self._uniform(n, 0.0, 1.0) < 0.4, torch.pi + FINGER_PHASE * self._symmetric(n), phase)
+        return self._strength(self._touches(n), phase, OTHER_TURN) * self._log_uniform(n, 0.5, 3.0)
+
+    def _moved_baseline(self, n: int) -> Tensor:
+        """A finger at one place while the baseline holds another."""
+        weight = self._log_uniform(n, 0.5, 2.0)
+        return self._touches(n) - weight * self._touches(n)
+
+    def _two_fingers(self, n: int) -> Tensor:
+        """Two fingers, and now and then a third."""
+        weight = self._log_uniform(n, 0.3, 1.0)
+        both = self._touches(n) + weight * self._touches(n)
+        third = self._touches(n) * self._uniform(n, 0.3, 1.0) * self._chance(n, 0.3)
+        return (both + third) * self._log_uniform(n, 0.7, 4.0)
+
+    def _palm(self, n: int) -> Tensor:
+        """Many contacts side by side."""
+        centre = self._bank.neighbours[self._draw(n)]
+        weight = torch.rand((n, centre.shape[1], 1), generator=self._generator)
+        return (self._bank.residual[centre] * weight).sum(dim=1) * self._log_uniform(n, 0.3, 1.5)
+
+    def _drift(self, n: int) -> Tensor:
+        """Temperature, trigger jitter and gains that have changed since the baseline was taken."""
+        return self._instrument(self._draw(n), share=1.0) * self._log_uniform(n, 1.0, 10.0)
+
+    # -- disturbances ------------------------------------------------------------------------------
+
+    def _instrument(self, indices: Tensor, share: float) -> Tensor:
+        """Return what a stretch of 5e-7, a delay of 0.5 ns and gains of 5e-4 (all deviations) add, times share."""
+        n, bank = len(indices), self._bank
+        gains = torch.randn((n, bank.channels), generator=self._generator) * 5e-4 * self._uniform(n, 0.0, 1.0)
+        gains = gains.repeat_interleave(bank.untouched.shape[1] // bank.channels, dim=1)
+        return share * (
+            gains * bank.untouched[indices]
+            + self._normal(n) * 5e-7 * bank.stretch[indices]
+            + self._normal(n) * 0.5e-9 * bank.delay[indices]
+        )
+
+    def _touches(self, n: int) -> Tensor:
+        """Draw touches, recorded and from the field, shape (n, inputs)."""
+        if self._synthesiser is None:
+            return self._bank.residual[self._draw(n)]
+        recorded = n // 3
+        drawn, _ = self._synthesiser.draw(n - recorded)
+        mixed = torch.cat([self._bank.residual[self._draw(recorded)], drawn])
+        return mixed[torch.randperm(n, generator=self._generator)]
+
+    def _strength(self, residual: Tensor, phase: Tensor, turn: float) -> Tensor:
+        """Multiply by a complex strength of this phase, (n, 1), whose phase and size change along the band."""
+        bank = self._bank
+        if not bank.bins:
+            return residual * torch.where(phase.abs() > torch.pi / 2, -1.0, 1.0)
+        n = len(residual)
+        along = torch.linspace(-0.5, 0.5, bank.bins)
+        angle = phase + turn * self._symmetric(n) * along
+        size = 1.0 + 0.6 * self._symmetric(n) * along
+        real, imaginary = (size * angle.cos())[:, None], (size * angle.sin())[:, None]
+        parts = residual.reshape(n, bank.channels, 2, bank.bins)
+        a, b = parts[:, :, 0], parts[:, :, 1]
+        return torch.stack([a * real - b * imaginary, a * imaginary + b * real], dim=2).reshape(n, -1)
+
+    def _hearing(self, n: int, share: float) -> Tensor:
+        """Return 1, shape (n, inputs), but 0 for one channel in this share of the rows: dead, or without a disc."""
+        channels, inputs = self._bank.channels, self._bank.noise.shape[1]
+        if channels < 3:
+            return torch.ones((n, inputs))
+        dead = torch.randint(channels, (n, 1), generator=self._generator) == torch.arange(channels)
+        heard = 1.0 - dead.float() * self._chance(n, share)
+        return heard.repeat_interleave(inputs // channels, dim=1)
+
+    def _tone(self, n: int) -> Tensor:
+        return self._bank.tones[torch.randint(len(self._bank.tones), (n,), generator=self._generator)]
+
+    def _chance(self, n: int, share: float) -> Tensor:
+        return (self._uniform(n, 0.0, 1.0) < share).float()
+
+    def _noise(self, n: int, level: Tensor) -> Tensor:
+        rows = torch.randint(len(self._bank.noise), (n,), generator=self._generator)
+        return self._bank.noise[rows] * level * torch.where(self._symmetric(n) < 0, -1.0, 1.0)
+
+    def _draw(self, n: int) -> Tensor:
+        return torch.randint(len(self._bank.residual), (n,), generator=self._generator)
+
+    def _uniform(self, n: int, low: float, high: float) -> Tensor:
+        return low + (high - low) * torch.rand((n, 1), generator=self._generator)
+
+    def _symmetric(self, n: int) -> Tensor:
+        return self._uniform(n, -1.0, 1.0)
+
+    def _normal(self, n: int) -> Tensor:
+        return torch.randn((n, 1), generator=self._generator)
+
+    def _log_uniform(self, n: int, low: float, high: float) -> Tensor:
+        return torch.exp(self._uniform(n, 0.0, 1.0) * torch.tensor(high / low).log()) * low
+
+
+def _ratio(noise: Tensor, features: Tensor) -> Tensor:
+    """Return the norm of noise of this energy over that of the features, shape (n, 1)."""
+    return (noise / features.square().sum(dim=1, keepdim=True).clamp_min(1e-12)).sqrt()

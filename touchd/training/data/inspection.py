@@ -1,0 +1,244 @@
+"""What is suspicious about a labelled recording, each in one sentence, before hours are spent on it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchd.errors import SimulationError, TrainingError
+from touchd.evaluation.dataset import baseline_frames, labels, noise_of
+from touchd.frame import Plate
+from touchd.recording.data import Recording
+from touchd.twin.physics.dispersion import mindlin_wavenumber
+
+WEAK_DB = 30.0
+"""A channel so far below the median one hears next to nothing: no placing of a disc costs so much."""
+LIKE_NOISE = 0.5
+"""Correlation of two untouched frames under which a channel holds no chirp."""
+CLIPPED_SHARE = 1e-3
+"""Of the frames; fewer are accidents."""
+FELT = 6.0
+"""Deviations by which a touch's energy exceeds that of noise: at 1000 samples, by 27 %."""
+JUMP = 0.03
+"""Change of the untouched signal: a gain off by 5 % makes 0.05; a kelvin within a few frames does not happen."""
+JUMP_OVER_DRIFT = 100.0
+"""The same, in energy over that of the usual change."""
+JUMP_FRAMES = 5
+FAR_S = 30.0
+"""Between a touch and the untouched frame that it is compared with: a plate may warm by hundredths of a kelvin."""
+COVERED = 0.6
+"""Share of the plate within the touches' rectangle."""
+CELL_TOUCHES = 8
+"""Expected in each cell of the map of holes: by chance one in 3,000 cells stays empty."""
+_BLOCK = 512  # touches at a time in memory
+
+
+@dataclass(frozen=True, slots=True)
+class Session:
+    """A recording's touches and untouched frames."""
+
+    recording: Recording
+    position_mm: NDArray[np.float32]
+    """Shape (n, 2)."""
+    touched: NDArray[np.int64]
+    """Their frames, shape (n,)."""
+    untouched: NDArray[np.int64]
+    """Shape (m,)."""
+
+    @property
+    def quiet(self) -> NDArray[np.int16]:
+        """Some 200 pairs of successive untouched frames, shape (pairs, 2, channels, samples)."""
+        first = np.unique(np.linspace(0, len(self.untouched) - 2, 200).astype(int))
+        pairs: NDArray[np.int16] = self.recording.frames[self.untouched[np.stack([first, first + 1], axis=1)]]
+        return pairs
+
+
+def inspect(recording: Recording, training_share: float = 0.7) -> list[str]:
+    """Return what a user should know of a recording before training on it.
+
+    Raises
+    ------
+    TrainingError
+        If no channel hears the chirp, or as `touchd.evaluation.dataset.labels`.
+    """
+    session = Session(recording, *labels(recording))
+    plate = recording.meta.plate
+    return [
+        *(channels(session) if len(session.untouched) > 1 else []),
+        *clipping(recording),
+        *jumps(session),
+        *distances(session),
+        *unfelt(session),
+        *copies(session),
+        *coverage(session.position_mm, plate),
+        *density(session.position_mm, plate, recording.meta.chirp.stop_hz, training_share),
+    ]
+
+
+def channels(session: Session) -> Iterator[str]:
+    """Name the channels that are flat, hear noise only, or hear far less than the others."""
+    pairs = session.quiet.astype(np.float64)
+    pairs -= pairs.mean(axis=3, keepdims=True)
+    power = np.square(pairs).mean(axis=(0, 1, 3))
+    likeness = (pairs[:, 0] * pairs[:, 1]).mean(axis=(0, 2)) / np.maximum(power, 1e-12)
+    flat, deaf = power == 0, (power > 0) & (likeness < LIKE_NOISE)
+    if (flat | deaf).all():
+        raise TrainingError(
+            f"none of the {len(power)} channels hears the chirp", "frames", "check emitter, amplifier and trigger"
+        )
+    level_db = 10 * np.log10(np.maximum(power, 1e-12) / np.median(power[~(flat | deaf)]))
+    for channel in np.flatnonzero(flat):
+        value = int(session.quiet[0, 0, channel, 0])
+        yield f"channel {channel + 1} is dead: always {value} counts; check its receiver and cable"
+    for channel in np.flatnonzero(deaf):
+        yield f"channel {channel + 1} is dead: it hears noise only; check its receiver and cable"
+    for channel in np.flatnonzero(~flat & ~deaf & (level_db < -WEAK_DB)):
+        yield (
+            f"channel {channel + 1} hears {-level_db[channel]:.0f} dB less than the others; "
+            "check its receiver, cable and gain"
+        )
+
+
+def clipping(recording: Recording) -> Iterator[str]:
+    """Tell of frames that reach the converter's limits."""
+    most = 2 ** (recording.meta.bits - 1) - 1
+    peak = np.maximum(recording.frames.max(axis=2), -(recording.frames.min(axis=2).astype(np.int32) + 1))
+    share = (peak >= most).mean(axis=0)
+    if share.max() > CLIPPED_SHARE:
+        names = ", ".join(f"{channel + 1}" for channel in np.flatnonzero(share > CLIPPED_SHARE))
+        yield (
+            f"the converter clips in {100 * share.max():.1f} % of the frames (channel {names}); "
+            "lower the gain, or what a touch changes is lost there"
+        )
+
+
+def jumps(session: Session) -> Iterator[str]:
+    """Tell where the untouched plate changes at once by far more than it drifts: another gain, disc or plate."""
+    frames, at, n = session.recording.frames, session.untouched, JUMP_FRAMES
+    if len(at) < 4 * n:
+        return
+    sums = np.zeros((len(at) + 1, *frames.shape[1:]), np.int32)
+    np.cumsum(frames[at], axis=0, dtype=np.int32, out=sums[1:])
+    # In blocks: the means themselves would be as large as the recording in float64.
+    energy = np.empty(len(at) - 2 * n + 1)
+    for start in range(0, len(energy), _BLOCK):
+        i = np.arange(start, min(start + _BLOCK, len(energy)))
+        step = sums[i + 2 * n] - 2 * sums[i + n] + sums[i]
+        energy[i] = np.square(step / n).mean(axis=(1, 2))
+    size = np.sqrt(energy / np.square(frames[at[:: max(1, len(at) // 200)]].astype(np.float64)).mean())
+    last = int(np.argmax(energy))
+    if size[last] > JUMP and energy[last] > JUMP_OVER_DRIFT * np.median(energy):
+        before, after = at[last + n - 1], at[last + n]
+        yield (
+            f"the untouched plate changes by {100 * size[last]:.0f} % at once between frames {before} and {after}: "
+            "where another gain, disc or plate begins, train on each part by itself"
+        )
+
+
+def distances(session: Session) -> Iterator[str]:
+    """Tell of touches that are far in time from any untouched frame."""
+    time_ns = session.recording.timestamp_ns
+    pairs = baseline_frames(time_ns, session.touched, session.untouched)
+    apart_s = np.abs(time_ns[pairs] - time_ns[session.touched][:, None]).min(axis=1) * 1e-9
+    far = apart_s > FAR_S
+    if far.any():
+        yield (
+            f"{far.sum()} touches are more than {FAR_S:g} s from any untouched frame, up to {apart_s.max():.0f} s: "
+            "meanwhile the plate drifts; record the untouched plate between touches"
+        )
+
+
+def unfelt(session: Session) -> Iterator[str]:
+    """Count labelled touches that do not stand out of the noise: label and signal contradict each other."""
+    frames, noise = session.recording.frames, noise_of(session.recording.frames[session.untouched])
+    if noise == 0:
+        return
+    pairs = baseline_frames(session.recording.timestamp_ns, session.touched, session.untouched)
+    own = pairs[:, 0] == pairs[:, 1]
+    energy = np.empty(len(pairs))
+    for start in range(0, len(pairs), _BLOCK):
+        some = slice(start, start + _BLOCK)
+        residual = frames[session.touched[some]] - frames[pairs[some]].mean(axis=1, dtype=np.float32)
+        energy[some] = np.square(residual).mean(axis=(1, 2))
+    # The baseline's own noise comes on top: of one frame, or half as much of the mean of two.
+    expected = noise**2 * np.where(own, 2.0, 1.5)
+    # The energy of N white samples scatters by sqrt(2 / N) of itself.
+    silent = energy < expected * (1 + FELT * np.sqrt(2 / frames[0].size))
+    if silent.any():
+        yield (
+            f"{silent.sum()} touches do not stand out of the noise, the first in frame {session.touched[silent][0]}: "
+            "wrong labels, a finger that never touched, or too much noise"
+        )
+
+
+def copies(session: Session) -> Iterator[str]:
+    """Count touches that are there twice, in one place, or over several frames: the test would know them already."""
+    frames, n = session.recording.frames, len(session.touched)
+    repeated = n - len({frames[i].tobytes() for i in session.touched})
+    if repeated:
+        yield f"{repeated} touches are exact copies of others: test and training share them, so scores flatter"
+    held = session.touched[1:] == session.touched[:-1] + 1
+    held &= np.linalg.norm(np.diff(session.position_mm, axis=0), axis=1) < 5.0
+    if held.mean() > 0.2:
+        yield (
+            f"{held.sum()} of {n} touches go on from the frame before: test and training share them, so scores "
+            "flatter; judge the model on another recording"
+        )
+        return
+    _, places = np.unique(np.round(session.position_mm, 2), axis=0, return_counts=True)
+    shared = int(places[places > 1].sum())
+    if shared > 0.1 * n:
+        yield (
+            f"{shared} of {n} touches share their place with another: scores say little of the places between; "
+            "spread touches at random"
+        )
+
+
+def coverage(position_mm: NDArray[np.float32], plate: Plate) -> Iterator[str]:
+    """Tell which part of the plate holds all touches, and of holes in it."""
+    low, high = position_mm.min(axis=0), position_mm.max(axis=0)
+    share = float(np.prod(high - low)) / (plate.width_mm * plate.height_mm)
+    if share < COVERED:
+        yield (
+            f"all touches lie within x {low[0]:.0f}..{high[0]:.0f}, y {low[1]:.0f}..{high[1]:.0f} mm, "
+            f"{100 * share:.0f} % of the plate: elsewhere the model knows nothing"
+        )
+    cells = min(10, int(np.sqrt(len(position_mm) / CELL_TOUCHES)))
+    cell = np.minimum((position_mm - low) / np.maximum(high - low, 1e-3) * cells, cells - 1).astype(int)
+    count = np.bincount(cell[:, 0] * cells + cell[:, 1], minlength=cells**2).reshape(cells, cells)
+    empty = np.argwhere(count == 0)
+    if len(empty):
+        x_mm, y_mm = low + (empty[0] + 0.5) * (high - low) / cells
+        yield (
+            f"{len(empty)} of {cells**2} equal parts of the touched rectangle hold no touch, one about "
+            f"({x_mm:.0f}, {y_mm:.0f}) mm: the model guesses there"
+        )
+
+
+def freedom(position_mm: NDArray[np.floating], wavenumber_per_mm: float) -> float:
+    """Return the degrees of freedom of a residual field within the rectangle of some places (n, 2).
+
+    A function on an area A without spatial frequencies above 2 k has A (2 k)^2 / 4 pi = A k^2 / pi of them
+    (Landau 1967); k is the plate's wavenumber.
+    """
+    return float(np.prod(np.ptp(position_mm, axis=0), dtype=np.float64)) * wavenumber_per_mm**2 / np.pi
+
+
+def density(position_mm: NDArray[np.float32], plate: Plate, stop_hz: float, training_share: float) -> Iterator[str]:
+    """Tell when touches are fewer than the degrees of freedom of the residual field at the chirp's end."""
+    try:
+        wavenumber_per_mm = float(mindlin_wavenumber(plate, np.array([stop_hz]))[0]) * 1e-3
+    except SimulationError:
+        return  # an unknown material: training says what it means
+    area_mm2 = float(np.prod(np.ptp(position_mm, axis=0)))
+    needed = freedom(position_mm, wavenumber_per_mm)
+    have = training_share * len(position_mm)
+    if have < needed:
+        yield (
+            f"{have:.0f} touches for training are fewer than the {needed:.0f} that waves up to {stop_hz / 1e3:g} kHz "
+            f"need on {area_mm2 / 100:.0f} cm2 of this plate: positions will be coarse; "
+            f"record {needed / training_share:.0f} or more"
+        )

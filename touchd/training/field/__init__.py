@@ -1,0 +1,1 @@
+"""The field of a touch anywhere on the plate, learned by Gaussian process regression."""

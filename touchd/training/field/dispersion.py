@@ -1,0 +1,137 @@
+"""The wavenumber of the plate's flexural wave at each bin, which limits the field's band.
+
+It follows from the plate's material. Where that is unknown the touches tell: with too small a wavenumber the field
+cannot follow them, with too large a one it follows their noise, so that the one which foretells touches that are left
+out best is the plate's. Along the band it is taken for a power of the frequency: a half where the plate is thin beside
+the wave, one where it is thick.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from touchd.evaluation.dataset import Dataset
+from touchd.frame import Plate
+from touchd.localization.features import band_bins
+from touchd.training.field.regression import Floats, Prior, Touches
+from touchd.training.field.selection import cut, region_of, surprises
+from touchd.twin.physics.dispersion import mindlin_wavenumber
+from touchd.twin.physics.material import MATERIALS
+
+POWERS = np.linspace(0.4, 1.0, 61)
+SCAN = 24
+"""Wavenumbers that are tried in each bin at first."""
+FINEST = 1.4
+"""Largest of them, over that at which the touches are as many as the field's degrees of freedom."""
+COARSEST = 1 / 12
+_CLOSER = np.array([0.85, 0.9, 0.94, 0.98, 1.02, 1.06, 1.1, 1.15])
+SCAN_RIDGE = 0.1
+"""As long as the strengths are unknown: their scatter looks like noise."""
+
+
+@dataclass(frozen=True, slots=True)
+class Dispersion:
+    """The wavenumber by frequency."""
+
+    frequency_hz: Floats
+    """Of the bins, shape (bins,)."""
+    wavenumber_per_mm: Floats
+    """Rad/mm, shape (bins,)."""
+    fitted: bool = False
+    """Whether the touches told it."""
+    single_hz: Floats | None = None
+    """Frequencies of those bins in which it was fitted, shape (some,)."""
+    single_per_mm: Floats | None = None
+    """The best wavenumber of each by itself, rad/mm, shape (some,)."""
+
+
+def known_dispersion(dataset: Dataset) -> Dispersion:
+    """Return that of a plate whose material is known.
+
+    Raises
+    ------
+    SimulationError
+        If it is not.
+    """
+    f_hz = frequencies(dataset)
+    return Dispersion(f_hz, mindlin_wavenumber(dataset.meta.plate, f_hz) * 1e-3)
+
+
+def dispersion_of(dataset: Dataset, touches: Touches) -> Dispersion:
+    """Return the dispersion of a plate: by its material, or if that is unknown as the touches tell it."""
+    if is_known(dataset.meta.plate):
+        return known_dispersion(dataset)
+    return fit_dispersion(frequencies(dataset), touches)
+
+
+def is_known(plate: Plate) -> bool:
+    """Return whether the twin knows a plate's material."""
+    return plate.material.lower() in MATERIALS
+
+
+def fitted_note(plate: Plate) -> str:
+    """Return what to tell of a plate whose material is unknown."""
+    return (
+        f"the plate's material {plate.material!r} is unknown: the speed of its waves was fitted to the touches; "
+        "name it in the recording if you know it"
+    )
+
+
+def frequencies(dataset: Dataset) -> Floats:
+    """Return the frequencies of the bins, Hz."""
+    a = dataset.acquisition
+    return np.asarray(band_bins(a) * a.sample_rate_hz / a.samples)
+
+
+def fit_dispersion(frequency_hz: Floats, touches: Touches, some: int = 7) -> Dispersion:
+    """Return the power law of the wavenumber that foretells touches which are left out best, in a few bins."""
+    region = region_of(touches.place_mm)
+    near = cut(touches, region)
+    power = np.square(np.abs(near.values)).mean(axis=(0, 1))
+    heard = np.flatnonzero(power > 2 * touches.noise)
+    bins = np.unique(np.linspace(0, heard[-1] if len(heard) else len(power) - 1, some).round().astype(int))
+    area_mm2 = float(np.prod(np.maximum(np.ptp(near.place_mm, axis=0), 1e-3)))
+    most = np.sqrt(np.pi * len(near.place_mm) / area_mm2)
+    scan = most * np.geomspace(COARSEST, FINEST, SCAN)
+    unit = np.ones((len(near.place_mm), len(frequency_hz)), np.complex64)
+    flat = Prior(np.ones(len(frequency_hz)), ridge=SCAN_RIDGE)
+
+    def look(wavenumber: Floats) -> NDArray[np.float64]:
+        """Return the surprise of each bin (rows) at wavenumbers of its own, shape (bins, count)."""
+        columns = []
+        for column in wavenumber.T:
+            everywhere = np.ones(len(frequency_hz))
+            everywhere[bins] = column
+            columns.append(surprises(near, region, replace(flat, wavenumber_per_mm=everywhere), unit, bins))
+        return np.array(columns).T
+
+    coarse = np.tile(scan, (len(bins), 1))
+    first = look(coarse)
+    closer = scan[first.argmin(axis=1)][:, None] * _CLOSER
+    tried, found = np.concatenate([coarse, closer], axis=1), np.concatenate([first, look(closer)], axis=1)
+    order = np.argsort(tried, axis=1)
+    tried, found = np.take_along_axis(tried, order, 1), np.take_along_axis(found, order, 1)
+    curves = [CubicSpline(np.log(k), value) for k, value in zip(tried, found, strict=True)]
+    alone = np.array([np.exp(_lowest(curve, np.log(k))) for curve, k in zip(curves, tried, strict=True)])
+    middle_hz = float(np.sqrt(frequency_hz[0] * frequency_hz[-1]))
+    ratio = np.log(frequency_hz[bins] / middle_hz)
+    centres = np.linspace(np.log(alone.min() / 1.5), np.log(alone.max() * 1.5), 400)
+    ends = np.log(scan[[0, -1]])
+    cost = np.array(
+        [
+            sum(curve(np.clip(centres + p * r, *ends)) for curve, r in zip(curves, ratio, strict=True))
+            for p in POWERS
+        ]
+    )  # fmt: skip
+    i, j = np.unravel_index(cost.argmin(), cost.shape)
+    fitted = np.exp(centres[j]) * (frequency_hz / middle_hz) ** POWERS[i]
+    return Dispersion(frequency_hz, fitted, True, frequency_hz[bins], alone)
+
+
+def _lowest(curve: CubicSpline, log_k: Floats) -> float:
+    fine = np.linspace(log_k[0], log_k[-1], 2000)
+    return float(fine[curve(fine).argmin()])

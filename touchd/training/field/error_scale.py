@@ -1,0 +1,98 @@
+"""What an atlas misses, and how far its standard errors can be believed: measured on touches that it never saw."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from touchd.localization.atlas import Atlas
+from touchd.training.field.place import Placed
+from touchd.training.field.regression import Floats
+
+Spectra = NDArray[np.complexfloating]
+
+WITHIN = 0.6827
+"""Share of a Gaussian's errors within one standard error."""
+LEVELS_DB = (50.0, 40.0)
+"""Noise below the untouched plate at which the standard error is made right, beside the touches' own."""
+FAR_MM = 2.0
+"""Touches placed farther off found another valley: no standard error tells of them."""
+MOST = 30.0
+"""Of either scale: more means that something else is wrong."""
+
+
+@dataclass(frozen=True, slots=True)
+class Level:
+    """Touches placed at one level of noise."""
+
+    noise: float
+    """Variance of a real feature, counts squared."""
+    error_mm: Floats
+    """Shape (n, 2)."""
+    information: Floats
+    """Shape (n, 2, 2)."""
+    power: Floats
+    """|z|^2, shape (n,)."""
+    label_noise_mm: float = 0.0
+    """Deviation of the labels' own errors per axis."""
+
+    def sigma_mm(self, noise_scale: float, field_scale: float, error: float) -> Floats:
+        """Return the standard error of each touch along x and y, shape (n, 2); `error` is the atlas' mean."""
+        variance = noise_scale * self.noise + field_scale * error * self.power / 2
+        inverse = np.linalg.inv(self.information)
+        return np.asarray(np.sqrt(variance[:, None] * np.diagonal(inverse, axis1=1, axis2=2)))
+
+    def ratio(self, noise_scale: float, field_scale: float, error: float) -> Floats:
+        """Return the errors over their deviation, that of the labels included, shape (n, 2)."""
+        sigma_mm = self.sigma_mm(noise_scale, field_scale, error)
+        return np.asarray(self.error_mm / np.hypot(sigma_mm, self.label_noise_mm))
+
+
+def field_error(values: Spectra, predicted: Spectra, strength: Spectra, noise: float) -> Floats:
+    """Return what the field misses at strength 1, mean square by channel and bin, the noise's share taken off.
+
+    Parameters
+    ----------
+    values, predicted : array, shape (n, channels, bins)
+        Touches, and the field at their places at strength 1.
+    strength : array, shape (n,)
+    noise : float
+        Variance of a complex value's noise.
+    """
+    left = np.square(np.abs(values - strength[:, None, None] * predicted)).sum(axis=0, dtype=np.float64)
+    power = float(np.square(np.abs(strength)).sum())
+    return np.asarray(np.maximum(left - noise * len(values), 0.0) / max(power, 1e-30))
+
+
+def calibrate(levels: list[Level], error: float) -> tuple[float, float]:
+    """Return the scales of noise and field error at which 68 % of the errors per axis are within sigma at each level.
+
+    By the quantile: a few touches in a wrong valley do not count.
+    """
+
+    def cost(logs: NDArray[np.float64]) -> float:
+        noise_scale, field_scale = np.exp(np.clip(logs, -np.log(MOST), np.log(MOST)))
+        ratios = [np.quantile(np.abs(level.ratio(noise_scale, field_scale, error)), WITHIN) for level in levels]
+        return float(np.square(np.log(ratios)).sum())
+
+    found = minimize(cost, np.zeros(2), method="Nelder-Mead", options={"xatol": 1e-3, "fatol": 1e-7})
+    noise_scale, field_scale = np.exp(np.clip(found.x, -np.log(MOST), np.log(MOST)))
+    return float(noise_scale), float(field_scale)
+
+
+def within_sigma(level: Level, atlas: Atlas) -> float:
+    """Return the share of errors per axis within the standard error that an atlas predicts."""
+    d = atlas.description
+    return float((np.abs(level.ratio(d.noise_scale, d.field_scale, float(atlas.error.mean()))) <= 1).mean())
+
+
+def level_of(placed: Placed, true_mm: Floats, noise: float, label_noise_mm: float = 0.0) -> Level:
+    """Return the touches that were placed in the right valley, at a noise variance of a real feature."""
+    error_mm = placed.place_mm - true_mm
+    near = np.linalg.norm(error_mm, axis=1) < FAR_MM
+    return Level(
+        noise, error_mm[near], placed.information[near], np.square(np.abs(placed.strength[near])), label_noise_mm
+    )

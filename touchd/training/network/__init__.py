@@ -1,0 +1,1 @@
+"""The network: layers, objectives, training loop, export."""

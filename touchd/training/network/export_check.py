@@ -1,0 +1,92 @@
+"""Whether what is exported is what was trained: the same function, and what its arithmetic rounds away."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import onnx
+import onnxruntime as ort
+import torch
+from numpy.typing import NDArray
+from onnx.reference import ReferenceEvaluator
+
+from touchd.errors import TrainingError
+from touchd.training.network.network import Network
+
+TOLERANCE = 1e-4
+"""Millimetres, or probability."""
+
+
+@dataclass(frozen=True, slots=True)
+class Exactness:
+    """Largest differences over touches and outputs, in mm or, for confidence and classes, in probability."""
+
+    function: float
+    """Between the trained network and the exported graph, both computed in float64: not more than `TOLERANCE`.
+
+    Weights are stored in float32; else this would be zero but for the order of sums.
+    """
+    rounding: float
+    """Between the trained network in float64 and the exported graph as it runs, in float32."""
+
+
+def check_graph(network: Network, graph: onnx.ModelProto, features: NDArray[np.float32]) -> Exactness:
+    """Compare a trained network with its exported graph on the features of touches, shape (n, inputs).
+
+    In float32 two runtimes differ by the order in which they sum, whatever they compute; in float64 what is left is
+    a difference of the function.
+
+    Raises
+    ------
+    TrainingError
+        If the functions differ by more than the tolerance.
+    """
+    with torch.inference_mode():
+        said = copy.deepcopy(network).double().eval()(torch.from_numpy(features).double())
+    trained = [part.numpy() for part in (said if isinstance(said, tuple) else (said,))]
+    # ONNX's own definition of its operators: the runtime has some of them in float32 only.
+    defined = ReferenceEvaluator(_in_float64(graph))
+    name = graph.graph.input[0].name
+    function = _difference(trained, list(defined.run(None, {name: features.astype(np.float64)})))
+    # Written so that NaN fails too.
+    if not function <= TOLERANCE:
+        raise TrainingError(
+            f"the exported model differs from the trained network by {function:.2g} (at most {TOLERANCE:g})",
+            "export",
+            "report this with the recording and the seed",
+        )
+    options = ort.SessionOptions()
+    options.intra_op_num_threads = 1  # as the daemon runs it
+    session = ort.InferenceSession(graph.SerializeToString(), options, providers=["CPUExecutionProvider"])
+    return Exactness(function, _difference(trained, session.run(None, {name: features})))
+
+
+def _difference(one: list[NDArray[Any]], two: list[Any]) -> float:
+    return max(float(np.abs(a - b).max()) for a, b in zip(one, two, strict=True))
+
+
+def _in_float64(graph: onnx.ModelProto) -> onnx.ModelProto:
+    """Return a copy of a graph in which every float32 is a float64 of the same value."""
+    double = onnx.ModelProto()
+    double.CopyFrom(graph)
+    for tensor in double.graph.initializer:
+        _widen(tensor)
+    for node in double.graph.node:
+        for attribute in node.attribute:
+            if attribute.type == onnx.AttributeProto.TENSOR:
+                _widen(attribute.t)
+            elif node.op_type == "Cast" and attribute.name == "to" and attribute.i == onnx.TensorProto.FLOAT:
+                attribute.i = onnx.TensorProto.DOUBLE
+    for value in (*double.graph.input, *double.graph.output, *double.graph.value_info):
+        if value.type.tensor_type.elem_type == onnx.TensorProto.FLOAT:
+            value.type.tensor_type.elem_type = onnx.TensorProto.DOUBLE
+    return double
+
+
+def _widen(tensor: onnx.TensorProto) -> None:
+    if tensor.data_type == onnx.TensorProto.FLOAT:
+        values = onnx.numpy_helper.to_array(tensor).astype(np.float64)
+        tensor.CopyFrom(onnx.numpy_helper.from_array(values, tensor.name))

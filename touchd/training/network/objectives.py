@@ -1,0 +1,230 @@
+"""What a network is trained for: its loss, its scores, and what its model says of itself."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from touchd.errors import TrainingError
+from touchd.evaluation.metrics import position_scores
+from touchd.evaluation.model_scores import key_scores, labels_of, zones_of
+from touchd.frame import Plate
+from touchd.keypad import Layout
+from touchd.training.network.network import Classifier, Keypad, Network, PlainRegression, Regression
+from touchd.training.network.recipe import Recipe
+
+DROPOUT = 0.3  # the paper's
+SPREAD_BINS = 0.75  # of the target histograms: the HL-Gauss paper's choice
+WITHIN_SIGMA = 0.683  # of the errors of either axis: what a standard error means for Gaussian ones
+FINGER_SHARE = 0.5  # weight of the finger-or-not cross-entropy beside the position's
+
+Positions = NDArray[np.float32]
+
+
+class Batch(NamedTuple):
+    """What a network is shown at once: n fingers, then other things."""
+
+    features: Tensor
+    """Shape (m, inputs), m >= n."""
+    position: Tensor
+    """Of the fingers, in plate sizes from the centre, shape (n, 2)."""
+    noise: Tensor
+    """In the fingers: its norm over that of the features, shape (n, 1); 0 where it is not known."""
+
+
+class Task(Protocol):
+    """What the training loop asks of a task."""
+
+    wants_others: bool
+    """Whether it learns what is no finger."""
+
+    @property
+    def network(self) -> Network:
+        """What is trained."""
+        ...
+
+    def loss(self, batch: Batch) -> Tensor:
+        """Return the loss of what is shown."""
+        ...
+
+    def scores(self, features: NDArray[np.float32], position_mm: Positions) -> dict[str, float]:
+        """Return scores on touches; `rmse_mm` is always among them."""
+        ...
+
+    def description(self) -> dict[str, Any]:
+        """Return the fields of the model's description that are the task's."""
+        ...
+
+
+class PositionTask:
+    """Position by histograms, standard error, and finger or not."""
+
+    wants_others = True
+
+    def __init__(self, inputs: int, plate: Plate, recipe: Recipe, drift: Tensor) -> None:
+        self.network = Regression(inputs, (plate.width_mm, plate.height_mm), recipe.widths, drift=drift)
+
+    def loss(self, batch: Batch) -> Tensor:
+        """Return cross-entropy of the position, quantile loss of sigma, and cross-entropy of finger or not."""
+        features, position, noise = batch
+        network, n = self.network, len(position)
+        votes, log_error, logit = network.raw(features)
+        votes = votes[:n]
+        place = -(network.targets(position, SPREAD_BINS) * votes.log_softmax(dim=2)).sum(dim=2).mean()
+        error_mm = (network.place_mm(votes.detach()) - network.truth_mm(position)).abs()
+        sigma = _pinball((error_mm + 1e-3).log() - network.log_sigma(log_error[:n], noise), WITHIN_SIGMA)
+        truth = (torch.arange(len(features)) < n).float()[:, None]
+        finger = nn.functional.binary_cross_entropy_with_logits(logit, truth)
+        return place + sigma + FINGER_SHARE * finger
+
+    def scores(self, features: NDArray[np.float32], position_mm: Positions) -> dict[str, float]:
+        """Return the scores of the position, and the share of confident touches."""
+        with torch.inference_mode():
+            place_mm, _, confidence, *_ = self.network.eval()(torch.from_numpy(features))
+        confident = float((confidence.numpy() >= 0.5).mean())
+        return position_scores(place_mm.numpy() - position_mm) | {"confident": confident}
+
+    def description(self) -> dict[str, Any]:
+        """Return nothing: the head says it all."""
+        return {}
+
+
+class PaperPositionTask:
+    """The paper's regression: the mean squared error of x and y."""
+
+    wants_others = False
+
+    def __init__(self, inputs: int, plate: Plate, recipe: Recipe) -> None:
+        self.network = PlainRegression(inputs, (plate.width_mm, plate.height_mm), recipe.widths, DROPOUT)
+
+    def loss(self, batch: Batch) -> Tensor:
+        """Return the mean squared error, in plate sizes."""
+        return nn.functional.mse_loss(self.network.raw(batch.features), batch.position)
+
+    def scores(self, features: NDArray[np.float32], position_mm: Positions) -> dict[str, float]:
+        """Return the scores of the position."""
+        with torch.inference_mode():
+            place_mm, _, _ = self.network.eval()(torch.from_numpy(features))
+        return position_scores(place_mm.numpy() - position_mm)
+
+    def description(self) -> dict[str, Any]:
+        """Return nothing: the head says it all."""
+        return {}
+
+
+class KeyTask(PositionTask):
+    """Keys, read from a position: learned as a position, scored by keys."""
+
+    network: Keypad
+
+    def __init__(self, inputs: int, plate: Plate, recipe: Recipe, drift: Tensor, layout: Layout) -> None:
+        self._layout = layout
+        keys_mm = torch.tensor([[k.x_mm, k.y_mm, k.x_mm + k.width_mm, k.y_mm + k.height_mm] for k in layout.key])
+        self.network = Keypad(inputs, (plate.width_mm, plate.height_mm), keys_mm, recipe.widths, drift=drift)
+
+    def scores(self, features: NDArray[np.float32], position_mm: Positions) -> dict[str, float]:
+        """Return the scores of the position behind the keys, the accuracy, and touches taken for another key."""
+        network = self.network.eval()
+        with torch.inference_mode():
+            place_mm, *_ = Regression.forward(network, torch.from_numpy(features))
+            probability = network(torch.from_numpy(features)).numpy()
+            true_mm = network.truth_mm(torch.from_numpy(position_mm) / network.size_mm - 0.5)
+        truth = labels_of(position_mm, self._layout)
+        confident = float((probability.sum(axis=1) >= 0.5).mean())
+        return (
+            position_scores((place_mm - true_mm).numpy())
+            | key_scores(probability.argmax(axis=1), truth, len(self._layout.key))
+            | {"confident": confident}
+        )
+
+    def description(self) -> dict[str, Any]:
+        """Return the layout."""
+        return {"layout": self._layout}
+
+
+class ClassTask:
+    """Zones of a grid, or keys of a layout and the zone beside them: cross-entropy.
+
+    A position is the centre of the likeliest zone, or of the likeliest key; beside the keys, the plate's centre.
+    """
+
+    wants_others = False
+
+    def __init__(
+        self, inputs: int, plate: Plate, recipe: Recipe, drift: Tensor, grid: int, layout: Layout | None
+    ) -> None:
+        self._size_mm = np.array([plate.width_mm, plate.height_mm])
+        self._grid, self._layout = grid, layout
+        if layout is None:
+            step_mm = self._size_mm / grid
+            rows, columns = np.divmod(np.arange(grid**2), grid)
+            self._centres_mm = (np.stack([columns, rows], axis=1) + 0.5) * step_mm
+        else:
+            self._centres_mm = np.array([*(key.centre_mm for key in layout.key), tuple(self._size_mm / 2)])
+        classes, dropout = len(self._centres_mm), DROPOUT if recipe.paper else 0.0
+        self.network = Classifier(inputs, classes, recipe.widths, dropout, not recipe.paper, drift)
+
+    def loss(self, batch: Batch) -> Tensor:
+        """Return the cross-entropy of zone or key."""
+        labels = self.labels((batch.position.numpy() + 0.5) * self._size_mm)
+        return nn.functional.cross_entropy(self.network.raw(batch.features), torch.from_numpy(labels))
+
+    def labels(self, position_mm: NDArray[np.floating[Any]]) -> NDArray[np.int64]:
+        """Return the class of each position, shape (n,)."""
+        if self._layout is None:
+            return zones_of(position_mm, self._grid, self._size_mm)
+        return labels_of(position_mm, self._layout)
+
+    def scores(self, features: NDArray[np.float32], position_mm: Positions) -> dict[str, float]:
+        """Return accuracy, the scores of the position, and for keys the touches taken for another key."""
+        with torch.inference_mode():
+            best = self.network.eval().raw(torch.from_numpy(features)).argmax(dim=1).numpy()
+        truth = self.labels(position_mm)
+        scores = position_scores(self._centres_mm[best] - position_mm) | {"accuracy": float((best == truth).mean())}
+        if self._layout is not None:
+            scores |= key_scores(best, truth, len(self._layout.key))
+        return scores
+
+    def description(self) -> dict[str, Any]:
+        """Return the grid or the layout."""
+        return {"grid": self._grid} if self._layout is None else {"layout": self._layout}
+
+
+def make_task(
+    recipe: Recipe, inputs: int, plate: Plate, grid: int, layout: Layout | None, drift: NDArray[np.float32]
+) -> Task:
+    """Return the task of a recipe; `drift`, of shape (k, inputs), is what its network shall not see.
+
+    Raises
+    ------
+    TrainingError
+        If the grid has no zones, or a keypad no layout.
+    """
+    if recipe.head == "keypad" and layout is None:
+        raise TrainingError("a keypad needs its keys", "--layout", "name a TOML file of keys")
+    if recipe.head == "grid" and grid < 2:
+        raise TrainingError(f"a grid of {grid} x {grid} zones tells nothing", "--n", "use 2 or more")
+    directions = torch.from_numpy(drift)
+    if recipe.head == "regression":
+        return (
+            PaperPositionTask(inputs, plate, recipe)
+            if recipe.paper
+            else PositionTask(inputs, plate, recipe, directions)
+        )
+    if recipe.head == "keypad" and layout is not None:
+        if not recipe.paper:
+            return KeyTask(inputs, plate, recipe, directions, layout)
+        return ClassTask(inputs, plate, recipe, directions, grid, layout)
+    return ClassTask(inputs, plate, recipe, directions, grid, None)
+
+
+def _pinball(excess: Tensor, share: float) -> Tensor:
+    """Return the loss that is least where this share of the excesses is negative (Koenker and Bassett 1978).
+
+    Unlike the likelihood of a Gaussian it is not ruled by the few touches placed in the wrong lobe.
+    """
+    return torch.maximum(share * excess, (share - 1) * excess).mean()

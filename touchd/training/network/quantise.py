@@ -1,0 +1,92 @@
+"""A model with weights of 8 bits: a quarter of the memory to read for each touch."""
+
+from __future__ import annotations
+
+import logging
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import onnx
+from numpy.typing import NDArray
+from onnxruntime.quantization import QuantType, quantize_dynamic
+
+from touchd.errors import TrainingError
+from touchd.evaluation.dataset import make_dataset, split
+from touchd.evaluation.model_scores import Judgement, judge, scores
+from touchd.localization.model import Model
+from touchd.recording.data import Recording
+from touchd.training.field.error_scale import WITHIN
+from touchd.training.network.export import describe, write_model
+
+ERROR_BIAS = "log_error.bias"
+"""Of `touchd.training.network.network.Regression`, as the export names it."""
+
+
+def quantise(model: Model, recording: Recording, path: Path) -> Model:
+    """Write a model's integer version to `path` and return it loaded, with scores of its own.
+
+    Each column of the weights has a scale, and so has each frame's vector of activations, which is found
+    while it is computed: so no touches are needed to calibrate it, and weak ones lose no more than strong
+    ones. Errors that the original predicts grow by as much as rounding makes those of the validation part grow.
+    The scores are those of the recording's test part.
+
+    Raises
+    ------
+    TrainingError
+        If the recording is not the one that the model was trained on: then which touches it has never seen
+        is not known. Or if the model is an integer one already.
+    """
+    description = model.description
+    data = make_dataset(recording, description.domain)
+    if data.sha256 != description.data_sha256:
+        raise TrainingError(
+            "not the recording that the model was trained on, whose test part would judge the integer version",
+            str(model.path),
+            "give the recording named in the model's command",
+        )
+    if description.precision != "float32":
+        raise TrainingError(f"the weights are {description.precision} already", str(model.path), "give the original")
+    with tempfile.TemporaryDirectory() as folder:
+        small = Path(folder) / "int8.onnx"
+        logging.getLogger().addFilter(_hush)  # it advises a pre-processing that the export has done
+        try:
+            quantize_dynamic(model.path, small, per_channel=True, weight_type=QuantType.QInt8)
+        finally:
+            logging.getLogger().removeFilter(_hush)
+        graph = onnx.load(small)
+    stated = description.model_copy(update={"precision": "int8"})
+    describe(graph, stated)
+    parts = split(len(data), description.seed)
+    features = data.residual if description.input == "residual" else data.signal
+
+    def judged(one: Model, part: NDArray[np.int64]) -> Judgement:
+        return judge(one, features[part], data.position_mm[part], data.noise_energy)
+
+    if "noise_mm" in model.outputs:
+        _widen(graph, _spread(judged(_loaded(graph), parts.validation)) / _spread(judged(model, parts.validation)))
+    found = scores(judged(_loaded(graph), parts.test))
+    rounded = {name: round(value, 4) for name, value in found.items()}
+    describe(graph, stated.model_copy(update={"scores": rounded}))
+    return write_model(graph, path)
+
+
+def _loaded(graph: onnx.ModelProto) -> Model:
+    with tempfile.TemporaryDirectory() as folder:
+        return write_model(graph, Path(folder) / "int8.onnx")
+
+
+def _spread(judged: Judgement) -> float:
+    """Return how many predicted standard errors hold 68 % of the errors of either axis."""
+    return float(np.quantile(np.abs(judged.error_mm) / judged.sigma_mm[:, None], WITHIN))
+
+
+def _widen(graph: onnx.ModelProto, factor: float) -> None:
+    """Multiply the errors that a graph predicts, whose logs are a layer's output: by way of its bias."""
+    (bias,) = (tensor for tensor in graph.graph.initializer if tensor.name == ERROR_BIAS)
+    wider = onnx.numpy_helper.to_array(bias) + np.float32(np.log(factor))
+    bias.CopyFrom(onnx.numpy_helper.from_array(wider, bias.name))
+
+
+def _hush(record: logging.LogRecord) -> bool:
+    return "pre-processing" not in record.getMessage()

@@ -1,0 +1,216 @@
+"""The report beside a model: a folder with a page and pictures, there whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from collections.abc import Callable
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from touchd import __version__
+from touchd.errors import OutputError
+from touchd.evaluation.model_scores import Judgement
+from touchd.evaluation.plots.maps import draw_error_map, draw_zones
+from touchd.evaluation.plots.model import draw_confusion, draw_learning_curve, draw_sigma
+from touchd.evaluation.plots.session import save
+from touchd.frame import Plate
+from touchd.recording.data import Meta
+
+if TYPE_CHECKING:  # a report is written of what was trained; torch is not needed for that
+    from touchd.training.train_network import Result
+
+PAGE = "report.md"
+EDGE_SHARE = 0.1
+"""Of the touched rectangle's sides: closer to them a touch is near the edge."""
+UNITS = {"n": "touches", "accuracy": "%", "within_sigma": "%", "confident": "%", "key_to_key_errors": "touches"}
+MEANINGS = {
+    "n": "of the test part, never seen in training",
+    "rmse_mm": "square root of the mean squared distance from the truth",
+    "mean_mm": "mean distance",
+    "sd_mm": "its standard deviation",
+    "median_mm": "half of the touches are closer",
+    "p95_mm": "95 % are closer",
+    "max_mm": "the farthest",
+    "within_sigma": "errors of either axis within the predicted standard error; 68 % if it is right",
+    "confident": "touches with a confidence of 0.5 or more",
+    "accuracy": "touches in the right class",
+    "key_to_key_errors": "touches of a key taken for another key",
+}
+
+
+def report_folder(model: Path) -> Path:
+    """Return the folder of a model's report: `plate.report` for `plate.onnx`."""
+    return model.with_suffix(".report")
+
+
+def write_report(result: Result, meta: Meta, names: list[str]) -> Path:
+    """Write the report of a trained model into its folder, in place of an older one, and return the folder.
+
+    Raises
+    ------
+    OutputError
+        If it cannot be written; an older report is then left as it was.
+    """
+    pictures = {name: draw() for name, draw in _pictures(result, meta).items()}
+    return write_folder(result.model.path, pictures, lambda: page(result, meta, names, list(pictures)))
+
+
+def write_folder(model: Path, pictures: dict[str, Figure], text: Callable[[], str]) -> Path:
+    """Write pictures and a page into a model's report folder, in place of an older one, and return the folder.
+
+    Raises
+    ------
+    OutputError
+        If it cannot be written; an older report is then left as it was.
+    """
+    folder = report_folder(model)
+    try:
+        with tempfile.TemporaryDirectory(prefix=f".{folder.name}.", dir=folder.parent) as scratch:
+            fresh = Path(scratch) / "new"
+            fresh.mkdir()
+            for name, figure in pictures.items():
+                save(figure, fresh / name)
+            (fresh / PAGE).write_text(text(), encoding="utf-8")
+            if folder.exists():
+                os.replace(folder, Path(scratch) / "old")
+            os.replace(fresh, folder)
+    except OSError as error:
+        raise OutputError(
+            f"the report cannot be written ({error.strerror or error})",
+            str(folder),
+            "the model is; check folder and space, or use --no-report",
+        ) from error
+    return folder
+
+
+def remove_report(model: Path) -> None:
+    """Remove the report of an older model of this name, if there is one."""
+    shutil.rmtree(report_folder(model), ignore_errors=True)
+
+
+def page(result: Result, meta: Meta, names: list[str], pictures: list[str]) -> str:
+    """Return the report's text, in Markdown."""
+    d, parts = result.model.description, result.parts
+    plate = d.plate
+    a = d.acquisition
+    lines = [
+        f"# {result.model.path.name}",
+        "",
+        f"Recipe `{d.name}`, for a {plate.material} plate of {plate.width_mm:g} x {plate.height_mm:g} x "
+        f"{plate.thickness_mm:g} mm, {a.channels} channels of {a.samples} samples at {a.sample_rate_hz / 1e3:g} kHz, "
+        f"chirp {d.acquisition.chirp.start_hz / 1e3:g} to {a.chirp.stop_hz / 1e3:g} kHz.",
+        "",
+        *(f"- {line}" for line in findings(result, meta.plate)),
+        "",
+        "## Warnings",
+        "",
+        *([f"- {note}" for note in result.notes] or ["None."]),
+        "",
+        "## Scores",
+        "",
+        "| score | | | meaning |",
+        "|---|---|---|---|",
+        *(score_row(name, value) for name, value in result.scores.items()),
+        "",
+        *(line for name in pictures for line in (f"![{name.removesuffix('.png')}]({name})", "")),
+        "## How it was made",
+        "",
+        f"- `{d.command}`" if d.command else "- by a program",
+        f"- recordings: {', '.join(names)}; SHA-256 of frames and truth {d.data_sha256}",
+        f"- {len(parts.train)} touches for training, {len(parts.validation)} for validation, {len(parts.test)} for the "
+        f"test; seed {d.seed}",
+        f"- {len(result.curve.loss)} epochs, of which number {result.curve.kept} was kept; "
+        f"{duration(result.duration_s)}",
+        "- exported graph against trained network on the test touches: differences of at most "
+        f"{result.exactness.function:.1e} in float64, {result.exactness.rounding:.1e} as it runs (mm, or probability)",
+        f"- touchd {__version__}, torch {version('torch')}, onnxruntime {version('onnxruntime')}",
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def findings(result: Result, plate: Plate) -> list[str]:
+    """Return what to make of the figures, a sentence each."""
+    found = findings_of(result.judged, plate)
+    curve = result.curve.validation_mm
+    tenth = max(1, len(curve) // 10)
+    if len(curve) > 10 and result.curve.kept == len(curve) and curve[-1] < 0.9 * curve[-1 - tenth]:
+        found.append("The validation RMSE was still falling at the end: more epochs would help.")
+    return found
+
+
+def findings_of(judged: Judgement, plate: Plate) -> list[str]:
+    """Return what to make of the answers to the test touches, a sentence each."""
+    found = [_about_scores(judged)]
+    if judged.true_class is None:
+        found.append(_about_edges(judged))
+        found.append(_about_sigma(judged))
+        far = int((judged.distance_mm > 10 * np.median(judged.distance_mm)).sum())
+        if far:
+            worst = judged.true_mm[judged.distance_mm.argmax()]
+            how_many = "1 touch is" if far == 1 else f"{far} touches are"
+            found.append(
+                f"{how_many} more than ten times the median off, the farthest at "
+                f"({worst[0]:.0f}, {worst[1]:.0f}) mm of {plate.width_mm:g} x {plate.height_mm:g}."
+            )
+    return found
+
+
+def _about_scores(judged: Judgement) -> str:
+    if judged.true_class is not None and judged.found_class is not None:
+        right = 100 * (judged.found_class == judged.true_class).mean()
+        return f"{right:.1f} % of the test's touches are in the right class."
+    distance_mm = judged.distance_mm
+    return (
+        f"Half of the test's touches are within {np.median(distance_mm):.2f} mm, 95 % within "
+        f"{np.percentile(distance_mm, 95):.2f} mm."
+    )
+
+
+def _about_edges(judged: Judgement) -> str:
+    low, high = judged.true_mm.min(axis=0), judged.true_mm.max(axis=0)
+    inset = EDGE_SHARE * (high - low)
+    near = ((judged.true_mm < low + inset) | (judged.true_mm > high - inset)).any(axis=1)
+    if near.all() or not near.any():
+        return "Too few touches to compare the edges with the middle."
+    edge_mm, middle_mm = (float(np.median(judged.distance_mm[part])) for part in (near, ~near))
+    how = "Worse near the edges" if edge_mm > 1.25 * middle_mm else "Much the same near the edges as in the middle"
+    return f"{how}: median {edge_mm:.2f} mm in the outer tenth on each side, {middle_mm:.2f} mm within."
+
+
+def _about_sigma(judged: Judgement) -> str:
+    share = 100 * float((np.abs(judged.error_mm) <= judged.sigma_mm[:, None]).mean())
+    how = "about right" if 62 <= share <= 75 else "cautious" if share > 75 else "too small"
+    return f"The predicted standard error is {how}: {share:.0f} % of the errors are within it (68 % if it were exact)."
+
+
+def _pictures(result: Result, meta: Meta) -> dict[str, Callable[[], Figure]]:
+    """Return how to draw each picture of the report, by file name."""
+    judged, d, curve = result.judged, result.model.description, result.curve
+    pictures = {"learning-curve.png": lambda: draw_learning_curve(curve.loss, curve.validation_mm, curve.kept)}
+    if d.head == "grid":
+        return pictures | {"zones.png": lambda: draw_zones(judged, d, meta)}
+    if d.head == "keypad":
+        return pictures | {"confusion.png": lambda: draw_confusion(judged, d)}
+    return pictures | {
+        "error-map.png": lambda: draw_error_map(judged, meta),
+        "sigma.png": lambda: draw_sigma(judged),
+    }
+
+
+def score_row(name: str, value: float) -> str:
+    """Return a score as a row of a table in Markdown."""
+    unit = "mm" if name.endswith("_mm") else UNITS.get(name, "")
+    text = f"{100 * value:.1f}" if unit == "%" else f"{value:.0f}" if unit == "touches" else f"{value:.3f}"
+    return f"| `{name}` | {text} | {unit} | {MEANINGS.get(name, '')} |"
+
+
+def duration(seconds: float) -> str:
+    """Return a time as one would say it."""
+    return f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.0f} min"

@@ -1,0 +1,1 @@
+"""Plate theory: flexural waves, transducers and fingers."""

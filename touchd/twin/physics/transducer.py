@@ -1,0 +1,132 @@
+"""Piezoceramic discs under the plate: where they are, what they feel, and how their mass changes the modes."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from touchd.errors import SimulationError
+from touchd.frame import Plate
+from touchd.twin.cache import remember
+from touchd.twin.physics import legendre
+from touchd.twin.physics.material import material_of
+from touchd.twin.physics.plate import Modes, polynomials_for, size_m, solve
+
+Floats = NDArray[np.float64]
+
+VERSION = 1
+"""Raised when the same rig gives other modes than before, so that old files on disk are not used."""
+
+BASIS_HZ = 3.0
+"""Modes of the bare plate up to this many times the highest frequency carry the discs' masses."""
+KEPT_HZ = 2.0
+"""Modes of the loaded plate up to this many times the highest frequency are kept."""
+
+
+class Layout(BaseModel):
+    """Where the discs are, and their size."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    emitter_mm: tuple[float, float]
+    """Centre of the emitter, mm."""
+    receivers_mm: tuple[tuple[float, float], ...] = Field(min_length=1)
+    """Centres of the receivers, mm."""
+    diameter_mm: float = Field(default=6.0, gt=0)
+    mass_g: float = Field(default=0.43, ge=0)
+    """Of each disc: 6 mm by 2 mm of PZT."""
+
+    @property
+    def centres_mm(self) -> Floats:
+        """Centres of emitter and receivers, shape (1 + receivers, 2)."""
+        return np.array([self.emitter_mm, *self.receivers_mm])
+
+
+def default_layout(plate: Plate) -> Layout:
+    """Place an emitter and four receivers, on purpose without any symmetry.
+
+    Mirrored touches look alike to a symmetric layout on a symmetric plate. The figures are for 200 x 200 mm and are
+    scaled to other sizes.
+    """
+    sx, sy = plate.width_mm / 200, plate.height_mm / 200
+    receivers = ((15.0, 15.0), (185.0, 20.0), (180.0, 185.0), (20.0, 170.0))
+    return Layout(emitter_mm=(30 * sx, 100 * sy), receivers_mm=tuple((x * sx, y * sy) for x, y in receivers))
+
+
+class LoadedModes(NamedTuple):
+    """Modes of the plate with its discs, and what the discs make of them: n modes, unit modal mass."""
+
+    omega_rad_s: Floats
+    """Angular frequencies, shape (n,)."""
+    w: Floats
+    """Deflection in Legendre products, shape (n, nx, ny)."""
+    discs: Floats
+    """Mean outward rotation around the rim of each disc, shape (n, 1 + receivers); column 0 is the emitter."""
+
+
+def loaded_modes(plate: Plate, layout: Layout, frequency_hz: float = 125e3) -> LoadedModes:
+    """Modes of a plate that carries its discs, for use up to a frequency; kept on disk.
+
+    Raises
+    ------
+    SimulationError
+        When a disc is not wholly on the plate, the plate too large or its material unknown.
+    """
+    width, height = plate.width_mm, plate.height_mm
+    edge = np.minimum(layout.centres_mm, np.array([width, height]) - layout.centres_mm).min()
+    if edge < layout.diameter_mm / 2:
+        raise SimulationError(
+            f"a transducer reaches over the edge of the {width:g} x {height:g} mm plate",
+            "layout",
+            f"keep centres {layout.diameter_mm / 2:g} mm from the edge",
+        )
+    # Converged at four fifths of the highest frequency, where the emission ends (100 of 125 kHz).
+    counts = polynomials_for(plate, 0.8 * frequency_hz)
+    parameters = {
+        "version": VERSION,
+        "plate": plate.model_dump(),
+        "material": material_of(plate),
+        "layout": layout.model_dump(),
+        "frequency_hz": frequency_hz,
+        "counts": counts,
+        "basis": BASIS_HZ,
+        "kept": KEPT_HZ,
+    }
+
+    def compute() -> dict[str, Floats]:
+        modes = solve(plate, counts, BASIS_HZ * frequency_hz)
+        return load(modes, plate, layout, KEPT_HZ * frequency_hz)._asdict()
+
+    return LoadedModes(**remember("plate", parameters, compute))
+
+
+def load(modes: Modes, plate: Plate, layout: Layout, below_hz: float = np.inf) -> LoadedModes:
+    """Add the discs' masses to a bare plate's modes.
+
+    In modal coordinates the masses change the unit mass matrix by a rank of one each. Solving once for the modes of
+    the loaded plate is exact within the given modes, and spares every later computation the update.
+    """
+    size, counts = size_m(plate), modes.w.shape[1:]
+    centres = layout.centres_mm * 1e-3
+    radius = layout.diameter_mm / 2 * 1e-3
+    n = len(modes.omega_rad_s)
+    w = modes.w.reshape(n, -1)
+    under = legendre.disc_average(centres, np.full(len(centres), radius), size, (counts[0], counts[1]))
+    rims = [legendre.rim_average(c, radius, size, (counts[0], counts[1])) for c in centres]
+    discs = np.stack(
+        [modes.psi_x.reshape(n, -1) @ x.ravel() + modes.psi_y.reshape(n, -1) @ y.ravel() for x, y in rims], axis=1
+    )
+    # M = 1 + B B'; its inverse root differs from 1 only in the span of B.
+    B = w @ under.reshape(len(centres), -1).T * np.sqrt(layout.mass_g * 1e-3)
+    U, sigma, _ = np.linalg.svd(B, full_matrices=False)
+    root = (U * ((1 + sigma**2) ** -0.5 - 1)) @ U.T
+    root[np.diag_indices(n)] += 1
+    squared, V = np.linalg.eigh((root * modes.omega_rad_s**2) @ root)
+    omega = np.sqrt(np.maximum(squared, 0.0))
+    omega[:3] = 0.0  # the rigid motions stay
+    V = (root @ V[:, omega < 2 * np.pi * below_hz]).T
+    omega = omega[: len(V)]
+    return LoadedModes(omega, (V @ w).reshape(len(V), *counts), V @ discs)

@@ -1,0 +1,137 @@
+"""A robot's session computed in parts, side by side: the same recording to the bit, however it is divided."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from shutil import rmtree
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchd.errors import SimulationError
+from touchd.frame import Plate
+from touchd.jobs import Job, run
+from touchd.jobs.identity import digest
+from touchd.recording.data import Recording
+from touchd.twin import cache
+from touchd.twin.electronics import Electronics, noise_states
+from touchd.twin.instrument import Instrument
+from touchd.twin.scenes.robot import TouchSet, write_touches
+from touchd.twin.scenes.timeline import Stage
+from touchd.twin.simulate import BLOCK, recording_of, stream
+
+CHUNK = 16 * BLOCK
+"""Frames of a part: some tenths of a second's work. A multiple of the block, within which sums are rounded alike."""
+FEW = 4 * CHUNK
+"""Up to so many frames are computed before another process has even started."""
+
+
+@dataclass(frozen=True)
+class Session:
+    """All that a session's frames depend on; see `touchd.twin.simulate.simulate_touches`."""
+
+    touches: TouchSet
+    seed: int
+    plate: Plate
+    loss: float
+    tail_period_s: float | None
+    electronics: Electronics
+
+    def prepare(self) -> tuple[Stage, Instrument]:
+        """Write down the session, and make the instrument that hears it.
+
+        Raises
+        ------
+        SimulationError
+            When either is impossible.
+        """
+        instrument = Instrument(self.plate, loss=self.loss, tail_period_s=self.tail_period_s)
+        rng = np.random.default_rng(np.random.SeedSequence(self.seed).spawn(3)[0])
+        return write_touches(self.touches, self.plate, rng, self.electronics), instrument
+
+
+def simulate_session(
+    session: Session,
+    *,
+    workers: int | None = None,
+    dask: str | None = None,
+    kept: Path | None = None,
+    progress: Callable[[int], object] | None = None,
+    chunk: int = CHUNK,
+) -> Recording:
+    """Simulate a session as `simulate_touches` does, on several processes or a cluster.
+
+    Parameters
+    ----------
+    session : Session
+    workers, dask
+        See `touchd.jobs.run`; without both, few frames are computed in this process.
+    kept : Path, optional
+        Where finished parts are kept; see `parts_kept`.
+    progress : callable, optional
+        Called with the number of frames just finished.
+    chunk : int
+        Frames of a part, a multiple of `BLOCK`.
+
+    Raises
+    ------
+    SimulationError
+        When the count, margin, finger or plate is impossible.
+    JobError
+    """
+    stage, instrument = session.prepare()
+    total = len(stage.sequence)
+    starts = range(0, total, chunk)
+    a = instrument.acquisition
+    try:
+        frames = np.empty((total, *a.shape), dtype=np.int16)
+    except MemoryError:
+        raise SimulationError(f"{total} frames do not fit into memory", "count", "simulate fewer at a time") from None
+    states = noise_states(session.seed, a.channels * a.samples, starts)
+    places = {f"frames from {start}": slice(start, min(start + chunk, total)) for start in starts}
+    jobs = [
+        Job(name, part, {"session": session, "start": place.start, "stop": place.stop, "noise": noise})
+        for (name, place), noise in zip(places.items(), states, strict=True)
+    ]
+    if workers is None and dask is None and total <= FEW:
+        workers = 1
+
+    def tell(name: str, _done: int, _total: int) -> None:
+        if progress is not None:
+            progress(places[name].stop - places[name].start)
+
+    for name, counts in run(jobs, workers=workers, dask=dask, cache=kept, progress=tell).items():
+        frames[places[name]] = counts
+    return recording_of(stage, instrument, frames)
+
+
+@contextmanager
+def parts_kept(session: Session) -> Iterator[Path | None]:
+    """Give the folder for finished parts, and remove it at the end unless that is an error; None without a home.
+
+    So what ends before the recording is written goes on where it was, and afterwards nothing is left.
+    """
+    try:
+        folder = cache.folder() / "jobs" / f"touches-{digest(session)[:24]}"
+    except RuntimeError:
+        yield None
+        return
+    yield folder
+    rmtree(folder, ignore_errors=True)
+
+
+def part(session: Session, start: int, stop: int, noise: dict[str, Any]) -> NDArray[np.int16]:
+    """Compute frames start .. stop - 1: a job. `noise` is the noise's generator at the first of them."""
+    stage, instrument = _prepared(session)
+    return np.concatenate(list(stream(stage, instrument, session.seed, start=start, stop=stop, noise=noise)))
+
+
+@lru_cache(maxsize=1)
+def _prepared(session: Session) -> tuple[Stage, Instrument]:
+    """Prepare a session once a process."""
+    return session.prepare()

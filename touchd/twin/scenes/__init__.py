@@ -1,0 +1,1 @@
+"""What happens on the plate: `catalogue` names the scenes, `timeline` holds one."""

@@ -1,0 +1,117 @@
+"""The named scenes. Each begins with untouched plate, which is what touchd learns its baseline from."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchd.errors import SimulationError
+from touchd.frame import Plate
+from touchd.twin.electronics import Electronics
+from touchd.twin.instrument import REFERENCE_C
+from touchd.twin.physics.finger import tissue_of
+from touchd.twin.scenes import one_finger as acts
+from touchd.twin.scenes import several_fingers as hand
+from touchd.twin.scenes.one_finger import END_S, IDLE_S, KEY_S, Cast, Key
+from touchd.twin.scenes.timeline import Stage
+
+
+class Scene(NamedTuple):
+    """A scene by name."""
+
+    play: Callable[[Stage, Cast], None]
+    seconds: float
+    """As long as it needs, unless told otherwise."""
+    what: str
+    """One line for the help text."""
+    finger: str = "human"
+    rate_hz: float = 125.0
+    least_mm: float = 50.0
+    """Shorter side of the smallest plate that has room for it."""
+
+
+def write_scene(
+    name: str,
+    plate: Plate,
+    rng: np.random.Generator,
+    frames: int | None,
+    rate_hz: float | None,
+    electronics: Electronics,
+    finger: str | None,
+    keys: Sequence[Key] | None,
+    code: str | None,
+) -> Stage:
+    """Write down a named scene; see `touchd.twin.simulate.simulate_scene`."""
+    scene = SCENES.get(name)
+    if scene is None:
+        raise SimulationError(f"no scene {name!r}", "scene", f"use one of {', '.join(SCENES)}")
+    tissue_of(finger or scene.finger)
+    rate = scene.rate_hz if rate_hz is None else rate_hz
+    if not (math.isfinite(rate) and rate > 0):
+        raise SimulationError(f"{rate:g} frames a second", "rate_hz", "use a positive number")
+    cast = Cast(finger or scene.finger, keys or default_keys(plate), "2580#" if code is None else code)
+    seconds = IDLE_S + KEY_S * len(cast.code) + END_S if name == "keypad" else scene.seconds
+    n = round(seconds * rate) if frames is None else frames
+    least = math.ceil((IDLE_S + END_S + 0.2) * rate)
+    if n < (1 if name == "idle" else least):
+        raise SimulationError(f"{n} frames at {rate:g} Hz are too few for {name!r}", "frames", f"use {least} or more")
+    if min(plate.width_mm, plate.height_mm) < scene.least_mm:
+        raise SimulationError(f"the plate is too small for {name!r}", "plate", f"use {scene.least_mm:g} mm or more")
+    sequence = np.arange(n)
+    if name == "lostframes":
+        sequence = _with_gaps(n, rng, rate)
+    time_s = sequence / rate
+    # A room drifts by tenths of a kelvin within minutes; one period of 5 minutes, from any phase.
+    temperature_c = REFERENCE_C + 0.2 * np.sin(2 * np.pi * (time_s / 300 + rng.uniform()))
+    stage = Stage(plate, rate, sequence, temperature_c, rng, electronics, notes=f"simulated scene {name}: {scene.what}")
+    scene.play(stage, cast)
+    return stage
+
+
+def default_keys(plate: Plate) -> list[Key]:
+    """Keys of a telephone, 3 x 4, 32 mm apart where the plate has the room, about its centre."""
+    pitch = min(32.0, (plate.width_mm - 20) / 3, (plate.height_mm - 20) / 4)
+    return [
+        (name, plate.width_mm / 2 + (i % 3 - 1) * pitch, plate.height_mm / 2 + (i // 3 - 1.5) * pitch)
+        for i, name in enumerate("123456789*0#")
+    ]
+
+
+def _with_gaps(n: int, rng: np.random.Generator, rate_hz: float) -> NDArray[np.int64]:
+    """Lose 1-20 frames about twice a second, after the untouched start."""
+    step = np.ones(n, dtype=np.int64)
+    step[0] = 0
+    late = np.flatnonzero(np.arange(n) > IDLE_S * rate_hz)
+    lost = rng.uniform(size=len(late)) < min(2 / rate_hz, 0.5)
+    if len(late):
+        lost[len(late) // 2] = True
+    step[late[lost]] += rng.integers(1, 21, size=int(lost.sum()))
+    return np.cumsum(step)
+
+
+SCENES: dict[str, Scene] = {
+    "idle": Scene(acts.idle, 5.0, "nothing touches the plate"),
+    "tap": Scene(acts.tap, 6.0, "taps at random places", "silicone"),
+    "circle": Scene(acts.circle, 5.0, "a finger draws a circle of 60 mm radius"),
+    "hold": Scene(acts.hold, 12.0, "a finger rests while its contact keeps growing"),
+    "longhold": Scene(acts.longhold, 35.0, "the same for 34 s, while the plate warms by 1 K"),
+    "swipe": Scene(acts.swipe, 4.0, "swipes across the plate"),
+    "pinch": Scene(hand.pinch, 4.0, "two fingers move together"),
+    "two": Scene(hand.two, 8.0, "two fingers press, slide and lift independently", least_mm=80.0),
+    "five": Scene(hand.five, 8.0, "five fingers press, slide and lift independently", least_mm=150.0),
+    "cross": Scene(hand.cross, 8.2, "two fingers' strokes cross, 15 mm from each other", least_mm=80.0),
+    "keypad": Scene(acts.keypad, 4.1, "a code is typed"),
+    "drift": Scene(acts.drift, 60.0, "the plate warms by 3 K and cools again; a tap now and then", "silicone"),
+    "palm": Scene(acts.palm, 4.0, "a palm lies on the plate", least_mm=80.0),
+    "drop": Scene(acts.drop, 5.0, "a drop of water falls on the plate and stays; taps beside it"),
+    "interference": Scene(acts.interference, 6.0, "tones from elsewhere; taps", "silicone"),
+    "deadchannel": Scene(acts.deadchannel, 6.0, "a receiver's wire breaks half-way; taps", "silicone"),
+    "clipping": Scene(acts.clipping, 5.0, "the gain is too high; taps", "silicone"),
+    "lostframes": Scene(acts.tap, 6.0, "frames are lost; taps", "silicone"),
+    "demo": Scene(acts.demo, 9.0, "four taps, a swipe and most of a circle", "silicone", 100.0),
+}
+"""All scenes by name."""

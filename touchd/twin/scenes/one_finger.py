@@ -1,0 +1,154 @@
+"""What happens in the scenes of one finger: fingers, palms and drops written onto a stage."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from touchd.errors import SimulationError
+from touchd.twin.electronics import Dead, Tone
+from touchd.twin.scenes.timeline import Stage
+from touchd.twin.scenes.trajectory import anywhere, arc, line, still
+
+Key = tuple[str, float, float]
+"""A key's name and centre: name, x_mm, y_mm."""
+
+IDLE_S = 0.8
+"""Untouched plate at the start of every scene."""
+END_S = 0.3
+"""And at its end."""
+KEY_S = 0.6
+"""From one key to the next."""
+LONG_HOLD_K = 1.0
+"""A plate with a warm hand on it: a stale baseline is off by a centimetre."""
+FORCES_N = {"silicone": (1.5, 3.5), "human": (0.3, 0.8)}
+"""Of a light touch: 17-26 and 55-90 mm^2."""
+
+
+@dataclass(frozen=True, slots=True)
+class Cast:
+    """What an act may use beside the stage."""
+
+    finger: str
+    keys: Sequence[Key]
+    code: str
+
+
+def _tap_from(stage: Stage, kind: str, start_s: float, stop_s: float, pause_s: float = 0.35) -> None:
+    """Tap at random places from one time to another."""
+    at = start_s
+    while True:
+        length, pause = stage.rng.uniform(0.20, 0.35), stage.rng.uniform(1.0, 1.5) * pause_s
+        if at + length > stop_s:
+            return
+        stage.lay(kind, at, at + length, still(*anywhere(stage)), force_n=stage.rng.uniform(*FORCES_N[kind]))
+        at += length + pause
+
+
+def idle(_stage: Stage, _cast: Cast) -> None:
+    """Touch nothing."""
+
+
+def tap(stage: Stage, cast: Cast) -> None:
+    """Tap at random places."""
+    _tap_from(stage, cast.finger, IDLE_S, stage.end_s - END_S)
+
+
+def circle(stage: Stage, cast: Cast) -> None:
+    """Draw a circle."""
+    stop = stage.end_s - END_S
+    stage.lay(cast.finger, IDLE_S, stop, arc(stage, stop - IDLE_S, 1.0), force_n=FORCES_N[cast.finger][1])
+
+
+def hold(stage: Stage, cast: Cast) -> None:
+    """Rest a finger whose contact keeps growing."""
+    place = anywhere(stage, 25.0)
+    force = FORCES_N[cast.finger][0]
+    stage.lay(cast.finger, IDLE_S, stage.end_s - END_S, still(*place), force_n=force, creep=0.5)
+
+
+def longhold(stage: Stage, cast: Cast) -> None:
+    """Rest a finger for half a minute, while the plate warms."""
+    stage.temperature_c += LONG_HOLD_K * np.clip((stage.time_s - IDLE_S) / (stage.end_s - IDLE_S), 0, 1)
+    hold(stage, cast)
+
+
+def swipe(stage: Stage, cast: Cast) -> None:
+    """Swipe across the plate, again and again."""
+    w, h = stage.plate.width_mm, stage.plate.height_mm
+    at, ways = IDLE_S, [((0.15, 0.3), (0.85, 0.4)), ((0.8, 0.75), (0.2, 0.65)), ((0.5, 0.85), (0.45, 0.15))]
+    for i in range(1000):
+        stop = min(at + 0.6, stage.end_s - END_S)
+        if stop - at < 0.1:
+            return
+        (ax, ay), (bx, by) = ways[i % 3]
+        path = line((ax * w, ay * h), (bx * w, by * h), 0.6)
+        stage.lay(cast.finger, at, stop, path, force_n=FORCES_N[cast.finger][0])
+        at = stop + 0.4
+
+
+def keypad(stage: Stage, cast: Cast) -> None:
+    """Type the code."""
+    places = {name: (x, y) for name, x, y in cast.keys}
+    for i, name in enumerate(cast.code):
+        if name not in places:
+            raise SimulationError(f"no key {name!r}", "code", f"use {''.join(places)}")
+        at = IDLE_S + KEY_S * i
+        x, y = np.array(places[name]) + stage.rng.uniform(-4, 4, 2)
+        if at + 0.25 < stage.end_s:
+            stage.lay(cast.finger, at, at + 0.25, still(x, y), force_n=stage.rng.uniform(*FORCES_N[cast.finger]))
+
+
+def drift(stage: Stage, cast: Cast) -> None:
+    """Warm the plate and let it cool, and tap now and then."""
+    # 0.1 K a second: one kelvin is a centimetre to a baseline that does not follow.
+    turn = np.clip((stage.time_s - IDLE_S) / (stage.end_s - IDLE_S), 0, 1)
+    stage.temperature_c += 1.5 - 1.5 * np.cos(2 * np.pi * turn)
+    _tap_from(stage, cast.finger, IDLE_S + 2, stage.end_s - END_S, pause_s=1.5)
+
+
+def palm(stage: Stage, _cast: Cast) -> None:
+    """Lay a palm on the plate."""
+    cx, cy = stage.plate.width_mm / 2, stage.plate.height_mm / 2
+    x, y = np.clip(stage.rng.uniform(-15, 15, 2), [40 - cx, 40 - cy], [cx - 40, cy - 40])
+    stage.lay("palm", IDLE_S, stage.end_s - END_S - 0.2, still(cx + x, cy + y), area_mm2=90.0)
+
+
+def drop(stage: Stage, cast: Cast) -> None:
+    """Let a drop fall, and tap beside it."""
+    # 18.1 mm^2 hold a half sphere of 29 mg. It stays; a finger taps beside it.
+    stage.lay("drop", IDLE_S, stage.end_s + 1, still(*anywhere(stage, 30.0)), area_mm2=18.1, column=1)
+    before = len(stage.kinds)
+    _tap_from(stage, cast.finger, IDLE_S + 1.0, stage.end_s - END_S)
+    if len(stage.kinds) == before:
+        stage.columns = [stage.columns[1]]
+
+
+def interference(stage: Stage, cast: Cast) -> None:
+    """Tap, while tones come from elsewhere."""
+    tones = (Tone(62_347.0, -30.0, IDLE_S + 0.7), Tone(88_911.0, -36.0, IDLE_S + 0.7))
+    stage.electronics = stage.electronics._replace(tones=stage.electronics.tones + tones)
+    tap(stage, cast)
+
+
+def deadchannel(stage: Stage, cast: Cast) -> None:
+    """Tap, while a receiver's wire breaks half-way."""
+    stage.electronics = stage.electronics._replace(dead=(*stage.electronics.dead, Dead(0, stage.end_s / 2)))
+    tap(stage, cast)
+
+
+def clipping(stage: Stage, cast: Cast) -> None:
+    """Tap, with the gain too high."""
+    stage.electronics = stage.electronics._replace(peak=stage.electronics.peak * 2.5)
+    tap(stage, cast)
+
+
+def demo(stage: Stage, cast: Cast) -> None:
+    """Four taps, a swipe and most of a circle."""
+    w, h = stage.plate.width_mm, stage.plate.height_mm
+    for i, (x, y) in enumerate(((0.25, 0.3), (0.72, 0.25), (0.7, 0.75), (0.3, 0.7))):
+        stage.lay(cast.finger, 1.0 + 0.6 * i, 1.3 + 0.6 * i, still(x * w, y * h), force_n=1.5 + 0.5 * i)
+    stage.lay(cast.finger, 4.0, 4.7, line((0.2 * w, 0.5 * h), (0.8 * w, 0.45 * h), 0.7), force_n=2.5)
+    stage.lay(cast.finger, 5.4, 8.2, arc(stage, 2.8, 0.8), force_n=2.5)

@@ -1,0 +1,152 @@
+"""The robot's session: touches all over the plate, each with an untouched frame just before it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchd.errors import SimulationError
+from touchd.frame import Plate
+from touchd.twin.electronics import Electronics
+from touchd.twin.instrument import REFERENCE_C
+from touchd.twin.physics.finger import force_of, tissue_of
+from touchd.twin.scenes.timeline import Stage
+
+Floats = NDArray[np.float64]
+
+COUNT = 6404
+"""Touches of the paper's training set."""
+TOUCH_RATE_HZ = 2.0
+"""A robot is slow."""
+AREAS_MM2 = {"silicone": (12.0, 28.0), "human": (40.0, 100.0)}
+"""Range of the contact area, which the force varies."""
+MARGIN_MM = {"silicone": 5.0, "human": 6.0}
+"""Least distance of a touch's centre from the plate's edge: the whole contact lies on the plate."""
+WALK_K = 1.0
+"""The temperature's walk over the session stays within +- this."""
+MOST_FINGERS = 5
+"""Of one hand."""
+TRIES = 2000
+"""Places drawn for a touch of several fingers before they are said not to fit."""
+
+
+@dataclass(frozen=True, slots=True)
+class TouchSet:
+    """What the robot is asked for; see `touchd.twin.simulate.simulate_touches`."""
+
+    count: int = COUNT
+    finger: str = "silicone"
+    margin_mm: float | None = None
+    stale_k: float = 0.0
+    fingers: int = 1
+    apart_mm: float = 0.0
+    edge_gap_mm: float | None = None
+    warmer_k: float = 0.0
+    label_noise_mm: float = 0.0
+
+
+def write_touches(asked: TouchSet, plate: Plate, rng: np.random.Generator, electronics: Electronics) -> Stage:
+    """Write down a session.
+
+    Raises
+    ------
+    SimulationError
+        When the count, margin, finger or distances are impossible.
+    """
+    count, finger = asked.count, asked.finger
+    tissue_of(finger)
+    margin_mm = MARGIN_MM[finger] if asked.margin_mm is None else asked.margin_mm
+    low, high = AREAS_MM2[finger]
+    span = np.array([plate.width_mm, plate.height_mm]) - 2 * margin_mm
+    _check(asked)
+    if margin_mm < np.sqrt(high / np.pi) or span.min() <= 0:
+        raise SimulationError(
+            f"a margin of {margin_mm:g} mm on a {plate.width_mm:g} x {plate.height_mm:g} mm plate",
+            "margin",
+            f"use {np.sqrt(high / np.pi):.1f} mm or more, and less than half of the plate",
+        )
+    walk = np.cumsum(rng.standard_normal(2 * count))
+    walk *= WALK_K / np.abs(walk).max()
+    walk[1::2] += asked.stale_k
+    temperature_c = REFERENCE_C + walk + asked.warmer_k
+    stage = Stage(plate, TOUCH_RATE_HZ, np.arange(2 * count), temperature_c, rng, electronics)
+    stage.notes = f"{count} simulated touches of {_who(asked)}, each after an untouched frame"
+    area = rng.uniform(low, high, (count, asked.fingers))
+    place = margin_mm + _places(asked, span, np.sqrt(area / np.pi), rng)
+    if asked.label_noise_mm:  # drawn last: the frames are the same whether labels are exact or not
+        stage.label_error_mm = np.zeros((2 * count, asked.fingers, 2))
+        stage.label_error_mm[1::2] = asked.label_noise_mm * rng.standard_normal(place.shape)
+
+    def row(value: Floats) -> Floats:
+        filled = np.full(2 * count, np.nan)
+        filled[1::2] = value
+        return filled
+
+    for i in range(asked.fingers):
+        stage.kinds.append(finger)
+        stage.columns.append([i])
+        stage.x_mm.append(row(place[:, i, 0]))
+        stage.y_mm.append(row(place[:, i, 1]))
+        stage.area_mm2.append(row(area[:, i]))
+        stage.force_n.append(row(force_of(finger, area[:, i])))
+    return stage
+
+
+def _check(asked: TouchSet) -> None:
+    if asked.count < 1:
+        raise SimulationError(f"{asked.count} touches", "count", "ask for one at least")
+    if not 1 <= asked.fingers <= MOST_FINGERS:
+        raise SimulationError(f"{asked.fingers} fingers", "fingers", f"use 1 .. {MOST_FINGERS}")
+    if asked.edge_gap_mm is not None and asked.fingers != 2:
+        raise SimulationError(f"a gap between {asked.fingers} fingers", "edge_gap", "ask for 2 fingers")
+    lengths = {"apart": asked.apart_mm, "edge_gap": asked.edge_gap_mm or 0.0, "label_noise": asked.label_noise_mm}
+    for name, length_mm in lengths.items():
+        if not 0 <= length_mm < np.inf:
+            raise SimulationError(f"{length_mm:g} mm", name, "use a length of 0 or more")
+
+
+def _who(asked: TouchSet) -> str:
+    if asked.fingers == 1:
+        return f"a {asked.finger} finger"
+    together = f"{asked.fingers} {asked.finger} fingers"
+    if asked.edge_gap_mm is not None:
+        return f"{together} with {asked.edge_gap_mm:g} mm between their edges"
+    return f"{together}, centres {asked.apart_mm:g} mm apart or more" if asked.apart_mm else together
+
+
+def _places(asked: TouchSet, span: Floats, radius: Floats, rng: np.random.Generator) -> Floats:
+    """Return centres of contacts of radii (count, fingers) on a span (2,), shape (count, fingers, 2), all in mm.
+
+    All fingers of a touch are drawn again until they keep their distances, so that every place that does is equally
+    likely; no contact covers another. With a gap, the first finger's place is, and the direction to the second.
+    """
+    count, fingers = radius.shape
+    one, other = np.triu_indices(fingers, 1)
+    least = np.maximum(asked.apart_mm, radius[:, one] + radius[:, other])
+    place = np.empty((count, fingers, 2))
+    pending = np.arange(count)
+    for _ in range(TRIES):
+        drawn = rng.uniform(size=(len(pending), fingers, 2))
+        if asked.edge_gap_mm is None:
+            drawn = span * drawn
+            apart = np.linalg.norm(drawn[:, one] - drawn[:, other], axis=-1)
+            fits = (apart >= least[pending]).all(axis=1)
+        else:
+            angle = 2 * np.pi * drawn[:, 1, 0]
+            apart = radius[pending].sum(axis=1) + asked.edge_gap_mm
+            drawn[:, 0] *= span
+            drawn[:, 1] = drawn[:, 0] + apart[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+            fits = ((drawn[:, 1] >= 0) & (drawn[:, 1] <= span)).all(axis=1)
+            fits &= apart >= asked.apart_mm
+        place[pending[fits]] = drawn[fits]
+        pending = pending[~fits]
+        if not len(pending):
+            return place
+    raise SimulationError(
+        f"{_who(asked)} do not fit within {span[0]:g} x {span[1]:g} mm ({len(pending)} of {count} touches, "
+        f"each drawn {TRIES} times)",
+        "apart" if asked.edge_gap_mm is None else "edge_gap",
+        "ask for fewer fingers, less distance, or a larger plate",
+    )

@@ -1,0 +1,139 @@
+"""A scene being written down: what touches the plate, when and where."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from touchd.frame import Plate
+from touchd.twin.electronics import Electronics
+from touchd.twin.physics.finger import TISSUES, Contact, area_of, force_of
+
+Floats = NDArray[np.float64]
+Path = Callable[[Floats], tuple[ArrayLike, ArrayLike]]
+
+SMALLEST_MM2 = 2.0
+"""Contact area in the first moment of a touch."""
+
+
+@dataclass(slots=True)
+class Stage:
+    """Everything that happens in n frames, with at most k contacts at once."""
+
+    plate: Plate
+    rate_hz: float
+    sequence: NDArray[np.int64]
+    """The device's frame counter, shape (n,)."""
+    temperature_c: Floats
+    """Shape (n,)."""
+    rng: np.random.Generator
+    """For whatever the scene leaves to chance."""
+    electronics: Electronics
+    notes: str = ""
+    kinds: list[str] = field(default_factory=list)
+    """What each contact is."""
+    x_mm: list[Floats] = field(default_factory=list)
+    """For each contact, shape (n,); NaN where it does not touch."""
+    y_mm: list[Floats] = field(default_factory=list)
+    area_mm2: list[Floats] = field(default_factory=list)
+    force_n: list[Floats] = field(default_factory=list)
+    columns: list[list[int]] = field(default_factory=list)
+    """Contacts that share a column of the truth, since they never touch at once."""
+    label_error_mm: Floats | None = None
+    """How far the written truth is off, shape (n, k, 2)."""
+
+    @property
+    def time_s(self) -> Floats:
+        """Start of each frame since the first, shape (n,)."""
+        return np.asarray((self.sequence - self.sequence[0]) / self.rate_hz)
+
+    @property
+    def end_s(self) -> float:
+        """When the last frame ends."""
+        return float(self.time_s[-1]) + 1 / self.rate_hz
+
+    def lay(
+        self,
+        kind: str,
+        start_s: float,
+        stop_s: float,
+        path: Path,
+        *,
+        force_n: float = 1.0,
+        area_mm2: float | None = None,
+        creep: float = 0.0,
+        column: int = 0,
+    ) -> None:
+        """Lay something on the plate and take it off again.
+
+        The area grows for 10-30 ms at the start and shrinks as long at the end.
+
+        Parameters
+        ----------
+        kind : "silicone", "human", "palm" or "drop"
+        start_s, stop_s : float
+        path : callable
+            Takes seconds since the start, shape (m,), and returns x and y in mm.
+        force_n : float
+            Of a finger, when it has settled.
+        area_mm2 : float, optional
+            Of anything else.
+        creep : float
+            Part by which the area goes on growing within the next tens of seconds.
+        column : int
+            Which finger of the truth this is.
+        """
+        rise_s, fall_s = self.rng.uniform(0.010, 0.030, 2)
+        time_s = self.time_s
+        on = (time_s >= start_s) & (time_s < stop_s)
+        t = time_s[on] - start_s
+        ramp = np.minimum(np.minimum((t + 1e-3) / rise_s, (stop_s - start_s - t) / fall_s), 1.0)
+        ramp = np.sin(np.pi / 2 * ramp) ** 2
+        finger = kind in TISSUES
+        settled = float(area_of(kind, force_n)) if area_mm2 is None else area_mm2
+        pressed = np.maximum(settled * ramp, SMALLEST_MM2)
+        self.kinds.append(kind)
+        self.area_mm2.append(self._row(on, pressed * (1 + creep * (1 - np.exp(-t / 7)))))
+        self.force_n.append(self._row(on, force_of(kind, pressed) if finger else np.full(len(t), np.nan)))
+        x, y = path(t)
+        self.x_mm.append(self._row(on, x))
+        self.y_mm.append(self._row(on, y))
+        while len(self.columns) <= column:
+            self.columns.append([])
+        self.columns[column].append(len(self.kinds) - 1)
+
+    def _row(self, on: NDArray[np.bool_], value: ArrayLike) -> Floats:
+        row = np.full(len(self.sequence), np.nan)
+        row[on] = value
+        return row
+
+    def touches(self, start: int, stop: int) -> list[list[Contact]]:
+        """Contacts in each of the frames start .. stop - 1."""
+        result: list[list[Contact]] = [[] for _ in range(start, stop)]
+        for kind, *rows in zip(self.kinds, self.x_mm, self.y_mm, self.area_mm2, strict=True):
+            x, y, area = (row[start:stop] for row in rows)
+            for i in np.flatnonzero(~np.isnan(x)):
+                result[i].append(Contact(float(x[i]), float(y[i]), float(area[i]), kind))
+        return result
+
+    def truth(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Return `contacts_mm` of shape (n, k, 2) and `force_n` of shape (n, k), as a recording has them.
+
+        A label that is off never leaves the plate.
+        """
+        n, k = len(self.sequence), max(len(self.columns), 1)
+        contacts = np.full((n, k, 2), np.nan, dtype=np.float32)
+        force = np.full((n, k), np.nan, dtype=np.float32)
+        for column, members in enumerate(self.columns):
+            for i in members:
+                on = ~np.isnan(self.x_mm[i])
+                contacts[on, column, 0] = self.x_mm[i][on]
+                contacts[on, column, 1] = self.y_mm[i][on]
+                force[on, column] = self.force_n[i][on]
+        if self.label_error_mm is not None:
+            size_mm = np.array([self.plate.width_mm, self.plate.height_mm])
+            contacts = np.clip(contacts + self.label_error_mm, 0, size_mm).astype(np.float32)
+        return contacts, force
