@@ -35,7 +35,7 @@ vm-packages:
 
 # The package in a virtual machine with the kernel's own USB; the machine is made once and kept in ~/.cache/touchd-vm.
 vm-test: setup test-packages vm-packages
-	$(BIN)/python -m pytest -o faulthandler_timeout=900 tests/vm/scenario.py $(ARGS)
+	$(BIN)/python -m pytest -o faulthandler_timeout=900 tests/system/vm/scenario.py $(ARGS)
 
 lint: setup
 	$(BIN)/ruff check .
@@ -48,15 +48,15 @@ bench: setup
 
 # A million frames at full speed, then ten minutes at 1000 a second, with faults: some 15 minutes.
 soak: setup
-	$(BIN)/python -m tests.soak $(ARGS)
+	$(BIN)/python -m tests.system.soak $(ARGS)
 
 # Hours of what is no finger: every contact that comes of it is told of. Some ten minutes.
 ghosts: setup
-	$(BIN)/python -m tests.soak.ghosts $(ARGS)
+	$(BIN)/python -m tests.system.soak.ghosts $(ARGS)
 
 # Rebuild the checked-in results and pages.
 golden: setup
-	$(BIN)/python -m tests.golden.rebuild
+	$(BIN)/python -m tests.scenes.golden.rebuild
 
 docs: setup
 	$(BIN)/python docs/generate.py

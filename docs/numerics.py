@@ -21,9 +21,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from docs import measured
-from tests.numerics import agreement, curves, degenerate, independence, limits, longruns
-from tests.numerics.curvepage import ATLAS, NETWORK, PAPER, answer_table, draw, small, table
-from tests.numerics.watch import frames_of, run
+from tests.scenes.numerics import agreement, curves, degenerate, independence, limits, longruns
+from tests.scenes.numerics.curvepage import ATLAS, NETWORK, PAPER, answer_table, draw, small, table
+from tests.scenes.numerics.watch import frames_of, run
 from touchd.evaluation.dataset import Dataset, digest, make_dataset, split, thin
 from touchd.lab.benchmark.machine import this_machine
 from touchd.localization.model import Model, default_model_path

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.soak.ghosts import judge
+from tests.system.soak.ghosts import judge
 from touchd.twin.instrument import Instrument
 
 

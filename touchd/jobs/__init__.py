@@ -16,8 +16,8 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from touchd.jobs.identity import code_digest, key_of
-from touchd.jobs.job import Failure, Job, Parcel, Shared, Task, one_thread, perform
+from touchd.jobs.identity import code_digest
+from touchd.jobs.job import Failure, Job, Parcel, Shared, Task, key_of, one_thread, perform
 from touchd.jobs.store import Store
 
 Progress = Callable[[str, int, int], object]

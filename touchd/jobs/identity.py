@@ -12,32 +12,13 @@ import platform
 from collections.abc import Iterator, Mapping
 from functools import cache
 from pathlib import Path, PurePath
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from pydantic import BaseModel
 
-if TYPE_CHECKING:
-    from touchd.jobs.job import Job
-
 LIBRARIES = ("numpy", "scipy", "scikit-learn", "torch", "onnx", "onnxruntime")
 """A new version of one of these may round differently."""
-
-
-def key_of(job: Job, code: str, shared: Mapping[str, str]) -> str:
-    """Digest all that a job's result depends on.
-
-    Parameters
-    ----------
-    job : Job
-        Its name does not matter.
-    code : str
-        `code_digest` of the function's module.
-    shared : mapping
-        Digests of the shared objects it gets, by name.
-    """
-    function = f"{job.function.__module__}.{job.function.__qualname__}"
-    return digest([function, job.arguments, shared, code, _libraries()])
 
 
 def digest(value: Any) -> str:
@@ -111,7 +92,7 @@ def _name(value: Any) -> str:
 
 
 @cache
-def _libraries() -> tuple[tuple[str, str], ...]:
+def libraries() -> tuple[tuple[str, str], ...]:
     """Return the versions of Python and of the numeric libraries that are installed, and the kind of processor."""
     versions = [("python", platform.python_version()), ("machine", platform.machine())]
     for library in LIBRARIES:

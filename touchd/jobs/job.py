@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from touchd.errors import JobError, TouchdError
-from touchd.jobs.identity import code_digest, digest
+from touchd.jobs.identity import code_digest, digest, libraries
 
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 """What libraries of linear algebra read when they are loaded."""
@@ -35,6 +35,22 @@ class Job:
         module, name = self.function.__module__, self.function.__qualname__
         if module == "__main__" or getattr(sys.modules.get(module), name, None) is not self.function:
             raise TypeError(f"a job's function must be one of a module that can be imported, not {module}.{name}")
+
+
+def key_of(job: Job, code: str, shared: Mapping[str, str]) -> str:
+    """Digest all that a job's result depends on.
+
+    Parameters
+    ----------
+    job : Job
+        Its name does not matter.
+    code : str
+        `code_digest` of the function's module.
+    shared : mapping
+        Digests of the shared objects it gets, by name.
+    """
+    function = f"{job.function.__module__}.{job.function.__qualname__}"
+    return digest([function, job.arguments, shared, code, libraries()])
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,1 +1,0 @@
-"""Whole scenes of the twin through the whole pipeline, with the shipped model."""

@@ -1,0 +1,155 @@
+"""How far the fast path is from float64, scene by scene: features, rounding, and where Gauss-Newton stops early."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from math import dist
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tests.scenes.numerics import reference
+from tests.scenes.numerics.watch import Look, Run, frames_of, run
+from touchd.evaluation.finders import atlas_finder
+from touchd.evaluation.single_frames import see, touched_frames
+from touchd.localization.atlas import Atlas
+from touchd.localization.model import Model, default_model_path
+from touchd.recording.data import Recording
+from touchd.touch import Touch
+
+FEATURES_RELATIVE = 1e-6
+ROUNDING_MM = 1e-3
+
+
+@dataclass(slots=True)
+class Agreement:
+    """One scene."""
+
+    frames: int
+    located: int
+    """Frames that were located, not skipped."""
+    contacts: int = 0
+    """Fingers that were placed in them."""
+    features: float = 0.0
+    """Largest distance of a frame's features from the reference, relative to their length."""
+    baseline_counts: float = 0.0
+    """Largest difference of the followed baseline from the same in float64, ADC counts."""
+    rounding_mm: list[float] = field(default_factory=list)
+    """Of each place from the same steps in float64."""
+    begun_elsewhere_mm: list[float] = field(default_factory=list)
+    """The same, of places that a search began elsewhere in float64, since two beginnings left as much: each precision
+    stops early on its own way to one minimum, and the distance is explained by how early."""
+    other: int = 0
+    """Frames in which float64 decided differently: another number of fingers, or a frame skipped by one of them."""
+    truncation_mm: list[float] = field(default_factory=list)
+    """Of each place from the minimum that a converged float64 solution of the same frame goes to."""
+    truncation_sigmas: float = 0.0
+    """The largest of them, as a share of that finger's own sigma."""
+    same_events: bool = True
+    """Whether the same contacts go down, move, hold and come up in the same frames."""
+
+
+def compared(recording: Recording, atlas: Atlas) -> Agreement:
+    """A scene run in both precisions, and each of its frames fitted by the reference."""
+    frames = list(frames_of(recording))
+    single, double = run(frames), run(frames, wide=True)
+    result = Agreement(len(frames), len(single.looks))
+    mine, its = ({look.number: look for look in one.looks} for one in (single, double))
+    result.other = len(mine.keys() ^ its.keys())
+    for number in sorted(mine.keys() & its.keys()):
+        pairs = list(zip(mine[number].touches, its[number].touches, strict=False))
+        if len(mine[number].touches) != len(its[number].touches):
+            result.other += 1
+            continue
+        for a, b in pairs:
+            distance_mm = dist(_place(a), _place(b))
+            early = distance_mm > ROUNDING_MM and distance_mm < _early_mm(mine[number], a, b, atlas) + ROUNDING_MM
+            (result.begun_elsewhere_mm if early else result.rounding_mm).append(distance_mm)
+        off = np.abs(mine[number].baseline - its[number].baseline).max()
+        result.baseline_counts = max(result.baseline_counts, float(off))
+    result.same_events = outline(single) == outline(double)
+    _against_reference(result, single.looks, atlas)
+    return result
+
+
+def _place(touch: Touch) -> tuple[float, float]:
+    return touch.x_mm, touch.y_mm
+
+
+def _early_mm(look: Look, one: Touch, other: Touch, atlas: Atlas) -> float:
+    """How far two places of one finger are from the minimum of the frame, together."""
+    features = reference.atlas_features(look.residual, reference.plate_of(look.baseline, atlas), atlas)
+    fit = reference.refine(atlas, features - look.drifted, np.array(look.places_mm), look.mask)
+    which = min(range(len(look.places_mm)), key=lambda k: dist(look.places_mm[k], _place(one)))
+    return dist(fit.places_mm[which], _place(one)) + dist(fit.places_mm[which], _place(other))
+
+
+def outline(result: Run) -> list[tuple[int, list[tuple[int, str]]]]:
+    """Which contact did what in which frame."""
+    return [(event.frame, [(c.id, c.phase) for c in event.contacts]) for event in result.touches]
+
+
+def _against_reference(result: Agreement, looks: list[Look], atlas: Atlas) -> None:
+    plates: dict[bytes, reference.Plate] = {}
+    for look in looks:
+        key = look.baseline.tobytes()
+        if key not in plates:
+            plates[key] = reference.plate_of(look.baseline, atlas)
+        features = reference.atlas_features(look.residual, plates[key], atlas)
+        size = float(np.linalg.norm(features))
+        if size > 0:
+            off = float(np.linalg.norm(look.features + look.drifted - features)) / size
+            result.features = max(result.features, off)
+        for distance_mm, sigma_mm in truncations(look, features, atlas):
+            result.contacts += 1
+            result.truncation_mm.append(distance_mm)
+            result.truncation_sigmas = max(result.truncation_sigmas, distance_mm / sigma_mm)
+
+
+def truncations(look: Look, features: reference.Floats, atlas: Atlas) -> Iterator[tuple[float, float]]:
+    """Of each finger of a frame, how far it is from the converged minimum (mm), and its sigma (mm)."""
+    if not look.touches:
+        return
+    fit = reference.refine(atlas, features - look.drifted, np.array(look.places_mm), look.mask)
+    for touch in look.touches:
+        which = min(range(len(look.places_mm)), key=lambda k: dist(look.places_mm[k], _place(touch)))
+        yield dist(fit.places_mm[which], _place(touch)), touch.sigma_mm
+
+
+@dataclass(frozen=True, slots=True)
+class NetworkShift:
+    """What a network's positions differ by, mm: medians, 95th percentiles and the largest, over touches."""
+
+    name: str
+    median_mm: float
+    p95_mm: float
+    most_mm: float
+
+
+def shift(name: str, one_mm: NDArray[np.floating], other_mm: NDArray[np.floating]) -> NetworkShift:
+    """The distances between two sets of places, (n, 2) each."""
+    off = np.linalg.norm(np.asarray(one_mm, np.float64) - other_mm, axis=1)
+    return NetworkShift(name, float(np.median(off)), float(np.percentile(off, 95)), float(off.max()))
+
+
+def networks(features: np.ndarray) -> list[NetworkShift]:
+    """The shipped networks on features (n, inputs): float32 beside float64, and int8 beside float32."""
+    path = default_model_path()
+    int8 = path.with_name("int8.onnx")
+    said = Model(path, atlas=False).run(features)["position_mm"]
+    wide = reference.network(path, features)["position_mm"]
+    small = Model(int8, atlas=False).run(features)["position_mm"]
+    return [shift("network, float32 beside float64", said, wide), shift("network, int8 beside float32", small, said)]
+
+
+def atlas_shift(recording: Recording, atlas: Atlas) -> NetworkShift:
+    """Places on the atlas as touch-downs, begun where the int8 network sees them, beside the float32 one's."""
+    frames = touched_frames(recording)
+    path = default_model_path()
+    models = (Model(path, atlas=False), Model(path.with_name("int8.onnx"), atlas=False))
+    single, small = (see(atlas_finder(model, atlas, frames), frames) for model in models)
+    both = [(a.found[0], b.found[0]) for a, b in zip(single, small, strict=True) if len(a.found) == len(b.found) == 1]
+    places = np.array([[_place(one), _place(other)] for one, other in both])
+    name = f"atlas, begun by int8 beside float32 ({len(both)} placed once by both)"
+    return shift(name, places[:, 0], places[:, 1])

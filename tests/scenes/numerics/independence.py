@@ -1,0 +1,137 @@
+"""What must not depend on how the work is cut up: networks by batch and threads, events by threads and chunks."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+import onnxruntime as ort
+from numpy.typing import NDArray
+
+from tests.scenes.numerics.agreement import NetworkShift, shift
+from touchd.config.schema import Settings
+from touchd.evaluation.replay import run_through
+from touchd.event import TouchEvent
+from touchd.frame import Acquisition, Frame
+from touchd.localization.model import Model, default_model_path
+from touchd.recording.data import Recording
+from touchd.recording.format import write
+from touchd.sources.replay import ReplaySource
+from touchd.sources.source import EndOfStream, Source
+
+Rows = NDArray[np.float32]
+Contacts = list[tuple[int, list[tuple[float | str, ...]]]]
+
+
+def batched(features: Rows, batch: int, threads: int) -> NDArray[np.float64]:
+    """Places (n, 2) of the shipped network, so many touches at a time on so many threads."""
+    options = ort.SessionOptions()
+    options.intra_op_num_threads = threads
+    options.inter_op_num_threads = 1
+    session = ort.InferenceSession(str(default_model_path()), options, providers=["CPUExecutionProvider"])
+    name = session.get_inputs()[0].name
+    parts = [
+        session.run(["position_mm"], {name: features[i : i + batch]})[0] for i in range(0, len(features), batch)
+    ]  # fmt: skip
+    return np.concatenate(parts).astype(np.float64)
+
+
+def by_batch_and_threads(features: Rows) -> list[NetworkShift]:
+    """Shifts of the network's places from those that it gives one by one on one thread, as the daemon asks."""
+    plain = Model(default_model_path(), atlas=False).run(features)["position_mm"]
+    return [
+        shift(f"batch {batch}, {threads} thread{'s'[: threads > 1]}", batched(features, batch, threads), plain)
+        for batch in (1, 7, 64, len(features)) for threads in (1, 2)
+    ]  # fmt: skip
+
+
+def contacts_of(touches: Sequence[TouchEvent]) -> Contacts:
+    """All numbers of all contacts, frame by frame."""
+    return [
+        (event.frame, [(c.id, c.phase, c.x_mm, c.y_mm, c.sigma_mm, c.confidence, c.force) for c in event.contacts])
+        for event in touches
+    ]
+
+
+class Pieces:
+    """A source of a recording's frames, each from a buffer that is overwritten after some: as live sources do."""
+
+    def __init__(self, recording: Recording, block: int) -> None:
+        self.acquisition: Acquisition = recording.acquisition
+        self._recording, self._block, self._next = recording, block, 0
+        self._buffer = np.zeros((block, *recording.frames.shape[1:]), np.int16)
+
+    def read(self, timeout_s: float) -> Frame | None:  # noqa: ARG002 - frames are always there
+        i, r = self._next, self._recording
+        if i == len(r.frames):
+            raise EndOfStream
+        if i % self._block == 0:
+            part = r.frames[i : i + self._block]
+            self._buffer[:] = -1
+            self._buffer[: len(part)] = part
+        self._next += 1
+        return Frame(self._buffer[i % self._block], int(r.sequence[i]), int(r.timestamp_ns[i]), 0)
+
+    def close(self) -> None:
+        """Nothing to let go of."""
+
+
+def _events(source: Source) -> Contacts:
+    return contacts_of(run_through(source, Settings()).touches)
+
+
+def chunked(recording: Recording, folder: Path, sizes: Sequence[int]) -> Iterator[tuple[str, Contacts]]:
+    """The contacts of a recording that lies in files, and comes from a source, in pieces of these sizes."""
+    for size in sizes:
+        parts = folder / f"chunks-{size}"
+        parts.mkdir()
+        for number, start in enumerate(range(0, len(recording.frames), size)):
+            write(parts / f"{number:05d}.npz", _part(recording, start, start + size), compress=False)
+        frames = f"{size} frame{'s'[: size > 1]}"
+        yield f"files of {frames}", _events(ReplaySource(parts, speed=float("inf")))
+        yield f"blocks of {frames}", _events(Pieces(recording, size))
+
+
+def whole(recording: Recording, folder: Path) -> Contacts:
+    """The contacts of a recording in one file."""
+    path = folder / "whole.npz"
+    write(path, recording, compress=False)
+    return _events(ReplaySource(path, speed=float("inf")))
+
+
+def _part(recording: Recording, start: int, stop: int) -> Recording:
+    r, cut = recording, slice(start, stop)
+    return Recording(r.meta, r.frames[cut], r.sequence[cut], r.timestamp_ns[cut])
+
+
+def with_blas_threads(path: Path, threads: int) -> Contacts:
+    """The contacts of a recording, from a process whose linear algebra may use so many threads."""
+    names = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+    environment = os.environ | dict.fromkeys(names, str(threads))
+    command = [sys.executable, "-m", "tests.scenes.numerics.independence", str(path)]
+    done = subprocess.run(command, env=environment, capture_output=True, check=True, text=True, timeout=120)
+    return [(frame, [tuple(contact) for contact in contacts]) for frame, contacts in json.loads(done.stdout)]
+
+
+def farthest_mm(one: Contacts, other: Contacts) -> float:
+    """The largest distance of two runs' contacts; infinite if not the same ones do the same in the same frames."""
+
+    def names(run: Contacts) -> list[tuple[int, list[tuple[float | str, ...]]]]:
+        return [(frame, [contact[:2] for contact in contacts]) for frame, contacts in run]
+
+    if names(one) != names(other):
+        return float("inf")
+    places = [
+        np.array([contact[2:4] for _, contacts in run for contact in contacts], float).reshape(-1, 2)
+        for run in (one, other)
+    ]
+    return float(np.linalg.norm(places[0] - places[1], axis=1).max(initial=0.0))
+
+
+if __name__ == "__main__":
+    print(json.dumps(_events(ReplaySource(Path(sys.argv[1]), speed=float("inf")))))

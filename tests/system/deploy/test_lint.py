@@ -1,0 +1,145 @@
+"""What is shipped for the system says nothing that the system's own tools object to."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from tests.needs import need, need_tool
+from tests.processes import PATIENCE_S, ROOT
+
+DEPLOY = ROOT / "deploy"
+UNIT = DEPLOY / "touchd.service"
+RULES = DEPLOY / "60-touchd.rules"
+HIGHEST_EXPOSURE = 1.5
+SCRIPTS = sorted(
+    path
+    for folder in (DEPLOY, DEPLOY / "debian", ROOT / "tests/system/deploy", ROOT / "tests/system/vm")
+    for path in folder.iterdir()
+    if path.is_file() and path.read_bytes().startswith((b"#!/bin/sh", b"#!/bin/bash", b"#!/usr/bin/env bash"))
+)
+
+
+def output_of(*command: object, code: int | None = 0) -> str:
+    """All that a program says; its exit status is checked unless it is None."""
+    done = subprocess.run([*map(str, command)], capture_output=True, text=True, timeout=PATIENCE_S, cwd=ROOT)
+    said = done.stdout + done.stderr
+    assert code is None or done.returncode == code, said
+    return said
+
+
+def installed(folder: Path, text: str) -> Path:
+    """The unit in a folder of its own, with the daemon where this computer has a program."""
+    path = folder / "touchd.service"
+    path.write_text(text.replace("/usr/bin/touchd", "/bin/true"))
+    return path
+
+
+# -- unit ----------------------------------------------------------------------------------------------
+
+
+def test_the_unit_is_right_in_every_key(tmp_path: Path) -> None:
+    analyze = need_tool("systemd-analyze", "systemd")
+    # It prints what it does not know and exits with 0: any output is a complaint.
+    assert output_of(analyze, "verify", "--man=no", installed(tmp_path, UNIT.read_text())) == ""
+
+
+def test_a_wrong_key_in_the_unit_would_be_found(tmp_path: Path) -> None:
+    analyze = need_tool("systemd-analyze", "systemd")
+    wrong = installed(tmp_path, UNIT.read_text().replace("ProtectHome=", "ProtectHouse="))
+    assert "ProtectHouse" in output_of(analyze, "verify", "--man=no", wrong, code=None)
+
+
+def exposure(path: Path) -> float:
+    analyze = need_tool("systemd-analyze", "systemd")
+    said = output_of(analyze, "security", "--offline=true", "--no-pager", path)
+    found = re.search(r"Overall exposure level for touchd.service: ([\d.]+)", said)
+    assert found, said
+    return float(found[1])
+
+
+def test_the_sandbox_is_tight(tmp_path: Path) -> None:
+    assert exposure(installed(tmp_path, UNIT.read_text())) <= HIGHEST_EXPOSURE
+
+
+def test_a_unit_without_its_sandbox_would_be_found(tmp_path: Path) -> None:
+    bare = re.sub(r"(?m)^(Protect|Restrict|SystemCall|Capability|Private|NoNew|Dynamic).*\n", "", UNIT.read_text())
+    assert exposure(installed(tmp_path, bare)) > 2 * HIGHEST_EXPOSURE
+
+
+def test_the_real_time_drop_in_is_right_in_every_key(tmp_path: Path) -> None:
+    analyze = need_tool("systemd-analyze", "systemd")
+    joined = UNIT.read_text().replace("[Install]", (DEPLOY / "realtime.conf").read_text() + "\n[Install]")
+    assert output_of(analyze, "verify", "--man=no", installed(tmp_path, joined)) == ""
+
+
+# -- udev ----------------------------------------------------------------------------------------------
+
+
+def udev_says(folder: Path, rules: str) -> str:
+    """What udevadm test says of a rules file, in mounts of its own: no rule or group of this computer is touched."""
+    udevadm, unshare = need_tool("udevadm", "udev"), need_tool("unshare", "util-linux")
+    need(subprocess.run([unshare, "--mount", "true"], capture_output=True).returncode == 0, "private mounts need root")
+    (folder / "rules.d").mkdir()
+    (folder / "rules.d" / "60-touchd.rules").write_text(rules)
+    (folder / "group").write_text(Path("/etc/group").read_text() + "touchd-dev:x:64999:\n")
+    script = f"""
+set -e
+mount -t tmpfs none /run
+mkdir -p /run/udev
+mount --bind {folder}/group /etc/group
+cp -r {folder}/rules.d /run/udev/rules.d
+exec {udevadm} test /sys/class/net/lo 2>&1
+"""
+    return output_of(unshare, "--mount", "--propagation", "private", "sh", "-c", script)
+
+
+def complaints(said: str) -> list[str]:
+    return [line for line in said.splitlines() if re.search(r"60-touchd\.rules:\d+", line) and "GOTO" not in line]
+
+
+def test_udev_takes_every_line_of_the_rules(tmp_path: Path) -> None:
+    said = udev_says(tmp_path, RULES.read_text())
+    assert "60-touchd.rules" in said, "it was read"
+    assert complaints(said) == []
+
+
+@pytest.mark.parametrize(("right", "wrong"), [("ENV{DEVTYPE}", "ENVY{DEVTYPE}"), ("touchd-dev", "no-such-group")])
+def test_a_wrong_key_or_group_in_the_rules_would_be_found(tmp_path: Path, right: str, wrong: str) -> None:
+    assert complaints(udev_says(tmp_path, RULES.read_text().replace(right, wrong)))
+
+
+def test_the_rules_name_the_ids_that_are_the_default() -> None:
+    from touchd.config.schema import DeviceSettings
+
+    default = DeviceSettings()
+    assert f'ATTR{{idVendor}}=="{default.vendor_id:04x}", ATTR{{idProduct}}=="{default.product_id:04x}"' in (
+        RULES.read_text()
+    )
+
+
+# -- users, files, scripts -----------------------------------------------------------------------------
+
+
+def test_the_groups_of_unit_and_rules_are_made(tmp_path: Path) -> None:
+    sysusers = need_tool("systemd-sysusers", "systemd")
+    (tmp_path / "etc").mkdir()
+    output_of(sysusers, f"--root={tmp_path}", DEPLOY / "sysusers.conf")
+    made = {line.partition(":")[0] for line in (tmp_path / "etc/group").read_text().splitlines()}
+    found = re.search(r"(?m)^SupplementaryGroups=(.*)", UNIT.read_text())
+    assert found
+    assert made == set(found[1].split())
+    assert set(re.findall(r'GROUP="([^"]+)"', RULES.read_text())) <= made
+
+
+def test_systemd_takes_every_line_of_the_temporary_files(tmp_path: Path) -> None:
+    tmpfiles = need_tool("systemd-tmpfiles", "systemd")
+    assert output_of(tmpfiles, f"--root={tmp_path}", "--create", "--clean", DEPLOY / "tmpfiles.conf") == ""
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: str(path.relative_to(ROOT)))
+def test_shellcheck_has_nothing_to_say(script: Path) -> None:
+    assert output_of(need_tool("shellcheck", "shellcheck"), script) == ""

@@ -1,0 +1,278 @@
+"""The pages tell the truth: generated ones are current, links lead somewhere, commands parse, examples run."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+import tempfile
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import click
+import numpy as np
+import onnx
+import pytest
+from onnx import TensorProto, helper
+
+from touchd.cli.main import VERBS, touchd
+from touchd.client import Subscriber
+from touchd.config.load import load
+from touchd.config.schema import BusSettings, Settings
+from touchd.errors import TouchdError
+from touchd.event import Contact, HealthEvent, TouchEvent
+from touchd.frame import Acquisition, Frame, Plate
+from touchd.localization.model import METADATA_KEY, Description
+from touchd.sinks.zeromq import ZeromqSink
+from touchd.sources.source import EndOfStream, Source
+
+ROOT = Path(__file__).resolve().parents[2]
+DOCS = ROOT / "docs"
+PAGES = [ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")] + sorted(DOCS.glob("*.md"))
+PATIENCE_S = 60.0
+
+
+def name_of(page: Path) -> str:
+    return str(page.relative_to(ROOT))
+
+
+def blocks(page: Path) -> list[tuple[str, str]]:
+    """The fenced blocks of a page: language and text."""
+    return re.findall(r"^```(\w*)\n(.*?)^```$", page.read_text(), re.DOTALL | re.MULTILINE)
+
+
+def prose(page: Path) -> str:
+    return re.sub(r"^```.*?^```$", "", page.read_text(), flags=re.DOTALL | re.MULTILINE)
+
+
+def inline_code(page: Path) -> list[str]:
+    return re.findall(r"`([^`\n]+)`", prose(page))
+
+
+def shell_lines(page: Path) -> Iterator[str]:
+    """What a reader would type: the lines of shell blocks, without prompt and with continued lines joined."""
+    for language, text in blocks(page):
+        if language in ("", "console", "sh", "bash"):
+            for line in text.replace("\\\n", " ").splitlines():
+                yield line.removeprefix("$ ")
+
+
+def anchors(page: Path) -> set[str]:
+    """The anchors of a page's headings, as GitHub makes them."""
+    titles = re.findall(r"^#+ (.+)$", prose(page), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles}
+
+
+def subclasses(cls: type[TouchdError]) -> Iterator[type[TouchdError]]:
+    for child in cls.__subclasses__():
+        yield child
+        yield from subclasses(child)
+
+
+# -- generated pages ---------------------------------------------------------------------------------
+
+
+def test_generated_pages_are_current() -> None:
+    check = subprocess.run([sys.executable, DOCS / "generate.py", "--check"], capture_output=True, text=True)
+    assert check.returncode == 0, check.stderr
+
+
+def test_the_default_configuration_file_holds_the_defaults(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in [name for name in os.environ if name.upper().startswith("TOUCHD_")]:
+        monkeypatch.delenv(name)
+    assert load(ROOT / "deploy" / "touchd.toml") == Settings()
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_every_verb_is_described(verb: str) -> None:
+    assert f"## touchd {verb}\n" in (DOCS / "cli.md").read_text()
+
+
+@pytest.mark.parametrize("error", list(subclasses(TouchdError)), ids=lambda error: error.__name__)
+def test_every_failure_is_listed_with_its_exit_status(error: type[TouchdError]) -> None:
+    assert f"| {error.exit_code} | `{error.__name__}` |" in (DOCS / "troubleshooting.md").read_text()
+
+
+# -- references --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_every_relative_link_leads_somewhere(page: Path) -> None:
+    for link in re.findall(r"\]\(([^)\s]+)\)", prose(page)):
+        if re.match(r"\w+:", link):
+            continue
+        path, _, anchor = link.partition("#")
+        target = page.parent / path if path else page
+        assert target.exists(), f"{page.name}: {link}"
+        assert not anchor or anchor in anchors(target), f"{page.name}: {link}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_every_make_target_exists(page: Path) -> None:
+    targets = set(re.findall(r"^([a-z][a-z-]*):", (ROOT / "Makefile").read_text(), re.MULTILINE))
+    for line in (*shell_lines(page), *inline_code(page)):
+        words = line.split()
+        if words[:1] == ["make"] and words[1:]:
+            assert words[1] in targets, line
+
+
+def parse(line: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let click parse a command line without running it."""
+    monkeypatch.setattr(click.Command, "invoke", lambda _self, _ctx: None)
+    arguments = shlex.split(line.split(" | ")[0], comments=True)
+    touchd.main(args=arguments[1:], prog_name="touchd", standalone_mode=False)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_every_command_line_parses(page: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for line in shell_lines(page):
+        if line.split()[:1] == ["touchd"]:
+            parse(line, monkeypatch)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_commands_named_in_the_text_have_verbs_and_options_that_exist(
+    page: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for code in inline_code(page):
+        if code.split()[:1] == ["touchd"] and code.split()[1:]:
+            try:
+                parse(code, monkeypatch)
+            except click.MissingParameter:
+                pass  # the text need not name every argument
+            except click.UsageError as error:
+                pytest.fail(f"{code}: {error.format_message()}")
+
+
+# -- examples ----------------------------------------------------------------------------------------
+
+
+def python_block(page: Path) -> str:
+    (block,) = (text for language, text in blocks(page) if language == "python")
+    return block
+
+
+def test_the_readme_s_subscriber_prints_touches(tmp_path: Path) -> None:
+    sink = ZeromqSink(BusSettings(bind=("tcp://127.0.0.1:*",)))
+    program = python_block(ROOT / "README.md")
+    assert "Subscriber()" in program
+    file = tmp_path / "subscriber.py"
+    file.write_text(program.replace("Subscriber()", f'Subscriber("{sink.addresses[0]}")'))
+    with subprocess.Popen([sys.executable, file], stdout=subprocess.PIPE, text=True) as listener:
+        guard = threading.Timer(PATIENCE_S, listener.kill)
+        guard.start()
+        try:
+            sink.wait_for_subscriber(PATIENCE_S)
+            contacts = [Contact(7, "down", 12.34, 56.78, 0.5, 1.5, 0.99, 0.0, 0.0)]
+            sink.publish(TouchEvent("plate", 1, 1, "2025-01-01T00:00:00.000000Z", 1, contacts), 0)
+            assert listener.stdout is not None
+            assert listener.stdout.readline() == "7 down 12.3 56.8 mm\n"
+        finally:
+            guard.cancel()
+            listener.kill()
+            sink.close()
+
+
+RIG = Acquisition(channels=4, samples=250, sample_rate_hz=250e3)
+EXAMPLE = DOCS / "adding-a-source.md"
+
+
+def frame_bytes(sequence: int) -> bytes:
+    counts = np.full(RIG.shape, sequence, np.int16)
+    return sequence.to_bytes(8, "little") + counts.astype("<i2").tobytes()
+
+
+@pytest.fixture
+def pipe_source() -> Iterator[tuple[Any, Any]]:
+    """The example's source on a pipe, and the pipe's other end."""
+    names: dict[str, Any] = {"__name__": "pipe_daemon"}
+    exec(compile(python_block(EXAMPLE), "pipe_daemon.py", "exec"), names)
+    read_end, write_end = os.pipe()
+    with open(read_end, "rb", buffering=0) as pipe, open(write_end, "wb", buffering=0) as device:
+        yield names["PipeSource"](pipe, RIG), device
+
+
+def test_the_example_source_keeps_the_promises_of_a_source(pipe_source: tuple[Any, Any]) -> None:
+    source: Source = pipe_source[0]
+    device = pipe_source[1]
+    assert source.acquisition == RIG
+    assert source.read(0.0) is None
+    device.write(frame_bytes(7)[:1000])
+    assert source.read(0.01) is None
+    device.write(frame_bytes(7)[1000:] + frame_bytes(9))
+    for sequence in (7, 9):
+        frame = source.read(1.0)
+        assert isinstance(frame, Frame)
+        assert frame.sequence == sequence
+        assert frame.counts.dtype == np.int16
+        assert frame.counts.shape == RIG.shape
+        assert (frame.counts == sequence).all()
+        assert frame.received_ns - frame.t_ns == 1_000_000
+    device.close()
+    with pytest.raises(EndOfStream):
+        source.read(1.0)
+    source.close()
+    source.close()
+    with pytest.raises(EndOfStream):
+        source.read(1.0)
+
+
+def write_blind_model(path: Path) -> None:
+    """Write the smallest model there is: it never sees a finger."""
+    nodes = []
+    for name, size in (("position_mm", 2), ("sigma_mm", 1), ("confidence", 1)):
+        zeros = helper.make_tensor(f"zeros_{name}", TensorProto.FLOAT, (392, size), np.zeros(392 * size))
+        nodes += [
+            helper.make_node("Constant", [], [f"zeros_{name}"], value=zeros),
+            helper.make_node("MatMul", ["features", f"zeros_{name}"], [name]),
+        ]
+    graph = helper.make_graph(
+        nodes,
+        "blind",
+        [helper.make_tensor_value_info("features", TensorProto.FLOAT, ("n", 392))],
+        [
+            helper.make_tensor_value_info(name, TensorProto.FLOAT, ("n", size))
+            for name, size in (("position_mm", 2), ("sigma_mm", 1), ("confidence", 1))
+        ],
+    )
+    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+    description = Description(
+        name="blind", head="regression", domain="frequency", input="residual",
+        acquisition=RIG, plate=Plate(width_mm=200, height_mm=200),
+    )  # fmt: skip
+    helper.set_model_props(model, {METADATA_KEY: description.model_dump_json()})
+    onnx.save(model, path)
+
+
+def test_the_example_is_a_whole_daemon(tmp_path: Path) -> None:
+    program, model = tmp_path / "pipe_daemon.py", tmp_path / "blind.onnx"
+    program.write_text(python_block(EXAMPLE))
+    write_blind_model(model)
+    settings = {name: value for name, value in os.environ.items() if not name.upper().startswith("TOUCHD_")}
+    with tempfile.TemporaryDirectory(prefix="touchd-") as folder:
+        address = f"ipc://{folder}/bus"
+        settings |= {"TOUCHD_BUS__BIND": address, "TOUCHD_MODEL__PATH": str(model)}
+        with (
+            subprocess.Popen([sys.executable, program], stdin=subprocess.PIPE, env=settings) as daemon,
+            Subscriber(address, ("health",), PATIENCE_S) as events,
+        ):
+            guard = threading.Timer(PATIENCE_S, daemon.kill)
+            guard.start()
+            try:
+                assert daemon.stdin is not None
+                health = next(iter(events))
+                for sequence in (*range(1, 11), *range(13, 41)):
+                    daemon.stdin.write(frame_bytes(sequence))
+                daemon.stdin.close()
+                while not (isinstance(health, HealthEvent) and health.state == "stopping"):
+                    health = next(events)
+                assert (health.frames, health.lost, health.skipped["learning"]) == (38, 2, 38)
+                assert health.model == "blind"
+                assert daemon.wait(PATIENCE_S) == 0
+            finally:
+                guard.cancel()
+                daemon.kill()

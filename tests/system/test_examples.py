@@ -1,0 +1,104 @@
+"""The examples of docs/subscribing.md run as printed there."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import NoReturn
+
+import pytest
+
+from touchd.client import Subscriber
+from touchd.config.schema import BusSettings
+from touchd.event import Contact, TouchEvent, encode
+from touchd.sinks.zeromq import ZeromqSink
+
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+EXAMPLES = DOCS / "examples"
+PATIENCE_S = 60.0
+
+
+def missing(what: str) -> NoReturn:
+    """Skip the test, except where everything has to be there."""
+    if os.environ.get("CI") == "true":
+        pytest.fail(f"{what} is missing")
+    pytest.skip(f"{what} is missing")
+
+
+def touch(seq: int) -> TouchEvent:
+    contacts = [Contact(seq, "move", 10.0 * seq, 56.7, 0.5, 1.5, 0.99, 0.0, 0.0)]
+    return TouchEvent("plate", seq, seq, "2025-01-01T00:00:00.000000Z", seq, contacts)
+
+
+@pytest.fixture
+def sink() -> Iterator[ZeromqSink]:
+    # A constant clock, so that the C example's raw payload is known.
+    sink = ZeromqSink(BusSettings(bind=("tcp://127.0.0.1:*",)), clock=lambda: 0)
+    yield sink
+    sink.close()
+
+
+def check(sink: ZeromqSink, command: list[str], line_of: Callable[[TouchEvent], str]) -> None:
+    """Run an example, and see that it prints each touch once although the bus repeats one."""
+    with subprocess.Popen([*command, sink.addresses[0]], stdout=subprocess.PIPE, text=True) as example:
+        guard = threading.Timer(PATIENCE_S, example.kill)
+        guard.start()
+        try:
+            assert example.stdout is not None
+            sink.wait_for_subscriber(PATIENCE_S)
+            sink.publish(touch(1), 0)
+            assert example.stdout.readline().strip() == line_of(touch(1))
+            with Subscriber(sink.addresses[0], ("touch", "key")) as another:
+                sink.wait_for_subscriber(PATIENCE_S, "key")  # it has joined, so touch 1 has gone out again
+                assert another.receive(PATIENCE_S).seq == 1
+            sink.publish(touch(2), 0)
+            assert example.stdout.readline().strip() == line_of(touch(2))
+        finally:
+            guard.cancel()
+            example.kill()
+
+
+def contact_line(event: TouchEvent) -> str:
+    (c,) = event.contacts
+    return f"{c.id} {c.phase} {c.x_mm:.1f} {c.y_mm:.1f}"
+
+
+@pytest.mark.parametrize(("name", "language"), [("listen.py", "python"), ("listen.c", "c"), ("listen.mjs", "js")])
+def test_the_page_prints_the_examples_word_for_word(name: str, language: str) -> None:
+    blocks = re.findall(rf"^```{language}\n(.*?)^```$", (DOCS / "subscribing.md").read_text(), re.DOTALL | re.MULTILINE)
+    assert (EXAMPLES / name).read_text() in blocks
+
+
+def test_the_python_example_runs(sink: ZeromqSink) -> None:
+    check(sink, [sys.executable, str(EXAMPLES / "listen.py")], contact_line)
+
+
+def test_the_c_example_compiles_without_a_warning_and_runs(sink: ZeromqSink, tmp_path: Path) -> None:
+    if shutil.which("cc") is None:
+        missing("a C compiler (package gcc)")
+    if subprocess.run(["cc", "-E", "-include", "zmq.h", "-x", "c", "/dev/null"], capture_output=True).returncode != 0:
+        missing("zmq.h (package libzmq3-dev)")
+    program = str(tmp_path / "listen")
+    flags = ["-std=c11", "-O2", "-Wall", "-Wextra", "-Wpedantic", "-Werror"]
+    subprocess.run(["cc", *flags, "-o", program, str(EXAMPLES / "listen.c"), "-lzmq"], check=True)
+    check(sink, [program], lambda event: encode(event).decode())
+
+
+def test_the_node_example_runs(sink: ZeromqSink, tmp_path: Path) -> None:
+    node = shutil.which("node")
+    if node is None:
+        missing("Node.js (packages nodejs and npm)")
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "touchd/node"
+    modules = Path(os.environ.get("TOUCHD_NODE_DIR") or cache) / "node_modules"
+    if not (modules / "zeromq").is_dir():
+        missing("zeromq for Node.js (run docs/examples/install-node-zeromq.sh)")
+    # A module's imports are looked for beside its own file.
+    (tmp_path / "node_modules").symlink_to(modules)
+    shutil.copy(EXAMPLES / "listen.mjs", tmp_path)
+    check(sink, [node, str(tmp_path / "listen.mjs")], contact_line)

@@ -1,0 +1,118 @@
+"""`make vm-test`: the package in a machine of its own, with the kernel's USB, udev and systemd.
+
+All is done in one boot, by `guest.sh`; the tests look at what was seen. The machine's processor is emulated, so times
+in it mean nothing; behaviour does.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.needs import need, need_tool
+from tests.processes import ROOT
+from tests.system.usb.plate import write
+from tests.system.usb.test_mocked_kernel import STEPS
+
+HERE = Path(__file__).parent
+CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "touchd-vm"
+BOOT_S = 1200
+Found = dict[str, str]
+
+
+@pytest.fixture(scope="session")
+def image() -> Path:
+    """The machine, made once for each version of its recipe and kept."""
+    need(os.geteuid() == 0, "making the machine's disk needs root")
+    for tool, package in (("qemu-system-x86_64", "qemu-system-x86"), ("mmdebstrap", "mmdebstrap")):
+        need_tool(tool, package)
+    CACHE.mkdir(parents=True, exist_ok=True)
+    recipe = HERE / "image.sh"
+    path = CACHE / hashlib.sha256(recipe.read_bytes()).hexdigest()[:16]
+    if not path.is_dir():
+        for older in CACHE.iterdir():
+            shutil.rmtree(older)
+        began_s = time.monotonic()
+        made = subprocess.run(["bash", recipe, path], capture_output=True, text=True)
+        assert made.returncode == 0, made.stderr
+        print(f"the machine was made in {time.monotonic() - began_s:.0f} s")
+    return path
+
+
+@pytest.fixture(scope="session")
+def host(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What goes into the machine, and comes out of it."""
+    folder = tmp_path_factory.mktemp("host")
+    folder.chmod(0o755)
+    built = subprocess.run(["bash", ROOT / "deploy/build-deb.sh"], capture_output=True, text=True, cwd=ROOT)
+    assert built.returncode == 0, built.stderr
+    shutil.copy(ROOT / built.stdout.split()[-1], folder)
+    shutil.copy(HERE / "guest.sh", folder / "run.sh")
+    for file in (HERE / "usbipdaq.py", ROOT / "tests/system/usb/client.py", ROOT / "tests/system/usb/player.py"):
+        shutil.copy(file, folder)
+    write(folder)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def found(image: Path, host: Path) -> Found:
+    """What was seen in the machine."""
+    began_s = time.monotonic()
+    boot = ["timeout", str(BOOT_S), "bash", str(HERE / "boot.sh"), str(image), str(host)]
+    done = subprocess.run(boot, capture_output=True, text=True)
+    print(f"the machine ran for {time.monotonic() - began_s:.0f} s")
+    logs = [host / name for name in ("console.log", "out.log", "journal.log", "gadget.err", "usbip.err", "usbip.log")]
+    log = "\n".join([done.stderr, *(path.read_text(errors="replace") for path in logs if path.exists())])
+    print(log)
+    status = host / "status"
+    assert status.exists(), f"the machine did not come to its end: {log}"
+    lines = (host / "found.txt").read_text().splitlines()
+    return {name: value.strip() for name, _, value in (line.partition(" ") for line in lines)}
+
+
+def test_the_package_installs_and_starts_nothing_without_a_device(found: Found) -> None:
+    assert (found["installed"], found["before-plug"]) == ("0", "inactive")
+
+
+def test_plugging_the_device_in_starts_the_daemon_as_a_user_of_its_own(found: Found) -> None:
+    assert found["started-by-plug"] == "0"
+    assert found["group"] == "touchd-dev 660"
+    assert found["user"] not in ("", "root", "0")
+
+
+@pytest.mark.parametrize("bus", ["gadget", "usbip"])
+def test_a_device_on_the_kernel_s_usb_lives_through_everything(found: Found, host: Path, bus: str) -> None:
+    assert found[f"{bus}-scenario"] == "0"
+    steps = (host / f"{bus}.steps").read_text()
+    assert [step for step in STEPS if f'{{"step": "{step}"' in steps] == list(STEPS)
+
+
+def test_killed_or_frozen_it_is_there_again_and_so_are_touches(found: Found) -> None:
+    assert (found["killed-restarts"], found["killed-streams"]) == ("0", "0")
+    assert (found["frozen-restarts"], found["frozen-said"], found["touched-again"]) == ("0", "1", "0")
+
+
+def test_it_may_keep_the_processors_awake_while_touched(found: Found) -> None:
+    assert found["keeps-awake"] == "0 touchd-dev 660"
+
+
+def test_without_the_device_it_waits_and_a_stopped_one_is_started_by_plugging_in(found: Found) -> None:
+    assert (found["lost"], found["lost-active"]) == ("0", "active")
+    assert found["stopped"] == "success 0"
+    assert found["replug-starts"] == "0"
+
+
+def test_a_connection_that_breaks_without_a_word_costs_no_restart(found: Found) -> None:
+    assert found["usbip-starts"] == "0"
+    assert (found["pulled-lost"], found["pulled-streams"]) == ("0", "0 same-process")
+
+
+def test_the_package_removes_and_purges_cleanly(found: Found) -> None:
+    assert found["removed"] == "0 not-found"
+    assert found["purged"] == "0"

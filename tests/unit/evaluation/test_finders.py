@@ -1,0 +1,79 @@
+"""Whatever places fingers is judged by the same frames: a network, or the field atlas beside it."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from tests.unit.evaluation.twinatlas import twin_atlas
+from touchd.cli.evaluate import command
+from touchd.evaluation.finders import atlas_finder, network_finder
+from touchd.evaluation.matching import match_frames, scores_by_fingers
+from touchd.evaluation.single_frames import TouchedFrames, see, touched_frames
+from touchd.localization.atlas import Atlas, atlas_path, save_atlas
+from touchd.localization.model import Model, default_model_path
+from touchd.recording.format import write
+from touchd.twin.instrument import Instrument
+from touchd.twin.simulate import simulate_touches
+
+
+@pytest.fixture(scope="module")
+def atlas(instrument: Instrument) -> Atlas:
+    return twin_atlas(instrument)
+
+
+@pytest.fixture(scope="module")
+def frames(instrument: Instrument) -> dict[str, TouchedFrames]:
+    options = {"1": {"fingers": 1}, "2": {"fingers": 2, "apart_mm": 30.0}}
+    return {
+        key: touched_frames(simulate_touches(60, seed=41, instrument=instrument, **more))  # type: ignore[arg-type]  # options
+        for key, more in options.items()
+    }
+
+
+def test_the_atlas_places_one_finger_far_finer_than_its_network(
+    atlas: Atlas, model: Model, frames: dict[str, TouchedFrames]
+) -> None:
+    fine = scores_by_fingers(match_frames(see(atlas_finder(model, atlas, frames["1"]), frames["1"])))["1"]
+    rough = scores_by_fingers(match_frames(see(network_finder(model, frames["1"]), frames["1"])))["1"]
+    print(f"median {1e3 * fine['median_mm']:.0f} and {1e3 * rough['median_mm']:.0f} um")
+    assert fine["count_right"] == 1
+    assert fine["median_mm"] < 0.05 < 5 * fine["median_mm"] < rough["median_mm"]
+    assert fine["force_rank"] > 0.99
+    assert fine["force_spread_p95"] < 0.1
+
+
+def test_the_atlas_finds_two_fingers_where_the_network_knows_of_one(
+    atlas: Atlas, model: Model, frames: dict[str, TouchedFrames]
+) -> None:
+    fine = scores_by_fingers(match_frames(see(atlas_finder(model, atlas, frames["2"]), frames["2"])))["2"]
+    assert fine["all_within_1_mm"] > 0.9
+    assert fine["missed"] <= 2
+
+
+def test_each_frame_is_a_touch_down_of_its_own(atlas: Atlas, model: Model, frames: dict[str, TouchedFrames]) -> None:
+    """In any order, and however often it was asked before, the same is found."""
+    find = atlas_finder(model, atlas, frames["1"])
+    there = [find(frames["1"].look(i)) for i in range(20)]
+    back = [find(frames["1"].look(i)) for i in reversed(range(20))]
+    assert there == back[::-1]
+
+
+def test_the_verb_takes_the_atlas_that_lies_beside_the_model(
+    atlas: Atlas, model: Model, instrument: Instrument, tmp_path: Path
+) -> None:
+    path = Path(shutil.copy(default_model_path(), tmp_path / "plate.onnx"))
+    about = atlas.description.model_copy(update={"data_sha256": model.description.data_sha256})
+    write(tmp_path / "touches.npz", simulate_touches(40, seed=42, instrument=instrument))
+    medians = []
+    for _ in range(2):
+        done = CliRunner().invoke(command, [str(path), str(tmp_path / "touches.npz"), "--json"])
+        assert done.exception is None, done.output
+        medians.append(json.loads(done.output)["median_mm"])
+        save_atlas(replace(atlas, description=about), atlas_path(path))
+    assert medians[1] < 0.2 * medians[0]

@@ -1,0 +1,60 @@
+"""The estimators that look a frame up among the recorded touches."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.unit.conftest import KNOWN
+from touchd.evaluation.dataset import Dataset
+from touchd.lab.dictionary import LAGS_S, Correlation, Nearest
+from touchd.localization.features import band_bins
+
+
+def correlation(dataset: Dataset) -> Correlation:
+    a = dataset.acquisition
+    f_hz = band_bins(a) * a.sample_rate_hz / a.samples
+    return Correlation(dataset.residual[:KNOWN], dataset.position_mm[:KNOWN], a.channels, f_hz)
+
+
+def test_each_recorded_touch_is_found_at_its_own_place(dataset: Dataset) -> None:
+    known, place_mm = dataset.residual[:KNOWN], dataset.position_mm[:KNOWN]
+    np.testing.assert_array_equal(Nearest(known, place_mm).locate(known), place_mm)
+    np.testing.assert_array_equal(correlation(dataset).locate(known), place_mm)
+    np.testing.assert_allclose(np.diag(correlation(dataset).correlate(known)), 1, atol=1e-5)
+
+
+def test_touches_never_seen_are_placed_near_by(dataset: Dataset) -> None:
+    """Both are better than the mean of all places by far."""
+    unseen, place_mm = dataset.residual[KNOWN:], dataset.position_mm[KNOWN:]
+    guess = np.linalg.norm(place_mm - place_mm.mean(axis=0), axis=1).mean()
+    nearest = Nearest(dataset.residual[:KNOWN], dataset.position_mm[:KNOWN])
+    for estimator in (nearest, correlation(dataset)):
+        error = np.linalg.norm(estimator.locate(unseen) - place_mm, axis=1)
+        print(f"{type(estimator).__name__}: mean {error.mean():.2f} mm, of a blind guess {guess:.2f} mm")
+        assert np.median(error) < guess / 4
+
+
+def test_k_neighbours_are_averaged() -> None:
+    features = np.array([[0.0], [1.0], [10.0]], np.float32)
+    place_mm = np.array([[0, 0], [2, 4], [50, 50]], np.float32)
+    np.testing.assert_array_equal(Nearest(features, place_mm, k=2).locate(features[:1]), [[1, 2]])
+
+
+@given(st.sampled_from(list(LAGS_S)), st.floats(0.01, 100.0), st.integers(0, 2**31))
+def test_the_correlation_minds_neither_size_nor_a_delay_of_a_listed_lag(lag_s: float, size: float, seed: int) -> None:
+    f_hz = np.arange(51, 100) * 1e3
+    rng = np.random.default_rng(seed)
+    bins = rng.normal(size=(5, 3, 49)) + 1j * rng.normal(size=(5, 3, 49))
+
+    def rows(values: np.ndarray) -> np.ndarray:
+        return np.stack([values.real, values.imag], axis=2).reshape(len(values), -1).astype(np.float32)
+
+    kept = Correlation(rows(bins), np.zeros((5, 2), np.float32), 3, f_hz)
+    later = size * bins * np.exp(-2j * np.pi * f_hz * lag_s)
+    peaks = kept.correlate(rows(later))
+    assert (peaks.argmax(axis=1) == np.arange(5)).all()
+    assert np.diag(peaks) == pytest.approx(1, abs=1e-4)
+    assert (peaks <= 1 + 1e-4).all()

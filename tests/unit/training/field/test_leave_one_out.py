@@ -1,0 +1,60 @@
+"""Leaving one touch out by the formula is what regressing the others again would give, value and gradient."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.unit.training.waves import Waves, touch
+from touchd.training.field.leave_one_out import displacements, foretold, left_out
+from touchd.training.field.regression import Prior, Regression, Touches, each
+
+K = np.array([0.2, 0.25, 0.3])
+
+
+@pytest.fixture(scope="module")
+def touches() -> Touches:
+    return touch(Waves(K, 2, 0), 220, 60.0, 1)[0]
+
+
+@pytest.fixture(scope="module")
+def regression(touches: Touches) -> Regression:
+    return Regression(touches, Prior(K, ridge=1e-3))
+
+
+def without(touches: Touches, i: int, b: int, regression: Regression) -> tuple[Regression, np.ndarray]:
+    """The regression of all others, with the same scale of the bin."""
+    rest = Touches(np.delete(touches.place_mm, i, 0), np.delete(touches.values, i, 0), touches.noise)
+    other = Regression(rest, regression.prior)
+    other.scale, other.ridge = regression.scale, regression.ridge
+    return other, other.weights(b, np.ones(len(rest.values), np.complex64))
+
+
+@pytest.mark.parametrize("i", [0, 7, 100, 219])
+def test_a_touch_is_foretold_by_the_others_alone(i: int, touches: Touches, regression: Regression) -> None:
+    b, one = 1, np.ones(len(touches.values), np.complex64)
+    inverse = regression.inverse(b, one)
+    field, by_x, by_y = foretold(regression, b, one, inverse)[:, i] * regression.scale[b]
+    other, weights = without(touches, i, b, regression)
+    at, step = touches.place_mm[i], 0.05
+    around = at + step * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]])
+    values = other.at(b, weights, around)
+    size = np.abs(values).max()
+    np.testing.assert_allclose(field, values[0], atol=3e-3 * size)
+    np.testing.assert_allclose(by_x, (values[1] - values[2]) / (2 * step), atol=1e-2 * size)
+    np.testing.assert_allclose(by_y, (values[3] - values[4]) / (2 * step), atol=1e-2 * size)
+    np.testing.assert_allclose(left_out(regression, b, one)[i], touches.values[i, :, b] - values[0], atol=3e-3 * size)
+
+
+def test_a_touch_with_a_wrong_label_is_seen_where_it_was() -> None:
+    touches, _ = touch(Waves(K, 4, 5), 400, 60.0, 6, spread=0.0)
+    moved_mm = np.random.default_rng(2).normal(scale=0.3, size=(8, 2))
+    wrong = touches.place_mm.copy()
+    chosen = np.flatnonzero(np.abs(wrong - 30).max(axis=1) < 22)[:80:10]
+    wrong[chosen] += moved_mm
+    regression = Regression(Touches(wrong, touches.values, touches.noise), Prior(K))
+    strength, bins = np.ones((len(wrong), 3), np.complex64), np.arange(3)
+    inverses = each(lambda b: regression.inverse(b, strength[:, b]), bins)
+    found = displacements(regression, strength, bins, inverses).by_mm[chosen]
+    left_mm = np.linalg.norm(found + moved_mm, axis=1)
+    assert np.median(left_mm) < 0.25 * np.median(np.linalg.norm(moved_mm, axis=1))
