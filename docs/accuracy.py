@@ -33,12 +33,12 @@ from touchd.evaluation.metrics import position_scores
 from touchd.evaluation.model_scores import Judgement
 from touchd.evaluation.plots.atlas import FieldImage, NoiseLevel, draw_field, draw_fingers, draw_learning, draw_noise
 from touchd.evaluation.plots.maps import draw_maps
-from touchd.evaluation.replay import replay
 from touchd.evaluation.single_frames import see, touched_frames
 from touchd.localization.atlas import Atlas
 from touchd.localization.model import Model
 from touchd.recording.data import Recording
 from touchd.recording.format import read, write
+from touchd.service.replay import replay
 from touchd.training.data.one_temperature import at_one_temperature
 from touchd.training.field.dispersion import dispersion_of
 from touchd.training.field.learn import learn_thoroughly

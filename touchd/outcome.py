@@ -1,8 +1,24 @@
-"""What became of the frames, and of the messages that they meant."""
+"""What became of the frames."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from enum import IntEnum
+
+
+class Outcome(IntEnum):
+    """What became of one frame."""
+
+    REPEATED = 0
+    STUCK = 1
+    LEARNING = 2
+    SCREEN_OFF = 3
+    UNTOUCHED = 4
+    TOUCHED = 5
+    FAINT = 6
+    STILL = 7
+    TRACKED = 8
+    INFERRED = 9
 
 
 @dataclass(slots=True)
@@ -21,5 +37,3 @@ class Counters:
         default_factory=lambda: dict.fromkeys(("learning", "gate", "faint", "still", "tracking", "screen-off"), 0)
     )
     """Frames that needed no network, by reason; all but those of `tracking` needed no features either."""
-    unheard: dict[str, int] = field(default_factory=lambda: {"touch": 0, "spectrum": 0})
-    """Messages that were not made because nobody was subscribed, by topic."""

@@ -13,23 +13,25 @@ import math
 from collections.abc import Callable
 
 import numpy as np
+from msgspec import Struct
 
 from touchd.config.schema import Settings
 from touchd.detection.baseline import Baseline
 from touchd.detection.gate import Gate
 from touchd.detection.relearn import Standing, Verdict
 from touchd.detection.stuck import LASTING_FRAMES, Channels, Frozen
-from touchd.event import Event
+from touchd.event import Contact
 from touchd.frame import Acquisition, Frame
 from touchd.keypad import Layout
 from touchd.localization.model import Model
 from touchd.localization.network_localizer import finder_for
-from touchd.outcome import Counters
-from touchd.sinks.messages import Messages, is_change
+from touchd.outcome import Counters, Outcome
 from touchd.touch import Touch
+from touchd.tracking.keys import KeyPress, Keys
 from touchd.tracking.tracker import Tracker
 
-NOTHING: list[Event] = []
+_NO_CONTACTS: list[Contact] = []
+_NO_KEYS: list[KeyPress] = []
 # The baseline moves by at most this much time at once: after a gap it must not swallow a single frame whole.
 _LONGEST_STEP_S = 0.1
 LATE_FRAMES = 32
@@ -39,8 +41,20 @@ TURN_EVERY = 16
 """Of untouched frames; while touched another channel is looked at in each, since one that freezes keeps a finger."""
 
 
-def _everybody(_topic: str) -> bool:
-    return True
+class Result(Struct, frozen=True, gc=False):
+    """What came of a frame."""
+
+    t_ns: int
+    """CLOCK_MONOTONIC of the frame, ns."""
+    sequence: int
+    """The frame's number."""
+    outcome: Outcome
+    contacts: list[Contact] = _NO_CONTACTS
+    """All contacts, including those that ended; empty if no message is due."""
+    keys: list[KeyPress] = _NO_KEYS
+    """Keys pressed and released."""
+    touches: int = 0
+    """Fingers placed in this frame; if there are any, a spectrum message is due."""
 
 
 class Pipeline:
@@ -54,12 +68,8 @@ class Pipeline:
     settings : Settings
     layout : Layout, optional
         The keys, in keypad mode.
-    messages : Messages
-        Makes the events: knows the device's name and the wall clock.
-    wants : callable
-        Whether anybody would see a message of a topic.
     notify : callable
-        Told of each change of the baseline that is not mere drift: the reason, and fields for the log.
+        Called when the baseline is relearned, with the reason and fields for the log.
     """
 
     def __init__(
@@ -67,9 +77,7 @@ class Pipeline:
         acquisition: Acquisition,
         model: Model,
         settings: Settings,
-        messages: Messages,
         layout: Layout | None = None,
-        wants: Callable[[str], bool] = lambda _topic: True,
         notify: Callable[[str, dict[str, float]], None] = lambda _reason, _fields: None,
     ) -> None:
         model.check(acquisition)
@@ -83,8 +91,7 @@ class Pipeline:
         self._frozen = Frozen(self.baseline.signal, self._leave_out)
         self.screen_off = False
         """Whether frames only keep the baseline, since nobody sees what is touched."""
-        self._messages = messages
-        self._wants = wants
+        self._keys = Keys()
         self._notify = notify
         self._set_thresholds(settings)
         self._learning = True
@@ -94,10 +101,10 @@ class Pipeline:
         self.followed_ns = 0
         """Time of the last frame that went into the baseline."""
 
-    def process(self, frame: Frame) -> list[Event]:
-        """Take one frame through every stage and return the events it causes, mostly none."""
+    def process(self, frame: Frame) -> Result:
+        """Take one frame through every stage."""
         if not self._in_order(frame):
-            return NOTHING
+            return Result(frame.t_ns, frame.sequence, Outcome.REPEATED)
         if self._frozen.repeats(frame.counts):
             return self._hear_nothing(frame)
         elapsed_s = (frame.t_ns - self._last_ns) * 1e-9
@@ -118,7 +125,7 @@ class Pipeline:
             else:
                 self._look_all_the_same(energy)
             self._untouched(frame, energy, elapsed_s)
-            return self._track(frame, ()) if self.tracker.busy else NOTHING
+            return self._track(frame, (), Outcome.UNTOUCHED)
 
         self._frozen.turn()
         faint = self._finder.is_faint(energy)
@@ -126,9 +133,9 @@ class Pipeline:
             self.counters.skipped["faint"] += 1
             self._finder.forget()
         touches = () if faint else self._finder.find(energy, elapsed_s, alive=self.tracker.alive)
-        events = self._track(frame, touches)
+        result = self._track(frame, touches, Outcome.FAINT if faint else Outcome.TOUCHED)
         self._settle(frame, energy, elapsed_s, found=bool(touches), faint=faint)
-        return events
+        return result
 
     def noise_counts(self) -> float:
         """Return the RMS of an untouched frame against the baseline, ADC counts; 0 before it is known."""
@@ -142,23 +149,32 @@ class Pipeline:
         channels = np.flatnonzero(self._frozen.channels).tolist()
         return f"the DAQ repeats what it heard on channels {channels}" if channels else None
 
-    def lose(self, t_ns: int) -> list[Event]:
-        """End all contacts because no further frame comes, and return the events."""
-        self._finder.forget()
-        contacts = self.tracker.release_all(t_ns)
-        return self._messages.touch(t_ns, self._last_sequence or 0, contacts) if contacts else NOTHING
+    @property
+    def touched(self) -> bool:
+        """Whether a contact is down."""
+        return self.tracker.alive
 
-    def screen(self, *, off: bool) -> list[Event]:
-        """Take note of whether the screen is off, and return the events that end its contacts.
+    def spectrum(self) -> list[float]:
+        """Return the features of the last frame."""
+        return self._finder.spectrum()
+
+    def release(self, t_ns: int) -> Result:
+        """End all contacts, since no further frame comes."""
+        self._finder.forget()
+        contacts = self.tracker.release_all(t_ns) or _NO_CONTACTS
+        return Result(t_ns, self._last_sequence or 0, Outcome.STUCK, contacts, self._keys.update(contacts))
+
+    def set_screen(self, *, off: bool) -> Result:
+        """Tell whether the screen is off; if it goes off, its contacts end.
 
         Nobody can mean anything by a touch then: frames only keep the baseline, with neither features nor network.
         """
         if off == self.screen_off or not self._skip.screen:
-            return NOTHING
+            return Result(self._last_ns, self._last_sequence or 0, Outcome.SCREEN_OFF)
         self.screen_off = off
-        return self.lose(self._last_ns)
+        return self.release(self._last_ns)
 
-    def retune(self, settings: Settings, layout: Layout | None) -> None:
+    def configure(self, settings: Settings, layout: Layout | None) -> None:
         """Take other thresholds, time constants and keys from the next frame on; the baseline and contacts stay."""
         self.baseline.retune(settings.baseline)
         self.gate.retune(settings.gate)
@@ -167,8 +183,8 @@ class Pipeline:
         self._finder.retune(settings, layout)
         self._set_thresholds(settings)
 
-    def restart(self) -> None:
-        """Learn the plate anew: the device was away, and what it hears may have changed."""
+    def reset(self) -> None:
+        """Relearn the plate: the device was away, and what it hears may have changed."""
         self._notify("reconnected", {})
         self._last_sequence = None
         self._learn_anew()
@@ -176,7 +192,6 @@ class Pipeline:
     def _set_thresholds(self, settings: Settings) -> None:
         self._small = 10 ** (settings.baseline.drift_below_db / 10)
         self._skip = settings.skip
-        self._hears = self._wants if settings.skip.unheard else _everybody
         if not self._skip.screen:
             self.screen_off = False
 
@@ -202,7 +217,7 @@ class Pipeline:
         counters.frames += 1
         return True
 
-    def _hear_nothing(self, frame: Frame) -> list[Event]:
+    def _hear_nothing(self, frame: Frame) -> Result:
         """The frame is the one before, under a new number: it says nothing of the plate, and nothing is learned.
 
         It is as if none came: when there are several, nobody can know where the fingers are.
@@ -210,16 +225,16 @@ class Pipeline:
         skipped = self.counters.skipped
         skipped["frozen"] = skipped.get("frozen", 0) + 1
         if self._frozen.frames < LASTING_FRAMES:
-            return NOTHING
+            return Result(frame.t_ns, frame.sequence, Outcome.STUCK)
         self._standing.clear()
-        return self.lose(frame.t_ns)
+        return self.release(frame.t_ns)
 
     def _leave_out(self, channels: Channels) -> None:
         """Some channels say nothing of the plate, the others do."""
         self.baseline.leave_out(channels)
         self._finder.leave_out(channels)
 
-    def _learn(self, frame: Frame) -> list[Event]:
+    def _learn(self, frame: Frame) -> Result:
         """Learn the untouched plate and its noise before anything is sensed."""
         self.counters.skipped["learning"] += 1
         energies = self.baseline.learn(frame.counts)
@@ -230,7 +245,7 @@ class Pipeline:
             self._finder.learned()
             self._learning = False
             self.followed_ns = frame.t_ns
-        return self._track(frame, ()) if self.tracker.busy else NOTHING
+        return self._track(frame, (), Outcome.LEARNING)
 
     def _untouched(self, frame: Frame, energy: float, elapsed_s: float) -> None:
         """The gate is closed: the plate's drift and noise are followed."""
@@ -250,7 +265,7 @@ class Pipeline:
         self._finder.find(energy, 0.0, alive=False)
         self._finder.forget()
 
-    def _rest(self, frame: Frame, energy: float, elapsed_s: float, *, is_open: bool) -> list[Event]:
+    def _rest(self, frame: Frame, energy: float, elapsed_s: float, *, is_open: bool) -> Result:
         """What lets all but the baseline be skipped: the screen is off, and no touch can mean anything."""
         self.counters.skipped["screen-off"] += 1
         if is_open:
@@ -258,25 +273,16 @@ class Pipeline:
             self._settle(frame, energy, elapsed_s, found=False, faint=True)
         else:
             self._untouched(frame, energy, elapsed_s)
-        return NOTHING
+        return Result(frame.t_ns, frame.sequence, Outcome.SCREEN_OFF)
 
-    def _track(self, frame: Frame, touches: tuple[Touch, ...]) -> list[Event]:
-        contacts = self.tracker.update(frame.t_ns, touches)
-        events = NOTHING
-        if contacts:
-            # What lets a message be skipped: nobody is there to read it. That a contact is there is kept for those to
-            # come, for keys and for the pre-roll; where it is, they learn from its next message.
-            if self._hears("touch") or is_change(contacts):
-                events = self._messages.touch(frame.t_ns, frame.sequence, contacts)
-            else:
-                self.counters.unheard["touch"] += 1
-        if touches:
-            if self._hears("spectrum"):
-                spectrum = self._messages.spectrum(frame.t_ns, frame.sequence, self._finder.spectrum())
-                events = [*events, spectrum]
-            else:
-                self.counters.unheard["spectrum"] += 1
-        return events
+    def _track(self, frame: Frame, touches: tuple[Touch, ...], outcome: Outcome) -> Result:
+        contacts = _NO_CONTACTS
+        if outcome >= Outcome.TOUCHED or self.tracker.busy:
+            contacts = self.tracker.update(frame.t_ns, touches) or _NO_CONTACTS
+        return Result(
+            frame.t_ns, frame.sequence, outcome, contacts, self._keys.update(contacts) if contacts else _NO_KEYS,
+            len(touches),
+        )  # fmt: skip
 
     def _settle(self, frame: Frame, energy: float, elapsed_s: float, *, found: bool, faint: bool) -> None:
         """The gate is open: decide whether the plate as it is now has become the untouched one."""

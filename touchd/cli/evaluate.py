@@ -18,12 +18,12 @@ from touchd.evaluation.finders import finder_of, network_features
 from touchd.evaluation.matching import Matches, match_frames, scores_by_fingers
 from touchd.evaluation.metrics import position_scores
 from touchd.evaluation.model_scores import Judgement, judge, scores
-from touchd.evaluation.replay import replay
 from touchd.evaluation.replay_scores import score_stream
 from touchd.evaluation.single_frames import see, touched_frames
 from touchd.localization.model import Model
 from touchd.recording.data import Recording
 from touchd.recording.format import read
+from touchd.service.replay import replay
 
 STREAM_HZ = 20.0
 """Slower recordings hold touches one by one, each judged on its own frame."""
