@@ -8,8 +8,6 @@ frames' own, so a recording gives the same contacts at any speed.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from msgspec import Struct
 
 from touchd.config.schema import Settings
@@ -34,9 +32,9 @@ class Result(Struct, gc=False, frozen=True):
     sequence: int
     """Its number."""
     outcome: Outcome
-    contacts: Sequence[Contact] = ()
+    contacts: list[Contact] = []
     """All contacts alive and those that ended in this frame, if a message is due; else none."""
-    keys: Sequence[KeyPress] = ()
+    keys: list[KeyPress] = []
     touches: int = 0
     """Fingers placed in this frame."""
 
@@ -101,15 +99,16 @@ class Pipeline:
         contacts = self._tracker.release_all(t_ns)
         return Result(t_ns, self._sequence, Outcome.REPEATED, contacts, self._keys.update(contacts))
 
-    def set_screen(self, *, off: bool) -> Result | None:
-        """Switch touches off, or on, with the screen; return what ends their contacts, None if nothing changes.
+    def set_screen(self, *, off: bool) -> Result:
+        """Switch touches off or on with the screen, and return what ends their contacts.
 
         With the screen off nobody can mean anything by a touch: frames only keep the baseline.
         """
+        t_ns = self._detection.t_ns if self._detection else 0
         if off == self.screen_off or not self._skip.screen:
-            return None
+            return Result(t_ns, self._sequence, Outcome.SCREEN_OFF)
         self.screen_off = off
-        return self.release(self._detection.t_ns if self._detection else 0)
+        return self.release(t_ns)
 
     def configure(self, settings: Settings, layout: Layout | None) -> None:
         """Take other thresholds, time constants and keys from the next frame on; baseline and contacts stay."""
@@ -133,13 +132,27 @@ class Pipeline:
         """Whether a contact is down."""
         return self._tracker.alive
 
+    @property
+    def followed_ns(self) -> int:
+        """Time of the last frame that moved the baseline."""
+        return self.detector.followed_ns
+
+    @property
+    def fault(self) -> str | None:
+        """What is wrong with the frames, for a person; None if nothing is known."""
+        return self.detector.fault
+
+    def noise_counts(self) -> float:
+        """Return the RMS of an untouched frame against the baseline, ADC counts; 0 before it is known."""
+        return self.detector.noise_counts()
+
     def _without_measurement(self, frame: Frame, detection: Detection) -> Result:
         """Only liveness may lift contacts: a DAQ that hangs ends them, and so does learning, by missing touches."""
         if detection.outcome is Outcome.REPEATED:
             self.counters.count(Outcome.REPEATED)
             return Result(frame.t_ns, frame.sequence, Outcome.REPEATED)
         if detection.outcome is Outcome.STUCK:
-            contacts: Sequence[Contact] = ()
+            contacts: list[Contact] = []
             if self.detector.hangs:
                 self._localizer.reset()
                 contacts = self._tracker.release_all(frame.t_ns)
@@ -159,8 +172,9 @@ class Pipeline:
             return Localization(outcome)
         return found
 
-    def _result(self, frame: Frame, outcome: Outcome, contacts: Sequence[Contact], touches: int) -> Result:
+    def _result(self, frame: Frame, outcome: Outcome, contacts: list[Contact], touches: int) -> Result:
         self.counters.count(outcome)
         self._sequence = frame.sequence
-        keys = self._keys.update(contacts) if contacts else ()
-        return Result(frame.t_ns, frame.sequence, outcome, contacts, keys, touches)
+        if not contacts:
+            return Result(frame.t_ns, frame.sequence, outcome, touches=touches)
+        return Result(frame.t_ns, frame.sequence, outcome, contacts, self._keys.update(contacts), touches)

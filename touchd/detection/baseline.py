@@ -110,7 +110,8 @@ class Baseline:
         for channel in self._silenced:
             self.residual[channel] = 0
         self._flat.dot(self._flat, self._energy)
-        return self._energy.item()
+        energy: float = self._energy.item()
+        return energy
 
     def energy(self) -> float:
         """Return the energy of the untouched signal, counts squared; at least 1, since a dead DAQ sends zeros."""

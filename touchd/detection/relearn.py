@@ -115,4 +115,5 @@ class Relearn:
     def _distance(self, a: Signal, a_energy: float, b: Signal, b_energy: float) -> float:
         """Return the energy of the difference, by one product: a millionth of the energies is lost to rounding."""
         a.dot(b, self._product)
-        return a_energy + b_energy - 2.0 * self._product.item()
+        product: float = self._product.item()
+        return a_energy + b_energy - 2.0 * product

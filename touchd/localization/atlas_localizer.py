@@ -15,6 +15,7 @@ from touchd.config.schema import Settings
 from touchd.detection.baseline import Signal
 from touchd.detection.detector import Detection
 from touchd.keypad import Layout
+from touchd.localization.atlas import Atlas
 from touchd.localization.classify import Classifier
 from touchd.localization.estimator import Estimator, TouchMaker
 from touchd.localization.fit_criteria import CRITERIA
@@ -42,15 +43,14 @@ class AtlasLocalizer:
     Parameters
     ----------
     model : Model
-        Loaded with its atlas.
+        Its network says where a finger that has just landed is.
+    atlas : Atlas
     settings : Settings
     layout : Layout, optional
         The keys, in keypad mode.
     """
 
-    def __init__(self, model: Model, settings: Settings, layout: Layout | None) -> None:
-        atlas = model.atlas
-        assert atlas is not None
+    def __init__(self, model: Model, atlas: Atlas, settings: Settings, layout: Layout | None) -> None:
         self._estimator = Estimator(model)
         self._solver = GaussNewton(atlas)
         self._plate = PlateModel(atlas)
@@ -81,8 +81,8 @@ class AtlasLocalizer:
         self._search.reset()
         self._drift.reset()
 
-    def update(self, baseline: Signal, residuals: Signal) -> None:
-        """Take a newly learned baseline, (channels, samples), and the residuals it was learned from, (n, ...)."""
+    def update(self, baseline: Signal, residuals: Signal | None = None) -> None:
+        """Take another baseline, (channels, samples), and residuals that tell its noise, (n, ...); else that stays."""
         self._plate.update(baseline, residuals)
         self.reset()
 

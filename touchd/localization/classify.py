@@ -44,8 +44,8 @@ SURE_NS = 100_000_000
 """Water that lay for 0.1 s stays water in single frames without any lead; before, it may have been a finger landing."""
 DRY_RAD, DRY_NS, DRY_CONFIDENCE = 0.38, 30_000_000, 0.9
 """A lead below 0.38 rad in clear fits for 30 ms is a finger whose contact was small at first. On a transducer, whose
-mass shifts both, light fingers lead by 0.15 to 0.36 and drops by 0.7 or more; elsewhere drops lead by 0.5 or more, and by
-as little as 0.25 while fitted together with a strong finger (twin)."""
+mass shifts both, light fingers lead by 0.15 to 0.36 and drops by 0.7 or more; elsewhere drops lead by 0.5 or more, and
+by as little as 0.25 while fitted together with a strong finger (twin)."""
 DEPARTURE_RAD = 2.0
 """An amplitude this far from a finger's has the opposite sign."""
 MOST_WATER = 16

@@ -39,8 +39,8 @@ class Localizer(Protocol):
     def reset(self) -> None:
         """Forget all fingers."""
 
-    def update(self, baseline: Signal, residuals: Signal) -> None:
-        """Take a newly learned baseline, (channels, samples), and the residuals it was learned from, (n, ...)."""
+    def update(self, baseline: Signal, residuals: Signal | None = None) -> None:
+        """Take another baseline, (channels, samples), and residuals that tell its noise, (n, ...); else that stays."""
 
     def localize(self, detection: Detection, *, alive: bool, complete: bool = False) -> Localization:
         """Return the fingers of a touched frame.
@@ -69,4 +69,6 @@ def make_localizer(model: Model, settings: Settings, layout: Layout | None) -> L
     from touchd.localization.atlas_localizer import AtlasLocalizer
     from touchd.localization.network_localizer import NetworkLocalizer
 
-    return (NetworkLocalizer if model.atlas is None else AtlasLocalizer)(model, settings, layout)
+    if model.atlas is None:
+        return NetworkLocalizer(model, settings, layout)
+    return AtlasLocalizer(model, model.atlas, settings, layout)

@@ -54,7 +54,7 @@ class NetworkLocalizer:
         self._found = UNTOUCHED
         self._still.reset()
 
-    def update(self, baseline: Signal, residuals: Signal) -> None:  # noqa: ARG002 - the atlas alone needs the residuals
+    def update(self, baseline: Signal, residuals: Signal | None = None) -> None:  # noqa: ARG002 - the atlas alone needs the residuals
         """Take a newly learned baseline, of shape (channels, samples)."""
         flat = baseline.reshape(-1)
         self._signal_energy = max(float(flat.dot(flat)), 1.0)  # a dead DAQ sends zeros

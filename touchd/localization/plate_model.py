@@ -44,8 +44,11 @@ class PlateModel:
         self._untouched_frames, self._compared_ns = 0, 0
         self.set_baseline(atlas.baseline)
 
-    def update(self, baseline: Signal, residuals: Signal) -> None:
-        """Take a newly learned baseline, (channels, samples), and the residuals it was learned from, (n, ...)."""
+    def update(self, baseline: Signal, residuals: Signal | None = None) -> None:
+        """Take another baseline, (channels, samples), and residuals that tell its noise, (n, ...); else that stays."""
+        if residuals is None:
+            self.set_baseline(baseline)
+            return
         self.noise.reset()
         self.set_baseline(baseline)
         for residual in residuals:

@@ -66,7 +66,7 @@ class StillFrame:
         np.subtract(residual, self._seen, self._difference)
         self._flat.dot(self._flat, self._energy)
         # Asked this way round, so that NaN counts as changed.
-        return self._energy.item() <= self._most
+        return bool(self._energy.item() <= self._most)
 
 
 class StillFinger:

@@ -13,6 +13,7 @@ from touchd.touch import Touch
 from touchd.tracking.assignment import assign
 from touchd.tracking.one_euro import OneEuro
 
+_NOTHING: list[Contact] = []
 _NEVER = 1e9  # mm: finite, as the assignment asks
 _DEAD_SIGMAS = 1.5
 """Movement within so many standard errors is none."""
@@ -54,19 +55,19 @@ class Tracker:
         self._reach_mm, self._dead_band_mm = settings.reach_mm, settings.dead_band_mm
         self._refresh_ns = round(settings.refresh_s * 1e9)
 
-    def track(self, t_ns: int, touches: Sequence[Touch]) -> Sequence[Contact]:
+    def track(self, t_ns: int, touches: Sequence[Touch]) -> list[Contact]:
         """Assign the touches of a frame to contacts.
 
         Returns
         -------
-        sequence of Contact
+        list of Contact
             All contacts alive and those that ended in this frame, if a message is due: a contact went down, moved
             beyond the dead band or went up, or the next frame would come later than `refresh_s` after the last message.
             Else empty.
         """
         if not touches and not self._tracks:
             self._last_ns = t_ns
-            return ()
+            return _NOTHING
         elapsed_s = max(t_ns - self._last_ns, 1) * 1e-9
         self._last_ns = t_ns
         if len(self._tracks) == len(touches) == 1 and self._cost(self._tracks[0], touches[0]) < _NEVER:
@@ -82,7 +83,7 @@ class Tracker:
                 due |= self._confirm(self._tracks[-1], touch)
         return self._report(t_ns, due, elapsed_s)
 
-    def release_all(self, t_ns: int) -> Sequence[Contact]:
+    def release_all(self, t_ns: int) -> list[Contact]:
         """End every contact, as when the frames stop; return the same as `track`."""
         self._last_ns = t_ns
         for track in self._tracks:
