@@ -43,7 +43,7 @@ class Awake:
         self.held = False
         """Whether the processors are kept awake."""
 
-    def follow(self, touched: bool, period_ns: int) -> None:
+    def update(self, touched: bool, period_ns: int) -> None:
         """Hold them awake if the plate is touched and the last two frames came close enough; let go if it is not."""
         if touched == self.held:
             return
