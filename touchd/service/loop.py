@@ -117,7 +117,8 @@ class Service:
         self._seen_ns = self._clock()
         self._publish_health()
         try:
-            self._run_frames()
+            if not self._stop:
+                self._run_frames()
         finally:
             self._manager.stopping()
             for sink in self._sinks:
@@ -130,8 +131,6 @@ class Service:
                 sink.close()
 
     def _run_frames(self) -> None:
-        if self._stop:
-            return
         for frame in frames_of(self._source, on_change=self._follow):
             if frame is None:
                 self._wait()
