@@ -38,7 +38,7 @@ ONLY = {
         "detection",
         "tracking",
         "localization",
-    },
+    },  # fmt: skip
 }
 """Rooms that may know less than their floor allows."""
 LONGEST_LINES = 331
@@ -118,8 +118,8 @@ def test_no_room_imports_from_a_higher_floor() -> None:
 
 @pytest.mark.parametrize("name", ONLY)
 def test_some_rooms_know_less(name: str) -> None:
-    """Sinks and the client know events and configuration; the stages before localization do not know it; and the pipeline
-    knows neither sources nor sinks."""
+    """Sinks and the client know events and configuration, the stages before localization not localization, and the
+    pipeline neither sources nor sinks."""
     assert rooms()[name] <= ONLY[name]
 
 
