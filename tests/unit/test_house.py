@@ -38,7 +38,7 @@ ONLY = {
         "detection",
         "tracking",
         "localization",
-    },  # fmt: skip
+    },
 }
 """Rooms that may know less than their floor allows."""
 LONGEST_LINES = 331
