@@ -23,10 +23,10 @@ from touchd.errors import GadgetError
 from touchd.gadget import functionfs
 from touchd.gadget.device import Gadget
 from touchd.gadget.functionfs import ConfigFs, FunctionFs, descriptors, first_udc, strings
-from touchd.sources.daq import acquisition_of
 from touchd.sources.simulated import SimulatedSource
 from touchd.sources.usb import find_daq, open_usb
 from touchd.sources.usb_protocol import Info, build_info, parse_status
+from touchd.sources.usb_stream import acquisition_of
 from touchd.twin.instrument import Instrument
 
 EP0, EP1 = 100, 101
@@ -215,7 +215,8 @@ def test_a_host_reads_what_the_device_sends_through_faults_and_all(kernel: Kerne
     FunctionFs(Path("/ffs"), gadget)
     daq = Wired(kernel)
     found = find_daq(DeviceSettings(), FakeBus(daq))
-    assert (found.info, found.status().running) == (INFO, False)
+    assert (found.acquisition, found.min_rate_hz, found.max_rate_hz) == (acquisition_of(INFO), 10, 1000)
+    assert not gadget.running
     found.close()
     source = open_usb(DeviceSettings(rate_hz=100, stall_s=10), acquisition_of(INFO), backend=FakeBus(daq))
     reader = Reader(source)

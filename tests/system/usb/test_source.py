@@ -12,16 +12,16 @@ import pytest
 
 from tests.processes import PATIENCE_S
 from tests.system.usb.backend import FakeBus, FakeDaq
-from tests.system.usb.reader import INFO, Reader
+from tests.system.usb.reader import INFO, QUICK, Reader
 from touchd.config.schema import DeviceSettings
 from touchd.errors import ConfigError, DeviceLost, ModelMismatch, ReaderFailed, SourceError
 from touchd.frame import Acquisition, Chirp
 from touchd.localization.model import Model
-from touchd.sources import live as live_module
-from touchd.sources.daq import acquisition_of
+from touchd.sources.live import Waits
 from touchd.sources.source import EndOfStream, LiveSource
-from touchd.sources.usb import find_daq, libusb, open_usb
-from touchd.sources.usb_protocol import UNKNOWN_TEMPERATURE, Flag, Info, Request, Status, build_info
+from touchd.sources.usb import libusb, open_usb
+from touchd.sources.usb_protocol import Flag, Info, Request, build_info
+from touchd.sources.usb_stream import acquisition_of
 
 Read = Callable[..., Reader]
 GONE = (errno.EIO, errno.ENODEV, errno.EPROTO, errno.ESHUTDOWN)
@@ -193,7 +193,7 @@ def test_a_frame_in_pieces_is_put_together(daq: FakeDaq, read: Read) -> None:
     reader = read()
     reader.until(lambda: daq.running and daq.idle)
     whole = daq.frame(sequence=0)
-    threading.Event().wait(2 * live_module.READ_TIMEOUT_S)  # the read has timed out within the frame
+    threading.Event().wait(3 * QUICK.read_s)  # the read has timed out within the frame
     daq.send(whole[1024:])
     reader.until_frames(1)
     assert reader.source.tally.corrupt == 0
@@ -411,14 +411,6 @@ def test_a_foreign_device_with_the_same_ids_is_passed_over(bus: FakeBus, daq: Fa
     reader.until(lambda: "no interface of touchd's protocol" in reader.changes[-1].reason)
 
 
-def test_the_device_says_what_it_counts(daq: FakeDaq, bus: FakeBus) -> None:
-    daq.status = Status(frames_sent=5, overruns=1, temperature=2150, running=True)
-    found = find_daq(DeviceSettings(), bus)
-    assert found.status() == daq.status
-    found.close()
-    assert Status().temperature == UNKNOWN_TEMPERATURE
-
-
 # -- what cannot go on -------------------------------------------------------------------------------
 
 
@@ -475,15 +467,14 @@ def test_a_thread_that_dies_is_not_silent(daq: FakeDaq, read: Read) -> None:
     assert isinstance(error.__cause__, ZeroDivisionError)
 
 
-def test_a_thread_that_hangs_is_not_silent(daq: FakeDaq, read: Read, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(live_module, "HANG_S", 0.2)
+def test_a_thread_that_hangs_is_not_silent(daq: FakeDaq, read: Read) -> None:
     hang = threading.Event()
 
     def block() -> None:
         hang.wait(PATIENCE_S)
 
     daq.started = block
-    error = error_of(read())
+    error = error_of(read(waits=Waits(hang_s=0.2)))
     hang.set()
     assert isinstance(error, ReaderFailed)
     assert "hung" in str(error)

@@ -30,7 +30,6 @@ from touchd.frame import Acquisition
 from touchd.sources.daq import DaqAbsent, DaqGone
 from touchd.sources.live import DaqSource
 from touchd.sources.ni import NiDaq
-from touchd.sources.usb_protocol import FrameReader
 
 ACQUISITION = Acquisition(channels=4, samples=250, sample_rate_hz=250e3)
 SETTINGS = NiSettings()
@@ -165,23 +164,26 @@ def test_the_inputs_wait_for_the_outputs_trigger(rig: Rig) -> None:
 def test_each_frame_begins_a_period_after_the_one_before(rig: Rig) -> None:
     daq = started()
     for i in range(5):
-        data = daq.read(0.1)
-        assert data is not None
-        ((header, samples),) = FrameReader(daq.info).feed(data, ended=True)
-        assert (header.sequence, header.timestamp_us) == (i, i * 8000)
-        counts = np.frombuffer(samples, "<i2").reshape(250, 4).T
-        np.testing.assert_array_equal(counts[2], np.arange(250) + 2000 * i + 2000)
+        frame = daq.read(0.1)
+        assert frame is not None
+        assert (frame.sequence, frame.timestamp_us, frame.clipped, frame.withheld) == (i, i * 8000, False, "")
+        assert frame.counts.shape == ACQUISITION.shape
+        np.testing.assert_array_equal(frame.counts[2], np.arange(250) + 2000 * i + 2000)
         # Nothing of the pause is waited for before the frame is handed out.
         assert rig.next == 2000 * i + 250
     daq.close()
 
 
-def test_a_clipped_frame_says_so(rig: Rig) -> None:
+@pytest.mark.parametrize(
+    ("first", "clipped"), [(0, False), (32767 - 3249, True), (32766 - 3249, False), (-32767, True), (-32766, False)]
+)
+def test_a_clipped_frame_says_so(rig: Rig, first: int, clipped: bool) -> None:
+    """A sample at either limit of the ADC sets `clipped`; the counts span `first` to `first` + 3249."""
     daq = started()
-    rig.next = 32767 - 100
-    data = daq.read(0.1)
-    assert data is not None
-    assert data[5] == 1
+    rig.next = first
+    frame = daq.read(0.1)
+    assert frame is not None
+    assert frame.clipped is clipped
     daq.close()
 
 
