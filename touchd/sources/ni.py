@@ -2,7 +2,7 @@
 
 The output plays its own buffer, one period of frames, again and again. The inputs run continuously and start on the
 output's start trigger, which the chassis routes to them, so frame n begins n periods after the start, on the same
-timebase: the delay from chirp to samples is constant to the tick, whatever the load of this computer.
+timebase: the delay from chirp to samples is constant to the tick at any load of this computer.
 
 This module alone imports the vendor's package (extra `ni`) and driver. docs/ni.md has the set-up.
 """
@@ -32,13 +32,13 @@ _DRIVER_FIX = "install NI-DAQmx, which the package needs"
 
 
 class NiDaq:
-    """The rig, opened.
+    """An open rig.
 
     Parameters
     ----------
     settings : NiSettings
     acquisition : Acquisition
-        What to play and to sample.
+        The chirp to play, and the frames to sample.
 
     Raises
     ------
@@ -80,57 +80,35 @@ class NiDaq:
     def start(self, rate_hz: int) -> None:
         """Play and sample from the start trigger on, with which the first frame begins."""
         self.stop()
-        acquisition, settings = self.acquisition, self._settings
+        acquisition = self.acquisition
         period = _whole(acquisition.sample_rate_hz / rate_hz, "the sample rate", rate_hz)
         played = _whole(acquisition.chirp.dac_rate_hz / rate_hz, "the DAC's rate", rate_hz)
-        chirp = settings.amplitude_v * waveform(acquisition.chirp)
+        chirp = self._settings.amplitude_v * waveform(acquisition.chirp)
         if len(chirp) > played or acquisition.samples > period:
             raise ConfigError(f"is {rate_hz}: a frame lasts longer than that", "device.rate_hz", "lower it")
         try:
             output, inputs = self._task(), self._task()
-            output.ao_channels.add_ao_voltage_chan(
-                settings.output, min_val=-settings.output_limit_v, max_val=settings.output_limit_v
-            )
-            output.timing.cfg_samp_clk_timing(
-                acquisition.chirp.dac_rate_hz, sample_mode=AcquisitionType.CONTINUOUS, samps_per_chan=played
-            )
-            output.out_stream.regen_mode = RegenerationMode.ALLOW_REGENERATION
-            stream_writers.AnalogSingleChannelWriter(output.out_stream, auto_start=False).write_many_sample(
-                np.concatenate([chirp, np.zeros(played - len(chirp))])
-            )
-            inputs.ai_channels.add_ai_voltage_chan(
-                settings.inputs, min_val=-acquisition.full_scale_v, max_val=acquisition.full_scale_v
-            )
-            if inputs.number_of_channels != acquisition.channels:
-                raise ConfigError(
-                    f"names {inputs.number_of_channels} channels, not {acquisition.channels}", "ni.inputs",
-                    "name one for each receiver, in the order of the model's",
-                )  # fmt: skip
-            inputs.timing.cfg_samp_clk_timing(
-                acquisition.sample_rate_hz, sample_mode=AcquisitionType.CONTINUOUS,
-                samps_per_chan=round(_BUFFER_S * acquisition.sample_rate_hz),
-            )  # fmt: skip
-            inputs.triggers.start_trigger.cfg_dig_edge_start_trig(settings.trigger or _start_of(settings.output))
+            self._prepare_output(output, np.concatenate([chirp, np.zeros(played - len(chirp))]))
+            self._prepare_inputs(inputs)
             self._reader = stream_readers.AnalogUnscaledReader(inputs.in_stream)
             inputs.start()  # armed first: it waits for the output
             output.start()
         except DaqError as error:
             self.stop()
             raise DaqGone(f"it cannot be started ({error.error_code})") from error
-        shape = acquisition.channels, acquisition.samples
-        self._counts: NDArray[np.int16] = np.zeros(shape, np.int16)
+        self._counts: NDArray[np.int16] = np.zeros(acquisition.shape, np.int16)
         self._rest: NDArray[np.int16] = np.zeros((acquisition.channels, period - acquisition.samples), np.int16)
         self._period_s, self._frame = 1 / rate_hz, 0
 
     def read(self, timeout_s: float) -> DaqFrame | None:
-        """Return the next frame as soon as its last sample is there."""
+        """Return the next frame as soon as its last sample is taken."""
         timeout_s = max(timeout_s, 3 * self._period_s)
         try:
-            if self._frame and self._rest.size:  # from the end of the last frame to the begin of this one
+            if self._frame and self._rest.size:  # from the end of the last frame to the beginning of this one
                 self._reader.read_int16(self._rest, self._rest.shape[1], timeout_s)
             self._reader.read_int16(self._counts, self._counts.shape[1], timeout_s)
         except DaqError as error:
-            # Also a time-out: part of a frame may have been read, and only a new start finds the beginning of one.
+            # A time-out, too, may come within a frame: only a new start finds the beginning of one.
             raise DaqGone(f"reading fails ({error.error_code})") from error
         sequence, self._frame = self._frame, self._frame + 1
         return DaqFrame(self._counts, sequence, round(sequence * self._period_s * 1e6), clipped=self._clipped())
@@ -157,13 +135,40 @@ class NiDaq:
         self._tasks.append(task)
         return task
 
+    def _prepare_output(self, output: Any, period_v: NDArray[np.float64]) -> None:
+        """Load one period into the output's buffer, to be played again and again."""
+        limit_v = self._settings.output_limit_v
+        output.ao_channels.add_ao_voltage_chan(self._settings.output, min_val=-limit_v, max_val=limit_v)
+        output.timing.cfg_samp_clk_timing(
+            self.acquisition.chirp.dac_rate_hz, sample_mode=AcquisitionType.CONTINUOUS, samps_per_chan=len(period_v)
+        )
+        output.out_stream.regen_mode = RegenerationMode.ALLOW_REGENERATION
+        stream_writers.AnalogSingleChannelWriter(output.out_stream, auto_start=False).write_many_sample(period_v)
+
+    def _prepare_inputs(self, inputs: Any) -> None:
+        """Let the inputs sample continuously from the output's start trigger on."""
+        acquisition, settings = self.acquisition, self._settings
+        inputs.ai_channels.add_ai_voltage_chan(
+            settings.inputs, min_val=-acquisition.full_scale_v, max_val=acquisition.full_scale_v
+        )
+        if inputs.number_of_channels != acquisition.channels:
+            raise ConfigError(
+                f"names {inputs.number_of_channels} channels, not {acquisition.channels}", "ni.inputs",
+                "name one for each receiver, in the order of the model's",
+            )  # fmt: skip
+        inputs.timing.cfg_samp_clk_timing(
+            acquisition.sample_rate_hz, sample_mode=AcquisitionType.CONTINUOUS,
+            samps_per_chan=round(_BUFFER_S * acquisition.sample_rate_hz),
+        )  # fmt: skip
+        inputs.triggers.start_trigger.cfg_dig_edge_start_trig(settings.trigger or _start_of(settings.output))
+
     def _clipped(self) -> bool:
         limit = 2 ** (self.acquisition.bits - 1) - 1
         return bool(self._counts.max() >= limit or self._counts.min() <= -limit)
 
 
 def _start_of(output: str) -> str:
-    """Return the terminal of an output's start trigger; modules share that of their chassis."""
+    """Return the terminal of an output's start trigger, which the modules of a chassis share."""
     chassis = re.sub(r"Mod\d+$", "", output.partition("/")[0])
     return f"/{chassis}/ao/StartTrigger"
 
