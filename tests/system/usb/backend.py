@@ -186,6 +186,11 @@ class FakeDaq:
             self._changed.wait(left)
 
 
+def steady(daq: FakeDaq, count: int = 5) -> None:
+    """Let the device send this many frames after each START."""
+    daq.started = lambda: daq.send(*[daq.frame() for _ in range(count)])
+
+
 class _Handle:
     def __init__(self, daq: FakeDaq) -> None:
         self.daq = daq

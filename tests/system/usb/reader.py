@@ -21,6 +21,14 @@ QUICK = Waits(read_s=0.02)
 """A source that soon notices that it is closed."""
 
 
+def wait(done: Callable[[], Any]) -> None:
+    """Wait until it is so, without reading."""
+    until = time.monotonic() + PATIENCE_S
+    while not done():
+        assert time.monotonic() < until, "it never came"
+        time.sleep(0.001)
+
+
 class Reader:
     """What comes out of a source, in order."""
 
@@ -53,6 +61,20 @@ class Reader:
     def until_frames(self, count: int) -> None:
         self.until(lambda: len(self.frames) >= count)
 
+    def error(self) -> Exception:
+        """Read until an error is raised, and return it."""
+        until = time.monotonic() + PATIENCE_S
+        while time.monotonic() < until:
+            try:
+                self.step()
+            except Exception as error:
+                return error
+        raise AssertionError("no error was raised")
+
     @property
     def sequence(self) -> list[int]:
         return [frame.sequence for frame in self.frames]
+
+
+Read = Callable[..., Reader]
+"""The fixture `read`: opens a source."""

@@ -74,7 +74,8 @@ def transfers_of(daq: FakeDaq, todo: list[Action], sent: dict[str, int], frames:
 
 @settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(lives=connections, first=st.integers(0, 2**32 - 1))
-def test_each_number_counts_once_and_frames_come_in_order(lives: list[list[Action]], first: int) -> None:
+def test_any_device(lives: list[list[Action]], first: int) -> None:
+    """Each number is a frame, lost or corrupt, only one of these, and frames come in order."""
     daq = FakeDaq(SMALL)
     daq.sequence = first
     sent = {"corrupt": 0, "lost": 0}

@@ -20,14 +20,16 @@ VECTORS: dict[str, list[dict[str, Any]]] = json.loads(
 
 
 @pytest.mark.parametrize("kind", VECTORS)
-def test_every_short_vector_is_shown_whole_and_the_long_ones_by_header_and_crc(kind: str) -> None:
+def test_vectors(kind: str) -> None:
+    """The page has each short vector whole, and of the long ones header and CRC."""
     for vector in VECTORS[kind]:
         shown = vector["hex"] if len(vector["hex"]) <= 200 else vector["hex"][:64]
         assert shown in DENSE, vector
         assert vector.get("crc32", "") in PAGE
 
 
-def test_every_request_flag_and_command_is_explained() -> None:
+def test_requests() -> None:
+    """The page explains every request, flag and command."""
     for request in usb_protocol.Request:
         assert f"| {request.value:#04x} {request.name} |" in PAGE
     for flag in usb_protocol.Flag:
@@ -36,7 +38,8 @@ def test_every_request_flag_and_command_is_explained() -> None:
         assert f"`{command}`" in PAGE
 
 
-def test_its_numbers_are_those_of_the_code() -> None:
+def test_numbers() -> None:
+    """The page's numbers are those of the code."""
     for text in (
         f"within {usb.CONTROL_TIMEOUT_MS} ms",
         f"timeout of {WAITS.read_s * 1000:g} ms",
