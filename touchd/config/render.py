@@ -15,6 +15,8 @@ from pydantic.fields import FieldInfo
 from touchd.config.schema import Settings
 
 _NAMES = {int: "a whole number", float: "a number", bool: "true or false", str: "a text", Path: "a path"}
+EXPECTED_ITEM = "an address, tcp:// or ipc://"
+"""What each item of a list must be; addresses are the only lists."""
 
 
 def section(table: str) -> type[BaseModel]:
@@ -70,18 +72,8 @@ def _kind(annotation: Any) -> str:
     if origin in (Union, types.UnionType):
         return " or ".join("empty" if part is type(None) else _kind(part) for part in arguments)
     if origin is tuple:
-        return "a list of whole numbers" if _of_numbers(annotation) else "a list of addresses, tcp:// or ipc://"
+        return "a list of addresses, tcp:// or ipc://"
     return _NAMES.get(annotation, str(annotation))
-
-
-def expected_item(field: FieldInfo) -> str:
-    """Return what the items of a list must be, in words."""
-    return "a whole number, at least 0" if _of_numbers(field.annotation) else "an address, tcp:// or ipc://"
-
-
-def _of_numbers(annotation: Any) -> bool:
-    item = get_args(annotation)[0]
-    return get_args(item)[:1] == (int,)
 
 
 def toml_value(value: Any, key: str = "") -> str:
@@ -137,7 +129,8 @@ def markdown() -> str:
         "`touchd` reads the file that `--config` names, or else `/etc/touchd/touchd.toml` if there is one.",
         "`touchd config` prints what is in effect; `touchd config --default` prints a file to start from.",
         "An empty text unsets a path. A list is given in a variable with commas between its items, or as JSON.",
-        "A key, table or variable that touchd does not know is an error.",
+        "A key, table or variable that touchd does not know is an error; a key of an earlier version is ignored with a",
+        "warning.",
     ]
     previous = ""
     for table, key, field in fields():

@@ -247,13 +247,6 @@ class LogSettings(_Section):
 class RealtimeSettings(_Section):
     """Optional: what makes latency steadier; docs/deployment.md has the measured benefit."""
 
-    cpus: tuple[Annotated[int, Field(ge=0)], ...] = Field(
-        (), description="Processors that the daemon may run on; empty leaves it to the kernel."
-    )
-    fifo_priority: int = Field(
-        0, ge=0, le=99, description="Priority under SCHED_FIFO, ahead of all ordinary programs; 0 is ordinary."
-    )
-    nice: int = Field(0, ge=-20, le=19, description="Among ordinary programs, lower is ahead.")
     lock_memory: bool = Field(False, description="Keep all of the daemon's memory from being swapped out.")
     freeze_gc: bool = Field(True, description="Leave what was loaded at the start out of Python's garbage collection.")
     awake_from_hz: float = Field(
@@ -262,6 +255,14 @@ class RealtimeSettings(_Section):
         description="With so many frames a second or more, keep the processors from sleeping between them while a "
         "finger is on the plate, if the system permits it; 0 never does.",
     )
+
+
+RETIRED = {
+    "realtime.cpus": "CPUAffinity= in a drop-in of the systemd unit",
+    "realtime.fifo_priority": "CPUSchedulingPolicy=fifo and CPUSchedulingPriority= in a drop-in of the systemd unit",
+    "realtime.nice": "Nice= in a drop-in of the systemd unit",
+}
+"""Keys that earlier versions had, and what took their place. They are accepted and ignored, with a warning."""
 
 
 class Settings(_Section):

@@ -13,6 +13,7 @@ import numpy as np
 import structlog
 from structlog.typing import EventDict, Processor, WrappedLogger
 
+from touchd.config.load import Retired
 from touchd.config.schema import LogSettings
 
 PRIVATE = frozenset({"key", "keys", "contact", "contacts", "contacts_mm", "x_mm", "y_mm", "pin", "code"})
@@ -89,3 +90,8 @@ def configure(settings: LogSettings, stream: TextIO | None = None) -> None:
         # Not cached: a logger made at import would keep the level and stream of a time before this call.
         cache_logger_on_first_use=False,
     )
+
+
+def warn_retired(key: Retired) -> None:
+    """Warn of a key that an earlier version had."""
+    structlog.get_logger().warning("a setting that is gone is ignored", where=key.where, instead=key.instead)
