@@ -32,19 +32,19 @@ class KeyPair:
 
 
 def new_pair() -> KeyPair:
-    """Return a fresh key pair."""
+    """Return a new key pair."""
     return KeyPair(*zmq.curve_keypair())
 
 
 def make_files(folder: Path, name: str) -> tuple[Path, Path]:
-    """Write a fresh key pair and return the paths of the public (mode 0644) and the secret file (mode 0600).
+    """Write a new key pair. Return the paths of the public (mode 0644) and the secret file (mode 0600).
 
-    The folder is made, mode 0700, if there is none.
+    A missing folder is made, mode 0700.
 
     Raises
     ------
     ConfigError
-        If the name would not make a plain file name.
+        If the name is not a plain file name.
     OutputError
         If one of the files exists already, or cannot be written.
     """
@@ -107,7 +107,7 @@ def load_folder(folder: Path) -> frozenset[bytes]:
     Raises
     ------
     BusError
-        If the folder or one of its files cannot be read, or there is none: nobody could subscribe.
+        If the folder or a file cannot be read, or there is no file: nobody could subscribe.
     """
     if not folder.is_dir():
         raise BusError("no such folder of client keys", str(folder), "create it, and copy the clients' .key files in")
