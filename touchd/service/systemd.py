@@ -44,7 +44,7 @@ class Notifier:
                 self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
                 self._socket.connect("\0" + address[1:] if address.startswith("@") else address)
             except OSError as error:
-                log.warning("the service manager cannot be told anything", socket=address, error=error.strerror)
+                log.warning("the service manager cannot be reached", socket=address, error=error.strerror)
                 self.close()
 
     @classmethod
