@@ -34,6 +34,7 @@ from touchd.sources.source import Change, EndOfStream, Tally
 
 _JOIN_S = 0.5
 """`close` waits this long for a thread that a wedged device holds: the service must end within 1 s of SIGTERM."""
+_MAX_DOUBLINGS = 10  # of the delay between connections; by far enough to reach `max_retry_s`
 
 log = structlog.get_logger()
 
@@ -45,9 +46,9 @@ class Waits:
     read_s: float = 0.1
     """Timeout of a read: while no frame comes, the thread notices `close` this late."""
     retry_s: float = 0.1
-    """First interval at which an absent device is looked for."""
+    """Shortest interval between two looks for a device."""
     max_retry_s: float = 0.5
-    """Last interval: each is 1.5 times the one before."""
+    """Longest interval; the intervals grow from look to look."""
     hang_s: float = 10.0
     """A thread that is silent this long hangs in the kernel, and only a new process helps."""
 
@@ -157,7 +158,7 @@ class DaqSource:
         """Wait for a device that fits, and return it; None once the source is closed."""
         retry_s, max_retry_s = self._waits.retry_s, self._waits.max_retry_s
         delay_s = min(retry_s * 2**self._fruitless, max_retry_s) if self._fruitless else 0.0
-        self._fruitless += 1
+        self._fruitless = min(self._fruitless + 1, _MAX_DOUBLINGS)
         while not self._closing.wait(delay_s):
             self._alive_ns = self._clock()
             try:
