@@ -87,7 +87,7 @@ class Pauses:
         self._since_ns = 0
 
     def __call__(self, phase: str, _info: dict[str, int]) -> None:
-        """Take note: a callback of `gc`."""
+        """Time a collection: a callback of `gc`."""
         if phase == "start":
             self._since_ns = time.perf_counter_ns()
         else:

@@ -16,7 +16,7 @@ from touchd.sources.source import EndOfStream
 PERIOD_NS = 8_000_000
 """Of the frames' own time at full speed, as at 125 frames a second."""
 BURST_EVERY, BURST = 250, 10
-"""At full speed so many bare runs come after so many frames."""
+"""At full speed, `BURST` bare runs come after every `BURST_EVERY` frames."""
 
 
 @dataclass(frozen=True, slots=True)
