@@ -245,7 +245,7 @@ class LogSettings(_Section):
 
 
 class RealtimeSettings(_Section):
-    """Optional: what makes latency steadier; docs/deployment.md has the measured benefit."""
+    """Optional: what makes latency steadier; docs/integrator.md has the measured benefit."""
 
     cpus: tuple[Annotated[int, Field(ge=0)], ...] = Field(
         (), description="Processors that the daemon may run on; empty leaves it to the kernel."

@@ -1,6 +1,6 @@
 """Optional real-time settings of the process: processors, scheduling, memory and the garbage collector.
 
-docs/deployment.md tells what each was measured to bring, and what the service's unit has to permit.
+docs/integrator.md has the measured benefit of each, and what the unit has to permit.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ The chirp is played again and again from the output's own buffer, which is one p
 the time and start with the output (its start trigger is routed to them in hardware), so frame n begins n periods after
 the start, on the same timebase: chirp and samples keep their distance to the tick, whatever this computer does.
 
-The vendor's package (extra `ni`) and driver are imported here and nowhere else. docs/ni.md has the set-up.
+The vendor's package (extra `ni`) and driver are imported here and nowhere else. docs/integrator.md has the set-up.
 """
 
 from __future__ import annotations
