@@ -22,6 +22,7 @@ from click.testing import CliRunner
 from matplotlib.image import imread
 from onnx import TensorProto, helper
 
+from tests.unit.test_house import FLOORS
 from touchd.cli.main import VERBS, touchd
 from touchd.client import Subscriber
 from touchd.config.load import load
@@ -165,6 +166,13 @@ def test_every_page_can_be_reached(page: Path) -> None:
         links = {(at.parent / link).resolve() for at in fresh for link in re.findall(r"\]\(([^)#\s]+\.md)", prose(at))}
         fresh = links.intersection(PAGES) - reached
     assert page in reached
+
+
+@pytest.mark.parametrize("room", [room for floor in FLOORS for room in floor])
+def test_every_room_is_described(room: str) -> None:
+    """Contributors find each room of the house."""
+    house = (ROOT / "CONTRIBUTING.md").read_text().split("## The house")[1].split("## ")[0]
+    assert re.search(rf"`{room}(\.py)?`", house)
 
 
 RIDDLES = ("take note", "told of", "anew", "hand on", "by itself", "what it is", "so long", "whatever", "is none")
