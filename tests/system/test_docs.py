@@ -33,6 +33,7 @@ from touchd.frame import Acquisition, Frame, Plate
 from touchd.lab.reproduction import report
 from touchd.lab.template import filled
 from touchd.localization.model import METADATA_KEY, Description
+from touchd.service.reload import RESTART_ONLY
 from touchd.sinks.zeromq import ZeromqSink
 from touchd.sources.source import EndOfStream, Source
 
@@ -173,6 +174,13 @@ def test_every_room_is_described(room: str) -> None:
     """Contributors find each room of the house."""
     house = (ROOT / "CONTRIBUTING.md").read_text().split("## The house")[1].split("## ")[0]
     assert re.search(rf"`{room}(\.py)?`", house)
+
+
+@pytest.mark.parametrize("name", sorted(RESTART_ONLY))
+def test_what_waits_for_a_restart_is_listed(name: str) -> None:
+    """Integrators see which settings a reload does not take over."""
+    (reload,) = re.findall(r"^\*\*Reload\*\*.*?^$", (DOCS / "integrator.md").read_text(), re.DOTALL | re.MULTILINE)
+    assert f"`{name}`" in reload or f"`[{name}]`" in reload
 
 
 RIDDLES = ("take note", "told of", "anew", "hand on", "by itself", "what it is", "so long", "whatever", "is none")
