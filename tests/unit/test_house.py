@@ -149,6 +149,13 @@ def test_no_module_is_longer_than_one_sitting() -> None:
     assert lengths[longest] <= LONGEST_LINES
 
 
+def test_usb_stays_in_its_modules() -> None:
+    """A source takes decoded frames: of `sources`, only the modules named `usb` know the protocol's bytes."""
+    others = [name for name in NAMES if name.startswith("sources.") and not name.startswith("sources.usb")]
+    knowing = {name for name in others if any(other.startswith("sources.usb") for other in imports(NAMES[name]))}
+    assert knowing == {"sources.open"}, "which opens the DAQ on USB"
+
+
 HOMES = [("usb", "sources.usb"), ("nidaqmx", "sources.ni"), ("torch", "training")]
 
 

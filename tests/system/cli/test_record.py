@@ -19,7 +19,7 @@ from touchd.errors import ConfigError, DeviceLost, OutputError, SourceError, Tou
 from touchd.frame import Acquisition, Frame, Plate
 from touchd.recording.data import Meta, Recording
 from touchd.recording.format import read, write
-from touchd.sources import open as sources
+from touchd.sources import open as sources_open
 from touchd.sources.open import SourceChoice
 from touchd.sources.source import EndOfStream
 
@@ -117,7 +117,7 @@ def live(monkeypatch: pytest.MonkeyPatch, source: Flaky) -> None:
         assert choice.simulate == "scene"
         return source
 
-    monkeypatch.setattr(sources, "open_source", open_source)
+    monkeypatch.setattr(sources_open, "open_source", open_source)
 
 
 def test_a_device_that_disappears_is_reported_and_its_frames_are_saved(
