@@ -50,7 +50,7 @@ bench: setup
 soak: setup
 	$(BIN)/python -m tests.system.soak $(ARGS)
 
-# Hours of what is no finger: every contact that comes of it is told of. Some ten minutes.
+# Hours of scenes without fingers: prints every contact. Some ten minutes.
 ghosts: setup
 	$(BIN)/python -m tests.system.soak.ghosts $(ARGS)
 
@@ -60,6 +60,7 @@ golden: setup
 
 docs: setup
 	$(BIN)/python docs/generate.py
+	$(BIN)/touchd draw touchd/demo/session.npz -o docs/session.png
 
 lock: setup
 	$(BIN)/pip-compile --quiet --all-extras --strip-extras --no-emit-index-url --no-emit-find-links \

@@ -244,7 +244,7 @@ class LogSettings(_Section):
 
 
 class RealtimeSettings(_Section):
-    """What makes latency steadier. docs/deployment.md has the measured benefit, and the settings of systemd's unit."""
+    """What makes latency steadier. docs/integrator.md has the measured benefit, and the settings of systemd's unit."""
 
     lock_memory: bool = Field(
         False, description="Keep the daemon's memory from being swapped out; needs LimitMEMLOCK= of the unit."

@@ -1,6 +1,6 @@
 """Real-time settings that systemd's unit cannot make: memory, the garbage collector, the bus's thread.
 
-Processors, scheduling and niceness are the unit's: deploy/realtime.conf. docs/deployment.md has what each brings.
+Processors, scheduling and niceness are the unit's: deploy/realtime.conf. docs/integrator.md has what each brings.
 """
 
 from __future__ import annotations

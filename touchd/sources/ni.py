@@ -4,7 +4,7 @@ The output plays its own buffer, one period of frames, again and again. The inpu
 output's start trigger, which the chassis routes to them, so frame n begins n periods after the start, on the same
 timebase: the delay from chirp to samples is constant to the tick at any load of this computer.
 
-This module alone imports the vendor's package (extra `ni`) and driver. docs/ni.md has the set-up.
+This module alone imports the vendor's package (extra `ni`) and driver. docs/integrator.md has the set-up.
 """
 
 from __future__ import annotations

@@ -1,11 +1,16 @@
-"""The report as Markdown: the paper's figure beside each of ours."""
+"""The report of a reproduction: the template `report.md`, with the paper's figure beside each of ours."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
 
 import numpy as np
 
 from touchd import __version__
+from touchd.lab import template
 from touchd.lab.reproduction import paper, plan
+from touchd.lab.reproduction.experiments import Data
 from touchd.lab.reproduction.paper import Reported
 from touchd.lab.reproduction.run import (
     CENTRAL_SEED,
@@ -20,26 +25,26 @@ from touchd.lab.reproduction.run import (
 )
 from touchd.lab.reproduction.scores import distance_mm, error_scores, keypad_scores, zone_accuracy
 
+TEMPLATE = Path(__file__).with_name("report.md")
 STATISTICS = ("rmse_mm", "mean_mm", "sd_mm", "median_mm", "p95_mm", "max_mm")
 HEADINGS = ("RMSE", "mean", "sd", "median", "p95", "max")
+TWIN_ONLY = ("circle_seed", "circle", "circle_folder", "held_out", "held_out_seeds", "other_held_out_seed",
+             "other_seed", "beaten", "beaten_folder", "shipped", "models")  # fmt: skip
+"""Fields of what is measured on the twin alone."""
 
 
 def report(results: Results, folder: str, command: str) -> str:
     """Return the page, with the pictures in `folder` beside it."""
-    parts = [_head(results, command), _heads(results, folder), _keypad(results, folder), _dictionaries(results)]
-    if not results.given:
-        parts += [_circle(results, folder), _beaten(results, folder)]
-    parts.append(_inconsistencies())
-    return "\n\n".join(parts) + "\n"
+    fields = _head(results, command) | {"folder": folder} | _heads(results) | _keypad(results)
+    fields |= {
+        "dictionaries": _dictionaries(results),
+        "inconsistencies": "\n".join(f"- {text}" for text in paper.INCONSISTENCIES),
+    }
+    twin = dict.fromkeys(TWIN_ONLY) if results.given else _circle(results, folder) | _beaten(results, folder)
+    return template.filled(TEMPLATE, fields | twin)
 
 
-def table(headings: tuple[str, ...], rows: list[list[str]]) -> str:
-    """Return a Markdown table, the first column to the left and all others to the right."""
-    lines = ["| " + " | ".join(headings) + " |", "|---" + "|---:" * (len(headings) - 1) + "|"]
-    return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows])
-
-
-def _head(results: Results, command: str) -> str:
+def _head(results: Results, command: str) -> dict[str, object]:
     plate = results.recording.meta.plate
     size = f"{plate.width_mm:g} x {plate.height_mm:g} x {plate.thickness_mm:g} mm"
     if results.given:
@@ -50,15 +55,7 @@ def _head(results: Results, command: str) -> str:
             f"silicone finger on the full plate (seed {TRAINING_SEED}) and as many on its central 11 x 11 cm (seed "
             f"{CENTRAL_SEED})"
         )
-    return (
-        "# The paper, reproduced and beaten\n\n"
-        f"<!-- Written by touchd reproduce, version {__version__}: do not edit. -->\n\n"
-        f"Made by `{command}`. The source is Bahrami, Moriot, Masson and Grondin, *Machine Learning for Touch "
-        "Localization on Ultrasonic Wave Touchscreen*, Sensors 22:3183, 2022 (arXiv 2202.08947); its figures come from "
-        f"a rig of its own, ours from {what}. Touches are split into 70 % for training, 20 % for validation and 10 % "
-        "for the test; unless it says otherwise, a figure is of the test touches. RMSE is sqrt(mean of the squared "
-        "distance); mean, sd, median, p95 and max are statistics of the distance. All errors are in mm."
-    )
+    return {"version": __version__, "command": command, "what": what}
 
 
 def _reported(value: Reported | None) -> str:
@@ -67,50 +64,34 @@ def _reported(value: Reported | None) -> str:
     return f"{value.mean_mm:.1f} ± {value.sd_mm:.1f}"
 
 
-def _heads(results: Results, folder: str) -> str:
+def _heads(results: Results) -> dict[str, object]:
     plate = results.recording.meta.plate
-    lines = [
-        "## Regression and grids",
-        "",
-        "The paper's networks, trained by its recipe: spectra or samples as they are, batch normalisation, dropout of "
-        "0.3, Adam, until 120 epochs are over or the validation no longer gets better. `perfect` is the mean error of "
-        "a classifier that never errs, for touches uniform over the area. The paper does not say where its touches "
-        "lay: see [what does not add up](#what-does-not-add-up-in-the-paper).",
-    ]
-    areas = (
-        ("the full plate", results.full, (plate.width_mm, plate.height_mm)),
-        ("the central 11 x 11 cm", results.central, (paper.CENTRAL_MM, paper.CENTRAL_MM)),
-    )
-    for name, found, size_mm in areas:
-        rows = []
-        for domain in plan.DOMAINS:
-            for head in plan.HEADS:
-                data = found[plan.head_name(head, domain)]
-                grid = int(head[2:]) if head != "R" else 0
-                scores = error_scores(data)
-                accuracy = f"{zone_accuracy(data, grid, size_mm):.1%}" if grid else "-"
-                perfect = f"{paper.perfect_mean_mm(size_mm[0], grid):.1f}" if grid and size_mm[0] == size_mm[1] else "-"
-                rows.append(
-                    [f"{head}, {domain}", *(f"{scores[key]:.1f}" for key in STATISTICS), accuracy, perfect,
-                     _reported(paper.HEADS.get((head, domain)))]
-                )  # fmt: skip
-        lines += [
-            "", f"### On {name}", "",
-            table(("head, domain", *HEADINGS, "zone accuracy", "perfect", "paper: mean ± sd"), rows),
-        ]  # fmt: skip
-    lines += [
-        "",
-        f"Of C-10 the paper reports a zone accuracy of {paper.C10_ACCURACY:.0%}. It gives C-3 to C-9 as a curve only.",
-        "",
-        f"![Mean error by the number of zones]({folder}/heads.png)",
-    ]
-    return "\n".join(lines)
+    return {
+        "full": _heads_table(results.full, (plate.width_mm, plate.height_mm)),
+        "central": _heads_table(results.central, (paper.CENTRAL_MM, paper.CENTRAL_MM)),
+        "c10_accuracy": f"{paper.C10_ACCURACY:.0%}",
+    }
 
 
-def _keypad(results: Results, folder: str) -> str:
-    layout = results.layout
-    matrix_data = results.full[plan.keypad_name(1.0, plan.KEYPAD_SEEDS[0])]
-    scores = keypad_scores(matrix_data, layout)
+def _heads_table(found: Mapping[str, Data], size_mm: tuple[float, float]) -> str:
+    rows = []
+    for domain in plan.DOMAINS:
+        for head in plan.HEADS:
+            data = found[plan.head_name(head, domain)]
+            grid = int(head[2:]) if head != "R" else 0
+            scores = error_scores(data)
+            accuracy = f"{zone_accuracy(data, grid, size_mm):.1%}" if grid else "-"
+            perfect = f"{paper.perfect_mean_mm(size_mm[0], grid):.1f}" if grid and size_mm[0] == size_mm[1] else "-"
+            rows.append(
+                [f"{head}, {domain}", *(f"{scores[key]:.1f}" for key in STATISTICS), accuracy, perfect,
+                 _reported(paper.HEADS.get((head, domain)))]
+            )  # fmt: skip
+    return template.table(("head, domain", *HEADINGS, "zone accuracy", "perfect", "paper: mean ± sd"), rows)
+
+
+def _keypad(results: Results) -> dict[str, object]:
+    layout, took = results.layout, results.took_us
+    scores = keypad_scores(results.full[plan.keypad_name(1.0, plan.KEYPAD_SEEDS[0])], layout)
     rows = []
     for share in plan.SHARES:
         network, knn = (
@@ -121,32 +102,22 @@ def _keypad(results: Results, folder: str) -> str:
         rows.append([
             f"{share:.0%}", _mean(network), _mean(knn),
             f"{reported[0]:.0%}" if reported else "-", f"{reported[1]:.0%}" if reported else "-",
-            f"{results.took_us['network']:.0f}", f"{results.took_us[f'kNN {share:g}']:.0f}",
+            f"{took['network']:.0f}", f"{took[f'kNN {share:g}']:.0f}",
         ])  # fmt: skip
-    took = results.took_us
-    return "\n".join([
-        "## The keypad",
-        "",
-        f"{len(layout.key)} keys and L, the zone around them (`touchd/keypads/phone.toml`, or what --layout named), by "
-        f"the paper's network of 100 and 50 units on the full plate: accuracy {scores['accuracy']:.1%}, "
-        f"{scores['key_to_key_errors']:.0f} touches of a key taken for another key. The paper: "
-        f"{paper.KEYPAD_ACCURACY:.0%} in the text, {paper.KEYPAD_MATRIX_ACCURACY:.1%} by its matrix, no key-to-key "
-        "error.",
-        "",
-        f"![Confusion matrix of the keypad]({folder}/keypad.png)",
-        "",
-        f"### Network against kNN (k = 1), by the share of the training touches; means over {len(plan.KEYPAD_SEEDS)} "
-        "seeds",
-        "",
-        table(("share", "network", "kNN", "paper: network", "paper: kNN", "network, us", "kNN, us"), rows),
-        "",
-        f"kNN takes {took['kNN 1'] / took['network']:.0f} times as long as the network for one touch (the paper: "
-        f"{paper.KNN_SLOWER}); with 20 % of the touches it saves {(took['kNN 1'] - took['kNN 0.2']) / 1e3:.2f} ms (the "
-        "paper: 2.58 ms). The times are of one process, one after the other, on one thread; the paper's keypad took "
-        f"{paper.KEYPAD_MS} ms.",
-        "",
-        f"![Accuracy of the keypad by the share of the training touches]({folder}/learning.png)",
-    ])  # fmt: skip
+    headings = ("share", "network", "kNN", "paper: network", "paper: kNN", "network, us", "kNN, us")
+    return {
+        "keys": len(layout.key),
+        "keypad_accuracy": f"{scores['accuracy']:.1%}",
+        "key_to_key": f"{scores['key_to_key_errors']:.0f}",
+        "paper_keypad": f"{paper.KEYPAD_ACCURACY:.0%}",
+        "paper_matrix": f"{paper.KEYPAD_MATRIX_ACCURACY:.1%}",
+        "seeds": len(plan.KEYPAD_SEEDS),
+        "shares": template.table(headings, rows),
+        "knn_slower": f"{took['kNN 1'] / took['network']:.0f}",
+        "paper_knn_slower": paper.KNN_SLOWER,
+        "knn_saved": f"{(took['kNN 1'] - took['kNN 0.2']) / 1e3:.2f}",
+        "paper_keypad_ms": paper.KEYPAD_MS,
+    }
 
 
 def _mean(values: list[float]) -> str:
@@ -165,38 +136,23 @@ def _dictionaries(results: Results) -> str:
                 f"{keypad['accuracy']:.1%}", f"{data['bytes'] / 1e6:.1f}",
                 f"{results.took_us[f'{method} 1']:.0f}",
             ])  # fmt: skip
-    return "\n".join([
-        "## The estimators that the paper argues against",
-        "",
-        "kNN (k = 1) and generalised cross-correlation (GCC, phase transform, delays up to 8 us) look a touch up among "
-        "all recorded ones. They need no training, but all of that memory is read for each touch. On spectra as the "
-        "paper takes them, and on residuals against the untouched plate:",
-        "",
-        table(("estimator", *HEADINGS, "keypad", "dictionary, MB", "one touch, us"), rows),
-    ])  # fmt: skip
+    return template.table(("estimator", *HEADINGS, "keypad", "dictionary, MB", "one touch, us"), rows)
 
 
-def _circle(results: Results, folder: str) -> str:
+def _circle(results: Results, folder: str) -> dict[str, object]:
     rows = []
     for name in (*CIRCLE_HEADS, "touchd"):
         scores = error_scores(results.circle[name])
-        reported = paper.CIRCLE.get(name)
-        said = "-" if reported is None else _reported(reported)
-        said = "over 10, sd 5.4" if name == "C-5" else said
+        said = "over 10, sd 5.4" if name == "C-5" else _reported(paper.CIRCLE.get(name))
         rows.append([name, *(f"{scores[key]:.1f}" for key in STATISTICS), said])
-    return "\n".join([
-        "## A human finger draws a circle",
-        "",
-        f"On models that were trained with the silicone finger alone (seed {CIRCLE_SEED}; each frame by itself, "
-        "without tracker). `touchd` is the network that ships.",
-        "",
-        table(("model", *HEADINGS, "paper: mean ± sd"), rows),
-        "",
-        f"![The circle as each model sees it]({folder}/circle.png)",
-    ])  # fmt: skip
+    return {
+        "circle_seed": CIRCLE_SEED,
+        "circle": template.table(("model", *HEADINGS, "paper: mean ± sd"), rows),
+        "circle_folder": folder,
+    }
 
 
-def _beaten(results: Results, folder: str) -> str:
+def _beaten(results: Results, folder: str) -> dict[str, object]:
     held = results.held_out
     mean = {key: error_scores(data)["mean_mm"] for key, data in held.items()}
     keypad = keypad_scores(held["keypad", "silicone"], results.layout)
@@ -222,30 +178,13 @@ def _beaten(results: Results, folder: str) -> str:
             name, kind, *(f"{scores[key]:.2f}" for key in STATISTICS), f"{(distance_mm(data) > 5).mean():.2%}",
             "-" if keys is None else f"{keys:.2%}",
         ])  # fmt: skip
-    seeds = ", ".join(f"{kind} {seed}" for kind, seed in HELD_OUT.items())
-    return "\n".join([
-        "## Beaten: the networks that ship",
-        "",
-        f"On {results.scale.held_out} touches of each kind, simulated with seeds that no training saw ({seeds}, the "
-        f"other plate {OTHER_HELD_OUT_SEED}). The network has no more multiply-adds than the paper's regression "
-        "network. `noise` is 40 dB below the signal instead of 60; in `stale` the plate is 1 K warmer than its "
-        "baseline; the other plate is of glass, 170 x 240 x 4 mm, with its transducers elsewhere (trained with seed "
-        f"{OTHER_SEED}).",
-        "",
-        table(("mean error or accuracy", "paper on its rig", "asked for", "touchd"), rows),
-        "",
-        f"![Share of touches by error]({folder}/errors.png)",
-        "",
-        "### Each model on each kind of touches",
-        "",
-        "A grid answers with the middle of a zone, and a keypad with that of a key, so their distances say little; the "
-        "last column is the share of touches whose key is the right one.",
-        "",
-        table(("model", "touches", *HEADINGS, "over 5 mm", "keys"), details),
-        "",
-        f"What each costs is in `models/README.md`: {', '.join(SHIPPED)}.",
-    ])  # fmt: skip
-
-
-def _inconsistencies() -> str:
-    return "\n".join(["## What does not add up in the paper", "", *(f"- {text}" for text in paper.INCONSISTENCIES)])
+    return {
+        "held_out": results.scale.held_out,
+        "held_out_seeds": ", ".join(f"{kind} {seed}" for kind, seed in HELD_OUT.items()),
+        "other_held_out_seed": OTHER_HELD_OUT_SEED,
+        "other_seed": OTHER_SEED,
+        "beaten": template.table(("mean error or accuracy", "paper on its rig", "asked for", "touchd"), rows),
+        "beaten_folder": folder,
+        "shipped": ", ".join(SHIPPED),
+        "models": template.table(("model", "touches", *HEADINGS, "over 5 mm", "keys"), details),
+    }
