@@ -66,12 +66,13 @@ def lines(log: Path) -> list[int]:
     return sorted(int(line) for line in log.read_text().split())
 
 
-def main(log: Path, cache: Path) -> None:
-    """Run slow jobs as a process of its own, and say of each that it was kept."""
-    run(numbered(log, MANY, 0.2), workers=2, cache=cache, progress=lambda *told: print(*told, flush=True))
+def main(log: str, cache: str, count: str = str(MANY)) -> None:
+    """Run slow jobs as a process of its own, and print a line for each that was kept."""
+    jobs = numbered(Path(log), int(count), 0.2)
+    run(jobs, workers=2, cache=Path(cache), progress=lambda *step: print(*step, flush=True))
 
 
 if __name__ == "__main__":
     from tests.jobs_to_run import main as importable  # so that its functions are not those of __main__
 
-    importable(Path(sys.argv[1]), Path(sys.argv[2]))
+    importable(*sys.argv[1:])

@@ -21,7 +21,6 @@ from tests.processes import PATIENCE_S, ROOT, environment
 from touchd.errors import JobError, OutputError, TrainingError
 from touchd.jobs import Job, Shared, run
 from touchd.jobs.identity import code_digest, digest
-from touchd.jobs.local import _uninterrupted
 from touchd.jobs.store import Store
 
 WINDOW = np.hanning(300)
