@@ -15,6 +15,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+from touchd.jobs.engine import on_dask
 from touchd.jobs.identity import code_digest, digest
 from touchd.jobs.job import Failure, Job, Outcome, Outcomes, Parcel, Shared, Task, key_of, perform
 from touchd.jobs.store import Store
@@ -103,13 +104,10 @@ def run(
 
 def _outcomes(tasks: Sequence[Task], parcels: Mapping[str, Parcel], workers: int | None, dask: str | None) -> Outcomes:
     """Run tasks here, on worker processes or on a cluster."""
-    if dask is None:
-        workers = min(workers or _cores(), len(tasks))
-        if workers <= 1:
-            return _here(tasks, parcels)
-    from touchd.jobs.engine import on_dask
-
-    return on_dask(tasks, parcels, dask or workers or 1)
+    workers = min(workers or _cores(), len(tasks))
+    if not tasks or (dask is None and workers == 1):
+        return _here(tasks, parcels)
+    return on_dask(tasks, parcels, dask or workers)
 
 
 def _cores() -> int:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import signal
 import threading
 from collections import deque
-from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError
-from contextlib import asynccontextmanager, suppress
+from contextlib import asynccontextmanager, contextmanager, suppress
 from queue import Empty, SimpleQueue
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import structlog
 
@@ -20,6 +21,7 @@ from touchd.jobs.local import connected_here, quiet
 if TYPE_CHECKING:
     from distributed import Client, Future
 
+T = TypeVar("T")
 log = structlog.get_logger()
 
 CONNECT_S = 8.0
@@ -36,8 +38,8 @@ AGAIN = "run again; what is finished is kept"
 def on_dask(tasks: Sequence[Task], parcels: Mapping[str, Parcel], where: str | int) -> Outcomes:
     """Run tasks on the workers of the scheduler at an address, or on a number of worker processes of this computer.
 
-    Dask runs in a thread of its own; the caller's thread only waits for outcomes. So Ctrl-C never interrupts Dask's
-    code, where it could leave locks taken.
+    Dask runs in a thread of its own; the caller's thread only waits for outcomes, and for Ctrl-C as for one of them. So
+    an interrupt never comes amid Dask's code, where it could leave locks taken, and is never lost.
 
     Raises
     ------
@@ -62,16 +64,49 @@ def on_dask(tasks: Sequence[Task], parcels: Mapping[str, Parcel], where: str | i
             outcomes.put(error)
 
     thread = threading.Thread(target=drive, name="touchd-dask", daemon=True)
-    try:
+    with _interrupts_put(outcomes.put):
         thread.start()
-        while (outcome := outcomes.get()) is not None:
-            if isinstance(outcome, BaseException):
-                raise outcome
-            yield outcome
+        try:
+            while (outcome := _next(outcomes)) is not None:
+                if isinstance(outcome, BaseException):
+                    raise outcome
+                yield outcome
+        finally:
+            with suppress(Empty, RuntimeError):  # never begun, or already ended
+                stops.get(timeout=STOP_S)()
+                thread.join(STOP_S)
+
+
+def _next(outcomes: SimpleQueue[T]) -> T:
+    """Wait for an outcome, in pieces: a signal that comes just before a wait does not end it."""
+    while True:
+        with suppress(Empty):
+            return outcomes.get(timeout=CHECK_S)
+
+
+@contextmanager
+def _interrupts_put(put: Callable[[KeyboardInterrupt], object]) -> Iterator[None]:
+    """Put a KeyboardInterrupt on Ctrl-C instead of raising it wherever the main thread is.
+
+    In a destructor or a callback, as of an import, Python prints a raised one and goes on.
+    """
+    before = signal.getsignal(signal.SIGINT)
+    if threading.current_thread() is not threading.main_thread() or before is not signal.default_int_handler:
+        yield
+        return
+    came = []
+
+    def handle(_number: int, _frame: object) -> None:
+        came.append(KeyboardInterrupt())
+        put(came[-1])
+
+    signal.signal(signal.SIGINT, handle)
+    try:
+        yield
     finally:
-        with suppress(Empty, RuntimeError):  # never begun, or already ended
-            stops.get(timeout=STOP_S)()
-            thread.join(STOP_S)
+        signal.signal(signal.SIGINT, before)
+    if came:  # after the last outcome
+        raise came[0]
 
 
 @asynccontextmanager
@@ -80,11 +115,15 @@ async def _connected(address: str) -> AsyncIterator[Client]:
     from distributed import Client
 
     quiet()
+    client = None
     try:
+        client = Client(address, asynchronous=True, timeout=CONNECT_S, name="touchd", set_as_default=False)
         # Dask's own limit does not cover a server that accepts a connection and then says nothing.
         async with asyncio.timeout(CONNECT_S + 1):
-            client = await Client(address, asynchronous=True, timeout=CONNECT_S, name="touchd", set_as_default=False)
+            await client
     except Exception as error:  # any server may answer at an address, and break Dask's parser in its own way
+        if client is not None:
+            await client._close(fast=True)  # or its destructor would complain
         raise ClusterError(
             f"no Dask scheduler answers ({type(error).__name__})", address,
             "start one with: dask scheduler; or correct the address, such as tcp://127.0.0.1:8786",
@@ -131,6 +170,10 @@ async def _run(
     except (OSError, CancelledError) as error:
         what = f"the scheduler has gone ({type(error).__name__})"
         raise ClusterError(what, address, f"start it, and {AGAIN}") from error
+    finally:
+        for each in running:
+            each.cancel()
+        await asyncio.gather(*running, return_exceptions=True)
 
 
 async def _outcome(future: Future[Any], name: str) -> Outcome:

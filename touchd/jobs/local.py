@@ -118,7 +118,8 @@ def quiet() -> None:
     """Silence Dask's log: what it would say, with tracebacks, is said by the errors of `touchd.jobs`."""
     import distributed  # noqa: F401 - which sets the level when it is imported
 
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    for name in ("distributed", "distributed.client"):
+        logging.getLogger(name).setLevel(logging.CRITICAL)
 
 
 def _security() -> Security:
