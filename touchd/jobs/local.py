@@ -1,7 +1,7 @@
 """A Dask cluster of this computer for one run: a scheduler in this process, and worker processes of one thread each.
 
 Whoever reaches a scheduler or worker of Dask can run programs as its user, and on a computer with several users all
-of them reach its loopback addresses. So every connection begins with a secret of this run. The secret reaches a worker
+of them reach its loopback addresses. So every connection begins with a secret of this process. The secret reaches a worker
 through its standard input, whose end also ends the worker, when this process has gone for any reason.
 """
 
@@ -18,6 +18,7 @@ import tempfile
 import threading
 from collections.abc import AsyncIterator
 from contextlib import ExitStack, asynccontextmanager
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
 from touchd.errors import JobError
@@ -46,7 +47,7 @@ async def connected_here(workers: int) -> AsyncIterator[Client]:
     import dask
     from distributed import Client, Scheduler
 
-    secret = secrets.token_bytes(SECRET_BYTES)
+    secret = _secret()
     _require(secret)
     quiet()
     with (
@@ -70,6 +71,12 @@ async def connected_here(workers: int) -> AsyncIterator[Client]:
                         raise JobError("a worker process ended as it began", "", "see above, or run with --jobs 1")
                     await asyncio.sleep(START_CHECK_S)
                 yield client
+
+
+@cache
+def _secret() -> bytes:
+    """Return this process's secret: one for all its runs, since Dask has one transport for each scheme."""
+    return secrets.token_bytes(SECRET_BYTES)
 
 
 def _started(scheduler: str, folder: str, secret: bytes) -> subprocess.Popen[bytes]:
