@@ -31,8 +31,8 @@ VERBS = {
     "simulate": "Write a recording made by the digital twin.",
     "train": "Train a model on a labelled recording.",
 }
-EXTRAS = {"torch": "train", "scipy": "train", "sklearn": "train", "loky": "train", "onnx": "train",
-          "matplotlib": "train", "rich": "train", "dask": "cluster", "distributed": "cluster", "nidaqmx": "ni",
+EXTRAS = {"torch": "train", "scipy": "train", "sklearn": "train", "onnx": "train",
+          "matplotlib": "train", "rich": "train", "dask": "train", "distributed": "train", "nidaqmx": "ni",
           }  # fmt: skip
 
 

@@ -9,7 +9,6 @@ import pytest
 from click.testing import CliRunner
 
 from touchd.cli.reproduce import command
-from touchd.jobs import local
 from touchd.lab.reproduction import plan, run
 from touchd.localization.model import default_model_path
 from touchd.recording import format as recording
@@ -67,7 +66,7 @@ def test_a_given_recording_is_reported_and_a_second_run_computes_nothing(
     def never(*_arguments: object) -> None:
         raise AssertionError("computed again")
 
-    monkeypatch.setattr(local, "perform", never)
+    monkeypatch.setattr("touchd.jobs.perform", never)
     reproduce(path, "-o", page, *FEW, *keep, "--force")
     untimed = re.compile(r"^.*\b(us|ms)\b.*$|^\|.*\|.*\d+ \| \d+ \|$", re.M)
     assert untimed.sub("", check(page)) == untimed.sub("", text)
