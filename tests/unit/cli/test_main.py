@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import re
 import socket
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -14,8 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.command_line import touchd
 from tests.conftest import Scene
-from tests.processes import PATIENCE_S, ROOT, Ended, environment, touchd
+from tests.processes import ROOT, Ended
 from touchd import errors
 from touchd.cli import main as cli
 from touchd.cli.main import VERBS, main
@@ -253,34 +251,6 @@ def test_with_debug_the_traceback_comes_before_the_line(how: str, world: World) 
     assert ended.err.splitlines()[-1].startswith(f"touchd: {world.folder}/nowhere.npz: ")
 
 
-@pytest.mark.parametrize(
-    ("verb", "package"), [("train", "torch"), ("train", "rich"), ("train", "scipy"), ("draw", "matplotlib")]
-)
-def test_a_verb_whose_packages_are_missing_says_what_to_install(verb: str, package: str, world: World) -> None:
-    arguments = {
-        "train": ["train", world.good, "-o", world.folder / "new.onnx"],
-        "draw": ["draw", world.good, "-o", world.folder / "new.png"],
-    }[verb]
-    program = (
-        "import sys, importlib.abc\n"
-        "class Absent(importlib.abc.MetaPathFinder):\n"
-        "    def find_spec(self, name, path, target=None):\n"
-        f"        if name.partition('.')[0] == {package!r}:\n"
-        "            raise ModuleNotFoundError(f'No module named {name!r}', name=name)\n"
-        "sys.meta_path.insert(0, Absent())\n"
-        "from touchd.cli.main import main\n"
-        "sys.exit(main(sys.argv[1:]))\n"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", program, *map(str, arguments)],
-        capture_output=True, text=True, timeout=PATIENCE_S, cwd=ROOT, env=environment(),
-    )  # fmt: skip
-    explained(
-        Ended(done.returncode, done.stdout, done.stderr), errors.MissingExtra, package, "pip install 'touchd[train]'"
-    )
-    assert not list(world.folder.iterdir())
-
-
 def all_errors(of: type[TouchdError] = TouchdError) -> Iterator[type[TouchdError]]:
     for error in of.__subclasses__():
         yield error
@@ -328,32 +298,6 @@ def test_wrong_use_is_status_2_and_shows_how() -> None:
 def test_an_impossible_speed_is_wrong_use(speed: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--speed", speed, "--replay", "nowhere.npz"]) == 2
     assert "a number above 0, or max" in capsys.readouterr().err
-
-
-def test_a_reader_that_has_had_enough_is_no_failure() -> None:
-    process = subprocess.Popen(
-        f"{sys.executable} -m touchd config --default | head -n 1",
-        shell=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT, env=environment(),
-    )  # fmt: skip
-    out, err = process.communicate(timeout=PATIENCE_S)
-    assert len(out.splitlines()) == 1
-    assert err == ""
-
-
-def test_the_help_names_every_verb_and_imports_none() -> None:
-    program = (
-        "import json, sys\n"
-        "from touchd.cli.main import main\n"
-        "main(['--help'])\n"
-        "print(json.dumps([name for name in sys.modules if name.startswith('touchd.verbs.')]))\n"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, timeout=PATIENCE_S, cwd=ROOT, env=environment()
-    )
-    *lines, imported = done.stdout.splitlines()
-    assert json.loads(imported) == []
-    named = {line.split()[0] for line in lines if line.startswith("  ") and line.split()}
-    assert set(VERBS) <= named
 
 
 @pytest.mark.parametrize("verb", sorted(VERBS))

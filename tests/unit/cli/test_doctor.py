@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from tests.conftest import Scene
-from tests.processes import Ended, touchd
+from tests.command_line import touchd
+from tests.processes import Ended
 from touchd.config.schema import BusSettings
 from touchd.doctor.checks import Finding
 from touchd.doctor.host import check_addresses, judge_clock, take
