@@ -17,17 +17,26 @@ for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
 from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
 import structlog
 
+from touchd.evaluation.dataset import Dataset, make_dataset
 from touchd.localization.model import Model, default_model_path
 from touchd.recording.data import Recording
 from touchd.recording.format import write
 from touchd.twin.instrument import Instrument
-from touchd.twin.simulate import DEFAULT_PLATE, simulate_scene
+from touchd.twin.simulate import DEFAULT_PLATE, simulate_scene, simulate_touches
+
+if TYPE_CHECKING:
+    from touchd.training.field.learn import Field
 
 Scene = Callable[[str], Recording]
+TOUCHES = 400
+KNOWN = 300
+"""Touches that are learned from; the others are held out."""
 
 
 @pytest.fixture(autouse=True)
@@ -75,3 +84,23 @@ def scene_file(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> Callab
         return path
 
     return path_of
+
+
+@pytest.fixture(scope="session")
+def touches(instrument: Instrument) -> Recording:
+    """A small robot's training set: the middle alone, where so few lie as close as thousands do on the whole plate."""
+    return simulate_touches(TOUCHES, seed=3, instrument=instrument, margin_mm=70.0)
+
+
+@pytest.fixture(scope="session")
+def dataset(touches: Recording) -> Dataset:
+    """Its touches, less the untouched plate."""
+    return make_dataset(touches)
+
+
+@pytest.fixture(scope="session")
+def field(dataset: Dataset) -> Field:
+    """What is learned from the known ones; imported here, since scipy takes half a second."""
+    from touchd.training.field.few_touches import learn_field
+
+    return learn_field(dataset, np.arange(KNOWN))
