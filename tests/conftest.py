@@ -1,4 +1,4 @@
-"""One thread of linear algebra a process, and scenes of the twin that many tests share."""
+"""Signals and threads as every test expects them; models, scenes and touches of the twin that many tests share."""
 
 # ruff: noqa: E402 - the environment has to be set before anything imports numpy
 
@@ -7,7 +7,11 @@ from __future__ import annotations
 import os
 import signal
 
-# A shell lets what it runs in the background ignore Ctrl-C, and so would all that a test starts and interrupts.
+# A shell makes what it runs in the background ignore Ctrl-C, and nohup SIGHUP: every process that a test starts would
+# inherit that. A handler is not inherited; this one ignores the signal for this process as before.
+for _number in (signal.SIGHUP, signal.SIGQUIT, signal.SIGTERM, signal.SIGUSR1, signal.SIGUSR2):
+    if signal.getsignal(_number) is signal.SIG_IGN:
+        signal.signal(_number, lambda _number, _frame: None)
 signal.signal(signal.SIGINT, signal.default_int_handler)
 # Before numpy is imported, and inherited by every process that a test starts: two busy threads of BLAS on two busy
 # cores wait for each other for milliseconds.

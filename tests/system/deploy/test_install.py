@@ -32,7 +32,8 @@ def wheels(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def run(root: Path, *options: object, code: int = 0) -> str:
-    environment = {**os.environ, "DESTDIR": str(root), "PIP_NO_DEPS": "1"}
+    own = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    environment = {**own, "DESTDIR": str(root), "PIP_NO_DEPS": "1"}
     done = subprocess.run(["bash", SCRIPT, *map(str, options)], capture_output=True, text=True, env=environment)
     assert done.returncode == code, done.stderr
     return done.stdout + done.stderr
@@ -60,7 +61,7 @@ def test_it_installs_updates_and_removes(tmp_path: Path, wheels: Path) -> None:
     assert script.startswith("#!/opt/touchd/bin/python")
     imported = "import touchd; print(touchd.__file__)"
     python = tmp_path / "opt/touchd/bin/python"
-    said = subprocess.run([python, "-c", imported], capture_output=True, text=True, cwd=tmp_path, check=True).stdout
+    said = subprocess.run([python, "-I", "-c", imported], capture_output=True, text=True, cwd=tmp_path, check=True).stdout
     assert said.startswith(str(tmp_path / "opt/touchd/lib"))
 
     config.write_text("# mine\n")
