@@ -61,7 +61,9 @@ def test_it_installs_updates_and_removes(tmp_path: Path, wheels: Path) -> None:
     assert script.startswith("#!/opt/touchd/bin/python")
     imported = "import touchd; print(touchd.__file__)"
     python = tmp_path / "opt/touchd/bin/python"
-    said = subprocess.run([python, "-I", "-c", imported], capture_output=True, text=True, cwd=tmp_path, check=True).stdout
+    said = subprocess.run(
+        [python, "-I", "-c", imported], capture_output=True, text=True, cwd=tmp_path, check=True
+    ).stdout
     assert said.startswith(str(tmp_path / "opt/touchd/lib"))
 
     config.write_text("# mine\n")

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.conftest import Scene
 from tests.command_line import touchd
+from tests.conftest import Scene
 from tests.processes import Ended
 from touchd.config.schema import BusSettings
 from touchd.doctor.checks import Finding

@@ -57,7 +57,7 @@ def test_a_training_set_of_several_fingers_is_as_it_was_asked_for(tmp_path: Path
 
 def test_fingers_that_do_not_fit_are_explained(tmp_path: Path) -> None:
     with pytest.raises(SimulationError, match="do not fit"):
-        call("touches", "-o", tmp_path / "x.npz", "--fingers", "5", "--apart-mm", "80", *SMALL)
+        call("touches", "-o", tmp_path / "x.npz", "--count", "20", "--fingers", "5", "--apart-mm", "80", *SMALL)
 
 
 def test_an_existing_recording_is_replaced_only_by_force(tmp_path: Path) -> None:

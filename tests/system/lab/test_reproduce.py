@@ -14,8 +14,16 @@ from touchd.lab.reproduction import plan, run
 from touchd.localization.model import default_model_path
 from touchd.recording import format as recording
 from touchd.recording.data import Recording
+from touchd.twin.instrument import Instrument
+from touchd.twin.simulate import simulate_touches
 
 FEW = ["--epochs", "1", "--jobs", "1"]
+
+
+@pytest.fixture(scope="module")
+def touches(instrument: Instrument) -> Recording:
+    """A small robot's session over a part of the plate."""
+    return simulate_touches(260, seed=4, instrument=instrument, margin_mm=60.0)
 
 
 @pytest.fixture(autouse=True)
