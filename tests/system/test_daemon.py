@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.processes import PATIENCE_S, ROOT, end, environment, started, through_the_bus, touchd
+from tests.command_line import touchd
+from tests.processes import PATIENCE_S, ROOT, end, environment, started, through_the_bus
 from touchd.cli.demo import SESSION
 from touchd.client import Subscriber
 from touchd.event import HealthEvent, TouchEvent
@@ -63,7 +64,7 @@ def test_a_signal_lifts_the_finger_says_that_it_stops_and_ends_with_status_0(
                 break
         daemon.send_signal(number)
         heard = list(until_stopping(events))
-        assert daemon.wait(10) == 0, "within a few seconds"
+        assert daemon.wait(PATIENCE_S) == 0
     touches = [event for event in heard if isinstance(event, TouchEvent)]
     assert [c.phase for c in touches[-1].contacts] == ["up"]
     assert isinstance(heard[-1], HealthEvent)
