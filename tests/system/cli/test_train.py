@@ -101,7 +101,7 @@ def test_an_aluminium_plate_with_many_receivers_and_keys_is_trained(tmp_path: Pa
     write(tmp_path / "a.npz", recording)
     model = tmp_path / "a.onnx"
     said(
-        "train", tmp_path / "a.npz", "-o", model, "--recipe", "keypad", "--layout", keys, "--epochs", "2", "--no-report"
+        "train", tmp_path / "a.npz", "-o", model, "--recipe", "keypad", "--layout", keys, "--epochs", "1", "--no-report"
     )
     found = json.loads(said("evaluate", model, tmp_path / "a.npz", "--json"))
     assert 0 <= found["accuracy"] <= 1

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.processes import touchd
+from tests.processes import PATIENCE_S, touchd
 from touchd.lab.benchmark import results, tables
 from touchd.lab.benchmark.budgets import BUDGETS, Budget
 from touchd.lab.benchmark.estimators import NETWORKS
@@ -20,7 +20,7 @@ def quick(tmp_path_factory: pytest.TempPathFactory) -> Run:
     folder = tmp_path_factory.mktemp("benchmark")
     path, given = folder / "run.json", folder / "mine.onnx"
     given.write_bytes((default_model_path().parent / "small.onnx").read_bytes())
-    done = touchd("benchmark", "--quick", "--json", path, "--also", given)
+    done = touchd("benchmark", "--quick", "--json", path, "--also", given, patience_s=5 * PATIENCE_S)
     assert done.code == 0, done.err
     return results.load(path)
 
