@@ -11,22 +11,26 @@ from touchd.twin.physics.plate import Modes, solve
 from touchd.twin.physics.transducer import LoadedModes, default_layout, loaded_modes
 
 
-def test_this_plate_has_three_rigid_motions_and_the_stated_frequencies(bare: Modes) -> None:
+def test_frequencies(bare: Modes) -> None:
+    """The plate has three rigid motions and the stated frequencies."""
     np.testing.assert_array_equal(bare.omega_rad_s[:3], 0)
     np.testing.assert_allclose(bare.frequency_hz[3:9], [441.1, 642.6, 755.2, 1123.6, 1123.6, 1930.2], atol=0.06)
 
 
 @pytest.mark.parametrize(("below_hz", "count"), [(50e3, 172), (100e3, 377)])
-def test_this_plate_has_the_stated_number_of_modes(bare: Modes, below_hz: float, count: int) -> None:
+def test_count(bare: Modes, below_hz: float, count: int) -> None:
+    """The plate has the stated number of modes."""
     assert (bare.frequency_hz < below_hz).sum() == count
 
 
-def test_48_polynomials_are_converged_at_100_khz(glass: Plate, bare: Modes) -> None:
+def test_converged(glass: Plate, bare: Modes) -> None:
+    """48 polynomials have converged at 100 kHz."""
     finer = solve(glass, (52, 52), 100e3).omega_rad_s[3:377]
     assert np.abs(bare.omega_rad_s[3:377] / finer - 1).max() < 1e-6
 
 
-def test_modes_are_orthogonal_with_unit_mass(glass: Plate, bare: Modes) -> None:
+def test_orthogonal(glass: Plate, bare: Modes) -> None:
+    """The modes are orthogonal with unit mass."""
     s = stiffness_of(glass)
     w, x, y = (field[:200].reshape(200, -1) for field in bare[1:])
     mass = s.mass * w @ w.T + s.rotary * (x @ x.T + y @ y.T)

@@ -45,7 +45,8 @@ def files(root: Path) -> set[str]:
     return {"opt/touchd" if name.startswith("opt/touchd/") else name for name in found}
 
 
-def test_it_installs_updates_and_removes(tmp_path: Path, wheels: Path) -> None:
+def test_life(tmp_path: Path, wheels: Path) -> None:
+    """It installs, updates and removes, and keeps what an administrator wrote."""
     venv = subprocess.run(["/usr/bin/python3", "-c", "import ensurepip, venv"], capture_output=True)
     need(venv.returncode == 0, "Debian's python3 has no venv: apt install python3-venv")
     config = tmp_path / "etc/touchd/touchd.toml"
@@ -79,7 +80,8 @@ def test_it_installs_updates_and_removes(tmp_path: Path, wheels: Path) -> None:
     assert files(tmp_path) == set()
 
 
-def test_an_installation_that_fails_leaves_the_old_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_failure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An installation that fails leaves the old one."""
     (tmp_path / "opt/touchd/bin").mkdir(parents=True)
     (tmp_path / "opt/touchd/bin/touchd").write_text("the old one")
     monkeypatch.setenv("PYTHON", "/bin/false")
@@ -87,6 +89,7 @@ def test_an_installation_that_fails_leaves_the_old_one(tmp_path: Path, monkeypat
     assert (tmp_path / "opt/touchd/bin/touchd").read_text() == "the old one"
 
 
-def test_an_unknown_option_is_refused(tmp_path: Path) -> None:
+def test_unknown_option(tmp_path: Path) -> None:
+    """An unknown option is refused."""
     assert "unknown option --frobnicate" in run(tmp_path, "--frobnicate", code=1)
     assert files(tmp_path) == set()

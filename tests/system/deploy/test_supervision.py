@@ -68,7 +68,8 @@ def managed(folder: Path, *options: object) -> Iterator[Managed]:
         daemon.socket.close()
 
 
-def test_it_is_ready_with_the_first_frame_and_not_before(tmp_path: Path) -> None:
+def test_ready(tmp_path: Path) -> None:
+    """It is ready with the first frame and not before."""
     with managed(tmp_path, "--replay", SESSION, "--await-subscriber", PATIENCE_S) as daemon:
         # Started, its address bound, and no frame yet: it waits for a subscriber.
         while not (tmp_path / "bus").exists():
@@ -81,7 +82,8 @@ def test_it_is_ready_with_the_first_frame_and_not_before(tmp_path: Path) -> None
         ]
 
 
-def test_it_is_ready_while_it_awaits_its_device_and_stays_alive(tmp_path: Path) -> None:
+def test_awaiting_device(tmp_path: Path) -> None:
+    """It is ready while it awaits its device, and stays alive."""
     daq = "[device]\nvendor_id = 0xfffe\nproduct_id = 0xfffe\n"  # not to be found on the computer of the test
     (tmp_path / "touchd.toml").write_text(daq)
     with managed(tmp_path) as daemon:
@@ -95,7 +97,8 @@ def test_it_is_ready_while_it_awaits_its_device_and_stays_alive(tmp_path: Path) 
         assert daemon.process.wait(PATIENCE_S) == 0
 
 
-def test_a_pipeline_that_hangs_starves_the_watchdog_although_its_threads_live(tmp_path: Path) -> None:
+def test_watchdog(tmp_path: Path) -> None:
+    """A pipeline that hangs starves the watchdog although its threads live."""
     # Nobody reads what it prints: once the pipe is full the sink hangs, while ZeroMQ's thread goes on.
     with managed(tmp_path, "--replay", SESSION, "--loop", "--speed", "20", "--print") as daemon:
         daemon.hear_until("WATCHDOG=1")
@@ -109,7 +112,8 @@ def test_a_pipeline_that_hangs_starves_the_watchdog_although_its_threads_live(tm
         assert "in publish" in daemon.log.read_text(), "the log tells where it hung"
 
 
-def test_sighup_takes_over_thresholds_and_a_wrong_file_changes_nothing(tmp_path: Path) -> None:
+def test_sighup(tmp_path: Path) -> None:
+    """SIGHUP takes over thresholds, and a wrong file changes nothing."""
     with managed(tmp_path, "--replay", SESSION, "--loop") as daemon:
         daemon.hear_until("READY=1")
         daemon.config.write_text("[tracker]\ndead_band_mm = 3.0\n[device]\nrate_hz = 100\n")
@@ -128,7 +132,8 @@ def test_sighup_takes_over_thresholds_and_a_wrong_file_changes_nothing(tmp_path:
     assert "tracker.dead_band_mm: is -3.0, must be" in log
 
 
-def test_a_flood_of_sighups_is_survived(tmp_path: Path) -> None:
+def test_sighup_flood(tmp_path: Path) -> None:
+    """A flood of SIGHUP is survived."""
     with managed(tmp_path, "--replay", SESSION, "--loop") as daemon:
         daemon.hear_until("READY=1")
         for _ in range(20):

@@ -28,9 +28,8 @@ def measured(folder: Path, loop: Loop, rate_hz: float | None, model: Path | None
     )  # fmt: skip
 
 
-def test_a_paced_scene_is_timed_to_the_subscriber_and_every_frame_is_accounted_for(
-    tmp_path: Path, moving: Loop
-) -> None:
+def test_paced(tmp_path: Path, moving: Loop) -> None:
+    """A paced scene is timed to the subscriber, and every frame is accounted for."""
     found = measured(tmp_path, moving, 500.0)
     assert found.to == "subscriber"
     assert found.lost == 0
@@ -41,6 +40,7 @@ def test_a_paced_scene_is_timed_to_the_subscriber_and_every_frame_is_accounted_f
     assert found.cpu_share > 0
 
 
-def test_a_daemon_that_fails_is_named_with_its_reason(tmp_path: Path, moving: Loop) -> None:
+def test_failure(tmp_path: Path, moving: Loop) -> None:
+    """The failure of the daemon is reported with its reason."""
     with pytest.raises(JobError, match="no such model"):
         measured(tmp_path, moving, 500.0, model=tmp_path / "none.onnx")

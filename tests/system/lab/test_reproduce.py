@@ -61,9 +61,8 @@ def check(page: Path) -> str:
     return text
 
 
-def test_a_given_recording_is_reported_and_a_second_run_computes_nothing(
-    touches: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_given_recording(touches: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A given recording is reported, and a second run computes nothing."""
     path, page = tmp_path / "touches.npz", tmp_path / "report.md"
     recording.write(path, touches)
     keep = ["--cache", tmp_path / "cache"]
@@ -83,9 +82,8 @@ def test_a_given_recording_is_reported_and_a_second_run_computes_nothing(
     assert untimed.sub("", check(page)) == untimed.sub("", text)
 
 
-def test_on_the_twin_the_shipped_models_are_judged_on_seeds_of_their_own(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_twin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On the twin the shipped models are judged on seeds of their own."""
     monkeypatch.setattr(plan, "DOMAINS", ("frequency",))
     monkeypatch.setattr(plan, "HEADS", ("R", "C-2", "C-5", "C-10"))
     trained_on = (run.TRAINING_SEED, run.CENTRAL_SEED, run.OTHER_SEED)

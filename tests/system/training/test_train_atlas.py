@@ -37,7 +37,8 @@ def result(touches: Recording, tmp_path_factory: pytest.TempPathFactory) -> Atla
     return train_atlas(touches, path, epochs=QUICK, command="touchd train touches.npz")
 
 
-def test_both_lie_beside_each_other_and_say_where_they_come_from(result: AtlasResult) -> None:
+def test_origin(result: AtlasResult) -> None:
+    """Network and atlas lie beside each other and say what they were trained on."""
     model, atlas = Model(result.model.path), load_atlas(result.path)
     assert result.path == atlas_path(model.path)
     d = atlas.description
@@ -51,8 +52,11 @@ def test_both_lie_beside_each_other_and_say_where_they_come_from(result: AtlasRe
     assert model.description.scores["n"] == 40
 
 
-def test_touches_it_never_saw_are_placed_to_a_tenth_of_a_millimetre(result: AtlasResult, touches: Recording) -> None:
-    """From a millimetre beside them; with 280 touches for 98 degrees of freedom. A network of these is 2 mm off."""
+def test_accuracy(result: AtlasResult, touches: Recording) -> None:
+    """Touches that the atlas never saw are placed to a tenth of a millimetre.
+
+    From a millimetre beside them; with 280 touches for 98 degrees of freedom. A network of these is 2 mm off.
+    """
     atlas, parts = load_atlas(result.path), result.parts
     steady, _ = at_one_temperature(touches, make_dataset(touches))
     at = np.concatenate([parts.validation, parts.test])
@@ -65,7 +69,8 @@ def test_touches_it_never_saw_are_placed_to_a_tenth_of_a_millimetre(result: Atla
     assert np.median(placed.misfit) < 0.05
 
 
-def test_its_standard_errors_hold_at_every_level_of_noise(result: AtlasResult) -> None:
+def test_standard_errors(result: AtlasResult) -> None:
+    """Its standard errors hold at every level of noise."""
     assert [round(db) for db, _, _ in result.calibration.within] == [60, 50, 40]
     for _, within, _ in result.calibration.within:
         assert within == pytest.approx(0.683, abs=0.08)
@@ -74,7 +79,8 @@ def test_its_standard_errors_hold_at_every_level_of_noise(result: AtlasResult) -
     assert (result.atlas.error >= 0).all()
 
 
-def test_the_report_has_every_picture_it_speaks_of(result: AtlasResult, touches: Recording) -> None:
+def test_report(result: AtlasResult, touches: Recording) -> None:
+    """The report has every picture it speaks of."""
     folder = write_atlas_report(result, touches.meta, ["touches.npz"])
     assert folder == result.path.with_suffix("").with_suffix(".atlas.report")
     text = (folder / "report.md").read_text()
@@ -85,10 +91,11 @@ def test_the_report_has_every_picture_it_speaks_of(result: AtlasResult, touches:
         assert words in text
 
 
-def test_beside_a_network_that_is_there_it_gets_the_same_atlas(
-    result: AtlasResult, touches: Recording, tmp_path: Path
-) -> None:
-    """The network is copied as it is, or left where it lies; the split is the network's, not the command's."""
+def test_beside_network(result: AtlasResult, touches: Recording, tmp_path: Path) -> None:
+    """Beside an existing network the same atlas is made.
+
+    The network is copied as it is, or left where it lies; the split is the network's, not the command's.
+    """
     again = train_atlas(touches, tmp_path / "b.onnx", result.model.path, seed=5)
     assert again.network is None
     assert (tmp_path / "b.onnx").read_bytes() == result.model.path.read_bytes()
@@ -97,9 +104,8 @@ def test_beside_a_network_that_is_there_it_gets_the_same_atlas(
     assert again.scores == result.scores
 
 
-def test_a_network_of_another_recording_or_another_head_is_refused(
-    result: AtlasResult, touches: Recording, tmp_path: Path
-) -> None:
+def test_other_network(result: AtlasResult, touches: Recording, tmp_path: Path) -> None:
+    """A network of another recording or another head is refused."""
     other = replace(touches, frames=np.roll(touches.frames, 1, axis=2))
     with pytest.raises(ModelMismatch, match="another recording"):
         train_atlas(other, tmp_path / "a.onnx", result.model.path)
@@ -109,7 +115,8 @@ def test_a_network_of_another_recording_or_another_head_is_refused(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["p.onnx"]
 
 
-def test_an_unknown_material_is_no_obstacle(result: AtlasResult, touches: Recording, tmp_path: Path) -> None:
+def test_unknown_material(result: AtlasResult, touches: Recording, tmp_path: Path) -> None:
+    """An unknown material is no obstacle."""
     plate = touches.meta.plate.model_copy(update={"material": "unobtainium"})
     strange = replace(touches, meta=touches.meta.model_copy(update={"plate": plate}))
     found = train_atlas(strange, tmp_path / "a.onnx", result.model.path)  # frames and truth are the same
@@ -120,10 +127,11 @@ def test_an_unknown_material_is_no_obstacle(result: AtlasResult, touches: Record
     assert "fitted to the touches" in (write_atlas_report(found, strange.meta, ["a"]) / "report.md").read_text()
 
 
-def test_labels_that_are_off_are_told_and_standard_errors_are_those_of_the_atlas(
-    touches: Recording, tmp_path: Path
-) -> None:
-    """Labels off by 0.3 mm: not taken for errors of the atlas, which places exact touches better than that."""
+def test_label_noise(touches: Recording, tmp_path: Path) -> None:
+    """Label noise is reported, and the standard errors are those of the atlas.
+
+    Labels off by 0.3 mm: not taken for errors of the atlas, which places exact touches better than that.
+    """
     assert touches.contacts_mm is not None
     off_mm = 0.3 * np.random.default_rng(0).normal(size=touches.contacts_mm.shape)
     sloppy = replace(touches, contacts_mm=(touches.contacts_mm + off_mm).astype(np.float32))
@@ -143,9 +151,8 @@ def test_labels_that_are_off_are_told_and_standard_errors_are_those_of_the_atlas
     assert "off by about 0.3" in page
 
 
-def test_the_command_writes_what_it_says_and_replaces_nothing_unasked(
-    result: AtlasResult, touches: Recording, tmp_path: Path
-) -> None:
+def test_command(result: AtlasResult, touches: Recording, tmp_path: Path) -> None:
+    """The command writes what it says and replaces nothing unasked."""
     write(tmp_path / "touches.npz", touches, compress=False)
     network = tmp_path / "net.onnx"
     network.write_bytes(result.model.path.read_bytes())

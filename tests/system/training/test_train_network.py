@@ -26,7 +26,8 @@ def trained(few: Recording, tmp_path_factory: pytest.TempPathFactory) -> Result:
     return train(few, tmp_path_factory.mktemp("model") / "a.onnx", seed=4, epochs=2, command="as a test")
 
 
-def test_what_is_trained_is_written_as_a_model_that_knows_where_it_comes_from(trained: Result, few: Recording) -> None:
+def test_origin(trained: Result, few: Recording) -> None:
+    """The model says what it was trained on, with which seed and command."""
     loaded = Model(trained.model.path)
     loaded.check(few.acquisition)
     about = loaded.description
@@ -37,7 +38,8 @@ def test_what_is_trained_is_written_as_a_model_that_knows_where_it_comes_from(tr
     assert sorted(path.name for path in trained.model.path.parent.iterdir()) == ["a.onnx"], "and nothing else"
 
 
-def test_the_same_seed_gives_the_same_model(trained: Result, few: Recording, dataset: Dataset, tmp_path: Path) -> None:
+def test_same_seed(trained: Result, few: Recording, dataset: Dataset, tmp_path: Path) -> None:
+    """The same seed gives the same model, to the byte."""
     again = train(few, tmp_path / "a.onnx", seed=4, epochs=2, command="as a test")
     assert again.scores == trained.scores
     for one, two in zip(
@@ -47,13 +49,15 @@ def test_the_same_seed_gives_the_same_model(trained: Result, few: Recording, dat
     assert again.model.path.read_bytes() == trained.model.path.read_bytes()
 
 
-def test_another_seed_gives_another_model(trained: Result, few: Recording, dataset: Dataset, tmp_path: Path) -> None:
+def test_another_seed(trained: Result, few: Recording, dataset: Dataset, tmp_path: Path) -> None:
+    """Another seed gives another model."""
     other = train(few, tmp_path / "a.onnx", seed=5, epochs=1)
     one, two = (m.run(dataset.residual)["position_mm"] for m in (trained.model, other.model))
     assert not np.array_equal(one, two)
 
 
-def test_progress_counts_up_to_the_end(few: Recording, tmp_path: Path) -> None:
+def test_progress(few: Recording, tmp_path: Path) -> None:
+    """Progress counts up to the end."""
     told: list[tuple[str, int, int]] = []
     train(
         few,
@@ -66,7 +70,8 @@ def test_progress_counts_up_to_the_end(few: Recording, tmp_path: Path) -> None:
         assert [at for at, _ in done] == list(range(1, done[0][1] + 1))
 
 
-def test_what_cannot_be_learned_from_leaves_no_file(few: Recording, tmp_path: Path) -> None:
+def test_no_truth(few: Recording, tmp_path: Path) -> None:
+    """A recording without truth leaves no file."""
     with pytest.raises(TrainingError):
         train(replace(few, contacts_mm=None), tmp_path / "a.onnx")
     assert list(tmp_path.iterdir()) == []

@@ -55,7 +55,8 @@ def publish(sink: ZeromqSink, *events: Event) -> None:
         sink.publish(event, 0)
 
 
-def test_a_person_sees_a_line_for_each_change_and_none_for_a_finger_that_rests(sink: ZeromqSink) -> None:
+def test_person(sink: ZeromqSink) -> None:
+    """A person sees a line for each change and none for a finger that rests."""
     listen = Listen(sink, "--count", "3")
     publish(sink, touch(1, "down"), touch(2, "hold"), touch(3, "up"))
     code, out, err = listen.end()
@@ -66,7 +67,8 @@ def test_a_person_sees_a_line_for_each_change_and_none_for_a_finger_that_rests(s
     ]
 
 
-def test_a_script_gets_the_events_as_lines_of_json(sink: ZeromqSink) -> None:
+def test_json(sink: ZeromqSink) -> None:
+    """A script gets the events as lines of JSON."""
     listen = Listen(sink, "--json", "--count", "2")
     publish(sink, touch(1), touch(2))
     code, out, err = listen.end()
@@ -74,7 +76,8 @@ def test_a_script_gets_the_events_as_lines_of_json(sink: ZeromqSink) -> None:
     assert [json.loads(line)["seq"] for line in out.splitlines()] == [1, 2]
 
 
-def test_every_topic_can_be_read(sink: ZeromqSink) -> None:
+def test_topics(sink: ZeromqSink) -> None:
+    """Every topic can be read."""
     listen = Listen(
         sink, "--topic", "key", "--topic", "health", "--topic", "spectrum", "--count", "3", topic="spectrum"
     )
@@ -92,7 +95,8 @@ def test_every_topic_can_be_read(sink: ZeromqSink) -> None:
     ]
 
 
-def test_until_stopped_ends_with_the_daemon_and_loses_none_of_its_touches(sink: ZeromqSink) -> None:
+def test_until_stopped(sink: ZeromqSink) -> None:
+    """`--until-stopped` ends with the daemon and loses none of its touches."""
     listen = Listen(sink, "--json", "--until-stopped", topic="health")
     sink.wait_for_subscriber(PATIENCE_S, "touch")
     publish(sink, health(1), touch(1), touch(2), health(2, "stopping"))
@@ -101,7 +105,8 @@ def test_until_stopped_ends_with_the_daemon_and_loses_none_of_its_touches(sink: 
     assert [json.loads(line)["type"] for line in out.splitlines()] == ["touch", "touch"]
 
 
-def test_lost_messages_are_reported_at_the_end(sink: ZeromqSink) -> None:
+def test_lost(sink: ZeromqSink) -> None:
+    """Lost messages are reported at the end."""
     listen = Listen(sink, "--count", "2")
     publish(sink, touch(1), touch(5))
     code, _, err = listen.end()
@@ -109,12 +114,14 @@ def test_lost_messages_are_reported_at_the_end(sink: ZeromqSink) -> None:
     assert err.startswith("3 messages lost")
 
 
-def test_silence_is_a_timeout(sink: ZeromqSink) -> None:
+def test_silence(sink: ZeromqSink) -> None:
+    """Silence is a timeout."""
     with pytest.raises(BusTimeout):
         CliRunner().invoke(command, [sink.addresses[0], "--timeout", "0.02"], catch_exceptions=False)
 
 
-def test_a_topic_that_does_not_exist_is_an_error_of_use() -> None:
+def test_unknown_topic() -> None:
+    """A topic that does not exist is wrong use."""
     result = CliRunner().invoke(command, ["--topic", "tuoch"])
     assert result.exit_code == 2
     assert "'touch', 'key', 'health', 'spectrum'" in result.output

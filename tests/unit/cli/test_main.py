@@ -211,26 +211,31 @@ CASES: dict[str, tuple[type[TouchdError], Arguments, tuple[str, ...]]] = {
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_a_failure_is_one_line_with_its_own_status(case: str, world: World) -> None:
+def test_failure(case: str, world: World) -> None:
+    """A failure is one line with a status of its own."""
     error, arguments, words = CASES[case]
     explained(touchd(*arguments(world)), error, *words)
 
 
-def test_an_address_in_use_is_named(world: World, taken: str) -> None:
+def test_address_in_use(world: World, taken: str) -> None:
+    """An address in use is named."""
     explained(touchd("--replay", world.good, "--bind", taken), errors.AddressInUse, taken)
 
 
-def test_a_wrong_variable_is_named_and_the_right_one_with_it(world: World) -> None:
+def test_wrong_variable(world: World) -> None:
+    """A wrong environment variable is named, with the right one."""
     ended = touchd("--replay", world.good, TOUCHD_TRACKER__CONFIRM_FRAME="3")
     explained(ended, errors.ConfigError, "TOUCHD_TRACKER__CONFIRM_FRAME", "did you mean TOUCHD_TRACKER__CONFIRM_FRAMES")
 
 
-def test_all_that_is_wrong_in_a_configuration_is_said_at_once(world: World) -> None:
+def test_all_problems(world: World) -> None:
+    """All problems of a configuration are reported at once."""
     config = world.file("touchd.toml", "[tracker]\nreach = 3\n[gate]\nnoise_frames = 1\n")
     explained(touchd("--config", config), errors.ConfigError, "2 problems", "tracker.reach", "gate.noise_frames")
 
 
-def test_an_output_that_is_there_stays_as_it_was(world: World) -> None:
+def test_output_kept(world: World) -> None:
+    """An existing output stays as it was."""
     there = world.file("there.npz", "precious")
     for arguments in (
         ("record", "--replay", world.good, "-o", there),
@@ -242,7 +247,8 @@ def test_an_output_that_is_there_stays_as_it_was(world: World) -> None:
 
 
 @pytest.mark.parametrize("how", ["--debug", "TOUCHD_DEBUG"])
-def test_with_debug_the_traceback_comes_before_the_line(how: str, world: World) -> None:
+def test_debug(how: str, world: World) -> None:
+    """With debugging the traceback comes before the line."""
     options = ["--debug"] if how == "--debug" else []
     variables: dict[str, Any] = {} if options else {how: "1"}
     ended = touchd("--replay", world.folder / "nowhere.npz", *options, **variables)
@@ -257,22 +263,24 @@ def all_errors(of: type[TouchdError] = TouchdError) -> Iterator[type[TouchdError
         yield from all_errors(error)
 
 
-def test_every_error_has_a_status_of_its_own() -> None:
+def test_statuses() -> None:
+    """Every error has a status of its own."""
     codes = [TouchdError.exit_code, *(error.exit_code for error in all_errors())]
     assert len(codes) == len(set(codes))
     # 0 is success, 2 wrong use, 126 and above the shell's.
     assert all(code not in (0, 2) and code < 126 for code in codes)
 
 
-def test_the_tree_at_the_top_of_errors_is_the_tree() -> None:
+def test_error_tree() -> None:
+    """The tree drawn at the top of `errors` is the tree of its classes."""
     drawn = dict(re.findall(r"── (\w+) +(\d+) ", errors.__doc__ or ""))
     assert drawn == {error.__name__: str(error.exit_code) for error in all_errors()}
 
 
 @pytest.mark.parametrize("debug", [False, True])
-def test_what_nobody_foresaw_is_called_an_internal_error(
-    debug: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_internal_error(debug: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """An error that nobody foresaw is called an internal error."""
+
     def fail(**_options: Any) -> None:
         raise ZeroDivisionError("by accident")
 
@@ -286,7 +294,8 @@ def test_what_nobody_foresaw_is_called_an_internal_error(
     assert debug or len(lines) == 1
 
 
-def test_wrong_use_is_status_2_and_shows_how() -> None:
+def test_wrong_use() -> None:
+    """Wrong use has status 2 and shows the right one."""
     ended = touchd("--sped", "max")
     assert ended.code == 2
     assert ended.out == ""
@@ -295,12 +304,14 @@ def test_wrong_use_is_status_2_and_shows_how() -> None:
 
 
 @pytest.mark.parametrize("speed", ["0", "-1", "nan", "inf", "fast"])
-def test_an_impossible_speed_is_wrong_use(speed: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_impossible_speed(speed: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """An impossible speed is wrong use."""
     assert main(["--speed", speed, "--replay", "nowhere.npz"]) == 2
     assert "a number above 0, or max" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("verb", sorted(VERBS))
-def test_every_verb_has_a_help_and_its_line_in_the_list_is_true(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_verb_help(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Every verb has a help of its own."""
     assert main([verb, "--help"]) == 0
     assert capsys.readouterr().out.startswith(f"Usage: touchd {verb} ")

@@ -36,7 +36,8 @@ def record(*arguments: object) -> Result:
     return CliRunner().invoke(command, [str(argument) for argument in arguments])
 
 
-def test_a_replay_can_be_recorded_again(original: Path, tmp_path: Path) -> None:
+def test_replay(original: Path, tmp_path: Path) -> None:
+    """A replay can be recorded again."""
     result = record("--replay", original, "--speed", "max", "-o", tmp_path / "a.npz", "--notes", "new")
     assert result.exit_code == 0, result.exception
     found, expected = read(tmp_path / "a.npz"), read(original)
@@ -47,7 +48,8 @@ def test_a_replay_can_be_recorded_again(original: Path, tmp_path: Path) -> None:
     assert found.meta.model_copy(update={"notes": "old", "created": ""}) == META
 
 
-def test_it_says_that_a_recording_can_reveal_a_pin_and_who_can_read_it(original: Path, tmp_path: Path) -> None:
+def test_privacy(original: Path, tmp_path: Path) -> None:
+    """It says that a recording can reveal a PIN, and that only its owner can read it."""
     result = record("--replay", original, "--speed", "max", "-o", tmp_path / "a.npz")
     assert "it can reveal a PIN, and only you can read it" in result.output
     assert "300 frames saved, 0 lost" in result.output
@@ -58,12 +60,14 @@ def test_it_says_that_a_recording_can_reveal_a_pin_and_who_can_read_it(original:
     ("limit", "count"),
     [(("--frames", 10), 10), (("--seconds", 1), 125), (("--seconds", 0.4), 50), (("--frames", 500, "--loop"), 500)],
 )
-def test_it_ends_at_the_limit(original: Path, tmp_path: Path, limit: tuple[object, ...], count: int) -> None:
+def test_limit(original: Path, tmp_path: Path, limit: tuple[object, ...], count: int) -> None:
+    """It ends at the limit."""
     record("--replay", original, "--speed", "max", "-o", tmp_path / "a.npz", *limit)
     assert len(read(tmp_path / "a.npz").sequence) == count
 
 
-def test_a_name_without_npz_becomes_a_folder(original: Path, tmp_path: Path) -> None:
+def test_folder(original: Path, tmp_path: Path) -> None:
+    """A name without `.npz` becomes a folder."""
     record("--replay", original, "--speed", "max", "-o", tmp_path / "long", "--chunk-frames", 100)
     assert len(list((tmp_path / "long").iterdir())) == 3
     assert len(read(tmp_path / "long").sequence) == 300
@@ -94,9 +98,8 @@ def live(monkeypatch: pytest.MonkeyPatch, source: Flaky) -> None:
     monkeypatch.setattr("touchd.sources.open.open_source", open_source)
 
 
-def test_a_device_that_disappears_is_reported_and_its_frames_are_saved(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_device_lost(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A device that disappears is reported, and its frames are saved."""
     live(monkeypatch, Flaky(3, DeviceLost("the DAQ is gone")))
     result = record("--simulate", "scene", "--plate", "400x300x4", "-o", tmp_path / "a.npz")
     assert isinstance(result.exception, DeviceLost)
@@ -104,14 +107,16 @@ def test_a_device_that_disappears_is_reported_and_its_frames_are_saved(
     assert read(tmp_path / "a.npz").meta.plate == Plate(width_mm=400, height_mm=300, thickness_mm=4)
 
 
-def test_without_a_frame_there_is_an_error_and_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_frame(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without a frame there is an error and no file."""
     live(monkeypatch, Flaky(0, EndOfStream()))
     result = record("--simulate", "scene", "--plate", "400x300", "-o", tmp_path / "a.npz")
     assert isinstance(result.exception, SourceError)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_an_unknown_plate_must_be_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_unknown_plate(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An unknown plate must be named."""
     live(monkeypatch, Flaky(3, EndOfStream()))
     result = record("--simulate", "scene", "-o", tmp_path / "a.npz")
     assert isinstance(result.exception, ConfigError)
@@ -119,7 +124,8 @@ def test_an_unknown_plate_must_be_named(tmp_path: Path, monkeypatch: pytest.Monk
 
 
 @pytest.mark.parametrize("plate", ["400", "0x300", "400x-3", "axb", "1e9x1e9", "9" * 400 + "x1"])
-def test_a_plate_of_no_size_is_refused(tmp_path: Path, plate: str) -> None:
+def test_plate_of_no_size(tmp_path: Path, plate: str) -> None:
+    """A plate of no size is refused."""
     result = record("--plate", plate, "-o", tmp_path / "a.npz")
     assert result.exit_code == 2
     assert "400x300x5" in result.output
@@ -134,9 +140,10 @@ def test_a_plate_of_no_size_is_refused(tmp_path: Path, plate: str) -> None:
         (["-o", "a.npz", "--replay", "ORIGINAL", "--config", "nowhere.toml"], ConfigError),
     ],
 )
-def test_what_cannot_work_is_refused_at_once(
+def test_refused_at_once(
     original: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], error: type[TouchdError]
 ) -> None:
+    """What cannot work is refused before anything is written."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "there.npz").write_bytes(b"precious")
     result = record(*(str(original) if argument == "ORIGINAL" else argument for argument in arguments))
