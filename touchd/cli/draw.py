@@ -15,8 +15,8 @@ def command(recording: Path, output: Path, model: Path | None) -> None:
     """Replay RECORDING and draw its true touches with the contacts that were found."""
     from touchd.config.load import load
     from touchd.evaluation.plots.session import draw_session
-    from touchd.evaluation.replay import replay
     from touchd.recording.format import read
+    from touchd.service.replay import replay
 
     settings = load(None, {"model": {"path": model}} if model else {})
     outcome = replay(recording, settings)
