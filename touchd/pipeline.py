@@ -15,7 +15,8 @@ from touchd.detection.detector import Detection, Detector, Notify
 from touchd.event import Contact
 from touchd.frame import Acquisition, Frame
 from touchd.keypad import Layout
-from touchd.localization.localizer import Localization, make_localizer
+from touchd.localization.localization import Localization
+from touchd.localization.localizer import make_localizer
 from touchd.localization.model import Model
 from touchd.outcome import Counters, Outcome
 from touchd.tracking.keys import KeyPress, Keys

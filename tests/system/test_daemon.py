@@ -122,6 +122,19 @@ def test_print(tmp_path: Path) -> None:
     assert [m["state"] for m in messages if m["type"] == "health"][-1] == "stopping"
 
 
+def test_a_retired_setting_is_ignored_with_a_warning(tmp_path: Path) -> None:
+    """The log says once where it stands and what took its place; the daemon runs."""
+    config = tmp_path / "touchd.toml"
+    config.write_text("[realtime]\nnice = -10\n")
+    options = ("--config", config, "--replay", SESSION, "--speed", "max", "--bind", f"ipc://{tmp_path}/bus")
+    ended = touchd(*options, TOUCHD_REALTIME__CPUS="1")
+    warnings = [line for line in map(json.loads, ended.err.splitlines()) if line["level"] == "warning"]
+    found = {line["where"]: line["instead"].partition("=")[0] for line in warnings}
+    assert ended.code == 0
+    assert len(warnings) == 2
+    assert found == {"environment: TOUCHD_REALTIME__CPUS": "CPUAffinity", f"{config}: realtime.nice": "Nice"}
+
+
 @pytest.mark.parametrize("full", ["stdout", "stderr"])
 def test_full_disk(full: str, tmp_path: Path) -> None:
     """A full disk under its output or log does not end it."""

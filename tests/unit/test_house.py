@@ -29,6 +29,17 @@ ONLY = {
     "tracking": {"errors", "event", "touch", "config", "keypad"},
     "twin": {"errors", "frame", "chirp", "recording", "jobs"},
     "detection": {"errors", "frame", "config", "outcome"},
+    "pipeline": {
+        "frame",
+        "touch",
+        "event",
+        "outcome",
+        "keypad",
+        "config",
+        "detection",
+        "tracking",
+        "localization",
+    },
 }
 """Rooms that may know less than their floor allows."""
 LONGEST_LINES = 331
@@ -115,7 +126,8 @@ def test_no_room_imports_from_a_higher_floor() -> None:
 
 @pytest.mark.parametrize("name", ONLY)
 def test_some_rooms_know_less(name: str) -> None:
-    """Sinks and the client know events and configuration; the stages before localization do not know it."""
+    """Sinks and the client know events and configuration, the stages before localization not localization, and the
+    pipeline neither sources nor sinks."""
     assert rooms()[name] <= ONLY[name]
 
 
@@ -143,6 +155,13 @@ def test_no_module_is_longer_than_one_sitting() -> None:
     longest = max(lengths, key=lengths.__getitem__)
     print(f"{sum(lengths.values())} lines in {len(lengths)} modules; the longest is {longest}: {lengths[longest]}")
     assert lengths[longest] <= LONGEST_LINES
+
+
+def test_usb_stays_in_its_modules() -> None:
+    """A source takes decoded frames: of `sources`, only the modules named `usb` know the protocol's bytes."""
+    others = [name for name in NAMES if name.startswith("sources.") and not name.startswith("sources.usb")]
+    knowing = {name for name in others if any(other.startswith("sources.usb") for other in imports(NAMES[name]))}
+    assert knowing == {"sources.open"}, "which opens the DAQ on USB"
 
 
 HOMES = [("usb", "sources.usb"), ("nidaqmx", "sources.ni"), ("torch", "training")]

@@ -20,7 +20,7 @@ from touchd.localization.classify import Classifier
 from touchd.localization.estimator import Estimator, TouchMaker
 from touchd.localization.fit_criteria import CRITERIA
 from touchd.localization.gauss_newton import STILL_MM, Bins, Fit, GaussNewton, no_fit
-from touchd.localization.localizer import UNTOUCHED, Localization
+from touchd.localization.localization import UNTOUCHED, Localization
 from touchd.localization.model import Model
 from touchd.localization.multitouch import MultitouchSearch
 from touchd.localization.plate_model import PlateModel

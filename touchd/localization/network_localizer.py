@@ -9,7 +9,7 @@ from touchd.detection.baseline import Signal
 from touchd.detection.detector import Detection
 from touchd.keypad import Layout
 from touchd.localization.estimator import Estimator, TouchMaker
-from touchd.localization.localizer import UNTOUCHED, Localization
+from touchd.localization.localization import UNTOUCHED, Localization
 from touchd.localization.model import Model
 from touchd.localization.stillness import StillFrame
 from touchd.outcome import Outcome

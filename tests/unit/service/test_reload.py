@@ -47,13 +47,16 @@ def test_thresholds_and_the_log_are_taken_over_and_what_is_open_or_bound_waits()
             "log": {"level": "error"},
             "bus": {"bind": ["tcp://127.0.0.1:1"]},
             "device": {"rate_hz": 250},
-            "model": {"path": "another.onnx", "min_confidence": 0.9},
+            "model": {"path": "another.onnx", "atlas": False, "min_confidence": 0.9},
+            "preroll": {"seconds": 7.0},
             "baseline": {"learn_frames": 8, "absorb_s": 5.0},
         }
     )
     changes = compare(Settings(), new)
     assert set(changes.taken) == {"tracker.dead_band_mm", "log.level", "model.min_confidence", "baseline.absorb_s"}
-    assert set(changes.waiting) == {"bus.bind", "device.rate_hz", "model.path", "baseline.learn_frames"}
+    assert set(changes.waiting) == {
+        "bus.bind", "device.rate_hz", "model.path", "model.atlas", "preroll.seconds", "baseline.learn_frames",
+    }  # fmt: skip
     expected = settings(
         {
             "tracker": {"dead_band_mm": 2.0},

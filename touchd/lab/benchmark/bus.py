@@ -6,6 +6,7 @@ doing of ZeroMQ, the kernel and the computer alone.
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import time
@@ -13,12 +14,10 @@ from pathlib import Path
 
 import zmq
 
-from touchd.config.schema import RealtimeSettings
 from touchd.errors import JobError
 from touchd.lab.benchmark.placement import daemon_cpus, subscribing
 from touchd.lab.benchmark.stopwatch import Spread, spread
 from touchd.service.cpu_latency import Awake, permitted
-from touchd.service.realtime import apply
 
 BODY_BYTES = 330
 """As a touch message with one contact."""
@@ -55,7 +54,8 @@ def measure(rate_hz: float, seconds: float, folder: Path, *, apart: bool = False
 
 def run(address: str, rate_hz: float, seconds: float, cpus: tuple[int, ...]) -> None:
     """Send, once somebody is subscribed; an empty message ends it. The processors are kept awake as by the daemon."""
-    apply(RealtimeSettings(cpus=cpus))
+    if cpus:
+        os.sched_setaffinity(0, cpus)
     if permitted():
         Awake(rate_hz).hold()
     with zmq.Context() as context, context.socket(zmq.XPUB) as socket:
