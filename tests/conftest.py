@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 import structlog
+from hypothesis import HealthCheck, settings
 
 from touchd.evaluation.dataset import Dataset, make_dataset
 from touchd.localization.model import Model, default_model_path
@@ -36,6 +37,10 @@ from touchd.twin.simulate import DEFAULT_PLATE, simulate_scene, simulate_touches
 
 if TYPE_CHECKING:
     from touchd.training.field.learn import Field
+
+# How long an example takes is the computer's affair.
+settings.register_profile("touchd", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("touchd")
 
 Scene = Callable[[str], Recording]
 TOUCHES = 400
