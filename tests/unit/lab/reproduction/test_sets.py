@@ -12,9 +12,17 @@ from touchd.lab.reproduction import paper
 from touchd.lab.reproduction.scores import confusion, keypad_scores, zone_accuracy
 from touchd.lab.reproduction.sets import central
 from touchd.recording.data import Recording
+from touchd.twin.instrument import Instrument
+from touchd.twin.simulate import simulate_touches
 
 LAYOUT = load_layout(PHONE)
 KEYS = len(LAYOUT.key)
+
+
+@pytest.fixture(scope="module")
+def touches(instrument: Instrument) -> Recording:
+    """A small robot's session over a part of the plate."""
+    return simulate_touches(260, seed=4, instrument=instrument, margin_mm=60.0)
 
 
 @pytest.mark.parametrize(("n", "mean_mm"), [(2, 38.3), (10, 7.65)])

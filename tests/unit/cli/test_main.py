@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import re
 import socket
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -14,8 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.command_line import touchd
 from tests.conftest import Scene
-from tests.processes import PATIENCE_S, ROOT, Ended, environment, touchd
+from tests.processes import ROOT, Ended
 from touchd import errors
 from touchd.cli import main as cli
 from touchd.cli.main import VERBS, main
@@ -213,26 +211,31 @@ CASES: dict[str, tuple[type[TouchdError], Arguments, tuple[str, ...]]] = {
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_a_failure_is_one_line_with_its_own_status(case: str, world: World) -> None:
+def test_failure(case: str, world: World) -> None:
+    """A failure is one line with a status of its own."""
     error, arguments, words = CASES[case]
     explained(touchd(*arguments(world)), error, *words)
 
 
-def test_an_address_in_use_is_named(world: World, taken: str) -> None:
+def test_address_in_use(world: World, taken: str) -> None:
+    """An address in use is named."""
     explained(touchd("--replay", world.good, "--bind", taken), errors.AddressInUse, taken)
 
 
-def test_a_wrong_variable_is_named_and_the_right_one_with_it(world: World) -> None:
+def test_wrong_variable(world: World) -> None:
+    """A wrong environment variable is named, with the right one."""
     ended = touchd("--replay", world.good, TOUCHD_TRACKER__CONFIRM_FRAME="3")
     explained(ended, errors.ConfigError, "TOUCHD_TRACKER__CONFIRM_FRAME", "did you mean TOUCHD_TRACKER__CONFIRM_FRAMES")
 
 
-def test_all_that_is_wrong_in_a_configuration_is_said_at_once(world: World) -> None:
+def test_all_problems(world: World) -> None:
+    """All problems of a configuration are reported at once."""
     config = world.file("touchd.toml", "[tracker]\nreach = 3\n[gate]\nnoise_frames = 1\n")
     explained(touchd("--config", config), errors.ConfigError, "2 problems", "tracker.reach", "gate.noise_frames")
 
 
-def test_an_output_that_is_there_stays_as_it_was(world: World) -> None:
+def test_output_kept(world: World) -> None:
+    """An existing output stays as it was."""
     there = world.file("there.npz", "precious")
     for arguments in (
         ("record", "--replay", world.good, "-o", there),
@@ -244,7 +247,8 @@ def test_an_output_that_is_there_stays_as_it_was(world: World) -> None:
 
 
 @pytest.mark.parametrize("how", ["--debug", "TOUCHD_DEBUG"])
-def test_with_debug_the_traceback_comes_before_the_line(how: str, world: World) -> None:
+def test_debug(how: str, world: World) -> None:
+    """With debugging the traceback comes before the line."""
     options = ["--debug"] if how == "--debug" else []
     variables: dict[str, Any] = {} if options else {how: "1"}
     ended = touchd("--replay", world.folder / "nowhere.npz", *options, **variables)
@@ -253,56 +257,30 @@ def test_with_debug_the_traceback_comes_before_the_line(how: str, world: World) 
     assert ended.err.splitlines()[-1].startswith(f"touchd: {world.folder}/nowhere.npz: ")
 
 
-@pytest.mark.parametrize(
-    ("verb", "package"), [("train", "torch"), ("train", "rich"), ("train", "scipy"), ("draw", "matplotlib")]
-)
-def test_a_verb_whose_packages_are_missing_says_what_to_install(verb: str, package: str, world: World) -> None:
-    arguments = {
-        "train": ["train", world.good, "-o", world.folder / "new.onnx"],
-        "draw": ["draw", world.good, "-o", world.folder / "new.png"],
-    }[verb]
-    program = (
-        "import sys, importlib.abc\n"
-        "class Absent(importlib.abc.MetaPathFinder):\n"
-        "    def find_spec(self, name, path, target=None):\n"
-        f"        if name.partition('.')[0] == {package!r}:\n"
-        "            raise ModuleNotFoundError(f'No module named {name!r}', name=name)\n"
-        "sys.meta_path.insert(0, Absent())\n"
-        "from touchd.cli.main import main\n"
-        "sys.exit(main(sys.argv[1:]))\n"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", program, *map(str, arguments)],
-        capture_output=True, text=True, timeout=PATIENCE_S, cwd=ROOT, env=environment(),
-    )  # fmt: skip
-    explained(
-        Ended(done.returncode, done.stdout, done.stderr), errors.MissingExtra, package, "pip install 'touchd[train]'"
-    )
-    assert not list(world.folder.iterdir())
-
-
 def all_errors(of: type[TouchdError] = TouchdError) -> Iterator[type[TouchdError]]:
     for error in of.__subclasses__():
         yield error
         yield from all_errors(error)
 
 
-def test_every_error_has_a_status_of_its_own() -> None:
+def test_statuses() -> None:
+    """Every error has a status of its own."""
     codes = [TouchdError.exit_code, *(error.exit_code for error in all_errors())]
     assert len(codes) == len(set(codes))
     # 0 is success, 2 wrong use, 126 and above the shell's.
     assert all(code not in (0, 2) and code < 126 for code in codes)
 
 
-def test_the_tree_at_the_top_of_errors_is_the_tree() -> None:
+def test_error_tree() -> None:
+    """The tree drawn at the top of `errors` is the tree of its classes."""
     drawn = dict(re.findall(r"── (\w+) +(\d+) ", errors.__doc__ or ""))
     assert drawn == {error.__name__: str(error.exit_code) for error in all_errors()}
 
 
 @pytest.mark.parametrize("debug", [False, True])
-def test_what_nobody_foresaw_is_called_an_internal_error(
-    debug: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_internal_error(debug: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """An error that nobody foresaw is called an internal error."""
+
     def fail(**_options: Any) -> None:
         raise ZeroDivisionError("by accident")
 
@@ -316,7 +294,8 @@ def test_what_nobody_foresaw_is_called_an_internal_error(
     assert debug or len(lines) == 1
 
 
-def test_wrong_use_is_status_2_and_shows_how() -> None:
+def test_wrong_use() -> None:
+    """Wrong use has status 2 and shows the right one."""
     ended = touchd("--sped", "max")
     assert ended.code == 2
     assert ended.out == ""
@@ -325,38 +304,14 @@ def test_wrong_use_is_status_2_and_shows_how() -> None:
 
 
 @pytest.mark.parametrize("speed", ["0", "-1", "nan", "inf", "fast"])
-def test_an_impossible_speed_is_wrong_use(speed: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_impossible_speed(speed: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """An impossible speed is wrong use."""
     assert main(["--speed", speed, "--replay", "nowhere.npz"]) == 2
     assert "a number above 0, or max" in capsys.readouterr().err
 
 
-def test_a_reader_that_has_had_enough_is_no_failure() -> None:
-    process = subprocess.Popen(
-        f"{sys.executable} -m touchd config --default | head -n 1",
-        shell=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT, env=environment(),
-    )  # fmt: skip
-    out, err = process.communicate(timeout=PATIENCE_S)
-    assert len(out.splitlines()) == 1
-    assert err == ""
-
-
-def test_the_help_names_every_verb_and_imports_none() -> None:
-    program = (
-        "import json, sys\n"
-        "from touchd.cli.main import main\n"
-        "main(['--help'])\n"
-        "print(json.dumps([name for name in sys.modules if name.startswith('touchd.verbs.')]))\n"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, timeout=PATIENCE_S, cwd=ROOT, env=environment()
-    )
-    *lines, imported = done.stdout.splitlines()
-    assert json.loads(imported) == []
-    named = {line.split()[0] for line in lines if line.startswith("  ") and line.split()}
-    assert set(VERBS) <= named
-
-
 @pytest.mark.parametrize("verb", sorted(VERBS))
-def test_every_verb_has_a_help_and_its_line_in_the_list_is_true(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_verb_help(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Every verb has a help of its own."""
     assert main([verb, "--help"]) == 0
     assert capsys.readouterr().out.startswith(f"Usage: touchd {verb} ")

@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.command_line import touchd
 from tests.conftest import Scene
-from tests.processes import Ended, touchd
+from tests.processes import Ended
 from touchd.config.schema import BusSettings
 from touchd.doctor.checks import Finding
 from touchd.doctor.host import check_addresses, judge_clock, take
@@ -35,7 +36,8 @@ def examine(folder: Path, *options: object) -> tuple[Ended, dict[str, dict[str, 
     return ended, checks
 
 
-def test_a_good_plate_passes_every_check(tmp_path: Path, scene_file: Callable[[str], Path]) -> None:
+def test_good_plate(tmp_path: Path, scene_file: Callable[[str], Path]) -> None:
+    """A good plate passes every check."""
     ended, checks = examine(tmp_path, "--replay", scene_file("idle"))
     assert list(checks) == CHECKS
     levels = {name: check["level"] for name, check in checks.items() if name not in ("latency", "clock")}
@@ -46,9 +48,8 @@ def test_a_good_plate_passes_every_check(tmp_path: Path, scene_file: Callable[[s
 @pytest.mark.parametrize(
     ("fault", "check"), [("clipping", "clipping"), ("lostframes", "lost frames"), ("interference", "noise")]
 )
-def test_a_faulty_instrument_is_named(
-    tmp_path: Path, scene_file: Callable[[str], Path], fault: str, check: str
-) -> None:
+def test_faulty_instrument(tmp_path: Path, scene_file: Callable[[str], Path], fault: str, check: str) -> None:
+    """A faulty instrument is named, with a fix."""
     ended, checks = examine(tmp_path, "--replay", scene_file(fault))
     assert checks[check]["level"] != "ok"
     assert checks[check]["fix"]
@@ -56,7 +57,8 @@ def test_a_faulty_instrument_is_named(
     assert ended.code == (CheckFailed.exit_code if failed else 0)
 
 
-def test_for_people_it_is_a_line_each_and_a_failure_says_so(tmp_path: Path, scene_file: Callable[[str], Path]) -> None:
+def test_lines(tmp_path: Path, scene_file: Callable[[str], Path]) -> None:
+    """For people each check is a line, and a failure says what to do."""
     ended = touchd("doctor", "--replay", scene_file("clipping"), TOUCHD_BUS__BIND=f"ipc://{tmp_path}/bus")
     lines = ended.out.splitlines()
     assert [line[9:22].strip() for line in lines if not line.startswith(" ")] == CHECKS
@@ -66,7 +68,8 @@ def test_for_people_it_is_a_line_each_and_a_failure_says_so(tmp_path: Path, scen
     assert "of 10 checks failed" in ended.err
 
 
-def test_a_recording_of_another_rig_does_not_fit_the_model(tmp_path: Path, scene: Scene) -> None:
+def test_another_rig(tmp_path: Path, scene: Scene) -> None:
+    """A recording of another rig does not fit the model."""
     recording = scene("idle")
     path = tmp_path / "three.npz"
     meta = recording.meta.model_copy(update={"receivers_mm": (recording.meta.receivers_mm or ())[:3]})
@@ -77,13 +80,15 @@ def test_a_recording_of_another_rig_does_not_fit_the_model(tmp_path: Path, scene
     assert ended.code == CheckFailed.exit_code
 
 
-def test_the_training_recording_serves_as_the_reference(tmp_path: Path, scene_file: Callable[[str], Path]) -> None:
+def test_reference(tmp_path: Path, scene_file: Callable[[str], Path]) -> None:
+    """The training recording serves as the reference."""
     session = scene_file("tap")  # labelled: its untouched frames are taken
     _, checks = examine(tmp_path, "--replay", scene_file("idle"), "--reference", session)
     assert checks["baseline"]["level"] == "ok"
 
 
-def test_without_a_device_it_says_what_to_do_and_what_needs_frames_is_left_out(tmp_path: Path) -> None:
+def test_no_device(tmp_path: Path) -> None:
+    """Without a device it says what to do, and leaves out the checks that need frames."""
     config = tmp_path / "touchd.toml"
     config.write_text("[device]\nvendor_id = 0xfffe\nproduct_id = 0xfffe\n")
     ended, checks = examine(tmp_path, "--config", config)
@@ -107,12 +112,14 @@ def taken() -> Iterator[ZeromqSink]:
     sink.close()
 
 
-def test_an_address_that_another_program_holds_is_a_failure(taken: ZeromqSink) -> None:
+def test_address_taken(taken: ZeromqSink) -> None:
+    """An address that another program holds is a failure."""
     finding = finding_of(taken.addresses[0])
     assert (finding.level, bool(finding.fix)) == ("failure", True)
 
 
-def test_a_daemon_that_runs_is_recognised(taken: ZeromqSink) -> None:
+def test_running_daemon(taken: ZeromqSink) -> None:
+    """A running daemon is recognised by its health messages."""
     import threading
 
     health = HealthEvent("plate", 1, 1, "", "streaming", 0, 0, 0, {}, 0, Latency(), 0.0, 0.0, "a model", "1")
@@ -135,7 +142,8 @@ def test_a_daemon_that_runs_is_recognised(taken: ZeromqSink) -> None:
 
 
 @pytest.mark.parametrize(("state", "now_s", "level"), [(0, 2e9, "ok"), (5, 2e9, "warning"), (0, 1e6, "failure")])
-def test_the_clock_is_judged(state: int, now_s: float, level: str) -> None:
+def test_clock(state: int, now_s: float, level: str) -> None:
+    """The clock must be set, and should follow a time server."""
     assert judge_clock(state, now_s).level == level
 
 
@@ -160,7 +168,8 @@ class Few:
         pass
 
 
-def test_too_few_frames_are_an_error_and_not_a_verdict() -> None:
+def test_too_few_frames() -> None:
+    """Too few frames are an error and not a verdict."""
     assert len(take(Few(2), 1.0).counts) == 2
     with pytest.raises(SourceError):
         take(Few(1), 1.0)

@@ -21,7 +21,8 @@ def call(*arguments: str | Path) -> Result:
     return result
 
 
-def test_a_scene_is_written_with_one_closing_line(tmp_path: Path) -> None:
+def test_scene(tmp_path: Path) -> None:
+    """A scene is written, with one closing line."""
     path = tmp_path / "tap.npz"
     result = call("tap", "-o", path, "--frames", "200", "--rate-hz", "100", "--seed", "3", *SMALL)
     assert result.exit_code == 0
@@ -33,13 +34,15 @@ def test_a_scene_is_written_with_one_closing_line(tmp_path: Path) -> None:
     assert recording.meta.plate.width_mm == 90
 
 
-def test_a_training_set_has_two_frames_a_touch(tmp_path: Path) -> None:
+def test_training_set(tmp_path: Path) -> None:
+    """A training set has two frames a touch."""
     path = tmp_path / "touches.npz"
     assert call("touches", "-o", path, "--count", "12", *SMALL).exit_code == 0
     assert len(read(path).frames) == 24
 
 
-def test_a_training_set_of_several_fingers_is_as_it_was_asked_for(tmp_path: Path) -> None:
+def test_several_fingers(tmp_path: Path) -> None:
+    """Fingers, gap, temperature and label noise of a training set are those of its options."""
     path, other = tmp_path / "two.npz", tmp_path / "reference.npz"
     options = ["touches", "--count", "12", "--fingers", "2", "--edge-gap-mm", "8", *SMALL]
     assert call(*options, "-o", path, "--temperature-k", "-5", "--label-noise-mm", "0.3").exit_code == 0
@@ -55,12 +58,14 @@ def test_a_training_set_of_several_fingers_is_as_it_was_asked_for(tmp_path: Path
     assert 0.05 < off_mm.mean() < 0.6
 
 
-def test_fingers_that_do_not_fit_are_explained(tmp_path: Path) -> None:
+def test_no_room(tmp_path: Path) -> None:
+    """Fingers that do not fit are explained."""
     with pytest.raises(SimulationError, match="do not fit"):
-        call("touches", "-o", tmp_path / "x.npz", "--fingers", "5", "--apart-mm", "80", *SMALL)
+        call("touches", "-o", tmp_path / "x.npz", "--count", "20", "--fingers", "5", "--apart-mm", "80", *SMALL)
 
 
-def test_an_existing_recording_is_replaced_only_by_force(tmp_path: Path) -> None:
+def test_force(tmp_path: Path) -> None:
+    """An existing recording is replaced only by `--force`."""
     path = tmp_path / "idle.npz"
     path.write_text("precious")
     with pytest.raises(OutputError, match="already there"):
@@ -70,7 +75,8 @@ def test_an_existing_recording_is_replaced_only_by_force(tmp_path: Path) -> None
     assert len(read(path).frames) == 10
 
 
-def test_options_of_the_other_kind_are_refused(tmp_path: Path) -> None:
+def test_wrong_options(tmp_path: Path) -> None:
+    """Options of touches are refused for a scene, and the other way round."""
     path = tmp_path / "x.npz"
     assert call("touches", "-o", path, "--frames", "10").exit_code == 2
     for option, value in (("count", 10), ("fingers", 2), ("apart-mm", 20), ("edge-gap-mm", 8), ("temperature-k", 5),
@@ -82,7 +88,8 @@ def test_options_of_the_other_kind_are_refused(tmp_path: Path) -> None:
     assert not path.exists()
 
 
-def test_a_keypad_file_places_the_keys(tmp_path: Path) -> None:
+def test_keypad(tmp_path: Path) -> None:
+    """A keypad file places the keys."""
     layout = tmp_path / "keys.toml"
     layout.write_text('[[key]]\nname = "Z"\nx_mm = 20\ny_mm = 30\nwidth_mm = 20\nheight_mm = 20\n')
     path = tmp_path / "typed.npz"
@@ -92,6 +99,7 @@ def test_a_keypad_file_places_the_keys(tmp_path: Path) -> None:
     assert abs(contacts_mm[125, 0] - [30, 40]).max() <= 4
 
 
-def test_a_plate_that_is_too_large_is_explained(tmp_path: Path) -> None:
+def test_too_large(tmp_path: Path) -> None:
+    """A plate that is too large is explained."""
     with pytest.raises(SimulationError, match="wavelengths"):
         call("idle", "-o", tmp_path / "x.npz", "--plate", "2000x900x2")

@@ -27,7 +27,8 @@ def response(glass: Plate, loaded: LoadedModes) -> Response:
     return Response(glass, loaded, NU, 5e-3)
 
 
-def test_three_contacts_are_what_a_direct_solution_of_all_modes_gives(response: Response) -> None:
+def test_three_contacts(response: Response) -> None:
+    """Three contacts change what a direct solution of all modes says."""
     modes = response.modes
     x, y, area = np.array([c[:3] for c in THREE]).T
     shape = response.shape_at(x, y, area)
@@ -41,14 +42,16 @@ def test_three_contacts_are_what_a_direct_solution_of_all_modes_gives(response: 
         np.testing.assert_allclose(change[:, f], direct, rtol=1e-7, atol=1e-9 * np.abs(direct).max())
 
 
-def test_one_contact_goes_the_short_way_to_the_same_result(response: Response) -> None:
+def test_one_contact(response: Response) -> None:
+    """One contact goes the short way to the same result."""
     absent = Contact(120.0, 30.0, 1e-9, "silicone")
     alone = response.change([[THREE[0]]], np.ones(1))
     beside_nothing = response.change([[THREE[0], absent]], np.ones(1))
     np.testing.assert_allclose(alone, beside_nothing, rtol=1e-6)
 
 
-def test_discs_built_into_the_modes_are_discs_added_afterwards(glass: Plate, bare: Modes) -> None:
+def test_discs(glass: Plate, bare: Modes) -> None:
+    """Discs built into the modes are discs added afterwards."""
     layout = default_layout(glass)
     few = Modes(*(field[:500] for field in bare))
     with_mass = Response(glass, load(few, glass, layout), NU, 0.0)
@@ -64,7 +67,8 @@ def test_discs_built_into_the_modes_are_discs_added_afterwards(glass: Plate, bar
     np.testing.assert_allclose(with_mass.untouched().T, expected, rtol=1e-6, atol=1e-9 * np.abs(expected).max())
 
 
-def test_swapping_emitter_and_receiver_changes_nothing(glass: Plate, bare: Modes) -> None:
+def test_reciprocity(glass: Plate, bare: Modes) -> None:
+    """Swapping emitter and receiver changes nothing."""
     layout = default_layout(glass)
     first, *others = layout.receivers_mm
     swapped = layout.model_copy(update={"emitter_mm": first, "receivers_mm": (layout.emitter_mm, *others)})
@@ -76,8 +80,11 @@ def test_swapping_emitter_and_receiver_changes_nothing(glass: Plate, bare: Modes
 
 
 @pytest.mark.parametrize("span", [0.0, 1e-7, 1e-3])
-def test_a_palm_at_rest_changes_what_it_would_in_each_frame_by_itself(response: Response, span: float) -> None:
-    """It is computed at a few temperatures only, and once for the frames in which it is the same."""
+def test_palm(response: Response, span: float) -> None:
+    """A palm at rest changes what it would in each frame alone.
+
+    It is computed at a few temperatures only, and once for the frames in which it is the same.
+    """
     rest, lighter = (patches(Contact(90.0, 100.0, area, "palm")) for area in (90.0, 88.0))
     touches = [lighter, *[rest] * 20, lighter]
     scale = 1 + span * np.linspace(-1, 0.7, len(touches)) ** 3
@@ -87,14 +94,16 @@ def test_a_palm_at_rest_changes_what_it_would_in_each_frame_by_itself(response: 
         np.testing.assert_allclose(change, alone, rtol=0, atol=1e-10 * np.abs(alone).max())
 
 
-def test_two_far_contacts_are_nearly_the_sum_of_each(instrument: Instrument) -> None:
+def test_far_contacts(instrument: Instrument) -> None:
+    """Two far contacts are nearly the sum of each."""
     one, two = Contact(40.0, 60.0, 15.0, "silicone"), Contact(160.0, 130.0, 15.0, "silicone")
     both, first, second = instrument.change([[one, two], [one], [two]], [22.0] * 3)
     rest = both - first - second
     assert 0 < np.linalg.norm(rest) < 0.06 * np.linalg.norm(both)
 
 
-def test_the_plate_resists_a_point_as_an_infinite_one_does_on_average(glass: Plate, loaded: LoadedModes) -> None:
+def test_conductance(glass: Plate, loaded: LoadedModes) -> None:
+    """On average the plate resists a point as an infinite one does."""
     f_hz = np.linspace(50e3, 100e3, 101)
     response = Response(glass, loaded, 2 * np.pi * f_hz - 6000j, 5e-3)
     rng = np.random.default_rng(3)
@@ -109,7 +118,8 @@ def test_the_plate_resists_a_point_as_an_infinite_one_does_on_average(glass: Pla
     assert conductance == pytest.approx(infinite, rel=0.05)
 
 
-def test_nothing_arrives_before_the_fastest_wave(glass: Plate, loaded: LoadedModes) -> None:
+def test_causality(glass: Plate, loaded: LoadedModes) -> None:
+    """Nothing arrives before the fastest wave."""
     record_s, rate_hz, decay = 2e-3, 500e3, 13 / 2e-3
     nu = 2 * np.pi * np.arange(501) / record_s - 1j * decay
     response = Response(glass, loaded, nu, 5e-3)
@@ -128,7 +138,8 @@ def test_nothing_arrives_before_the_fastest_wave(glass: Plate, loaded: LoadedMod
         assert np.abs(wave[before]).max() < 1e-3 * np.abs(wave[after]).max()
 
 
-def test_without_loss_and_finger_a_ring_down_keeps_its_energy(glass: Plate, loaded: LoadedModes) -> None:
+def test_energy(glass: Plate, loaded: LoadedModes) -> None:
+    """Without loss and finger a ring-down keeps its energy."""
     record_s, decay = 4e-3, 13 / 4e-3
     nu = 2 * np.pi * np.arange(501) / record_s - 1j * decay
     few = LoadedModes(loaded.omega_rad_s[3:400], loaded.w[3:400], loaded.discs[3:400])
@@ -141,6 +152,7 @@ def test_without_loss_and_finger_a_ring_down_keeps_its_energy(glass: Plate, load
     assert np.ptp(energy) < 1e-4 * energy.mean()
 
 
-def test_a_contact_over_the_edge_is_refused(response: Response) -> None:
+def test_over_the_edge(response: Response) -> None:
+    """A contact over the edge is refused."""
     with pytest.raises(SimulationError, match="edge"):
         response.change([[Contact(199.0, 50.0, 20.0, "silicone")]], np.ones(1))

@@ -16,7 +16,7 @@ F_HZ = np.linspace(50e3, 100e3, 15)
 @pytest.mark.parametrize(("power", "middle_per_mm"), [(0.5, 0.2), (0.6, 0.35), (0.9, 0.28)])
 def test_a_power_law_is_found_within_a_few_percent(power: float, middle_per_mm: float) -> None:
     true = middle_per_mm * (F_HZ / np.sqrt(F_HZ[0] * F_HZ[-1])) ** power
-    touches, _ = touch(Waves(true, 4, 1), 500, 50.0, 2)
+    touches, _ = touch(Waves(true, 4, 1), 320, 40.0, 2)
     found = fit_dispersion(F_HZ, touches)
     assert found.fitted
     np.testing.assert_allclose(found.wavenumber_per_mm, true, rtol=0.06)

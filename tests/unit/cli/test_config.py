@@ -31,9 +31,8 @@ def file(tmp_path: Path) -> Path:
     return path
 
 
-def test_it_prints_what_the_file_and_the_environment_make_of_the_defaults(
-    file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_effective(file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It prints the defaults as changed by file and environment."""
     monkeypatch.setenv("TOUCHD_DEVICE__NAME", "door")
     result = CliRunner().invoke(command, ["--config", str(file)])
     assert result.exit_code == 0
@@ -43,16 +42,19 @@ def test_it_prints_what_the_file_and_the_environment_make_of_the_defaults(
     assert load(printed) == Settings(device=DeviceSettings(rate_hz=60, name="door"))
 
 
-def test_the_file_named_before_the_verb_counts_too(file: Path) -> None:
+def test_file_before_verb(file: Path) -> None:
+    """The file named before the verb counts, too."""
     assert "\nrate_hz = 60\n" in CliRunner().invoke(command, [], obj={"config": file}).output
 
 
-def test_the_defaults_can_be_printed_whatever_is_configured(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_defaults(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`--default` prints the defaults and ignores file and environment."""
     monkeypatch.setenv("TOUCHD_DEVICE__NAME", "door")
     assert CliRunner().invoke(command, ["--default", "--config", str(file)]).output == render(Settings())
 
 
-def test_a_wrong_file_is_explained(tmp_path: Path) -> None:
+def test_wrong_file(tmp_path: Path) -> None:
+    """A wrong file is explained, and nothing is printed."""
     result = CliRunner().invoke(command, ["--config", str(tmp_path / "nowhere.toml")])
     assert isinstance(result.exception, ConfigError)
     assert result.output == ""

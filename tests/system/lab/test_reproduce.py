@@ -9,12 +9,22 @@ import pytest
 from click.testing import CliRunner
 
 from touchd.cli.reproduce import command
+from touchd.evaluation.dataset import MIN_TOUCHES
 from touchd.lab.reproduction import plan, run
+from touchd.lab.reproduction.sets import simulated
 from touchd.localization.model import default_model_path
 from touchd.recording import format as recording
 from touchd.recording.data import Recording
+from touchd.twin.instrument import Instrument
+from touchd.twin.simulate import simulate_touches
 
 FEW = ["--epochs", "1", "--jobs", "1"]
+
+
+@pytest.fixture(scope="module")
+def touches(instrument: Instrument) -> Recording:
+    """A small robot's session over a part of the plate."""
+    return simulate_touches(260, seed=4, instrument=instrument, margin_mm=60.0)
 
 
 @pytest.fixture(autouse=True)
@@ -50,9 +60,8 @@ def check(page: Path) -> str:
     return text
 
 
-def test_a_given_recording_is_reported_and_a_second_run_computes_nothing(
-    touches: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_given_recording(touches: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A given recording is reported, and a second run computes nothing."""
     path, page = tmp_path / "touches.npz", tmp_path / "report.md"
     recording.write(path, touches)
     keep = ["--cache", tmp_path / "cache"]
@@ -72,11 +81,14 @@ def test_a_given_recording_is_reported_and_a_second_run_computes_nothing(
     assert untimed.sub("", check(page)) == untimed.sub("", text)
 
 
-def test_on_the_twin_the_shipped_models_are_judged_on_seeds_of_their_own(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_twin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On the twin the shipped models are judged on seeds of their own."""
     monkeypatch.setattr(plan, "DOMAINS", ("frequency",))
     monkeypatch.setattr(plan, "HEADS", ("R", "C-2", "C-5", "C-10"))
+    trained_on = (run.TRAINING_SEED, run.CENTRAL_SEED, run.OTHER_SEED)
+    monkeypatch.setattr(
+        run, "simulated", lambda kind, count, seed: simulated(kind, count if seed in trained_on else MIN_TOUCHES, seed)
+    )  # fmt: skip
     page = tmp_path / "report.md"
     reproduce(
         "-o", page, "--touches", 200, *FEW, "--cache", tmp_path / "cache", "--models", default_model_path().parent

@@ -67,7 +67,10 @@ def estimates_mm(instrument: Instrument, residual: Floats, *, weighted: bool) ->
     rows = (residual @ windowed_dft(a, bins) @ T).reshape(len(residual), -1)
     place_mm = np.tile([FINGER.x_mm + 0.07, FINGER.y_mm - 0.07], (len(residual), 1))
     for _ in range(2):
-        u = twin_field(instrument, [FINGER._replace(x_mm=x, y_mm=y) for x, y in place_mm.tolist()])
+        # All start at one place: the field is computed once for each that differs.
+        unique_mm, which = np.unique(place_mm, axis=0, return_inverse=True)
+        there = twin_field(instrument, [FINGER._replace(x_mm=x, y_mm=y) for x, y in unique_mm.tolist()])
+        u = TouchField(there.value[which], there.by_x[which], there.by_y[which], there.bins)
 
         def columns(*parts: NDArray[np.complex128]) -> Floats:
             stacked = np.stack(parts, axis=1)
