@@ -155,6 +155,6 @@ def test_errors_are_drawn_for_one_finger_and_for_several(
 
 
 def test_where_nothing_was_matched_nothing_is_drawn(folder: Path, tmp_path: Path) -> None:
-    with pytest.raises(RecordingValues, match="no contact to draw"):
+    with pytest.raises(RecordingValues, match="no contact to plot"):
         said(GRID, folder / "two.npz", "--plot", tmp_path / "errors.png")
     assert not (tmp_path / "errors.png").exists()
