@@ -1,4 +1,4 @@
-"""Touches drawn from the learned field: at any place, of any strength seen, as many as wanted."""
+"""Draw touches from the learned field, at random positions and recorded amplitudes."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from touchd.keypad import Layout
 from touchd.training.field.learn import STEP_MM, Field
 
 BORDER_SHARE = 0.7
-"""Of the touches drawn for a keypad, those about the borders of keys: only there can a key be mistaken."""
+"""Share of a keypad's synthetic touches near key borders, where keys can be confused."""
 BORDER_MM = 2.0
-"""Their standard deviation across the border."""
+"""Standard deviation of these touches across the border, mm."""
 
 
 class Synthesiser:
-    """Draws noiseless residuals of touches all over the touched part of the plate.
+    """Draws noiseless residuals over the touched part of the plate.
 
     Parameters
     ----------
@@ -24,7 +24,7 @@ class Synthesiser:
         Width and height of the plate.
     generator : torch.Generator
     layout : Layout, optional
-        Keys about whose borders more touches are drawn.
+        Keys whose borders receive `BORDER_SHARE` of the touches.
     """
 
     def __init__(
@@ -42,7 +42,7 @@ class Synthesiser:
         self._size_mm = torch.tensor(size_mm)
 
     def draw(self, n: int) -> tuple[Tensor, Tensor]:
-        """Return residuals (n, inputs) and positions (n, 2) in plate sizes from the centre."""
+        """Draw residuals (n, inputs), and positions (n, 2) relative to the plate's centre, in units of its size."""
         place_mm = self._low_mm + self._span_mm * torch.rand((n, 2), generator=self._generator)
         if len(self._keys_mm):
             count = round(BORDER_SHARE * n)
@@ -51,17 +51,17 @@ class Synthesiser:
         return self.at(place_mm) * self._strength[some], place_mm / self._size_mm - 0.5
 
     def _at_borders(self, n: int) -> Tensor:
-        """Return places (n, 2) about the borders of the keys."""
+        """Draw positions (n, 2) near the borders of the keys."""
         key = self._keys_mm[torch.randint(len(self._keys_mm), (n,), generator=self._generator)]
         place = torch.rand((n, 2), generator=self._generator)
         across = torch.randint(2, (n, 1), generator=self._generator) == torch.arange(2)
-        place = torch.where(across, place.round(), place)  # the one or the other of two opposite borders
+        place = torch.where(across, place.round(), place)  # one of two opposite borders
         off_mm = BORDER_MM * torch.randn((n, 1), generator=self._generator) * across
         at_mm = key[:, :2] + key[:, 2:] * place + off_mm
         return at_mm.clamp(self._low_mm, self._low_mm + self._span_mm)
 
     def at(self, place_mm: Tensor) -> Tensor:
-        """Return the field (n, inputs) at places (n, 2), by cubic B-splines."""
+        """Evaluate the field (n, inputs) at positions (n, 2), by cubic B-splines."""
         place = (place_mm - self._origin_mm) / STEP_MM
         corner = place.floor()
         weight = _basis(place - corner)
@@ -72,5 +72,5 @@ class Synthesiser:
 
 
 def _basis(t: Tensor) -> Tensor:
-    """Return the four cubic B-splines that are not zero at t, 0 <= t < 1; a last axis of 4 is added."""
+    """Return the four non-zero cubic B-splines at t, 0 <= t < 1, as a last axis of 4."""
     return torch.stack([(1 - t) ** 3, 3 * t**3 - 6 * t**2 + 4, -3 * t**3 + 3 * t**2 + 3 * t + 1, t**3], dim=-1) / 6

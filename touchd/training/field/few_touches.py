@@ -1,7 +1,7 @@
-"""Learn the field that touches are drawn from; of few touches by way of the two waves that it is the product of.
+"""Learn the field for synthetic touches; with few touches, as a product of two waves.
 
-Regression needs more touches than the field has degrees of freedom. With fewer the two waves are fitted instead, in
-turn with the strengths, and regression tells only what no product explains.
+Regression needs more touches than the field has degrees of freedom. With fewer, the two waves and the amplitudes are
+fitted in turn, and regression fits only the rest.
 """
 
 from __future__ import annotations
@@ -23,21 +23,21 @@ from touchd.training.field.wave_product import Product, basis_of, product_of
 Step = Callable[[int, int], None]
 
 FEW = 2.0
-"""Touches for each degree of freedom at the chirp's end, below which the waves are fitted."""
+"""Touches per degree of freedom at the chirp's end, below which the waves are fitted."""
 ROUNDS = 8
-"""Of waves and strengths in turn."""
+"""Number of alternations between waves and amplitudes."""
 WAVES_ERROR = 0.02
-"""Of the field's power: what the product misses, beside the noise, when bins are weighed."""
+"""Share of the field's power that the product misses, beside the noise, in the weights of the bins."""
 LEFT_RIDGE = 0.05
-"""Of what the product leaves: the share that no field of this band explains either."""
+"""Share of the product's remainder that no field of this band explains."""
 
 
 def learn_field(
     dataset: Dataset, indices: NDArray[np.int64], progress: Step = lambda _done, _all: None
 ) -> Field:  # fmt: skip
-    """Learn the field from some touches of a dataset in the frequency domain.
+    """Learn the field from the touches of a dataset with these indices, in the frequency domain.
 
-    Where the plate's material is unknown its dispersion is fitted to the touches.
+    The dispersion of an unknown material is fitted to the touches.
     """
     touches = touches_of(dataset, indices)
     prior = Prior(dispersion_of(dataset, touches).wavenumber_per_mm)
@@ -48,7 +48,7 @@ def learn_field(
 
 
 def learn_by_waves(touches: Touches, prior: Prior, progress: Step = lambda _done, _all: None) -> Field:
-    """Learn the field as a product of two waves, and what they leave by regression."""
+    """Learn the field as a product of two waves, and the remainder by regression."""
     bins = touches.values.shape[2]
     done = 0
 
@@ -78,7 +78,7 @@ def _products(
     before: dict[int, Product],
     tell: Callable[[], None],
 ) -> dict[int, Product]:
-    """Return the waves of some bins, going on from those that were found before."""
+    """Fit the waves of the given bins, starting from earlier ones."""
 
     def one(b: int) -> Product:
         start = before.get(b)
@@ -89,7 +89,7 @@ def _products(
 
 
 def _strengths(touches: Touches, waves: dict[int, Product], bins: int) -> Complex:
-    """Return the strengths (n, bins) that fit the products of some bins best."""
+    """Fit the amplitudes (n, bins) to the products of the given bins."""
     chosen = np.array(sorted(waves))
     values = touches.values[:, :, chosen]
     power = np.square(np.abs(values)).mean(axis=(0, 1))

@@ -1,8 +1,8 @@
-"""What the touches tell of one of them when it is left out, without a regression of its own for each.
+"""Predict each touch from all others, without a regression of its own for each.
 
-With the weights a = C t of all touches, C the inverse system, the error of foretelling touch i from all others is
-a_i / C_ii (Rasmussen and Williams, Gaussian Processes for Machine Learning, eq. 5.12), and the weights of the
-others are a - C_i a_i / C_ii: so the field of the others is known around touch i too.
+With the weights a = C t of all touches, C the inverse system, the error of predicting touch i from all others is
+a_i / C_ii (Rasmussen and Williams, Gaussian Processes for Machine Learning, eq. 5.12). The weights of the others are
+a - C_i a_i / C_ii, so their field near touch i follows too.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _ROWS = 256
 
 
 def left_out(regression: Regression, b: int, strength: Complex) -> Complex:
-    """Return the error of foretelling each touch from all others in a bin, at its strength, shape (n, channels).
+    """Return the error of predicting each touch of a bin from all others, shape (n, channels).
 
     Parameters
     ----------
@@ -35,27 +35,27 @@ def left_out(regression: Regression, b: int, strength: Complex) -> Complex:
 
 @dataclass(frozen=True, slots=True)
 class Displaced:
-    """How far from where they are assumed the touches seem to lie."""
+    """Displacements of touches from their assumed positions."""
 
     by_mm: Floats
     """Shape (n, 2)."""
     covariance: Floats
-    """Of `by_mm`, from noise and what is left, shape (n, 2, 2), mm^2."""
+    """Covariance of `by_mm` due to noise and unexplained energy, shape (n, 2, 2), mm^2."""
 
 
 def displacements(
     regression: Regression, strength: Complex, bins: NDArray[np.int64], inverses: list[Array]
 ) -> Displaced:
-    """Return where the field of all other touches sees each touch, by one step of Gauss-Newton.
+    """Locate each touch in the field of all others, by one Gauss-Newton step from its assumed position.
 
     Parameters
     ----------
     regression : Regression
     strength : array, shape (n, all bins)
     bins : array
-        In which to look.
+        Bins to use.
     inverses : list of array
-        Of the system of each of those bins; the lower triangles count.
+        Inverse system of each of these bins; only the lower triangles are read.
     """
     number = {int(b): i for i, b in enumerate(bins)}
 
@@ -80,9 +80,9 @@ def displacements(
 
 
 def foretold(regression: Regression, b: int, strength: Complex, inverse: Array) -> Complex:
-    """Return the field that all other touches tell at each touch's place, and its derivatives by x and y (1/mm).
+    """Predict the field at each touch from all others, and its derivatives with respect to x and y (1/mm).
 
-    At strength 1, in units of the bin's scale, shape (3, n, channels).
+    At amplitude 1, in units of the bin's scale, shape (3, n, channels).
     """
     targets = regression.targets(b, strength)
     weights = regression.apply(inverse, targets)

@@ -1,8 +1,7 @@
-"""Many touches placed at once on a field atlas, in float64: for calibration, and as the reference of the daemon's path.
+"""Locate many touches on a field atlas at once, in float64: for calibration, and as reference of the daemon's path.
 
-The same method as `touchd.localization.gauss_newton`, one finger at a time: the touch's strength is eliminated, and
-what the field at its place leaves of it is made smaller by moving the place (variable projection, Golub and Pereyra
-1973).
+The method is that of `touchd.localization.gauss_newton` for one finger: eliminate the amplitude, then minimise the
+unexplained energy over the position (variable projection, Golub and Pereyra 1973).
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ Complex = NDArray[np.complex128]
 
 LONGEST_STEP_MM = 3.0
 BEYOND_MM = 3.0
-"""How far outside the touched part a touch may be placed."""
+"""Margin around the touched part in which a touch may be located."""
 _DAMPING = 1e-3
 _BLOCK = 256
 
@@ -33,21 +32,21 @@ class Placed:
     strength: Complex
     """Shape (n,)."""
     information: Floats
-    """Re(J^H J) with the strength projected out, shape (n, 2, 2), counts squared per mm^2: its inverse times the noise
-    variance of a real feature is the place's covariance."""
+    """Re(J^H J) with the amplitude projected out, shape (n, 2, 2), counts squared per mm^2. Its inverse times the noise
+    variance of a real feature is the covariance of the position."""
     left: Floats
-    """Energy that the field does not explain, counts squared, shape (n,)."""
+    """Unexplained energy, counts squared, shape (n,)."""
     energy: Floats
-    """Of the touches, counts squared, shape (n,)."""
+    """Energy of the touches, counts squared, shape (n,)."""
 
     @property
     def misfit(self) -> Floats:
-        """Share of the energy that is left, shape (n,)."""
+        """Share of the energy that is unexplained, shape (n,)."""
         return self.left / np.maximum(self.energy, 1e-30)
 
 
 class FieldMap:
-    """The field of an atlas and its gradient, at any places at once.
+    """Evaluates the field of an atlas and its gradient at many positions.
 
     Parameters
     ----------
@@ -63,9 +62,9 @@ class FieldMap:
         self.low_mm, self.high_mm = np.array(d.low_mm) - BEYOND_MM, np.array(d.high_mm) + BEYOND_MM
 
     def look_up(self, place_mm: Floats) -> tuple[Complex, Complex, Complex]:
-        """Return the field at places (n, 2) and its derivatives by x and y (1/mm), each of shape (n, channels * bins).
+        """Return the field at positions (n, 2) and its derivatives (1/mm), each of shape (n, channels * bins).
 
-        Beyond the nodes the outermost cell goes on.
+        The outermost cell extrapolates beyond the nodes.
         """
         at = (place_mm - self._origin_mm) / self._step_mm
         most = np.array([self._nodes.shape[1] - 3, self._nodes.shape[0] - 3])
@@ -82,13 +81,13 @@ class FieldMap:
 
 
 def place(atlas: Atlas, values: NDArray[np.complexfloating], start_mm: Floats, steps: int = 6) -> Placed:
-    """Place touches by so many steps of Gauss-Newton from places nearby.
+    """Locate touches by `steps` Gauss-Newton steps from nearby positions.
 
     Parameters
     ----------
     atlas : Atlas
     values : array, shape (n, channels, bins)
-        The touches in the atlas' bins, ADC counts.
+        Touches in the atlas' bins, ADC counts.
     start_mm : array, shape (n, 2)
     steps : int
     """
@@ -123,7 +122,7 @@ def _place(
 
 
 def _splines(t: Floats) -> tuple[Floats, Floats]:
-    """Return the four cubic B-splines that are not zero at t in [0, 1) and their derivatives, with a last axis of 4."""
+    """Return the four non-zero cubic B-splines at t in [0, 1) and their derivatives, as a last axis of 4."""
     value = np.stack([(1 - t) ** 3, 3 * t**3 - 6 * t**2 + 4, -3 * t**3 + 3 * t**2 + 3 * t + 1, t**3], axis=-1) / 6
     slope = np.stack([-((1 - t) ** 2), 3 * t**2 - 4 * t, -3 * t**2 + 2 * t + 1, t**2], axis=-1) / 2
     return value, slope

@@ -99,10 +99,10 @@ def with_a_hole(_frames: np.ndarray, truth: np.ndarray) -> None:
         (clipped, r"the converter clips in \d+\.\d % of the frames \(channel"),
         (other_gain, "the untouched plate changes by 1[01] % at once between frames 39[89] and 40[01]"),
         (other_channel, r"the untouched plate changes by \d+ % at once between frames 30[01] and 30[23]"),
-        (without_finger, "2 touches do not stand out of the noise, the first in frame 5"),
-        (twice, "5 touches are exact copies of others"),
-        (on_a_raster, r"\d+ of 400 touches share their place with another"),
-        (with_a_hole, r"of 49 equal parts of the touched rectangle hold no touch, one about \((9|10)\d, (9|10)\d\) mm"),
+        (without_finger, "2 touches do not exceed the noise, the first in frame 5"),
+        (twice, "5 touches are exact copies"),
+        (on_a_raster, r"\d+ of 400 touches share their position with another"),
+        (with_a_hole, r"of 49 equal parts of the touched rectangle contain no touch, one about \((9|10)\d, (9|10)\d\) mm"),
     ],
 )
 def test_what_is_wrong_is_named(change: Change, says: str, touches: Recording) -> None:
@@ -122,7 +122,7 @@ def test_touches_held_over_many_frames_are_no_independent_ones(touches: Recordin
     for first in range(0, len(truth), 10):
         truth[first : first + 8] = truth[first + 1]
         truth[first + 8 : first + 10] = np.nan
-    assert any("go on from the frame before" in note for note in inspect(replace(touches, contacts_mm=truth)))
+    assert any("continue from the frame before" in note for note in inspect(replace(touches, contacts_mm=truth)))
 
 
 def test_a_touch_far_from_any_untouched_frame_is_named_with_its_distance(touches: Recording) -> None:
