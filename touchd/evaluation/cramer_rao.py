@@ -91,10 +91,10 @@ def twin_values(instrument: Instrument, contacts: Sequence[Contact], peak_counts
     return np.asarray(parts[:, :, 0] + 1j * parts[:, :, 1])
 
 
-def atlas_field(atlas: Atlas, place_mm: Floats) -> TouchField:
+def atlas_field(atlas: Atlas, position_mm: Floats) -> TouchField:
     """Evaluate an atlas' field at positions (n, 2), for touches of amplitude 1."""
     d = atlas.description
-    moved = (_MOVES_MM[:, None] + place_mm).reshape(-1, 2)
+    moved = (_MOVES_MM[:, None] + position_mm).reshape(-1, 2)
     at = ((moved - d.origin_mm) / d.step_mm).T[::-1]  # rows run along y
     nodes = atlas.coefficients.astype(np.float64)
     values = [map_coordinates(nodes[..., i], at, order=3, prefilter=False, mode="mirror") for i in range(atlas.size)]
@@ -118,7 +118,7 @@ def whitener(acquisition: Acquisition, bins: NDArray[np.int64]) -> Floats:
     return np.asarray(np.linalg.inv(np.linalg.cholesky(W.T @ W)).T)
 
 
-def place_covariance(field: TouchField, acquisition: Acquisition, noise: float) -> Floats:
+def position_covariance(field: TouchField, acquisition: Acquisition, noise: float) -> Floats:
     """Return the Cramer-Rao bound of x and y as a covariance, mm^2, shape (n, 2, 2).
 
     Parameters
@@ -131,8 +131,8 @@ def place_covariance(field: TouchField, acquisition: Acquisition, noise: float) 
     """
     features = _features(field) @ whitener(acquisition, field.bins)
     rows = features.reshape(len(features), 4, -1) / noise
-    information = rows @ rows.transpose(0, 2, 1)
-    own, both, other = information[:, :2, :2], information[:, :2, 2:], information[:, 2:, 2:]
+    fisher_information = rows @ rows.transpose(0, 2, 1)
+    own, both, other = fisher_information[:, :2, :2], fisher_information[:, :2, 2:], fisher_information[:, 2:, 2:]
     return np.asarray(np.linalg.inv(own - both @ np.linalg.solve(other, both.transpose(0, 2, 1))))
 
 
@@ -140,7 +140,7 @@ def plain_covariance(field: TouchField, acquisition: Acquisition, noise: float) 
     """Return the covariance (n, 2, 2) of unweighted least squares on the bins, mm^2.
 
     `touchd.localization.gauss_newton` fits this way. It ignores the noise's correlation between neighbouring bins, so
-    it stays above `place_covariance`: (J^T J)^-1 J^T C J (J^T J)^-1. The parameters are the same.
+    it stays above `position_covariance`: (J^T J)^-1 J^T C J (J^T J)^-1. The parameters are the same.
     """
     features = _features(field)
     W = windowed_dft(acquisition, field.bins)
@@ -199,14 +199,14 @@ def recorded_field(recording: Recording, field: Atlas | Instrument | None = None
     SimulationError
         The twin cannot simulate the rig, or a touch reaches over the edge.
     """
-    place_mm, touched, untouched = labels(recording, least=1)
+    position_mm, touched, untouched = labels(recording, least=1)
     some = np.unique(np.linspace(0, len(touched) - 1, min(MOST_TOUCHES, len(touched))).round().astype(int))
-    place_mm, touched = place_mm[some].astype(np.float64), touched[some]
+    position_mm, touched = position_mm[some].astype(np.float64), touched[some]
     if isinstance(field, Atlas):
-        u = atlas_field(field, place_mm)
+        u = atlas_field(field, position_mm)
     else:
         rig = twin_of(recording) if field is None else field
-        u = twin_field(rig, [Contact(x, y, USUAL_AREA_MM2, "silicone") for x, y in place_mm.tolist()])
+        u = twin_field(rig, [Contact(x, y, USUAL_AREA_MM2, "silicone") for x, y in position_mm.tolist()])
     pairs = baseline_frames(recording.timestamp_ns, touched, untouched)
     baseline = recording.frames[pairs].mean(axis=1, dtype=np.float32)
     residual = residual_of(recording.frames[touched], baseline)
@@ -233,7 +233,7 @@ def median_bound_mm(recording: Recording, field: Atlas | Instrument | None = Non
     Parameters and errors as in `recorded_field`; `noise` defaults to `residual_noise`.
     """
     deviation = residual_noise(recording) if noise is None else noise
-    return median_distance_mm(place_covariance(recorded_field(recording, field), recording.acquisition, deviation))
+    return median_distance_mm(position_covariance(recorded_field(recording, field), recording.acquisition, deviation))
 
 
 def twin_of(recording: Recording) -> Instrument:

@@ -24,14 +24,14 @@ REACH_MM = 25.0
 _NEVER = 1e9  # mm; the assignment needs finite costs
 
 
-def match(true_mm: Sequence[Place], place_mm: Sequence[Place], reach_mm: float = REACH_MM) -> list[tuple[int, int]]:
+def match(true_mm: Sequence[Place], position_mm: Sequence[Place], reach_mm: float = REACH_MM) -> list[tuple[int, int]]:
     """Assign contacts to fingers with the least total distance, none beyond `reach_mm`.
 
     A finger without a contact costs `reach_mm`. An infinite reach assigns as many pairs as possible.
 
     Parameters
     ----------
-    true_mm, place_mm : k and m points
+    true_mm, position_mm : k and m points
     reach_mm : float
 
     Returns
@@ -39,15 +39,15 @@ def match(true_mm: Sequence[Place], place_mm: Sequence[Place], reach_mm: float =
     list of (int, int)
         Index of finger and contact, ordered by finger.
     """
-    if not len(true_mm) or not len(place_mm):
+    if not len(true_mm) or not len(position_mm):
         return []
     reach_mm = min(reach_mm, _NEVER / 2)
     alone = [reach_mm] * len(true_mm)
     cost = []
     for x, y in true_mm:
-        apart_mm = [hypot(x - its_x, y - its_y) for its_x, its_y in place_mm]
+        apart_mm = [hypot(x - its_x, y - its_y) for its_x, its_y in position_mm]
         cost.append([d if d <= reach_mm else _NEVER for d in apart_mm] + alone)
-    return [(i, j) for i, j in enumerate(assign(cost)) if j < len(place_mm)]
+    return [(i, j) for i, j in enumerate(assign(cost)) if j < len(position_mm)]
 
 
 class Seen(NamedTuple):
@@ -85,7 +85,7 @@ class Matches:
         return Matches(
             self.fingers[chosen], self.contacts[chosen], self.told_apart[chosen],
             (np.cumsum(chosen) - 1)[self.frame[mine]],
-            Judgement(j.true_mm[mine], j.place_mm[mine], j.sigma_mm[mine], j.confidence[mine]),
+            Judgement(j.true_mm[mine], j.position_mm[mine], j.sigma_mm[mine], j.confidence[mine]),
             self.force[mine], self.force_n[mine],
         )  # fmt: skip
 

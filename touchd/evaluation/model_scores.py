@@ -19,7 +19,7 @@ class Judgement:
 
     true_mm: NDArray[np.float32]
     """True positions, shape (n, 2)."""
-    place_mm: NDArray[np.float64]
+    position_mm: NDArray[np.float64]
     """Estimated positions, shape (n, 2)."""
     sigma_mm: NDArray[np.float64]
     """Predicted standard error per axis, shape (n,)."""
@@ -35,7 +35,7 @@ class Judgement:
     @property
     def error_mm(self) -> NDArray[np.float64]:
         """Estimated less true position, shape (n, 2)."""
-        return np.asarray(self.place_mm - self.true_mm)
+        return np.asarray(self.position_mm - self.true_mm)
 
     @property
     def distance_mm(self) -> NDArray[np.float64]:
@@ -63,7 +63,7 @@ def judge(model: Model, features: NDArray[np.float32], true_mm: NDArray[np.float
     if d.head == "regression":
         return plain
     keys = len(d.layout.key) if d.layout and d.head == "keypad" else 0
-    return Judgement(true_mm, plain.place_mm, plain.sigma_mm, plain.confidence, classes(true_mm, d), found, keys)
+    return Judgement(true_mm, plain.position_mm, plain.sigma_mm, plain.confidence, classes(true_mm, d), found, keys)
 
 
 def classes(true_mm: NDArray[np.float32], description: Description) -> NDArray[np.int64]:
@@ -83,9 +83,9 @@ def zones_of(position_mm: NDArray[np.floating], grid: int, size_mm: NDArray[np.f
 def labels_of(position_mm: NDArray[np.floating], layout: Layout) -> NDArray[np.int64]:
     """Return the index of the key under each position (n, 2), or the number of keys if there is none."""
     labels = np.full(len(position_mm), len(layout.key))
-    place_mm = position_mm.astype(np.float64)
+    exact_mm = position_mm.astype(np.float64)
     for number, key in reversed(list(enumerate(layout.key))):  # the first of overlapping keys wins, as in Layout.at
-        offset_mm = place_mm - [key.x_mm, key.y_mm]
+        offset_mm = exact_mm - [key.x_mm, key.y_mm]
         labels[((offset_mm >= 0) & (offset_mm < [key.width_mm, key.height_mm])).all(axis=1)] = number
     return labels
 

@@ -104,9 +104,9 @@ def see(find: Find, frames: TouchedFrames) -> list[Seen]:
     seen = []
     for i in range(len(frames)):
         down = np.isfinite(frames.true_mm[i, :, 0])
-        places_mm = [(x_mm, y_mm) for x_mm, y_mm in frames.true_mm[i, down].tolist()]
+        positions_mm = [(x_mm, y_mm) for x_mm, y_mm in frames.true_mm[i, down].tolist()]
         force_n = frames.force_n[i, down].tolist() if frames.force_n is not None else None
-        seen.append(Seen(places_mm, tuple(find(frames.look(i))), force_n))
+        seen.append(Seen(positions_mm, tuple(find(frames.look(i))), force_n))
     return seen
 
 

@@ -12,7 +12,7 @@ from touchd.evaluation.dataset import Split, digest, make_dataset, split
 from touchd.localization.atlas import Atlas, atlas_path, save_atlas
 from touchd.localization.model import Model
 from touchd.recording.data import Recording
-from touchd.training.data.inspection import freedom, inspect
+from touchd.training.data.inspection import degrees_of_freedom, inspect
 from touchd.training.data.one_temperature import at_one_temperature
 from touchd.training.field.dispersion import Dispersion, dispersion_of, fitted_note
 from touchd.training.field.learn import Learned, learn_thoroughly
@@ -21,7 +21,7 @@ from touchd.training.field.regression import Floats, touches_of
 from touchd.training.network.export import put_model
 from touchd.training.network.loop import Progress
 from touchd.training.network.recipe import RECIPES
-from touchd.training.train_network import Result, Say, train
+from touchd.training.train_network import Result, Warn, train
 
 AMPLE = 2.0
 """Touches per degree of freedom: with 0.9, 1.4, 1.8, 2.3 and 4.6 the RMSE was 0.78, 0.47, 0.30, 0.22, 0.08 mm."""
@@ -63,7 +63,7 @@ def train_atlas(
     epochs: int | None = None,
     command: str = "",
     progress: Progress = lambda _what, _done, _all, _rmse_mm: None,
-    warn: Say = lambda _note: None,
+    warn: Warn = lambda _note: None,
 ) -> AtlasResult:
     """Train a field atlas and its starting network, and write both: `plate.onnx`, `plate.atlas.npz`.
 
@@ -98,7 +98,7 @@ def train_atlas(
     touches = touches_of(steady, parts.train)
     dispersion = dispersion_of(steady, touches)
     audible = informative(signal_over_noise(touches_of(steady, parts.validation)))
-    for text in check_density(touches.place_mm, float(dispersion.wavenumber_per_mm[audible[-1]])):
+    for text in check_density(touches.position_mm, float(dispersion.wavenumber_per_mm[audible[-1]])):
         note(text)
     learned = learn_thoroughly(
         touches, dispersion.wavenumber_per_mm, lambda done, steps: progress("field", done, steps, float("nan"))
@@ -135,7 +135,7 @@ def train_atlas(
     )
 
 
-def check_density(place_mm: Floats, wavenumber_per_mm: float) -> Iterator[str]:
+def check_density(position_mm: Floats, wavenumber_per_mm: float) -> Iterator[str]:
     """Warn if the training touches (n, 2) are too few for the atlas' finest bin.
 
     Raises
@@ -143,8 +143,8 @@ def check_density(place_mm: Floats, wavenumber_per_mm: float) -> Iterator[str]:
     TrainingError
         They are so few that the atlas could not locate a touch.
     """
-    least = freedom(place_mm, wavenumber_per_mm)
-    have = len(place_mm)
+    least = degrees_of_freedom(position_mm, wavenumber_per_mm)
+    have = len(position_mm)
     if have < HOPELESS * least:
         raise TrainingError(
             f"{have} touches for training: an atlas of this part of the plate has {least:.0f} degrees of freedom",

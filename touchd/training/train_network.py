@@ -26,12 +26,12 @@ from touchd.training.field.dispersion import fitted_note, is_known
 from touchd.training.field.few_touches import learn_field
 from touchd.training.field.learn import Field
 from touchd.training.network.export import describe, make_graph, write_model
-from touchd.training.network.export_check import TOLERANCE, Exactness, check_graph
+from touchd.training.network.export_check import TOLERANCE, ExportDifference, check_graph
 from touchd.training.network.loop import Batches, Curve, Progress, fit
-from touchd.training.network.network import PlainRegression, Regression
-from touchd.training.network.objectives import Batch, Positions, make_task
+from touchd.training.network.network import PaperNetwork, PositionNetwork
+from touchd.training.network.objectives import Batch, Positions, make_objective
 from touchd.training.network.recipe import RECIPES, Recipe
-from touchd.training.network.sigma_calibration import make_honest
+from touchd.training.network.sigma_calibration import calibrate_sigma
 
 BATCH = 512  # fingers per step
 SYNTHETIC = 0.8  # share of them drawn from the learned field; the rest are recorded touches
@@ -43,7 +43,7 @@ PAPER_BATCH = 64
 PAPER_LEARNING_RATE = 1e-3  # Adam's default; the paper states neither batch nor rate
 GUESSED = 0.95  # warn if the RMSE exceeds this share of a constant answer's RMSE
 
-Say = Callable[[str], None]
+Warn = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +56,7 @@ class Result:
     """Loss and validation RMSE by epoch."""
     notes: list[str]
     """Warnings for the user."""
-    exactness: Exactness
+    export_difference: ExportDifference
     """Differences between exported model and trained network, on the test touches."""
     judged: Judgement
     """Estimates of the exported model for the test touches."""
@@ -83,7 +83,7 @@ def train(
     command: str = "",
     field: Field | None = None,
     progress: Progress = lambda _what, _done, _all, _rmse_mm: None,
-    warn: Say = lambda _note: None,
+    warn: Warn = lambda _note: None,
 ) -> Result:
     """Train a model by a recipe and write it as an ONNX file.
 
@@ -114,7 +114,7 @@ def train(
     features = data.signal if recipe.paper else data.residual
     # Take every other row: adjacent rows share a frame, hence noise.
     drift = drift_directions(data.untouched[np.sort(parts.train)][::2])
-    task = make_task(recipe, features.shape[1], plate, grid, layout, drift)
+    objective = make_objective(recipe, features.shape[1], plate, grid, layout, drift)
     notes: list[str] = []
 
     def note(text: str) -> None:
@@ -126,27 +126,27 @@ def train(
     peak, augmenter = None, None
     if recipe.paper:
         batches = _paper_batches(data, parts, generator)
-        optimiser = torch.optim.Adam(task.network.parameters(), lr=PAPER_LEARNING_RATE)
+        optimiser = torch.optim.Adam(objective.network.parameters(), lr=PAPER_LEARNING_RATE)
     else:
         keys = layout if recipe.head == "keypad" else None
         synthesiser = _synthesiser(data, parts, keys, generator, progress, note, field)
         bank = make_bank(data, torch.from_numpy(parts.train), generator)
         augmenter = Augmenter(bank, synthesiser, generator)
-        batches = _augmented_batches(bank, augmenter, synthesiser, generator, others=task.wants_others)
-        optimiser = torch.optim.AdamW(task.network.parameters(), lr=LEARNING_RATE, weight_decay=WEIGHT_DECAY)
+        batches = _augmented_batches(bank, augmenter, synthesiser, generator, others=objective.wants_others)
+        optimiser = torch.optim.AdamW(objective.network.parameters(), lr=LEARNING_RATE, weight_decay=WEIGHT_DECAY)
         peak = LEARNING_RATE
 
     def validate() -> float:
-        return task.scores(features[parts.validation], data.position_mm[parts.validation])["rmse_mm"]
+        return objective.scores(features[parts.validation], data.position_mm[parts.validation])["rmse_mm"]
 
     curve = fit(
-        task, batches, optimiser, epochs or recipe.epochs, validate, progress, peak=peak, patience=patience
+        objective, batches, optimiser, epochs or recipe.epochs, validate, progress, peak=peak, patience=patience
     )  # fmt: skip
-    if isinstance(task.network, PlainRegression):
-        task.network.sigma_mm.fill_(validate() / np.sqrt(2))  # per axis
-    elif isinstance(task.network, Regression) and task.network.noise_apart and augmenter is not None:
+    if isinstance(objective.network, PaperNetwork):
+        objective.network.sigma_mm.fill_(validate() / np.sqrt(2))  # per axis
+    elif isinstance(objective.network, PositionNetwork) and objective.network.noise_apart and augmenter is not None:
         held_out = torch.from_numpy(features[parts.validation])
-        make_honest(task.network, augmenter, held_out, _positions(data, parts.validation))
+        calibrate_sigma(objective.network, augmenter, held_out, _positions(data, parts.validation))
 
     description = Description(
         name=recipe.name,
@@ -158,24 +158,24 @@ def train(
         data_sha256=data.sha256,
         command=command,
         seed=seed,
-        **task.description(),
+        **objective.description(),
     )
     test_mm = data.position_mm[parts.test]
-    graph = make_graph(task.network, description)
-    exactness = check_graph(task.network, graph, features[parts.test])
-    if exactness.rounding > TOLERANCE:
-        note(f"float32 rounding changes this network's answers by up to {exactness.rounding:.2g} mm")
+    graph = make_graph(objective.network, description)
+    export_difference = check_graph(objective.network, graph, features[parts.test])
+    if export_difference.rounding > TOLERANCE:
+        note(f"float32 rounding changes this network's answers by up to {export_difference.rounding:.2g} mm")
     # The model's metadata contain its scores, so score a first export before writing the final one.
     with tempfile.TemporaryDirectory() as folder:
         judged = judge(
             write_model(graph, Path(folder) / "model.onnx"), features[parts.test], test_mm, data.noise_energy
         )
-    found = task.scores(features[parts.test], test_mm) | scores(judged)
+    found = objective.scores(features[parts.test], test_mm) | scores(judged)
     if found["rmse_mm"] > GUESSED * _guess_mm(data.position_mm[parts.train], test_mm):
         note("the model is no better than a constant position: it has learned nothing")
     describe(graph, description.model_copy(update={"scores": {name: round(value, 4) for name, value in found.items()}}))
     seconds = time.monotonic() - started_s
-    return Result(write_model(graph, path), found, curve, notes, exactness, judged, parts, seconds)
+    return Result(write_model(graph, path), found, curve, notes, export_difference, judged, parts, seconds)
 
 
 def _guess_mm(known_mm: Positions, test_mm: Positions) -> float:
@@ -189,7 +189,7 @@ def _synthesiser(
     layout: Layout | None,
     generator: torch.Generator,
     progress: Progress,
-    note: Say,
+    note: Warn,
     field: Field | None = None,
 ) -> Synthesiser | None:
     """Return the source of synthetic touches, or None with a note in the time domain, where no field is learned."""

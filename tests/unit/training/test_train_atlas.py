@@ -21,7 +21,7 @@ from touchd.localization.features import band_bins
 from touchd.localization.model import Model
 from touchd.recording.data import Recording
 from touchd.recording.format import write
-from touchd.training.data.inspection import freedom
+from touchd.training.data.inspection import degrees_of_freedom
 from touchd.training.data.one_temperature import at_one_temperature
 from touchd.training.field.make_atlas import SPARED, informative
 from touchd.training.field.place import place
@@ -63,7 +63,7 @@ def test_touches_it_never_saw_are_placed_to_a_tenth_of_a_millimetre(result: Atla
     kept = np.flatnonzero(np.isin(band_bins(atlas.description.acquisition), atlas.description.bins))
     true_mm = steady.position_mm[at].astype(float)
     placed = place(atlas, touches_of(steady, at).values[:, :, kept], true_mm + 0.7)
-    off_mm = np.linalg.norm(placed.place_mm - true_mm, axis=1)
+    off_mm = np.linalg.norm(placed.position_mm - true_mm, axis=1)
     print(f"median {np.median(off_mm):.3f}, 95 % {np.percentile(off_mm, 95):.3f} mm")
     assert np.median(off_mm) < 0.12
     assert np.median(placed.misfit) < 0.05
@@ -140,7 +140,7 @@ def test_labels_that_are_off_are_told_and_standard_errors_are_those_of_the_atlas
     kept = np.flatnonzero(np.isin(band_bins(steady.acquisition), result.atlas.description.bins))
     true_mm = steady.position_mm[at].astype(float)
     placed = place(result.atlas, touches_of(steady, at).values[:, :, kept], true_mm)
-    median_mm = float(np.median(np.linalg.norm(placed.place_mm - true_mm, axis=1)))
+    median_mm = float(np.median(np.linalg.norm(placed.position_mm - true_mm, axis=1)))
     print(f"median {median_mm:.3f} mm from labels that are off by 0.3 mm per axis")
     assert median_mm < 0.25
     page = (write_atlas_report(result, sloppy.meta, ["a"]) / "report.md").read_text()
@@ -149,13 +149,13 @@ def test_labels_that_are_off_are_told_and_standard_errors_are_those_of_the_atlas
 
 @given(st.integers(4, 5000), st.floats(0.1, 0.4))
 def test_few_touches_are_called_few_and_hopelessly_few_refused(count: int, wavenumber_per_mm: float) -> None:
-    place_mm = np.random.default_rng(count).uniform(0, 190, (count, 2))
-    share = count / freedom(place_mm, wavenumber_per_mm)
+    position_mm = np.random.default_rng(count).uniform(0, 190, (count, 2))
+    share = count / degrees_of_freedom(position_mm, wavenumber_per_mm)
     if share < HOPELESS:
         with pytest.raises(TrainingError, match="degrees of freedom"):
-            list(check_density(place_mm, wavenumber_per_mm))
+            list(check_density(position_mm, wavenumber_per_mm))
     else:
-        assert len(list(check_density(place_mm, wavenumber_per_mm))) == (share < AMPLE)
+        assert len(list(check_density(position_mm, wavenumber_per_mm))) == (share < AMPLE)
 
 
 @given(st.lists(st.floats(0, 1e4), min_size=1, max_size=60))

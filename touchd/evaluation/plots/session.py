@@ -45,11 +45,11 @@ def draw_session(recording: Recording, events: list[TouchEvent], path: Path) -> 
         label = f"contact {number + 1}"
         if len(contacts) > len(COLOURS):  # colours repeat, so single names would be ambiguous
             label = f"{len(contacts)} contacts" if number == 0 else None
-        place_mm = np.asarray(contact.position_mm)
-        plate_axes.plot(*place_mm.T, color=colour, lw=1.2, marker="o", ms=2.5, label=label)
-        plate_axes.plot(*place_mm[0], color=colour, marker="o", ms=6)  # marks the start; a tap is little more
+        position_mm = np.asarray(contact.position_mm)
+        plate_axes.plot(*position_mm.T, color=colour, lw=1.2, marker="o", ms=2.5, label=label)
+        plate_axes.plot(*position_mm[0], color=colour, marker="o", ms=6)  # marks the start; a tap is little more
         when = [seconds[frame] for frame in contact.frames]
-        for axes, values in zip((x_axes, y_axes), place_mm.T, strict=True):
+        for axes, values in zip((x_axes, y_axes), position_mm.T, strict=True):
             axes.plot(when, values, color=colour, lw=1.2, marker="o", ms=2.5)
 
     plate = recording.meta.plate

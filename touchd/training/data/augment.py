@@ -52,14 +52,14 @@ def make_bank(dataset: Dataset, indices: Tensor, generator: torch.Generator, poo
     white = torch.randn((pool, a.channels, a.samples), generator=generator) * dataset.noise
     tones = _features_of(features, _tones(pool, dataset, generator))
     size_mm = torch.tensor([dataset.meta.plate.width_mm, dataset.meta.plate.height_mm])
-    place_mm = torch.from_numpy(dataset.position_mm)[indices]
-    nearest = torch.cdist(place_mm, place_mm).topk(min(24, len(indices)), largest=False).indices
+    position_mm = torch.from_numpy(dataset.position_mm)[indices]
+    nearest = torch.cdist(position_mm, position_mm).topk(min(24, len(indices)), largest=False).indices
     return Bank(
         residual=torch.from_numpy(dataset.residual)[indices],
         untouched=torch.from_numpy(dataset.untouched)[indices],
         stretch=torch.from_numpy(dataset.stretch)[indices],
         delay=torch.from_numpy(dataset.delay)[indices],
-        position=place_mm / size_mm - 0.5,
+        position=position_mm / size_mm - 0.5,
         noise=_features_of(features, white),
         tones=tones / tones.norm(dim=1, keepdim=True).clamp_min(1e-6),
         channels=a.channels,
@@ -117,13 +117,13 @@ class Augmenter:
         # 80 % of the touches have normal amplitudes; 20 % are just being put down or lifted.
         weak = self._chance(n, 0.2)
         size = weak * self._log_uniform(n, 0.05, 0.5) + (1 - weak) * self._log_uniform(n, 0.5, 5.0)
-        residual = self._strength(residual, phase, FINGER_TURN) * size
+        residual = self._amplitude(residual, phase, FINGER_TURN) * size
         disturbed = residual + self._instrument(self._draw(n), share=0.3)
         tone = self._tone(n) * self._log_uniform(n, 0.02, 0.4) * residual.norm(dim=1, keepdim=True)
         tone = tone * self._chance(n, 0.15)
         level = self._uniform(n, 0.0, 1.5) + self._chance(n, 0.1) * self._log_uniform(n, 1.0, 10.0)
         white = self._noise(n, level)
-        heard = self._hearing(n, share=0.1)
+        heard = self._channel_mask(n, share=0.1)
         fingers = (disturbed + tone + white) * heard
         noise = self._power * (level.square() + (own_noise * size).square()) + tone.square().sum(dim=1, keepdim=True)
         return fingers, _ratio(noise * heard.mean(dim=1, keepdim=True), fingers)
@@ -142,7 +142,7 @@ class Augmenter:
             Noise deviation relative to the recording's, at least 1.
         """
         n = len(residual)
-        another = self._strength(residual, FINGER_PHASE * self._symmetric(n), FINGER_TURN)
+        another = self._amplitude(residual, FINGER_PHASE * self._symmetric(n), FINGER_TURN)
         mixed = torch.where(torch.arange(n)[:, None] % 2 == 0, residual, another)
         added = math.sqrt(BASELINE_NOISE * (level**2 - 1.0))
         louder = mixed + self._noise(n, torch.full((n, 1), added))
@@ -155,7 +155,7 @@ class Augmenter:
         batch = torch.cat([kind(each) for kind in kinds])
         keep = torch.randperm(len(batch), generator=self._generator)[:n]
         noisy = batch[keep] + self._noise(n, self._uniform(n, 0.2, 1.5))
-        return noisy * self._hearing(n, share=0.1)
+        return noisy * self._channel_mask(n, share=0.1)
 
     # -- non-fingers -------------------------------------------------------------------------------
 
@@ -173,7 +173,7 @@ class Augmenter:
         phase = sign * self._uniform(n, OTHER_PHASE, torch.pi)
         # 40 % are fingers leaving the baseline, the most frequent case.
         phase = torch.where(self._uniform(n, 0.0, 1.0) < 0.4, torch.pi + FINGER_PHASE * self._symmetric(n), phase)
-        return self._strength(self._touches(n), phase, OTHER_TURN) * self._log_uniform(n, 0.5, 3.0)
+        return self._amplitude(self._touches(n), phase, OTHER_TURN) * self._log_uniform(n, 0.5, 3.0)
 
     def _moved_baseline(self, n: int) -> Tensor:
         """A finger at one position, while the baseline contains it at another."""
@@ -219,7 +219,7 @@ class Augmenter:
         mixed = torch.cat([self._bank.residual[self._draw(recorded)], drawn])
         return mixed[torch.randperm(n, generator=self._generator)]
 
-    def _strength(self, residual: Tensor, phase: Tensor, turn: float) -> Tensor:
+    def _amplitude(self, residual: Tensor, phase: Tensor, turn: float) -> Tensor:
         """Multiply by a complex amplitude of phase (n, 1), which varies randomly along the band in phase and size."""
         bank = self._bank
         if not bank.bins:
@@ -233,7 +233,7 @@ class Augmenter:
         a, b = parts[:, :, 0], parts[:, :, 1]
         return torch.stack([a * real - b * imaginary, a * imaginary + b * real], dim=2).reshape(n, -1)
 
-    def _hearing(self, n: int, share: float) -> Tensor:
+    def _channel_mask(self, n: int, share: float) -> Tensor:
         """Return a mask of shape (n, inputs) that silences one channel in this share of the rows."""
         channels, inputs = self._bank.channels, self._bank.noise.shape[1]
         if channels < 3:

@@ -218,7 +218,7 @@ def coverage(position_mm: NDArray[np.float32], plate: Plate) -> Iterator[str]:
         )
 
 
-def freedom(position_mm: NDArray[np.floating], wavenumber_per_mm: float) -> float:
+def degrees_of_freedom(position_mm: NDArray[np.floating], wavenumber_per_mm: float) -> float:
     """Return the degrees of freedom of the residual field in the bounding box of positions (n, 2).
 
     A function on an area A without spatial frequencies above 2 k has A (2 k)^2 / 4 pi = A k^2 / pi of them
@@ -234,7 +234,7 @@ def density(position_mm: NDArray[np.float32], plate: Plate, stop_hz: float, trai
     except SimulationError:
         return  # unknown material: `fitted_note` warns of it
     area_mm2 = float(np.prod(np.ptp(position_mm, axis=0)))
-    needed = freedom(position_mm, wavenumber_per_mm)
+    needed = degrees_of_freedom(position_mm, wavenumber_per_mm)
     have = training_share * len(position_mm)
     if have < needed:
         yield (

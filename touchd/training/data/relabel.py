@@ -34,20 +34,20 @@ def label_noise_mm(displaced: Displaced) -> float:
     return float(minimize_scalar(surprise, bounds=(1e-4, MOST_MM), method="bounded").x)
 
 
-def replaced(label_mm: Floats, place_mm: Floats, displaced: Displaced, noise_mm: float) -> Floats:
+def replaced(label_mm: Floats, position_mm: Floats, displaced: Displaced, noise_mm: float) -> Floats:
     """Return the most probable positions (n, 2), given labels and displacements.
 
     Parameters
     ----------
     label_mm : array, shape (n, 2)
         Recorded positions.
-    place_mm : array, shape (n, 2)
+    position_mm : array, shape (n, 2)
         Positions for which `displaced` was computed.
     displaced : Displaced
     noise_mm : float
         Deviation of the label error per axis.
     """
-    off_mm = place_mm + displaced.by_mm - label_mm
+    off_mm = position_mm + displaced.by_mm - label_mm
     prior = noise_mm**2 * np.eye(2)
     moved = (prior @ np.linalg.solve(displaced.covariance + prior, off_mm[:, :, None]))[:, :, 0]
     far = np.linalg.norm(off_mm, axis=1) > max(MOST_MM, 4 * noise_mm)

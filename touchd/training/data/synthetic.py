@@ -35,7 +35,7 @@ class Synthesiser:
         self._keys_mm = torch.tensor([[k.x_mm, k.y_mm, k.width_mm, k.height_mm] for k in keys])
         rows, self._columns = field.coefficients.shape[:2]
         self._nodes = torch.from_numpy(field.coefficients.reshape(rows * self._columns, -1))
-        self._strength = torch.from_numpy(field.strength)
+        self._amplitude = torch.from_numpy(field.amplitude)
         self._origin_mm = torch.tensor(field.origin_mm, dtype=torch.float32)
         self._low_mm = torch.tensor(field.low_mm, dtype=torch.float32)
         self._span_mm = torch.tensor(field.high_mm, dtype=torch.float32) - self._low_mm
@@ -43,12 +43,12 @@ class Synthesiser:
 
     def draw(self, n: int) -> tuple[Tensor, Tensor]:
         """Draw residuals (n, inputs), and positions (n, 2) relative to the plate's centre, in units of its size."""
-        place_mm = self._low_mm + self._span_mm * torch.rand((n, 2), generator=self._generator)
+        position_mm = self._low_mm + self._span_mm * torch.rand((n, 2), generator=self._generator)
         if len(self._keys_mm):
             count = round(BORDER_SHARE * n)
-            place_mm[:count] = self._at_borders(count)
-        some = torch.randint(len(self._strength), (n, 1), generator=self._generator)
-        return self.at(place_mm) * self._strength[some], place_mm / self._size_mm - 0.5
+            position_mm[:count] = self._at_borders(count)
+        some = torch.randint(len(self._amplitude), (n, 1), generator=self._generator)
+        return self.at(position_mm) * self._amplitude[some], position_mm / self._size_mm - 0.5
 
     def _at_borders(self, n: int) -> Tensor:
         """Draw positions (n, 2) near the borders of the keys."""
@@ -60,9 +60,9 @@ class Synthesiser:
         at_mm = key[:, :2] + key[:, 2:] * place + off_mm
         return at_mm.clamp(self._low_mm, self._low_mm + self._span_mm)
 
-    def at(self, place_mm: Tensor) -> Tensor:
+    def at(self, position_mm: Tensor) -> Tensor:
         """Evaluate the field (n, inputs) at positions (n, 2), by cubic B-splines."""
-        place = (place_mm - self._origin_mm) / STEP_MM
+        place = (position_mm - self._origin_mm) / STEP_MM
         corner = place.floor()
         weight = _basis(place - corner)
         column, row = (corner.long()[:, :, None] + torch.arange(-1, 3)).unbind(dim=1)

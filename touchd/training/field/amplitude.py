@@ -30,7 +30,7 @@ def along_band(bins: int) -> Floats:
     return np.linspace(-1.0, 1.0, bins)
 
 
-def fit_strengths(values: Complex, predicted: Complex, slope: Floats, bins: int) -> Complex:
+def fit_amplitudes(values: Complex, predicted: Complex, slope: Floats, bins: int) -> Complex:
     """Fit each touch's amplitude along the band, linear in frequency, shape (n, bins).
 
     Parameters
@@ -49,16 +49,16 @@ def fit_strengths(values: Complex, predicted: Complex, slope: Floats, bins: int)
     gram[:, 1, 1] += STEEPNESS * gram[:, 0, 0]
     right = np.einsum("nki,nk->ni", basis.conj(), values.reshape(n, -1))
     p, q = np.linalg.solve(gram, right[..., None])[..., 0].T
-    strength = p[:, None] + q[:, None] * along_band(bins)
+    amplitude = p[:, None] + q[:, None] * along_band(bins)
     # Normalise the mean amplitude; the field absorbs the factor.
-    strength /= np.mean(np.abs(p)) * np.exp(1j * np.angle(p.sum()))
-    strength[np.abs(strength) < WEAKEST] = WEAKEST
-    found: Complex = strength.astype(np.complex64)
+    amplitude /= np.mean(np.abs(p)) * np.exp(1j * np.angle(p.sum()))
+    amplitude[np.abs(amplitude) < WEAKEST] = WEAKEST
+    found: Complex = amplitude.astype(np.complex64)
     return found
 
 
 def converge(
-    values: Complex, strength: Complex, chosen: NDArray[np.int64], weight: Floats, predict: Predict, rounds: int
+    values: Complex, amplitude: Complex, chosen: NDArray[np.int64], weight: Floats, predict: Predict, rounds: int
 ) -> Complex:
     """Alternate between field and amplitudes for `rounds` rounds; return the amplitudes (n, bins).
 
@@ -66,7 +66,7 @@ def converge(
     ----------
     values : array, shape (n, channels, chosen)
         Touches in the chosen bins.
-    strength : array, shape (n, bins)
+    amplitude : array, shape (n, bins)
         Amplitudes to start from.
     chosen : array, shape (chosen,)
         Numbers of the bins.
@@ -76,8 +76,8 @@ def converge(
     rounds : int
     """
     scale = weight.astype(np.float32)
-    slope = along_band(strength.shape[1])[chosen]
+    slope = along_band(amplitude.shape[1])[chosen]
     for _ in range(rounds):
-        predicted = predict(values / strength[:, None, chosen])
-        strength = fit_strengths(values * scale, predicted * scale, slope, strength.shape[1])
-    return strength
+        predicted = predict(values / amplitude[:, None, chosen])
+        amplitude = fit_amplitudes(values * scale, predicted * scale, slope, amplitude.shape[1])
+    return amplitude

@@ -17,7 +17,7 @@ from touchd.evaluation.dataset import Dataset
 from touchd.frame import Plate
 from touchd.localization.features import band_bins
 from touchd.training.field.regression import Floats, Prior, Touches
-from touchd.training.field.selection import cut, region_of, surprises
+from touchd.training.field.selection import cut, log_errors, region_of
 from touchd.twin.physics.dispersion import mindlin_wavenumber
 from touchd.twin.physics.material import MATERIALS
 
@@ -88,15 +88,15 @@ def frequencies(dataset: Dataset) -> Floats:
 
 def fit_dispersion(frequency_hz: Floats, touches: Touches, some: int = 7) -> Dispersion:
     """Fit the power law of the wavenumber by leave-one-out errors in a few bins."""
-    region = region_of(touches.place_mm)
+    region = region_of(touches.position_mm)
     near = cut(touches, region)
     power = np.square(np.abs(near.values)).mean(axis=(0, 1))
     heard = np.flatnonzero(power > 2 * touches.noise)
     bins = np.unique(np.linspace(0, heard[-1] if len(heard) else len(power) - 1, some).round().astype(int))
-    area_mm2 = float(np.prod(np.maximum(np.ptp(near.place_mm, axis=0), 1e-3)))
-    most = np.sqrt(np.pi * len(near.place_mm) / area_mm2)
+    area_mm2 = float(np.prod(np.maximum(np.ptp(near.position_mm, axis=0), 1e-3)))
+    most = np.sqrt(np.pi * len(near.position_mm) / area_mm2)
     scan = most * np.geomspace(COARSEST, FINEST, SCAN)
-    unit = np.ones((len(near.place_mm), len(frequency_hz)), np.complex64)
+    unit = np.ones((len(near.position_mm), len(frequency_hz)), np.complex64)
     flat = Prior(np.ones(len(frequency_hz)), ridge=SCAN_RIDGE)
 
     def look(wavenumber: Floats) -> NDArray[np.float64]:
@@ -105,7 +105,7 @@ def fit_dispersion(frequency_hz: Floats, touches: Touches, some: int = 7) -> Dis
         for column in wavenumber.T:
             everywhere = np.ones(len(frequency_hz))
             everywhere[bins] = column
-            columns.append(surprises(near, region, replace(flat, wavenumber_per_mm=everywhere), unit, bins))
+            columns.append(log_errors(near, region, replace(flat, wavenumber_per_mm=everywhere), unit, bins))
         return np.array(columns).T
 
     coarse = np.tile(scan, (len(bins), 1))

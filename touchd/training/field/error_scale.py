@@ -32,7 +32,7 @@ class Level:
     """Noise variance of a real feature, counts squared."""
     error_mm: Floats
     """Shape (n, 2)."""
-    information: Floats
+    fisher_information: Floats
     """Shape (n, 2, 2)."""
     power: Floats
     """|z|^2, shape (n,)."""
@@ -42,7 +42,7 @@ class Level:
     def sigma_mm(self, noise_scale: float, field_scale: float, error: float) -> Floats:
         """Return the standard error of each touch along x and y, shape (n, 2); `error` is the atlas' mean error."""
         variance = noise_scale * self.noise + field_scale * error * self.power / 2
-        inverse = np.linalg.inv(self.information)
+        inverse = np.linalg.inv(self.fisher_information)
         return np.asarray(np.sqrt(variance[:, None] * np.diagonal(inverse, axis1=1, axis2=2)))
 
     def ratio(self, noise_scale: float, field_scale: float, error: float) -> Floats:
@@ -51,19 +51,19 @@ class Level:
         return np.asarray(self.error_mm / np.hypot(sigma_mm, self.label_noise_mm))
 
 
-def field_error(values: Spectra, predicted: Spectra, strength: Spectra, noise: float) -> Floats:
+def field_error(values: Spectra, predicted: Spectra, amplitude: Spectra, noise: float) -> Floats:
     """Return the mean square error of the field at amplitude 1 by channel and bin, less the noise.
 
     Parameters
     ----------
     values, predicted : array, shape (n, channels, bins)
         Touches, and the field at their positions at amplitude 1.
-    strength : array, shape (n,)
+    amplitude : array, shape (n,)
     noise : float
         Noise variance of a complex value.
     """
-    left = np.square(np.abs(values - strength[:, None, None] * predicted)).sum(axis=0, dtype=np.float64)
-    power = float(np.square(np.abs(strength)).sum())
+    left = np.square(np.abs(values - amplitude[:, None, None] * predicted)).sum(axis=0, dtype=np.float64)
+    power = float(np.square(np.abs(amplitude)).sum())
     return np.asarray(np.maximum(left - noise * len(values), 0.0) / max(power, 1e-30))
 
 
@@ -91,8 +91,12 @@ def within_sigma(level: Level, atlas: Atlas) -> float:
 
 def level_of(placed: Placed, true_mm: Floats, noise: float, label_noise_mm: float = 0.0) -> Level:
     """Keep the touches located in the right valley; `noise` is the variance of a real feature."""
-    error_mm = placed.place_mm - true_mm
+    error_mm = placed.position_mm - true_mm
     near = np.linalg.norm(error_mm, axis=1) < FAR_MM
     return Level(
-        noise, error_mm[near], placed.information[near], np.square(np.abs(placed.strength[near])), label_noise_mm
+        noise,
+        error_mm[near],
+        placed.fisher_information[near],
+        np.square(np.abs(placed.amplitude[near])),
+        label_noise_mm,
     )

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.evaluation.dataset import Dataset
-from touchd.training.data.inspection import freedom
-from touchd.training.field.amplitude import along_band, fit_strengths
+from touchd.training.data.inspection import degrees_of_freedom
+from touchd.training.field.amplitude import along_band, fit_amplitudes
 from touchd.training.field.dispersion import dispersion_of
 from touchd.training.field.learn import OUTER_ROUNDS, Field, Learner
 from touchd.training.field.regression import Complex, Prior, Touches, each, touches_of
@@ -41,7 +41,7 @@ def learn_field(
     """
     touches = touches_of(dataset, indices)
     prior = Prior(dispersion_of(dataset, touches).wavenumber_per_mm)
-    if len(touches.place_mm) < FEW * freedom(touches.place_mm, float(prior.wavenumber_per_mm[-1])):
+    if len(touches.position_mm) < FEW * degrees_of_freedom(touches.position_mm, float(prior.wavenumber_per_mm[-1])):
         return learn_by_waves(touches, prior, progress)
     learner = Learner(touches, prior, progress)
     return learner.draw(learner.converge(OUTER_ROUNDS))
@@ -59,21 +59,21 @@ def learn_by_waves(touches: Touches, prior: Prior, progress: Step = lambda _done
 
     learner = Learner(touches, prior, lambda _done, _all: tell())
     waves: dict[int, Product] = {}
-    strength = learner.converge(1)
+    amplitude = learner.converge(1)
     for _ in range(ROUNDS):
-        waves |= _products(touches, prior, strength, learner.chosen, waves, tell)
-        strength = _strengths(touches, waves, bins)
-    waves |= _products(touches, prior, strength, np.arange(bins), waves, tell)
-    explained = np.stack([waves[b].at_touches() for b in range(bins)], axis=-1) * strength[:, None, :]
+        waves |= _products(touches, prior, amplitude, learner.chosen, waves, tell)
+        amplitude = _amplitudes(touches, waves, bins)
+    waves |= _products(touches, prior, amplitude, np.arange(bins), waves, tell)
+    explained = np.stack([waves[b].at_touches() for b in range(bins)], axis=-1) * amplitude[:, None, :]
     left = replace(touches, values=touches.values - explained)
     rest = Learner(left, replace(prior, ridge=LEFT_RIDGE), lambda _done, _all: tell())
-    return rest.draw(strength, lambda b, places_mm: waves[b].at(places_mm))
+    return rest.draw(amplitude, lambda b, positions_mm: waves[b].at(positions_mm))
 
 
 def _products(
     touches: Touches,
     prior: Prior,
-    strength: Complex,
+    amplitude: Complex,
     bins: NDArray[np.int64],
     before: dict[int, Product],
     tell: Callable[[], None],
@@ -82,17 +82,17 @@ def _products(
 
     def one(b: int) -> Product:
         start = before.get(b)
-        basis = start.basis if start else basis_of(touches.place_mm, float(prior.wavenumber_per_mm[b]))
-        return product_of(basis, touches.values[:, :, b], strength[:, b], touches.noise, start)
+        basis = start.basis if start else basis_of(touches.position_mm, float(prior.wavenumber_per_mm[b]))
+        return product_of(basis, touches.values[:, :, b], amplitude[:, b], touches.noise, start)
 
     return dict(zip(bins.tolist(), each(one, bins, tell), strict=True))
 
 
-def _strengths(touches: Touches, waves: dict[int, Product], bins: int) -> Complex:
+def _amplitudes(touches: Touches, waves: dict[int, Product], bins: int) -> Complex:
     """Fit the amplitudes (n, bins) to the products of the given bins."""
     chosen = np.array(sorted(waves))
     values = touches.values[:, :, chosen]
     power = np.square(np.abs(values)).mean(axis=(0, 1))
     scale = (1 / np.sqrt(touches.noise + WAVES_ERROR * power)).astype(np.float32)
     predicted = np.stack([waves[b].at_touches() for b in chosen.tolist()], axis=-1)
-    return fit_strengths(values * scale, predicted * scale, along_band(bins)[chosen], bins)
+    return fit_amplitudes(values * scale, predicted * scale, along_band(bins)[chosen], bins)

@@ -38,7 +38,7 @@ FILTER_NODES = 6
 OUTER_ROUNDS = 3
 """Rounds that update the touches' weights from their amplitudes."""
 INNER_ROUNDS = 20
-STRENGTH_BINS = 7
+AMPLITUDE_BINS = 7
 RELABEL_ROUNDS = 3
 HEARD = 0.1
 """Largest noise share of a bin used for amplitudes."""
@@ -55,7 +55,7 @@ class Field:
     low_mm: tuple[float, float]
     high_mm: tuple[float, float]
     """Corners of the touched part; the field is unknown beyond it."""
-    strength: Array
+    amplitude: Array
     """|z| of each training touch, shape (n,), 1 on average."""
 
 
@@ -64,9 +64,9 @@ class Learned:
     """A field and by-products of learning it."""
 
     field: Field
-    place_mm: Floats
+    position_mm: Floats
     """Corrected positions of the training touches, shape (n, 2)."""
-    strength: Complex
+    amplitude: Complex
     """Their amplitudes, averaged over the bins, shape (n,)."""
     prior: Prior
     label_noise_mm: float
@@ -76,21 +76,21 @@ class Learned:
 def learn_thoroughly(touches: Touches, wavenumber_per_mm: Floats, progress: Step = lambda _done, _all: None) -> Learned:
     """Learn the field, choose its prior, and correct label errors."""
     learner = Learner(touches, Prior(wavenumber_per_mm), progress)
-    strength = learner.converge(OUTER_ROUNDS - 1)
-    learner.take(touches, choose(touches, learner.prior, strength, learner.chosen))
-    strength = learner.converge(1, strength)
-    displaced = learner.displacements(strength)
+    amplitude = learner.converge(OUTER_ROUNDS - 1)
+    learner.take(touches, choose(touches, learner.prior, amplitude, learner.chosen))
+    amplitude = learner.converge(1, amplitude)
+    displaced = learner.displacements(amplitude)
     noise_mm = label_noise_mm(displaced)
     if noise_mm < LEAST_MM:
-        return learner.result(strength, 0.0)
+        return learner.result(amplitude, 0.0)
     learner.more(RELABEL_ROUNDS)
     for _ in range(RELABEL_ROUNDS):
-        place_mm = replaced(touches.place_mm, learner.touches.place_mm, displaced, noise_mm)
-        better = replace(touches, place_mm=place_mm)
-        learner.take(better, choose(better, learner.prior, strength, learner.chosen))
-        strength = learner.converge(1, strength)
-        displaced = learner.displacements(strength)
-    return learner.result(strength, noise_mm)
+        position_mm = replaced(touches.position_mm, learner.touches.position_mm, displaced, noise_mm)
+        better = replace(touches, position_mm=position_mm)
+        learner.take(better, choose(better, learner.prior, amplitude, learner.chosen))
+        amplitude = learner.converge(1, amplitude)
+        displaced = learner.displacements(amplitude)
+    return learner.result(amplitude, noise_mm)
 
 
 class Learner:
@@ -120,40 +120,40 @@ class Learner:
         """Add rounds to the progress total."""
         self._all += rounds * len(self.chosen)
 
-    def converge(self, rounds: int, strength: Complex | None = None) -> Complex:
+    def converge(self, rounds: int, amplitude: Complex | None = None) -> Complex:
         """Return the touches' amplitudes along the band after `rounds` rounds, shape (n, bins)."""
         r, chosen = self._regression, self.chosen
         values = r.touches.values
-        if strength is None:
-            strength = np.ones((len(values), values.shape[2]), np.complex64)
+        if amplitude is None:
+            amplitude = np.ones((len(values), values.shape[2]), np.complex64)
         deviation = np.sqrt(r.touches.noise + FIELD_ERROR * r.scale[chosen] ** 2)
         for _ in range(rounds):
             self._hats = []  # free the memory of the last inverses first
-            self._hats = each(partial(_hat, r, strength), chosen, self._tell)
-            strength = converge(values[:, :, chosen], strength, chosen, 1 / deviation, self._predict, INNER_ROUNDS)
-        return strength
+            self._hats = each(partial(_hat, r, amplitude), chosen, self._tell)
+            amplitude = converge(values[:, :, chosen], amplitude, chosen, 1 / deviation, self._predict, INNER_ROUNDS)
+        return amplitude
 
-    def displacements(self, strength: Complex) -> Displaced:
+    def displacements(self, amplitude: Complex) -> Displaced:
         """Return the touches' displacements from their assumed positions; call after `converge`."""
-        return displacements(self._regression, strength, self.chosen, [inverse for inverse, _ in self._hats])
+        return displacements(self._regression, amplitude, self.chosen, [inverse for inverse, _ in self._hats])
 
-    def result(self, strength: Complex, label_noise_mm: float) -> Learned:
+    def result(self, amplitude: Complex, label_noise_mm: float) -> Learned:
         """Return the field with its by-products."""
-        mean = np.asarray(strength.mean(axis=1), np.complex64)
-        return Learned(self.draw(strength), self.touches.place_mm, mean, self.prior, label_noise_mm)
+        mean = np.asarray(amplitude.mean(axis=1), np.complex64)
+        return Learned(self.draw(amplitude), self.touches.position_mm, mean, self.prior, label_noise_mm)
 
-    def draw(self, strength: Complex, known: Known | None = None) -> Field:
+    def draw(self, amplitude: Complex, known: Known | None = None) -> Field:
         """Evaluate the field on its grid; `known` adds a part that was subtracted from the touches."""
         r = self._regression
         self._hats = []
-        low, high = r.touches.place_mm.min(axis=0), r.touches.place_mm.max(axis=0)
+        low, high = r.touches.position_mm.min(axis=0), r.touches.position_mm.max(axis=0)
         beyond = BEYOND_NODES + FILTER_NODES
         x_mm, y_mm = (np.arange(low[i] - beyond * STEP_MM, high[i] + (beyond + 1) * STEP_MM, STEP_MM) for i in (0, 1))
         nodes_mm = np.stack(np.meshgrid(x_mm, y_mm), axis=-1).reshape(-1, 2)
         inside = slice(FILTER_NODES, -FILTER_NODES)
 
         def one(b: int) -> Array:
-            field = r.at(b, r.weights(b, strength[:, b]), nodes_mm)
+            field = r.at(b, r.weights(b, amplitude[:, b]), nodes_mm)
             if known is not None:
                 field = field + known(b, nodes_mm)
             grid = np.stack([field.real, field.imag], axis=-1).reshape(len(y_mm), len(x_mm), -1, 2)
@@ -162,11 +162,11 @@ class Learner:
             return np.asarray(grid[inside, inside])
 
         return Field(
-            coefficients=np.ascontiguousarray(np.stack(each(one, range(strength.shape[1]), self._tell), axis=-1)),
+            coefficients=np.ascontiguousarray(np.stack(each(one, range(amplitude.shape[1]), self._tell), axis=-1)),
             origin_mm=(float(x_mm[FILTER_NODES]), float(y_mm[FILTER_NODES])),
             low_mm=(float(low[0]), float(low[1])),
             high_mm=(float(high[0]), float(high[1])),
-            strength=np.abs(strength).mean(axis=1).astype(np.float32),
+            amplitude=np.abs(amplitude).mean(axis=1).astype(np.float32),
         )
 
     def _predict(self, unit: Complex) -> Complex:
@@ -186,8 +186,8 @@ class Learner:
         r = self._regression
         heard = np.flatnonzero(r.touches.noise < HEARD * r.scale**2)
         last = heard[-1] if len(heard) else len(r.scale) - 1
-        return np.unique(np.linspace(0, last, STRENGTH_BINS).round().astype(np.int64))
+        return np.unique(np.linspace(0, last, AMPLITUDE_BINS).round().astype(np.int64))
 
 
-def _hat(regression: Regression, strength: Complex, b: int) -> Hat:
-    return regression.inverse(b, strength[:, b]), regression.penalty(b, strength[:, b])
+def _hat(regression: Regression, amplitude: Complex, b: int) -> Hat:
+    return regression.inverse(b, amplitude[:, b]), regression.penalty(b, amplitude[:, b])

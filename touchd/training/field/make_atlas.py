@@ -76,25 +76,25 @@ def make_atlas(
     kept = informative(audible)
     whole = place(atlas_of(learned.field, reference, steady, np.arange(len(audible)), said), touches.values, true_mm)
     plain = atlas_of(learned.field, reference, steady, kept, said)
-    plain = aligned(plain, learned.place_mm, learned.strength.astype(np.complex128))
+    plain = aligned(plain, learned.position_mm, learned.amplitude.astype(np.complex128))
     values = np.ascontiguousarray(touches.values[:, :, kept])
     placed = place(plain, values, true_mm)
-    near = np.linalg.norm(placed.place_mm - true_mm, axis=1) < FAR_MM
-    predicted = FieldMap(plain).look_up(placed.place_mm[near])[0].reshape(values[near].shape)
-    error = field_error(values[near], predicted, placed.strength[near], touches.noise)
+    near = np.linalg.norm(placed.position_mm - true_mm, axis=1) < FAR_MM
+    predicted = FieldMap(plain).look_up(placed.position_mm[near])[0].reshape(values[near].shape)
+    error = field_error(values[near], predicted, placed.amplitude[near], touches.noise)
     levels = noisy_levels(plain, steady, values, true_mm, learned.label_noise_mm)
     noise_scale, field_scale = calibrate([level for _, level in levels], float(error.mean()))
     scales = {"noise_scale": noise_scale, "field_scale": field_scale}
     atlas = replace(
         plain, description=plain.description.model_copy(update=scales), error=error.astype(np.float32)
     )  # fmt: skip
-    power = float(np.square(np.abs(placed.strength[near])).mean())
+    power = float(np.square(np.abs(placed.amplitude[near])).mean())
     return atlas, Calibration(
         within=[(db, within_sigma(level, atlas), _median_mm(level.error_mm)) for db, level in levels],
         audible=audible,
         missed=error.mean(axis=0) * power / max(touches.noise, 1e-12),
-        whole_mm=_median_mm(whole.place_mm - true_mm),
-        kept_mm=_median_mm(placed.place_mm - true_mm),
+        whole_mm=_median_mm(whole.position_mm - true_mm),
+        kept_mm=_median_mm(placed.position_mm - true_mm),
     )
 
 
@@ -164,10 +164,12 @@ def try_atlas(
     kept = np.flatnonzero(np.isin(band_bins(d.acquisition), d.bins))
     touches = touches_of(steady, parts.test)
     placed = place(atlas, touches.values[:, :, kept], start_mm)
-    level = Level(touches.noise / 2, placed.place_mm - true_mm, placed.information, np.square(np.abs(placed.strength)))
+    level = Level(
+        touches.noise / 2, placed.position_mm - true_mm, placed.fisher_information, np.square(np.abs(placed.amplitude))
+    )
     sigma_mm = level.sigma_mm(d.noise_scale, d.field_scale, float(atlas.error.mean()))
     # One value for both axes, as in the daemon's messages.
-    judged = Judgement(true_mm, placed.place_mm, np.sqrt(np.square(sigma_mm).mean(axis=1)), 1 - placed.misfit)
+    judged = Judgement(true_mm, placed.position_mm, np.sqrt(np.square(sigma_mm).mean(axis=1)), 1 - placed.misfit)
     return Trial(judged, start_mm, placed), scores(judged)
 
 

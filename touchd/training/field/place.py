@@ -27,14 +27,14 @@ _BLOCK = 256
 class Placed:
     """n touches after Gauss-Newton."""
 
-    place_mm: Floats
+    position_mm: Floats
     """Shape (n, 2)."""
-    strength: Complex
+    amplitude: Complex
     """Shape (n,)."""
-    information: Floats
+    fisher_information: Floats
     """Re(J^H J) with the amplitude projected out, shape (n, 2, 2), counts squared per mm^2. Its inverse times the noise
     variance of a real feature is the covariance of the position."""
-    left: Floats
+    residual_energy: Floats
     """Unexplained energy, counts squared, shape (n,)."""
     energy: Floats
     """Energy of the touches, counts squared, shape (n,)."""
@@ -42,7 +42,7 @@ class Placed:
     @property
     def misfit(self) -> Floats:
         """Share of the energy that is unexplained, shape (n,)."""
-        return self.left / np.maximum(self.energy, 1e-30)
+        return self.residual_energy / np.maximum(self.energy, 1e-30)
 
 
 class FieldMap:
@@ -61,12 +61,12 @@ class FieldMap:
         self._origin_mm, self._step_mm = np.array(d.origin_mm), d.step_mm
         self.low_mm, self.high_mm = np.array(d.low_mm) - BEYOND_MM, np.array(d.high_mm) + BEYOND_MM
 
-    def look_up(self, place_mm: Floats) -> tuple[Complex, Complex, Complex]:
+    def look_up(self, position_mm: Floats) -> tuple[Complex, Complex, Complex]:
         """Return the field at positions (n, 2) and its derivatives (1/mm), each of shape (n, channels * bins).
 
         The outermost cell extrapolates beyond the nodes.
         """
-        at = (place_mm - self._origin_mm) / self._step_mm
+        at = (position_mm - self._origin_mm) / self._step_mm
         most = np.array([self._nodes.shape[1] - 3, self._nodes.shape[0] - 3])
         corner = np.clip(np.floor(at).astype(int), 1, most)
         (wx, wy), (dx, dy) = (part.transpose(1, 0, 2) for part in _splines(at - corner))
@@ -99,26 +99,26 @@ def place(atlas: Atlas, values: NDArray[np.complexfloating], start_mm: Floats, s
 
 
 def _place(
-    field: FieldMap, values: Complex, place_mm: Floats, steps: int
+    field: FieldMap, values: Complex, position_mm: Floats, steps: int
 ) -> tuple[Floats, Complex, Floats, Floats, Floats]:
     for step in range(steps + 1):
-        u, by_x, by_y = field.look_up(place_mm)
+        u, by_x, by_y = field.look_up(position_mm)
         power = np.maximum(np.square(np.abs(u)).sum(axis=1), 1e-30)
-        strength = (u.conj() * values).sum(axis=1) / power
-        left = values - strength[:, None] * u
-        moved = strength[:, None, None] * np.stack([by_x, by_y], axis=1)
+        amplitude = (u.conj() * values).sum(axis=1) / power
+        left = values - amplitude[:, None] * u
+        moved = amplitude[:, None, None] * np.stack([by_x, by_y], axis=1)
         moved -= ((moved @ u.conj()[:, :, None]) / power[:, None, None]) * u[:, None, :]
-        information = (moved.conj() @ moved.transpose(0, 2, 1)).real
+        fisher_information = (moved.conj() @ moved.transpose(0, 2, 1)).real
         if step == steps:
             break
         gradient = (moved.conj() @ left[:, :, None])[:, :, 0].real
-        damped = information * (1 + _DAMPING * np.eye(2)) + 1e-30 * np.eye(2)
+        damped = fisher_information * (1 + _DAMPING * np.eye(2)) + 1e-30 * np.eye(2)
         move_mm = np.linalg.solve(damped, gradient[:, :, None])[:, :, 0]
         length_mm = np.linalg.norm(move_mm, axis=1, keepdims=True)
         move_mm *= np.minimum(1.0, LONGEST_STEP_MM / np.maximum(length_mm, 1e-12))
-        place_mm = np.clip(place_mm + move_mm, field.low_mm, field.high_mm)
+        position_mm = np.clip(position_mm + move_mm, field.low_mm, field.high_mm)
     energy = np.square(np.abs(values)).sum(axis=1)
-    return place_mm, strength, information, np.square(np.abs(left)).sum(axis=1), energy
+    return position_mm, amplitude, fisher_information, np.square(np.abs(left)).sum(axis=1), energy
 
 
 def _splines(t: Floats) -> tuple[Floats, Floats]:

@@ -37,7 +37,7 @@ BEYOND_MM = 40.0
 class Touches:
     """n labelled touches in the frequency domain."""
 
-    place_mm: Floats
+    position_mm: Floats
     """Shape (n, 2)."""
     values: Complex
     """Residuals, shape (n, channels, bins), ADC counts."""
@@ -67,7 +67,7 @@ def touches_of(dataset: Dataset, indices: NDArray[np.int64]) -> Touches:
 class Regression:
     """Fields of all bins from n touches of given amplitudes.
 
-    In all methods `strength`, of shape (n,), holds the amplitudes in the bin.
+    In all methods `amplitude`, of shape (n,), holds the amplitudes in the bin.
 
     Parameters
     ----------
@@ -81,26 +81,26 @@ class Regression:
         self.scale: Floats = np.sqrt(np.maximum(signal, max(LEAST_SIGNAL * touches.noise, 1e-12)))
         """Root mean square of each bin's signal, ADC counts, shape (bins,)."""
         self.ridge: Floats = touches.noise / self.scale**2 + prior.ridge
-        self.distance_mm = distances(touches.place_mm, touches.place_mm)
+        self.distance_mm = distances(touches.position_mm, touches.position_mm)
         # The longest distance is the bounding box's diagonal, possibly without touches at its ends.
-        self._reach_mm = float(np.linalg.norm(np.ptp(touches.place_mm, axis=0))) + BEYOND_MM
+        self._reach_mm = float(np.linalg.norm(np.ptp(touches.position_mm, axis=0))) + BEYOND_MM
 
     def kernel(self, b: int) -> Kernel:
         """Return a bin's kernel."""
         return Kernel(float(self.prior.wavenumber_per_mm[b]), self._reach_mm, self.prior.white_share)
 
-    def penalty(self, b: int, strength: Complex) -> Array:
+    def penalty(self, b: int, amplitude: Complex) -> Array:
         """Return the system's diagonal term: the noise of a touch of amplitude z counts as noise / |z|."""
-        return np.asarray(self.ridge[b] / np.maximum(np.abs(strength), FAINT) ** 2, dtype=np.float32)
+        return np.asarray(self.ridge[b] / np.maximum(np.abs(amplitude), FAINT) ** 2, dtype=np.float32)
 
-    def targets(self, b: int, strength: Complex) -> Array:
+    def targets(self, b: int, amplitude: Complex) -> Array:
         """Return the touches at amplitude 1, in units of the bin's scale, shape (n, 2 * channels)."""
-        unit = self.touches.values[:, :, b] / (np.float32(self.scale[b]) * strength[:, None])
+        unit = self.touches.values[:, :, b] / (np.float32(self.scale[b]) * amplitude[:, None])
         return np.ascontiguousarray(unit.astype(np.complex64)).view(np.float32)
 
-    def inverse(self, b: int, strength: Complex) -> Array:
+    def inverse(self, b: int, amplitude: Complex) -> Array:
         """Return the inverse of a bin's system, shape (n, n), lower triangle only."""
-        factor, _ = lapack.spotrf(self._system(b, strength).T, lower=1, overwrite_a=1)
+        factor, _ = lapack.spotrf(self._system(b, amplitude).T, lower=1, overwrite_a=1)
         inverse, _ = lapack.spotri(factor, lower=1, overwrite_c=1)
         return np.asarray(inverse)
 
@@ -108,25 +108,25 @@ class Regression:
         """Return the weights (n, 2 * channels) of targets."""
         return np.ascontiguousarray(blas.ssymm(1.0, inverse, targets, lower=1))
 
-    def weights(self, b: int, strength: Complex) -> Array:
+    def weights(self, b: int, amplitude: Complex) -> Array:
         """Return each touch's weight, shape (n, 2 * channels)."""
-        factor = cho_factor(self._system(b, strength).T, lower=True, overwrite_a=True, check_finite=False)
-        solved = cho_solve(factor, self.targets(b, strength), check_finite=False)
+        factor = cho_factor(self._system(b, amplitude).T, lower=True, overwrite_a=True, check_finite=False)
+        solved = cho_solve(factor, self.targets(b, amplitude), check_finite=False)
         return np.ascontiguousarray(solved, dtype=np.float32)
 
-    def at(self, b: int, weights: Array, places_mm: Floats) -> Complex:
+    def at(self, b: int, weights: Array, positions_mm: Floats) -> Complex:
         """Evaluate the field (m, channels) at positions (m, 2), ADC counts."""
         kernel, rows = self.kernel(b), 512
-        field = np.empty((len(places_mm), weights.shape[1]), np.float32)
-        for start in range(0, len(places_mm), rows):
-            apart_mm = distances(places_mm[start : start + rows], self.touches.place_mm)
+        field = np.empty((len(positions_mm), weights.shape[1]), np.float32)
+        for start in range(0, len(positions_mm), rows):
+            apart_mm = distances(positions_mm[start : start + rows], self.touches.position_mm)
             field[start : start + rows] = kernel(apart_mm) @ weights
         found: Complex = field.view(np.complex64) * np.float32(self.scale[b])
         return found
 
-    def _system(self, b: int, strength: Complex) -> Array:
+    def _system(self, b: int, amplitude: Complex) -> Array:
         system = self.kernel(b)(self.distance_mm)
-        system[np.diag_indices(len(system))] += self.penalty(b, strength)
+        system[np.diag_indices(len(system))] += self.penalty(b, amplitude)
         return system
 
 

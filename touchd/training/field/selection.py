@@ -30,37 +30,37 @@ class Region:
     """Whether a touch has the same neighbours as on the whole plate, shape (n,)."""
 
 
-def region_of(place_mm: Floats, count: int = REGION) -> Region:
+def region_of(position_mm: Floats, count: int = REGION) -> Region:
     """Select `count` touches in a corner of the touched part.
 
     The field is hardest to predict near the plate's edges and discs, hence a corner.
     """
-    low, high = place_mm.min(axis=0), place_mm.max(axis=0)
-    off = ((place_mm - low) / np.maximum(high - low, 1e-9)).max(axis=1)
+    low, high = position_mm.min(axis=0), position_mm.max(axis=0)
+    off = ((position_mm - low) / np.maximum(high - low, 1e-9)).max(axis=1)
     at = np.sort(np.argsort(off, kind="stable")[:count])
-    whole = len(at) == len(place_mm)
+    whole = len(at) == len(position_mm)
     return Region(at, np.ones(len(at), bool) if whole else off[at] <= INNER_SHARE * off[at].max())
 
 
 def cut(touches: Touches, region: Region) -> Touches:
     """Select the touches of a region."""
-    return Touches(touches.place_mm[region.at], touches.values[region.at], touches.noise)
+    return Touches(touches.position_mm[region.at], touches.values[region.at], touches.noise)
 
 
-def surprises(
-    touches: Touches, region: Region, prior: Prior, strength: Complex, bins: NDArray[np.int64]
+def log_errors(
+    touches: Touches, region: Region, prior: Prior, amplitude: Complex, bins: NDArray[np.int64]
 ) -> list[float]:
     """Return the log mean square error of predicting each touch from all others, for each of `bins`."""
     regression = Regression(touches, prior)
 
     def one(b: int) -> float:
-        error = left_out(regression, b, strength[:, b])[region.inner]
+        error = left_out(regression, b, amplitude[:, b])[region.inner]
         return float(np.log(np.square(np.abs(error)).mean()))
 
     return each(one, bins)
 
 
-def choose(touches: Touches, prior: Prior, strength: Complex, bins: NDArray[np.int64]) -> Prior:
+def choose(touches: Touches, prior: Prior, amplitude: Complex, bins: NDArray[np.int64]) -> Prior:
     """Choose the ridge and white share that minimise leave-one-out position errors.
 
     The cost uses positions, not values: an error common to many bins changes values little, but positions much.
@@ -70,12 +70,12 @@ def choose(touches: Touches, prior: Prior, strength: Complex, bins: NDArray[np.i
     touches : Touches
     prior : Prior
         Wavenumbers, and start of the search.
-    strength : array, shape (n, bins)
+    amplitude : array, shape (n, bins)
     bins : array
         Bins to locate touches in.
     """
-    region = region_of(touches.place_mm)
-    some, mine = cut(touches, region), strength[region.at]
+    region = region_of(touches.position_mm)
+    some, mine = cut(touches, region), amplitude[region.at]
 
     def cost(candidate: Prior) -> float:
         regression = Regression(some, candidate)

@@ -47,9 +47,9 @@ class Basis:
     at_touches: Floats
     """Shape (n, m)."""
 
-    def at(self, places_mm: Floats) -> Floats:
+    def at(self, positions_mm: Floats) -> Floats:
         """Evaluate the functions at positions (k, 2), shape (k, m)."""
-        near = covariance(distances(places_mm, self.pivots_mm).astype(np.float64), self.wavenumber_per_mm)
+        near = covariance(distances(positions_mm, self.pivots_mm).astype(np.float64), self.wavenumber_per_mm)
         return np.asarray(solve_triangular(self.factor, near.T, lower=True, check_finite=False).T)
 
 
@@ -65,9 +65,9 @@ class Product:
     left: float
     """Share of the touches' power that the product does not explain."""
 
-    def at(self, places_mm: Floats) -> Complex:
+    def at(self, positions_mm: Floats) -> Complex:
         """Evaluate the field (k, channels) at positions (k, 2), ADC counts."""
-        return self._of(self.basis.at(places_mm))
+        return self._of(self.basis.at(positions_mm))
 
     def at_touches(self) -> Complex:
         """Return the field (n, channels) at the touches, ADC counts."""
@@ -87,17 +87,19 @@ def covariance(distance_mm: Floats, wavenumber_per_mm: float) -> Floats:
     return np.asarray(np.interp(distance_mm, nodes_mm, table))
 
 
-def basis_of(place_mm: Floats, wavenumber_per_mm: float) -> Basis:
+def basis_of(position_mm: Floats, wavenumber_per_mm: float) -> Basis:
     """Return the basis of waves at touches (n, 2), by a pivoted Cholesky factor."""
-    system = covariance(distances(place_mm, place_mm).astype(np.float64), wavenumber_per_mm)
+    system = covariance(distances(position_mm, position_mm).astype(np.float64), wavenumber_per_mm)
     factor, order, rank, _ = lapack.dpstrf(system, tol=CUT, lower=1)
     factor, order = np.tril(factor)[:, :rank], order - 1
     at_touches = np.empty_like(factor)
     at_touches[order] = factor
-    return Basis(wavenumber_per_mm, place_mm[order[:rank]], np.ascontiguousarray(factor[:rank]), at_touches)
+    return Basis(wavenumber_per_mm, position_mm[order[:rank]], np.ascontiguousarray(factor[:rank]), at_touches)
 
 
-def product_of(basis: Basis, values: Complex, strength: Complex, noise: float, start: Product | None = None) -> Product:
+def product_of(
+    basis: Basis, values: Complex, amplitude: Complex, noise: float, start: Product | None = None
+) -> Product:
     """Fit the product of two waves to the touches of a bin.
 
     Parameters
@@ -105,14 +107,14 @@ def product_of(basis: Basis, values: Complex, strength: Complex, noise: float, s
     basis : Basis
     values : array, shape (n, channels)
         Touches in the bin, ADC counts.
-    strength : array, shape (n,)
+    amplitude : array, shape (n,)
     noise : float
         Noise variance of each value.
     start : Product, optional
         Product to start from; by default the best of several random starts.
     """
-    weight = np.maximum(np.square(np.abs(strength)), 1e-2)
-    unit = values.astype(np.complex128) / strength[:, None]
+    weight = np.maximum(np.square(np.abs(amplitude)), 1e-2)
+    unit = values.astype(np.complex128) / amplitude[:, None]
     scale = float(np.sqrt(np.mean(np.square(np.abs(unit)))))
     unit /= scale
     noise /= scale**2

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 
 from touchd.errors import OutputError
 from touchd.localization.model import METADATA_KEY, Description, Model
-from touchd.training.network.network import Network
+from touchd.training.network.zones_and_keys import Network
 
 OPSET = 17
 

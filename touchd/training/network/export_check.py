@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 from onnx.reference import ReferenceEvaluator
 
 from touchd.errors import TrainingError
-from touchd.training.network.network import Network
+from touchd.training.network.zones_and_keys import Network
 
 TOLERANCE = 1e-4
 """Largest allowed difference, mm or probability."""
 
 
 @dataclass(frozen=True, slots=True)
-class Exactness:
+class ExportDifference:
     """Largest differences over touches and outputs: mm, or probability for confidence and classes."""
 
     function: float
@@ -30,7 +30,7 @@ class Exactness:
     """Trained network in float64 against exported graph in float32, as the daemon runs it."""
 
 
-def check_graph(network: Network, graph: onnx.ModelProto, features: NDArray[np.float32]) -> Exactness:
+def check_graph(network: Network, graph: onnx.ModelProto, features: NDArray[np.float32]) -> ExportDifference:
     """Compare a trained network with its exported graph on features of shape (n, inputs).
 
     In float32 two runtimes differ by their order of summation; in float64 any difference above `TOLERANCE` is a
@@ -58,7 +58,7 @@ def check_graph(network: Network, graph: onnx.ModelProto, features: NDArray[np.f
     options = ort.SessionOptions()
     options.intra_op_num_threads = 1  # as in the daemon
     session = ort.InferenceSession(graph.SerializeToString(), options, providers=["CPUExecutionProvider"])
-    return Exactness(function, _difference(trained, session.run(None, {name: features})))
+    return ExportDifference(function, _difference(trained, session.run(None, {name: features})))
 
 
 def _difference(one: list[NDArray[Any]], two: list[Any]) -> float:

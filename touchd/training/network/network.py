@@ -48,7 +48,7 @@ def trunk(inputs: int, widths: tuple[int, ...], dropout: float) -> nn.Sequential
     return nn.Sequential(*stages)
 
 
-class Regression(nn.Module):
+class PositionNetwork(nn.Module):
     """Estimates position, standard error and finger confidence.
 
     The last layer returns a histogram each for x and y, whose means are the position. It is trained by cross-entropy
@@ -133,15 +133,15 @@ class Regression(nn.Module):
             return log_error
         return torch.logaddexp(2 * log_error[:, :1], 2 * (log_error[:, 1:] + noise.log())) / 2
 
-    def place_mm(self, votes: Tensor) -> Tensor:
+    def position_mm(self, votes: Tensor) -> Tensor:
         """Return the means of histograms given as logits (n, 2, bins): positions (n, 2), mm."""
         mean: Tensor = (votes.softmax(dim=2) * self.centres).sum(dim=2)
         return (mean.clamp(-0.5, 0.5) + 0.5).mul(self.span_mm) + self.corner_mm
 
     def truth_mm(self, position: Tensor) -> Tensor:
         """Convert relative positions (n, 2) to mm, clamped to the area."""
-        place_mm = (position + 0.5) * self.size_mm
-        return torch.minimum(torch.maximum(place_mm, self.corner_mm), self.corner_mm + self.span_mm)
+        position_mm = (position + 0.5) * self.size_mm
+        return torch.minimum(torch.maximum(position_mm, self.corner_mm), self.corner_mm + self.span_mm)
 
     def forward(self, features: Tensor) -> tuple[Tensor, ...]:
         """Return position in mm (n, 2), sigma in mm (n, 1), confidence (n, 1), and with `noise_apart` noise_mm (n, 1).
@@ -150,7 +150,7 @@ class Regression(nn.Module):
         """
         votes, log_error, logit = self.raw(features)
         error_mm = log_error.clamp(-5.0, 5.0).exp()
-        said = self.place_mm(votes), error_mm[:, :1], logit.sigmoid()
+        said = self.position_mm(votes), error_mm[:, :1], logit.sigmoid()
         return (*said, error_mm[:, 1:]) if self.noise_apart else said
 
     def targets(self, position: Tensor, spread: float) -> Tensor:
@@ -165,7 +165,7 @@ class Regression(nn.Module):
         return share / share.sum(dim=2, keepdim=True)
 
 
-class PlainRegression(nn.Module):
+class PaperNetwork(nn.Module):
     """The paper's regression network, trained on the squared error of x and y.
 
     It estimates no error and no confidence: sigma is one number, set after training, and the confidence is 1.

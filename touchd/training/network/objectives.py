@@ -14,8 +14,9 @@ from touchd.evaluation.metrics import position_scores
 from touchd.evaluation.model_scores import key_scores, labels_of, zones_of
 from touchd.frame import Plate
 from touchd.keypad import Layout
-from touchd.training.network.network import Classifier, Keypad, Network, PlainRegression, Regression
+from touchd.training.network.network import PaperNetwork, PositionNetwork
 from touchd.training.network.recipe import Recipe
+from touchd.training.network.zones_and_keys import Classifier, KeypadNetwork, Network
 
 DROPOUT = 0.3  # the paper's
 SPREAD_BINS = 0.75  # deviation of the target histograms, from the HL-Gauss paper
@@ -36,7 +37,7 @@ class Batch(NamedTuple):
     """Noise-to-signal ratio of the fingers' features, by norms, shape (n, 1); 0 if unknown."""
 
 
-class Task(Protocol):
+class Objective(Protocol):
     """Objective of a training loop."""
 
     wants_others: bool
@@ -60,13 +61,13 @@ class Task(Protocol):
         ...
 
 
-class PositionTask:
+class PositionObjective:
     """Position by histograms, standard error, and finger confidence."""
 
     wants_others = True
 
     def __init__(self, inputs: int, plate: Plate, recipe: Recipe, drift: Tensor) -> None:
-        self.network = Regression(inputs, (plate.width_mm, plate.height_mm), recipe.widths, drift=drift)
+        self.network = PositionNetwork(inputs, (plate.width_mm, plate.height_mm), recipe.widths, drift=drift)
 
     def loss(self, batch: Batch) -> Tensor:
         """Return position cross-entropy plus quantile loss of sigma plus finger cross-entropy."""
@@ -75,7 +76,7 @@ class PositionTask:
         votes, log_error, logit = network.raw(features)
         votes = votes[:n]
         place = -(network.targets(position, SPREAD_BINS) * votes.log_softmax(dim=2)).sum(dim=2).mean()
-        error_mm = (network.place_mm(votes.detach()) - network.truth_mm(position)).abs()
+        error_mm = (network.position_mm(votes.detach()) - network.truth_mm(position)).abs()
         sigma = _pinball((error_mm + 1e-3).log() - network.log_sigma(log_error[:n], noise), WITHIN_SIGMA)
         truth = (torch.arange(len(features)) < n).float()[:, None]
         finger = nn.functional.binary_cross_entropy_with_logits(logit, truth)
@@ -84,22 +85,22 @@ class PositionTask:
     def scores(self, features: NDArray[np.float32], position_mm: Positions) -> dict[str, float]:
         """Return position scores and the share of confident touches."""
         with torch.inference_mode():
-            place_mm, _, confidence, *_ = self.network.eval()(torch.from_numpy(features))
+            estimated_mm, _, confidence, *_ = self.network.eval()(torch.from_numpy(features))
         confident = float((confidence.numpy() >= 0.5).mean())
-        return position_scores(place_mm.numpy() - position_mm) | {"confident": confident}
+        return position_scores(estimated_mm.numpy() - position_mm) | {"confident": confident}
 
     def description(self) -> dict[str, Any]:
         """Return no metadata: a regression needs none."""
         return {}
 
 
-class PaperPositionTask:
+class PaperObjective:
     """Mean squared error of x and y, as in the paper."""
 
     wants_others = False
 
     def __init__(self, inputs: int, plate: Plate, recipe: Recipe) -> None:
-        self.network = PlainRegression(inputs, (plate.width_mm, plate.height_mm), recipe.widths, DROPOUT)
+        self.network = PaperNetwork(inputs, (plate.width_mm, plate.height_mm), recipe.widths, DROPOUT)
 
     def loss(self, batch: Batch) -> Tensor:
         """Return the mean squared error, in units of the plate's size."""
@@ -108,35 +109,35 @@ class PaperPositionTask:
     def scores(self, features: NDArray[np.float32], position_mm: Positions) -> dict[str, float]:
         """Return position scores."""
         with torch.inference_mode():
-            place_mm, _, _ = self.network.eval()(torch.from_numpy(features))
-        return position_scores(place_mm.numpy() - position_mm)
+            estimated_mm, _, _ = self.network.eval()(torch.from_numpy(features))
+        return position_scores(estimated_mm.numpy() - position_mm)
 
     def description(self) -> dict[str, Any]:
         """Return no metadata: a regression needs none."""
         return {}
 
 
-class KeyTask(PositionTask):
+class KeyObjective(PositionObjective):
     """Keys from an estimated position: trained as a position, scored by keys."""
 
-    network: Keypad
+    network: KeypadNetwork
 
     def __init__(self, inputs: int, plate: Plate, recipe: Recipe, drift: Tensor, layout: Layout) -> None:
         self._layout = layout
         keys_mm = torch.tensor([[k.x_mm, k.y_mm, k.x_mm + k.width_mm, k.y_mm + k.height_mm] for k in layout.key])
-        self.network = Keypad(inputs, (plate.width_mm, plate.height_mm), keys_mm, recipe.widths, drift=drift)
+        self.network = KeypadNetwork(inputs, (plate.width_mm, plate.height_mm), keys_mm, recipe.widths, drift=drift)
 
     def scores(self, features: NDArray[np.float32], position_mm: Positions) -> dict[str, float]:
         """Return position scores, accuracy, and touches of one key assigned to another."""
         network = self.network.eval()
         with torch.inference_mode():
-            place_mm, *_ = Regression.forward(network, torch.from_numpy(features))
+            estimated_mm, *_ = PositionNetwork.forward(network, torch.from_numpy(features))
             probability = network(torch.from_numpy(features)).numpy()
             true_mm = network.truth_mm(torch.from_numpy(position_mm) / network.size_mm - 0.5)
         truth = labels_of(position_mm, self._layout)
         confident = float((probability.sum(axis=1) >= 0.5).mean())
         return (
-            position_scores((place_mm - true_mm).numpy())
+            position_scores((estimated_mm - true_mm).numpy())
             | key_scores(probability.argmax(axis=1), truth, len(self._layout.key))
             | {"confident": confident}
         )
@@ -146,7 +147,7 @@ class KeyTask(PositionTask):
         return {"layout": self._layout}
 
 
-class ClassTask:
+class ClassObjective:
     """Cross-entropy of zones of a grid, or of keys and the area beside them.
 
     The position estimate is the centre of the most probable zone or key; beside the keys, the plate's centre.
@@ -194,9 +195,9 @@ class ClassTask:
         return {"grid": self._grid} if self._layout is None else {"layout": self._layout}
 
 
-def make_task(
+def make_objective(
     recipe: Recipe, inputs: int, plate: Plate, grid: int, layout: Layout | None, drift: NDArray[np.float32]
-) -> Task:
+) -> Objective:
     """Create the objective of a recipe; its network projects out `drift`, of shape (k, inputs).
 
     Raises
@@ -211,15 +212,15 @@ def make_task(
     directions = torch.from_numpy(drift)
     if recipe.head == "regression":
         return (
-            PaperPositionTask(inputs, plate, recipe)
+            PaperObjective(inputs, plate, recipe)
             if recipe.paper
-            else PositionTask(inputs, plate, recipe, directions)
+            else PositionObjective(inputs, plate, recipe, directions)
         )
     if recipe.head == "keypad" and layout is not None:
         if not recipe.paper:
-            return KeyTask(inputs, plate, recipe, directions, layout)
-        return ClassTask(inputs, plate, recipe, directions, grid, layout)
-    return ClassTask(inputs, plate, recipe, directions, grid, None)
+            return KeyObjective(inputs, plate, recipe, directions, layout)
+        return ClassObjective(inputs, plate, recipe, directions, grid, layout)
+    return ClassObjective(inputs, plate, recipe, directions, grid, None)
 
 
 def _pinball(excess: Tensor, share: float) -> Tensor:

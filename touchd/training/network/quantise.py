@@ -20,7 +20,7 @@ from touchd.training.field.error_scale import WITHIN
 from touchd.training.network.export import describe, write_model
 
 ERROR_BIAS = "log_error.bias"
-"""Bias of the log-sigma layer of `touchd.training.network.network.Regression`, by its name in the export."""
+"""Bias of the log-sigma layer of `touchd.training.network.network.PositionNetwork`, by its name in the export."""
 
 
 def quantise(model: Model, recording: Recording, path: Path) -> Model:

@@ -13,7 +13,7 @@ from torch import Tensor
 from touchd.training.data.augment import Augmenter
 from touchd.training.field.error_scale import MOST, WITHIN
 from touchd.training.field.regression import Floats
-from touchd.training.network.network import Regression
+from touchd.training.network.network import PositionNetwork
 
 LOUDER = (0.2, 0.6)
 """Noise relative to the median touch, by feature norms, at which sigma is calibrated beside the touches' own noise. On
@@ -21,7 +21,7 @@ the reference plate this is 50 and 40 dB below the untouched signal."""
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
+class Predictions:
     """Errors and predicted standard errors of n touches at one noise level, shape (n, 1)."""
 
     error_mm: Floats
@@ -37,7 +37,7 @@ class Told:
         return float(np.quantile(self.error_mm / predicted_mm, WITHIN))
 
 
-def make_honest(network: Regression, augmenter: Augmenter, residual: Tensor, position: Tensor) -> None:
+def calibrate_sigma(network: PositionNetwork, augmenter: Augmenter, residual: Tensor, position: Tensor) -> None:
     """Scale a network's two sigma outputs so that 68 % of the errors per axis lie within sigma.
 
     Training shows the network more disturbances than most plates have, so its sigma is too large. The two scales are
@@ -46,7 +46,7 @@ def make_honest(network: Regression, augmenter: Augmenter, residual: Tensor, pos
 
     Parameters
     ----------
-    network : Regression
+    network : PositionNetwork
         Network with a separate noise output.
     augmenter : Augmenter
         Source of the recording's noise.
@@ -57,19 +57,19 @@ def make_honest(network: Regression, augmenter: Augmenter, residual: Tensor, pos
     """
     own = augmenter.own_noise(residual)
     levels = [1.0, *(louder / own for louder in LOUDER if 0 < own < louder / 1.1)]
-    told = [_told(network, *augmenter.held_out(residual, level), position) for level in levels]
+    predictions = [_predict(network, *augmenter.held_out(residual, level), position) for level in levels]
 
     def cost(logs: NDArray[np.float64]) -> float:
         scales = np.exp(np.clip(logs, -np.log(MOST), np.log(MOST)))
-        return float(np.square(np.log([said.quantile(*scales) for said in told])).sum())
+        return float(np.square(np.log([said.quantile(*scales) for said in predictions])).sum())
 
     found = minimize(cost, np.zeros(2), method="Nelder-Mead", options={"xatol": 1e-3, "fatol": 1e-7})
     with torch.no_grad():
         network.log_error.bias.add_(torch.from_numpy(np.clip(found.x, -np.log(MOST), np.log(MOST))))
 
 
-def _told(network: Regression, features: Tensor, noise: Tensor, position: Tensor) -> Told:
+def _predict(network: PositionNetwork, features: Tensor, noise: Tensor, position: Tensor) -> Predictions:
     with torch.inference_mode():
-        place_mm, sigma_mm, _, noise_mm = network.eval()(features)
-        error_mm = (place_mm - network.truth_mm(position)).abs()
-    return Told(error_mm.double().numpy(), sigma_mm.double().numpy(), (noise_mm * noise).double().numpy())
+        position_mm, sigma_mm, _, noise_mm = network.eval()(features)
+        error_mm = (position_mm - network.truth_mm(position)).abs()
+    return Predictions(error_mm.double().numpy(), sigma_mm.double().numpy(), (noise_mm * noise).double().numpy())

@@ -7,7 +7,7 @@ import math
 import torch
 from torch import Tensor, nn
 
-from touchd.training.network.network import Normalise, PlainRegression, Regression, trunk
+from touchd.training.network.network import Normalise, PaperNetwork, PositionNetwork, trunk
 from touchd.training.network.recipe import TRUNK
 
 
@@ -62,7 +62,7 @@ BESIDE_MM = 10.0
 key."""
 
 
-class Keypad(Regression):
+class KeypadNetwork(PositionNetwork):
     """Estimates probabilities of keys from a position and its standard error.
 
     A key's probability is that of a Gaussian about the position to lie on the key. So any layout fits a network trained
@@ -96,14 +96,15 @@ class Keypad(Regression):
 
     def forward(self, features: Tensor) -> Tensor:  # type: ignore[override]  # returns keys, not a position
         """Return probabilities of shape (n, keys + 1); the last one is beside all keys."""
-        place_mm, sigma_mm, confidence = super().forward(features)
+        position_mm, sigma_mm, confidence = super().forward(features)
         reach = math.sqrt(2) * sigma_mm[:, :, None]
         on = (
-            torch.erf((self.high_mm - place_mm[:, None]) / reach) - torch.erf((self.low_mm - place_mm[:, None]) / reach)
+            torch.erf((self.high_mm - position_mm[:, None]) / reach)
+            - torch.erf((self.low_mm - position_mm[:, None]) / reach)
         ) / 2
         key = on[:, :, 0] * on[:, :, 1]
         beside = (1 - key.sum(dim=1, keepdim=True)).clamp_min(0)
         return torch.cat([key, beside], dim=1) * confidence
 
 
-Network = Regression | PlainRegression | Classifier
+Network = PositionNetwork | PaperNetwork | Classifier

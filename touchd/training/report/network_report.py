@@ -128,7 +128,7 @@ def page(result: Result, meta: Meta, names: list[str], pictures: list[str]) -> s
         f"- {len(result.curve.loss)} epochs, of which number {result.curve.kept} was kept; "
         f"{duration(result.duration_s)}",
         "- exported graph against trained network on the test touches: differences of at most "
-        f"{result.exactness.function:.1e} in float64, {result.exactness.rounding:.1e} as it runs (mm, or probability)",
+        f"{result.export_difference.function:.1e} in float64, {result.export_difference.rounding:.1e} as it runs (mm, or probability)",
         f"- touchd {__version__}, torch {version('torch')}, onnxruntime {version('onnxruntime')}",
         "",
     ]

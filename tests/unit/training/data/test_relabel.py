@@ -43,6 +43,6 @@ def test_a_field_of_wrong_labels_is_learned_as_if_they_were_better(noise_mm: flo
     """The true field's touches, at labels that are off: what is found of the labels, and of the field."""
     waves = Waves(K, 4, 7)
     touches, _ = touch(waves, 600, 60.0, 8)
-    off_mm = noise_mm * np.random.default_rng(9).normal(size=touches.place_mm.shape)
-    learned = learn_thoroughly(Touches(touches.place_mm + off_mm, touches.values, touches.noise), K)
+    off_mm = noise_mm * np.random.default_rng(9).normal(size=touches.position_mm.shape)
+    learned = learn_thoroughly(Touches(touches.position_mm + off_mm, touches.values, touches.noise), K)
     assert learned.label_noise_mm == pytest.approx(noise_mm, abs=0.05)

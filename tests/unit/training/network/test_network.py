@@ -15,11 +15,11 @@ from touchd.errors import TrainingError
 from touchd.evaluation.dataset import Dataset, digest
 from touchd.localization.model import Model
 from touchd.recording.data import Recording
-from touchd.training.network.network import Regression
+from touchd.training.network.network import PositionNetwork
 from touchd.training.network.objectives import SPREAD_BINS
 from touchd.training.train_network import Result, train
 
-NETWORK = Regression(8, (200.0, 100.0), (4,))
+NETWORK = PositionNetwork(8, (200.0, 100.0), (4,))
 HALF = st.floats(-0.5, 0.5, width=32)
 
 
@@ -41,16 +41,16 @@ def test_a_target_histogram_sums_to_one_and_its_mean_is_the_position(places: lis
 def test_the_network_says_a_place_as_its_histogram_means_it(places: list[tuple[float, float]]) -> None:
     position = torch.tensor(places)
     votes = NETWORK.targets(position, SPREAD_BINS).clamp_min(1e-30).log()
-    place_mm = NETWORK.place_mm(votes)
+    position_mm = NETWORK.position_mm(votes)
     expected_mm = (position + 0.5) * torch.tensor([200.0, 100.0])
-    np.testing.assert_allclose(place_mm, expected_mm, atol=1.0)
+    np.testing.assert_allclose(position_mm, expected_mm, atol=1.0)
 
 
 @given(st.integers(0, 1000))
 def test_no_place_lies_outside_the_plate_and_every_sigma_is_positive(seed: int) -> None:
     features = 1e3 * torch.randn((16, 8), generator=torch.Generator().manual_seed(seed))
-    place_mm, sigma_mm, confidence, noise_mm = NETWORK.eval()(features)
-    assert ((place_mm >= 0) & (place_mm <= torch.tensor([200.0, 100.0]))).all()
+    position_mm, sigma_mm, confidence, noise_mm = NETWORK.eval()(features)
+    assert ((position_mm >= 0) & (position_mm <= torch.tensor([200.0, 100.0]))).all()
     assert (sigma_mm > 0).all()
     assert (noise_mm > 0).all()
     assert ((confidence >= 0) & (confidence <= 1)).all()
@@ -103,15 +103,15 @@ def test_another_seed_gives_another_model(trained: Result, few: Recording, datas
 
 
 def test_progress_counts_up_to_the_end(few: Recording, tmp_path: Path) -> None:
-    told: list[tuple[str, int, int]] = []
+    predictions: list[tuple[str, int, int]] = []
     train(
         few,
         tmp_path / "a.onnx",
         epochs=1,
-        progress=lambda what, done, steps, _rmse_mm: told.append((what, done, steps)),
+        progress=lambda what, done, steps, _rmse_mm: predictions.append((what, done, steps)),
     )
     for what in ("field", "network"):
-        done = [(at, steps) for said, at, steps in told if said == what]
+        done = [(at, steps) for said, at, steps in predictions if said == what]
         assert [at for at, _ in done] == list(range(1, done[0][1] + 1))
 
 

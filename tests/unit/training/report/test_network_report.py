@@ -105,5 +105,5 @@ def test_a_model_that_is_worse_near_the_edges_is_told(result: Result, few: Recor
         "Much the same near the edges" in line for line in findings(replace(result, judged=said), few.meta.plate)
     )
     near = ((said.true_mm < 15) | (said.true_mm > 185)).any(axis=1)
-    worse = replace(said, place_mm=said.true_mm + said.error_mm * np.where(near, 3, 1)[:, None])
+    worse = replace(said, position_mm=said.true_mm + said.error_mm * np.where(near, 3, 1)[:, None])
     assert any("Worse near the edges" in line for line in findings(replace(result, judged=worse), few.meta.plate))
