@@ -27,18 +27,17 @@ from touchd.evaluation.cramer_rao import (
     twin_values,
 )
 from touchd.evaluation.dataset import Split, make_dataset, split
-from touchd.evaluation.finders import atlas_finder
 from touchd.evaluation.matching import match_frames, scores_by_fingers
 from touchd.evaluation.metrics import position_scores
 from touchd.evaluation.model_scores import Judgement
 from touchd.evaluation.plots.atlas import FieldImage, NoiseLevel, draw_field, draw_fingers, draw_learning, draw_noise
 from touchd.evaluation.plots.maps import draw_maps
-from touchd.evaluation.replay import replay
-from touchd.evaluation.single_frames import see, touched_frames
+from touchd.evaluation.single_frames import find_with, see, touched_frames
 from touchd.localization.atlas import Atlas
 from touchd.localization.model import Model
 from touchd.recording.data import Recording
 from touchd.recording.format import read, write
+from touchd.service.replay import replay
 from touchd.training.data.one_temperature import at_one_temperature
 from touchd.training.field.dispersion import dispersion_of
 from touchd.training.field.learn import learn_thoroughly
@@ -92,7 +91,7 @@ class Bench:
     def judge(self, recording: Recording, atlas: Atlas | None = None) -> Judgement:
         """Return what the daemon makes of single touches, each as a touch-down on its own."""
         frames = touched_frames(recording)
-        find = atlas_finder(self.model, self.atlas if atlas is None else atlas, frames)
+        find = find_with(self.model, self.atlas if atlas is None else atlas, frames)
         return match_frames(see(find, frames), reach_mm=float("inf")).judged
 
 
@@ -176,7 +175,7 @@ def conditions(bench: Bench) -> str:
             lambda: simulate_touches(count, seed=SEED + 10 + number, instrument=bench.instrument, **options),  # noqa: B023  called before the next round
         )
         frames = touched_frames(recording)
-        seen = match_frames(see(atlas_finder(bench.model, bench.atlas, frames), frames))
+        seen = match_frames(see(find_with(bench.model, bench.atlas, frames), frames))
         ((_, s),) = scores_by_fingers(seen).items()
         several = f"{s['told_apart']:.1%}" if "told_apart" in s else ""
         rows.append(

@@ -1,25 +1,80 @@
-"""What became of the frames, and of the messages that they meant."""
+"""What becomes of each frame: one outcome a frame, counted in one place."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from enum import IntEnum
 
 
-@dataclass(slots=True)
+class Outcome(IntEnum):
+    """How far a frame came. Integers, since one is counted for each frame and an index is the quickest key."""
+
+    REPEATED = 0
+    """Its number is not new: dropped."""
+    STUCK = 1
+    """Equal to its predecessor, bit for bit: the DAQ hangs."""
+    LEARNING = 2
+    """The detector learns the untouched plate from it."""
+    SCREEN_OFF = 3
+    """The screen is off: the frame keeps the baseline, and no touch is looked for."""
+    UNTOUCHED = 4
+    """The gate is closed: noise alone explains the frame."""
+    TOUCHED = 5
+    """The gate is open. The localizer says which of the following it is."""
+    FAINT = 6
+    """Too little above the noise to say where the finger is."""
+    STILL = 7
+    """But for the noise, the frame that was fitted last: its touches still hold."""
+    TRACKED = 8
+    """Each finger was followed from where it was going, without the network."""
+    INFERRED = 9
+    """The network ran."""
+
+    @property
+    def measured(self) -> bool:
+        """Whether the frame says anything of the plate as it is now."""
+        return self > Outcome.LEARNING
+
+
+SKIPPED = {
+    Outcome.LEARNING: "learning", Outcome.UNTOUCHED: "gate", Outcome.FAINT: "faint", Outcome.STILL: "still",
+    Outcome.TRACKED: "tracking", Outcome.SCREEN_OFF: "screen-off", Outcome.STUCK: "frozen",
+}  # fmt: skip
+"""The reasons for which frames needed no network, by their names in health messages."""
+
+
 class Counters:
-    """Numbers since the start, none of which falls."""
+    """Counts the frames of a run by outcome; no number falls."""
 
-    frames: int = 0
-    """Taken in."""
-    lost: int = 0
-    """Jumped over by their numbers."""
-    repeated: int = 0
-    """Dropped, since their number was not new."""
-    inferred: int = 0
-    """Gone through features and network."""
-    skipped: dict[str, int] = field(
-        default_factory=lambda: dict.fromkeys(("learning", "gate", "faint", "still", "tracking", "screen-off"), 0)
-    )
-    """Frames that needed no network, by reason; all but those of `tracking` needed no features either."""
-    unheard: dict[str, int] = field(default_factory=lambda: {"touch": 0, "spectrum": 0})
-    """Messages that were not made because nobody was subscribed, by topic."""
+    __slots__ = ("_counts", "lost")
+
+    def __init__(self) -> None:
+        self._counts = [0] * len(Outcome)
+        self.lost = 0
+        """Frames that the device numbered and that never came."""
+
+    def count(self, outcome: Outcome) -> None:
+        """Count one frame."""
+        self._counts[outcome] += 1
+
+    @property
+    def frames(self) -> int:
+        """Frames taken in: all but the repeated ones."""
+        return sum(self._counts) - self.repeated
+
+    @property
+    def repeated(self) -> int:
+        """Frames dropped because their number was not new."""
+        return self._counts[Outcome.REPEATED]
+
+    @property
+    def inferred(self) -> int:
+        """Frames that the network saw."""
+        return self._counts[Outcome.INFERRED]
+
+    @property
+    def skipped(self) -> dict[str, int]:
+        """Frames that needed no network, by reason; all but those of `tracking` needed no features either."""
+        counts = {name: self._counts[outcome] for outcome, name in SKIPPED.items()}
+        if not counts["frozen"]:
+            del counts["frozen"]
+        return counts

@@ -1,46 +1,42 @@
-"""READ FIRST: one frame's way through touchd, from counts to events.
+"""READ FIRST: one frame's way through touchd, from counts to contacts.
 
-source -> frame -> baseline -> gate -> features -> model -> tracker -> event -> sink
+source -> frame -> detect -> localize -> track -> adapt -> result -> message -> sink
 
-`Pipeline.process` is the middle of that line, stage by stage and with no way back. It knows no
-hardware, no socket and no clock: time is the frames' own, so a recording gives the same events at any
-speed.
+`Pipeline.process` is the middle of that line. It knows no hardware, no socket, no message and no clock: time is the
+frames' own, so a recording gives the same contacts at any speed.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
-
-import numpy as np
+from msgspec import Struct
 
 from touchd.config.schema import Settings
-from touchd.detection.baseline import Baseline
-from touchd.detection.gate import Gate
-from touchd.detection.relearn import Standing, Verdict
-from touchd.detection.stuck import LASTING_FRAMES, Channels, Frozen
-from touchd.event import Event
+from touchd.detection.detector import Detection, Detector, Notify
+from touchd.event import Contact
 from touchd.frame import Acquisition, Frame
 from touchd.keypad import Layout
+from touchd.localization.localizer import Localization, make_localizer
 from touchd.localization.model import Model
-from touchd.localization.network_localizer import finder_for
-from touchd.outcome import Counters
-from touchd.sinks.messages import Messages, is_change
-from touchd.touch import Touch
+from touchd.outcome import Counters, Outcome
+from touchd.tracking.keys import KeyPress, Keys
 from touchd.tracking.tracker import Tracker
 
-NOTHING: list[Event] = []
-# The baseline moves by at most this much time at once: after a gap it must not swallow a single frame whole.
-_LONGEST_STEP_S = 0.1
-LATE_FRAMES = 32
-"""A frame numbered at most so much lower than the last is a repetition, not a device that starts again."""
-
-TURN_EVERY = 16
-"""Of untouched frames; while touched another channel is looked at in each, since one that freezes keeps a finger."""
+SCREEN_OFF = Localization(Outcome.SCREEN_OFF)
 
 
-def _everybody(_topic: str) -> bool:
-    return True
+class Result(Struct, gc=False, frozen=True):
+    """What came of one frame."""
+
+    t_ns: int
+    """Time of the frame."""
+    sequence: int
+    """Its number."""
+    outcome: Outcome
+    contacts: list[Contact] = []
+    """All contacts alive and those that ended in this frame, if a message is due; else none."""
+    keys: list[KeyPress] = []
+    touches: int = 0
+    """Fingers placed in this frame."""
 
 
 class Pipeline:
@@ -49,17 +45,14 @@ class Pipeline:
     Parameters
     ----------
     acquisition : Acquisition
-        The geometry of the frames to come; the model must fit it (ModelMismatch).
+        Geometry of the frames; the model must fit it (ModelMismatch).
     model : Model
+        Its type of number is that of all arrays.
     settings : Settings
     layout : Layout, optional
         The keys, in keypad mode.
-    messages : Messages
-        Makes the events: knows the device's name and the wall clock.
-    wants : callable
-        Whether anybody would see a message of a topic.
     notify : callable
-        Told of each change of the baseline that is not mere drift: the reason, and fields for the log.
+        Called when the baseline is relearned, with the reason and fields for the log.
     """
 
     def __init__(
@@ -67,235 +60,121 @@ class Pipeline:
         acquisition: Acquisition,
         model: Model,
         settings: Settings,
-        messages: Messages,
         layout: Layout | None = None,
-        wants: Callable[[str], bool] = lambda _topic: True,
-        notify: Callable[[str, dict[str, float]], None] = lambda _reason, _fields: None,
+        notify: Notify = lambda _reason, _fields: None,
     ) -> None:
         model.check(acquisition)
         self.counters = Counters()
-        self.baseline = Baseline(acquisition.shape, settings.baseline)
-        self.gate = Gate(settings.gate)
-        self.tracker = Tracker(settings.tracker)
-        self._finder = finder_for(model)(acquisition, model, settings, layout, self.baseline, self.gate, self.counters)
-        self._standing = Standing(acquisition.shape, settings.baseline)
-        self._residual = self.baseline.residual
-        self._frozen = Frozen(self.baseline.signal, self._leave_out)
+        self.detector = Detector(acquisition.shape, settings, notify, model.dtype)
+        self._localizer = make_localizer(model, settings, layout)
+        self._tracker = Tracker(settings.tracker)
+        self._keys = Keys()
+        self._skip = settings.skip
         self.screen_off = False
         """Whether frames only keep the baseline, since nobody sees what is touched."""
-        self._messages = messages
-        self._wants = wants
-        self._notify = notify
-        self._set_thresholds(settings)
-        self._learning = True
-        self._signal_energy = 1.0
-        self._last_sequence: int | None = None
-        self._last_ns = 0
-        self.followed_ns = 0
-        """Time of the last frame that went into the baseline."""
+        self._detection: Detection | None = None
+        self._sequence = 0
 
-    def process(self, frame: Frame) -> list[Event]:
-        """Take one frame through every stage and return the events it causes, mostly none."""
-        if not self._in_order(frame):
-            return NOTHING
-        if self._frozen.repeats(frame.counts):
-            return self._hear_nothing(frame)
-        elapsed_s = (frame.t_ns - self._last_ns) * 1e-9
-        if not 0.0 <= elapsed_s <= _LONGEST_STEP_S:
-            elapsed_s = 0.0 if elapsed_s < 0.0 else _LONGEST_STEP_S
-        self._last_ns = frame.t_ns
+    def process(self, frame: Frame) -> Result:
+        """Take one frame through every stage."""
+        detection = self._detection = self.detector.detect(frame)  # is it a measurement, and is the plate touched?
+        self.counters.lost += detection.lost
+        if detection.outcome <= Outcome.LEARNING:  # repeated, stuck, learning: says nothing of fingers
+            return self._without_measurement(frame, detection)
+        if detection.outcome is Outcome.UNTOUCHED:
+            found = self._observe(detection)  # noise and temperature of the untouched plate
+        elif self.screen_off:
+            found = SCREEN_OFF
+        else:
+            found = self._localizer.localize(detection, alive=self._tracker.alive)
+        contacts = self._tracker.track(frame.t_ns, found.touches)
+        self.detector.adapt(  # follow, freeze or relearn the baseline: the one feedback
+            detection, found=bool(found.touches), departure=found.departure, alive=self._tracker.alive
+        )
+        return self._result(frame, found.outcome, contacts, len(found.touches))
 
-        if self._learning:
-            return self._learn(frame)
-        energy = self.baseline.subtract(frame.counts)
-        is_open = self.gate.decide(energy)
-        if self.screen_off:
-            return self._rest(frame, energy, elapsed_s, is_open=is_open)
-        if not is_open:
-            # What lets features and network be skipped: noise alone explains the frame, whatever they would say of it.
-            if self._skip.gate:
-                self.counters.skipped["gate"] += 1
-            else:
-                self._look_all_the_same(energy)
-            self._untouched(frame, energy, elapsed_s)
-            return self._track(frame, ()) if self.tracker.busy else NOTHING
+    def release(self, t_ns: int) -> Result:
+        """End all contacts because no further frame comes."""
+        self._localizer.reset()
+        contacts = self._tracker.release_all(t_ns)
+        return Result(t_ns, self._sequence, Outcome.REPEATED, contacts, self._keys.update(contacts))
 
-        self._frozen.turn()
-        faint = self._finder.is_faint(energy)
-        if faint:
-            self.counters.skipped["faint"] += 1
-            self._finder.forget()
-        touches = () if faint else self._finder.find(energy, elapsed_s, alive=self.tracker.alive)
-        events = self._track(frame, touches)
-        self._settle(frame, energy, elapsed_s, found=bool(touches), faint=faint)
-        return events
+    def set_screen(self, *, off: bool) -> Result:
+        """Switch touches off or on with the screen, and return what ends their contacts.
 
-    def noise_counts(self) -> float:
-        """Return the RMS of an untouched frame against the baseline, ADC counts; 0 before it is known."""
-        return math.sqrt(self.gate.noise_energy / self._residual.size)
+        With the screen off nobody can mean anything by a touch: frames only keep the baseline.
+        """
+        t_ns = self._detection.t_ns if self._detection else 0
+        if off == self.screen_off or not self._skip.screen:
+            return Result(t_ns, self._sequence, Outcome.SCREEN_OFF)
+        self.screen_off = off
+        return self.release(t_ns)
+
+    def configure(self, settings: Settings, layout: Layout | None) -> None:
+        """Take other thresholds, time constants and keys from the next frame on; baseline and contacts stay."""
+        self.detector.configure(settings)
+        self._localizer.configure(settings, layout)
+        self._tracker.configure(settings.tracker)
+        self._skip = settings.skip
+        self.screen_off &= settings.skip.screen
+
+    def reset(self) -> None:
+        """Relearn the plate: the device was away, and what it hears may have changed."""
+        self.detector.reset()
+        self._localizer.reset()
+
+    def spectrum(self) -> list[float]:
+        """Return the model's input for the last frame."""
+        return self._localizer.spectrum(self._detection) if self._detection else []
+
+    @property
+    def touched(self) -> bool:
+        """Whether a contact is down."""
+        return self._tracker.alive
+
+    @property
+    def followed_ns(self) -> int:
+        """Time of the last frame that moved the baseline."""
+        return self.detector.followed_ns
 
     @property
     def fault(self) -> str | None:
-        """What is wrong with the frames that come, for a person; None if nothing is known."""
-        if self._frozen.frames >= LASTING_FRAMES:
-            return "the DAQ repeats one frame"
-        channels = np.flatnonzero(self._frozen.channels).tolist()
-        return f"the DAQ repeats what it heard on channels {channels}" if channels else None
+        """What is wrong with the frames, for a person; None if nothing is known."""
+        return self.detector.fault
 
-    def lose(self, t_ns: int) -> list[Event]:
-        """End all contacts because no further frame comes, and return the events."""
-        self._finder.forget()
-        contacts = self.tracker.release_all(t_ns)
-        return self._messages.touch(t_ns, self._last_sequence or 0, contacts) if contacts else NOTHING
+    def noise_counts(self) -> float:
+        """Return the RMS of an untouched frame against the baseline, ADC counts; 0 before it is known."""
+        return self.detector.noise_counts()
 
-    def screen(self, *, off: bool) -> list[Event]:
-        """Take note of whether the screen is off, and return the events that end its contacts.
+    def _without_measurement(self, frame: Frame, detection: Detection) -> Result:
+        """Only liveness may lift contacts: a DAQ that hangs ends them, and so does learning, by missing touches."""
+        if detection.outcome is Outcome.REPEATED:
+            self.counters.count(Outcome.REPEATED)
+            return Result(frame.t_ns, frame.sequence, Outcome.REPEATED)
+        if detection.outcome is Outcome.STUCK:
+            contacts: list[Contact] = []
+            if self.detector.hangs:
+                self._localizer.reset()
+                contacts = self._tracker.release_all(frame.t_ns)
+            return self._result(frame, Outcome.STUCK, contacts, 0)
+        if detection.learned is not None:
+            self._localizer.update(detection.baseline, detection.learned)
+        return self._result(frame, Outcome.LEARNING, self._tracker.track(frame.t_ns, ()), 0)
 
-        Nobody can mean anything by a touch then: frames only keep the baseline, with neither features nor network.
-        """
-        if off == self.screen_off or not self._skip.screen:
-            return NOTHING
-        self.screen_off = off
-        return self.lose(self._last_ns)
+    def _observe(self, detection: Detection) -> Localization:
+        """Follow the untouched plate; with `skip.gate` off localize it too, to measure what that costs."""
+        found = self._localizer.observe(detection)
+        if self.screen_off:
+            return SCREEN_OFF
+        if not self._skip.gate:
+            outcome = self._localizer.localize(detection, alive=False).outcome
+            self._localizer.reset()
+            return Localization(outcome)
+        return found
 
-    def retune(self, settings: Settings, layout: Layout | None) -> None:
-        """Take other thresholds, time constants and keys from the next frame on; the baseline and contacts stay."""
-        self.baseline.retune(settings.baseline)
-        self.gate.retune(settings.gate)
-        self.tracker.retune(settings.tracker)
-        self._standing.retune(settings.baseline)
-        self._finder.retune(settings, layout)
-        self._set_thresholds(settings)
-
-    def restart(self) -> None:
-        """Learn the plate anew: the device was away, and what it hears may have changed."""
-        self._notify("reconnected", {})
-        self._last_sequence = None
-        self._learn_anew()
-
-    def _set_thresholds(self, settings: Settings) -> None:
-        self._small = 10 ** (settings.baseline.drift_below_db / 10)
-        self._skip = settings.skip
-        self._hears = self._wants if settings.skip.unheard else _everybody
-        if not self._skip.screen:
-            self.screen_off = False
-
-    # -- the stages that need more than one call ---------------------------------------------------
-
-    def _in_order(self, frame: Frame) -> bool:
-        """Count what is missing before a frame; a frame that was seen already is dropped."""
-        counters = self.counters
-        last = self._last_sequence
-        if last is None:
-            self._last_ns = frame.t_ns
-        elif frame.sequence > last:
-            counters.lost += frame.sequence - last - 1
-        elif frame.sequence < last - LATE_FRAMES and frame.t_ns > self._last_ns:
-            # A low number in a new frame: the device counts from the start again. What it hears may have changed.
-            # A little lower is a frame sent twice or come late; a device that restarts so early soon overtakes it.
-            self._notify("restarted", {"frame": frame.sequence, "after": last})
-            self._learn_anew()
-        else:
-            counters.repeated += 1
-            return False
-        self._last_sequence = frame.sequence
-        counters.frames += 1
-        return True
-
-    def _hear_nothing(self, frame: Frame) -> list[Event]:
-        """The frame is the one before, under a new number: it says nothing of the plate, and nothing is learned.
-
-        It is as if none came: when there are several, nobody can know where the fingers are.
-        """
-        skipped = self.counters.skipped
-        skipped["frozen"] = skipped.get("frozen", 0) + 1
-        if self._frozen.frames < LASTING_FRAMES:
-            return NOTHING
-        self._standing.clear()
-        return self.lose(frame.t_ns)
-
-    def _leave_out(self, channels: Channels) -> None:
-        """Some channels say nothing of the plate, the others do."""
-        self.baseline.leave_out(channels)
-        self._finder.leave_out(channels)
-
-    def _learn(self, frame: Frame) -> list[Event]:
-        """Learn the untouched plate and its noise before anything is sensed."""
-        self.counters.skipped["learning"] += 1
-        energies = self.baseline.learn(frame.counts)
-        if energies is not None:
-            self.gate.learn(energies)
-            self._standing.clear()
-            self._signal_energy = max(self.baseline.energy(), 1.0)  # a dead DAQ sends zeros
-            self._finder.learned()
-            self._learning = False
-            self.followed_ns = frame.t_ns
-        return self._track(frame, ()) if self.tracker.busy else NOTHING
-
-    def _untouched(self, frame: Frame, energy: float, elapsed_s: float) -> None:
-        """The gate is closed: the plate's drift and noise are followed."""
-        self._standing.clear()
-        if not frame.sequence % TURN_EVERY:
-            self._frozen.turn()
-        if self.gate.follow(energy):
-            self._finder.hear_anew()
-        followed = not self.tracker.busy
-        if followed:
-            self.baseline.follow(elapsed_s)
-            self.followed_ns = frame.t_ns
-        self._finder.untouched(elapsed_s, followed=followed)
-
-    def _look_all_the_same(self, energy: float) -> None:
-        """Nothing is skipped: features and network see an untouched frame, and what they say of it is forgotten."""
-        self._finder.find(energy, 0.0, alive=False)
-        self._finder.forget()
-
-    def _rest(self, frame: Frame, energy: float, elapsed_s: float, *, is_open: bool) -> list[Event]:
-        """What lets all but the baseline be skipped: the screen is off, and no touch can mean anything."""
-        self.counters.skipped["screen-off"] += 1
-        if is_open:
-            # As with anything that is no finger: what stays is absorbed, so that it is none when the screen goes on.
-            self._settle(frame, energy, elapsed_s, found=False, faint=True)
-        else:
-            self._untouched(frame, energy, elapsed_s)
-        return NOTHING
-
-    def _track(self, frame: Frame, touches: tuple[Touch, ...]) -> list[Event]:
-        contacts = self.tracker.update(frame.t_ns, touches)
-        events = NOTHING
-        if contacts:
-            # What lets a message be skipped: nobody is there to read it. That a contact is there is kept for those to
-            # come, for keys and for the pre-roll; where it is, they learn from its next message.
-            if self._hears("touch") or is_change(contacts):
-                events = self._messages.touch(frame.t_ns, frame.sequence, contacts)
-            else:
-                self.counters.unheard["touch"] += 1
-        if touches:
-            if self._hears("spectrum"):
-                spectrum = self._messages.spectrum(frame.t_ns, frame.sequence, self._finder.spectrum())
-                events = [*events, spectrum]
-            else:
-                self.counters.unheard["spectrum"] += 1
-        return events
-
-    def _settle(self, frame: Frame, energy: float, elapsed_s: float, *, found: bool, faint: bool) -> None:
-        """The gate is open: decide whether the plate as it is now has become the untouched one."""
-        finger = found or self.tracker.alive
-        if not finger and energy < self._small * self._signal_energy:
-            # Less than any finger does: the plate has drifted while it was touched.
-            self.baseline.follow(elapsed_s)
-            self.followed_ns = frame.t_ns
-        leaving = not finger and not faint and self._finder.leaving()
-        verdict = self._standing.watch(frame.t_ns, self._residual, energy, finger=finger, leaving=leaving)
-        if verdict is not None:
-            self._relearn(frame, verdict, energy)
-
-    def _relearn(self, frame: Frame, verdict: Verdict, energy: float) -> None:
-        level_db = 10 * math.log10(energy / self._signal_energy)
-        self._notify(verdict.value, {"frame": frame.sequence, "level_db": round(level_db, 1)})
-        self._learn_anew()
-
-    def _learn_anew(self) -> None:
-        self.baseline.restart()
-        self._finder.forget()
-        self._learning = True
+    def _result(self, frame: Frame, outcome: Outcome, contacts: list[Contact], touches: int) -> Result:
+        self.counters.count(outcome)
+        self._sequence = frame.sequence
+        if not contacts:
+            return Result(frame.t_ns, frame.sequence, outcome, touches=touches)
+        return Result(frame.t_ns, frame.sequence, outcome, contacts, self._keys.update(contacts), touches)

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.config.schema import Settings
-from touchd.evaluation.replay import Outcome, run_through
 from touchd.evaluation.replay_scores import StreamScores, score_stream
 from touchd.frame import Acquisition, Frame
 from touchd.recording.data import Meta, Recording
+from touchd.service.replay import Replayed, run_through
 from touchd.sources.source import EndOfStream
 from touchd.twin.electronics import Electronics
 from touchd.twin.instrument import REFERENCE_C, Instrument
@@ -60,12 +60,12 @@ class Player:
         self._blocks = iter(())
 
 
-def play(stage: Stage, instrument: Instrument, seed: int = 1, settings: Settings | None = None) -> Outcome:
+def play(stage: Stage, instrument: Instrument, seed: int = 1, settings: Settings | None = None) -> Replayed:
     """A stage through the whole pipeline."""
     return run_through(Player(stage, instrument, seed), settings or Settings())
 
 
-def score(stage: Stage, outcome: Outcome) -> StreamScores:
+def score(stage: Stage, outcome: Replayed) -> StreamScores:
     """What was found of a stage's touches."""
     contacts_mm, force_n = stage.truth()
     n = len(stage.sequence)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,8 @@ import pytest
 from touchd.config.schema import Settings
 from touchd.localization.model import Model
 from touchd.pipeline import Pipeline
-from touchd.sinks.messages import Messages
+from touchd.service.messages import Messages, all_but_spectra
+from touchd.service.runner import frames_of
 from touchd.sources.replay import ReplaySource
 
 _SET_HANDLER = 304
@@ -136,18 +138,18 @@ def played(path: Path, model: Model, *, still: bool, count: Counter) -> tuple[in
     """Return, for 100 frames: in how many arrays were made, in how many fingers were located, and the events."""
     source = ReplaySource(path, speed=float("inf"))
     settings = Settings.model_validate({"skip": {"still": still}})
-    messages = Messages("plate", 0)
-    pipeline = Pipeline(source.acquisition, model, settings, messages, wants=lambda topic: topic != "spectrum")
-    for _ in range(300):
-        frame = source.read(0.0)
+    messages = Messages(settings, all_but_spectra)
+    pipeline = Pipeline(source.acquisition, model, settings)
+    coming = frames_of(source)
+    for frame in islice(coming, 300):
         assert frame is not None
         pipeline.process(frame)
     counters = pipeline.counters
     before, frames, events = counters.inferred + counters.skipped["tracking"], 0, 0
     for _ in range(100):
         with count.counting():
-            frame = source.read(0.0)
+            frame = next(coming)
             assert frame is not None
-            events += len(pipeline.process(frame))
+            events += len(messages.make(pipeline.process(frame), pipeline.spectrum))
         frames += bool(count.sizes)
     return frames, counters.inferred + counters.skipped["tracking"] - before, events

@@ -7,16 +7,16 @@ from tests.scenes.stages import at, empty_stage, play, score
 from touchd.cli.demo import SESSION
 from touchd.config.schema import Settings
 from touchd.evaluation.metrics import position_scores
-from touchd.evaluation.replay import Outcome, replay
 from touchd.evaluation.replay_scores import StreamScores, score_stream
 from touchd.event import TouchEvent
 from touchd.recording.format import read
+from touchd.service.replay import Replayed, replay
 from touchd.twin.electronics import Electronics
 from touchd.twin.instrument import REFERENCE_C, Instrument
 from touchd.twin.simulate import DEFAULT_PLATE, stage_scene
 
 
-def scene(name: str, instrument: Instrument, seed: int) -> tuple[StreamScores, Outcome]:
+def scene(name: str, instrument: Instrument, seed: int) -> tuple[StreamScores, Replayed]:
     """What was found in a scene of the command line, and all that came of it."""
     stage = stage_scene(name, DEFAULT_PLATE, seed=seed)
     outcome = play(stage, instrument, seed)

@@ -7,8 +7,8 @@ import statistics
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable
+from contextlib import closing
 from dataclasses import replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, cast
 
@@ -21,18 +21,19 @@ from tests.conftest import Scene
 from touchd.config.schema import Settings
 from touchd.errors import ModelMismatch
 from touchd.evaluation.dataset import make_dataset
-from touchd.event import Event, KeyEvent, SpectrumEvent, TouchEvent
+from touchd.event import Event, KeyEvent, TouchEvent
 from touchd.frame import Frame
 from touchd.keypad import PHONE, Key, Layout, load_layout
 from touchd.localization.features import FrequencyFeatures
 from touchd.localization.model import Model
-from touchd.pipeline import Pipeline
+from touchd.pipeline import Pipeline, Result
 from touchd.recording.data import Recording
 from touchd.recording.format import write
-from touchd.sinks.messages import Messages
+from touchd.service.messages import Messages
+from touchd.service.runner import frames_of as read_frames
 from touchd.sources.replay import ReplaySource
 from touchd.sources.simulated import SimulatedSource
-from touchd.sources.source import EndOfStream, Source
+from touchd.sources.source import Source
 from touchd.twin.instrument import Instrument
 from touchd.twin.simulate import simulate_touches
 
@@ -45,7 +46,7 @@ def make(model: Model) -> Callable[..., Pipeline]:
 
     def make(settings: Settings | None = None, **options: Any) -> Pipeline:
         acquisition = options.pop("acquisition", model.description.acquisition)
-        return Pipeline(acquisition, model, settings or Settings(), Messages("plate", 0), **options)
+        return Pipeline(acquisition, model, settings or Settings(), **options)
 
     return make
 
@@ -56,20 +57,15 @@ def frames_of(recording: Recording) -> list[Frame]:
 
 
 def run(pipeline: Pipeline, frames: Iterable[Frame]) -> list[Event]:
-    return [event for frame in frames for event in pipeline.process(frame)]
+    """The messages of some frames, as if somebody wanted all of them."""
+    messages = Messages(Settings(), lambda _topic: True, wall_offset_ns=0)
+    return [event for frame in frames for event in messages.make(pipeline.process(frame), pipeline.spectrum)]
 
 
 def drain(source: Source) -> list[Frame]:
     """All frames of a source, which may hand out views that it uses again."""
-    frames: list[Frame] = []
-    try:
-        while True:
-            frame = source.read(1.0)
-            if frame is not None:
-                frames.append(structs.replace(frame, counts=frame.counts.copy()))
-    except EndOfStream:
-        source.close()
-        return frames
+    with closing(source):
+        return [structs.replace(f, counts=f.counts.copy()) for f in read_frames(source) if f is not None]
 
 
 def contents(events: list[Event], first_ns: int) -> list[dict[str, Any]]:
@@ -88,6 +84,12 @@ def phases(events: Iterable[Event]) -> list[tuple[int, str]]:
     return [
         (c.id, c.phase) for e in events if isinstance(e, TouchEvent) for c in e.contacts if c.phase in ("down", "up")
     ]
+
+
+def ups(result: Result) -> list[int]:
+    """The contacts that a result ends, and no other."""
+    assert all(c.phase == "up" for c in result.contacts)
+    return [c.id for c in result.contacts]
 
 
 def fault(pipeline: Pipeline) -> str | None:
@@ -131,18 +133,6 @@ def test_a_live_scene_gives_the_events_of_its_recording(
     source = SimulatedSource("tap", seed=21, paced=False, loop=False, instrument=instrument)
     frames = drain(source)
     assert contents(run(make(), frames), frames[0].t_ns) == contents(run(make(), frames_of(scene("tap"))), 0)
-
-
-def test_a_message_bears_the_time_of_its_frame(scene: Scene, make: Callable[..., Pipeline]) -> None:
-    frames = frames_of(scene("tap"))
-    time_ns = {frame.sequence: frame.t_ns for frame in frames}
-    events = [event for event in run(make(), frames) if isinstance(event, TouchEvent)]
-    assert events
-    for event in events:
-        assert event.t_ns == time_ns[event.frame]
-        # The messages were told that the monotonic clock began with 1970.
-        wall = datetime.fromisoformat(event.wall) - datetime.fromtimestamp(0, UTC)
-        assert wall.total_seconds() == pytest.approx(event.t_ns * 1e-9, abs=2e-6)
 
 
 # -- what becomes of a frame -----------------------------------------------------------------------
@@ -369,30 +359,6 @@ def test_a_release_names_the_key_that_was_pressed_wherever_the_finger_slid(
     assert [event.key for event in keys[::2]] == [event.key for event in keys[1::2]]
 
 
-def test_each_topic_counts_its_own_messages_from_one(
-    scene: Scene, make: Callable[..., Pipeline], keypad: dict[str, Any]
-) -> None:
-    events = run(make(**keypad), frames_of(scene("keypad")))
-    for topic in ("touch", "key", "spectrum"):
-        numbers = [event.seq for event in events if event.type == topic]
-        assert numbers == list(range(1, len(numbers) + 1))
-        assert numbers
-
-
-def test_a_spectrum_is_made_only_while_somebody_wants_it(
-    scene: Scene, make: Callable[..., Pipeline], model: Model
-) -> None:
-    wanted: set[str] = set()
-    pipeline = make(wants=wanted.__contains__)
-    frames = frames_of(scene("tap"))
-    assert not any(isinstance(event, SpectrumEvent) for event in run(pipeline, frames[:400]))
-    wanted.add("spectrum")
-    spectra = [event for event in run(pipeline, frames[400:]) if isinstance(event, SpectrumEvent)]
-    assert spectra
-    assert {len(event.features) for event in spectra} == {model.description.inputs}
-    assert spectra[0].seq == 1
-
-
 def test_contacts_go_down_once_and_up_once_and_an_id_never_comes_again(
     scene: Scene, make: Callable[..., Pipeline]
 ) -> None:
@@ -406,11 +372,10 @@ def test_when_the_frames_stop_every_contact_is_lifted(scene: Scene, make: Callab
     pipeline = make()
     frames = frames_of(scene("circle"))
     assert phases(run(pipeline, frames[:300])) == [(1, "down")]
-    (event,) = pipeline.lose(frames[299].t_ns)
-    assert isinstance(event, TouchEvent)
-    assert [(c.id, c.phase) for c in event.contacts] == [(1, "up")]
-    assert (event.t_ns, event.frame) == (frames[299].t_ns, frames[299].sequence)
-    assert pipeline.lose(frames[299].t_ns) == [], "nothing is lifted twice"
+    result = pipeline.release(frames[299].t_ns)
+    assert ups(result) == [1]
+    assert (result.t_ns, result.sequence) == (frames[299].t_ns, frames[299].sequence)
+    assert pipeline.release(frames[299].t_ns).contacts == [], "nothing is lifted twice"
     assert phases(run(pipeline, frames[300:400])) == [(2, "down")], "it goes on, under another id"
 
 
@@ -430,23 +395,6 @@ def test_a_network_that_runs_though_the_gate_is_closed_changes_nothing_but_the_c
     assert running.counters.inferred == skipping.counters.inferred + skipping.counters.skipped["gate"]
 
 
-def test_without_a_subscriber_only_what_goes_down_or_comes_up_is_told(
-    scene: Scene, make: Callable[..., Pipeline]
-) -> None:
-    frames = frames_of(scene("circle"))
-    heard, unheard = make(), make(wants=lambda _topic: False)
-    told, untold = run(heard, frames), run(unheard, frames)
-    assert phases(untold) == phases(told)
-    touches = [event for event in told if isinstance(event, TouchEvent)]
-    assert len(untold) == len(phases(told))
-    assert [event.seq for event in untold] == list(range(1, len(untold) + 1)), "nobody takes them for lost"
-    counted = unheard.counters.unheard
-    assert counted["touch"] == len(touches) - len(untold)
-    assert counted["spectrum"] == len(told) - len(touches) > 100
-    assert heard.counters.unheard == {"touch": 0, "spectrum": 0}
-    assert run(make(without("unheard"), wants=lambda _topic: False), frames) == told
-
-
 def test_while_the_screen_is_off_contacts_are_up_and_neither_features_nor_network_run(
     scene: Scene, make: Callable[..., Pipeline]
 ) -> None:
@@ -454,12 +402,12 @@ def test_while_the_screen_is_off_contacts_are_up_and_neither_features_nor_networ
     pipeline = make()
     assert phases(run(pipeline, frames[:300])) == [(1, "down")]
     inferred = pipeline.counters.inferred
-    assert phases(pipeline.screen(off=True)) == [(1, "up")]
-    assert pipeline.screen(off=True) == [], "said twice it is no news"
+    assert ups(pipeline.set_screen(off=True)) == [1]
+    assert pipeline.set_screen(off=True).contacts == [], "said twice it is no news"
     assert run(pipeline, frames[300:400]) == []
     assert pipeline.counters.inferred == inferred
     assert pipeline.counters.skipped["screen-off"] == 100
-    assert pipeline.screen(off=False) == []
+    assert pipeline.set_screen(off=False).contacts == []
     assert phases(run(pipeline, frames[400:450])) == [(2, "down")]
     assert pipeline.counters.frames == pipeline.counters.inferred + sum(pipeline.counters.skipped.values())
 
@@ -469,9 +417,9 @@ def test_a_key_that_is_held_when_the_screen_goes_off_is_released(
 ) -> None:
     pipeline = make(**keypad)
     for frame in frames_of(scene("keypad")):
-        if any(isinstance(event, KeyEvent) for event in pipeline.process(frame)):
+        if pipeline.process(frame).keys:
             break
-    (release,) = (event for event in pipeline.screen(off=True) if isinstance(event, KeyEvent))
+    (release,) = pipeline.set_screen(off=True).keys
     assert (release.key, release.phase) == ("2", "release")
 
 
@@ -480,7 +428,7 @@ def test_the_plate_is_followed_while_the_screen_is_off(scene: Scene, make: Calla
     awake, asleep = make(), make()
     for pipeline in (awake, asleep):
         run(pipeline, frames[:40])
-    asleep.screen(off=True)
+    asleep.set_screen(off=True)
     for pipeline in (awake, asleep):
         run(pipeline, frames[40:])
     np.testing.assert_array_equal(asleep.baseline.mean, awake.baseline.mean)
@@ -500,10 +448,10 @@ def test_what_is_laid_down_while_the_screen_is_off_is_no_touch_when_it_is_on_aga
     held = np.flatnonzero(~np.isnan(recording.contacts_mm[:, 0, 0]))  # type: ignore[index]  # the twin tells the truth
     frames = frames_of(recording)
     run(pipeline, frames[: held[0] - 5])
-    pipeline.screen(off=True)
+    pipeline.set_screen(off=True)
     assert run(pipeline, frames[held[0] - 5 : held[0] + 400]) == []
     assert notices == ["absorbed"]
-    pipeline.screen(off=False)
+    pipeline.set_screen(off=False)
     assert run(pipeline, frames[held[0] + 400 : held[0] + 600]) == []
 
 
@@ -512,11 +460,12 @@ def test_a_daemon_that_shall_not_skip_for_the_screen_takes_no_note_of_it(
 ) -> None:
     frames = frames_of(scene("tap"))
     ever = make(without("screen"))
-    assert ever.screen(off=True) == []
+    assert ever.set_screen(off=True).contacts == []
+    assert not ever.screen_off
     assert run(ever, frames) == run(make(), frames)
     asleep = make()
-    asleep.screen(off=True)
-    asleep.retune(without("screen"), None)
+    asleep.set_screen(off=True)
+    asleep.configure(without("screen"), None)
     assert run(asleep, frames) == run(make(), frames), "a configuration that is read again switches it on"
 
 

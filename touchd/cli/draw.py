@@ -15,8 +15,8 @@ def command(recording: Path, output: Path, model: Path | None) -> None:
     """Replay RECORDING and plot the published contacts over its true touches."""
     from touchd.config.load import load
     from touchd.evaluation.plots.session import draw_session
-    from touchd.evaluation.replay import replay
     from touchd.recording.format import read
+    from touchd.service.replay import replay
 
     settings = load(None, {"model": {"path": model}} if model else {})
     outcome = replay(recording, settings)

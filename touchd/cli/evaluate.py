@@ -14,16 +14,15 @@ from touchd.config.load import load
 from touchd.config.schema import Settings
 from touchd.errors import RecordingValues
 from touchd.evaluation.cramer_rao import median_bound_mm
-from touchd.evaluation.finders import finder_of, network_features
 from touchd.evaluation.matching import Matches, match_frames, scores_by_fingers
 from touchd.evaluation.metrics import position_scores
 from touchd.evaluation.model_scores import Judgement, judge, scores
-from touchd.evaluation.replay import replay
 from touchd.evaluation.replay_scores import score_stream
-from touchd.evaluation.single_frames import see, touched_frames
+from touchd.evaluation.single_frames import find_with, network_features, see, touched_frames
 from touchd.localization.model import Model
 from touchd.recording.data import Recording
 from touchd.recording.format import read
+from touchd.service.replay import replay
 
 STREAM_HZ = 20.0
 """Frames per second from which a recording is replayed; in a slower one each frame is scored alone."""
@@ -94,7 +93,7 @@ def _score_frames(truth: Recording, model: Model, plot: Path | None) -> dict[str
             err=True,
         )
     frames = touched_frames(truth)
-    seen = see(finder_of(model, frames), frames)
+    seen = see(find_with(model, model.atlas, frames), frames)
     matches = match_frames(seen)
     alone = [s for s in seen if len(s.true_mm) == 1]
     if d.head == "regression":

@@ -105,13 +105,9 @@ def info_of(acquisition: Acquisition) -> Info:
 
 def samples_of(source: Source) -> Iterator[bytes]:
     """Yield each frame's samples in wire order: interleaved int16, little-endian."""
-    from touchd.sources.source import EndOfStream
+    from touchd.service.runner import frames_of
 
-    while True:
-        try:
-            frame = source.read(1.0)
-        except EndOfStream:
-            return
+    for frame in frames_of(source):
         if frame is not None:
             yield frame.counts.T.astype("<i2").tobytes()
 

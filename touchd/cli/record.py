@@ -18,7 +18,7 @@ from touchd.frame import Plate
 if TYPE_CHECKING:
     from touchd.recording.data import Meta
     from touchd.sources.recorder import Recorder
-    from touchd.sources.source import Source
+    from touchd.sources.source import Change, Source
 
 # A signal takes effect within this time while no frame arrives.
 _TIMEOUT_S = 0.2
@@ -110,7 +110,7 @@ def command(
 
 def _record(recorder: Recorder, frames: int | None, seconds: float | None) -> None:
     """Read frames through the recorder until the end, a limit or a signal."""
-    from touchd.sources.source import EndOfStream
+    from touchd.service.runner import frames_of
 
     stop = False
 
@@ -125,14 +125,15 @@ def _record(recorder: Recorder, frames: int | None, seconds: float | None) -> No
     with ExitStack() as stack:
         for number in (signal.SIGINT, signal.SIGTERM):
             stack.callback(signal.signal, number, signal.signal(number, handle))
-        while not stop and (frames is None or recorder.frames < frames):
-            try:
-                frame = recorder.read(_TIMEOUT_S)
-            except EndOfStream:
-                break
+
+        def stopped() -> bool:
+            return stop or (frames is not None and recorder.frames >= frames)
+
+        def report(change: Change) -> None:
+            click.echo(f"device {change.state}: {change.reason}", err=True)
+
+        for frame in frames_of(recorder, _TIMEOUT_S, stopped=stopped, on_change=report):
             if frame is None:
-                for change in recorder.changes():
-                    click.echo(f"device {change.state}: {change.reason}", err=True)
                 # A silent source must not extend a recording of ten seconds.
                 if seconds is not None and time.monotonic() - started_s >= seconds:
                     break

@@ -2,68 +2,88 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from touchd.config.schema import BaselineSettings
 from touchd.frame import Counts
 
-Signal = NDArray[np.float32]
+Signal = NDArray[np.floating]
+"""An array of the pipeline's floating-point type, float32 unless a test asks for float64."""
 
 # Bound once: they run for every frame.
 _subtract, _multiply, _add = np.subtract, np.multiply, np.add
+_LONGEST_STEP_S = 0.1
+"""The baseline moves by at most this much time at once: after a gap it must not swallow a single frame whole."""
 _STEADY_RATIO = 0.7
-# A plate that is never still is learned as it is after so many windows: better a poor baseline than silence.
 _PATIENCE_WINDOWS = 20
+"""A plate that is never steady is learned as it is after this many windows: a poor baseline is better than none."""
 
 
 class Baseline:
-    """The mean untouched frame of shape (channels, samples), in ADC counts.
+    """The mean untouched frame, in ADC counts.
 
-    While it is being learned, frames are kept until a whole window of them is steady: a plate that is
-    being touched, or has just been switched on, is not taken for an untouched one.
+    While it learns, it keeps frames until a whole window of them is steady, so that a plate that is being touched, or
+    has just been switched on, is not taken for an untouched one.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        Of a frame, (channels, samples).
+    settings : BaselineSettings
+    dtype : type
+        Of all arrays.
     """
 
-    def __init__(self, shape: tuple[int, int], settings: BaselineSettings) -> None:
-        self.mean: Signal = np.zeros(shape, np.float32)
-        self.signal: Signal = np.zeros(shape, np.float32)
-        """The last frame itself, as floats; valid until the next frame, as is what follows."""
-        self.residual: Signal = np.zeros(shape, np.float32)
-        """The last frame less the baseline."""
+    def __init__(self, shape: tuple[int, int], settings: BaselineSettings, dtype: DTypeLike = np.float32) -> None:
+        self.mean: Signal = np.zeros(shape, dtype)
+        self.signal: Signal = np.zeros(shape, dtype)
+        """The last frame, as floats; valid until the next frame."""
+        self.residual: Signal = np.zeros(shape, dtype)
+        """The last frame less the mean; valid until the next frame."""
         self._flat = self.residual.reshape(-1)
-        self._step = np.zeros(shape, np.float32)
-        self._weight = np.zeros((), np.float32)
-        self._energy = np.zeros((), np.float32)
-        self._left_out: list[int] = []
-        self.retune(settings)
+        self._step = np.zeros(shape, dtype)
+        self._weight = np.zeros((), dtype)
+        self._energy = np.zeros((), dtype)
+        self._silenced: list[int] = []
+        self._t_ns = 0
+        self._elapsed_ns = 0
+        self.configure(settings)
         self._patience = _PATIENCE_WINDOWS * settings.learn_frames
-        self.window: Signal = np.zeros((settings.learn_frames, *shape), np.float32)
-        """The frames that it was learned from last, shape (learn_frames, channels, samples)."""
+        self._window: Signal = np.zeros((settings.learn_frames, *shape), dtype)
         self._filled = 0
         self._tried = 0
 
-    def retune(self, settings: BaselineSettings) -> None:
+    def configure(self, settings: BaselineSettings) -> None:
         """Follow the plate with another time constant."""
         self._time_constant_s = settings.time_constant_s
-        self._weighed_s = math.nan  # of what time `_weight` is
+        self._weighed_ns = -1  # the step for which `_weight` holds
 
-    def learn(self, counts: Counts) -> NDArray[np.float64] | None:
-        """Take in one frame while learning.
+    def reset(self) -> None:
+        """Begin to learn with the next frame; until the end of learning `mean` stays as it is."""
+        self._filled = 0
+        self._tried = 0
+
+    def set_channels(self, live: NDArray[np.bool_]) -> None:
+        """Have no residual, and so no drift, in channels that are not live, shape (channels,)."""
+        self._silenced = np.flatnonzero(~live).tolist()
+
+    def learn(self, counts: Counts, t_ns: int) -> NDArray[np.float64] | None:
+        """Take one frame into the window.
 
         Returns
         -------
         ndarray of shape (learn_frames,) or None
-            The residual energies of the frames learned from once the baseline is known, None before.
+            The residual energies of the window's frames once the baseline is known; None before.
         """
+        self._keep_time(t_ns)
         self.signal[...] = counts
-        self.window[self._filled] = counts
+        self._window[self._filled] = counts
         self._filled += 1
         self._tried += 1
-        if self._filled < len(self.window):
+        frames = self._window
+        if self._filled < len(frames):
             return None
-        frames = self.window
         np.mean(frames, axis=0, out=self.mean)
         residuals = (frames - self.mean).reshape(len(frames), -1)
         energies: NDArray[np.float64] = np.einsum("ij,ij->i", residuals, residuals, dtype=np.float64)
@@ -74,47 +94,49 @@ class Baseline:
             frames[: len(frames) - half] = frames[half:].copy()
             self._filled = len(frames) - half
             return None
-        self.restart()
+        self.reset()
         return energies
 
-    def restart(self) -> None:
-        """Begin learning afresh with the next frame; until then `mean` stays as it is."""
-        self._filled = 0
-        self._tried = 0
+    def learned(self) -> Signal:
+        """Return the residuals of the frames learned from, shape (learn_frames, channels, samples)."""
+        return np.asarray(self._window - self.mean)
 
-    def subtract(self, counts: Counts) -> float:
-        """Put the frame less the baseline into `residual`, and return its energy (counts squared)."""
+    def subtract(self, counts: Counts, t_ns: int) -> float:
+        """Put the frame less the mean into `residual`, and return its energy (counts squared)."""
+        self._keep_time(t_ns)
         # One conversion, then floats alone: to mix them in one call takes twice as long, and memory each time.
         self.signal[...] = counts
         _subtract(self.signal, self.mean, self.residual)
-        for channel in self._left_out:
+        for channel in self._silenced:
             self.residual[channel] = 0
         self._flat.dot(self._flat, self._energy)
-        return self._energy.item()
-
-    def leave_out(self, channels: NDArray[np.bool_]) -> None:
-        """Have no residual, and so no drift, in some channels, shape (channels,), until others are named."""
-        self._left_out = np.flatnonzero(channels).tolist()
+        energy: float = self._energy.item()
+        return energy
 
     def energy(self) -> float:
-        """Return the energy of the untouched signal itself (counts squared)."""
+        """Return the energy of the untouched signal, counts squared; at least 1, since a dead DAQ sends zeros."""
         flat = self.mean.reshape(-1)
-        return float(flat.dot(flat))
+        return max(float(flat.dot(flat)), 1.0)
 
-    def follow(self, elapsed_s: float) -> None:
-        """Move the baseline towards the last frame, which was untouched and came this long after the one before."""
-        if elapsed_s != self._weighed_s:
-            self._weighed_s = elapsed_s
+    def follow(self) -> None:
+        """Move the mean towards the last frame, by the time since the frame before it."""
+        if self._elapsed_ns != self._weighed_ns:
+            self._weighed_ns = self._elapsed_ns
+            elapsed_s = min(max(self._elapsed_ns * 1e-9, 0.0), _LONGEST_STEP_S)
             self._weight.fill(elapsed_s / (self._time_constant_s + elapsed_s))
         _multiply(self.residual, self._weight, self._step)
         _add(self.mean, self._step, self.mean)
 
+    def _keep_time(self, t_ns: int) -> None:
+        self._elapsed_ns = t_ns - self._t_ns
+        self._t_ns = t_ns
+
 
 def _steady(residuals: Signal, energies: NDArray[np.float64]) -> bool:
-    """Return whether successive frames differ as much as frames far apart: no drift and no touch in between.
+    """Return whether successive frames differ as much as frames far apart: neither drift nor touch between them.
 
-    This is the ratio of von Neumann (Ann. Math. Stat. 12:367, 1941), about 1 for noise that is
-    independent from frame to frame and near 0 for anything slow.
+    The ratio of von Neumann (Ann. Math. Stat. 12:367, 1941): about 1 for noise that is independent from frame to
+    frame, near 0 for anything slow.
     """
     successive = np.diff(residuals, axis=0)
     noise = 0.5 * np.einsum("ij,ij->i", successive, successive, dtype=np.float64).mean()

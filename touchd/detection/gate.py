@@ -12,16 +12,16 @@ from numpy.typing import NDArray
 from touchd.config.schema import GateSettings
 
 _CHANGED_FRAMES, _LEARN_FRAMES = 48, 32
-"""Noise is another when so many frames in a row hold less than its mean, or more: by chance once in 2^47. The first of
-them may have seen it change: so many of the last are learned from."""
-_SET_EVERY = 128
-"""Thresholds are set anew after one in so many of the frames that the noise is known from: few change it little."""
+"""The noise level has stepped if 48 frames in a row hold less than its mean, or more: by chance once in 2^47. The gate
+relearns it from the last 32 of them, since the first may have seen it change."""
+_SET_SHARE = 128
+"""The gate sets its thresholds after every 128th part of the frames that the noise is known from."""
 _CHANGED = 1.25
-"""A change of its energy by this factor is worth telling."""
+"""`update` reports a step of the noise energy by this factor or more."""
 
 
 class Gate:
-    """Open while the residual holds more energy than the noise explains, closed otherwise.
+    """Opens while the residual holds more energy than the noise explains.
 
     The cube root of an energy (a sum of squares) is very nearly normal, whatever its degrees of
     freedom (Wilson and Hilferty, PNAS 17:684, 1931). So the mean and the deviation of that root over
@@ -29,7 +29,8 @@ class Gate:
     coloured noise (trigger jitter, interference) alike.
     """
 
-    def __init__(self, settings: GateSettings) -> None:
+    def __init__(self, settings: GateSettings, set_share: int = _SET_SHARE) -> None:
+        self._set_share = set_share
         self._count, self._weight, self._margin = 0, 1.0, 1.0
         self._mean = 0.0
         self._variance = 0.0
@@ -37,25 +38,25 @@ class Gate:
         self._open_above = math.inf
         self._close_below = math.inf
         self._run, self._below, self._due = 0, False, 0
-        self._told = 0.0
+        self._reported_energy = 0.0
         self._last: deque[float] = deque(maxlen=_LEARN_FRAMES)
         self.is_open = False
         self._set_parameters(settings)
 
-    def retune(self, settings: GateSettings) -> None:
-        """Take another false-alarm rate, hysteresis and memory; the noise stays as it is known."""
+    def configure(self, settings: GateSettings) -> None:
+        """Take another false-alarm rate, hysteresis and memory; the noise estimate stays."""
         self._set_parameters(settings)
         if self._count:
             self._set_thresholds()
 
     def learn(self, energies: NDArray[np.float64]) -> None:
-        """Start afresh from the energies of untouched frames, shape (n,), n >= 2. Closes the gate."""
+        """Estimate the noise from the energies of untouched frames, shape (n,), n >= 2, and close the gate."""
         roots = np.cbrt(energies)
         self._run = 0
         self._know(len(roots))
         self._mean = float(roots.mean())
         self._variance = float(roots.var(ddof=1))
-        self._told = self.noise_energy
+        self._reported_energy = self.noise_energy
         self.is_open = False
         self._set_thresholds()
 
@@ -64,11 +65,11 @@ class Gate:
         self.is_open = energy > (self._close_below if self.is_open else self._open_above)
         return self.is_open
 
-    def follow(self, energy: float) -> bool:
-        """Take in the energy of one more untouched frame, and return whether the noise has become another.
+    def update(self, energy: float) -> bool:
+        """Add the energy of an untouched frame to the noise estimate, and return whether the noise level has stepped.
 
-        If so it is learned anew: the beginning and the end of a tone from elsewhere would else count as the noise's
-        deviation for as long as they are remembered, and keep the threshold above many a finger.
+        After a step the gate relearns the noise. Otherwise the start and the end of an interfering tone would count as
+        deviation of the noise for the length of the gate's memory, and keep the threshold above many fingers.
         """
         self._last.append(energy)
         step = energy ** (1 / 3) - self._mean
@@ -76,11 +77,11 @@ class Gate:
         self._run = self._run + 1 if below is self._below else 1
         self._below = below
         if self._run == _CHANGED_FRAMES:
-            told = self._told
+            reported = self._reported_energy
             self.learn(np.array(self._last))
-            if not told / _CHANGED < self.noise_energy < told * _CHANGED:
+            if not reported / _CHANGED < self.noise_energy < reported * _CHANGED:
                 return True
-            self._told = told
+            self._reported_energy = reported
             return False
         if self._count != self._memory:
             self._know(min(self._count + 1, self._memory))
@@ -95,7 +96,7 @@ class Gate:
 
     @property
     def noise_energy(self) -> float:
-        """The energy of the residual of an untouched frame, ADC counts squared."""
+        """Mean energy of the residual of an untouched frame, ADC counts squared."""
         return self._mean**3
 
     @property
@@ -103,9 +104,10 @@ class Gate:
         """The energy above which a closed gate opens, ADC counts squared."""
         return self._open_above
 
-    def energy_above(self, quantile: float) -> float:
-        """Return the energy of the residual which untouched frames exceed as a normal deviate exceeds the quantile."""
-        return (self._mean + quantile * self._deviation) ** 3
+    @property
+    def noise_deviation(self) -> float:
+        """Standard deviation of the cube root of that energy."""
+        return self._deviation
 
     def _set_parameters(self, settings: GateSettings) -> None:
         self._quantile = NormalDist().inv_cdf(1.0 - settings.false_alarm_rate)
@@ -113,17 +115,23 @@ class Gate:
         self._memory = settings.noise_frames
 
     def _know(self, frames: int) -> None:
-        """Take note that the noise is known from so many frames."""
+        """Set the weight and the margin of an estimate from this many frames."""
         self._count = frames
         self._weight = 1.0 / frames
         # The deviation is known from few frames at first: its upper confidence limit keeps the stated rate.
         self._margin = 1.0 + 2.0 / math.sqrt(2.0 * frames)
 
     def _set_thresholds(self) -> None:
-        self._due = self._count // _SET_EVERY
+        self._due = self._count // self._set_share
         mean = self._mean
         self._deviation = deviation = math.sqrt(self._variance) * self._margin
         excess = self._quantile * deviation
         opens, closes = mean + excess, mean + self._close_ratio * excess
         self._open_above = opens * opens * opens
         self._close_below = closes * closes * closes
+
+
+def energy_above(noise_energy: float, noise_deviation: float, quantile: float) -> float:
+    """Return the energy that untouched frames exceed as a normal deviate exceeds the quantile, counts squared."""
+    root: float = noise_energy ** (1 / 3) + quantile * noise_deviation
+    return root * root * root

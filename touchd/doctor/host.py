@@ -19,7 +19,8 @@ from touchd.localization.features import make_features
 from touchd.localization.model import Model
 from touchd.recording.data import Meta
 from touchd.recording.format import Reader
-from touchd.sources.source import EndOfStream, LiveSource, Source
+from touchd.service.runner import frames_of
+from touchd.sources.source import Change, LiveSource, Source
 
 _SILENCE_S = 5.0
 """Longest wait for a device's next frame."""
@@ -93,30 +94,30 @@ def take(source: Source, seconds: float) -> Sample:
     SourceError
         Fewer than two frames arrived.
     """
-    live = source if isinstance(source, LiveSource) else None
     counts: list[Counts] = []
     sequence: list[int] = []
     t_ns: list[int] = []
     reason = "no frame came"
+
+    def is_enough() -> bool:
+        return bool(t_ns) and t_ns[-1] - t_ns[0] >= seconds * 1e9
+
+    def note(change: Change) -> None:
+        nonlocal reason
+        reason = change.reason
+
     deadline_s = time.monotonic() + _SILENCE_S
-    while not t_ns or t_ns[-1] - t_ns[0] < seconds * 1e9:
-        try:
-            frame = source.read(0.1)
-        except EndOfStream:
-            break
+    for frame in frames_of(source, stopped=is_enough, on_change=note):
         if frame is not None:
             counts.append(frame.counts.copy())
             sequence.append(frame.sequence)
             t_ns.append(frame.t_ns)
             deadline_s = time.monotonic() + _SILENCE_S
-            continue
-        for change in live.changes() if live is not None else ():
-            reason = change.reason
-        if time.monotonic() > deadline_s:
+        elif time.monotonic() > deadline_s:
             break
     if len(t_ns) < 2:
         raise SourceError(reason, "source", "check cable and power, and stop the daemon if it runs")
-    corrupt = live.tally.corrupt if live is not None else 0
+    corrupt = source.tally.corrupt if isinstance(source, LiveSource) else 0
     return Sample(np.array(counts), np.array(sequence, np.int64), np.array(t_ns, np.int64), corrupt)
 
 

@@ -4,16 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from touchd.config.schema import Settings
+from touchd.detection.detector import Detection
 from touchd.errors import RecordingValues
 from touchd.evaluation.dataset import baseline_frames, noise_energy, noise_of, residual_of
 from touchd.evaluation.matching import Seen
 from touchd.evaluation.truth import fingers_only
 from touchd.frame import Acquisition, Counts
+from touchd.localization.atlas import Atlas
+from touchd.localization.atlas_localizer import AtlasLocalizer
+from touchd.localization.features import make_features
+from touchd.localization.localizer import Localizer
+from touchd.localization.model import Model
+from touchd.localization.network_localizer import NetworkLocalizer
+from touchd.localization.noise import MEMORY_FRAMES
+from touchd.outcome import Outcome
 from touchd.recording.data import Recording
 from touchd.touch import Touch
 
@@ -97,6 +108,49 @@ def touched_frames(recording: Recording) -> TouchedFrames:
         true_mm=fingers[touched],
         force_n=recording.force_n[touched] if recording.force_n is not None else None,
     )
+
+
+def find_with(model: Model, atlas: Atlas | None, frames: TouchedFrames) -> Find:
+    """Return the daemon's localizer as a function of single frames, each of them a touch-down.
+
+    The baseline is the mean of two untouched frames, so a residual has 1.5 times the noise power of a frame. The noise
+    model gets differences of these two frames, scaled from twice that power. A network without an atlas locates one
+    finger in every frame, at any confidence.
+    """
+    always = {"min_confidence": 0, "keep_confidence": 0, "max_sigma_mm": 1e9, "min_snr_db": 0}
+    localizer: Localizer
+    if atlas is None:
+        localizer = NetworkLocalizer(model, Settings.model_validate({"model": always}), None)
+    else:
+        localizer = AtlasLocalizer(model, atlas, Settings(), None)
+    chosen = np.linspace(0, len(frames) - 1, min(len(frames), MEMORY_FRAMES)).astype(int).tolist()
+    pairs = [frames.counts[frames.beside[i]].astype(np.float32) for i in chosen]
+    noise = [(one - other) * np.float32(sqrt(3) / 2) for one, other in pairs if (one != other).any()]
+    if noise:
+        localizer.update(frames.baseline(0), np.array(noise))
+    noise_energy, live = frames.noise_energy(), np.ones(frames.acquisition.channels, bool)
+
+    def find(look: Look) -> Sequence[Touch]:
+        energy = float(np.square(look.residual, dtype=np.float64).sum())
+        detection = Detection(
+            Outcome.TOUCHED, 0, energy, noise_energy, 0.0, look.counts.astype(np.float32), look.residual, look.baseline,
+            live,
+        )  # fmt: skip
+        localizer.update(look.baseline)
+        return localizer.localize(detection, alive=False, complete=True).touches
+
+    return find
+
+
+def network_features(model: Model, frames: TouchedFrames) -> Array:
+    """Return the network's features of each frame, shape (n, inputs)."""
+    extract = make_features(model.description.domain, frames.acquisition).extract
+    features = np.empty((len(frames), model.description.inputs), np.float32)
+    of_residual = model.description.input == "residual"
+    for i, row in enumerate(features):
+        look = frames.look(i)
+        extract(look.residual if of_residual else look.counts.astype(np.float32), row)
+    return features
 
 
 def see(find: Find, frames: TouchedFrames) -> list[Seen]:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from touchd.errors import ModelInvalid, OutputError, RecordingError
@@ -27,7 +27,8 @@ _KEYS = ("format", "version", "description", "coefficients", "scale", "baseline"
 _MARGIN_NODES = 2
 """Nodes beyond the touched part on each side: every point of it has its four neighbours."""
 
-Array = NDArray[np.float32]
+Array = NDArray[np.floating]
+"""Of the pipeline's floating-point type: float32, or float64 where a test asks for it."""
 
 
 class AtlasDescription(BaseModel):
@@ -126,8 +127,8 @@ def save_atlas(atlas: Atlas, path: Path) -> None:
             temporary.unlink(missing_ok=True)
 
 
-def load_atlas(path: Path) -> Atlas:
-    """Read an atlas.
+def load_atlas(path: Path, dtype: DTypeLike = np.float32) -> Atlas:
+    """Read an atlas; its arrays, and all that is computed with them, are of type `dtype`.
 
     Raises
     ------
@@ -149,12 +150,12 @@ def load_atlas(path: Path) -> Atlas:
     numbers = ("coefficients", "scale", "baseline", "error")
     if found["scale"].shape != () or any(found[key].dtype.kind != "f" for key in numbers):
         raise _invalid(path, f"{', '.join(f'{key} {found[key].dtype}{found[key].shape}' for key in numbers)}")
-    coefficients = found["coefficients"].astype(np.float32) * found["scale"].astype(np.float32)
+    coefficients = found["coefficients"].astype(dtype) * found["scale"].astype(dtype)
     atlas = Atlas(
         description,
         np.ascontiguousarray(coefficients),
-        found["baseline"].astype(np.float32),
-        found["error"].astype(np.float32),
+        found["baseline"].astype(dtype),
+        found["error"].astype(dtype),
     )
     _check(atlas, path)
     return atlas

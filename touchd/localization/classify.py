@@ -1,160 +1,219 @@
-"""What was fitted is a finger, water, or one that has gone: told by the phase of its strength, and how well known."""
+"""Finger, water or departure? The phase of a fitted amplitude tells, and the standard errors are its own.
+
+A finger has losses, a drop of water is a mass: its amplitude leads in phase. `lead` is that phase, rad.
+
+====================================================  =======================================================
+frame says                                            the contact becomes
+====================================================  =======================================================
+abs(lead) > 2.0                                       DEPARTURE: a finger that the baseline held has lifted
+lead > 0.45, less 2.5 sigma of the phase              WATER
+lead > 0.15 within 3 mm of water of the last 10 s     WATER, unless the fit is clear (below); then DRYING
+lead <= 0.15 there, where water lay for 0.1 s         DRYING, unless a finger has just come from beside it
+DRYING for 30 ms                                      FINGER
+anything else                                         FINGER
+====================================================  =======================================================
+
+Clear: one finger alone, confidence > 0.9, lead < 0.38 by 2 x 2.5 sigma.
+"""
 
 from __future__ import annotations
 
 import cmath
 import math
+from enum import Enum
 from operator import mul
 from typing import NamedTuple
 
 from touchd.localization.atlas import Atlas
+from touchd.localization.fit_criteria import CRITERIA
 from touchd.localization.gauss_newton import Fit, sigmas_mm
-from touchd.localization.noise import SPREAD, Hearing
+from touchd.localization.noise import NoiseModel
 from touchd.localization.prediction import LONGEST_STEP_MM
-from touchd.localization.spline import Place
-from touchd.touch import Touch
+from touchd.localization.spline import Position
 
-PHASE_RAD = (-1.2, 0.45)
-"""Of a finger's strength. What leads by more has no loss: a mass, as a drop of water is. Drops lead by 0.6, fingers by
-less than 0.3; human fingers lag by up to 0.4 (twin)."""
+LAG_RAD = -1.2
+"""A finger lags by less. Human fingers lag by up to 0.4 rad (twin)."""
+WATER_RAD = 0.45
+"""Drops lead by about 0.6 rad, fingers by less than 0.3 (twin)."""
 PHASE_SIGMAS = 2.5
-"""So far within the upper bound a finger's phase has to be: that of a faint drop scatters, and it stays for hours."""
-WET_RAD, WET_MM, WET_S = 0.15, 3.0, 10.0
-"""What leads by so much may be a drop still, where one was seen so near, for so long since: of a faint one, or while a
-finger comes down elsewhere, single frames say otherwise, or nothing."""
-SURE_S = 0.1
-"""So may what leads by less, where one was there for so long: a shorter time may have been a finger's own beginning."""
-DRY_RAD, DRY_S, DRY_CONFIDENCE = 0.38, 0.03, 0.9
-"""Nor is what has led by less than that for so long, in good fits: a finger whose contact was small at first. On a
-transducer, whose own mass shifts both, light fingers lead by 0.15-0.36 and drops by 0.7 or more; elsewhere drops lead
-by 0.5 or more, and by as little as 0.25 while they are fitted together with a strong finger (twin)."""
-MOST_WET = 16
-"""Places remembered at most: more would be a wet plate, on which nothing is told apart."""
+"""A finger's phase stays below `WATER_RAD` by this many standard errors: the phase of a faint drop scatters."""
+STILL_WATER_RAD, WATER_MM, WATER_NS = 0.15, 3.0, 10_000_000_000
+"""Within 3 mm of water seen in the last 10 s, a smaller lead is water too: that of a faint drop, or of a drop while a
+finger lands elsewhere, is ambiguous in single frames."""
+SURE_NS = 100_000_000
+"""Water that lay for 0.1 s stays water in single frames without any lead; before, it may have been a finger landing."""
+DRY_RAD, DRY_NS, DRY_CONFIDENCE = 0.38, 30_000_000, 0.9
+"""A lead below 0.38 rad in clear fits for 30 ms is a finger whose contact was small at first. On a transducer, whose
+mass shifts both, light fingers lead by 0.15 to 0.36 and drops by 0.7 or more; elsewhere drops lead by 0.5 or more, and
+by as little as 0.25 while fitted together with a strong finger (twin)."""
+DEPARTURE_RAD = 2.0
+"""An amplitude this far from a finger's has the opposite sign."""
+MOST_WATER = 16
+"""Drops remembered at most: more are a wet plate, on which nothing can be told apart."""
 CORNER_MM = 12.0
-"""Beyond the touched part of the plate the field is not known; where that is so on two sides, a finger looks like two,
-one along either edge. Two so near a corner of the touched part are not placed."""
-LEAVING_RAD = 2.0
-"""A strength so far from a finger's is one with the opposite sign: a finger that the baseline held has gone."""
+"""Two fingers closer than this to one corner of the touched part are not placed: beyond it the field is not known, and
+one finger there looks like two, one along either edge."""
 TYPICAL = 0.5
-"""Of what the field misses on average, that what it misses of half the touches: the mean is that of a few it knows
-badly (twin)."""
+"""Model error of half the touches, as a share of its mean: the mean is that of a few badly known places (twin)."""
 WELL_KNOWN = 0.6
-"""So much of the field's mean error moves a touch that leaves no more than is typical (twin, 40-70 dB)."""
+"""Share of the field's mean error that moves a touch which leaves no more than is typical (twin, 40-70 dB)."""
 UNUSUAL = 14.0
-"""What a touch leaves beyond it counts so much more than noise: it is alike in many bins. Of silicone and human fingers
-68 and 95 % are then within one and two standard errors (twin)."""
+"""Weight, relative to noise, of what a touch leaves beyond that: model error is alike in many bins. With it 68 and 95 %
+of silicone and human fingers are within one and two standard errors (twin)."""
 
 
-class _Wet(NamedTuple):
-    """A place where a drop was seen."""
+class Substance(Enum):
+    """What a fitted contact is."""
 
-    place_mm: Place
-    wet_s: float
-    """For how long it has been there."""
-    dry_s: float
-    """For how long it has looked like a finger; below 0 if it did not in the last frame."""
-    left_s: float
-    """For how long it will be remembered if nothing is seen there."""
-
-    def drying(self, elapsed_s: float) -> float:
-        """Return for how long it looks like a finger if it does so long after the last frame."""
-        return self.dry_s + elapsed_s if self.dry_s >= 0 else 0.0
+    FINGER = "finger"
+    WATER = "water"
+    DRYING = "drying"
+    """Water that looks like a finger, not yet for long enough."""
+    DEPARTURE = "departure"
 
 
-_NOT_DRYING = -1.0
+class Drop(NamedTuple):
+    """A place where water was seen."""
+
+    position_mm: Position
+    state: Substance
+    """WATER or DRYING."""
+    wet_since_ns: int
+    dry_since_ns: int
+    """Start of DRYING."""
+    until_ns: int
+    """The drop is forgotten at this time unless it is seen."""
 
 
-class Assessor:
-    """Makes touches of fits.
+class Placed(NamedTuple):
+    """A finger among the contacts of a fit."""
+
+    position_mm: Position
+    sigma_mm: float
+    amplitude: float
+    """Modulus."""
+
+
+class Classifier:
+    """Finds the fingers among the contacts of a fit, and remembers water.
 
     Parameters
     ----------
     atlas : Atlas
-    hearing : Hearing
+    noise : NoiseModel
     """
 
-    def __init__(self, atlas: Atlas, hearing: Hearing) -> None:
-        self._hearing = hearing
+    def __init__(self, atlas: Atlas, noise: NoiseModel) -> None:
+        self._noise = noise
         d = atlas.description
         self._field_scale = d.field_scale
         self._corners_mm = [(x, y) for x in (d.low_mm[0], d.high_mm[0]) for y in (d.low_mm[1], d.high_mm[1])]
-        self._wet: list[_Wet] = []
-        self._fingers: list[Touch] = []
-        self.per_strength = 1.0
-        """The change of the signal, as a share of its size, by a finger of strength 1."""
-        self.leaving = False
-        """Whether the fit assessed last shows the negative of fingers alone."""
+        self.departure = False
+        """Whether the last fit shows the negative of fingers alone."""
+        self.t_ns = 0
+        """Time of the last frame."""
+        self.reset()
 
-    def forget(self) -> None:
-        """Start afresh with the next frame."""
-        self._wet, self._fingers = [], []
+    def reset(self) -> None:
+        """Forget water and fingers."""
+        self._drops: list[Drop] = []
+        self._fingers: list[Position] = []
 
     def dry(self) -> None:
-        """Take note that nothing is on the plate."""
-        self._wet = []
+        """Forget water: the plate is untouched."""
+        self._drops = []
 
-    def touches(self, fit: Fit, confidence: float, elapsed_s: float) -> tuple[Touch, ...]:
-        """Return the fingers of a fit, so long after the last, with their standard errors; what is water is none."""
-        hearing = self._hearing
-        variance, several = hearing.variance, len(fit.places_mm) > 1
-        sizes, phases = list(map(abs, fit.strengths)), list(map(cmath.phase, fit.strengths))
-        self.leaving = min(map(abs, phases)) > LEAVING_RAD
-        missed = hearing.mean_error * sum(map(mul, sizes, sizes)) / 2
-        left = max(fit.left - (1 + SPREAD) * hearing.expected, 0.0) / hearing.alive
+    def fingers(self, fit: Fit, confidence: float, t_ns: int) -> list[Placed]:
+        """Return the fingers among the contacts of a frame's fit, with their standard errors."""
+        self.t_ns = t_ns
+        several = len(fit.positions_mm) > 1
+        sizes, leads = list(map(abs, fit.amplitudes)), list(map(cmath.phase, fit.amplitudes))
+        self.departure = min(map(abs, leads)) > DEPARTURE_RAD
+        errors_mm = self._errors_mm(fit, sizes)
+        cornered = self._cornered(fit.positions_mm) if several else ()
+        fingers: list[Placed] = []
+        drops: list[Drop] = []
+        judged: list[Position] = []
+        for k, position in enumerate(fit.positions_mm):
+            drop = self._drop_at(position) if self._drops else None
+            scatter = self._scatter_rad(fit.energies[k])
+            substance = self._substance(leads[k], scatter, drop, position, confidence, several=several)
+            if substance is Substance.DEPARTURE:
+                continue
+            judged.append(position)
+            if substance is not Substance.FINGER:
+                drops.append(self._drop(position, substance, drop))
+            elif leads[k] > LAG_RAD and k not in cornered:
+                fingers.append(Placed(position, errors_mm[k], sizes[k]))
+        for one in self._drops:
+            if one.until_ns > t_ns and all(math.dist(one.position_mm, position) >= WATER_MM for position in judged):
+                drops.append(one)
+        self._drops = drops[:MOST_WATER]
+        self._fingers = [finger.position_mm for finger in fingers]
+        return fingers
+
+    def _substance(
+        self, lead: float, scatter: float, drop: Drop | None, position_mm: Position, confidence: float, *, several: bool
+    ) -> Substance:
+        """Return what a contact is: the table of this module."""
+        if abs(lead) > DEPARTURE_RAD:
+            return Substance.DEPARTURE
+        if lead >= WATER_RAD - scatter:
+            return Substance.WATER
+        if drop is None:
+            return Substance.FINGER
+        if lead > STILL_WATER_RAD:
+            # Beside another finger a drop's phase has a share of it.
+            if several or lead + 2 * scatter >= DRY_RAD or confidence <= DRY_CONFIDENCE:
+                return Substance.WATER
+        elif self.t_ns - drop.wet_since_ns < SURE_NS or self._was_finger(position_mm, several=several):
+            return Substance.FINGER
+        dried = drop.state is Substance.DRYING and self.t_ns - drop.dry_since_ns >= DRY_NS
+        return Substance.FINGER if dried else Substance.DRYING
+
+    def _drop(self, position_mm: Position, state: Substance, before: Drop | None) -> Drop:
+        """Return a drop as it now is."""
+        goes_on = before is not None and before.state is Substance.DRYING and state is Substance.DRYING
+        # A finger that lifts is like a drop in its last frames.
+        memory_ns = 0 if self._was_finger(position_mm, several=True) else WATER_NS
+        return Drop(
+            position_mm,
+            state,
+            before.wet_since_ns if before else self.t_ns,
+            before.dry_since_ns if before is not None and goes_on else self.t_ns,
+            self.t_ns + memory_ns,
+        )
+
+    def _scatter_rad(self, energy: float) -> float:
+        """Return `PHASE_SIGMAS` standard errors of the phase: the noise over the contact's energy is its variance."""
+        return PHASE_SIGMAS * math.sqrt(self._noise.variance / energy) if energy > 0 else math.inf
+
+    def _errors_mm(self, fit: Fit, sizes: list[float]) -> list[float]:
+        """Return the standard error of each position: by noise, by the field's error, and by what the fit leaves."""
+        noise = self._noise
+        missed = noise.mean_error * sum(map(mul, sizes, sizes)) / 2
+        left = max(fit.residual_energy - (1 + CRITERIA.noise_spread) * noise.noise_energy, 0.0) / noise.active_bins
         error = WELL_KNOWN * self._field_scale * missed + UNUSUAL * max(left - TYPICAL * missed, 0.0)
-        errors_mm = sigmas_mm(fit.information, variance + error)
-        cornered = self._cornered(fit.places_mm) if several else ()
-        touches: list[Touch] = []
-        wet: list[_Wet] = []
-        judged: list[Place] = []
-        for k, place in enumerate(fit.places_mm):
-            phase, energy = phases[k], fit.energies[k]
-            if abs(phase) > LEAVING_RAD:
-                continue  # neither a finger nor water
-            judged.append(place)
-            # The noise over a finger's energy is the variance of its phase.
-            scatter = PHASE_SIGMAS * math.sqrt(variance / energy) if energy > 0 else math.inf
-            drop = self._drop_at(place) if self._wet else None
-            dry_s = math.inf
-            if phase >= PHASE_RAD[1] - scatter:
-                dry_s = _NOT_DRYING
-            elif drop is not None and phase > WET_RAD:
-                # Beyond doubt; and not beside another finger, from which a drop's phase has a share.
-                doubtful = several or phase + 2 * scatter >= DRY_RAD or confidence <= DRY_CONFIDENCE
-                dry_s = _NOT_DRYING if doubtful else drop.drying(elapsed_s)
-            elif drop is not None and drop.wet_s >= SURE_S and not self._was_finger(place, several=several):
-                dry_s = drop.drying(elapsed_s)
-            if dry_s < DRY_S:
-                # A finger that lifts is like a drop in its last frames.
-                left_s = 0.0 if self._was_finger(place, several=True) else WET_S
-                wet.append(_Wet(place, drop.wet_s + elapsed_s if drop else 0.0, dry_s, left_s))
-            elif phase > PHASE_RAD[0] and k not in cornered:
-                touches.append(Touch(*place, errors_mm[k], confidence, sizes[k] * self.per_strength))
-        for one in self._wet:
-            if one.left_s > elapsed_s and all(math.dist(one.place_mm, place) >= WET_MM for place in judged):
-                wet.append(one._replace(left_s=one.left_s - elapsed_s))
-        self._wet = wet[:MOST_WET]
-        self._fingers = touches
-        return tuple(touches)
+        return sigmas_mm(fit.fisher_information, noise.variance + error)
 
-    def _drop_at(self, place_mm: Place) -> _Wet | None:
-        """Return the drop that was seen near a place, and was one last; None if there was none.
+    def _drop_at(self, position_mm: Position) -> Drop | None:
+        """Return the drop near a position that was water last; None if there is none. A drop stays where it is."""
+        near = [one for one in self._drops if math.dist(one.position_mm, position_mm) < WATER_MM]
+        return min(near, key=self._dryness_ns, default=None)
 
-        A drop stays where it is: where one was seen, what is like a finger in a single frame still is one.
-        """
-        near = [one for one in self._wet if math.dist(one.place_mm, place_mm) < WET_MM]
-        return min(near, key=lambda one: one.dry_s, default=None)
+    def _dryness_ns(self, drop: Drop) -> int:
+        return self.t_ns - drop.dry_since_ns if drop.state is Substance.DRYING else -1
 
-    def _was_finger(self, place_mm: Place, *, several: bool) -> bool:
-        """Return whether a finger of the last frame may have come to a place; of several fingers none comes far."""
-        reach_mm = WET_MM if several or len(self._fingers) > 1 else LONGEST_STEP_MM
-        return any(math.dist(place_mm, (one.x_mm, one.y_mm)) < reach_mm for one in self._fingers)
+    def _was_finger(self, position_mm: Position, *, several: bool) -> bool:
+        """Return whether a finger of the last frame may have come to a position; of several fingers none comes far."""
+        reach_mm = WATER_MM if several or len(self._fingers) > 1 else LONGEST_STEP_MM
+        return any(math.dist(position_mm, finger) < reach_mm for finger in self._fingers)
 
-    def _cornered(self, places_mm: list[Place]) -> set[int]:
+    def _cornered(self, positions_mm: list[Position]) -> set[int]:
         """Return which of several fingers are, with another one, too near to one corner to be two."""
         found: set[int] = set()
         for x, y in self._corners_mm:
-            near = [k for k, (x_mm, y_mm) in enumerate(places_mm) if math.hypot(x_mm - x, y_mm - y) < CORNER_MM]
+            near = [k for k, (x_mm, y_mm) in enumerate(positions_mm) if math.hypot(x_mm - x, y_mm - y) < CORNER_MM]
             if len(near) > 1:
                 found.update(near)
         return found

@@ -1,9 +1,9 @@
-"""What the plate and its electronics do to a frame by themselves: warmth, gains, and what comes with time.
+"""Temperature, gains and delay of the plate and its electronics, and the correction of bins for them.
 
-The field atlas was learned at one temperature with one set of gains. The untouched plate, which the baseline
-follows, tells how far it has come from there, and a frame's bins are corrected for that. While a finger
-rests on the plate the baseline stands still and the plate drifts on: the few directions in which it can are
-followed too, and what lies along them is taken off the frame.
+The field atlas was learned at one temperature with one set of gains. The baseline follows the untouched plate and so
+tells how far it has come from there; a frame's bins are corrected for that. While a finger rests on the plate the
+baseline is frozen and the plate drifts on. `Drift` follows the few directions in which it can, with a time constant of
+0.3 s, and subtracts what lies along them.
 """
 
 from __future__ import annotations
@@ -18,16 +18,18 @@ from touchd.localization.features import windowed_dft
 from touchd.localization.thermal import stretch_matrix
 
 DEAD_BELOW = 0.05
-"""A channel with less than this share of the energy that it had in training is dead."""
+"""A channel with less than this share of its energy in training is dead."""
 FOLLOW_S = 0.3
-"""Time constant at which drift under a finger is followed: slow for noise, quick for a temperature."""
-_ROUNDS = 2  # the stretch is fitted in its first order
-_LARGEST_STRETCH = 3e-3  # some seventy kelvin: beyond it the first order says nothing, and the cause is another
+"""Time constant of the correction under a finger: slow for noise, quick for a temperature."""
+FOLLOW_EVERY_NS = 40_000_000
+"""Least time between two updates of it."""
+_ROUNDS = 2  # the stretch is fitted to first order
+_LARGEST_STRETCH = 3e-3  # some seventy kelvin: beyond it the first order is wrong, and so is the cause
 _LARGEST_GAIN = 1.0
 
 
 class Drift:
-    """Turns residuals into the bins of an atlas as they would be on the plate that it was learned on.
+    """Turns residuals into bins as they would be on the plate that the atlas was learned on.
 
     Parameters
     ----------
@@ -36,42 +38,45 @@ class Drift:
 
     def __init__(self, atlas: Atlas) -> None:
         a, bins = atlas.description.acquisition, np.array(atlas.description.bins)
+        self._dtype = atlas.coefficients.dtype
         self._plain = windowed_dft(a, bins)
         self._stretched = stretch_matrix(a, bins)
         self._reference = atlas.baseline.astype(np.float64)
         self._omega_rad_s = 2 * np.pi * bins * a.sample_rate_hz / a.samples
         self._channels, self._size = a.channels, atlas.size
-        self._matrix = self._plain.astype(np.float32)
+        self._matrix = self._plain.astype(self._dtype)
         self._scale: Array | None = None
-        self._directions = np.zeros((0, self._size), np.float32)
-        self._along = np.zeros(0, np.float32)
-        self._step = np.zeros(0, np.float32)
-        self._drifted = np.zeros(self._size, np.float32)
-        self._weight = np.zeros((), np.float32)
+        self._directions = np.zeros((0, self._size), self._dtype)
+        self._along = np.zeros(0, self._dtype)
+        self._step = np.zeros(0, self._dtype)
+        self._drifted = np.zeros(self._size, self._dtype)
+        self._weight = np.zeros((), self._dtype)
         self._moved = False
+        self.t_ns: int | None = None
+        """Time of the last update under a finger."""
         self.stretch = 0.0
         """Relative rise of the plate's resonances since training; -4.5e-5 a kelvin on glass."""
         self.gains = np.ones(a.channels)
         """Of each channel, relative to training."""
         self.dead = np.zeros(a.channels, bool)
-        """Channels that hear next to nothing."""
+        """Channels without a signal."""
         self.signal_energy = 1.0
         """Of the untouched plate's bins, counts squared."""
 
-    def rebase(self, baseline: Array) -> None:
-        """Take note of the untouched plate as it is now, of shape (channels, samples)."""
+    def set_baseline(self, baseline: Array) -> None:
+        """Compare the untouched plate, (channels, samples), with the one in training."""
         live = baseline.astype(np.float64)
         energy, known = np.square(live).sum(axis=1), np.square(self._reference).sum(axis=1)
         self.dead = energy < DEAD_BELOW * known
         self.stretch, self.gains = self._fit(live)
-        self._matrix = (self._plain - self.stretch * self._stretched).astype(np.float32)
+        self._matrix = (self._plain - self.stretch * self._stretched).astype(self._dtype)
         self._scale = None
         if np.abs(self.gains - 1).max() > 1e-3:
-            self._scale = (1 / self.gains).astype(np.float32)[:, None]
+            self._scale = (1 / self.gains).astype(self._dtype)[:, None]
         self._set_directions(live)
-        self.settle()
+        self.reset()
 
-    def features(self, residual: Array, out: Array) -> None:
+    def correct(self, residual: Array, out: Array) -> None:
         """Write the corrected bins of a residual of shape (channels, samples) to `out`, of shape (size,)."""
         table = out.reshape(self._channels, -1)
         residual.dot(self._matrix, table)
@@ -80,10 +85,16 @@ class Drift:
         if self._moved:
             np.subtract(out, self._drifted, out)
 
-    def follow(self, left: Array, elapsed_s: float) -> None:
-        """Take in what the fingers do not explain of a frame's bins, shape (size,), so long after the last one."""
-        if len(self._directions):
-            np.dot(self._directions, left, out=self._step)
+    def is_due(self, t_ns: int) -> bool:
+        """Return whether an update is due at a time."""
+        return self.t_ns is None or not 0 <= t_ns - self.t_ns <= FOLLOW_EVERY_NS
+
+    def update(self, unexplained: Array, t_ns: int) -> None:
+        """Follow the drift by what the fingers leave of a frame's bins, shape (size,)."""
+        elapsed_s = 0.0 if self.t_ns is None else max(t_ns - self.t_ns, 0) * 1e-9
+        self.t_ns = t_ns
+        if len(self._directions) and elapsed_s:
+            np.dot(self._directions, unexplained, out=self._step)
             self._weight[...] = 1 - math.exp(-elapsed_s / FOLLOW_S)
             np.multiply(self._step, self._weight, out=self._step)
             np.add(self._along, self._step, out=self._along)
@@ -95,13 +106,14 @@ class Drift:
         """Orthonormal directions in which the untouched plate can move, shape (up to 2 + channels, size)."""
         return self._directions
 
-    def settle(self) -> None:
-        """Forget what has drifted under a finger: the baseline follows the plate again."""
+    def reset(self) -> None:
+        """Forget the drift under a finger: the baseline follows the plate again."""
         self._along[:] = 0
         self._moved = False
+        self.t_ns = None
 
     def silent(self, residual: Array, baseline: Array) -> NDArray[np.bool_]:
-        """Return which channels, shape (channels,), hear next to nothing in a frame of this residual."""
+        """Return which channels, shape (channels,), are without a signal in a frame of this residual."""
         energy = np.square(residual + baseline).sum(axis=1)
         return np.asarray(energy < DEAD_BELOW * np.square(self._reference).sum(axis=1))
 
@@ -137,8 +149,8 @@ class Drift:
         if not (norm > 0).all():
             table = np.zeros((0, self._size))  # a rig that hears nothing
             norm = np.ones((0, 1))
-        self._directions = np.linalg.qr((table / norm).T)[0].T.astype(np.float32)
-        self._along = np.zeros(len(self._directions), np.float32)
+        self._directions = np.linalg.qr((table / norm).T)[0].T.astype(self._dtype)
+        self._along = np.zeros(len(self._directions), self._dtype)
         self._step = np.zeros_like(self._along)
 
     def _delayed(self, bins: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -1,4 +1,4 @@
-"""From a residual to the model's input: the Hann-windowed bins of the chirp's band, or the samples themselves."""
+"""From a residual to the model's input: the Hann-windowed bins of the chirp's band, or the samples."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ import math
 from typing import Literal, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from touchd.frame import Acquisition
 
 Domain = Literal["frequency", "time"]
-Vector = NDArray[np.float32]
+Vector = NDArray[np.floating]
 
 
 class Features(Protocol):
@@ -56,8 +56,8 @@ def windowed_dft(acquisition: Acquisition, bins: NDArray[np.int64] | None = None
 class FrequencyFeatures:
     """Real and imaginary parts of the windowed bins, channel by channel: 4 x (49 + 49) = 392 for the paper's rig."""
 
-    def __init__(self, acquisition: Acquisition) -> None:
-        self._matrix = windowed_dft(acquisition).astype(np.float32)
+    def __init__(self, acquisition: Acquisition, dtype: DTypeLike = np.float32) -> None:
+        self._matrix = windowed_dft(acquisition).astype(dtype)
         self.shape = (acquisition.channels, self._matrix.shape[1])
         self.size = self.shape[0] * self.shape[1]
         # Each bin holds the window's energy times the variance of a sample.
@@ -96,6 +96,6 @@ def noise_to_signal(route: Features, noise_energy: float, energy: float) -> floa
     return math.sqrt(route.noise_gain * noise_energy / max(energy, 1e-12))
 
 
-def make_features(domain: Domain, acquisition: Acquisition) -> Features:
-    """Return the features of a domain for an acquisition."""
-    return FrequencyFeatures(acquisition) if domain == "frequency" else TimeFeatures(acquisition)
+def make_features(domain: Domain, acquisition: Acquisition, dtype: DTypeLike = np.float32) -> Features:
+    """Return the features of a domain for an acquisition; `dtype` is that of the matrix."""
+    return FrequencyFeatures(acquisition, dtype) if domain == "frequency" else TimeFeatures(acquisition)

@@ -19,7 +19,7 @@ from touchd.localization.features import Domain, band_bins
 
 METADATA_KEY = "touchd"
 Head = Literal["regression", "grid", "keypad"]
-Outputs = dict[str, NDArray[np.float32]]
+Outputs = dict[str, NDArray[np.floating]]
 
 
 class Description(BaseModel):
@@ -96,15 +96,20 @@ class Model:
         self._session = _load(path)
         self.description = _describe(self._session, path)
         d = self.description
-        self.features = np.zeros((1, d.inputs), np.float32)
+        wide = self._session.get_inputs()[0].type == "tensor(double)"
+        self.dtype: np.dtype[np.floating] = np.dtype(np.float64 if wide else np.float32)
+        """Of the network's input, and of all arrays from the frame to it."""
+        self.features = np.zeros((1, d.inputs), self.dtype)
         self._input_name = self._session.get_inputs()[0].name
         self._check_input()
         self.outputs: Outputs = {}
         self._binding = self._session.io_binding()
-        self._binding.bind_input(self._input_name, "cpu", 0, np.float32, self.features.shape, self.features.ctypes.data)
+        self._binding.bind_input(
+            self._input_name, "cpu", 0, self.dtype.type, self.features.shape, self.features.ctypes.data
+        )
         for output in self._session.get_outputs():
-            buffer = np.zeros((1, *output.shape[1:]), np.float32)
-            self._binding.bind_output(output.name, "cpu", 0, np.float32, buffer.shape, buffer.ctypes.data)
+            buffer = np.zeros((1, *output.shape[1:]), self.dtype)
+            self._binding.bind_output(output.name, "cpu", 0, self.dtype.type, buffer.shape, buffer.ctypes.data)
             self.outputs[output.name] = buffer
         self._read = _READERS[d.head]
         self._check_outputs()
@@ -155,7 +160,7 @@ class Model:
         path = atlas_path(self.path)
         if not path.exists():
             return None
-        atlas, d = load_atlas(path), self.description
+        atlas, d = load_atlas(path, self.dtype), self.description
         if atlas.description.data_sha256 != d.data_sha256 or atlas.description.acquisition != d.acquisition:
             raise ModelInvalid(
                 f"the atlas was learned from another recording than {self.path.name}",

@@ -1,81 +1,160 @@
-"""Which of a frame's features are listened to, and how much of them is noise or the plate's own movement."""
+"""Noise model of the bins: power per bin, mask of dead channels and tones, directions of the plate's own movement."""
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from touchd.localization.atlas import Array, Atlas
-from touchd.localization.noise_power import Noise
+from touchd.localization.fit_criteria import CRITERIA
 
-EXCESS_OF_HALF = 0.25
-"""Share of the signal that a fit leaves unexplained at which it is as likely no finger: fingers unlike those of the
-training leave up to 0.1, palms more than 0.6 (twin)."""
-SPREAD = 0.25
-"""Noise has seldom so much more energy in a frame than its mean: two deviations."""
+MEMORY_FRAMES = 256
+DROWNED = 10.0
+"""A bin with 10 times the noise power of most others holds an interfering tone and is masked."""
+_MASK_FRAMES = 16
+"""Untouched frames after which bins are masked."""
 SIGNIFICANT = 80.0
-"""What a fit explains, in variances of a feature, for noise alone not to do so anywhere on a plate: at the best of a
-thousand places noise explains some 15, neighbouring bins being correlated twice that."""
-
+"""Energy, in variances of a bin's part, that a fit must explain: at the best of a thousand positions white noise
+explains some 15, and twice that since neighbouring bins correlate."""
 ALIKE, COMPARED_FRAMES = 50.0, 32
-"""White noise in n features is of n shapes, or of n / 3 since neighbouring bins are correlated; with fewer than n / 50,
-over so many frames that are heard, it is not white: tones and jitter have two to four (twin)."""
+"""White noise in n values has n shapes, or n / 3 since neighbouring bins correlate. Noise with fewer than n / 50 shapes
+over 32 frames is coloured: tones and jitter have two to four (twin)."""
 
 
-class Hearing:
-    """Knows the noise in each feature, and leaves out dead channels and bins that drown.
+class BinPower:
+    """Averages the power of each value over untouched frames.
+
+    White noise would be known from the samples, but tones and trigger jitter have spectra of their own.
+
+    Parameters
+    ----------
+    channels, bins : int
+    dtype : type
+    """
+
+    def __init__(self, channels: int, bins: int, dtype: DTypeLike = np.float32) -> None:
+        self._shape = channels, 2, bins
+        self._frames = 0
+        self.power: Array = np.zeros(channels * 2 * bins, dtype)
+        """Of each value, counts squared."""
+        self._square = np.zeros_like(self.power)
+        self._weight = np.zeros((), dtype)
+
+    def reset(self) -> None:
+        """Forget all frames."""
+        self.restart()
+        self.power[:] = 0
+
+    def restart(self) -> None:
+        """Average from the next frame on; until then the present power stays in use."""
+        self._frames = 0
+
+    def update(self, bins: Array) -> bool:
+        """Add an untouched frame, shape (channels * 2 * bins,); return whether `quiet` masks bins from now on."""
+        self._frames = min(self._frames + 1, MEMORY_FRAMES)
+        np.multiply(bins, bins, out=self._square)
+        np.subtract(self._square, self.power, out=self._square)
+        self._weight[...] = 1 / self._frames
+        np.multiply(self._square, self._weight, out=self._square)
+        np.add(self.power, self._square, out=self.power)
+        return self._frames == _MASK_FRAMES
+
+    def quiet(self) -> NDArray[np.bool_]:
+        """Return which values do not drown in noise, shape (channels * 2 * bins,); all before 16 frames."""
+        of_bins = self.power.reshape(self._shape).sum(axis=1, keepdims=True)
+        usual = float(np.median(of_bins))
+        if self._frames < _MASK_FRAMES or usual <= 0:
+            return np.ones(self.power.shape, bool)
+        return np.repeat(of_bins < DROWNED * usual, 2, axis=1).reshape(-1)
+
+
+class NoiseModel:
+    """Knows the noise of each bin, and masks dead channels and bins that drown.
 
     Parameters
     ----------
     atlas : Atlas
     """
 
+    channels: NDArray[np.bool_]
+    """Channels in use, shape (channels,)."""
+    mask: Array | None
+    """0 for each value left out, 1 for the others, shape (size,); None if all are in use."""
+    noise_energy: float
+    """Mean noise energy of a frame, counts squared."""
+    variance: float
+    """Noise variance of a value, scaled to how far it moves a position, counts squared."""
+    min_signal_energy: float
+    """A fit that explains no more may be one of noise, counts squared."""
+    active_bins: int
+    """Values in use."""
+    mean_error: float
+    """Mean square of what the field misses in a channel and bin at amplitude 1."""
+
     def __init__(self, atlas: Atlas) -> None:
-        d = atlas.description
-        self._noise = Noise(d.acquisition.channels, len(d.bins))
+        d, dtype = atlas.description, atlas.coefficients.dtype
+        self._bin_power = BinPower(d.acquisition.channels, len(d.bins), dtype)
         self._per_channel = 2 * len(d.bins)
         self._error, self._noise_scale = atlas.error, d.noise_scale
-        self._energy = np.zeros((), np.float32)
+        self._energy = np.zeros((), dtype)
+        self._last, self._before = np.zeros(atlas.size, dtype), np.zeros(atlas.size, dtype)
         self.mask = None
-        self._last, self._before = np.zeros(atlas.size, np.float32), np.zeros(atlas.size, np.float32)
-        self.forget()
+        self.reset()
 
-    channels: NDArray[np.bool_]
-    """Those listened to, shape (channels,)."""
-    mask: Array | None
-    """0 for each feature that is left out, 1 for the others; None if all are heard."""
-    expected: float
-    """Energy of the noise in a frame, counts squared."""
-    variance: float
-    """Of the noise in a feature, as far as it moves a place, counts squared."""
-    least: float
-    """A fit that explains no more may be one of noise, counts squared."""
-    alive: int
-    """Features listened to."""
-    mean_error: float
-    """Mean square of what the field misses in a channel and bin at strength 1."""
-    own: Array
-    """Orthonormal directions in which the untouched plate can move, of what is heard."""
-
-    def forget(self) -> None:
-        """Begin to hear anew."""
-        self._noise.forget()
+    def reset(self) -> None:
+        """Forget the noise."""
+        self._bin_power.reset()
         self._alike, self._compared, self._last_energy = 0.0, 0, 0.0
 
-    def hear(self, features: Array) -> bool:
-        """Take in the features of an untouched frame, and return whether now enough were heard to listen by them."""
-        self._compare(features)
-        return self._noise.hear(features)
+    def restart(self) -> None:
+        """Estimate the noise from the next frame on: its level has stepped. The present estimate stays until then."""
+        self._bin_power.restart()
+
+    def update(self, bins: Array) -> bool:
+        """Add the bins of an untouched frame; return whether bins are masked by the noise from this frame on."""
+        self._compare(bins)
+        return self._bin_power.update(bins)
+
+    def set_channels(self, live: NDArray[np.bool_], directions: Array) -> None:
+        """Use these channels, shape (channels,), without the bins that drown.
+
+        `directions`, orthonormal, shape (k, size), are those in which the untouched plate can move.
+        """
+        if not live.any():
+            live = np.ones_like(live)  # nothing can be said; what the frames hold decides
+        self.channels = live
+        values = np.repeat(live, self._per_channel) & self._bin_power.quiet()
+        dtype = self._energy.dtype
+        self.mask = None if values.all() else values.astype(dtype)
+        self.active_bins = max(int(values.sum()), 1)
+        self.noise_energy = float(self._bin_power.power[values].sum())
+        self.variance = self._noise_scale * self.noise_energy / self.active_bins
+        self.min_signal_energy = SIGNIFICANT * self.noise_energy / self.active_bins
+        self.mean_error = float(self._error[live].mean())
+        self._directions = directions
+        if self.mask is not None:
+            self._directions = np.linalg.qr((directions * values).T)[0].T.astype(dtype)  # orthonormal again
+        self._along = np.zeros(len(self._directions), dtype)
 
     @property
     def is_alike(self) -> bool:
-        """Whether the noise is of few shapes, as tones and trigger jitter are, so that a finger's may be among them."""
-        return self._alike * self.alive > ALIKE
+        """Whether the noise has few shapes, as tones and trigger jitter have, so that a finger's may be among them."""
+        return self._alike * self.active_bins > ALIKE
 
-    def _compare(self, features: Array) -> None:
-        """Follow the squared cosine between a frame of noise and the one before, whose mean is one over its shapes."""
+    def plate_energy(self, vector: Array) -> float:
+        """Return the energy of bins, shape (size,), along the plate's own directions, counts squared."""
+        self._directions.dot(vector, self._along)
+        self._along.dot(self._along, self._energy)
+        return self._energy.item()
+
+    def excess(self, residual_energy: float, signal: float) -> float:
+        """Return what a fit leaves beyond what noise may have, as a share of the signal's energy."""
+        return (residual_energy - (1 + CRITERIA.noise_spread) * self.noise_energy) / signal
+
+    def _compare(self, bins: Array) -> None:
+        """Average the squared cosine between successive noise frames: its mean is one over the number of shapes."""
         last, before = self._before, self._last
-        np.copyto(last, features)
+        np.copyto(last, bins)
         if self.mask is not None:
             np.multiply(last, self.mask, last)
         last.dot(last, self._energy)
@@ -86,35 +165,3 @@ class Hearing:
             cosine2 = self._energy.item() ** 2 / (energy * self._last_energy)
             self._alike += (cosine2 - self._alike) / self._compared
         self._last, self._before, self._last_energy = last, before, energy
-
-    def hear_anew(self) -> None:
-        """Let the frames to come tell what noise there is, and no earlier ones."""
-        self._noise.begin()
-
-    def listen_to(self, channels: NDArray[np.bool_], directions: Array) -> None:
-        """Leave out the other channels, and bins that drown in noise; the plate can move along some directions."""
-        if not channels.any():
-            channels = np.ones_like(channels)  # nothing can be said; what the frames hold decides
-        self.channels = channels
-        features = np.repeat(channels, self._per_channel) & self._noise.quiet()
-        self.mask = None if features.all() else features.astype(np.float32)
-        self.alive = max(int(features.sum()), 1)
-        self.expected = float(self._noise.power[features].sum())
-        self.variance = self._noise_scale * self.expected / self.alive
-        self.least = SIGNIFICANT * self.expected / self.alive
-        self.mean_error = float(self._error[channels].mean())
-        # Of what is listened to, orthonormal again.
-        self.own = directions
-        if self.mask is not None:
-            self.own = np.linalg.qr((directions * features).T)[0].T.astype(np.float32)
-        self._along = np.zeros(len(self.own), np.float32)
-
-    def by_itself(self, features: Array) -> float:
-        """Return the energy that features, shape (size,), may have by the plate's own movement, counts squared."""
-        self.own.dot(features, self._along)
-        self._along.dot(self._along, self._energy)
-        return self._energy.item()
-
-    def excess(self, left: float, signal: float) -> float:
-        """Return what a fit leaves beyond what noise may have, as a share of the signal."""
-        return (left - (1 + SPREAD) * self.expected) / signal

@@ -1,59 +1,72 @@
-"""Where the fingers of the last frame are going."""
+"""Where the fingers of the last frame will be in the next one: constant velocity."""
 
 from __future__ import annotations
 
 import math
 
-from touchd.localization.spline import Place
+from touchd.localization.spline import Position
 
 LONGEST_STEP_MM = 8.0
+"""The velocity is limited to this step from one located frame to the next."""
+LONGEST_S = 0.1
+"""A finger is predicted this far ahead at most: over a longer gap it may have gone anywhere."""
 _WEIGHT = 0.5
-"""Of the newest step in a velocity: it is one over some three frames."""
+"""Weight of the newest step in a velocity, which so averages some three frames."""
 
 
-class Course:
-    """Follows the velocity of each finger."""
+class Prediction:
+    """Follows position and velocity of each finger, and keeps the time of the last frame."""
 
     def __init__(self) -> None:
-        self.places_mm: list[Place] = []
+        self.positions_mm: list[Position] = []
         """Of the fingers in the last frame."""
-        self._speed: list[Place] = []
+        self._velocities_mm_s: list[Position] = []
+        self.t_ns = 0
+        """Time of the last frame."""
         self.moved_mm = math.inf
-        """How far the finger has come in the last frame; infinite unless it is one, and was."""
+        """Movement of the finger in the last frame; infinite unless both frames held exactly one finger."""
 
-    def forget(self) -> None:
-        """There is no finger."""
-        self.places_mm, self._speed = [], []
+    def reset(self) -> None:
+        """Forget all fingers."""
+        self.positions_mm, self._velocities_mm_s = [], []
 
-    def turn(self) -> None:
-        """Take note that the next fingers come in another order, or are others."""
-        self._speed = []
+    def forget_velocities(self) -> None:
+        """Forget the velocities: the next fingers come in another order, or are others."""
+        self._velocities_mm_s = []
 
-    def drop(self, k: int, count: int) -> None:
-        """Take note that of `count` fingers the one of index `k` has lifted."""
-        if len(self._speed) == count:
-            del self._speed[k]
+    def remove(self, k: int, count: int) -> None:
+        """Forget the velocity of finger `k` of `count`, which has lifted."""
+        if len(self._velocities_mm_s) == count:
+            del self._velocities_mm_s[k]
 
-    def ahead(self, elapsed_s: float) -> list[Place]:
-        """Return where the fingers will be so much later."""
-        places = []  # a loop: it is one finger mostly, for which it takes three quarters of a comprehension's time
-        for (x, y), (vx, vy) in zip(self.places_mm, self._speed, strict=True):
-            places.append((x + vx * elapsed_s, y + vy * elapsed_s))
-        return places
+    def rest(self, t_ns: int) -> None:
+        """Keep all fingers where they are: they rest in the frame of this time."""
+        self.t_ns = t_ns
+        self._velocities_mm_s = [(0.0, 0.0)] * len(self.positions_mm)
 
-    def take(self, places_mm: list[Place], elapsed_s: float) -> None:
-        """Take in where the fingers are, so long after the last frame."""
-        before, self.places_mm = self.places_mm, places_mm
-        count = len(places_mm)
-        self.moved_mm = math.dist(before[0], places_mm[0]) if len(before) == count == 1 else math.inf
-        if not len(before) == len(self._speed) == count or elapsed_s <= 0:
-            self._speed = [(0.0, 0.0)] * count
+    def ahead(self, t_ns: int) -> list[Position]:
+        """Return where the fingers will be at a time."""
+        elapsed_s = min(max(t_ns - self.t_ns, 0) * 1e-9, LONGEST_S)
+        positions = []  # a loop: for one finger it takes three quarters of a comprehension's time
+        for (x, y), (vx, vy) in zip(self.positions_mm, self._velocities_mm_s, strict=True):
+            positions.append((x + vx * elapsed_s, y + vy * elapsed_s))
+        return positions
+
+    def update(self, positions_mm: list[Position], t_ns: int) -> None:
+        """Take the fingers' positions in the frame of this time."""
+        before, self.positions_mm = self.positions_mm, positions_mm
+        elapsed_s = (t_ns - self.t_ns) * 1e-9
+        self.t_ns = t_ns
+        count = len(positions_mm)
+        self.moved_mm = math.dist(before[0], positions_mm[0]) if len(before) == count == 1 else math.inf
+        if not len(before) == len(self._velocities_mm_s) == count or elapsed_s <= 0:
+            self._velocities_mm_s = [(0.0, 0.0)] * count
             return
         rate, longest = _WEIGHT / elapsed_s, LONGEST_STEP_MM / elapsed_s
-        for k, (x, y) in enumerate(places_mm):
-            (vx, vy), (old_x, old_y) = self._speed[k], before[k]
+        for k, (x, y) in enumerate(positions_mm):
+            (vx, vy), (old_x, old_y) = self._velocities_mm_s[k], before[k]
             vx += rate * (x - old_x) - _WEIGHT * vx
             vy += rate * (y - old_y) - _WEIGHT * vy
             if not (-longest <= vx <= longest and -longest <= vy <= longest):
                 vx, vy = max(-longest, min(longest, vx)), max(-longest, min(longest, vy))
-            self._speed[k] = vx, vy
+            self._velocities_mm_s[k] = vx, vy

@@ -1,67 +1,132 @@
-"""Does the finger rest? Asked of a frame before it is fitted: one product instead of Gauss-Newton."""
+"""Does the finger rest? Compare a frame with the one fitted last: one product instead of a fit."""
 
 from __future__ import annotations
 
-import numpy as np
+import math
+from statistics import NormalDist
 
+import numpy as np
+from numpy.typing import DTypeLike
+
+from touchd.detection.baseline import Signal
 from touchd.localization.atlas import Array, Atlas
-from touchd.localization.gauss_newton import Fit, Refiner, sigmas_mm
+from touchd.localization.gauss_newton import Bins, Fit, GaussNewton, sigmas_mm
 
 STILL_MM = 0.05
-"""A finger that moves less from one frame to the next may be still."""
+"""A finger that moves less than this from one frame to the next may rest."""
 STILL_SIGMAS = 2.5
 
 
-class Rest:
-    """Compares frames with the one in which a finger was fitted last, by what that fit says a movement looks like.
+class StillFrame:
+    """Tells whether a frame differs from the one that the network saw last by no more than noise.
+
+    The comparison is always with that frame and not with the predecessor, so a finger that creeps is seen once it has
+    come farther than the noise explains. Two frames of the same plate differ by twice the noise energy, and otherwise
+    as one untouched frame differs from the baseline, whose distribution the gate knows.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        Of a frame, (channels, samples).
+    false_alarm_rate : float
+        Probability that an unchanged frame counts as changed: for white noise; up to four times as much where two
+        thirds of the noise have one shape, as trigger jitter has.
+    dtype : type
+    """
+
+    def __init__(self, shape: tuple[int, int], false_alarm_rate: float, dtype: DTypeLike = np.float32) -> None:
+        self._seen = np.zeros(shape, dtype)
+        self._difference = np.zeros(shape, dtype)
+        self._flat = self._difference.reshape(-1)
+        self._energy = np.zeros((), dtype)
+        self.configure(false_alarm_rate)
+        self.reset()
+
+    def configure(self, false_alarm_rate: float) -> None:
+        """Take another rate, from the next `update` on."""
+        self.quantile = NormalDist().inv_cdf(1.0 - false_alarm_rate)
+        """Normal deviate that an unchanged frame exceeds at this rate."""
+
+    def reset(self) -> None:
+        """Compare with no frame: the next one has changed."""
+        self._most = -math.inf
+
+    def update(self, residual: Signal, energy_above: float) -> None:
+        """Keep a frame's residual, shape (channels, samples), to compare with.
+
+        `energy_above` is the energy that an untouched frame exceeds at the false-alarm rate, counts squared.
+        """
+        self._seen[...] = residual
+        self._most = 2.0 * energy_above
+
+    def holds(self, residual: Signal) -> bool:
+        """Return whether a frame's residual is, but for the noise, the one kept."""
+        if self._most < 0.0:
+            return False
+        np.subtract(residual, self._seen, self._difference)
+        self._flat.dot(self._flat, self._energy)
+        # Asked this way round, so that NaN counts as changed.
+        return bool(self._energy.item() <= self._most)
+
+
+class StillFinger:
+    """Tells whether the one finger fitted last is still there, by what its fit says a movement looks like.
 
     Parameters
     ----------
     atlas : Atlas
-    refiner : Refiner
+    solver : GaussNewton
     """
 
-    def __init__(self, atlas: Atlas, refiner: Refiner) -> None:
-        self._refiner = refiner
-        self.frame: Array = np.zeros(atlas.size, np.float32)
-        """The features to ask about, shape (channels * 2 * bins,): fill it, then call `holds`."""
-        self._seen: Array = np.zeros(atlas.size, np.float32)
-        self._shift: Array = np.zeros((2, atlas.size), np.float32)
-        self._shifted: Array = np.zeros(2, np.float32)
-        self._energy = np.zeros((), np.float32)
+    def __init__(self, atlas: Atlas, solver: GaussNewton) -> None:
+        self._solver = solver
+        dtype = atlas.coefficients.dtype
+        self.vector: Array = np.zeros(atlas.size, dtype)
+        """The bins to ask about, shape (channels * 2 * bins,): fill it, then call `holds`."""
+        self._seen: Array = np.zeros(atlas.size, dtype)
+        self._mask: Array | None = None
+        self._shift: Array = np.zeros((2, atlas.size), dtype)
+        self._shifted: Array = np.zeros(2, dtype)
+        self._energy = np.zeros((), dtype)
         self._most_mm2 = 0.0
         self.armed = False
         """Whether there is a frame to compare with."""
 
-    def arm(self, fit: Fit, moved_mm: float, variance: float) -> None:
-        """Keep the frame that the refiner holds if the one finger fitted in it hardly moves.
+    def reset(self) -> None:
+        """Compare with no frame."""
+        self.armed = False
+
+    def update(self, bins: Bins, fit: Fit, moved_mm: float, variance: float) -> None:
+        """Keep a frame's bins to compare with, if the one finger fitted in them hardly moves.
 
         Parameters
         ----------
+        bins : Bins
         fit : Fit
         moved_mm : float
-            How far the finger has come since the frame before; infinite unless it is one, and was.
+            Movement of the finger since the frame before; infinite unless both frames held exactly one finger.
         variance : float
-            Of the noise of a feature, as far as it moves a place, counts squared.
+            Noise variance of a value, counts squared.
         """
-        self.armed = moved_mm < STILL_MM and fit.information[0, 0] > 0
+        self.armed = moved_mm < STILL_MM and fit.fisher_information[0][0] > 0
         if self.armed:
-            np.copyto(self._seen, self._refiner.frame)
-            self._shift = self._refiner.shift(fit)
+            np.copyto(self._seen, bins.vector)
+            self._mask = bins.mask
+            self._shift = self._solver.shift(bins, fit)
             # Of two frames, per axis, by noise alone.
-            sigma_mm = sigmas_mm(fit.information, 2 * variance)[0]
+            sigma_mm = sigmas_mm(fit.fisher_information, 2 * variance)[0]
             self._most_mm2 = 2 * (STILL_SIGMAS * sigma_mm) ** 2
 
     def holds(self, most_energy: float) -> bool:
-        """Return whether the finger is where it was, but for the noise, and nothing has come beside it.
+        """Return whether the finger of `vector` is where it was, but for the noise, and nothing has come beside it.
 
-        One step of Gauss-Newton with what was known then tells how far it seems to have moved; what else may have
-        come is seen in the energy of the difference, `most_energy` (counts squared) being what noise may have.
+        One Gauss-Newton step with the matrices of the last fit tells how far it seems to have moved. The energy of the
+        difference shows what else may have come: noise explains `most_energy`, counts squared.
         """
-        difference = self.frame
+        difference = self.vector
         np.subtract(difference, self._seen, out=difference)
-        if self._refiner.mask is not None:
-            np.multiply(difference, self._refiner.mask, out=difference)
+        if self._mask is not None:
+            np.multiply(difference, self._mask, out=difference)
         difference.dot(difference, self._energy)
         if not self._energy.item() <= most_energy:
             return False

@@ -1,1 +1,1 @@
-"""The daemon: `daemon` puts it together, `loop` runs it."""
+"""The daemon: `daemon` composes it, `loop` runs it, `runner` is the one loop over a source's frames."""

@@ -1,4 +1,4 @@
-"""Puts a source, the pipeline and sinks together. Every verb that runs frames comes through here."""
+"""Composes the daemon: opens the source, the bus and the pre-roll, builds the service, and closes all at the end."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ import math
 import sys
 import time
 from collections.abc import Callable, Sequence
-from contextlib import nullcontext
-from typing import TYPE_CHECKING
+from contextlib import ExitStack, closing, nullcontext
 
 import structlog
 
@@ -20,48 +19,24 @@ from touchd.recording.data import Meta
 from touchd.service import realtime
 from touchd.service.control import Control, path_of
 from touchd.service.cpu_latency import Awake
-from touchd.service.loop import Service, reload_on_hangup, stop_on_signals
+from touchd.service.health import Health
+from touchd.service.loop import FrameKeeper, Service
+from touchd.service.messages import Messages, wants_of
 from touchd.service.preroll import PreRoll, save_on_signal
 from touchd.service.reload import Reloader
+from touchd.service.signals import reload_on_hangup, stop_on_signals
 from touchd.service.systemd import Notifier
-from touchd.sinks.messages import Messages
+from touchd.sinks.sink import Sink
 from touchd.sources.open import SourceChoice, open_source
 from touchd.sources.recorder import describe
 from touchd.sources.source import Source
-
-if TYPE_CHECKING:
-    from touchd.sinks.sink import Sink
-    from touchd.sinks.zeromq import ZeromqSink
 
 log = structlog.get_logger()
 
 
 def log_notice(reason: str, fields: dict[str, float]) -> None:
-    """Log that the baseline is learned anew."""
-    log.info("baseline learned anew", reason=reason, **fields)
-
-
-def make_pipeline(
-    source: Source,
-    settings: Settings,
-    messages: Messages,
-    sinks: Sequence[Sink] = (),
-    notify: Callable[[str, dict[str, float]], None] = log_notice,
-    model: Model | None = None,
-) -> tuple[Pipeline, Model]:
-    """Return the pipeline for a source, with the model that the settings name unless it is loaded already.
-
-    Without sinks the caller is taken for one, who wants all events but the spectra.
-    """
-    model = model or load_model(settings)
-    layout = layout_of(settings, model)
-
-    def wanted(topic: str) -> bool:
-        return any(sink.wants(topic) for sink in sinks) if sinks else topic != "spectrum"
-
-    wants = sinks[0].wants if len(sinks) == 1 else wanted  # it is asked with every touched frame
-    pipeline = Pipeline(source.acquisition, model, settings, messages, layout, wants, notify)
-    return pipeline, model
+    """Log that the baseline is relearned."""
+    log.info("baseline relearned", reason=reason, **fields)
 
 
 def load_model(settings: Settings) -> Model:
@@ -74,10 +49,58 @@ def layout_of(settings: Settings, model: Model) -> Layout | None:
     return load_layout(settings.keypad.layout) if settings.keypad.layout else model.description.layout
 
 
-def make_preroll(source: Source, settings: Settings, model: Model, choice: SourceChoice) -> PreRoll | None:
-    """Return what keeps the last seconds of a source's frames, if the settings ask for any."""
-    if not settings.preroll.seconds:
-        return None
+def make_pipeline(
+    source: Source,
+    settings: Settings,
+    model: Model | None = None,
+    notify: Callable[[str, dict[str, float]], None] = log_notice,
+) -> Pipeline:
+    """Return the pipeline for a source, with the model that the settings name unless one is given."""
+    model = model or load_model(settings)
+    return Pipeline(source.acquisition, model, settings, layout_of(settings, model), notify)
+
+
+def make_service(
+    source: Source,
+    sinks: Sequence[Sink],
+    settings: Settings,
+    model: Model | None = None,
+    *,
+    clock: Callable[[], int] = time.monotonic_ns,
+    manager: Notifier | None = None,
+    preroll: FrameKeeper | None = None,
+    control: Control | None = None,
+    read_settings: Callable[[], Settings] | None = None,
+) -> Service:
+    """Return the service between a source and sinks, which it closes at the end of `run`.
+
+    Parameters
+    ----------
+    source, sinks, settings
+    model : Model, optional
+        By default the one that the settings name.
+    clock : callable
+        CLOCK_MONOTONIC, ns.
+    manager, preroll, control
+        Optional parts of the service.
+    read_settings : callable, optional
+        Reads the configuration, for `Service.reload`.
+    """
+    model = model or load_model(settings)
+    pipeline = make_pipeline(source, settings, model)
+    messages = Messages(settings, wants_of(sinks))
+    health = Health(source, pipeline, messages, settings.health, model.description.name)
+    reloader = None
+    if read_settings is not None:
+        reloader = Reloader(settings, read_settings, lambda new: layout_of(new, model), pipeline, messages, health)
+    return Service(
+        source, pipeline, messages, sinks, health, clock=clock, manager=manager,
+        awake=Awake(settings.realtime.awake_from_hz), preroll=preroll, control=control, reloader=reloader,
+    )  # fmt: skip
+
+
+def make_preroll(source: Source, settings: Settings, model: Model, choice: SourceChoice) -> PreRoll:
+    """Return the keeper of the last seconds of a source's frames."""
     known = getattr(source, "meta", None)
     kind = "simulated" if choice.simulate else "replay" if choice.replay else "ni" if choice.ni else "usb"
     rate_hz = known.frame_rate_hz if known else float(settings.device.rate_hz)
@@ -88,11 +111,6 @@ def make_preroll(source: Source, settings: Settings, model: Model, choice: Sourc
         return known.model_copy(update={"created": fresh.created}) if known else fresh
 
     return PreRoll(source.acquisition, rate_hz, meta, settings.preroll)
-
-
-def make_messages(settings: Settings) -> Messages:
-    """Return the maker of this device's messages."""
-    return Messages(settings.device.name, time.time_ns() - time.monotonic_ns())
 
 
 def run(
@@ -107,61 +125,45 @@ def run(
 
     Parameters
     ----------
+    settings : Settings
+    choice : SourceChoice
     echo : bool
         Also print each event as a line of JSON on standard output.
     await_subscriber_s : float
-        Hold the first frame back until somebody subscribes to `touch`, for at most so long (BusTimeout).
+        Hold the first frame back until somebody subscribes to `touch`, for at most this time (BusTimeout).
     read_settings : callable, optional
         Reads the configuration again on SIGHUP.
     """
     from touchd.sinks.jsonl import JsonlSink
     from touchd.sinks.zeromq import ZeromqSink
 
-    manager = Notifier.from_environment()
-    if manager.watchdog_s:
-        # The manager ends what hangs by SIGABRT: the log then tells where it hung, by names of functions alone.
-        faulthandler.enable()
-    realtime.apply(settings.realtime)
-    model = load_model(settings)
-    source = open_source(choice, settings, model)
-    bus: ZeromqSink | None = None
-    preroll: PreRoll | None = None
-    control: Control | None = None
-    try:
+    with ExitStack() as stack:
+        manager = stack.enter_context(closing(Notifier.from_environment()))
+        if manager.watchdog_s:
+            # The manager kills a daemon that hangs by SIGABRT: the log then has a traceback, of function names alone.
+            faulthandler.enable()
+        realtime.apply(settings.realtime)
+        model = load_model(settings)
+        source = stack.enter_context(closing(open_source(choice, settings, model)))
         with realtime.giving_way() if choice.speed == math.inf else nullcontext():
-            bus = ZeromqSink(settings.bus)
-        sinks: list[Sink] = [bus]
-        if echo:
-            sinks.append(JsonlSink(sys.stdout))
-        messages = make_messages(settings)
-        pipeline, _ = make_pipeline(source, settings, messages, sinks, model=model)
-        service = Service(
-            source, pipeline, sinks, messages, settings.health, model.description.name, manager=manager,
-            awake=Awake(settings.realtime.awake_from_hz),
-        )  # fmt: skip
-        preroll = make_preroll(source, settings, model, choice)
-        if preroll is not None:
-            service.keep(preroll)
-            save_on_signal(preroll)
+            bus = stack.enter_context(closing(ZeromqSink(settings.bus)))
+        sinks: list[Sink] = [bus, JsonlSink(sys.stdout)] if echo else [bus]
+        preroll = control = None
+        if settings.preroll.seconds:
+            preroll = stack.enter_context(closing(make_preroll(source, settings, model, choice)))
         where = path_of(settings.control)
         if where is not None:
-            control = Control(where, settings.control.group)
-            service.obey(control)
+            control = stack.enter_context(closing(Control(where, settings.control.group)))
+        service = make_service(
+            source, sinks, settings, model,
+            manager=manager, preroll=preroll, control=control, read_settings=read_settings,
+        )  # fmt: skip
         stop_on_signals(service)
         if read_settings is not None:
-            reloader = Reloader(settings, read_settings, lambda new: layout_of(new, model), pipeline)
-            service.on_reload(reloader.reload)
             reload_on_hangup(service)
+        if preroll is not None:
+            save_on_signal(preroll)
         realtime.freeze(settings.realtime)
         if await_subscriber_s:
             bus.wait_for_subscriber(await_subscriber_s, stopped=lambda: service.stopped)
         service.run()
-    finally:
-        source.close()
-        if bus is not None:
-            bus.close()
-        if control is not None:
-            control.close()
-        if preroll is not None:
-            preroll.close()
-        manager.close()

@@ -16,7 +16,7 @@ from types import FrameType
 import structlog
 
 from touchd.config.schema import PreRollSettings
-from touchd.event import Event, TouchEvent
+from touchd.event import Contact
 from touchd.frame import Acquisition, Frame
 from touchd.recording.data import Meta
 from touchd.sources.recorder import Block, write_blocks
@@ -73,8 +73,8 @@ class PreRoll:
         self._writing: Future[None] | None = None
         self._writer = ThreadPoolExecutor(1, "touchd-preroll")
 
-    def keep(self, frame: Frame, events: Sequence[Event]) -> None:
-        """Keep a copy of a frame, and see whether the events that it caused call for saving."""
+    def keep(self, frame: Frame, contacts: Sequence[Contact]) -> None:
+        """Copy a frame, and schedule a save if one of its contacts goes down with little confidence."""
         last = self._last
         if last is not None and (frame.sequence <= last.sequence or frame.t_ns <= last.t_ns):
             if frame.sequence == last.sequence:
@@ -88,7 +88,7 @@ class PreRoll:
             while len(self._blocks) > 1 and frame.t_ns - int(self._blocks[1].timestamp_ns[0]) >= self._span_ns:
                 self._recycle(self._blocks.popleft())
             self._current = self._free.pop() if self._free else Block(self._block_frames, self._acquisition)
-        if events and self._due_ns is None and self._doubtful(events):
+        if contacts and self._due_ns is None and self._is_doubtful(contacts):
             self._due_ns = self._clock() + AFTER_NS
         if self._asked or self._due_ns is not None:
             self.poll()
@@ -113,14 +113,9 @@ class PreRoll:
         self.poll()
         self._writer.shutdown()
 
-    def _doubtful(self, events: Sequence[Event]) -> bool:
+    def _is_doubtful(self, contacts: Sequence[Contact]) -> bool:
         least = self._settings.min_confidence
-        for event in events:
-            if isinstance(event, TouchEvent):
-                for contact in event.contacts:
-                    if contact.phase == "down" and contact.confidence < least:
-                        return True
-        return False
+        return any(contact.phase == "down" and contact.confidence < least for contact in contacts)
 
     def _save(self, reason: str) -> None:
         now_ns = self._clock()

@@ -1,4 +1,4 @@
-"""Which settings a running daemon can take over, and taking them over."""
+"""Reloads the configuration of a running daemon: which settings it applies, and which wait for a restart."""
 
 from __future__ import annotations
 
@@ -8,11 +8,13 @@ from dataclasses import dataclass
 import structlog
 
 from touchd.config.render import fields
-from touchd.config.schema import HealthSettings, Settings
+from touchd.config.schema import Settings
 from touchd.errors import TouchdError
 from touchd.keypad import Layout
 from touchd.pipeline import Pipeline
 from touchd.service import log as logging
+from touchd.service.health import Health
+from touchd.service.messages import Messages
 
 RESTART_ONLY = frozenset({"device", "bus", "control", "realtime", "model.path", "baseline.learn_frames"})
 """Tables and keys that hold from the start to the end: what is open, bound, loaded or learned by then."""
@@ -50,7 +52,7 @@ def compare(running: Settings, read: Settings) -> Changes:
 
 
 class Reloader:
-    """Reads the configuration again for a daemon that runs.
+    """Reloads the configuration of a running daemon.
 
     Parameters
     ----------
@@ -59,8 +61,9 @@ class Reloader:
     read : callable
         Returns the settings as they now are; raises ConfigError if they are wrong.
     layout_of : callable
-        Returns the keys that settings mean; raises ConfigError if there is a mistake in them.
-    pipeline : Pipeline
+        Returns the keys that settings name; raises ConfigError if there is a mistake in them.
+    pipeline, messages, health
+        The parts that are configured.
     """
 
     def __init__(
@@ -69,14 +72,17 @@ class Reloader:
         read: Callable[[], Settings],
         layout_of: Callable[[Settings], Layout | None],
         pipeline: Pipeline,
+        messages: Messages,
+        health: Health,
     ) -> None:
         self.settings = settings
+        """Those in use."""
         self._read = read
         self._layout_of = layout_of
-        self._pipeline = pipeline
+        self._pipeline, self._messages, self._health = pipeline, messages, health
 
-    def reload(self) -> HealthSettings:
-        """Take over what can be, or keep everything if anything is wrong; return the settings of `health`.
+    def reload(self) -> None:
+        """Read the configuration and apply what can change while the daemon runs; a wrong one changes nothing.
 
         Nothing is raised: a mistake in a file must not end a daemon that works.
         """
@@ -85,11 +91,12 @@ class Reloader:
             layout = self._layout_of(changes.settings)
         except TouchdError as error:
             log.error("the configuration is wrong, the old one stays in use", error=str(error))
-            return self.settings.health
-        self._pipeline.retune(changes.settings, layout)
-        self.settings = changes.settings
-        logging.configure(changes.settings.log)
+            return
+        new = self.settings = changes.settings
+        self._pipeline.configure(new, layout)
+        self._messages.configure(new)
+        self._health.configure(new.health)
+        logging.configure(new.log)
         log.info("configuration read again", taken=changes.taken)
         if changes.waiting:
             log.warning("settings that wait for a restart", waiting=changes.waiting)
-        return changes.settings.health

@@ -13,6 +13,7 @@ from touchd.touch import Touch
 from touchd.tracking.assignment import assign
 from touchd.tracking.one_euro import OneEuro
 
+_NOTHING: list[Contact] = []
 _NEVER = 1e9  # mm: finite, as the assignment asks
 _DEAD_SIGMAS = 1.5
 """Movement within so many standard errors is none."""
@@ -39,33 +40,34 @@ class Tracker:
     """
 
     def __init__(self, settings: TrackerSettings) -> None:
-        self.retune(settings)
+        self.configure(settings)
         self._tracks: list[_Track] = []
         self._missed = False  # whether a track may have ended
         self.alive = False
         """Whether any contact is down."""
-        self.busy = False
-        """Whether any finger is being followed, confirmed or not."""
         self._next_id = 1
         self._last_ns = 0
         self._reported_ns = 0
 
-    def retune(self, settings: TrackerSettings) -> None:
-        """Take other settings; the filter's hold from the next contact on."""
+    def configure(self, settings: TrackerSettings) -> None:
+        """Take other settings; those of the filter hold from the next contact on."""
         self._settings = settings
         self._reach_mm, self._dead_band_mm = settings.reach_mm, settings.dead_band_mm
         self._refresh_ns = round(settings.refresh_s * 1e9)
 
-    def update(self, t_ns: int, touches: Sequence[Touch]) -> list[Contact] | None:
-        """Take in the fingers of one frame.
+    def track(self, t_ns: int, touches: Sequence[Touch]) -> list[Contact]:
+        """Assign the touches of a frame to contacts.
 
         Returns
         -------
-        list of Contact or None
-            All contacts alive and those that ended in this frame, if a message is due: a contact went
-            down, moved beyond the dead band or went up, or the next frame would come later than `refresh_s`
-            after the last message. Else None.
+        list of Contact
+            All contacts alive and those that ended in this frame, if a message is due: a contact went down, moved
+            beyond the dead band or went up, or the next frame would come later than `refresh_s` after the last message.
+            Else empty.
         """
+        if not touches and not self._tracks:
+            self._last_ns = t_ns
+            return _NOTHING
         elapsed_s = max(t_ns - self._last_ns, 1) * 1e-9
         self._last_ns = t_ns
         if len(self._tracks) == len(touches) == 1 and self._cost(self._tracks[0], touches[0]) < _NEVER:
@@ -81,8 +83,8 @@ class Tracker:
                 due |= self._confirm(self._tracks[-1], touch)
         return self._report(t_ns, due, elapsed_s)
 
-    def release_all(self, t_ns: int) -> list[Contact] | None:
-        """End every contact, as when the frames stop. Returns the same as `update`."""
+    def release_all(self, t_ns: int) -> list[Contact]:
+        """End every contact, as when the frames stop; return the same as `track`."""
         self._last_ns = t_ns
         for track in self._tracks:
             track.missing = self._settings.release_frames - 1
@@ -155,21 +157,19 @@ class Tracker:
         contact.vx_mm_s = contact.vy_mm_s = 0.0
         return True
 
-    def _report(self, t_ns: int, due: bool, elapsed_s: float) -> list[Contact] | None:
+    def _report(self, t_ns: int, due: bool, elapsed_s: float) -> list[Contact]:
         # The next frame is expected as long after this one as this one came after the last.
         quiet_ns = t_ns - self._reported_ns
-        # Below 0 the clock stepped back: waiting until it has caught up could take for ever.
+        # Below 0 the clock stepped back: it may never catch up.
         due = due or quiet_ns < 0 or quiet_ns + round(elapsed_s * 1e9) > self._refresh_ns
-        # Copies: a message must not change after it was handed on.
+        # Copies: a message must not change once it is made.
         contacts = [replace(track.contact) for track in self._tracks if track.contact is not None] if due else []
         if self._missed:
             self._missed = False
             self._tracks = [track for track in self._tracks if _lives(track)]
             self.alive = any(track.contact is not None for track in self._tracks)
-        self.busy = bool(self._tracks)
-        if not contacts:
-            return None
-        self._reported_ns = t_ns
+        if contacts:
+            self._reported_ns = t_ns
         return contacts
 
 
@@ -179,6 +179,6 @@ def _is_within_reach(costs: list[float]) -> bool:
 
 def _lives(track: _Track) -> bool:
     if track.contact is None:
-        # An unconfirmed finger that misses one frame was none.
+        # An unconfirmed finger that misses one frame was not one.
         return track.missing == 0
     return track.contact.phase != "up"

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from touchd.config.schema import Settings
-from touchd.evaluation.replay import run_through
 from touchd.event import Contact, Event, KeyEvent, TouchEvent
 from touchd.frame import Frame
 from touchd.keypad import PHONE
 from touchd.recording.data import Recording
+from touchd.service.replay import run_through
 from touchd.sources.source import EndOfStream
 from touchd.twin.scenes.catalogue import SCENES
 
@@ -27,6 +26,7 @@ CASES = {
 }
 """Each result's scene, and whether the field atlas places its fingers."""
 COLUMNS = Contact.__struct_fields__
+COUNTED = ("frames", "lost", "repeated", "inferred", "skipped")
 TOLERANCE = {
     "x_mm": 0.02, "y_mm": 0.02, "force": 0.005, "sigma_mm": 0.005, "confidence": 0.01, "vx_mm_s": 2.0, "vy_mm_s": 2.0,
     "notice": 0.2,
@@ -59,7 +59,8 @@ def rows(case: str, recording: Recording) -> list[Any]:
     name, atlas = CASES[case]
     keypad = {"layout": PHONE} if name == "keypad" else {}
     outcome = run_through(Frames(recording), Settings.model_validate({"keypad": keypad, "model": {"atlas": atlas}}))
-    last = {"counters": asdict(outcome.counters), "notices": outcome.notices}
+    counted = {name: getattr(outcome.counters, name) for name in COUNTED} | {"unheard": outcome.unheard}
+    last = {"counters": counted, "notices": outcome.notices}
     found: list[Any] = json.loads(json.dumps([*(_row(event) for event in outcome.events), last]))
     return found
 

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from tests.scenes.numerics import reference
 from tests.scenes.numerics.watch import Look, Run, frames_of, run
-from touchd.evaluation.finders import atlas_finder
-from touchd.evaluation.single_frames import see, touched_frames
+from touchd.evaluation.single_frames import find_with, see, touched_frames
 from touchd.localization.atlas import Atlas
 from touchd.localization.model import Model, default_model_path
 from touchd.recording.data import Recording
@@ -148,7 +147,7 @@ def atlas_shift(recording: Recording, atlas: Atlas) -> NetworkShift:
     frames = touched_frames(recording)
     path = default_model_path()
     models = (Model(path, atlas=False), Model(path.with_name("int8.onnx"), atlas=False))
-    single, small = (see(atlas_finder(model, atlas, frames), frames) for model in models)
+    single, small = (see(find_with(model, atlas, frames), frames) for model in models)
     both = [(a.found[0], b.found[0]) for a, b in zip(single, small, strict=True) if len(a.found) == len(b.found) == 1]
     places = np.array([[_place(one), _place(other)] for one, other in both])
     name = f"atlas, begun by int8 beside float32 ({len(both)} placed once by both)"

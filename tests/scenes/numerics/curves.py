@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 
 from touchd.config.schema import ModelSettings
 from touchd.evaluation.dataset import Dataset, make_dataset
-from touchd.evaluation.finders import atlas_finder
 from touchd.evaluation.matching import match_frames
 from touchd.evaluation.model_scores import judge
-from touchd.evaluation.single_frames import see, touched_frames
+from touchd.evaluation.single_frames import find_with, see, touched_frames
 from touchd.lab.dictionary import Correlation, Nearest
 from touchd.localization.atlas import Atlas
 from touchd.localization.features import band_bins
@@ -60,7 +59,7 @@ def by_atlas(model: Model, atlas: Atlas) -> Contender:
 
     def answer(recording: Recording, _data: Dataset) -> Answer:
         frames = touched_frames(recording)
-        seen = match_frames(see(atlas_finder(model, atlas, frames), frames), reach_mm=float("inf"))
+        seen = match_frames(see(find_with(model, atlas, frames), frames), reach_mm=float("inf"))
         extra = int(np.maximum(seen.contacts - 1, 0).sum())
         return Answer(seen.judged.distance_mm, len(frames), extra)
 

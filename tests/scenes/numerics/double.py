@@ -29,7 +29,7 @@ from touchd.localization.atlas import atlas_path
 
 SHARED = (
     "tracking", "tracking.assignment", "config", "config.schema", "outcome", "errors", "event", "tracking.one_euro",
-    "frame", "detection", "detection.gate", "keypad", "sinks", "sinks.messages", "recording", "recording.npz",
+    "frame", "detection", "detection.gate", "keypad", "tracking.keys", "recording", "recording.npz",
     "tracking.tracker", "touch", "recording.data", "recording.validate", "recording.format", "localization",
 )  # fmt: skip
 """Modules that compute in float64 anyway, or hold nothing but plain data: both runs use the same ones."""

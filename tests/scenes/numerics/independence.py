@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from tests.scenes.numerics.agreement import NetworkShift, shift
 from touchd.config.schema import Settings
-from touchd.evaluation.replay import run_through
 from touchd.event import TouchEvent
 from touchd.frame import Acquisition, Frame
 from touchd.localization.model import Model, default_model_path
 from touchd.recording.data import Recording
 from touchd.recording.format import write
+from touchd.service.replay import run_through
 from touchd.sources.replay import ReplaySource
 from touchd.sources.source import EndOfStream, Source
 

@@ -17,7 +17,7 @@ from touchd.frame import Frame
 from touchd.localization import network_localizer
 from touchd.localization.model import Model, default_model_path
 from touchd.recording.data import Recording
-from touchd.sinks.messages import Messages
+from touchd.service.messages import Messages
 from touchd.touch import Touch
 
 Array = NDArray[Any]
@@ -96,14 +96,13 @@ def run(
     kept = modules.network_localizer.Locator
     modules.network_localizer.Locator = Watched
     try:
-        made = modules.pipeline.Pipeline(
-            chosen.description.acquisition, chosen, settings or Settings(), Messages("plate", 0)
-        )
+        made = modules.pipeline.Pipeline(chosen.description.acquisition, chosen, settings or Settings())
     finally:
         modules.network_localizer.Locator = kept
     result.pipeline = made
+    messages = Messages(settings or Settings(), lambda _topic: True, wall_offset_ns=0)
     for number, frame in enumerate(frames):  # noqa: B007  the watched locator reads it
-        result.events += made.process(frame)
+        result.events += messages.make(made.process(frame), made.spectrum)
     return result
 
 

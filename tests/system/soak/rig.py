@@ -9,7 +9,6 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,14 +17,12 @@ from tests.system.usb.backend import FakeBus, FakeDaq, Transfer
 from tests.system.usb.plate import recorded
 from tests.system.usb.reader import INFO
 from touchd.config.schema import BusSettings, DeviceSettings, Settings
-from touchd.event import Event
+from touchd.event import Contact, Event
 from touchd.frame import Frame
 from touchd.localization.model import Model
 from touchd.pipeline import Pipeline
-from touchd.service.cpu_latency import Awake
-from touchd.service.daemon import make_messages, make_pipeline
+from touchd.service.daemon import make_service
 from touchd.service.loop import Service
-from touchd.service.preroll import PreRoll
 from touchd.sinks.sink import Sink
 from touchd.sinks.zeromq import ZeromqSink
 from touchd.sources.live import DaqSource
@@ -170,17 +167,17 @@ class Found:
 class Watch:
     """A sink that looks after the frames rather than the messages."""
 
-    def __init__(self, pipeline: Pipeline, device: Device) -> None:
+    def __init__(self, device: Device) -> None:
         self.found = Found()
         self.events = 0
         self.service: Service | None = None
         self._device = device
         self._last = -1
         self._taken = -1
-        self._process = pipeline.process
-        pipeline.process = self.process  # type: ignore[method-assign]  # to see what is processed, and only that
 
-    def process(self, frame: Frame) -> list[Event]:
+    def keep(self, frame: Frame, _contacts: Sequence[Contact]) -> None:
+        """Check a frame that is done, and let the device send the next one."""
+        self.found.took((time.monotonic_ns() - frame.received_ns) * 1e-3)
         bits = (frame.counts[0, :_NUMBER_BITS] & 1).astype(np.int64)
         number = int((bits << np.arange(_NUMBER_BITS)).sum())
         self.found.frames += 1
@@ -189,11 +186,6 @@ class Watch:
         self._device.room.release()
         if self.found.frames % _SAMPLE_EVERY == 0:
             self.found.rss_kb.append(rss_kb())
-        return self._process(frame)
-
-    def keep(self, frame: Frame, _events: Sequence[Event]) -> None:
-        """Called when a frame has gone all its way."""
-        self.found.took((time.monotonic_ns() - frame.received_ns) * 1e-3)
 
     def wants(self, topic: str) -> bool:
         return topic != "spectrum"
@@ -228,20 +220,15 @@ def run(frames: int, rate_hz: float, folder: Path, model: Model, seed: int = 0) 
     device = Device(frames, rate_hz, seed)
     wanted = DeviceSettings(rate_hz=int(min(rate_hz, 1000)), stall_s=10.0)
     settings = Settings(bus=BusSettings(bind=(f"ipc://{folder}/bus",)), device=wanted)
-    messages = make_messages(settings)
     source = open_usb(wanted, model.description.acquisition, model.check, backend=FakeBus(device.daq))
-    sinks: list[Sink] = [ZeromqSink(settings.bus)]
-    pipeline, _ = make_pipeline(source, settings, messages, model=model)  # no sinks: as if all were subscribed to
-    watch = Watch(pipeline, device)
+    watch = Watch(device)
     watch.found.expect(frames)
-    awake = Awake(settings.realtime.awake_from_hz)
-    service = Service(source, pipeline, [watch, *sinks], messages, settings.health, "the model", awake=awake)
-    watch.service = service
-    service.keep(cast(PreRoll, watch))  # what keeps frames is called when all else is done
+    sinks: list[Sink] = [watch, ZeromqSink(settings.bus)]
+    service = watch.service = make_service(source, sinks, settings, model, preroll=watch)
     gc.collect()
     begun_s = time.monotonic()
     service.run()
-    return Result(device.sent, watch.found, source, pipeline, watch.events, time.monotonic() - begun_s)
+    return Result(device.sent, watch.found, source, service.pipeline, watch.events, time.monotonic() - begun_s)
 
 
 def rss_kb() -> int:

@@ -20,8 +20,7 @@ from touchd.errors import ReaderFailed, TouchdError
 from touchd.event import Event, HealthEvent
 from touchd.gadget.device import COMMANDS, Gadget
 from touchd.localization.model import Model
-from touchd.service.daemon import make_messages, make_pipeline
-from touchd.service.loop import Service
+from touchd.service.daemon import make_service
 from touchd.sinks.sink import Sink
 from touchd.sinks.zeromq import ZeromqSink
 from touchd.sources.usb import open_usb
@@ -85,12 +84,10 @@ class Running:
         health = HealthSettings(period_s=0.2)
         settings = Settings(bus=BusSettings(bind=(address,)), device=device, health=health)
         bus, self.heard = ZeromqSink(settings.bus), Heard()
-        messages = make_messages(settings)
         source = open_usb(device, model.description.acquisition, model.check, backend=FakeBus(cable.daq))
         sinks: list[Sink] = [bus, self.heard]
-        pipeline, _ = make_pipeline(source, settings, messages, sinks, model=model)
-        self.pipeline, self.tally = pipeline, source.tally
-        self.service = Service(source, pipeline, sinks, messages, settings.health, "the model")
+        self.service = make_service(source, sinks, settings, model)
+        self.pipeline, self.tally = self.service.pipeline, source.tally
         self.error: TouchdError | None = None
         self.thread = threading.Thread(target=self._run)
         self.thread.start()

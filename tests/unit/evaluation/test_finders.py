@@ -12,9 +12,8 @@ from click.testing import CliRunner
 
 from tests.unit.evaluation.twinatlas import twin_atlas
 from touchd.cli.evaluate import command
-from touchd.evaluation.finders import atlas_finder, network_finder
 from touchd.evaluation.matching import match_frames, scores_by_fingers
-from touchd.evaluation.single_frames import TouchedFrames, see, touched_frames
+from touchd.evaluation.single_frames import TouchedFrames, find_with, see, touched_frames
 from touchd.localization.atlas import Atlas, atlas_path, save_atlas
 from touchd.localization.model import Model, default_model_path
 from touchd.recording.format import write
@@ -39,8 +38,8 @@ def frames(instrument: Instrument) -> dict[str, TouchedFrames]:
 def test_the_atlas_places_one_finger_far_finer_than_its_network(
     atlas: Atlas, model: Model, frames: dict[str, TouchedFrames]
 ) -> None:
-    fine = scores_by_fingers(match_frames(see(atlas_finder(model, atlas, frames["1"]), frames["1"])))["1"]
-    rough = scores_by_fingers(match_frames(see(network_finder(model, frames["1"]), frames["1"])))["1"]
+    fine = scores_by_fingers(match_frames(see(find_with(model, atlas, frames["1"]), frames["1"])))["1"]
+    rough = scores_by_fingers(match_frames(see(find_with(model, None, frames["1"]), frames["1"])))["1"]
     print(f"median {1e3 * fine['median_mm']:.0f} and {1e3 * rough['median_mm']:.0f} um")
     assert fine["count_right"] == 1
     assert fine["median_mm"] < 0.05 < 5 * fine["median_mm"] < rough["median_mm"]
@@ -51,14 +50,14 @@ def test_the_atlas_places_one_finger_far_finer_than_its_network(
 def test_the_atlas_finds_two_fingers_where_the_network_knows_of_one(
     atlas: Atlas, model: Model, frames: dict[str, TouchedFrames]
 ) -> None:
-    fine = scores_by_fingers(match_frames(see(atlas_finder(model, atlas, frames["2"]), frames["2"])))["2"]
+    fine = scores_by_fingers(match_frames(see(find_with(model, atlas, frames["2"]), frames["2"])))["2"]
     assert fine["all_within_1_mm"] > 0.9
     assert fine["missed"] <= 2
 
 
 def test_each_frame_is_a_touch_down_of_its_own(atlas: Atlas, model: Model, frames: dict[str, TouchedFrames]) -> None:
     """In any order, and however often it was asked before, the same is found."""
-    find = atlas_finder(model, atlas, frames["1"])
+    find = find_with(model, atlas, frames["1"])
     there = [find(frames["1"].look(i)) for i in range(20)]
     back = [find(frames["1"].look(i)) for i in reversed(range(20))]
     assert there == back[::-1]

@@ -10,10 +10,9 @@ import pytest
 
 from touchd.errors import RecordingValues
 from touchd.evaluation.dataset import make_dataset
-from touchd.evaluation.finders import network_features, network_finder
 from touchd.evaluation.matching import match_frames, scores_by_fingers
 from touchd.evaluation.model_scores import judge
-from touchd.evaluation.single_frames import Look, see, touched_frames
+from touchd.evaluation.single_frames import Look, find_with, network_features, see, touched_frames
 from touchd.evaluation.truth import fingers_only
 from touchd.localization.model import Model
 from touchd.recording.data import Recording
@@ -51,7 +50,7 @@ def test_a_network_is_given_the_features_of_its_training_set_to_the_bit(one: Rec
 
 def test_the_network_as_a_finder_says_what_it_says_to_the_daemon(one: Recording, model: Model) -> None:
     frames = touched_frames(one)
-    seen = see(network_finder(model, frames), frames)
+    seen = see(find_with(model, None, frames), frames)
     judged = judge(model, network_features(model, frames), frames.true_mm[:, 0], frames.noise_energy())
     mine = match_frames(seen, reach_mm=np.inf).judged
     np.testing.assert_array_equal(mine.position_mm, judged.position_mm)
@@ -79,7 +78,7 @@ def test_a_perfect_finder_of_several_fingers_has_perfect_scores(three: Recording
 
 def test_a_finder_of_one_misses_the_others(three: Recording, model: Model) -> None:
     frames = touched_frames(three)
-    scores = scores_by_fingers(match_frames(see(network_finder(model, frames), frames)))["3"]
+    scores = scores_by_fingers(match_frames(see(find_with(model, None, frames), frames)))["3"]
     assert scores["count_right"] == scores["all_within_2_mm"] == scores["told_apart"] == 0
     assert scores["missed"] - scores["ghosts"] == 2 * 40
 

@@ -10,13 +10,11 @@ from hypothesis import strategies as st
 from tests.conftest import Scene
 from touchd.config.schema import GateSettings, Settings
 from touchd.detection.gate import Gate
-from touchd.event import TouchEvent
 from touchd.frame import Frame
 from touchd.localization.model import Model
 from touchd.localization.still import Still
 from touchd.outcome import Counters
 from touchd.pipeline import Pipeline
-from touchd.sinks.messages import Messages
 
 SHAPE = (4, 250)
 RATE = 0.01
@@ -105,15 +103,14 @@ def played(
     recording = scene(name)
     # Without a dead band, so that the places themselves are compared and not which side of it they fell on.
     settings = Settings.model_validate({"skip": {"still": skip}, "tracker": {"dead_band_mm": 0.0}})
-    pipeline = Pipeline(recording.acquisition, model, settings, Messages("plate", 0))
+    pipeline = Pipeline(recording.acquisition, model, settings)
     changes: list[tuple[int, int, str]] = []
     places: list[Places] = []
     last: Places = {}
     for i, (counts, sequence) in enumerate(zip(recording.frames, recording.sequence.tolist(), strict=True)):
-        for event in pipeline.process(Frame(counts, sequence, int(recording.timestamp_ns[i]), 0)):
-            if isinstance(event, TouchEvent):
-                changes += [(i, c.id, c.phase) for c in event.contacts if c.phase in ("down", "up")]
-                last = last | {c.id: (c.x_mm, c.y_mm, c.sigma_mm, c.force) for c in event.contacts}
+        contacts = pipeline.process(Frame(counts, sequence, int(recording.timestamp_ns[i]), 0)).contacts
+        changes += [(i, c.id, c.phase) for c in contacts if c.phase in ("down", "up")]
+        last = last | {c.id: (c.x_mm, c.y_mm, c.sigma_mm, c.force) for c in contacts}
         places.append(last)
     return pipeline.counters, changes, places
 

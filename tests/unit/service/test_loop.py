@@ -20,8 +20,10 @@ from touchd.localization.model import Model
 from touchd.pipeline import Pipeline
 from touchd.recording.data import Recording
 from touchd.service.cpu_latency import Awake
-from touchd.service.loop import READ_TIMEOUT_S, STALL_NS, Service
-from touchd.sinks.messages import Messages
+from touchd.service.health import Health
+from touchd.service.loop import STALL_NS, Service
+from touchd.service.messages import Messages, wants_of
+from touchd.service.runner import READ_TIMEOUT_S
 from touchd.sources.source import Change, EndOfStream, Tally
 
 START_NS = 5_000_000_000
@@ -110,24 +112,17 @@ class Bench:
     """A service with a source of its own and sinks that keep everything."""
 
     def __init__(self, recording: Recording, model: Model, steps: Sequence[Step], period_s: float = 1.0,
-                 awake: Awake | None = None) -> None:  # fmt: skip
+                 awake: Awake | None = None, live: bool = False) -> None:  # fmt: skip
         self.clock = Clock()
-        self.source = Script(recording, steps, self.clock)
+        self.source = (Live if live else Script)(recording, steps, self.clock)
         self.sink = Keeper(self.clock, self._heard)
         self.other = Keeper(self.clock)
         self.when: Callable[[Event], None] = lambda _event: None
-        messages = Messages("plate", 0)
-        self.pipeline = Pipeline(recording.acquisition, model, Settings(), messages, wants=self.sink.wants)
-        self.service = Service(
-            self.source,
-            self.pipeline,
-            [self.sink, self.other],
-            messages,
-            HealthSettings(period_s=period_s),
-            "the model",
-            self.clock,
-            awake=awake,
-        )
+        sinks = [self.sink, self.other]
+        messages = Messages(Settings(), wants_of(sinks))
+        self.pipeline = Pipeline(recording.acquisition, model, Settings())
+        health = Health(self.source, self.pipeline, messages, HealthSettings(period_s=period_s), "the model")
+        self.service = Service(self.source, self.pipeline, messages, sinks, health, clock=self.clock, awake=awake)
 
     def _heard(self, event: Event) -> None:
         self.when(event)
@@ -188,7 +183,7 @@ def test_health_tells_what_became_of_the_frames(make: Callable[..., Bench], circ
     assert last.inferred == counters.inferred > 0
     assert last.frames == last.inferred + sum(counters.skipped.values())
     assert last.noise > 0
-    assert (last.model, last.device) == ("the model", "plate")
+    assert (last.model, last.device) == ("the model", Settings().device.name)
     touched_s = counters.inferred * PERIOD_NS * 1e-9
     assert touched_s <= last.baseline_age_s < 3, "the baseline stands still under a finger"
 
@@ -287,16 +282,7 @@ class Live(Script):
 
 @pytest.fixture
 def live(scene: Scene, model: Model) -> Callable[[Sequence[Step]], Bench]:
-    def make(steps: Sequence[Step]) -> Bench:
-        bench = Bench(scene("circle"), model, [], period_s=1e6)
-        bench.source = Live(scene("circle"), steps, bench.clock)
-        bench.service = Service(
-            bench.source, bench.pipeline, [bench.sink, bench.other], Messages("plate", 0),
-            HealthSettings(period_s=1e6), "the model", bench.clock,
-        )  # fmt: skip
-        return bench
-
-    return make
+    return lambda steps: Bench(scene("circle"), model, steps, period_s=1e6, live=True)
 
 
 def test_when_a_device_is_lost_contacts_are_lifted_and_it_is_said_at_once(

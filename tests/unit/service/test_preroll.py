@@ -18,7 +18,7 @@ from tests.processes import PATIENCE_S, end, started, touchd
 from touchd.cli.demo import SESSION
 from touchd.client import Subscriber
 from touchd.config.schema import PreRollSettings
-from touchd.event import Contact, TouchEvent
+from touchd.event import Contact
 from touchd.frame import Acquisition, Frame, Plate
 from touchd.recording.data import Recording
 from touchd.recording.format import read
@@ -57,8 +57,8 @@ class Bench:
             self.clock.now_ns += PERIOD_NS
             frame = Frame(np.full((2, 3), self.next % 1000, np.int16), self.next, self.clock(), self.clock())
             self.next += 1
-            events = [touch("down", confidence)] if confidence is not None and i == 0 else []
-            self.preroll.keep(frame, events)
+            contacts = [touch("down", confidence)] if confidence is not None and i == 0 else []
+            self.preroll.keep(frame, contacts)
 
     def saved(self) -> list[Recording]:
         """Close it, and read what it wrote, oldest first."""
@@ -67,8 +67,8 @@ class Bench:
         return [read(path) for path in paths]
 
 
-def touch(phase: Any, confidence: float) -> TouchEvent:
-    return TouchEvent("plate", 1, 1, "", 1, [Contact(1, phase, 1.0, 2.0, 0.5, 1.0, confidence, 0.0, 0.0)])
+def touch(phase: Any, confidence: float) -> Contact:
+    return Contact(1, phase, 1.0, 2.0, 0.5, 1.0, confidence, 0.0, 0.0)
 
 
 def wait_until(done: Callable[[], Any]) -> None:

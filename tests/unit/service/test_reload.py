@@ -11,14 +11,16 @@ import pytest
 from tests.conftest import Scene
 from touchd.config.load import load
 from touchd.config.render import fields
-from touchd.config.schema import Settings
-from touchd.event import TouchEvent
+from touchd.config.schema import HealthSettings, Settings
+from touchd.event import Contact
 from touchd.frame import Frame
 from touchd.localization.model import Model
 from touchd.pipeline import Pipeline
 from touchd.service.daemon import layout_of
+from touchd.service.health import Health
+from touchd.service.messages import Messages, all_but_spectra
 from touchd.service.reload import RESTART_ONLY, Reloader, compare
-from touchd.sinks.messages import Messages
+from touchd.sources.replay import ReplaySource
 
 PERIOD_NS = 8_000_000
 Setting = dict[str, dict[str, object]]
@@ -73,19 +75,16 @@ class Run:
         recording = scene(name)
         self.frames = recording.frames
         self.next = 0
-        self.pipeline = Pipeline(recording.acquisition, model, Settings(), Messages("plate", 0))
+        self.pipeline = Pipeline(recording.acquisition, model, Settings())
 
-    def feed(self, until: int) -> list[TouchEvent]:
-        """Process the frames up to a number."""
-        events: list[TouchEvent] = []
-        for i in range(self.next, until):
-            made = self.pipeline.process(Frame(self.frames[i], i, i * PERIOD_NS, 0))
-            events += [event for event in made if isinstance(event, TouchEvent)]
+    def feed(self, until: int) -> list[list[Contact]]:
+        """Process the frames up to a number, and return the contacts of each due message."""
+        frames = [Frame(self.frames[i], i, i * PERIOD_NS, 0) for i in range(self.next, until)]
         self.next = until
-        return events
+        return [result.contacts for result in map(self.pipeline.process, frames) if result.contacts]
 
-    def retune(self, values: Setting) -> None:
-        self.pipeline.retune(settings(values), None)
+    def configure(self, values: Setting) -> None:
+        self.pipeline.configure(settings(values), None)
 
 
 @pytest.fixture
@@ -96,18 +95,18 @@ def run(scene: Scene, model: Model) -> Callable[[str], Run]:
 def test_a_finger_that_is_down_stays_down_and_moves_by_the_new_dead_band(run: Callable[[str], Run]) -> None:
     circle = run("circle")
     before = circle.feed(260)
-    assert [c.phase for c in before[-1].contacts] == ["move"]
-    circle.retune({"tracker": {"dead_band_mm": 1000.0}})
+    assert [c.phase for c in before[-1]] == ["move"]
+    circle.configure({"tracker": {"dead_band_mm": 1000.0}})
     after = circle.feed(300)
-    assert {c.phase for event in after for c in event.contacts} == {"hold"}
-    assert {c.id for event in before + after for c in event.contacts} == {1}
+    assert {c.phase for contacts in after for c in contacts} == {"hold"}
+    assert {c.id for contacts in before + after for c in contacts} == {1}
 
 
 def test_a_confidence_that_nothing_reaches_ends_the_contact(run: Callable[[str], Run]) -> None:
     circle = run("circle")
     circle.feed(260)
-    circle.retune({"model": {"min_confidence": 1.0, "keep_confidence": 1.0}, "tracker": {"release_frames": 1}})
-    assert [c.phase for event in circle.feed(270) for c in event.contacts] == ["up"]
+    circle.configure({"model": {"min_confidence": 1.0, "keep_confidence": 1.0}, "tracker": {"release_frames": 1}})
+    assert [c.phase for contacts in circle.feed(270) for c in contacts] == ["up"]
 
 
 def test_another_false_alarm_rate_moves_the_gate_and_not_its_noise(run: Callable[[str], Run]) -> None:
@@ -115,21 +114,21 @@ def test_another_false_alarm_rate_moves_the_gate_and_not_its_noise(run: Callable
     idle.feed(200)
     gate = idle.pipeline.gate
     noise, threshold = gate.noise_energy, gate.threshold_energy
-    idle.retune({"gate": {"false_alarm_rate": 1e-12}})
+    idle.configure({"gate": {"false_alarm_rate": 1e-12}})
     assert gate.noise_energy == noise
     assert gate.threshold_energy > threshold
-    idle.retune({"gate": {"false_alarm_rate": 1e-7}})
+    idle.configure({"gate": {"false_alarm_rate": 1e-7}})
     assert gate.threshold_energy == threshold
 
 
 def test_settings_that_come_before_the_plate_is_learned_hold_once_it_is(run: Callable[[str], Run]) -> None:
     early, late = run("idle"), run("idle")
     early.feed(3)
-    early.retune({"gate": {"false_alarm_rate": 1e-3}})
+    early.configure({"gate": {"false_alarm_rate": 1e-3}})
     assert early.pipeline.gate.threshold_energy == math.inf
     early.feed(40)
     late.feed(40)
-    late.retune({"gate": {"false_alarm_rate": 1e-3}})
+    late.configure({"gate": {"false_alarm_rate": 1e-3}})
     assert early.pipeline.gate.threshold_energy == late.pipeline.gate.threshold_energy
 
 
@@ -137,19 +136,26 @@ def test_settings_that_come_before_the_plate_is_learned_hold_once_it_is(run: Cal
 
 
 def test_a_wrong_file_changes_nothing_and_raises_nothing(
-    run: Callable[[str], Run], model: Model, tmp_path: Path
+    run: Callable[[str], Run], model: Model, scene_file: Callable[[str], Path], tmp_path: Path
 ) -> None:
     path = tmp_path / "touchd.toml"
     path.write_text("[health]\nperiod_s = 0.5\n")
     pipeline = run("idle").pipeline
-    reloader = Reloader(Settings(), lambda: load(path), lambda new: layout_of(new, model), pipeline)
-    assert reloader.reload().period_s == 0.5
+    messages = Messages(Settings(), all_but_spectra)
+    source = ReplaySource(scene_file("idle"))
+    health = Health(source, pipeline, messages, HealthSettings(), "the model")
+    reloader = Reloader(Settings(), lambda: load(path), lambda new: layout_of(new, model), pipeline, messages, health)
+    reloader.reload()
+    assert health.period_ns == 500_000_000
     good = reloader.settings
     for text in ("[health]\nperiod_s = -1\n", "not TOML", "[keypad]\nlayout = '/nowhere.toml'\n"):
         path.write_text(text)
-        assert reloader.reload() == good.health
+        reloader.reload()
         assert reloader.settings == good
     path.unlink()
-    assert reloader.reload() == good.health
+    reloader.reload()
+    assert reloader.settings == good
+    assert health.period_ns == 500_000_000
     path.write_text("[health]\nperiod_s = 0.25\n[keypad]\nlayout = ''\n")
-    assert reloader.reload().period_s == 0.25
+    reloader.reload()
+    assert health.period_ns == 250_000_000

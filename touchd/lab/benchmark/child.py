@@ -18,16 +18,14 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from touchd.config.schema import LogSettings, Settings
-from touchd.event import Event
+from touchd.event import Contact
 from touchd.frame import Frame
 from touchd.lab.benchmark.boundnetwork import BoundNetwork
 from touchd.lab.benchmark.loop import BURST, Loop, LoopSource
 from touchd.outcome import Counters
 from touchd.service import realtime
-from touchd.service.cpu_latency import Awake
-from touchd.service.daemon import load_model, make_messages, make_pipeline
+from touchd.service.daemon import load_model, make_service
 from touchd.service.log import configure
-from touchd.service.loop import Service
 from touchd.service.preroll import PreRoll
 from touchd.sinks.zeromq import ZeromqSink
 from touchd.sources.recorder import describe
@@ -51,7 +49,7 @@ class Task(BaseModel):
 
 
 class Clocked:
-    """Stands where the pre-roll does: told of each frame when all else is done with it."""
+    """Stands in for the pre-roll, which gets each frame when all else is done with it."""
 
     def __init__(self, preroll: PreRoll, most_frames: int) -> None:
         self._preroll = preroll
@@ -61,14 +59,14 @@ class Clocked:
         self.done_ns = np.ones(most_frames, np.int64)
         self.count = 0
 
-    def keep(self, frame: Frame, events: Sequence[Event]) -> None:
-        """Note when a frame was complete and when its messages were handed over, then keep it."""
+    def keep(self, frame: Frame, contacts: Sequence[Contact]) -> None:
+        """Store when a frame was complete and when its messages were handed over, then keep the frame."""
         now_ns = time.monotonic_ns()
         i = frame.sequence
         if i < len(self.done_ns):
             self.received_ns[i], self.done_ns[i] = frame.received_ns, now_ns
             self.count = i + 1
-        self._keep(frame, events)
+        self._keep(frame, contacts)
 
     def poll(self) -> None:
         """Called when no frame has come."""
@@ -112,7 +110,7 @@ def run(task: Task) -> None:
 
     def begun() -> None:
         gc.callbacks.append(pauses)
-        at_start.update(_counted(pipeline.counters), cpu_s=time.process_time(), wall_s=time.monotonic())
+        at_start.update(_counted(service.pipeline.counters), cpu_s=time.process_time(), wall_s=time.monotonic())
 
     settings = Settings.model_validate(task.settings)
     configure(LogSettings(level="error"))
@@ -123,16 +121,12 @@ def run(task: Task) -> None:
     source = LoopSource(loop, rate_hz, task.seconds, burst, begun)
     with realtime.giving_way() if task.rate_hz is None else nullcontext():
         bus = ZeromqSink(settings.bus)
-    messages = make_messages(settings)
-    pipeline, _ = make_pipeline(source, settings, messages, [bus], model=model)
     most_frames = loop.lead + round(task.seconds * min(rate_hz, 200_000)) + 1
     real_hz = task.rate_hz or 125.0
     meta = describe(source.acquisition, model.description.plate, real_hz, source="benchmark", device=None)
     preroll = PreRoll(source.acquisition, real_hz, lambda: meta, settings.preroll)
     clocked = Clocked(preroll, most_frames)
-    awake = Awake(settings.realtime.awake_from_hz)
-    service = Service(source, pipeline, [bus], messages, settings.health, model.description.name, awake=awake)
-    service.keep(clocked)  # type: ignore[arg-type]  # it does all that is asked of a pre-roll
+    service = make_service(source, [bus], settings, model, preroll=clocked)
     realtime.freeze(settings.realtime)
     ready_ns = time.monotonic_ns()
     bus.wait_for_subscriber(task.patience_s)
@@ -145,7 +139,7 @@ def run(task: Task) -> None:
     if between is None:
         bare_us = _bare(task.bare)(BARE_RUNS)
     # What led to the scene does not count.
-    counts = {name: count - at_start.get(name, 0) for name, count in _counted(pipeline.counters).items()}
+    counts = {name: count - at_start.get(name, 0) for name, count in _counted(service.pipeline.counters).items()}
     taken = slice(loop.lead, clocked.count)
     np.savez(
         task.output, lead=loop.lead, received_ns=clocked.received_ns[taken], done_ns=clocked.done_ns[taken],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -11,15 +12,17 @@ import numpy as np
 import onnx
 from numpy.typing import NDArray
 
-from touchd.config.schema import ModelSettings
+from touchd.config.schema import Settings
+from touchd.detection.detector import Detection
 from touchd.frame import Acquisition
 from touchd.lab.benchmark import graphs
 from touchd.lab.benchmark.boundnetwork import BoundNetwork
 from touchd.lab.benchmark.touches import RATE_HZ, Block
 from touchd.localization.atlas import Atlas
-from touchd.localization.atlas_localizer import FIRST_STEPS, FOLLOW_STEPS, Locator
+from touchd.localization.atlas_localizer import FIRST_STEPS, FOLLOW_STEPS, AtlasLocalizer
 from touchd.localization.features import band_bins, make_features, windowed_dft
-from touchd.localization.model import Estimate, Model
+from touchd.localization.model import Model
+from touchd.outcome import Outcome
 from touchd.touch import Touch
 
 Array = NDArray[np.float32]
@@ -158,44 +161,41 @@ def dictionaries(features: Array, place_mm: Array, acquisition: Acquisition) -> 
 def atlases(model: Model, atlas: Atlas, graph: onnx.ModelProto) -> Iterator[Estimator]:
     """Yield the field atlas as a finger comes down, from the network's answer, and as it is being followed."""
     a = model.description.acquisition
-    features = make_features(model.description.domain, a)
-    into = model.features.reshape(features.shape)
-    locator = Locator(atlas)
-    confident = ModelSettings().min_confidence
-    seen: list[Array] = []
+    settings = Settings.model_validate({"skip": {"still": False}})
+    localizer = AtlasLocalizer(model, atlas, settings, None)
+    live = np.ones(a.channels, bool)
+    baseline = np.zeros(a.shape, np.float32)
+    time_ns = itertools.count(0, round(1e9 / RATE_HZ)).__next__
 
-    def start() -> Estimate:
-        features.extract(seen[-1], into)
-        return model.estimate()
-
-    def find(residual: Array, elapsed_s: float) -> Place:
-        seen[:] = [residual]
-        return _only(locator.locate(residual, elapsed_s, confident, start))
+    def find(residual: Array) -> Place:
+        detection = Detection(Outcome.TOUCHED, time_ns(), 0.0, 0.0, 0.0, residual, residual, baseline, live)
+        return _only(localizer.localize(detection, alive=False).touches)
 
     def rebase(block: Block) -> None:
         # The mean of n frames takes a share of their noise along: a frame that is not of them differs by more.
         n = len(block.untouched)
-        locator.learn(block.untouched * np.float32(math.sqrt((n + 1) / (n - 1))), block.baseline)
+        np.copyto(baseline, block.baseline)
+        localizer.update(block.baseline, block.untouched * np.float32(math.sqrt((n + 1) / (n - 1))))
 
     def follow(before: Array) -> None:
-        locator.forget()
-        find(before, 1 / RATE_HZ)
+        localizer.reset()
+        find(before)
 
     def forget(_before: Array) -> None:
-        locator.forget()
+        localizer.reset()
 
     own = a.channels * a.samples * 2 * len(atlas.description.bins)
     table = 4 * a.samples * 2 * len(atlas.description.bins)
     step_macs, step_bytes = LOOK_UP_MACS * atlas.size, 4 * _NODES_READ * atlas.size
     matrix = windowed_dft(a)
     yield Estimator(
-        "atlas, touch-down", "atlas", lambda residual: find(residual, 1 / RATE_HZ),
+        "atlas, touch-down", "atlas", find,
         own + a.channels * matrix.size + graphs.multiply_adds(graph) + FIRST_STEPS * step_macs,
         table + 4 * matrix.size + graphs.weight_bytes(graph) + FIRST_STEPS * step_bytes,
         rebase, forget, remark="network, then Gauss-Newton",
     )  # fmt: skip
     yield Estimator(
-        "atlas, tracking", "atlas", lambda residual: find(residual, 1 / RATE_HZ),
+        "atlas, tracking", "atlas", find,
         own + FOLLOW_STEPS * step_macs, table + FOLLOW_STEPS * step_bytes,
         rebase, follow, remark="Gauss-Newton from 0.8 mm away, no network",
     )  # fmt: skip

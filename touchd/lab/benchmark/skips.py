@@ -22,8 +22,8 @@ from touchd.lab.benchmark.stopwatch import Stopwatch, ratio, spread
 from touchd.localization.atlas import Atlas
 from touchd.localization.features import band_bins, windowed_dft
 from touchd.localization.model import Model
-from touchd.pipeline import Pipeline
-from touchd.service.daemon import make_messages, make_pipeline
+from touchd.service.daemon import make_pipeline
+from touchd.service.messages import Messages
 
 BATCH = 25
 
@@ -45,25 +45,6 @@ CASES = (
 )
 
 
-class _Audience:
-    """A sink that only says whether anybody listens."""
-
-    def __init__(self, heard: bool) -> None:
-        self._heard = heard
-
-    def wants(self, topic: str) -> bool:
-        return self._heard and topic == "touch"
-
-    def publish(self, event: Event, received_ns: int) -> None:
-        """Take it to nobody."""
-
-    def poll(self) -> None:
-        """Nothing comes up."""
-
-    def close(self) -> None:
-        """Nothing is held."""
-
-
 class _Played:
     """One pipeline that is played a loop."""
 
@@ -72,18 +53,17 @@ class _Played:
             {"skip": {case.name: skip}, "baseline": {"absorb_s": FOREVER_S}, "model": {"path": str(model)}}
         )
         source = LoopSource(loop, math.inf, 0.0)
-        sink = _Audience(case.heard)
-        self._pipeline: Pipeline = make_pipeline(
-            source, settings, make_messages(settings), [sink], notify=lambda _reason, _fields: None, model=Model(model)
-        )[0]
+        self._pipeline = make_pipeline(source, settings, Model(model), notify=lambda _reason, _fields: None)
+        self._messages = Messages(settings, lambda topic: case.heard and topic == "touch")
         self._frames = list(loop.frames)
         self._order = loop.order().tolist()
         self.number = 0
         self.events: list[Event] = []
         for i in range(loop.lead):
-            self._take(i)
+            self.events += self._take(Frame(self._frames[i], i, i * PERIOD_NS, 0))
+            self.number = i + 1
         if case.screen_off:
-            self._pipeline.screen(off=True)
+            self._pipeline.set_screen(off=True)
         self._lead = loop.lead
 
     def batch(self, watch: Stopwatch) -> None:
@@ -93,15 +73,18 @@ class _Played:
             counts = self._frames[self._order[(self.number - self._lead) % len(self._order)]]
             frame = Frame(counts, self.number, self.number * PERIOD_NS, 0)
             begun_ns = clock()
-            events = self._pipeline.process(frame)
+            events = self._take(frame)
             times_ns.append(clock() - begun_ns)
             self.number += 1
             self.events += events
         watch.add(times_ns)
 
-    def _take(self, i: int) -> None:
-        self.events += self._pipeline.process(Frame(self._frames[i], i, i * PERIOD_NS, 0))
-        self.number = i + 1
+    def _take(self, frame: Frame) -> list[Event]:
+        """Return the messages of a frame, as the service makes them."""
+        result = self._pipeline.process(frame)
+        if result.contacts or result.touches:
+            return self._messages.make(result, self._pipeline.spectrum)
+        return []
 
 
 def measure(loops: Mapping[str, Loop], model: Path, rounds: int, tick: Callable[[], object]) -> list[SkipResult]:

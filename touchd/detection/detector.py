@@ -1,0 +1,230 @@
+"""Is a frame a measurement, and is the plate touched? Front door of the room.
+
+`Detector.detect` numbers the frame, compares it with its predecessor, subtracts the baseline and asks the gate.
+`Detector.adapt` closes the one feedback: what was found in the frame decides whether the baseline follows the plate,
+stays frozen or is relearned.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from msgspec import Struct
+from numpy.typing import DTypeLike, NDArray
+
+from touchd.config.schema import Settings
+from touchd.detection.baseline import Baseline, Signal
+from touchd.detection.gate import Gate
+from touchd.detection.relearn import Relearn
+from touchd.detection.stuck import LASTING_FRAMES, Stuck
+from touchd.frame import Frame
+from touchd.outcome import Outcome
+
+LATE_FRAMES = 32
+"""A frame numbered at most this much lower than the last one is a repetition; a lower number is a device restart."""
+TURN_EVERY = 16
+"""Stuck channels: the detector watches another channel after every 16th untouched frame, and after every touched one,
+since a stuck channel holds a finger."""
+
+Notify = Callable[[str, dict[str, float]], None]
+
+
+class Detection(Struct, gc=False, frozen=True):
+    """What the detector makes of one frame. Its arrays are views, valid until the next frame."""
+
+    outcome: Outcome
+    """REPEATED, STUCK, LEARNING, UNTOUCHED or TOUCHED."""
+    t_ns: int
+    energy: float
+    """Of the residual, counts squared."""
+    noise_energy: float
+    """Mean energy of the residual of an untouched frame, counts squared."""
+    noise_deviation: float
+    """Standard deviation of the cube root of that energy."""
+    signal: Signal
+    """The frame, shape (channels, samples), ADC counts."""
+    residual: Signal
+    """The frame less the baseline; zero in channels that are not live."""
+    baseline: Signal
+    """The untouched plate, shape (channels, samples)."""
+    live: NDArray[np.bool_]
+    """Channels that are not stuck, shape (channels,). Another object whenever one changes."""
+    noise_changed: bool = False
+    """Whether the noise level has stepped."""
+    learned: Signal | None = None
+    """Residuals of the frames that the baseline was learned from, (n, channels, samples), once it is learned."""
+    lost: int = 0
+    """Frames missing before this one."""
+
+
+class Detector:
+    """Decides what each frame is, and keeps the baseline.
+
+    Parameters
+    ----------
+    shape : tuple of int
+        Of a frame, (channels, samples).
+    settings : Settings
+    notify : callable
+        Called when the baseline is relearned, with the reason and fields for the log.
+    dtype : type
+        Of all arrays.
+    """
+
+    def __init__(
+        self, shape: tuple[int, int], settings: Settings, notify: Notify, dtype: DTypeLike = np.float32
+    ) -> None:
+        self.gate = Gate(settings.gate)
+        self._baseline = Baseline(shape, settings.baseline, dtype)
+        self._relearn = Relearn(shape, settings.baseline, dtype)
+        self._stuck = Stuck(shape)
+        self._live = ~self._stuck.channels
+        self._stuck_channels = self._stuck.channels
+        self._notify = notify
+        self._learning = True
+        self._signal_energy = 1.0
+        self._last_sequence: int | None = None
+        self._last_ns = 0
+        self.followed_ns = 0
+        """Time of the last frame that moved the baseline."""
+        self.configure(settings)
+
+    def configure(self, settings: Settings) -> None:
+        """Take other thresholds and time constants; baseline and noise stay."""
+        self._baseline.configure(settings.baseline)
+        self._relearn.configure(settings.baseline)
+        self.gate.configure(settings.gate)
+        self._drift_share = 10 ** (settings.baseline.drift_below_db / 10)
+
+    def reset(self) -> None:
+        """Relearn the plate from the next frame on, which may have any number: the device was away."""
+        self._notify("reconnected", {})
+        self._last_sequence = None
+        self._learn()
+
+    def detect(self, frame: Frame) -> Detection:
+        """Return what a frame is."""
+        lost = self._number(frame)
+        if lost < 0:
+            return self._without_measurement(Outcome.REPEATED, frame, 0)
+        baseline = self._baseline
+        if self._stuck.repeats(frame.counts, baseline.signal):
+            if self.hangs:
+                self._relearn.reset()
+            return self._without_measurement(Outcome.STUCK, frame, lost)
+        if self._stuck.channels is not self._stuck_channels:
+            self._stuck_channels = self._stuck.channels
+            self._live = ~self._stuck_channels
+            baseline.set_channels(self._live)
+        if self._learning:
+            return self._learning_frame(frame, lost)
+        energy = baseline.subtract(frame.counts, frame.t_ns)
+        gate = self.gate
+        outcome, changed = Outcome.TOUCHED, False
+        if not gate.decide(energy):
+            outcome, changed = Outcome.UNTOUCHED, gate.update(energy)
+        return Detection(
+            outcome, frame.t_ns, energy, gate.noise_energy, gate.noise_deviation, baseline.signal, baseline.residual,
+            baseline.mean, self._live, changed, None, lost,
+        )  # fmt: skip
+
+    def adapt(self, detection: Detection, *, found: bool, departure: bool, alive: bool) -> None:
+        """Follow, freeze or relearn the baseline, by what came of a measured frame.
+
+        Parameters
+        ----------
+        detection : Detection
+            Of the frame.
+        found : bool
+            Whether a finger was found in it.
+        departure : bool
+            Whether the negative of its residual is a finger: one that the baseline held has lifted.
+        alive : bool
+            Whether a contact is down.
+        """
+        if detection.outcome is Outcome.UNTOUCHED:
+            self._relearn.reset()
+            if not (self._last_sequence or 0) % TURN_EVERY:
+                self._stuck.turn()
+            if not alive:
+                self._follow(detection.t_ns)
+            return
+        self._stuck.turn()
+        finger, energy = found or alive, detection.energy
+        if not finger and energy < self._drift_share * self._signal_energy:
+            # Less than any finger does: the plate has drifted while it was touched.
+            self._follow(detection.t_ns)
+        reason = self._relearn.update(
+            detection.t_ns, detection.residual, energy, finger=finger, departure=departure and not finger
+        )
+        if reason is not None:
+            level_db = 10 * math.log10(energy / self._signal_energy)
+            self._notify(reason.value, {"frame": self._last_sequence or 0, "level_db": round(level_db, 1)})
+            self._learn()
+
+    def noise_counts(self) -> float:
+        """Return the RMS of an untouched frame against the baseline, ADC counts; 0 before it is known."""
+        return math.sqrt(self.gate.noise_energy / self._baseline.residual.size)
+
+    @property
+    def hangs(self) -> bool:
+        """Whether the DAQ has repeated a frame so often that nobody can know where the fingers are."""
+        return self._stuck.frames >= LASTING_FRAMES
+
+    @property
+    def fault(self) -> str | None:
+        """What is wrong with the frames, for a person; None if nothing is known."""
+        if self.hangs:
+            return "the DAQ repeats one frame"
+        channels = np.flatnonzero(self._stuck.channels).tolist()
+        return f"the DAQ repeats what it heard on channels {channels}" if channels else None
+
+    def _number(self, frame: Frame) -> int:
+        """Return how many frames are missing before a frame; -1 for one whose number is not new."""
+        last = self._last_sequence
+        lost = 0
+        if last is not None:
+            lost = frame.sequence - last - 1
+            if lost < 0:
+                if frame.sequence >= last - LATE_FRAMES or frame.t_ns <= self._last_ns:
+                    return -1
+                # A low number in a later frame: the device has restarted, and what it hears may have changed. A number
+                # only a little lower is a frame sent twice or late; a device that restarts so early soon overtakes it.
+                self._notify("restarted", {"frame": frame.sequence, "after": last})
+                self._learn()
+                lost = 0
+        self._last_sequence, self._last_ns = frame.sequence, frame.t_ns
+        return lost
+
+    def _learning_frame(self, frame: Frame, lost: int) -> Detection:
+        """Learn the untouched plate and its noise, before anything is sensed."""
+        baseline = self._baseline
+        energies = baseline.learn(frame.counts, frame.t_ns)
+        learned = None
+        if energies is not None:
+            self.gate.learn(energies)
+            self._relearn.reset()
+            self._signal_energy = baseline.energy()
+            self._learning = False
+            self.followed_ns = frame.t_ns
+            learned = baseline.learned()
+        return self._without_measurement(Outcome.LEARNING, frame, lost, learned)
+
+    def _without_measurement(
+        self, outcome: Outcome, frame: Frame, lost: int, learned: Signal | None = None
+    ) -> Detection:
+        baseline = self._baseline
+        return Detection(
+            outcome, frame.t_ns, 0.0, self.gate.noise_energy, self.gate.noise_deviation, baseline.signal,
+            baseline.residual, baseline.mean, self._live, False, learned, lost,
+        )  # fmt: skip
+
+    def _follow(self, t_ns: int) -> None:
+        self._baseline.follow()
+        self.followed_ns = t_ns
+
+    def _learn(self) -> None:
+        self._baseline.reset()
+        self._learning = True

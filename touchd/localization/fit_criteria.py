@@ -1,0 +1,48 @@
+"""When a fit is good, and when it is a finger: every threshold of the fits in one place."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class FitCriteria:
+    """Thresholds on what a fit leaves unexplained. Shares are of the signal's energy unless stated otherwise.
+
+    The figures come from the twin: up to five fingers, silicone and human, 40 to 70 dB.
+    """
+
+    enough: float = 0.004
+    """Complete: the field is not known better than this."""
+    good: float = 0.03
+    """The positions are right: fingers unlike those of the training leave up to this much."""
+    search_above: float = 0.015
+    """More than this calls for a search for further fingers."""
+    fair: float = 0.1
+    """More than this calls for other starting positions."""
+    half_confidence: float = 0.25
+    """At this share a fit is as likely no finger: unusual fingers leave up to 0.1, palms more than 0.6."""
+    seen: float = 0.2
+    """Share of the unexplained energy that the best scan position must explain for a search to go on after a fair fit.
+    A missing finger explains more; model error of a human finger explains 0.13 to 0.17."""
+    worth: float = 0.42
+    """A further finger has to leave less than this share of what was left without it. One that is there leaves less
+    than 0.35 of it, one that is not more than 0.44."""
+    weak: float = 1.4
+    """A finger whose energy is less than this many times what the fit leaves is no finger."""
+    noise_spread: float = 0.25
+    """One frame's noise seldom has more energy than its mean by this share: two standard deviations."""
+    noise_margin: float = 0.6
+    """The same for five standard deviations."""
+    faint: float = 6.0
+    """Below this multiple of the noise energy the network may see a finger at a wrong position."""
+    merged_mm: float = 4.0
+    """Two fingers closer than this are one."""
+
+    def confidence(self, excess: float) -> float:
+        """Return how much a fit that leaves this share beyond the noise looks like fingers, 0..1."""
+        return 1 / (1 + (max(excess, 0.0) / self.half_confidence) ** 2)
+
+
+CRITERIA = FitCriteria()
+"""The criteria in use."""

@@ -1,0 +1,114 @@
+"""From a residual to bins: corrected for temperature, gains and drift, without dead channels and drowned bins.
+
+What the correction needs, the untouched frames tell: the noise of each bin, and how far the plate has come from the one
+that the atlas was learned on.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchd.detection.baseline import Signal
+from touchd.detection.detector import Detection
+from touchd.localization.atlas import Array, Atlas
+from touchd.localization.drift import Drift
+from touchd.localization.gauss_newton import Bins
+from touchd.localization.noise import NoiseModel
+
+COMPARE_NS = 1_000_000_000
+"""The baseline is compared at this interval: temperature and gains change far more slowly."""
+DRIFTED = 0.1
+"""The baseline has moved if by this share of the noise energy: on glass 0.05 K at 60 dB."""
+NOISE_EVERY = 16
+"""One of 16 untouched frames updates the noise model."""
+
+
+class PlateModel:
+    """Turns residuals into bins, and follows the untouched plate.
+
+    Parameters
+    ----------
+    atlas : Atlas
+    """
+
+    def __init__(self, atlas: Atlas) -> None:
+        dtype = atlas.coefficients.dtype
+        self.drift = Drift(atlas)
+        self.noise = NoiseModel(atlas)
+        self._vector: Array = np.zeros(atlas.size, dtype)
+        self._energy = np.zeros((), dtype)
+        self._baseline = atlas.baseline.copy()
+        self._moved = np.zeros_like(self._baseline)
+        self._live: NDArray[np.bool_] = np.ones(atlas.description.acquisition.channels, bool)
+        self._untouched_frames, self._compared_ns = 0, 0
+        self.set_baseline(atlas.baseline)
+
+    def update(self, baseline: Signal, residuals: Signal | None = None) -> None:
+        """Take another baseline, (channels, samples), and residuals that tell its noise, (n, ...); else that stays."""
+        if residuals is None:
+            self.set_baseline(baseline)
+            return
+        self.noise.reset()
+        self.set_baseline(baseline)
+        for residual in residuals:
+            self.hear(residual)
+        self._select()
+
+    def observe(self, detection: Detection) -> bool:
+        """Follow the plate on an untouched frame; return whether the frame updated the noise model."""
+        if detection.noise_changed:
+            self.noise.restart()
+        self._untouched_frames += 1
+        heard = self._untouched_frames % NOISE_EVERY == 0
+        if heard:
+            self.hear(detection.residual)
+        if not 0 <= detection.t_ns - self._compared_ns <= COMPARE_NS:
+            self._compared_ns = detection.t_ns
+            np.subtract(detection.baseline, self._baseline, out=self._moved)
+            flat = self._moved.reshape(-1)
+            # By less a frame shows no difference, and neither does a position.
+            if float(flat.dot(flat)) > DRIFTED * detection.noise_energy:
+                self.set_baseline(detection.baseline)
+        return heard
+
+    def hear(self, residual: Signal) -> None:
+        """Update the noise model with an untouched frame's residual, shape (channels, samples)."""
+        self.drift.correct(residual, self._vector)
+        if self.noise.update(self._vector):
+            self._select()
+
+    def set_baseline(self, baseline: Signal) -> None:
+        """Compare the untouched plate, (channels, samples), with the one that the atlas was learned on."""
+        np.copyto(self._baseline, baseline)
+        self.drift.set_baseline(baseline)
+        self._select()
+
+    def set_channels(self, live: NDArray[np.bool_]) -> bool:
+        """Use live channels alone, shape (channels,); return whether they are others than before."""
+        if live is self._live:
+            return False
+        self._live = live
+        self._select()
+        return True
+
+    def drop_silent(self, detection: Detection) -> bool:
+        """Leave out channels that have died since the baseline was learned; return whether there are any."""
+        silent = self.drift.silent(detection.residual, detection.baseline)
+        if not silent.any() or silent.all() or not (silent & self.noise.channels).any():
+            return False
+        self.noise.set_channels(self.noise.channels & ~silent & self._live, self.drift.directions)
+        return True
+
+    def bins(self, residual: Signal) -> Bins:
+        """Return the bins of a residual, shape (channels, samples); valid until the next call."""
+        vector, mask = self._vector, self.noise.mask
+        self.drift.correct(residual, vector)
+        if mask is not None:
+            np.multiply(vector, mask, vector)
+        vector.dot(vector, self._energy)
+        return Bins(vector, mask, self._energy.item())
+
+    def _select(self) -> None:
+        """Leave out dead channels, and bins that drown in noise."""
+        self.noise.set_channels(~self.drift.dead & self._live, self.drift.directions)

@@ -1,0 +1,56 @@
+"""The one loop over a source's frames: the daemon, `record`, `evaluate`, `doctor` and `gadget` all run it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+
+from touchd.frame import Frame
+from touchd.sources.source import Change, EndOfStream, Source
+
+READ_TIMEOUT_S = 0.05
+"""How long the daemon waits for a frame: so late, at most, it answers a signal or a new subscriber."""
+
+
+def _never() -> bool:
+    return False
+
+
+def _ignore(_change: Change) -> None:
+    pass
+
+
+def frames_of(
+    source: Source,
+    timeout_s: float = READ_TIMEOUT_S,
+    *,
+    stopped: Callable[[], bool] = _never,
+    on_change: Callable[[Change], object] = _ignore,
+) -> Iterator[Frame | None]:
+    """Yield each frame of a source until the source ends, and None whenever no frame came within `timeout_s`.
+
+    Parameters
+    ----------
+    source : Source
+        Stays open at the end. A frame is valid until the next one is asked for.
+    timeout_s : float
+        The longest wait for a frame.
+    stopped : callable
+        Asked before each frame; True ends the loop.
+    on_change : callable
+        Called with each change of a live source's state, before the None that follows it.
+
+    Raises
+    ------
+    TouchdError
+        The source has failed.
+    """
+    changes: Callable[[], Iterable[Change]] = getattr(source, "changes", tuple)
+    while not stopped():
+        try:
+            frame = source.read(timeout_s)
+        except EndOfStream:
+            return
+        if frame is None:
+            for change in changes():
+                on_change(change)
+        yield frame

@@ -1,0 +1,27 @@
+"""What signals do to a daemon: SIGTERM and SIGINT stop it, SIGHUP reloads its configuration."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from types import FrameType
+
+from touchd.service.loop import Service
+
+
+def stop_on_signals(service: Service) -> None:
+    """Have SIGTERM and SIGINT end the service in order; a second one ends it at once."""
+
+    def handle(number: int, _frame: FrameType | None) -> None:
+        service.stop()
+        signal.signal(number, signal.SIG_DFL)
+
+    signal.signal(signal.SIGTERM, handle)
+    signal.signal(signal.SIGINT, handle)
+
+
+def reload_on_hangup(service: Service) -> None:
+    """Have SIGHUP reload the configuration; a daemon in a terminal ends with it, one under nohup ignores it."""
+    if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN or (sys.stdin is not None and sys.stdin.isatty()):
+        return
+    signal.signal(signal.SIGHUP, lambda _number, _frame: service.reload())
