@@ -32,7 +32,8 @@ VERBS = {
     "train": "Train a model on a labelled recording.",
 }
 EXTRAS = {"torch": "train", "scipy": "train", "sklearn": "train", "loky": "train", "onnx": "train",
-          "matplotlib": "train", "rich": "train", "dask": "cluster", "distributed": "cluster", "nidaqmx": "ni",
+          "matplotlib": "train", "rich": "train", "jinja2": "train", "dask": "cluster", "distributed": "cluster",
+          "nidaqmx": "ni",
           }  # fmt: skip
 
 

@@ -35,14 +35,12 @@ CENTRAL_MM = 110.0
 """Side of the square in the plate's middle to which the paper's figures for C-N point."""
 
 INCONSISTENCIES = (
-    "Its confusion matrix gives 595 of 627, which is 94.9 %, where the text says 97 %. What follows from it is that no "
-    "key was taken for another key.",
-    "A classifier that never errs, of touches uniform over 20 x 20 cm and zones of an N x N grid, has a mean error of "
-    "38.3 mm for N = 2 and of 7.65 mm for N = 10. The paper's 21.8 and 4.1 mm mean touches within about 11 x 11 cm, "
-    "or another metric. So each head is trained and tested twice here: on the full plate, and on the central "
-    "11 x 11 cm with the grid laid over them.",
+    "Its confusion matrix gives 595 of 627, 94.9 %; the text says 97 %. In the matrix no key is assigned to another.",
+    "A classifier without errors has a mean error of 38.3 mm for N = 2 and 7.65 mm for N = 10 on touches uniform over "
+    "20 x 20 cm. The paper's 21.8 and 4.1 mm mean touches within about 11 x 11 cm, or another metric. So each head is "
+    "trained and tested on the full plate and on the central 11 x 11 cm.",
     'The row "class area" of its table is ten times too small: for N = 10 a zone of a plate of 20 x 20 cm has 4 cm^2.',
-    '"RMSE" and "mean +- sd" stand for the same figures in it. Here each has its own column.',
+    '"RMSE" and "mean +- sd" stand for the same figures. Here each has its own column.',
 )
 
 
