@@ -1,4 +1,4 @@
-"""The daemon end to end: in a process of its own, heard by this one."""
+"""Measure the daemon end to end: it runs in its own process, and this process subscribes."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ from touchd.lab.benchmark.stopwatch import spread
 
 PATIENCE_S = 30.0
 BURN_IN_S = 0.3
-"""Frames at the start that do not count."""
+"""Frames of this time at the start are discarded."""
 DAY = {"idle": 0.98, "still": 0.01, "moving": 0.01}
-"""What a touch plate is doing all day, by share."""
+"""Share of each scene in a typical day."""
 FOREVER_S = 1e6
 ENDLESS = 10_000_000
 
@@ -44,30 +44,30 @@ def measure(
     scene : str
     loop : Loop
     rate_hz : float or None
-        None is as fast as frames are taken.
+        None for full speed.
     seconds : float
     model : Path
-        The network, with its atlas beside it if there is one.
+        The network, with or without an atlas beside it.
     bare : Path
         The bare network.
     folder : Path
-        For what the two processes exchange.
+        Folder for files and sockets of the two processes.
     apart : bool
-        Whether the subscriber has another processor than the daemon even at a steady rate; at full speed it has.
+        Whether the subscriber has its own processor at a steady rate too; at full speed it always has.
     awake : bool
-        Whether the processors are kept from sleeping while the plate is touched, as is the default at high rates.
+        Whether the processors are kept awake while the plate is touched, as is the default at high rates.
 
     Raises
     ------
     JobError
-        If the daemon fails.
+        The daemon fails.
     """
     stored = folder / f"{scene.replace(' ', '-')}.npz"
     if not stored.exists():
         loop.save(stored)
     output = folder / "measured.npz"
     address = f"ipc://{folder}/bus"
-    # At full speed the subscriber may fall behind: nothing is to be lost for that.
+    # At full speed the subscriber may fall behind; a large high-water mark prevents losses.
     bus = {"bind": [address]} if rate_hz is not None else {"bind": [address], "high_water_mark": ENDLESS}
     settings: dict[str, Any] = {
         "bus": bus, "model": {"path": str(model)}, "baseline": {"absorb_s": FOREVER_S},
@@ -91,7 +91,7 @@ def measure(
 
 
 def day(cells: Iterable[DaemonResult]) -> Day | None:
-    """Return what a typical day costs, from the cells at 125 frames a second."""
+    """Return the cost of a typical day, from the cells at 125 frames/s."""
     share = {cell.scene: cell.cpu_share for cell in cells if cell.rate_hz == 125}
     if not DAY.keys() <= share.keys():
         return None
@@ -101,7 +101,7 @@ def day(cells: Iterable[DaemonResult]) -> Day | None:
 
 @contextmanager
 def _running(task: Task) -> Iterator[subprocess.Popen[str]]:
-    """Run the daemon's process beside this one, and see that it ended well."""
+    """Run the daemon's process, and raise JobError if it fails."""
     own = {name: value for name, value in os.environ.items() if not name.upper().startswith("TOUCHD_")}
     with (
         tempfile.TemporaryFile("w+") as said,
@@ -133,7 +133,7 @@ def _last_line(said: Any) -> str:
 
 
 def _heard(events: Subscriber[Event], process: subprocess.Popen[str]) -> Iterator[tuple[int, int]]:
-    """Yield each touch message's frame with the time at which it was here, until the daemon stops."""
+    """Yield each touch message's frame and arrival time, until the daemon stops."""
     while True:
         try:
             event = events.receive(0.5)
@@ -155,7 +155,7 @@ def _result(
     frames = len(received_ns)
     counted = received_ns >= received_ns[0] + BURN_IN_S * 1e9 if frames else np.zeros(0, bool)
     if not counted.any():
-        raise JobError("the daemon took no frames", "benchmark", "give it more time")
+        raise JobError("the daemon took no frames", "benchmark", "allow it more time")
     handed = spread((done_ns - received_ns)[counted] * 1e-3)
     arrived = [(heard[lead + i] - received_ns[i]) * 1e-3 for i in np.flatnonzero(counted).tolist() if lead + i in heard]
     paced = rate_hz is not None
