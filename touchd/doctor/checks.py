@@ -193,7 +193,7 @@ def _rms(signal: Floats) -> Floats:
 
 def _alive(sample: Sample) -> NDArray[np.bool_]:
     signal = _rms(sample.untouched)
-    # A signal below its own noise is none.
+    # A signal below its own noise does not count.
     least = np.maximum(10 ** (DEAD_DB / 20) * np.median(signal), np.maximum(noise_counts(sample), 0.5))
     return signal > least
 

@@ -17,14 +17,16 @@ from touchd.touch import Touch
 from touchd.tracking.assignment import assign
 
 Floats = NDArray[np.float64]
-Place = tuple[float, float]
+Position = tuple[float, float]
 
 REACH_MM = 25.0
 """Largest distance between a contact and its finger."""
 _NEVER = 1e9  # mm; the assignment needs finite costs
 
 
-def match(true_mm: Sequence[Place], position_mm: Sequence[Place], reach_mm: float = REACH_MM) -> list[tuple[int, int]]:
+def match(
+    true_mm: Sequence[Position], position_mm: Sequence[Position], reach_mm: float = REACH_MM
+) -> list[tuple[int, int]]:
     """Assign contacts to fingers with the least total distance, none beyond `reach_mm`.
 
     A finger without a contact costs `reach_mm`. An infinite reach assigns as many pairs as possible.
@@ -53,7 +55,7 @@ def match(true_mm: Sequence[Place], position_mm: Sequence[Place], reach_mm: floa
 class Seen(NamedTuple):
     """True fingers and found contacts of one frame."""
 
-    true_mm: Sequence[Place]
+    true_mm: Sequence[Position]
     found: Sequence[Touch]
     force_n: Sequence[float] | None = None
     """Force of each finger, NaN if unknown."""
@@ -113,7 +115,7 @@ def match_frames(frames: Iterable[Seen], reach_mm: float = REACH_MM) -> Matches:
     )  # fmt: skip
 
 
-def _nearest(place: Place, points: Sequence[Place]) -> int:
+def _nearest(place: Position, points: Sequence[Position]) -> int:
     return min(range(len(points)), key=lambda i: hypot(points[i][0] - place[0], points[i][1] - place[1]))
 
 

@@ -81,7 +81,7 @@ def zones_of(position_mm: NDArray[np.floating], grid: int, size_mm: NDArray[np.f
 
 
 def labels_of(position_mm: NDArray[np.floating], layout: Layout) -> NDArray[np.int64]:
-    """Return the index of the key under each position (n, 2), or the number of keys if there is none."""
+    """Return the index of the key under each position (n, 2), or the number of keys beside all keys."""
     labels = np.full(len(position_mm), len(layout.key))
     exact_mm = position_mm.astype(np.float64)
     for number, key in reversed(list(enumerate(layout.key))):  # the first of overlapping keys wins, as in Layout.at

@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.evaluation.matching import Matches, Place, Seen, match, match_frames
+from touchd.evaluation.matching import Matches, Position, Seen, match, match_frames
 from touchd.evaluation.truth import TrueTouch, fingers_only, true_touches
 from touchd.event import TouchEvent
 from touchd.recording.data import Recording
@@ -25,7 +25,7 @@ class FoundContact:
     """A contact's messages, from first to last."""
 
     frames: list[int] = field(default_factory=list)
-    position_mm: list[Place] = field(default_factory=list)
+    position_mm: list[Position] = field(default_factory=list)
     downs: int = 0
     ups: int = 0
     followed: list[int | None] = field(default_factory=list)
@@ -216,6 +216,6 @@ def _errors(contacts: list[FoundContact], touches: list[TrueTouch], rows: Rows) 
     return {key: (table[:, :2], table[:, 2] > 0) for key, table in tables.items()}
 
 
-def _place(touch: TrueTouch, row: int) -> Place:
+def _place(touch: TrueTouch, row: int) -> Position:
     x_mm, y_mm = touch.position_mm[row].tolist()
     return x_mm, y_mm

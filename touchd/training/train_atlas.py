@@ -97,8 +97,8 @@ def train_atlas(
     steady, reference = at_one_temperature(recording, plain)
     touches = touches_of(steady, parts.train)
     dispersion = dispersion_of(steady, touches)
-    audible = informative(signal_over_noise(touches_of(steady, parts.validation)))
-    for text in check_density(touches.position_mm, float(dispersion.wavenumber_per_mm[audible[-1]])):
+    snr = informative(signal_over_noise(touches_of(steady, parts.validation)))
+    for text in check_density(touches.position_mm, float(dispersion.wavenumber_per_mm[snr[-1]])):
         note(text)
     learned = learn_thoroughly(
         touches, dispersion.wavenumber_per_mm, lambda done, steps: progress("field", done, steps, float("nan"))

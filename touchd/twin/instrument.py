@@ -186,10 +186,10 @@ class Instrument:
             [chirp.spectrum(a.chirp, s * nu) * anti_alias(s * nu, a.sample_rate_hz) for s in self._node_scale]
         )
         s = self._node_scale
-        heard = self.response.untouched() * self._emission[:, None, :] / s[:, None, None] ** 2
+        received = self.response.untouched() * self._emission[:, None, :] / s[:, None, None] ** 2
         # The derivative with respect to the trigger's time is s times that with respect to the record's time.
         orders = [
-            self._to_time(heard * (1j * nu) ** k, s, np.zeros(n)) * s[:, None, None] ** k / math.factorial(k)
+            self._to_time(received * (1j * nu) ** k, s, np.zeros(n)) * s[:, None, None] ** k / math.factorial(k)
             for k in range(self._orders(MOST_LATE_S))
         ]
         self._untouched = np.stack(orders)

@@ -101,11 +101,11 @@ def simulate_session(
     if workers is None and dask is None and total <= FEW:
         workers = 1
 
-    def tell(name: str, _done: int, _total: int) -> None:
+    def advance(name: str, _done: int, _total: int) -> None:
         if progress is not None:
             progress(places[name].stop - places[name].start)
 
-    for name, counts in run(jobs, workers=workers, dask=dask, cache=kept, progress=tell).items():
+    for name, counts in run(jobs, workers=workers, dask=dask, cache=kept, progress=advance).items():
         frames[places[name]] = counts
     return recording_of(stage, instrument, frames)
 

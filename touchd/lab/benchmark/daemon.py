@@ -84,10 +84,10 @@ def measure(
         Subscriber(address, ("touch", "health"), PATIENCE_S) as events,
         _running(task) as process,
     ):
-        heard = dict(_heard(events, process))
+        arrivals = dict(_arrivals(events, process))
         lost = events.lost.total()
     with np.load(output) as found:
-        return _result(scene, rate_hz, heard, lost, begun_ns, {name: found[name] for name in found.files})
+        return _result(scene, rate_hz, arrivals, lost, begun_ns, {name: found[name] for name in found.files})
 
 
 def day(cells: Iterable[DaemonResult]) -> Day | None:
@@ -132,7 +132,7 @@ def _last_line(said: Any) -> str:
     return lines[-1] if lines else "it said nothing"
 
 
-def _heard(events: Subscriber[Event], process: subprocess.Popen[str]) -> Iterator[tuple[int, int]]:
+def _arrivals(events: Subscriber[Event], process: subprocess.Popen[str]) -> Iterator[tuple[int, int]]:
     """Yield each touch message's frame and arrival time, until the daemon stops."""
     while True:
         try:
@@ -149,7 +149,12 @@ def _heard(events: Subscriber[Event], process: subprocess.Popen[str]) -> Iterato
 
 
 def _result(
-    scene: str, rate_hz: float | None, heard: dict[int, int], lost: int, begun_ns: int, found: dict[str, NDArray[Any]]
+    scene: str,
+    rate_hz: float | None,
+    arrivals: dict[int, int],
+    lost: int,
+    begun_ns: int,
+    found: dict[str, NDArray[Any]],
 ) -> DaemonResult:
     received_ns, done_ns, lead = found["received_ns"], found["done_ns"], int(found["lead"])
     frames = len(received_ns)
@@ -157,21 +162,23 @@ def _result(
     if not counted.any():
         raise JobError("the daemon took no frames", "benchmark", "allow it more time")
     handed = spread((done_ns - received_ns)[counted] * 1e-3)
-    arrived = [(heard[lead + i] - received_ns[i]) * 1e-3 for i in np.flatnonzero(counted).tolist() if lead + i in heard]
+    arrived = [
+        (arrivals[lead + i] - received_ns[i]) * 1e-3 for i in np.flatnonzero(counted).tolist() if lead + i in arrivals
+    ]
     paced = rate_hz is not None
     to_subscriber = paced and len(arrived) > 0
     took = spread(arrived) if to_subscriber else handed
     cpu_s, wall_s, all_frames = float(found["cpu_s"]), float(found["wall_s"]), max(int(found["frames"]), 1)
     skipped = dict(zip(found["reasons"].tolist(), (found["skipped"] / all_frames).tolist(), strict=True))
     return DaemonResult(
-        scene=scene, rate_hz=rate_hz, to="subscriber" if to_subscriber else "socket" if heard else "decision",
+        scene=scene, rate_hz=rate_hz, to="subscriber" if to_subscriber else "socket" if arrivals else "decision",
         frames=int(counted.sum()), p50_us=rounded(took.p50), p99_us=rounded(took.p99), p999_us=rounded(took.p999),
         max_us=rounded(took.most), handed_p50_us=rounded(handed.p50), handed_p99_us=rounded(handed.p99),
         handed_p999_us=rounded(handed.p999), ratio=rounded(handed.p50 / float(np.median(found["bare_us"]))),
         frames_per_s=rounded(frames / wall_s), frames_per_cpu_s=rounded(frames / cpu_s),
         cpu_share=rounded(cpu_s / wall_s, 4),
         rss_mb=rounded(float(found["rss"]) / 2**20, 4), gc_pauses=len(found["pauses_us"]),
-        gc_longest_us=rounded(float(np.max(found["pauses_us"], initial=0.0))), messages=len(heard),
+        gc_longest_us=rounded(float(np.max(found["pauses_us"], initial=0.0))), messages=len(arrivals),
         lost=lost + int(found["lost"]), skipped={why: rounded(share, 4) for why, share in skipped.items() if share},
         inferred=rounded(int(found["inferred"]) / all_frames, 4),
         start_s=rounded((int(found["ready_ns"]) - begun_ns) * 1e-9, 3),

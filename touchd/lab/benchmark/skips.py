@@ -32,7 +32,7 @@ BATCH = 25
 class _Case:
     name: str
     scene: str
-    heard: bool = True
+    subscribed: bool = True
     """Whether a subscriber wants touches."""
     screen_off: bool = False
 
@@ -40,7 +40,7 @@ class _Case:
 CASES = (
     _Case("gate", "idle"),
     _Case("still", "still"),
-    _Case("unheard", "moving", heard=False),
+    _Case("unheard", "moving", subscribed=False),
     _Case("screen", "moving", screen_off=True),
 )
 
@@ -54,7 +54,7 @@ class _Played:
         )
         source = LoopSource(loop, math.inf, 0.0)
         self._pipeline = make_pipeline(source, settings, Model(model), notify=lambda _reason, _fields: None)
-        self._messages = Messages(settings, lambda topic: case.heard and topic == "touch")
+        self._messages = Messages(settings, lambda topic: case.subscribed and topic == "touch")
         self._frames = list(loop.frames)
         self._order = loop.order().tolist()
         self.number = 0

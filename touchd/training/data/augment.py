@@ -123,10 +123,10 @@ class Augmenter:
         tone = tone * self._chance(n, 0.15)
         level = self._uniform(n, 0.0, 1.5) + self._chance(n, 0.1) * self._log_uniform(n, 1.0, 10.0)
         white = self._noise(n, level)
-        heard = self._channel_mask(n, share=0.1)
-        fingers = (disturbed + tone + white) * heard
+        mask = self._channel_mask(n, share=0.1)
+        fingers = (disturbed + tone + white) * mask
         noise = self._power * (level.square() + (own_noise * size).square()) + tone.square().sum(dim=1, keepdim=True)
-        return fingers, _ratio(noise * heard.mean(dim=1, keepdim=True), fingers)
+        return fingers, _ratio(noise * mask.mean(dim=1, keepdim=True), fingers)
 
     def own_noise(self, residual: Tensor) -> float:
         """Return the noise-to-signal ratio of the median recorded residual (n, inputs), by norms."""
@@ -239,8 +239,8 @@ class Augmenter:
         if channels < 3:
             return torch.ones((n, inputs))
         dead = torch.randint(channels, (n, 1), generator=self._generator) == torch.arange(channels)
-        heard = 1.0 - dead.float() * self._chance(n, share)
-        return heard.repeat_interleave(inputs // channels, dim=1)
+        mask = 1.0 - dead.float() * self._chance(n, share)
+        return mask.repeat_interleave(inputs // channels, dim=1)
 
     def _tone(self, n: int) -> Tensor:
         return self._bank.tones[torch.randint(len(self._bank.tones), (n,), generator=self._generator)]

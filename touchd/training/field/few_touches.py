@@ -52,21 +52,21 @@ def learn_by_waves(touches: Touches, prior: Prior, progress: Step = lambda _done
     bins = touches.values.shape[2]
     done = 0
 
-    def tell() -> None:
+    def advance() -> None:
         nonlocal done
         done += 1
         progress(done, (ROUNDS + 1) * len(learner.chosen) + 2 * bins)
 
-    learner = Learner(touches, prior, lambda _done, _all: tell())
+    learner = Learner(touches, prior, lambda _done, _all: advance())
     waves: dict[int, Product] = {}
     amplitude = learner.converge(1)
     for _ in range(ROUNDS):
-        waves |= _products(touches, prior, amplitude, learner.chosen, waves, tell)
+        waves |= _products(touches, prior, amplitude, learner.chosen, waves, advance)
         amplitude = _amplitudes(touches, waves, bins)
-    waves |= _products(touches, prior, amplitude, np.arange(bins), waves, tell)
+    waves |= _products(touches, prior, amplitude, np.arange(bins), waves, advance)
     explained = np.stack([waves[b].at_touches() for b in range(bins)], axis=-1) * amplitude[:, None, :]
     left = replace(touches, values=touches.values - explained)
-    rest = Learner(left, replace(prior, ridge=LEFT_RIDGE), lambda _done, _all: tell())
+    rest = Learner(left, replace(prior, ridge=LEFT_RIDGE), lambda _done, _all: advance())
     return rest.draw(amplitude, lambda b, positions_mm: waves[b].at(positions_mm))
 
 
@@ -76,7 +76,7 @@ def _products(
     amplitude: Complex,
     bins: NDArray[np.int64],
     before: dict[int, Product],
-    tell: Callable[[], None],
+    advance: Callable[[], None],
 ) -> dict[int, Product]:
     """Fit the waves of the given bins, starting from earlier ones."""
 
@@ -85,7 +85,7 @@ def _products(
         basis = start.basis if start else basis_of(touches.position_mm, float(prior.wavenumber_per_mm[b]))
         return product_of(basis, touches.values[:, :, b], amplitude[:, b], touches.noise, start)
 
-    return dict(zip(bins.tolist(), each(one, bins, tell), strict=True))
+    return dict(zip(bins.tolist(), each(one, bins, advance), strict=True))
 
 
 def _amplitudes(touches: Touches, waves: dict[int, Product], bins: int) -> Complex:

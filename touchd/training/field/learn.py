@@ -40,7 +40,7 @@ OUTER_ROUNDS = 3
 INNER_ROUNDS = 20
 AMPLITUDE_BINS = 7
 RELABEL_ROUNDS = 3
-HEARD = 0.1
+MOST_NOISE = 0.1
 """Largest noise share of a bin used for amplitudes."""
 
 
@@ -129,7 +129,7 @@ class Learner:
         deviation = np.sqrt(r.touches.noise + FIELD_ERROR * r.scale[chosen] ** 2)
         for _ in range(rounds):
             self._hats = []  # free the memory of the last inverses first
-            self._hats = each(partial(_hat, r, amplitude), chosen, self._tell)
+            self._hats = each(partial(_hat, r, amplitude), chosen, self._advance)
             amplitude = converge(values[:, :, chosen], amplitude, chosen, 1 / deviation, self._predict, INNER_ROUNDS)
         return amplitude
 
@@ -162,7 +162,7 @@ class Learner:
             return np.asarray(grid[inside, inside])
 
         return Field(
-            coefficients=np.ascontiguousarray(np.stack(each(one, range(amplitude.shape[1]), self._tell), axis=-1)),
+            coefficients=np.ascontiguousarray(np.stack(each(one, range(amplitude.shape[1]), self._advance), axis=-1)),
             origin_mm=(float(x_mm[FILTER_NODES]), float(y_mm[FILTER_NODES])),
             low_mm=(float(low[0]), float(low[1])),
             high_mm=(float(high[0]), float(high[1])),
@@ -177,15 +177,15 @@ class Learner:
 
         return np.stack(each(one, range(len(self._hats))), axis=-1)
 
-    def _tell(self) -> None:
+    def _advance(self) -> None:
         self._done += 1
         self._progress(self._done, self._all)
 
     def _informative(self) -> NDArray[np.int64]:
         """Return bins spread over the part of the band with little noise."""
         r = self._regression
-        heard = np.flatnonzero(r.touches.noise < HEARD * r.scale**2)
-        last = heard[-1] if len(heard) else len(r.scale) - 1
+        clear = np.flatnonzero(r.touches.noise < MOST_NOISE * r.scale**2)
+        last = clear[-1] if len(clear) else len(r.scale) - 1
         return np.unique(np.linspace(0, last, AMPLITUDE_BINS).round().astype(np.int64))
 
 

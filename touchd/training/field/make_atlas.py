@@ -33,7 +33,7 @@ class Calibration:
 
     within: list[tuple[float, float, float]]
     """By noise level: signal-to-noise ratio of the plate in dB, share of errors within sigma, median error in mm."""
-    audible: Floats
+    snr: Floats
     """Signal-to-noise ratio of each bin of the band, shape (bins,)."""
     missed: Floats
     """Field error of an average touch relative to the noise, for each kept bin, shape (kept,)."""
@@ -72,9 +72,9 @@ def make_atlas(
     true_mm = steady.position_mm[parts.validation].astype(np.float64)
     touches = touches_of(steady, parts.validation)
     said = said | {"plate": steady.meta.plate, "touches": len(parts.train), "data_sha256": steady.sha256}
-    audible = signal_over_noise(touches)
-    kept = informative(audible)
-    whole = place(atlas_of(learned.field, reference, steady, np.arange(len(audible)), said), touches.values, true_mm)
+    snr = signal_over_noise(touches)
+    kept = informative(snr)
+    whole = place(atlas_of(learned.field, reference, steady, np.arange(len(snr)), said), touches.values, true_mm)
     plain = atlas_of(learned.field, reference, steady, kept, said)
     plain = aligned(plain, learned.position_mm, learned.amplitude.astype(np.complex128))
     values = np.ascontiguousarray(touches.values[:, :, kept])
@@ -91,7 +91,7 @@ def make_atlas(
     power = float(np.square(np.abs(placed.amplitude[near])).mean())
     return atlas, Calibration(
         within=[(db, within_sigma(level, atlas), _median_mm(level.error_mm)) for db, level in levels],
-        audible=audible,
+        snr=snr,
         missed=error.mean(axis=0) * power / max(touches.noise, 1e-12),
         whole_mm=_median_mm(whole.position_mm - true_mm),
         kept_mm=_median_mm(placed.position_mm - true_mm),
@@ -122,11 +122,11 @@ def signal_over_noise(touches: Touches) -> Floats:
     return np.asarray(np.maximum(power / max(touches.noise, 1e-12) - 1, 0.0))
 
 
-def informative(audible: Floats) -> NDArray[np.int64]:
+def informative(snr: Floats) -> NDArray[np.int64]:
     """Return the bins that contain all but `SPARED` of the signal, in order."""
-    order = np.argsort(audible)
-    spared = np.cumsum(audible[order]) <= SPARED * audible.sum()
-    return np.sort(order[~spared]) if audible.sum() > 0 else np.arange(len(audible))
+    order = np.argsort(snr)
+    spared = np.cumsum(snr[order]) <= SPARED * snr.sum()
+    return np.sort(order[~spared]) if snr.sum() > 0 else np.arange(len(snr))
 
 
 def noisy_levels(

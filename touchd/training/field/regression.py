@@ -135,12 +135,12 @@ def smooth(inverse: Array, penalty: Array, targets: Array) -> Array:
     return np.asarray(targets - penalty[:, None] * blas.ssymm(1.0, inverse, targets, lower=1))
 
 
-def each(work: Callable[[int], T], bins: Iterable[int], tell: Callable[[], None] = lambda: None) -> list[T]:
-    """Run `work` for each bin on all cores, and call `tell` after each."""
+def each(work: Callable[[int], T], bins: Iterable[int], advance: Callable[[], None] = lambda: None) -> list[T]:
+    """Run `work` for each bin on all cores, and call `advance` after each."""
     results = []
     # One bin per core: nested threads of the linear algebra would only compete.
     with threadpool_limits(1), ThreadPoolExecutor(min(os.cpu_count() or 1, MOST_THREADS)) as pool:
         for result in pool.map(work, [int(b) for b in bins]):
             results.append(result)
-            tell()
+            advance()
     return results

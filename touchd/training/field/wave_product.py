@@ -138,10 +138,10 @@ def _alternate(
         sent /= np.sqrt(np.mean(np.square(np.abs(sent))))
         right = weight[:, None] * sent.conj() * unit
         receivers = _solve(functions, weight * np.square(np.abs(sent[:, 0])), right, ridge)
-        heard = _sum(functions, receivers)
-        right = weight[:, None] * (heard.conj() * unit).sum(axis=1, keepdims=True)
-        emitter = _solve(functions, weight * np.square(np.abs(heard)).sum(axis=1), right, ridge)
-    left = np.square(np.abs(unit - _sum(functions, emitter) * heard))
+        received = _sum(functions, receivers)
+        right = weight[:, None] * (received.conj() * unit).sum(axis=1, keepdims=True)
+        emitter = _solve(functions, weight * np.square(np.abs(received)).sum(axis=1), right, ridge)
+    left = np.square(np.abs(unit - _sum(functions, emitter) * received))
     return Product(basis, emitter, scale * receivers, float(left.sum() / np.square(np.abs(unit)).sum()))
 
 

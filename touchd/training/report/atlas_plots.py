@@ -23,15 +23,15 @@ def draw_bins(atlas: Atlas, calibration: Calibration) -> Figure:
     spacing_khz = a.sample_rate_hz / a.samples / 1e3
     figure = Figure(figsize=(7.0, 4.4), layout="constrained")
     axes = figure.add_subplot()
-    audible_db = 10 * np.log10(np.maximum(calibration.audible, 1e-3))
+    snr_db = 10 * np.log10(np.maximum(calibration.snr, 1e-3))
     missed_db = 10 * np.log10(np.maximum(calibration.missed, 1e-3))
     for left_out in np.setdiff1d(band, kept):
         axes.axvspan((left_out - 0.5) * spacing_khz, (left_out + 0.5) * spacing_khz, color="#e8eaed", lw=0, zorder=-1)
-    axes.plot(band * spacing_khz, audible_db, "o-", color=COLOURS[0], ms=3, lw=1.4, label="touch")
+    axes.plot(band * spacing_khz, snr_db, "o-", color=COLOURS[0], ms=3, lw=1.4, label="touch")
     axes.plot(kept * spacing_khz, missed_db, "s-", color=COLOURS[1], ms=3, lw=1.4, label="field error")
     axes.axhline(0, color=TRUTH, lw=3, zorder=0, label="noise of a residual")
     axes.set(xlabel="frequency (kHz)", ylabel="power over noise (dB)", title="bins; grey: omitted")
-    axes.set_ylim(bottom=max(-25.0, min(audible_db.min(), missed_db.min()) - 3))
+    axes.set_ylim(bottom=max(-25.0, min(snr_db.min(), missed_db.min()) - 3))
     axes.legend(frameon=False)
     axes.grid(alpha=0.25)
     return figure
