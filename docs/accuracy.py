@@ -20,8 +20,8 @@ from touchd.config.schema import ModelSettings, Settings
 from touchd.evaluation.cramer_rao import (
     atlas_field,
     median_distance_mm,
-    place_covariance,
     plain_covariance,
+    position_covariance,
     recorded_field,
     residual_noise,
     twin_values,
@@ -135,7 +135,7 @@ def noise(bench: Bench) -> str:
         recording = bench.touches(TOUCHES, noise_db)
         judged = bench.judge(recording)
         u, deviation, a = recorded_field(recording, bench.instrument), residual_noise(recording), recording.acquisition
-        bound, plain = (median_distance_mm(part(u, a, deviation)) for part in (place_covariance, plain_covariance))
+        bound, plain = (median_distance_mm(part(u, a, deviation)) for part in (position_covariance, plain_covariance))
         levels.append(NoiseLevel(noise_db, judged, bound, plain))
         scores = position_scores(judged.error_mm)
         within = [float((np.abs(judged.error_mm) <= k * judged.sigma_mm[:, None]).mean()) for k in (1, 2)]

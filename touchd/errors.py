@@ -1,51 +1,51 @@
-"""Every failure a user can cause, as one tree.
+"""Errors that touchd raises on purpose: one tree, each class with its exit status.
 
 ::
 
-    TouchdError                    exit  when, and what helps
-    ├── ConfigError                  10  a configuration file, variable or option is wrong: correct the named key
-    ├── RecordingError               20  a recording cannot be used
+    TouchdError                    exit  cause: remedy
+    ├── ConfigError                  10  configuration file, variable or option is invalid: correct the named key
+    ├── RecordingError               20  the recording is unusable
     │   ├── RecordingMissing         21  no such file or folder: check the path
-    │   ├── RecordingTruncated       22  not a whole .npz: copy it again, or drop the damaged chunk
-    │   ├── RecordingVersion         23  another format or a newer version: upgrade touchd
+    │   ├── RecordingTruncated       22  incomplete .npz: copy the file again, or remove the damaged chunk
+    │   ├── RecordingVersion         23  unknown format, or written by a newer touchd: upgrade
     │   ├── RecordingShape           24  an array or key is missing, or has the wrong type or shape
-    │   ├── RecordingUnsafe          25  holds pickled objects, which are never loaded
-    │   └── RecordingValues          26  NaN, infinity or disorder where numbers are needed
-    ├── ModelError                   30  a model cannot be used
+    │   ├── RecordingUnsafe          25  the file contains pickled objects; touchd refuses to load them
+    │   └── RecordingValues          26  NaN, infinity, or values out of order
+    ├── ModelError                   30  the model is unusable
     │   ├── ModelMissing             31  no such file: check the path
-    │   ├── ModelInvalid             32  not ONNX, or without touchd's description: export it again
-    │   └── ModelMismatch            33  the model does not fit the frames: train one for this acquisition
-    ├── BusError                     40  events cannot be published or received
-    │   ├── AddressInUse             41  another process holds the address: stop it, or bind elsewhere
-    │   ├── InsecureBind             42  beyond loopback without keys: configure CURVE keys
-    │   └── BusTimeout               43  nobody answered in time: check that the other side runs
-    ├── SourceError                  50  frames cannot be read
-    │   ├── DeviceLost               51  the DAQ is gone: look at the cable
-    │   └── ReaderFailed             52  the thread that reads the DAQ died or hangs: restart touchd
-    ├── MissingExtra                 60  an optional package is needed: install the named extra
-    ├── TrainingError                70  a model cannot be trained from this recording
-    ├── SimulationError              80  a scene, plate or count that the twin cannot make
-    ├── OutputError                  90  a file cannot be written: check folder, space and permissions
-    ├── GadgetError                  95  this computer cannot be a USB device: it needs a port for that, and root
-    ├── CheckFailed                  97  touchd doctor found a failure: do what its lines say
-    └── JobError                    100  a part of a long computation failed: the line names it; what is done is kept
-        └── ClusterError            101  a Dask cluster cannot be used: check the address, its workers and versions
+    │   ├── ModelInvalid             32  not ONNX, or without touchd's metadata: export the model again
+    │   └── ModelMismatch            33  the model expects another acquisition: train a model for this one
+    ├── BusError                     40  publishing or receiving failed
+    │   ├── AddressInUse             41  another process has bound the address: stop it, or bind another
+    │   ├── InsecureBind             42  a bind beyond loopback without keys: configure CURVE keys
+    │   └── BusTimeout               43  no message arrived in time: check that the other side runs
+    ├── SourceError                  50  the source delivers no frames
+    │   ├── DeviceLost               51  the DAQ was unplugged: check its cable
+    │   └── ReaderFailed             52  the DAQ's reader thread died or hangs: restart touchd
+    ├── MissingExtra                 60  an optional package is missing: install the named extra
+    ├── TrainingError                70  the recording cannot train this model
+    ├── SimulationError              80  the twin cannot simulate this scene, plate or count
+    ├── OutputError                  90  the file cannot be written: check folder, space and permissions
+    ├── GadgetError                  95  this computer cannot act as a USB device: it needs a device port, and root
+    ├── CheckFailed                  97  touchd doctor found a failure: follow the remedy in its report
+    └── JobError                    100  a job of a long computation failed: repeat the command, finished jobs are kept
+        └── ClusterError            101  the Dask cluster is unusable: check address, workers and versions
 """
 
 from __future__ import annotations
 
 
 class TouchdError(Exception):
-    """A failure with an explanation: what happened, where, and what to do about it.
+    """An error that states what failed, where, and what the user can do.
 
     Parameters
     ----------
     what : str
-        What went wrong, in one clause.
+        The failure, in one clause.
     where : str
-        The file, key, address or array concerned; empty if there is none.
+        File, key, address or array that caused it; may be empty.
     fix : str
-        What the reader can do; empty only if nothing can be done.
+        What the user can do; empty only if nothing helps.
     """
 
     exit_code = 1
@@ -62,13 +62,13 @@ class TouchdError(Exception):
 
 
 class ConfigError(TouchdError):
-    """A configuration file, environment variable or option is wrong."""
+    """A configuration file, environment variable or option is invalid."""
 
     exit_code = 10
 
 
 class RecordingError(TouchdError):
-    """A recording cannot be used."""
+    """The recording is unusable."""
 
     exit_code = 20
 
@@ -80,13 +80,13 @@ class RecordingMissing(RecordingError):
 
 
 class RecordingTruncated(RecordingError):
-    """The file is not a whole .npz archive."""
+    """The .npz archive is incomplete."""
 
     exit_code = 22
 
 
 class RecordingVersion(RecordingError):
-    """The file is another format, or a version this program does not know."""
+    """The file has an unknown format or version."""
 
     exit_code = 23
 
@@ -98,19 +98,19 @@ class RecordingShape(RecordingError):
 
 
 class RecordingUnsafe(RecordingError):
-    """The file holds pickled Python objects, which could run code; they are never loaded."""
+    """The file contains pickled Python objects, which could run code."""
 
     exit_code = 25
 
 
 class RecordingValues(RecordingError):
-    """A value is NaN, infinite or out of order where a number is needed."""
+    """A value is NaN, infinite or out of order."""
 
     exit_code = 26
 
 
 class ModelError(TouchdError):
-    """A model cannot be used."""
+    """The model is unusable."""
 
     exit_code = 30
 
@@ -122,102 +122,102 @@ class ModelMissing(ModelError):
 
 
 class ModelInvalid(ModelError):
-    """The file is not an ONNX model, or carries no usable description."""
+    """The file is not an ONNX model, or lacks touchd's metadata."""
 
     exit_code = 32
 
 
 class ModelMismatch(ModelError):
-    """The model was made for another acquisition than the frames at hand."""
+    """The model expects frames of another acquisition."""
 
     exit_code = 33
 
 
 class BusError(TouchdError):
-    """Events cannot be published or received."""
+    """Publishing or receiving events failed."""
 
     exit_code = 40
 
 
 class AddressInUse(BusError):
-    """Another process already holds the address."""
+    """Another process has bound the address."""
 
     exit_code = 41
 
 
 class InsecureBind(BusError):
-    """An address beyond loopback was asked for without keys."""
+    """The configuration binds an address beyond loopback without keys."""
 
     exit_code = 42
 
 
 class BusTimeout(BusError):
-    """Nobody answered in time."""
+    """No message arrived in time."""
 
     exit_code = 43
 
 
 class SourceError(TouchdError):
-    """Frames cannot be read."""
+    """The source delivers no frames."""
 
     exit_code = 50
 
 
 class DeviceLost(SourceError):
-    """The DAQ has gone."""
+    """The DAQ was unplugged."""
 
     exit_code = 51
 
 
 class ReaderFailed(SourceError):
-    """The thread that reads the DAQ has died, or hangs."""
+    """The DAQ's reader thread died or hangs."""
 
     exit_code = 52
 
 
 class MissingExtra(TouchdError):
-    """An optional package is needed for this verb."""
+    """The verb needs an optional package."""
 
     exit_code = 60
 
 
 class TrainingError(TouchdError):
-    """No model can be trained from this recording."""
+    """The recording cannot train this model."""
 
     exit_code = 70
 
 
 class SimulationError(TouchdError):
-    """A scene, plate or count that the twin cannot make."""
+    """The twin cannot simulate this scene, plate or count."""
 
     exit_code = 80
 
 
 class OutputError(TouchdError):
-    """A file cannot be written."""
+    """The file cannot be written."""
 
     exit_code = 90
 
 
 class GadgetError(TouchdError):
-    """A computer that cannot be a USB device."""
+    """The computer cannot act as a USB device."""
 
     exit_code = 95
 
 
 class CheckFailed(TouchdError):
-    """An examination of the set-up found a failure."""
+    """`touchd doctor` found a failure."""
 
     exit_code = 97
 
 
 class JobError(TouchdError):
-    """A part of a long computation failed."""
+    """A job of a long computation failed."""
 
     exit_code = 100
 
 
 class ClusterError(JobError):
-    """A Dask cluster cannot be reached or used."""
+    """The Dask cluster is unreachable or unusable."""
 
     exit_code = 101

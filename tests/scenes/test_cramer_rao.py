@@ -18,8 +18,8 @@ from touchd.evaluation.cramer_rao import (
     atlas_field,
     median_bound_mm,
     median_distance_mm,
-    place_covariance,
     plain_covariance,
+    position_covariance,
     recorded_field,
     residual_noise,
     rms_mm,
@@ -65,10 +65,10 @@ def estimates_mm(instrument: Instrument, residual: Floats, *, weighted: bool) ->
     bins = band_bins(a)
     T = whitener(a, bins) if weighted else np.eye(2 * len(bins))
     rows = (residual @ windowed_dft(a, bins) @ T).reshape(len(residual), -1)
-    place_mm = np.tile([FINGER.x_mm + 0.07, FINGER.y_mm - 0.07], (len(residual), 1))
+    position_mm = np.tile([FINGER.x_mm + 0.07, FINGER.y_mm - 0.07], (len(residual), 1))
     for _ in range(2):
         # All start at one place: the field is computed once for each that differs.
-        unique_mm, which = np.unique(place_mm, axis=0, return_inverse=True)
+        unique_mm, which = np.unique(position_mm, axis=0, return_inverse=True)
         there = twin_field(instrument, [FINGER._replace(x_mm=x, y_mm=y) for x, y in unique_mm.tolist()])
         u = TouchField(there.value[which], there.by_x[which], there.by_y[which], there.bins)
 
@@ -82,14 +82,14 @@ def estimates_mm(instrument: Instrument, residual: Floats, *, weighted: bool) ->
         z = (parts[:, 0] + 1j * parts[:, 1])[:, None, None]
         slopes = columns(z * u.by_x, z * u.by_y, u.value, 1j * u.value)
         left = rows - np.einsum("nij,nj->ni", basis, parts)
-        place_mm += np.stack([np.linalg.lstsq(s, r, rcond=None)[0][:2] for s, r in zip(slopes, left, strict=True)])
-    return place_mm
+        position_mm += np.stack([np.linalg.lstsq(s, r, rcond=None)[0][:2] for s, r in zip(slopes, left, strict=True)])
+    return position_mm
 
 
 def test_maximum_likelihood_scatters_as_the_bound_says(instrument: Instrument) -> None:
     """What the bound promises is what the best possible estimator reaches, in both axes and in their correlation."""
     residual, noise = noisy_frames(instrument)
-    covariance = place_covariance(twin_field(instrument, [FINGER]), instrument.acquisition, noise)[0]
+    covariance = position_covariance(twin_field(instrument, [FINGER]), instrument.acquisition, noise)[0]
     error = estimates_mm(instrument, residual, weighted=True) - [FINGER.x_mm, FINGER.y_mm]
     # Along the bound's own axes, in its own units: independent and of variance 1, if it is right.
     unit = np.linalg.solve(np.linalg.cholesky(covariance), error.T)
@@ -101,10 +101,10 @@ def test_maximum_likelihood_scatters_as_the_bound_says(instrument: Instrument) -
 
 
 def test_least_squares_without_the_noise_s_covariance_scatters_more(instrument: Instrument) -> None:
-    """The window makes neighbouring bins alike: who does not know that pays for it, and as much as is foretold."""
+    """The window correlates neighbouring bins: unweighted least squares loses as much precision as predicted."""
     residual, noise = noisy_frames(instrument)
     field = twin_field(instrument, [FINGER])
-    bound, plain = (part(field, instrument.acquisition, noise)[0] for part in (place_covariance, plain_covariance))
+    bound, plain = (part(field, instrument.acquisition, noise)[0] for part in (position_covariance, plain_covariance))
     error = estimates_mm(instrument, residual, weighted=False) - [FINGER.x_mm, FINGER.y_mm]
 
     def squared(covariance: Floats) -> float:
@@ -123,30 +123,30 @@ def test_whitened_features_of_white_noise_are_independent(instrument: Instrument
 
 @given(factor=st.floats(1e-3, 1e3))
 def test_the_bound_falls_as_the_noise_does(instrument: Instrument, field: TouchField, factor: float) -> None:
-    """Half the amplitude of the noise is half the error; twice the strength is the same."""
-    one = place_covariance(field, instrument.acquisition, NOISE)
-    other = place_covariance(field, instrument.acquisition, factor * NOISE)
+    """Half the amplitude of the noise is half the error; twice the amplitude is the same."""
+    one = position_covariance(field, instrument.acquisition, NOISE)
+    other = position_covariance(field, instrument.acquisition, factor * NOISE)
     assert np.allclose(rms_mm(other), factor * rms_mm(one), rtol=1e-9)
-    stronger = place_covariance(field.times(np.full(3, 1 / factor + 0j)), instrument.acquisition, NOISE)
+    stronger = position_covariance(field.times(np.full(3, 1 / factor + 0j)), instrument.acquisition, NOISE)
     assert np.allclose(rms_mm(stronger), factor * rms_mm(one), rtol=1e-6)
 
 
 @given(phase=st.floats(-np.pi, np.pi))
-def test_the_phase_of_the_strength_does_not_matter(instrument: Instrument, field: TouchField, phase: float) -> None:
+def test_the_phase_of_the_amplitude_does_not_matter(instrument: Instrument, field: TouchField, phase: float) -> None:
     """It is unknown anyway; real and imaginary parts hold nearly the same noise."""
-    one = place_covariance(field, instrument.acquisition, NOISE)
-    other = place_covariance(field.times(np.full(3, np.exp(1j * phase))), instrument.acquisition, NOISE)
+    one = position_covariance(field, instrument.acquisition, NOISE)
+    other = position_covariance(field.times(np.full(3, np.exp(1j * phase))), instrument.acquisition, NOISE)
     assert np.allclose(rms_mm(other), rms_mm(one), rtol=PHASE_MATTERS)
 
 
 def test_fewer_bins_or_channels_never_tell_more(instrument: Instrument, field: TouchField) -> None:
     """The bound of a part of the data is above that of all."""
     a = instrument.acquisition
-    whole = place_covariance(field, a, NOISE)
+    whole = position_covariance(field, a, NOISE)
     few = TouchField(field.value[..., :37], field.by_x[..., :37], field.by_y[..., :37], field.bins[:37])
     deaf = TouchField(field.value[:, :3], field.by_x[:, :3], field.by_y[:, :3], field.bins)
     for part in (few, deaf):
-        assert (np.linalg.eigvalsh(place_covariance(part, a, NOISE) - whole) > 0).all()
+        assert (np.linalg.eigvalsh(position_covariance(part, a, NOISE) - whole) > 0).all()
 
 
 def test_the_slopes_are_those_of_the_field(instrument: Instrument, field: TouchField) -> None:
@@ -171,8 +171,8 @@ def test_an_atlas_that_is_right_gives_the_twin_s_bound(instrument: Instrument) -
         low_mm=(65.0, 115.0), high_mm=(80.0, 130.0),
     )  # fmt: skip
     atlas = Atlas(description, grid.astype(np.float32), np.zeros(a.shape, np.float32), np.zeros((4, 49), np.float32))
-    found = place_covariance(atlas_field(atlas, np.array([[FINGER.x_mm, FINGER.y_mm]])), a, NOISE)
-    assert np.allclose(found, place_covariance(twin_field(instrument, [FINGER]), a, NOISE), rtol=0.03, atol=1e-6)
+    found = position_covariance(atlas_field(atlas, np.array([[FINGER.x_mm, FINGER.y_mm]])), a, NOISE)
+    assert np.allclose(found, position_covariance(twin_field(instrument, [FINGER]), a, NOISE), rtol=0.03, atol=1e-6)
 
 
 @given(long=st.floats(0.01, 3.0), angle=st.floats(0, np.pi))
@@ -191,14 +191,14 @@ def test_the_reference_plate_s_bound_is_known(instrument: Instrument) -> None:
     recording = simulate_touches(150, seed=7, instrument=instrument)
     assert median_bound_mm(recording, instrument) == pytest.approx(0.0135, rel=0.1)
     field = recorded_field(recording, instrument)
-    covariance = place_covariance(field, instrument.acquisition, residual_noise(recording))
+    covariance = position_covariance(field, instrument.acquisition, residual_noise(recording))
     assert np.sqrt(np.square(rms_mm(covariance)).mean()) == pytest.approx(0.0185, rel=0.12)
-    # The strengths are those of the frames: as from the contacts themselves.
+    # The amplitudes are those of the frames: as from the contacts themselves.
     x_mm, y_mm = recording.contacts_mm[1, 0].tolist()  # type: ignore[index]  # simulated touches have a truth
-    found = place_covariance(field, instrument.acquisition, NOISE)
+    found = position_covariance(field, instrument.acquisition, NOISE)
     force_n = float(recording.force_n[1, 0])  # type: ignore[index]  # as above
     true = twin_field(instrument, [Contact(x_mm, y_mm, 14.0 * force_n**0.5, "silicone")])
-    exact = place_covariance(true, instrument.acquisition, NOISE)
+    exact = position_covariance(true, instrument.acquisition, NOISE)
     assert rms_mm(found)[0] == pytest.approx(rms_mm(exact)[0], rel=0.03)
 
 

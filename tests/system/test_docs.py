@@ -11,7 +11,6 @@ import tempfile
 import threading
 from collections.abc import Iterator
 from pathlib import Path
-from string import Template
 from typing import Any
 
 import click
@@ -30,8 +29,6 @@ from touchd.config.schema import BusSettings, Settings
 from touchd.errors import TouchdError
 from touchd.event import Contact, HealthEvent, TouchEvent
 from touchd.frame import Acquisition, Frame, Plate
-from touchd.lab.reproduction import report
-from touchd.lab.template import filled
 from touchd.localization.model import METADATA_KEY, Description
 from touchd.service.reload import RESTART_ONLY
 from touchd.sinks.zeromq import ZeromqSink
@@ -109,14 +106,6 @@ def test_every_verb_is_described(verb: str) -> None:
 @pytest.mark.parametrize("error", list(subclasses(TouchdError)), ids=lambda error: error.__name__)
 def test_every_failure_is_listed_with_its_exit_status(error: type[TouchdError]) -> None:
     assert f"| {error.exit_code} | `{error.__name__}` |" in (DOCS / "troubleshooting.md").read_text()
-
-
-def test_reproduction_page_is_its_template() -> None:
-    """The page says what the program that wrote it says today; only what it measured lies between."""
-    names = Template(report.TEMPLATE.read_text()).get_identifiers()
-    fields = {name: f"<{name}>" for name in names}
-    pattern = re.sub(r"<\w+>", lambda _: "(.+?)", re.escape(filled(report.TEMPLATE, dict(fields))))
-    assert re.fullmatch(pattern, (DOCS / "reproduction.md").read_text(), re.DOTALL)
 
 
 def test_readme_picture(tmp_path: Path) -> None:

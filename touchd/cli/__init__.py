@@ -1,1 +1,1 @@
-"""The command line: `main` reads it, and each verb is a module of its name."""
+"""Command line: `main` parses the options; each verb has a module of its name."""

@@ -1,4 +1,4 @@
-"""`touchd benchmark`: run time against error, and the daemon end to end."""
+"""`touchd benchmark`: measure run time, latency and position error."""
 
 from __future__ import annotations
 
@@ -24,23 +24,23 @@ WIDTH = 150
 
 
 @click.command()
-@click.option("--quick", is_flag=True, help="Less of everything, in about 20 s.")
-@click.option("--json", "stored", type=click.Path(path_type=Path), metavar="FILE", help="Store the figures here.")
+@click.option("--quick", is_flag=True, help="Measure fewer touches and frames, in about 20 s.")
+@click.option("--json", "stored", type=click.Path(path_type=Path), metavar="FILE", help="Write the results to FILE.")
 @click.option(
     "--compare", "other", type=click.Path(path_type=Path), metavar="FILE",
-    help="Compare with a stored run, by ratios to the bare network.",
+    help="Compare with a stored run: ratios to the paper's network.",
 )  # fmt: skip
 @click.option(
     "--docs", type=click.Path(path_type=Path, exists=True, file_okay=False), metavar="FOLDER",
-    help="Write benchmarks.md there, with its pictures and figures.",
+    help="Write benchmarks.md, its plots and its results into FOLDER.",
 )  # fmt: skip
 @click.option(
-    "--from", "given", type=click.Path(path_type=Path), metavar="FILE", help="Measure nothing: show a stored run."
+    "--from", "given", type=click.Path(path_type=Path), metavar="FILE", help="Show a stored run instead of measuring."
 )
 @click.option("--models", type=click.Path(path_type=Path), help="Folder of the models.  [default: shipped]")
 @click.option(
     "--also", type=click.Path(path_type=Path), multiple=True, metavar="FILE",
-    help="A further model for the example rig; may be given several times.",
+    help="Benchmark this model for the example rig too; repeatable.",
 )  # fmt: skip
 def command(
     quick: bool,
@@ -51,13 +51,14 @@ def command(
     models: Path | None,
     also: tuple[Path, ...],
 ) -> None:
-    """Measure what touchd costs, and what its positions are worth.
+    """Measure run time, latency and position error.
 
-    Every estimator's run time against its error on the same simulated touches, the daemon from a frame to a subscriber
-    in another process, and what each skip saves. All beside one run of the source paper's network in the same process,
-    so that computers can be compared. It takes less than three minutes; leave the computer alone meanwhile.
+    The benchmark times every estimator and scores it on the same simulated touches, measures the daemon's latency from
+    a frame to a subscriber in another process, and measures what each skip saves. Each time is also given relative to
+    the source paper's network, timed in the same process, so that runs on different computers compare. It takes less
+    than three minutes; leave the computer idle meanwhile.
     """
-    # Before numpy is imported, and inherited: threads that wait for each other would be measured.
+    # Set before numpy is imported; child processes inherit it. Thread pools would add waiting times to the results.
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ[name] = "1"
     from rich.console import Console
@@ -68,12 +69,12 @@ def command(
     run = results.load(given) if given else _measured(quick, models, also)
     if stored:
         results.store(run, stored)
-    # Rows stay lines, in a pipe as well.
+    # Rows stay on one line, in a pipe too.
     console = Console(width=max(Console().width, WIDTH))
     _show(console, run, stored_run)
     if docs:
         _write(run, docs)
-        click.echo(f"{docs / 'benchmarks.md'}: written, with its pictures and figures")
+        click.echo(f"{docs / 'benchmarks.md'}: written, with its plots and results")
 
 
 def _measured(quick: bool, models: Path | None, also: tuple[Path, ...]) -> Run:
@@ -84,7 +85,7 @@ def _measured(quick: bool, models: Path | None, also: tuple[Path, ...]) -> Run:
     from touchd.localization.model import default_model_path
 
     columns = (BarColumn(), TimeElapsedColumn(), TextColumn("{task.description}"))
-    # Drawn when something has happened, and by no thread of its own, which would disturb what is measured.
+    # The bar draws on progress only: a refresh thread would disturb the measurement.
     with Progress(*columns, console=Console(stderr=True), auto_refresh=False) as bar:
         task = bar.add_task("", total=1.0)
 
@@ -128,7 +129,7 @@ def _print(console: Console, table: Table) -> None:
 
 
 def _write(run: Run, folder: Path) -> None:
-    """Write page, pictures and figures: all is made before anything is replaced."""
+    """Create page, plots and results in a temporary folder, then move them into `folder`."""
     from touchd.lab.benchmark import results
     from touchd.lab.benchmark.page import page
     from touchd.lab.benchmark.plots import draw

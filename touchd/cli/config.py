@@ -1,4 +1,4 @@
-"""`touchd config`: what is in effect, as a file that could be loaded."""
+"""`touchd config`: print the effective configuration."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from touchd.config.schema import Settings
 
 @click.command(name="config", short_help="Print the effective configuration.")
 @click.option("--config", "path", type=click.Path(path_type=Path), help="Configuration file (TOML).")
-@click.option("--default", is_flag=True, help="Print the defaults instead, as a file to start from.")
+@click.option("--default", is_flag=True, help="Print the defaults, as a file to start from.")
 @click.pass_context
 def command(ctx: click.Context, path: Path | None, default: bool) -> None:
-    """Print the effective configuration: every key with its value, default, range and meaning, as TOML.
+    """Print the effective configuration as TOML: every key with its value, default, range and meaning.
 
-    It is what the environment and the configuration file make of the defaults. A file that is wrong is explained
-    instead, with every mistake in it.
+    Environment variables override the configuration file, which overrides the defaults. An invalid file is reported
+    with all its errors.
     """
     settings = Settings() if default else load(path or (ctx.obj or {}).get("config"))
     click.echo(render(settings), nl=False)

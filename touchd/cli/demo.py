@@ -1,4 +1,4 @@
-"""`touchd demo`: the whole of touchd on a recording, as an application sees it."""
+"""`touchd demo`: replay a recording through daemon, bus and subscriber."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _PATIENCE_S = 30
 
 
 def _speed(ctx: click.Context, param: click.Parameter, value: str) -> str:
-    """Return the speed as it was written, for the daemon, once it is known to be one."""
+    """Check the speed, and return it as text for the daemon's command line."""
     from touchd.cli.main import parse_speed
 
     parse_speed(ctx, param, value)
@@ -38,23 +38,23 @@ def _speed(ctx: click.Context, param: click.Parameter, value: str) -> str:
 
 @click.command()
 @click.argument("recording", type=click.Path(path_type=Path), default=SESSION)
-@click.option("--json", "as_json", is_flag=True, help="Print the summary as one JSON object, and nothing else.")
+@click.option("--json", "as_json", is_flag=True, help="Print only the summary, as one JSON object.")
 @click.option("--speed", default="1", callback=_speed, metavar="N|max", help="Speed of the replay.  [default: 1]")
-@click.option("--model", type=click.Path(path_type=Path), help="The model to use.")
+@click.option("--model", type=click.Path(path_type=Path), help="Model (ONNX).  [default: shipped]")
 def command(recording: Path, as_json: bool, speed: str, model: Path | None) -> None:
-    """Replay a recording through the daemon, print what a separate subscriber receives, and sum up.
+    """Replay RECORDING through the daemon, print the events that a subscriber receives, and summarise them.
 
-    RECORDING, the shipped one if none is named, must hold the truth (`contacts_mm`). The daemon and the subscriber are
-    processes of their own, which meet over ZeroMQ.
+    RECORDING (default: the shipped one) must be labelled with true contacts (`contacts_mm`). Daemon and subscriber are
+    separate processes, connected over ZeroMQ.
     """
     truth = read(recording)
     if truth.contacts_mm is None:
         raise RecordingValues(
-            "there is no truth to compare with", str(recording),
+            "no true contacts to compare with", str(recording),
             "use a recording with contacts_mm, or replay it: touchd --replay FILE --print",
         )  # fmt: skip
     if model:
-        Model(model).check(truth.acquisition)  # its own words and exit status, which the daemon's would hide
+        Model(model).check(truth.acquisition)  # fails here with its own message and exit status
     events: list[Event] = []
     for event in _received(recording, speed, model):
         events.append(event)
@@ -82,7 +82,7 @@ def command(recording: Path, as_json: bool, speed: str, model: Path | None) -> N
 
 
 def _received(recording: Path, speed: str, model: Path | None) -> Iterator[Event]:
-    """Yield what a subscriber process receives from a daemon process that replays the recording."""
+    """Run a daemon that replays `recording` and a subscriber; yield the subscriber's events."""
     touchd = [sys.executable, "-m", "touchd"]
     with ExitStack() as stack:
         folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="touchd-demo-"))
@@ -91,7 +91,7 @@ def _received(recording: Path, speed: str, model: Path | None) -> Iterator[Event
         replay += ["--await-subscriber", str(_PATIENCE_S), *(["--model", str(model)] if model else [])]
         listen = [*touchd, "listen", address, "--topic", "touch", "--topic", "health", "--json", "--until-stopped"]
         complaints = stack.enter_context(tempfile.TemporaryFile("w+"))
-        # Both are this very program, given file names only.
+        # Both run this program, with file names as their only input.
         daemon = stack.enter_context(subprocess.Popen(replay, stderr=complaints, stdin=subprocess.DEVNULL))  # noqa: S603
         stack.callback(daemon.terminate)
         listener = stack.enter_context(
@@ -102,7 +102,7 @@ def _received(recording: Path, speed: str, model: Path | None) -> Iterator[Event
         stack.callback(listener.terminate)
 
         def end_with_the_daemon() -> None:
-            if daemon.wait():  # it failed: nobody will tell the subscriber to stop
+            if daemon.wait():  # the daemon failed, so its "stopping" message never comes
                 listener.terminate()
 
         threading.Thread(target=end_with_the_daemon, daemon=True).start()

@@ -1,4 +1,4 @@
-"""`touchd doctor`: looks at the whole set-up, and says what is wrong and what to do."""
+"""`touchd doctor`: check the whole set-up and print a remedy for each fault."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ _COLOURS = {"ok": "green", "warning": "yellow", "failure": "red"}
 
 
 @click.command(name="doctor", short_help="Check the whole set-up.")
-@click.option("--replay", type=click.Path(path_type=Path), help="Examine a recording instead of the DAQ.")
-@click.option("--simulate", metavar="SCENE", help="Examine a scene of the digital twin instead of the DAQ.")
+@click.option("--replay", type=click.Path(path_type=Path), help="Check the frames of a recording, not of the DAQ.")
+@click.option("--simulate", metavar="SCENE", help="Check the frames of a twin's scene, not of the DAQ.")
 @click.option("--seed", default=0, help="Seed of a simulated scene.", show_default=True)
 @click.option("--seconds", type=click.FloatRange(0.5), default=3.0, show_default=True, metavar="S",
-              help="How long frames are taken.")  # fmt: skip
+              help="How many seconds of frames to take.")  # fmt: skip
 @click.option("--reference", type=click.Path(path_type=Path), metavar="PATH",
-              help="A recording of the untouched plate from the time of the training, or the training recording.  "
+              help="The training recording, or a recording of the untouched plate made with it.  "
               "[default: MODEL.untouched.npz beside the model]")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 @click.option("--config", "config", type=click.Path(path_type=Path), help="Configuration file (TOML).")
@@ -43,10 +43,10 @@ def command(
     as_json: bool,
     config: Path | None,
 ) -> None:
-    """Check the DAQ, its frames, the model, the computer and the bus, a line for each.
+    """Check the DAQ, its frames, the model, the computer and the bus; print one line for each check.
 
-    Leave the plate alone meanwhile, and stop the daemon first: only one program at a time can read the DAQ. Each line
-    says ok, warning or failure, and what to do. The exit status is 0 unless there is a failure.
+    Stop the daemon first: only one program at a time can read the DAQ. Do not touch the plate meanwhile. Each line
+    says ok, warning or failure; a warning and a failure name a remedy. The exit status is 0 without a failure.
     """
     from touchd.config.load import load
     from touchd.service.log import configure
@@ -64,7 +64,7 @@ def command(
     if as_json:
         click.echo(json.dumps({"failures": failures, "checks": [finding._asdict() for finding in findings]}, indent=1))
     if failures:
-        raise CheckFailed(f"{failures} of {len(findings)} checks failed", fix="do what their lines say")
+        raise CheckFailed(f"{failures} of {len(findings)} checks failed", fix="follow the remedy of each")
 
 
 def _print(finding: Finding) -> None:
@@ -75,7 +75,7 @@ def _print(finding: Finding) -> None:
 
 
 def _examine(settings: Settings, choice: SourceChoice, seconds: float, reference: Path | None) -> Iterator[Finding]:
-    """Yield the findings as they come; what a failure makes impossible is left out."""
+    """Run the checks and yield each finding; a failure omits the checks that depend on it."""
     from touchd.doctor import host as doctorhost
     from touchd.doctor import usb as doctorusb
     from touchd.service.daemon import load_model
@@ -128,7 +128,7 @@ def _examine_baseline(sample: Sample, reference: Path | None, model: Model) -> F
     path = reference or model.path.with_suffix(".untouched.npz")
     if reference is None and not path.exists():
         return Finding(
-            "baseline", "warning", "not compared: there is no recording of the plate from the time of the training",
+            "baseline", "warning", "not compared: no reference recording of the untouched plate",
             f"give --reference TRAINING.npz; or keep one: touchd record -o {path.name} --seconds 1, beside the model",
         )  # fmt: skip
     return doctor.check_baseline(sample, doctorhost.untouched(path, model))

@@ -1,4 +1,4 @@
-"""`touchd draw`: a picture of a replayed session."""
+"""`touchd draw`: plot a replayed session."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ import click
 
 @click.command()
 @click.argument("recording", type=click.Path(path_type=Path))
-@click.option("-o", "--output", type=click.Path(path_type=Path), required=True, help="The picture to write (PNG).")
-@click.option("--model", type=click.Path(path_type=Path), help="The model to use.")
+@click.option("-o", "--output", type=click.Path(path_type=Path), required=True, help="The plot to write (PNG).")
+@click.option("--model", type=click.Path(path_type=Path), help="Model (ONNX).  [default: shipped]")
 def command(recording: Path, output: Path, model: Path | None) -> None:
-    """Replay RECORDING and draw its true touches with the contacts that were found."""
+    """Replay RECORDING and plot the published contacts over its true touches."""
     from touchd.config.load import load
     from touchd.evaluation.plots.session import draw_session
     from touchd.recording.format import read

@@ -1,4 +1,4 @@
-"""`touchd evaluate`: how good a model is on a labelled recording."""
+"""`touchd evaluate`: score a model on a labelled recording."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from touchd.recording.format import read
 from touchd.service.replay import replay
 
 STREAM_HZ = 20.0
-"""Slower recordings hold touches one by one, each judged on its own frame."""
+"""Frames per second from which a recording is replayed; in a slower one each frame is scored alone."""
 
 
 @click.command()
@@ -34,32 +34,33 @@ STREAM_HZ = 20.0
 @click.option("--json", "as_json", is_flag=True, help="Print the scores as one JSON object.")
 @click.option(
     "--plot", type=click.Path(path_type=Path), metavar="FILE.png",
-    help="Draw errors and bias over the plate, or which zone or key was taken for which.",
+    help="Plot position error and bias over the plate, or the confusion of zones or keys.",
 )  # fmt: skip
 def command(model: Path, recording: Path, as_json: bool, plot: Path | None) -> None:
-    """Score MODEL on RECORDING, which must hold the truth.
+    """Score MODEL on RECORDING, which must be labelled with true contacts.
 
-    A recording of 20 frames a second or more is replayed through the whole pipeline: its touches are found, missed,
-    invented (ghosts) or split, a contact that goes on as another finger switches, down_latency_ms is the median time
-    from a touch's first frame to its first message, and jitter_mm is how far the positions of a still finger scatter.
-    In a slower recording each touch is judged on its own frame, against the untouched frames beside it, by the field
-    atlas beside the model if there is one; a grid or keypad model is scored by its zones or keys too.
+    A recording of 20 frames/s or more is replayed through the pipeline. Of its touches the scores count those found,
+    missed and split, ghosts (contacts without a touch), and switches (contacts whose id jumps to another finger).
+    down_latency_ms is the median time from a touch's first frame to its first message; jitter_mm is the scatter of the
+    positions of a still finger.
 
-    The positions above are those of a replay's messages, or of frames with a single finger. by_fingers has the frames
-    with none, one, two, ... fingers, whose contacts are assigned to the fingers with the least total distance, within
-    25 mm: the share with the right number of contacts, fingers missed, ghosts, distances, and the share with each
-    finger within 1 and 2 mm, told apart from the others; the share of errors within 1 and 2 sigma; and how well the
-    force follows the true one.
+    A slower recording is scored frame by frame: each touched frame is compared with the untouched frames beside it.
+    The field atlas beside the model is used if there is one. A grid or keypad model is also scored by zones or keys.
 
-    With a field atlas bound_mm is the Cramer-Rao bound of the median error of single fingers, below which no estimate
-    gets, and times_bound how many times that the median is.
+    Position errors come from a replay's messages, or from frames with one finger. by_fingers groups frames by their
+    number of fingers and assigns contacts to fingers by the least total distance, within 25 mm. It lists the share of
+    frames with the right number of contacts, missed fingers, ghosts, distances, the share with every finger within 1
+    and 2 mm, the share of errors within 1 and 2 sigma, and how well the force follows the true force.
+
+    With a field atlas, bound_mm is the Cramer-Rao bound of the median error of single fingers, and times_bound the
+    ratio of the measured median to it.
     """
     truth = read(recording)
     if truth.contacts_mm is None:
-        raise RecordingValues("there is no truth to compare with", str(recording), "use a recording with contacts_mm")
+        raise RecordingValues("no true contacts to compare with", str(recording), "use a recording with contacts_mm")
     if truth.meta.frame_rate_hz >= STREAM_HZ:
         if plot is not None:
-            raise click.UsageError("--plot is for touches one by one; touchd draw draws a stream")
+            raise click.UsageError("--plot needs a recording below 20 frames/s; touchd draw plots a stream")
         found = _score_replay(recording, truth, load(None, {"model": {"path": model}}))
     else:
         loaded = Model(model)
@@ -96,7 +97,7 @@ def _score_frames(truth: Recording, model: Model, plot: Path | None) -> dict[str
     matches = match_frames(seen)
     alone = [s for s in seen if len(s.true_mm) == 1]
     if d.head == "regression":
-        # However far off it is, the nearest contact of a single finger is its place.
+        # Take the nearest contact at any distance: a single finger has one position.
         judged = match_frames(alone, reach_mm=inf).judged
     else:
         true_mm = np.array([s.true_mm[0] for s in alone], np.float32).reshape(-1, 2)
@@ -108,14 +109,14 @@ def _score_frames(truth: Recording, model: Model, plot: Path | None) -> dict[str
     if len(judged.true_mm):
         found = scores(judged) | {"n": len(judged.true_mm)}
         if model.atlas is not None:
-            # From the atlas' own field, which is all that is known of a rig: the true one would say the same to some %.
+            # The bound uses the atlas' own field, since a rig has no other; the twin's true field differs by a few %.
             found["bound_mm"] = median_bound_mm(truth, model.atlas)
             found["times_bound"] = found["median_mm"] / found["bound_mm"]
     return found | {"by_fingers": scores_by_fingers(matches)}
 
 
 def _draw(judged: Judgement, matches: Matches, model: Model, truth: Recording, picture: Path) -> None:
-    # matplotlib is loaded only where a picture is wanted.
+    # Import matplotlib only for a plot.
     from touchd.evaluation.plots.maps import draw_maps, draw_zones
     from touchd.evaluation.plots.model import draw_confusion
     from touchd.evaluation.plots.session import save
@@ -124,7 +125,7 @@ def _draw(judged: Judgement, matches: Matches, model: Model, truth: Recording, p
     several = d.head == "regression" and matches.fingers.max() > 1
     drawn = matches.judged if several else judged
     if not len(drawn.true_mm):
-        raise RecordingValues("there is no contact to draw", "contacts_mm", "score without --plot")
+        raise RecordingValues("no contact to plot", "contacts_mm", "score without --plot")
     if d.head == "grid":
         figure = draw_zones(judged, d, truth.meta)
     elif d.head == "keypad":
@@ -139,7 +140,7 @@ def _draw(judged: Judgement, matches: Matches, model: Model, truth: Recording, p
 
 
 def _table(found: dict[str, Any]) -> str:
-    """Return the scores for a person: a line each, then a column for each count of fingers."""
+    """Format the scores: a line each, then a column for each number of fingers."""
     by_fingers: dict[str, dict[str, Any]] = found["by_fingers"]
     lines = [f"{name:17} {_number(value):>10}" for name, value in found.items() if name != "by_fingers"]
     if by_fingers:

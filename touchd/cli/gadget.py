@@ -1,4 +1,4 @@
-"""`touchd gadget`: this computer as a DAQ on a real USB cable."""
+"""`touchd gadget`: make this computer a DAQ at the end of a USB cable."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ if TYPE_CHECKING:
 _LOOK_S = 0.2
 
 
-@click.command(name="gadget", short_help="Be a DAQ on a USB cable.")
-@click.option("--udc", metavar="NAME", help="The port, a name in /sys/class/udc.  [default: the first]")
+@click.command(name="gadget", short_help="Act as a DAQ on a USB cable.")
+@click.option("--udc", metavar="NAME", help="USB device port, from /sys/class/udc.  [default: the first]")
 @click.option("--functionfs", type=click.Path(path_type=Path), metavar="DIR",
-              help="Use the FunctionFS that is mounted here, and leave the rest of the set-up alone.")  # fmt: skip
-@click.option("--replay", type=click.Path(path_type=Path), help="Send a recording, again and again.")
-@click.option("--simulate", metavar="SCENE", help="Send a scene of the digital twin, live.  [default: demo]")
+              help="Use the FunctionFS mounted here; do not set up the port.")  # fmt: skip
+@click.option("--replay", type=click.Path(path_type=Path), help="Stream a recording, in a loop.")
+@click.option("--simulate", metavar="SCENE", help="Stream a scene of the digital twin.  [default: demo]")
 @click.option("--seed", default=0, help="Seed of the scene.", show_default=True)
 @click.option("--serial", default="TWIN0001", show_default=True, help="Serial number of the device.")
 @click.option("--commands", is_flag=True,
-              help="Obey lines on standard input: plug, unplug, corrupt, short, halt, silent, normal.")  # fmt: skip
+              help="Read commands from stdin: plug, unplug, corrupt, short, halt, silent, normal.")  # fmt: skip
 @click.pass_context
 def command(
     ctx: click.Context,
@@ -46,11 +46,11 @@ def command(
     serial: str,
     commands: bool,
 ) -> None:
-    """Be a DAQ: stream the digital twin or a recording over a real USB cable.
+    """Stream the digital twin or a recording over a USB cable, as a DAQ does.
 
-    For a Linux board with a USB device port. It speaks the protocol of docs/usb-protocol.md, so any host with touchd
-    takes it for a DAQ; frames come at the rate that the host asks for. Setting the port up needs root, and is undone
-    at the end. With --commands it can be unplugged and fail on request, to test hosts.
+    This needs a Linux board with a USB device port, and root. The gadget speaks the protocol of docs/usb-protocol.md,
+    so touchd on the host reads it as a DAQ; the host sets the frame rate. The port's set-up is removed at the end.
+    --commands unplugs the gadget and injects faults, to test hosts.
     """
     from touchd.config.load import load
     from touchd.gadget.device import Gadget
@@ -81,7 +81,7 @@ def command(
 
 
 def info_of(acquisition: Acquisition) -> Info:
-    """Return what GET_INFO shall say of frames of this geometry."""
+    """Return the GET_INFO reply for this acquisition."""
     from touchd import __version__
     from touchd.sources.usb_protocol import Info
 
@@ -104,7 +104,7 @@ def info_of(acquisition: Acquisition) -> Info:
 
 
 def samples_of(source: Source) -> Iterator[bytes]:
-    """Yield each frame's samples as the wire orders them, interleaved."""
+    """Yield each frame's samples in wire order: interleaved int16, little-endian."""
     from touchd.service.runner import frames_of
 
     for frame in frames_of(source):
@@ -113,7 +113,7 @@ def samples_of(source: Source) -> Iterator[bytes]:
 
 
 def _serve(gadget: Gadget, endpoints: FunctionFs, device: ConfigFs | None, udc: str, commands: bool) -> None:
-    """Wait for a signal, the end of the commands, or a failure."""
+    """Serve until a signal, the end of the commands, or a failure of the endpoints."""
     stop = threading.Event()
 
     def handle(_number: int, _frame: FrameType | None) -> None:

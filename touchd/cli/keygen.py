@@ -1,4 +1,4 @@
-"""`touchd keygen`: CURVE keys for a bus that leaves this computer."""
+"""`touchd keygen`: make CURVE keys for a bus beyond this computer."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from touchd.sinks.curve import make_files
 def command(folder: Path, name: str) -> None:
     """Make a CURVE key pair in DIR.
 
-    Writes NAME.key, the public key, and NAME.key_secret, which only you can read. The daemon needs a pair, and every
-    client one of its own. Existing keys are never overwritten.
+    The verb writes NAME.key, the public key, and NAME.key_secret, which only you can read. The daemon and each client
+    need a pair of their own. Existing keys are never overwritten.
     """
     public_path, secret_path = (path.absolute() for path in make_files(folder, name))
     click.echo(f"""\
@@ -29,7 +29,7 @@ For the daemon, in its configuration:
     [bus]
     curve_secret_key = {json.dumps(str(secret_path))}
 
-  and hand {public_path.name} to the clients: --server-key {public_path.name}
+  and give {public_path.name} to the clients: --server-key {public_path.name}
 
 For a client: copy {public_path.name} into the folder that the daemon's configuration names as bus.curve_clients.
-The client then says who it is with --client-key {secret_path.name}.""")
+The client identifies with --client-key {secret_path.name}.""")

@@ -1,4 +1,4 @@
-"""`touchd listen`: see what the bus carries."""
+"""`touchd listen`: print the events on the bus."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from touchd.event import TOPICS, Event, HealthEvent, KeyEvent, TouchEvent, encod
 @click.argument("address", default=DEFAULT_ADDRESS)
 @click.option(
     "--topic", "topics", type=click.Choice(TOPICS), multiple=True, default=("touch",), show_default=True,
-    help="What to listen to; may be repeated.",
+    help="Topic to print; repeatable.",
 )  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print JSON lines.")
 @click.option("--count", type=click.IntRange(min=1), help="Stop after this many messages.")
 @click.option(
     "--timeout", "timeout_s", type=click.FloatRange(min=0, min_open=True), metavar="S",
-    help="Fail if no message comes for this long, in seconds.",
+    help="Fail if no message arrives for S seconds.",
 )  # fmt: skip
-@click.option("--until-stopped", is_flag=True, help="Stop when the daemon says that it stops.")
+@click.option("--until-stopped", is_flag=True, help="Exit when the daemon reports that it stops.")
 @click.option(
     "--server-key", type=click.Path(dir_okay=False, path_type=Path), metavar="FILE", help="The daemon's public key."
 )
@@ -42,10 +42,10 @@ def command(
     server_key: Path | None,
     client_key: Path | None,
 ) -> None:
-    """Print the events that a running touchd publishes at ADDRESS (default: tcp://127.0.0.1:5570).
+    """Print the events that the daemon publishes at ADDRESS (default: tcp://127.0.0.1:5570).
 
-    One line for each contact that goes down, moves or goes up, with the time in UTC. The first line of a topic can be
-    older than the command: the bus keeps the last message for newcomers. Ctrl-C ends it.
+    A touch prints a line when it goes down, moves and goes up, with the time in UTC. The bus keeps the last message of
+    each topic, so the first line can be older than the command. Ctrl-C ends the command.
     """
     wanted = (*topics, "health") if until_stopped and "health" not in topics else topics
     with Subscriber(address, wanted, timeout_s, server_key, client_key) as events, _ending_quietly():
@@ -67,25 +67,25 @@ def _print_all(
             printed += 1
         if printed == count:
             return
-        # Messages arrive in the order they were sent, over all topics: no touch comes after this one.
+        # The bus keeps the order over all topics: no touch follows this message.
         if until_stopped and isinstance(event, HealthEvent) and event.state == "stopping":
             return
 
 
 @contextlib.contextmanager
 def _ending_quietly() -> Iterator[None]:
-    """Take Ctrl-C, and a reader that has had enough (`| head`), for the ordinary end that they are."""
+    """End without an error on Ctrl-C, or when the reader closes the pipe (`| head`)."""
     try:
         yield
     except KeyboardInterrupt:
         pass
     except BrokenPipeError:
-        # What is left in the buffer would fail once more when the interpreter ends.
+        # Discard the buffer: flushing it at exit would fail again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def describe(event: Event) -> Iterator[str]:
-    """Yield the lines for people; none for contacts that only stay where they are."""
+    """Yield an event as lines of text; a contact that holds its place yields none."""
     at = _time_of_day(event.wall)
     if isinstance(event, TouchEvent):
         for c in event.contacts:

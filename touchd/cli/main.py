@@ -1,4 +1,4 @@
-"""The command line: `touchd` alone is the daemon, verbs stand beside it."""
+"""Command line: `touchd` runs the daemon, `touchd VERB` an offline job."""
 
 from __future__ import annotations
 
@@ -15,36 +15,37 @@ from touchd import __version__
 from touchd.errors import ConfigError, MissingExtra, TouchdError
 
 VERBS = {
-    "benchmark": "Measure run time against error, and the daemon.",
+    "benchmark": "Measure run time, latency and position error.",
     "config": "Print the effective configuration.",
-    "demo": "Replay the shipped recording and sum up.",
+    "demo": "Replay the shipped recording and summarise it.",
     "doctor": "Check the whole set-up.",
-    "draw": "Draw a replayed session.",
+    "draw": "Plot a replayed session.",
     "evaluate": "Score a model on a labelled recording.",
-    "gadget": "Be a DAQ on a USB cable.",
-    "keygen": "Make a key pair for a bus beyond loopback.",
+    "gadget": "Act as a DAQ on a USB cable.",
+    "keygen": "Make a CURVE key pair.",
     "listen": "Print the events of a running daemon.",
-    "quantise": "Write a model with weights of 8 bits.",
+    "quantise": "Quantise a model's weights to 8 bits.",
     "record": "Write frames to a file.",
-    "reproduce": "Run the source paper's experiments again.",
-    "screen": "Tell the daemon that the screen is off, or on.",
+    "reproduce": "Repeat the source paper's experiments.",
+    "screen": "Tell the daemon that the screen is off or on.",
     "simulate": "Write a recording made by the digital twin.",
     "train": "Train a model on a labelled recording.",
 }
 EXTRAS = {"torch": "train", "scipy": "train", "sklearn": "train", "onnx": "train",
-          "matplotlib": "train", "rich": "train", "dask": "train", "distributed": "train", "nidaqmx": "ni",
+          "matplotlib": "train", "rich": "train", "jinja2": "train", "dask": "train", "distributed": "train",
+          "nidaqmx": "ni",
           }  # fmt: skip
 
 
 class Verbs(click.Group):
-    """Imports a verb's module only when it is called, so that the daemon starts without their weight."""
+    """Imports a verb's module when the verb runs, so that the daemon starts fast."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:  # noqa: ARG002 - click's signature
-        """Return the names of all verbs."""
+        """Return all verbs' names."""
         return sorted(VERBS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:  # noqa: ARG002 - click's signature
-        """Return a verb's command, or None if there is no such verb."""
+        """Return a verb's command, or None for an unknown name."""
         if cmd_name not in VERBS:
             return None
         command: click.Command = importlib.import_module(f"touchd.cli.{cmd_name}").command
@@ -52,13 +53,13 @@ class Verbs(click.Group):
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002 - click's signature
-        """Write the list of verbs without importing any."""
+        """Write the list of verbs without importing their modules."""
         with formatter.section("Verbs"):
             formatter.write_dl(sorted(VERBS.items()))
 
 
 def parse_speed(_ctx: click.Context, _param: click.Parameter, value: str) -> float:
-    """Return a speed option as a number, infinite for `max`."""
+    """Convert a speed option to a number; `max` is infinite."""
     if value == "max":
         return float("inf")
     try:
@@ -72,17 +73,17 @@ def parse_speed(_ctx: click.Context, _param: click.Parameter, value: str) -> flo
 
 @click.group(cls=Verbs, invoke_without_command=True, context_settings={"help_option_names": ["-h", "--help"]})
 @click.option("--config", "config", type=click.Path(path_type=Path), help="Configuration file (TOML).")
-@click.option("--replay", type=click.Path(path_type=Path), help="Take frames from a recording: a file or a folder.")
-@click.option("--simulate", metavar="SCENE", help="Take frames live from the digital twin.")
-@click.option("--ni", is_flag=True, help="Take frames from NI hardware: see [ni] in the configuration.")
+@click.option("--replay", type=click.Path(path_type=Path), help="Read frames from a recording: a file or a folder.")
+@click.option("--simulate", metavar="SCENE", help="Read frames from a scene of the digital twin, live.")
+@click.option("--ni", is_flag=True, help="Read frames from NI hardware: see [ni] in the configuration.")
 @click.option("--speed", default="1", callback=parse_speed, metavar="N|max", help="Speed of a replay.  [default: 1]")
-@click.option("--loop", is_flag=True, help="Begin again at the end.")
+@click.option("--loop", is_flag=True, help="Start again at the end of a recording or scene.")
 @click.option("--seed", default=0, help="Seed of a simulated scene.", show_default=True)
-@click.option("--bind", multiple=True, metavar="ADDRESS", help="Publish here: tcp:// or ipc://. May be given again.")
-@click.option("--model", type=click.Path(path_type=Path), help="The model to use.")
+@click.option("--bind", multiple=True, metavar="ADDRESS", help="Publish at tcp:// or ipc:// ADDRESS; repeatable.")
+@click.option("--model", type=click.Path(path_type=Path), help="Model (ONNX).  [default: shipped]")
 @click.option("--print", "echo", is_flag=True, help="Also print each event as a line of JSON.")
-@click.option("--await-subscriber", default=0.0, metavar="SECONDS", help="Wait so long for a subscriber first.")
-@click.option("--debug", is_flag=True, help="Show tracebacks, and log at level debug.")
+@click.option("--await-subscriber", default=0.0, metavar="SECONDS", help="Wait up to SECONDS for a subscriber first.")
+@click.option("--debug", is_flag=True, help="Print tracebacks, and log at level debug.")
 @click.version_option(__version__, prog_name="touchd")
 @click.pass_context
 def touchd(
@@ -100,10 +101,10 @@ def touchd(
     await_subscriber: float,
     debug: bool,
 ) -> None:
-    """Find touches on a plate by ultrasound and publish them.
+    """Locate touches on a plate by ultrasound and publish them.
 
-    Without a verb this is the daemon: it reads frames, finds touches, and publishes events over ZeroMQ. Frames come
-    from the DAQ on USB, which may be plugged in later, unless another source is named.
+    Without a verb this is the daemon: it reads frames, locates touches, and publishes events over ZeroMQ. It reads from
+    the USB DAQ, which may be plugged in later, unless an option names another source.
     """
     ctx.obj = {"debug": debug, "config": config}
     if ctx.invoked_subcommand is not None:
@@ -135,7 +136,7 @@ def touchd(
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command line and return its exit status: each failure has its own, see `touchd.errors`."""
+    """Run the command line and return its exit status; `touchd.errors` lists the status of each error."""
     arguments = sys.argv[1:] if arguments is None else arguments
     debug = "--debug" in arguments or bool(os.environ.get("TOUCHD_DEBUG"))
     try:
@@ -149,7 +150,7 @@ def main(arguments: list[str] | None = None) -> int:
     except (click.Abort, KeyboardInterrupt):
         return 130
     except BrokenPipeError:
-        # The reader of our output has gone: nothing is left to be said, not even at exit.
+        # The reader closed the pipe. Discard the buffer: flushing it at exit would fail again.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except TouchdError as error:
@@ -166,7 +167,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _explain(error: Exception, debug: bool) -> int:
-    """Say what went wrong in one line, with the traceback if asked for, and return the exit status."""
+    """Print the error in one line, after its traceback if `debug`, and return the exit status."""
     if debug:
         traceback.print_exception(error)
     if isinstance(error, TouchdError):

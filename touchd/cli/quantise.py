@@ -1,4 +1,4 @@
-"""`touchd quantise`: a model with weights of 8 bits."""
+"""`touchd quantise`: quantise a model's weights to 8 bits."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from touchd.errors import OutputError
 @click.option("-o", "--output", type=click.Path(path_type=Path), required=True, help="The model to write (ONNX).")
 @click.option("--force", is_flag=True, help="Replace the output if it exists.")
 def command(model: Path, recording: Path, output: Path, force: bool) -> None:
-    """Write MODEL with weights of 8 bits: a quarter of the size.
+    """Quantise the weights of MODEL to 8 bits, a quarter of the size.
 
-    RECORDING is what MODEL was trained on: its test part tells what the rounding costs.
+    RECORDING is the one that MODEL was trained on; its test touches measure the loss of accuracy.
     """
     from touchd.localization.model import Model
     from touchd.recording.format import read
@@ -27,7 +27,7 @@ def command(model: Path, recording: Path, output: Path, force: bool) -> None:
         raise OutputError("already there", str(output), "choose another name, or add --force")
     original = Model(model)
     made = quantise(original, read(recording), output)
-    click.echo(f"{output}: {output.stat().st_size / 1e3:.0f} kB, of {model.stat().st_size / 1e3:.0f} kB before")
+    click.echo(f"{output}: {output.stat().st_size / 1e3:.0f} kB, {model.stat().st_size / 1e3:.0f} kB before")
     before, after = original.description.scores, made.description.scores
     for name in after:
         if name != "n" and name in before:

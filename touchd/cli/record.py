@@ -1,4 +1,4 @@
-"""`touchd record`: the frames of any source, into a file."""
+"""`touchd record`: write the frames of any source to a file."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from touchd.sources.recorder import Recorder
     from touchd.sources.source import Change, Source
 
-# How soon a signal is noticed while no frame comes.
+# A signal takes effect within this time while no frame arrives.
 _TIMEOUT_S = 0.2
 
 
@@ -31,7 +31,7 @@ def _speed(_ctx: click.Context, _param: click.Parameter, value: str) -> float:
 
 
 def _plate(_ctx: click.Context, _param: click.Parameter, value: str | None) -> Plate | None:
-    """Return the plate of `400x300` or `400x300x5`."""
+    """Parse `400x300` or `400x300x5` into a plate."""
     if value is None:
         return None
     sizes = re.fullmatch(r"(\d+(?:\.\d+)?)x(\d+(?:\.\d+)?)(?:x(\d+(?:\.\d+)?))?", value.lower())
@@ -44,19 +44,19 @@ def _plate(_ctx: click.Context, _param: click.Parameter, value: str | None) -> P
 
 @click.command(name="record", short_help="Write frames to a file.")
 @click.option("-o", "--output", type=click.Path(path_type=Path), required=True,
-              help="What to write: one file if it ends in .npz, else a folder of chunks.")  # fmt: skip
-@click.option("--replay", type=click.Path(path_type=Path), help="Take frames from a recording: a file or a folder.")
-@click.option("--simulate", metavar="SCENE", help="Take frames live from the digital twin.")
-@click.option("--ni", is_flag=True, help="Take frames from NI hardware: see [ni] in the configuration.")
+              help="Output: one file if it ends in .npz, else a folder of chunks.")  # fmt: skip
+@click.option("--replay", type=click.Path(path_type=Path), help="Read frames from a recording: a file or a folder.")
+@click.option("--simulate", metavar="SCENE", help="Read frames from a scene of the digital twin, live.")
+@click.option("--ni", is_flag=True, help="Read frames from NI hardware: see [ni] in the configuration.")
 @click.option("--speed", default="1", callback=_speed, metavar="N|max", help="Speed of a replay.  [default: 1]")
-@click.option("--loop", is_flag=True, help="Begin again at the end.")
+@click.option("--loop", is_flag=True, help="Start again at the end of a recording or scene.")
 @click.option("--seed", default=0, help="Seed of a simulated scene.", show_default=True)
-@click.option("--frames", type=click.IntRange(1), metavar="N", help="End after so many frames.")
-@click.option("--seconds", type=click.FloatRange(0, min_open=True), metavar="S", help="End after so long.")
+@click.option("--frames", type=click.IntRange(1), metavar="N", help="Stop after N frames.")
+@click.option("--seconds", type=click.FloatRange(0, min_open=True), metavar="S", help="Stop after S seconds.")
 @click.option("--chunk-frames", type=click.IntRange(1, 1_000_000), default=5000, show_default=True, metavar="N",
-              help="Frames in a chunk of a folder: as much is lost in a power cut.")  # fmt: skip
-@click.option("--plate", callback=_plate, metavar="WxH[xT]", help="The plate's size in mm, if the source has none.")
-@click.option("--notes", default="", help="A remark to keep with the recording.")
+              help="Frames per chunk of a folder; a power cut loses at most one chunk.")  # fmt: skip
+@click.option("--plate", callback=_plate, metavar="WxH[xT]", help="Size of the plate in mm, if the source has none.")
+@click.option("--notes", default="", help="Text to store in the recording.")
 @click.option("--config", "config", type=click.Path(path_type=Path), help="Configuration file (TOML).")
 @click.pass_context
 def command(
@@ -77,8 +77,8 @@ def command(
 ) -> None:
     """Write the frames of the DAQ, or of another source, to a file.
 
-    A recording can reveal a PIN: whoever has it can find every touch. It is created readable by you only. Ctrl-C and
-    SIGTERM end it and save what there is. Frames alone are kept, not the true contacts of a labelled recording.
+    A recording can reveal a PIN: every touch can be located from it. The file is readable by you only. Ctrl-C and
+    SIGTERM stop the recording and save the frames so far. It stores frames alone, without true contacts.
     """
     from touchd.config.load import load
     from touchd.sources.open import SourceChoice, open_source
@@ -99,7 +99,7 @@ def command(
         click.echo(f"recording to {output}: it can reveal a PIN, and only you can read it")
         try:
             _record(recorder, frames, seconds)
-        finally:  # also when the device has gone: what came before is worth keeping
+        finally:  # save the frames that arrived before a failure, too
             recorder.close()
             if recorder.frames:
                 dropped = f", {recorder.dropped} out of order and not kept" if recorder.dropped else ""
@@ -109,7 +109,7 @@ def command(
 
 
 def _record(recorder: Recorder, frames: int | None, seconds: float | None) -> None:
-    """Record frames until the source ends, a limit is reached or a signal comes."""
+    """Read frames through the recorder until the end, a limit or a signal."""
     from touchd.service.runner import frames_of
 
     stop = False
@@ -119,7 +119,7 @@ def _record(recorder: Recorder, frames: int | None, seconds: float | None) -> No
         stop = True
 
     first_ns = None
-    # The last of 125 frames in a second begins 8 ms before its end; half a period for what the times may jitter.
+    # At 125 frames/s the last frame of a second begins 8 ms before its end; another half period allows for jitter.
     last_s = (seconds or 0) - 1.5 / recorder.meta.frame_rate_hz
     started_s = time.monotonic()
     with ExitStack() as stack:
@@ -133,7 +133,7 @@ def _record(recorder: Recorder, frames: int | None, seconds: float | None) -> No
             if stop or recorder.frames == frames:
                 break
             if frame is None:
-                # A silent source must not make a recording of ten seconds last for ever.
+                # A silent source must not extend a recording of ten seconds.
                 if seconds is not None and time.monotonic() - started_s >= seconds:
                     break
                 continue
@@ -143,7 +143,7 @@ def _record(recorder: Recorder, frames: int | None, seconds: float | None) -> No
 
 
 def _meta(source: Source, plate: Plate | None, rate_hz: float, kind: str, notes: str) -> Meta:
-    """Return the description of what will be recorded: the source's own, if it has one."""
+    """Return the recording's metadata: the source's own, if it has any."""
     from touchd.recording.data import Meta
     from touchd.sources.recorder import describe
 

@@ -1,4 +1,4 @@
-"""`touchd reproduce`: the source paper's experiments, run again."""
+"""`touchd reproduce`: repeat the source paper's experiments."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from touchd.errors import OutputError, RecordingValues
 @click.argument("recording", type=click.Path(path_type=Path), required=False)
 @click.option(
     "-o", "--output", type=click.Path(path_type=Path), default=Path("reproduction.md"), show_default=True,
-    help="The report to write (Markdown); its pictures go to a folder of the same name.",
+    help="Report to write (Markdown); its plots go to a folder of the same name.",
 )  # fmt: skip
 @click.option("--layout", type=click.Path(path_type=Path), help="Keys of the keypad (TOML).  [default: 3 x 4]")
 @click.option("--seed", default=0, show_default=True, help="Seed of the splits and of all trainings.")
-@click.option("--models", type=click.Path(path_type=Path), help="Folder of the models to judge.  [default: shipped]")
+@click.option("--models", type=click.Path(path_type=Path), help="Folder of the models to score.  [default: shipped]")
 @click.option("--touches", type=click.IntRange(min=200), default=6404, show_default=True, help="Touches to simulate.")
-@click.option("--epochs", type=click.IntRange(min=1), help="Of every training.  [default: the recipes']")
+@click.option("--epochs", type=click.IntRange(min=1), help="Epochs of every training.  [default: the recipes']")
 @click.option("--jobs", type=click.IntRange(min=1), help="Processes to use.  [default: one a core]")
 @click.option("--dask", metavar="ADDRESS", help="Run on the workers of this Dask scheduler, such as tcp://host:8786.")
-@click.option("--cache", type=click.Path(path_type=Path), help="Where results are kept.  [default: the user's cache]")
+@click.option("--cache", type=click.Path(path_type=Path), help="Folder of finished results.  [default: user's cache]")
 @click.option("--force", is_flag=True, help="Replace the report if it exists.")
 def command(
     recording: Path | None,
@@ -40,10 +40,10 @@ def command(
     cache: Path | None,
     force: bool,
 ) -> None:
-    """Run the source paper's experiments on the digital twin, or on RECORDING, and write a report.
+    """Repeat the source paper's experiments on the digital twin, or on RECORDING, and write a report.
 
-    Regression and grids in both domains, the keypad, kNN and GCC, and the models that ship, each beside the paper's
-    own figure. It takes about an hour on two cores. A run that was stopped goes on where it was.
+    The report compares regression and grids in both domains, the keypad, kNN, GCC and the shipped models with the
+    paper's figures. It takes about an hour on two cores. A repeated command resumes a stopped run.
     """
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
@@ -59,7 +59,7 @@ def command(
         raise OutputError("already there", str(output), "choose another name, or add --force")
     given = read(recording) if recording else None
     if given is not None and given.contacts_mm is None:
-        raise RecordingValues("there is no truth to learn from", str(recording), "use a recording with contacts_mm")
+        raise RecordingValues("no true contacts to train on", str(recording), "use a recording with contacts_mm")
     scale = Scale(touches=touches, epochs=epochs)
     if touches < scale.touches:
         part = touches / scale.touches
@@ -81,7 +81,7 @@ def command(
             workers=jobs, dask=dask, cache=cache or kept.folder() / "jobs",
         )  # fmt: skip
     made_by = "touchd reproduce" + (f" {recording.name}" if recording else "")
-    # Where it ran, and what it found done, do not matter.
+    # The stated command omits workers and cache: the results do not depend on them.
     stated = {"--layout": layout and layout.name, "--seed": seed or None, "--epochs": epochs}
     stated |= {"--touches": None if given or touches == Scale().touches else touches}
     made_by += "".join(f" {option} {value}" for option, value in stated.items() if value is not None)
@@ -90,7 +90,7 @@ def command(
 
 
 def _write(page: Path, text: str, draw: Callable[[Path], None]) -> None:
-    """Write the report and its pictures: all of it is made before anything is replaced."""
+    """Create report and plots in a temporary folder, then replace the old ones."""
     pictures = page.with_suffix("")
     try:
         with tempfile.TemporaryDirectory(dir=page.parent, prefix=f".{page.stem}.") as made:

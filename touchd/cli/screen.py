@@ -10,7 +10,7 @@ from touchd.config.load import load
 from touchd.service.control import SERVICE_PATH, path_of, send
 
 
-@click.command(name="screen", short_help="Tell the daemon that the screen is off, or on.")
+@click.command(name="screen", short_help="Tell the daemon that the screen is off or on.")
 @click.argument("state", type=click.Choice(["off", "on"]))
 @click.option(
     "--socket", "path", type=click.Path(path_type=Path), metavar="FILE",
@@ -20,7 +20,7 @@ from touchd.service.control import SERVICE_PATH, path_of, send
 def command(settings: dict[str, Path | None] | None, state: str, path: Path | None) -> None:
     """Tell the running daemon that the screen went off or on.
 
-    While it is off no touches are looked for: contacts end, and frames only keep the untouched plate. A daemon that
-    starts takes the screen to be on.
+    While the screen is off, the daemon ends all contacts, locates no touches, and only updates the baseline. A daemon
+    starts with the screen on.
     """
     send(path or path_of(load((settings or {}).get("config")).control) or SERVICE_PATH, f"screen {state}")

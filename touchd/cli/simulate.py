@@ -1,4 +1,4 @@
-"""`touchd simulate`: a recording made by the digital twin."""
+"""`touchd simulate`: write a recording made by the digital twin."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _SCENE_LINES = "\n".join(f"  {name:13} {scene.what}" for name, scene in SCENES.i
 
 
 def parse_plate(_ctx: click.Context, _param: click.Parameter, value: str) -> tuple[float, float, float]:
-    """Return WIDTHxHEIGHTxTHICKNESS as three lengths in mm."""
+    """Parse WIDTHxHEIGHTxTHICKNESS into three lengths in mm."""
     try:
         width, height, thickness = (float(part) for part in value.lower().split("x"))
     except ValueError:
@@ -45,39 +45,38 @@ def parse_plate(_ctx: click.Context, _param: click.Parameter, value: str) -> tup
 )
 @click.argument("scene", type=click.Choice([TOUCHES, *SCENES]), metavar="SCENE")
 @click.option("-o", "--output", type=click.Path(path_type=Path), required=True, help="The recording to write (.npz).")
-@click.option(
-    "--seed", default=0, show_default=True, type=click.IntRange(min=0), help="The same seed, the same counts."
-)
-@click.option("--frames", type=click.IntRange(min=1), help="Frames of a scene.  [default: as it needs]")
-@click.option("--rate-hz", type=float, help="Frames a second of a scene.  [default: 125; demo 100]")
+@click.option("--seed", default=0, show_default=True, type=click.IntRange(min=0), help="Equal seeds give equal counts.")
+@click.option("--frames", type=click.IntRange(min=1), help="Frames of a scene.  [default: the scene's]")
+@click.option("--rate-hz", type=float, help="Frames per second of a scene.  [default: 125; demo 100]")
 @click.option("--count", type=click.IntRange(min=1), help=f"Touches of a training set.  [default: {COUNT}]")
-@click.option("--finger", type=click.Choice(list(TISSUES)), help="Another finger than the scene's own.")
+@click.option("--finger", type=click.Choice(list(TISSUES)), help="Tissue of the finger.  [default: the scene's]")
 @click.option("--keypad", type=click.Path(path_type=Path), help="Layout of the keys (TOML).  [default: 3 x 4 keys]")
-@click.option("--code", help="What is typed on the keypad.")
+@click.option("--code", help="Code to type on the keypad.")
 @click.option("--plate", default="200x200x5", show_default=True, callback=parse_plate, metavar="WxHxT", help="In mm.")
 @click.option("--material", default="glass", show_default=True, type=click.Choice(list(MATERIALS)))
 @click.option("--loss", default=5e-3, show_default=True, help="Loss factor of the plate.")
-@click.option("--noise-db", default=60.0, show_default=True, help="White noise, so far below the untouched signal.")
-@click.option("--jitter-ns", default=0.0, show_default=True, help="Standard deviation of the trigger.")
+@click.option("--noise-db", default=60.0, show_default=True, help="Signal-to-noise ratio of the untouched plate, dB.")
+@click.option("--jitter-ns", default=0.0, show_default=True, help="Standard deviation of the trigger's jitter, ns.")
 @click.option(
-    "--stale-k", default=0.0, show_default=True, help="Touches: so much warmer is the plate than beside each touch."
-)
+    "--stale-k", default=0.0, show_default=True,
+    help="Touches: warming of the plate between the untouched frame and the touch, K.",
+)  # fmt: skip
 @click.option(
     "--temperature-k",
     "warmer_k",
     default=0.0,
     show_default=True,
-    help="Touches: so much warmer, baseline included, is the plate than the reference.",
+    help="Touches: temperature of the plate above the reference, for touched and untouched frames, K.",
 )
 @click.option(
     "--fingers", default=1, show_default=True, type=click.IntRange(1, MOST_FINGERS), help="Fingers of each touch."
 )
-@click.option("--apart-mm", default=0.0, show_default=True, help="Least distance of their centres.")
-@click.option("--edge-gap-mm", type=float, metavar="MM", help="Exact distance of two fingers from edge to edge.")
+@click.option("--apart-mm", default=0.0, show_default=True, help="Least distance between the fingers' centres.")
+@click.option("--edge-gap-mm", type=float, metavar="MM", help="Exact gap between two fingers, edge to edge.")
 @click.option(
-    "--label-noise-mm", default=0.0, show_default=True, help="Touches: standard deviation of the truth, per axis."
+    "--label-noise-mm", default=0.0, show_default=True, help="Touches: standard deviation of the labels, per axis."
 )
-@click.option("--tail", is_flag=True, help="Include what still rings from the chirps before.")
+@click.option("--tail", is_flag=True, help="Include the ringing of earlier chirps.")
 @click.option("--jobs", type=click.IntRange(min=1), metavar="N", help="Processes for touches.  [default: all cores]")
 @click.option("--dask", metavar="ADDRESS", help="Compute touches on the Dask cluster of this scheduler.")
 @click.option("--force", is_flag=True, help="Replace the recording if it exists.")
@@ -107,21 +106,21 @@ def command(
     dask: str | None,
     force: bool,
 ) -> None:
-    """Write a recording of SCENE, computed from the physics of a plate, with its truth."""
+    """Simulate SCENE on a plate and write a recording, labelled with true contacts."""
     if scene == TOUCHES and not (frames is None and rate_hz is None and keypad is None and code is None):
-        raise click.UsageError("--frames, --rate-hz, --keypad and --code are for scenes; use --count")
+        raise click.UsageError("--frames, --rate-hz, --keypad and --code apply to scenes; use --count")
     touches = TouchSet(
         count or COUNT, finger or "silicone", None, stale_k, fingers, apart_mm, edge_gap_mm, warmer_k, label_noise_mm
     )
     if scene != TOUCHES and (count is not None or replace(touches, finger="silicone") != TouchSet()):
         raise click.UsageError(
-            "--count, --stale-k, --temperature-k, --fingers, --apart-mm, --edge-gap-mm and --label-noise-mm are for "
+            "--count, --stale-k, --temperature-k, --fingers, --apart-mm, --edge-gap-mm and --label-noise-mm apply to "
             "touches; use --frames"
         )
     if scene != TOUCHES and not (jobs is None and dask is None):
-        raise click.UsageError("--jobs and --dask are for touches; a scene is computed frame after frame")
+        raise click.UsageError("--jobs and --dask apply to touches; a scene is simulated in one process")
     if jobs is not None and dask is not None:
-        raise click.UsageError("--jobs counts processes of this computer; with --dask the cluster's own are used")
+        raise click.UsageError("--jobs counts processes of this computer; --dask uses the cluster's workers")
     if output.exists() and not force:
         raise OutputError("already there", str(output), "choose another name, or add --force")
     width, height, thickness = plate
@@ -137,10 +136,10 @@ def command(
         period_s = 1 / stage.rate_hz
     if tail and period_s > MOST_TAIL_S:
         raise SimulationError(
-            f"a tail of {period_s:g} s", "tail", f"frames {MOST_TAIL_S:g} s apart or more hear nothing of it"
+            f"a tail of {period_s:g} s", "tail", f"omit --tail: the ringing fades within {MOST_TAIL_S:g} s"
         )
     tail_period_s = period_s if tail else None
-    configure(LogSettings())  # on standard error, beside the progress
+    configure(LogSettings())  # to standard error, beside the progress bar
     with ExitStack() as stack:
         if scene == TOUCHES:
             session = Session(touches, seed, described, loss, tail_period_s, electronics)
@@ -159,4 +158,4 @@ def command(
 
 
 MOST_TAIL_S = 0.05
-"""After that long even a loss factor of 1e-3 leaves nothing above -60 dB."""
+"""Ringing falls below -60 dB within this time, even at a loss factor of 1e-3."""

@@ -1,4 +1,4 @@
-"""`touchd train`: a model from a labelled recording."""
+"""`touchd train`: train a model on a labelled recording."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _RECIPES = "\n".join(["\b", "Recipes:", *(f"  {recipe.name:16}  {recipe.what}" f
 @click.option("-o", "--output", type=click.Path(path_type=Path), required=True, help="The model to write (ONNX).")
 @click.option(
     "--recipe", type=click.Choice(list(RECIPES)), default="best", show_default=True, metavar="NAME",
-    help="What to train, and how: see below.",
+    help="Recipe to train by, from the list below.",
 )  # fmt: skip
 @click.option("--n", "grid", default=10, show_default=True, help="Zones along each side, for the grid recipes.")
 @click.option(
@@ -30,17 +30,17 @@ _RECIPES = "\n".join(["\b", "Recipes:", *(f"  {recipe.name:16}  {recipe.what}" f
 )
 @click.option(
     "--network", type=click.Path(path_type=Path),
-    help="For the recipe atlas: a network trained on RECORDING before, instead of training one.",
+    help="Recipe atlas: use this network, trained on RECORDING, instead of training one.",
 )  # fmt: skip
 @click.option("--seed", default=0, show_default=True, help="Seed of the split, the weights and the augmentation.")
 @click.option("--epochs", type=click.IntRange(min=1), help="Passes over the touches.  [default: the recipe's]")
 @click.option(
     "--patience", type=click.IntRange(min=1),
-    help="Epochs without a better validation RMSE after which training stops: for the paper's recipes, whose rate is "
+    help="Stop after this many epochs without a better validation RMSE. Paper recipes only, whose learning rate is "
     "constant.  [default: 30]",
 )  # fmt: skip
-@click.option("--no-report", is_flag=True, help="Write no report beside the model.")
-@click.option("--force", is_flag=True, help="Replace the model, its atlas and report, if they exist.")
+@click.option("--no-report", is_flag=True, help="Write no report.")
+@click.option("--force", is_flag=True, help="Replace the model, its atlas and its report if they exist.")
 def command(
     recording: tuple[Path, ...],
     output: Path,
@@ -54,15 +54,14 @@ def command(
     no_report: bool,
     force: bool,
 ) -> None:
-    """Train a model on RECORDING, a labelled recording of single touches, or several of one plate taken alike.
+    """Train a model on RECORDING, a labelled recording of single touches.
 
-    What looks wrong with them, such as a dead channel or too few touches, is said before training begins.
-    The touches are split at random into 70 % for training, 20 % for validation and 10 % for the test; the scores
-    printed at the end, and stored in the model, are those of the test. A folder beside the model, named .report, has
-    them with pictures: learning curve, errors over the plate, and how well the standard error is predicted.
+    Several recordings of one plate and one acquisition train one model. Warnings, such as a dead channel or too few
+    touches, appear before training starts. The touches are split at random: 70 % for training, 20 % for validation,
+    10 % for the test. The test scores are printed and stored in the model. A folder named .report beside the model
+    holds them with plots: learning curve, errors over the plate, and calibration of the predicted standard error.
 
-    The recipe atlas writes two files, the network and beside it the field atlas, named .atlas.npz: the scores printed
-    are those of both together.
+    The recipe atlas also writes a field atlas, named .atlas.npz, beside the network, and scores both together.
     """
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
@@ -99,7 +98,7 @@ def command(
     tasks: dict[str, TaskID] = {}
 
     def progress(what: str, done: int, steps: int, rmse_mm: float) -> None:
-        # Started by the first step: what is refused before it is refused in one line.
+        # The bar starts with the first step, so that an earlier error prints one line.
         bar.start()
         if what not in tasks:
             tasks[what] = bar.add_task(what, note="")
@@ -107,7 +106,7 @@ def command(
         bar.update(tasks[what], completed=done, total=steps, note=note)
 
     def warn(note: str) -> None:
-        # At once, not after minutes of training; the console keeps it clear of the bar.
+        # Warn before training; the bar's console keeps the line clear of the bar.
         bar.console.print(
             f"touchd: warning: {note}", style="bold yellow", markup=False, highlight=False, soft_wrap=True
         )
@@ -134,7 +133,7 @@ def command(
                 warn=warn,
             )
             scores, path = result.scores, output
-            atlas_path(output).unlink(missing_ok=True)  # that of the model which was replaced
+            atlas_path(output).unlink(missing_ok=True)  # the replaced model's atlas
     finally:
         if tasks:
             bar.stop()
@@ -144,25 +143,25 @@ def command(
             click.echo(f"  {name:17} {value:8.3f}")
     for each in (output, atlas_path(output)):
         if no_report or not (made or each == output):
-            remove_report(each)  # that of the model which was replaced
+            remove_report(each)  # the replaced model's report
     if no_report:
         return
     if result:
         folder = write_report(result, touches.meta, names)
-        click.echo(f"{folder / PAGE}: scores, learning curve and pictures")
+        click.echo(f"{folder / PAGE}: scores, learning curve and plots")
     if made:
         folder = write_atlas_report(made, touches.meta, names)
-        click.echo(f"{folder / PAGE}: the atlas' scores, maps and pictures")
+        click.echo(f"{folder / PAGE}: the atlas' scores, maps and plots")
 
 
 def _check_free(output: Path, network: Path | None, *, force: bool) -> None:
-    """Raise OutputError if the model or its atlas is there already, or cannot be written.
+    """Raise OutputError if the model or its atlas exists, or cannot be written.
 
-    An atlas that lies beside another model than its own would be taken for its.
+    An atlas beside another model would be used with it, so it counts as existing output.
     """
     for file in (output, atlas_path(output)):
         given = network is not None and file.exists() and file.samefile(network)
         if file.exists() and not force and not given:
             raise OutputError("already there", str(file), "choose another name, or add --force")
     if not os.access(output.parent, os.W_OK | os.X_OK):
-        raise OutputError("no folder that can be written to", str(output.parent), "make it, or choose another name")
+        raise OutputError("not a writable folder", str(output.parent), "create it, or choose another name")

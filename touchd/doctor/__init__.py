@@ -1,1 +1,1 @@
-"""What `touchd doctor` examines: frames (`checks`), the computer (`host`) and the USB device (`usb`)."""
+"""Checks of `touchd doctor`: frames (`checks`), computer (`host`), USB device (`usb`)."""

@@ -1,6 +1,6 @@
-"""What `touchd doctor` looks at in frames, and when it objects: functions of numbers, each with one finding.
+"""Checks of `touchd doctor` on frames: each function judges numbers and returns one finding.
 
-The limits are rules of thumb of the method, each with its reason beside it; nothing in the pipeline depends on them.
+The limits are rules of thumb, each with its reason; the pipeline does not depend on them.
 """
 
 from __future__ import annotations
@@ -19,24 +19,24 @@ Level = Literal["ok", "warning", "failure"]
 Floats = NDArray[np.float64]
 
 RATE_OFF = (0.02, 0.2)
-"""Share by which the frame rate may be off: filters work by the frames' own time, so that a little does no harm."""
+"""Relative error of the frame rate: filters use the frames' times, so a few percent do no harm."""
 LOST = (0.001, 0.05)
-"""Share of frames that may be missing: two in a row end a contact."""
+"""Share of lost frames: two consecutive losses end a contact."""
 SNR_DB = (40.0, 20.0)
-"""Signal above noise, per channel: a silicone finger changes 0.4 % of the signal, -48 dB, over some 200 samples."""
+"""Signal-to-noise ratio per channel: a silicone finger changes 0.4 % of the signal, -48 dB, over some 200 samples."""
 NOISE_UNLIKE_DB = 10.0
-"""A channel that is so much noisier than the others has a fault of its own."""
+"""A channel that exceeds the median noise by this much is faulty."""
 CLIPPED = (0.0, 0.01)
-"""Share of samples at the converter's limit."""
+"""Share of samples at the ADC's limit."""
 DEAD_DB = -30.0
-"""A channel so far below the others hears nothing of the chirp."""
+"""A channel this far below the median signal receives no chirp."""
 CHANGED_DB = (-30.0, -10.0)
-"""The untouched plate against the model's: a human finger changes up to -23 dB, another plate all of it, about 0 dB."""
+"""Change of the untouched plate since training: a human finger changes up to -23 dB, another plate about 0 dB."""
 SWAPPED_DB = 10.0
-"""An order of channels that fits better by so much is the right one."""
+"""A permutation of the channels that lowers the change by this much is the true order."""
 BUSY = 0.5
-"""Share of a frame's period that the computation of one in a hundred may take."""
-_MOST_SWAPPED = 6  # channels of which all orders are tried: 720
+"""Share of the frame period that the 99th percentile of the computing time may take."""
+_MOST_SWAPPED = 6  # up to 6 channels all 720 permutations are tried
 
 
 class Finding(NamedTuple):
@@ -45,58 +45,59 @@ class Finding(NamedTuple):
     check: str
     level: Level
     text: str
-    """What was found, with its numbers."""
+    """Result of the check, with its numbers."""
     fix: str = ""
-    """What to do about it; empty where nothing is wrong."""
+    """Remedy; empty if the check passed."""
 
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """Frames that were taken for the examination, in order."""
+    """Consecutive frames taken for the checks."""
 
     counts: NDArray[np.int16]
-    """Of shape (frames, channels, samples)."""
+    """ADC counts, shape (frames, channels, samples)."""
     sequence: NDArray[np.int64]
     t_ns: NDArray[np.int64]
     corrupt: int = 0
-    """Frames that came but failed a check, meanwhile."""
+    """Frames that arrived meanwhile but failed their CRC or header check."""
 
     @property
     def untouched(self) -> Floats:
-        """The plate as it mostly was, of shape (channels, samples): short touches do not move a median."""
+        """Median frame, shape (channels, samples): short touches do not move a median."""
         middle: Floats = np.median(self.counts, axis=0)
         return middle
 
 
 def grade(value: float, limits: tuple[float, float]) -> Level:
-    """Return the level of a value that should be low: warning above the first limit, failure above the second."""
+    """Grade a value that should be low: warning above the first limit, failure above the second."""
     return "failure" if value > limits[1] else "warning" if value > limits[0] else "ok"
 
 
 def check_rate(sample: Sample, wanted_hz: float) -> Finding:
-    """Compare how often the device sends with what was asked of it; frames that were lost on the way count as sent."""
+    """Compare the device's frame rate with the configured one; lost frames count as sent."""
     steps_s = np.diff(sample.t_ns) * 1e-9 / np.maximum(np.diff(sample.sequence), 1)
     rate_hz = 1.0 / max(float(np.median(steps_s)), 1e-9)
     off = abs(rate_hz / wanted_hz - 1.0)
-    text = f"{rate_hz:.2f} frames a second, {wanted_hz:g} expected"
-    return Finding("frame rate", grade(off, RATE_OFF), text, _unless_ok(off, RATE_OFF, "set device.rate_hz to what the "
-                   "device can do, and look at its trigger"))  # fmt: skip
+    text = f"{rate_hz:.2f} frames per second, {wanted_hz:g} expected"
+    return Finding("frame rate", grade(off, RATE_OFF), text, _unless_ok(off, RATE_OFF, "set device.rate_hz to a rate "
+                   "that the device supports, and check its trigger"))  # fmt: skip
 
 
 def check_lost(sample: Sample) -> Finding:
-    """Count frames that never came, and frames that came damaged."""
+    """Count lost and corrupt frames."""
     span = int(sample.sequence[-1] - sample.sequence[0]) + 1
     lost = span - len(sample.sequence)
     share = (lost + sample.corrupt) / max(span, 1)
     text = f"{lost} of {span} frames lost, {sample.corrupt} corrupt"
     return Finding("lost frames", grade(share, LOST), text, _unless_ok(share, LOST, "use a shorter cable and a port of "
-                   "the computer's own, without a hub; see that the computer is not overloaded"))  # fmt: skip
+                   "the computer without a hub; reduce the computer's load"))  # fmt: skip
 
 
 def noise_counts(sample: Sample) -> Floats:
-    """Return each channel's noise, RMS in counts: half the mean squared difference of successive frames.
+    """Return each channel's RMS noise in counts, from differences of successive frames.
 
-    A median over the frames, so that a finger that goes down is not taken for noise.
+    Half the mean squared difference is the noise power. The median over frames ignores the frame in which a finger
+    goes down.
     """
     squares = 0.5 * np.square(np.diff(sample.counts.astype(np.float64), axis=0)).mean(axis=2)
     noise: Floats = np.sqrt(np.median(squares, axis=0))
@@ -104,13 +105,13 @@ def noise_counts(sample: Sample) -> Floats:
 
 
 def check_noise(sample: Sample) -> Finding:
-    """Compare each channel's noise with its signal, and with the noise of the others."""
+    """Compare each channel's noise with its signal and with the other channels' noise."""
     noise = np.maximum(noise_counts(sample), 1e-3)
     snr_db = 20 * np.log10(np.maximum(_rms(sample.untouched), 1e-3) / noise)
     alive = _alive(sample)
     if not alive.any():
-        return Finding("noise", "failure", "no channel has a signal", "see the line on dead channels")
-    # A dead channel has a line of its own.
+        return Finding("noise", "failure", "no channel has a signal", "follow the remedy for dead channels")
+    # check_dead reports dead channels.
     worst_db = float(snr_db[alive].min())
     levels = [grade(-worst_db, (-SNR_DB[0], -SNR_DB[1]))]
     unlike = np.flatnonzero(alive & (20 * np.log10(noise / np.median(noise[alive])) > NOISE_UNLIKE_DB))
@@ -120,12 +121,12 @@ def check_noise(sample: Sample) -> Finding:
     text = f"{_list(noise, 1)} counts RMS, {_list(snr_db)} dB below the signal"
     if len(unlike):
         text += f"; channel {_names(unlike)} far above the others"
-    fix = "look for chargers, motors and switched supplies nearby, and at the shielding and ground of the receivers"
+    fix = "move chargers, motors and switching supplies away; check shielding and ground of the receivers"
     return Finding("noise", level, text, "" if level == "ok" else fix)
 
 
 def check_clipping(sample: Sample, acquisition: Acquisition) -> Finding:
-    """Count samples at the limit of the converter, which no baseline can follow."""
+    """Count samples at the ADC's limit; the baseline cannot correct clipping."""
     top = 2 ** (acquisition.bits - 1) - 1
     clipped = (sample.counts >= top) | (sample.counts <= -top - 1)
     share = clipped.mean(axis=(0, 2))
@@ -138,22 +139,22 @@ def check_clipping(sample: Sample, acquisition: Acquisition) -> Finding:
 
 
 def check_dead(sample: Sample) -> Finding:
-    """Find channels that hear nothing of the chirp."""
+    """Find channels without a chirp."""
     signal = _rms(sample.untouched)
     dead = np.flatnonzero(~_alive(sample))
     text = f"signals of {_list(signal)} counts RMS"
     if not len(dead):
         return Finding("channels", "ok", text)
     if len(dead) == len(signal):
-        return Finding("channels", "failure", f"{text}: all are dead", "look at the emitter, its amplifier and cable")
-    fix = "look at the receiver, its glue and its cable; the model needs all channels"
+        return Finding("channels", "failure", f"{text}: all are dead", "check the emitter, its amplifier and cable")
+    fix = "check the receiver, its glue and its cable; the model needs all channels"
     return Finding("channels", "failure", f"{text}: channel {_names(dead)} is dead", fix)
 
 
 def check_baseline(sample: Sample, reference: Floats) -> Finding:
-    """Compare the untouched plate with that of the model's training, of shape (channels, samples).
+    """Compare the untouched plate with `reference`, the one of the model's training, shape (channels, samples).
 
-    Gains may differ a little; an order of channels that fits much better than theirs is named.
+    Each channel is compared at its best gain. If another order of the channels fits much better, the finding names it.
     """
     now = sample.untouched
     changed_db = float(_changed_db(now, reference).max())
@@ -168,19 +169,19 @@ def check_baseline(sample: Sample, reference: Floats) -> Finding:
             swapped = [c for c in range(len(now)) if best[c] != c]
             return Finding("baseline", "failure", f"{text}: channels {_names(swapped)} are in another order",
                            "connect the receivers in the order of the training")  # fmt: skip
-    fix = "train a model on this plate, or look at what was changed: transducers, frame, supports, temperature"
+    fix = "train a model on this plate, or undo the change: transducers, frame, supports, temperature"
     return Finding("baseline", level, text, fix)
 
 
 def check_time(spent_us: Sequence[float], period_s: float) -> Finding:
-    """Compare what a touched frame costs to compute with the time until the next one."""
+    """Compare the computing time of a touched frame with the frame period."""
     p50, p99 = (float(p) for p in np.percentile(spent_us, (50, 99)))
     period_us = period_s * 1e6
     text = (
         f"a touched frame takes {p50:.0f} us, 99 of 100 at most {p99:.0f} us; the next comes after {period_us:.0f} us"
     )
     level: Level = "failure" if p50 > period_us else "warning" if p99 > BUSY * period_us else "ok"
-    fix = "lower device.rate_hz, or see what else the computer does; [realtime] in the configuration may help"
+    fix = "lower device.rate_hz, or reduce the computer's load; [realtime] in the configuration may help"
     return Finding("latency", level, text, "" if level == "ok" else fix)
 
 
@@ -192,13 +193,13 @@ def _rms(signal: Floats) -> Floats:
 
 def _alive(sample: Sample) -> NDArray[np.bool_]:
     signal = _rms(sample.untouched)
-    # Less than its own noise is no signal, whatever the others have.
+    # A signal below its own noise does not count.
     least = np.maximum(10 ** (DEAD_DB / 20) * np.median(signal), np.maximum(noise_counts(sample), 0.5))
     return signal > least
 
 
 def _changed_db(now: Floats, reference: Floats) -> Floats:
-    """Return the energy of each channel that its best gain does not make of the reference, relative to its own, dB."""
+    """Return each channel's energy that the reference at its best gain leaves unexplained, relative to its own, dB."""
     now = now - now.mean(axis=1, keepdims=True)
     reference = reference - reference.mean(axis=1, keepdims=True)
     energy = np.maximum(np.einsum("cs,cs->c", now, now), 1e-9)
@@ -221,5 +222,5 @@ def _list(values: Floats, digits: int = 0) -> str:
 
 
 def _names(channels: Sequence[int] | NDArray[np.intp]) -> str:
-    """Channels count from 1, as their sockets are labelled."""
+    """Return the channels' numbers, from 1 as on the sockets."""
     return ", ".join(str(int(c) + 1) for c in channels)

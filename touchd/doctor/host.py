@@ -1,4 +1,4 @@
-"""What `touchd doctor` finds out by trying: the clock, the bus's addresses, frames from a source, their time."""
+"""Checks of `touchd doctor` on this computer: clock, bus addresses, frames of the source, computing time."""
 
 from __future__ import annotations
 
@@ -23,24 +23,24 @@ from touchd.service.runner import frames_of
 from touchd.sources.source import Change, LiveSource, Source
 
 _SILENCE_S = 5.0
-"""How long a device may take to send its first frame."""
+"""Longest wait for a device's next frame."""
 _LISTEN_S = 2.5
-"""A daemon says something on `health` each second."""
+"""Time to wait for a `health` message; a daemon sends one each second."""
 _REFERENCE_FRAMES = 256
 _TIMED_FRAMES = 500
 _UNSYNCHRONISED = 5  # adjtimex(2): TIME_ERROR
-_EARLIEST_S = 1735689600  # 2025: a computer without a battery for its clock begins in 1970
+_EARLIEST_S = 1735689600  # 2025: without a clock battery a computer starts in 1970
 
 
 def check_clock() -> Finding:
-    """Say whether this computer's clock is set; messages carry its time, and nothing else depends on it."""
-    timex = (ctypes.c_char * 512)()  # struct timex, all zero: only ask
+    """Check that the system clock is synchronised; only the messages' `wall` time depends on it."""
+    timex = (ctypes.c_char * 512)()  # struct timex; zeros read the state without changing it
     state = ctypes.CDLL(None).adjtimex(ctypes.byref(timex))
     return judge_clock(state, time.time())
 
 
 def judge_clock(state: int, now_s: float) -> Finding:
-    """Judge what adjtimex(2) answered, and UTC in seconds."""
+    """Judge the result of adjtimex(2) and the UTC time in seconds."""
     if now_s < _EARLIEST_S:
         return Finding("clock", "failure", "this computer's clock is not set", "set it: timedatectl set-ntp true")
     if state in (_UNSYNCHRONISED, -1):
@@ -50,7 +50,7 @@ def judge_clock(state: int, now_s: float) -> Finding:
 
 
 def check_addresses(settings: BusSettings) -> Iterator[Finding]:
-    """Bind each address and let it go again."""
+    """Bind and release each address."""
     from touchd.sinks.zeromq import ZeromqSink
 
     for address in settings.bind:
@@ -65,7 +65,7 @@ def check_addresses(settings: BusSettings) -> Iterator[Finding]:
 
 
 def _occupied(address: str, error: AddressInUse, settings: BusSettings) -> Finding:
-    """Say who holds an address: a daemon of touchd publishes its health there."""
+    """Report who has bound the address; a touchd daemon publishes its health there."""
     from touchd.client import Subscriber
 
     if settings.curve_secret_key is None:
@@ -74,25 +74,25 @@ def _occupied(address: str, error: AddressInUse, settings: BusSettings) -> Findi
                 event = next(events)
             assert isinstance(event, HealthEvent)
             return Finding("bus", "warning", f"{address}: a daemon publishes there, in state {event.state}",
-                           "stop it for the examination: systemctl stop touchd")  # fmt: skip
+                           "stop it before the checks: systemctl stop touchd")  # fmt: skip
         except BusTimeout:
             pass
     return Finding("bus", "failure", f"{address}: {error.what}", error.fix)
 
 
 def expected_rate_hz(source: Source, settings: DeviceSettings) -> float:
-    """Return the frames a second that a source was asked for, or says that it has."""
+    """Return the recording's frame rate, or the configured one of a device."""
     meta = getattr(source, "meta", None)
     return meta.frame_rate_hz if isinstance(meta, Meta) else float(settings.rate_hz)
 
 
 def take(source: Source, seconds: float) -> Sample:
-    """Take frames for `seconds` of their own time.
+    """Read frames until their times span `seconds`.
 
     Raises
     ------
     SourceError
-        Fewer than two frames come.
+        Fewer than two frames arrived.
     """
     counts: list[Counts] = []
     sequence: list[int] = []
@@ -115,7 +115,7 @@ def take(source: Source, seconds: float) -> Sample:
         elif time.monotonic() > deadline_s:
             break
     if len(t_ns) < 2:
-        raise SourceError(reason, "source", "look at the cable and the power, and stop the daemon if it runs")
+        raise SourceError(reason, "source", "check cable and power, and stop the daemon if it runs")
     corrupt = source.tally.corrupt if isinstance(source, LiveSource) else 0
     return Sample(np.array(counts), np.array(sequence, np.int64), np.array(t_ns, np.int64), corrupt)
 
@@ -126,9 +126,9 @@ def untouched(path: Path, model: Model) -> NDArray[np.float64]:
     Raises
     ------
     RecordingError
-        It cannot be read, or has no untouched frame.
+        The recording is unreadable, or has no untouched frame.
     ModelMismatch
-        It is of another acquisition than the model.
+        Recording and model differ in their acquisition.
     """
     reader = Reader(path)
     model.check(reader.acquisition)
@@ -141,12 +141,12 @@ def untouched(path: Path, model: Model) -> NDArray[np.float64]:
         if count == _REFERENCE_FRAMES:
             break
     if not count:
-        raise RecordingValues("has no frame of the untouched plate", str(path), "record the plate without a finger")
+        raise RecordingValues("no frame of the untouched plate", str(path), "record the plate without a finger")
     return total / count
 
 
 def time_frames(sample: Sample, acquisition: Acquisition, model: Model) -> list[float]:
-    """Return what each of some frames takes from its counts to a position, in microseconds."""
+    """Return the computing time from counts to a position for each of 500 frames, us."""
     features = make_features(model.description.domain, acquisition)
     baseline = sample.untouched.astype(np.float32)
     residual = np.zeros_like(baseline)

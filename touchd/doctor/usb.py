@@ -1,4 +1,4 @@
-"""What `touchd doctor` reads of the DAQ from the system, before anything opens it: seen, permitted, described."""
+"""Checks of `touchd doctor` on the DAQ's entries in sysfs: present, permitted, with touchd's interface."""
 
 from __future__ import annotations
 
@@ -11,38 +11,38 @@ from touchd.doctor.checks import Finding
 from touchd.sources.usb_protocol import INTERFACE_CLASS
 
 SYSTEM = Path("/")
-_INTERFACE, _ENDPOINT = 4, 5  # types of descriptors
+_INTERFACE, _ENDPOINT = 4, 5  # descriptor types, USB 2.0 table 9-5
 _BULK_IN = (0x80, 0x02)
 _HIGH_SPEED_MBIT_S = 480.0
 
 
 def examine(settings: DeviceSettings, system: Path = SYSTEM) -> list[Finding]:
-    """Return what can be said of the DAQ without opening it; the last finding is a failure if it cannot be used.
+    """Check the DAQ without opening it; the last finding is a failure if the DAQ is unusable.
 
     Parameters
     ----------
     settings : DeviceSettings
-        Its ids and serial number.
+        Vendor and product id, and serial number of the DAQ.
     system : Path
-        The root of the file system, with /sys and /dev.
+        Root of the file system, with /sys and /dev.
     """
     ids = f"{settings.vendor_id:04x}:{settings.product_id:04x}"
     found = [device for device in _devices(system) if _ids(device) == ids]
     if not found:
         return [Finding("device", "failure", f"no device with the ids {ids} is plugged in",
-                        "plug it in; look at its cable and power; compare device.vendor_id and device.product_id with "
+                        "plug it in; check its cable and power; compare device.vendor_id and device.product_id with "
                         "lsusb")]  # fmt: skip
     if settings.serial:
         serials = [_attribute(device, "serial") for device in found]
         found = [device for device in found if _attribute(device, "serial") == settings.serial]
         if not found:
-            return [Finding("device", "failure", f"{ids} is there with serial number {', '.join(map(repr, serials))}, "
+            return [Finding("device", "failure", f"{ids} has serial number {', '.join(map(repr, serials))}, "
                             f"not {settings.serial!r}", "correct device.serial")]  # fmt: skip
     device = found[0]
     bus, address = int(_attribute(device, "busnum") or 0), int(_attribute(device, "devnum") or 0)
     name = " ".join(filter(None, (_attribute(device, "product"), _attribute(device, "serial"))))
     text = f"{ids} {name} on bus {bus:03d} address {address:03d}"
-    several = f"; {len(found)} of them, the first is used" if len(found) > 1 else ""
+    several = f"; {len(found)} such devices, touchd uses the first" if len(found) > 1 else ""
     findings = [
         Finding("device", "warning", text + several, "set device.serial") if several else Finding("device", "ok", text),
         check_permissions(system / f"dev/bus/usb/{bus:03d}/{address:03d}"),
@@ -55,7 +55,7 @@ def examine(settings: DeviceSettings, system: Path = SYSTEM) -> list[Finding]:
 
 
 def check_permissions(node: Path) -> Finding:
-    """Say whether this user may open the device's node."""
+    """Check that this user may open the device node."""
     try:
         status = node.stat()
     except OSError as error:
@@ -76,7 +76,7 @@ def check_permissions(node: Path) -> Finding:
 
 
 def check_descriptors(descriptors: bytes, speed_mbit_s: str) -> Finding:
-    """Find the interface of touchd's protocol with its bulk endpoint in a device's descriptors, as sysfs has them."""
+    """Find touchd's interface and its bulk IN endpoint in the device's descriptors."""
     here, found = False, False
     at = 0
     while at + 2 <= len(descriptors) and descriptors[at] >= 2:
@@ -89,11 +89,11 @@ def check_descriptors(descriptors: bytes, speed_mbit_s: str) -> Finding:
         at += length
     if not found:
         return Finding("descriptors", "failure", "no interface of touchd's protocol with a bulk endpoint to the host",
-                       "give the DAQ firmware for protocol 1: docs/usb-protocol.md")  # fmt: skip
+                       "install firmware for protocol 1 on the DAQ: docs/usb-protocol.md")  # fmt: skip
     speed = float(speed_mbit_s) if speed_mbit_s.replace(".", "", 1).isdecimal() else 0.0
     text = f"interface of protocol 1, at {speed:g} Mbit/s"
     if speed < _HIGH_SPEED_MBIT_S:
-        fix = "use a cable and a port for USB 2 (480 Mbit/s): 12 Mbit/s carry some 400 frames a second"
+        fix = "use a cable and a port for USB 2 (480 Mbit/s): 12 Mbit/s carry some 400 frames per second"
         return Finding("descriptors", "warning", text, fix)
     return Finding("descriptors", "ok", text)
 

@@ -1,1 +1,1 @@
-"""Score models and replays on labelled recordings, and bound what any estimator could reach."""
+"""Score models and replays on labelled recordings, and compute bounds on the error."""

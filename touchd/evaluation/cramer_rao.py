@@ -1,14 +1,14 @@
-"""How precisely a place can be known at all: the Cramer-Rao bound of x and y, the strength unknown.
+"""Cramer-Rao bound of a touch's position, with unknown amplitude.
 
-The bins of a residual are z u(x, y) and Gaussian noise whose covariance C does not depend on the finger: white noise
-of the converter, seen through the window, which makes neighbouring bins alike. No unbiased estimator of the four real
-unknowns x, y, Re z and Im z has a smaller covariance than the inverse of
+The bins of a residual are z u(x, y) plus Gaussian noise. The noise covariance C does not depend on the finger: it is
+white ADC noise seen through the window, which correlates neighbouring bins. No unbiased estimator of the four real
+unknowns x, y, Re z and Im z has a smaller covariance than the inverse of the Fisher information
 
-    I = J^T C^-1 J,    J the derivative of the bins by the unknowns
+    I = J^T C^-1 J,    J the derivative of the bins with respect to the unknowns
 
-(Kay, Fundamentals of Statistical Signal Processing: Estimation Theory, 1993, sections 3.7 and 3.9; for a covariance
-that is constant this is what remains of the formula of Slepian and Bangs). Real and imaginary parts are kept apart,
-since those of a real signal's windowed bins are not quite alike.
+(Kay, Fundamentals of Statistical Signal Processing: Estimation Theory, 1993, sections 3.7 and 3.9; the Slepian-Bangs
+formula for constant covariance). Real and imaginary parts are separate features, because the two parts of a real
+signal's windowed bins differ slightly in noise.
 """
 
 from __future__ import annotations
@@ -36,54 +36,54 @@ Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 STEP_MM = 0.02
-"""Of the central differences: a five-hundredth of the field's shortest wavelength, where they are right to 3e-5."""
+"""Step of the central differences: 1/500 of the shortest wavelength, for a relative error of 3e-5."""
 _MOVES_MM = STEP_MM * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]])
 USUAL_AREA_MM2 = 20.0
-"""Contact of the reference finger, whose field stands for that of any: what differs goes into the strength."""
+"""Contact area of the reference finger. The amplitude absorbs the difference to other fingers."""
 MOST_TOUCHES = 300
-"""Of a recording: their median is known to a few per cent."""
+"""Touches of a recording to use: enough for their median to within a few per cent."""
 
 
 @dataclass(frozen=True, slots=True)
 class TouchField:
-    """What n touches add to the bins, and its derivatives by their places."""
+    """Bins of n touches and their derivatives with respect to position."""
 
     value: Complex
     """Shape (n, channels, bins), ADC counts."""
     by_x: Complex
-    """The same, per mm."""
+    """Derivative with respect to x, ADC counts per mm."""
     by_y: Complex
     bins: NDArray[np.int64]
     """Indices of the DFT bins, shape (bins,)."""
 
-    def times(self, strength: Complex) -> TouchField:
-        """Return the field of touches of other strengths, shape (n,)."""
-        z = strength[:, None, None]
+    def times(self, amplitude: Complex) -> TouchField:
+        """Scale the field to touches of these complex amplitudes, shape (n,)."""
+        z = amplitude[:, None, None]
         return TouchField(z * self.value, z * self.by_x, z * self.by_y, self.bins)
 
 
 def twin_field(instrument: Instrument, contacts: Sequence[Contact], peak_counts: float | None = None) -> TouchField:
-    """Return the true field of single contacts, without noise, at the twin's reference temperature.
+    """Simulate the true field of single contacts, without noise, at the twin's reference temperature.
 
     Parameters
     ----------
     instrument : Instrument
     contacts : n contacts
-        At least `STEP_MM` away from where they would reach over the edge.
+        Contacts at least `STEP_MM` inside the edge.
     peak_counts : float, optional
-        What the largest value of the untouched plate's signal is in ADC counts; by default as the twin sets its gain.
+        Largest value of the untouched signal, ADC counts; the twin's own gain by default.
 
     Raises
     ------
     SimulationError
-        When a contact reaches over the edge.
+        A contact reaches over the edge.
     """
     moved = [c._replace(x_mm=c.x_mm + dx, y_mm=c.y_mm + dy) for dx, dy in _MOVES_MM.tolist() for c in contacts]
     return _with_slopes(twin_values(instrument, moved, peak_counts), band_bins(instrument.acquisition))
 
 
 def twin_values(instrument: Instrument, contacts: Sequence[Contact], peak_counts: float | None = None) -> Complex:
-    """Return what single contacts add to the bins, shape (n, channels, bins); see `twin_field`."""
+    """Simulate the bins of single contacts, shape (n, channels, bins); see `twin_field`."""
     a = instrument.acquisition
     scale = Electronics().peak * 2 ** (a.bits - 1) if peak_counts is None else peak_counts
     signal = instrument.change([[contact] for contact in contacts], np.full(len(contacts), REFERENCE_C))
@@ -91,10 +91,10 @@ def twin_values(instrument: Instrument, contacts: Sequence[Contact], peak_counts
     return np.asarray(parts[:, :, 0] + 1j * parts[:, :, 1])
 
 
-def atlas_field(atlas: Atlas, place_mm: Floats) -> TouchField:
-    """Return the field of touches of strength 1 at places (n, 2), as an atlas has it."""
+def atlas_field(atlas: Atlas, position_mm: Floats) -> TouchField:
+    """Evaluate an atlas' field at positions (n, 2), for touches of amplitude 1."""
     d = atlas.description
-    moved = (_MOVES_MM[:, None] + place_mm).reshape(-1, 2)
+    moved = (_MOVES_MM[:, None] + position_mm).reshape(-1, 2)
     at = ((moved - d.origin_mm) / d.step_mm).T[::-1]  # rows run along y
     nodes = atlas.coefficients.astype(np.float64)
     values = [map_coordinates(nodes[..., i], at, order=3, prefilter=False, mode="mirror") for i in range(atlas.size)]
@@ -103,44 +103,44 @@ def atlas_field(atlas: Atlas, place_mm: Floats) -> TouchField:
 
 
 def _with_slopes(values: Complex, bins: NDArray[np.int64]) -> TouchField:
-    """Return value and slopes from the values at places moved by each of `_MOVES_MM` in turn, (5 * n, ...)."""
+    """Compute central differences of values at positions moved by each of `_MOVES_MM` in turn, (5 * n, ...)."""
     value, right, left, below, above = values.reshape(5, -1, *values.shape[1:])
     return TouchField(value, (right - left) / (2 * STEP_MM), (below - above) / (2 * STEP_MM), bins)
 
 
 def whitener(acquisition: Acquisition, bins: NDArray[np.int64]) -> Floats:
-    """Return the matrix T for which features @ T are of uncorrelated noise, of the deviation that a sample's has.
+    """Return the matrix T that whitens the bins' noise to the deviation of a sample, shape (2 * bins, 2 * bins).
 
-    The features of a channel are samples @ W, so samples of white noise give them the covariance W^T W; T is the
-    inverse of the transposed Cholesky factor of that. Shape (2 * bins, 2 * bins).
+    The features of a channel are samples @ W, so white samples give them the covariance W^T W. T is the inverse of the
+    transposed Cholesky factor of W^T W.
     """
     W = windowed_dft(acquisition, bins)
     return np.asarray(np.linalg.inv(np.linalg.cholesky(W.T @ W)).T)
 
 
-def place_covariance(field: TouchField, acquisition: Acquisition, noise: float) -> Floats:
-    """Return the least covariance of unbiased estimates of x and y, mm^2, of shape (n, 2, 2).
+def position_covariance(field: TouchField, acquisition: Acquisition, noise: float) -> Floats:
+    """Return the Cramer-Rao bound of x and y as a covariance, mm^2, shape (n, 2, 2).
 
     Parameters
     ----------
     field : TouchField
-        Of the touches at their own strengths.
+        Field of the touches at their own amplitudes.
     acquisition : Acquisition
     noise : float
-        Standard deviation of one sample of the residual, ADC counts; white and independent.
+        Standard deviation of a residual's sample, ADC counts; white and independent.
     """
     features = _features(field) @ whitener(acquisition, field.bins)
     rows = features.reshape(len(features), 4, -1) / noise
-    information = rows @ rows.transpose(0, 2, 1)
-    own, both, other = information[:, :2, :2], information[:, :2, 2:], information[:, 2:, 2:]
+    fisher_information = rows @ rows.transpose(0, 2, 1)
+    own, both, other = fisher_information[:, :2, :2], fisher_information[:, :2, 2:], fisher_information[:, 2:, 2:]
     return np.asarray(np.linalg.inv(own - both @ np.linalg.solve(other, both.transpose(0, 2, 1))))
 
 
 def plain_covariance(field: TouchField, acquisition: Acquisition, noise: float) -> Floats:
-    """Return the covariance (n, 2, 2) of least squares on the bins as they are, mm^2: all taken for equally good.
+    """Return the covariance (n, 2, 2) of unweighted least squares on the bins, mm^2.
 
-    `touchd.localization.gauss_newton` fits this way. It leaves unused that neighbouring bins share their noise, and so
-    stays above `place_covariance`, whose parameters it has: (J^T J)^-1 J^T C J (J^T J)^-1.
+    `touchd.localization.gauss_newton` fits this way. It ignores the noise's correlation between neighbouring bins, so
+    it stays above `position_covariance`: (J^T J)^-1 J^T C J (J^T J)^-1. The parameters are the same.
     """
     features = _features(field)
     W = windowed_dft(acquisition, field.bins)
@@ -150,22 +150,22 @@ def plain_covariance(field: TouchField, acquisition: Acquisition, noise: float) 
 
 
 def _features(field: TouchField) -> Floats:
-    """Return the derivatives by x, by y and by both parts of the strength, as features (n, 4, channels, 2 * bins)."""
-    # Those by the strength are the field itself, and it turned by 90 degrees.
+    """Return the derivatives with respect to x, y, Re z and Im z as features (n, 4, channels, 2 * bins)."""
+    # With respect to Re z and Im z they are the field itself, and the field times i.
     slopes = np.stack([field.by_x, field.by_y, field.value, 1j * field.value], axis=1)
     return np.concatenate([slopes.real, slopes.imag], axis=-1)
 
 
 def rms_mm(covariance: Floats) -> Floats:
-    """Return the root mean square distance of estimates of these covariances (n, 2, 2) from the truth, mm, (n,)."""
+    """Return the RMS distance from the truth of estimates with these covariances (n, 2, 2), mm, shape (n,)."""
     return np.asarray(np.sqrt(np.trace(covariance, axis1=1, axis2=2)))
 
 
 def median_distance_mm(covariance: Floats) -> float:
-    """Return the median distance from the truth, mm, of Gaussian estimates of these covariances (n, 2, 2), all alike.
+    """Return the median distance from the truth, mm, pooled over Gaussian estimates of these covariances (n, 2, 2).
 
-    What the median error of touches is to be compared with: it is less than their median `rms_mm`. The share of the
-    estimates within r is that of Gaussians in polar coordinates, integrated over the angle.
+    Compare a measured median error with this value, not with the median of `rms_mm`, which is larger. The share of
+    estimates within a radius follows from the Gaussian in polar coordinates, integrated over the angle.
     """
     angle = np.pi * (np.arange(64) + 0.5) / 64
     direction = np.stack([np.cos(angle), np.sin(angle)], axis=1)
@@ -180,33 +180,33 @@ def median_distance_mm(covariance: Floats) -> float:
 
 
 def recorded_field(recording: Recording, field: Atlas | Instrument | None = None) -> TouchField:
-    """Return the field of up to `MOST_TOUCHES` touches of a labelled recording, spread over it.
+    """Return the field of up to `MOST_TOUCHES` touches, spread evenly over a labelled recording.
 
-    Each touch has the strength that fits its own frame best.
+    Each touch gets the amplitude that fits its frame best.
 
     Parameters
     ----------
     recording : Recording
     field : Atlas or Instrument, optional
-        Where the field comes from: by default the twin of the recording's rig, of the twin's default loss.
+        Source of the field; by default the twin of the recording's rig, at the twin's default loss.
 
     Raises
     ------
     TrainingError
-        If the recording has no truth, touches or untouched frames.
+        The recording lacks labels, touches or untouched frames.
     RecordingValues
-        If there is no field given, and the recording does not say where the discs are.
+        `field` is None and the recording does not state the transducers' positions.
     SimulationError
-        If the twin cannot make the rig, or touches lie nearer to its edge than a finger can.
+        The twin cannot simulate the rig, or a touch reaches over the edge.
     """
-    place_mm, touched, untouched = labels(recording, least=1)
+    position_mm, touched, untouched = labels(recording, least=1)
     some = np.unique(np.linspace(0, len(touched) - 1, min(MOST_TOUCHES, len(touched))).round().astype(int))
-    place_mm, touched = place_mm[some].astype(np.float64), touched[some]
+    position_mm, touched = position_mm[some].astype(np.float64), touched[some]
     if isinstance(field, Atlas):
-        u = atlas_field(field, place_mm)
+        u = atlas_field(field, position_mm)
     else:
         rig = twin_of(recording) if field is None else field
-        u = twin_field(rig, [Contact(x, y, USUAL_AREA_MM2, "silicone") for x, y in place_mm.tolist()])
+        u = twin_field(rig, [Contact(x, y, USUAL_AREA_MM2, "silicone") for x, y in position_mm.tolist()])
     pairs = baseline_frames(recording.timestamp_ns, touched, untouched)
     baseline = recording.frames[pairs].mean(axis=1, dtype=np.float32)
     residual = residual_of(recording.frames[touched], baseline)
@@ -217,23 +217,23 @@ def recorded_field(recording: Recording, field: Atlas | Instrument | None = None
 
 
 def residual_noise(recording: Recording) -> float:
-    """Return the deviation of a sample of a touch's residual, ADC counts: of one frame, and the mean of two more.
+    """Return the noise deviation of a residual's sample, ADC counts: one frame less the mean of two.
 
     Raises
     ------
     TrainingError
-        If the recording has no truth, touches or untouched frames.
+        The recording lacks labels, touches or untouched frames.
     """
     return sqrt(1 + 1 / 2) * noise_of(recording.frames[labels(recording, least=1)[2]])
 
 
 def median_bound_mm(recording: Recording, field: Atlas | Instrument | None = None, noise: float | None = None) -> float:
-    """Return the median error, mm, that no unbiased estimate of a recording's touches can go below.
+    """Return the least median error, mm, that an unbiased estimator can reach on a recording's touches.
 
-    Parameters and errors as those of `recorded_field`; `noise` is by default what `residual_noise` says.
+    Parameters and errors as in `recorded_field`; `noise` defaults to `residual_noise`.
     """
     deviation = residual_noise(recording) if noise is None else noise
-    return median_distance_mm(place_covariance(recorded_field(recording, field), recording.acquisition, deviation))
+    return median_distance_mm(position_covariance(recorded_field(recording, field), recording.acquisition, deviation))
 
 
 def twin_of(recording: Recording) -> Instrument:
@@ -242,12 +242,12 @@ def twin_of(recording: Recording) -> Instrument:
     Raises
     ------
     RecordingValues
-        If the recording does not say where the discs are.
+        The recording does not state the transducers' positions.
     SimulationError
-        If the twin cannot make the rig.
+        The twin cannot simulate the rig.
     """
     meta = recording.meta
     if meta.emitter_mm is None or meta.receivers_mm is None:
-        raise RecordingValues("no places of the discs", "meta", "give emitter_mm and receivers_mm")
+        raise RecordingValues("no transducer positions", "meta", "give emitter_mm and receivers_mm")
     layout = Layout(emitter_mm=meta.emitter_mm, receivers_mm=meta.receivers_mm)
     return Instrument(meta.plate, layout=layout, acquisition=recording.acquisition)

@@ -1,4 +1,4 @@
-"""From a labelled recording to features and positions, split for training, validation and test."""
+"""Turn a labelled recording into features and positions; split them for training, validation and test."""
 
 from __future__ import annotations
 
@@ -18,47 +18,47 @@ Array = NDArray[np.float32]
 MIN_TOUCHES = 100
 PAUSE_S = 10.0
 PAUSE_RATIO = 3.0
-"""An untouched frame so much farther than the one on the other side lies beyond a pause, in which the plate changed."""
+"""An untouched frame this many times farther than the other lies across a pause, in which the plate changed."""
 BASELINE_NOISE = 1.5
-"""Noise power of a residual over that of a frame: the baseline is the mean of two."""
+"""Noise power of a residual relative to a frame's: the baseline is the mean of two frames."""
 
 
 @dataclass(frozen=True, slots=True)
 class Dataset:
-    """n touches of one finger, with the untouched plate beside each: all features in ADC counts."""
+    """Features of n single touches and of the untouched plate beside each, ADC counts."""
 
     meta: Meta
     acquisition: Acquisition
     domain: Domain
     residual: Array
-    """Features of touched less untouched, shape (n, inputs): bit for bit what the daemon would compute."""
+    """Features of touched less untouched frame, shape (n, inputs); bit for bit the daemon's."""
     signal: Array
-    """Features of the touched frame itself, shape (n, inputs): the paper's input."""
+    """Features of the touched frame, shape (n, inputs): the paper's input."""
     untouched: Array
     """Features of the untouched plate beside each touch, shape (n, inputs)."""
     stretch: Array
-    """Derivative of `untouched` by a stretch of time, shape (n, inputs): what a warmer plate adds."""
+    """Derivative of `untouched` with respect to a stretch of time, shape (n, inputs): the effect of warming."""
     delay: Array
-    """Derivative of `untouched` by a delay, shape (n, inputs), per second: what trigger jitter adds."""
+    """Derivative of `untouched` with respect to a delay, per second, shape (n, inputs): the effect of jitter."""
     position_mm: Array
     """Shape (n, 2)."""
     noise: float
-    """Standard deviation of one sample's noise, ADC counts."""
+    """Standard deviation of the noise of one sample, ADC counts."""
     sha256: str
-    """Digest of the recording's frames and truth."""
+    """SHA-256 of the recording's frames and labels."""
 
     def __len__(self) -> int:
         return len(self.residual)
 
     @property
     def noise_energy(self) -> float:
-        """Energy of the noise in a residual's samples, ADC counts squared."""
+        """Noise energy of a residual's samples, ADC counts squared."""
         return noise_energy(self.noise, self.acquisition)
 
 
 @dataclass(frozen=True, slots=True)
 class Split:
-    """Indices of the touches of each part."""
+    """Indices of the touches in each part."""
 
     train: NDArray[np.int64]
     validation: NDArray[np.int64]
@@ -66,41 +66,40 @@ class Split:
 
 
 def split(count: int, seed: int) -> Split:
-    """Return a random split into 70, 20 and 10 % (the paper's), the same for the same seed."""
+    """Split touches at random into 70, 20 and 10 % (the paper's shares); equal seeds give equal splits."""
     order = np.random.default_rng([seed, 0x5B117]).permutation(count)
     train, validation = round(0.7 * count), round(0.9 * count)
     return Split(order[:train], order[train:validation], order[validation:])
 
 
 def thin(parts: Split, share: float) -> Split:
-    """Return the split with this share of its training part; a larger share holds all of a smaller one.
+    """Keep this share of the training part; a larger share contains every smaller one.
 
     Raises
     ------
     TrainingError
-        If the share is not above 0 and at most 1, or leaves less than two touches.
+        The share is outside (0, 1], or leaves no touch.
     """
     count = round(share * len(parts.train)) if 0 < share <= 1 else 0
     if not count:
         raise TrainingError(
-            f"a share of {share:g} of {len(parts.train)} touches", "share", "use one above 0, at most 1"
+            f"a share of {share:g} of {len(parts.train)} touches", "share", "use a share above 0, at most 1"
         )
     return replace(parts, train=parts.train[:count])
 
 
 def residual_of(counts: NDArray[np.int16], baseline: Array) -> Array:
-    """Return a frame less its baseline, in the arithmetic of `touchd.detection.baseline.Baseline.subtract`."""
+    """Subtract the baseline from a frame, in the arithmetic of `touchd.detection.baseline.Baseline.subtract`."""
     return np.subtract(counts, baseline, dtype=np.float32)
 
 
 def make_dataset(recording: Recording, domain: Domain = "frequency", least: int = MIN_TOUCHES) -> Dataset:
-    """Return the features of all single touches of a labelled recording, of which there must be `least`.
+    """Compute the features of all single touches of a labelled recording.
 
     Raises
     ------
     TrainingError
-        If the recording is not labelled, has too few touches or no untouched frames, or touches lie outside
-        the plate.
+        The recording has no labels, fewer than `least` touches, no untouched frame, or a touch outside the plate.
     """
     position_mm, touched, untouched = labels(recording, least)
     pairs = baseline_frames(recording.timestamp_ns, touched, untouched)
@@ -133,7 +132,7 @@ def make_dataset(recording: Recording, domain: Domain = "frequency", least: int 
 
 
 def digest(recording: Recording) -> str:
-    """Return the SHA-256 of a recording's frames and truth, in hexadecimal."""
+    """Return the SHA-256 of a recording's frames and labels, in hexadecimal."""
     state = hashlib.sha256(np.ascontiguousarray(recording.frames).tobytes())
     if recording.contacts_mm is not None:
         state.update(np.ascontiguousarray(recording.contacts_mm).tobytes())
@@ -145,7 +144,8 @@ def baseline_frames(
 ) -> NDArray[np.int64]:
     """Return the two untouched frames beside each touched one, shape (n, 2).
 
-    One on each side: half the noise, and a steady drift cancels. Across a pause only the near one counts, twice.
+    One frame on each side halves the noise and cancels a steady drift. If one side lies across a pause, the nearer
+    frame is returned twice.
     """
     after = np.searchsorted(untouched, touched)
     pairs = untouched[np.stack([np.clip(after - 1, 0, None), np.clip(after, None, len(untouched) - 1)], axis=1)]
@@ -162,7 +162,7 @@ def labels(recording: Recording, least: int = MIN_TOUCHES) -> tuple[Array, NDArr
     Raises
     ------
     TrainingError
-        As `make_dataset`.
+        See `make_dataset`.
     """
     truth = recording.contacts_mm
     if truth is None:
@@ -186,7 +186,7 @@ def labels(recording: Recording, least: int = MIN_TOUCHES) -> tuple[Array, NDArr
             f"{outside.sum()} touches lie outside the plate of {plate.width_mm:g} x {plate.height_mm:g} mm, "
             f"the first at ({first[0]:.1f}, {first[1]:.1f})",
             "contacts_mm",
-            "correct the truth or the plate's size",
+            "correct the positions or the plate's size",
         )
     return position_mm, touched, untouched
 
@@ -199,12 +199,12 @@ def _derivative(signal: Array, sample_rate_hz: float) -> NDArray[np.float64]:
 
 
 def noise_energy(noise: float, acquisition: Acquisition) -> float:
-    """Return the energy of the noise in a residual's samples, from the deviation of a frame's."""
+    """Convert the noise deviation of a sample to the noise energy of a residual."""
     return BASELINE_NOISE * noise**2 * acquisition.channels * acquisition.samples
 
 
 def noise_of(untouched: NDArray[np.int16]) -> float:
-    """Return the deviation of a sample's noise: the lower quartile over pairs of successive untouched frames."""
+    """Estimate the noise deviation of a sample: lower quartile over pairs of successive untouched frames."""
     if len(untouched) < 2:
         return 0.0
     pairs = untouched[: 2 * (len(untouched) // 2)].astype(np.float32)

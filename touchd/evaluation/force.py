@@ -1,4 +1,4 @@
-"""Whether a contact's relative force follows the true one, whatever the place."""
+"""Score how well a contact's relative force follows the true force, at any position."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from numpy.typing import ArrayLike, NDArray
 Floats = NDArray[np.float64]
 
 FEWEST = 20
-"""Contacts of known force, below which nothing can be said."""
+"""Least number of contacts of known force for a score."""
 
 
 def force_scores(force: ArrayLike, force_n: ArrayLike) -> dict[str, float | None]:
-    """Return how well found forces of shape (m,) follow the true ones, NaN where either is unknown.
+    """Score estimated forces (m,) against true ones; NaN marks an unknown value.
 
-    `force_rank` is the rank correlation. A finger's contact area grows steadily with its true force, so it is that with
-    the area as well. `force_spread` says how much the found force depends on anything else, such as the place: the RMS
-    of force / f - 1, where f is the non-decreasing function of the true force, hence of the area, that fits best;
-    `force_spread_p95` is what 95 % of the magnitudes stay below. None with fewer than `FEWEST` contacts.
+    `force_rank` is Spearman's correlation. A finger's contact area grows monotonically with force, so it is also the
+    correlation with the area. `force_spread` is the RMS of force / f - 1, where f is the best non-decreasing function
+    of the true force: it measures how far the estimate depends on anything else, such as position. `force_spread_p95`
+    is the 95th percentile of |force / f - 1|. With fewer than `FEWEST` contacts each score is None.
     """
     found, true = np.asarray(force, float), np.asarray(force_n, float)
     known = np.isfinite(found) & np.isfinite(true)
@@ -34,7 +34,7 @@ def force_scores(force: ArrayLike, force_n: ArrayLike) -> dict[str, float | None
 
 
 def rank_correlation(one: Floats, other: Floats) -> float | None:
-    """Return Spearman's correlation of arrays of shape (m,), equals sharing their mean rank; None for a constant."""
+    """Return Spearman's correlation of arrays of shape (m,), with mean ranks for ties; None for a constant."""
     ranks = [_ranks(one), _ranks(other)]
     a, b = (rank - rank.mean() for rank in ranks)
     scale = float(np.sqrt((a @ a) * (b @ b)))
@@ -47,10 +47,10 @@ def _ranks(value: Floats) -> Floats:
 
 
 def monotone(x: Floats, y: Floats) -> Floats:
-    """Return the non-decreasing function of x that is nearest to y in least squares, at each x, shape (m,).
+    """Return the non-decreasing function of x nearest to y in least squares, at each x, shape (m,).
 
     Pool adjacent violators (Ayer et al., Ann. Math. Stat. 26:641, 1955): neighbours in the wrong order take their
-    mean, weighted by how many they are. Equal x count as one.
+    weighted mean. Equal x count as one.
     """
     _, place, count = np.unique(x, return_inverse=True, return_counts=True)
     means = np.bincount(place, weights=y) / count

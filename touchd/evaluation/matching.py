@@ -1,4 +1,4 @@
-"""Which contact is which finger, in each of many frames, and what follows from that per count of fingers."""
+"""Match contacts with fingers frame by frame, and score the matches by number of fingers."""
 
 from __future__ import annotations
 
@@ -17,81 +17,83 @@ from touchd.touch import Touch
 from touchd.tracking.assignment import assign
 
 Floats = NDArray[np.float64]
-Place = tuple[float, float]
+Position = tuple[float, float]
 
 REACH_MM = 25.0
-"""A contact farther than this from a finger is not that finger."""
-_NEVER = 1e9  # mm: finite, as the assignment asks
+"""Largest distance between a contact and its finger."""
+_NEVER = 1e9  # mm; the assignment needs finite costs
 
 
-def match(true_mm: Sequence[Place], place_mm: Sequence[Place], reach_mm: float = REACH_MM) -> list[tuple[int, int]]:
-    """Return pairs of finger and contact: the assignment of least total distance, none farther than the reach.
+def match(
+    true_mm: Sequence[Position], position_mm: Sequence[Position], reach_mm: float = REACH_MM
+) -> list[tuple[int, int]]:
+    """Assign contacts to fingers with the least total distance, none beyond `reach_mm`.
 
-    A finger without a contact costs the reach. With an infinite reach, none is left without while there are contacts.
+    A finger without a contact costs `reach_mm`. An infinite reach assigns as many pairs as possible.
 
     Parameters
     ----------
-    true_mm, place_mm : k and m points
+    true_mm, position_mm : k and m points
     reach_mm : float
 
     Returns
     -------
     list of (int, int)
-        Index of the finger and of its contact, in order of the fingers.
+        Index of finger and contact, ordered by finger.
     """
-    if not len(true_mm) or not len(place_mm):
+    if not len(true_mm) or not len(position_mm):
         return []
     reach_mm = min(reach_mm, _NEVER / 2)
     alone = [reach_mm] * len(true_mm)
     cost = []
     for x, y in true_mm:
-        apart_mm = [hypot(x - its_x, y - its_y) for its_x, its_y in place_mm]
+        apart_mm = [hypot(x - its_x, y - its_y) for its_x, its_y in position_mm]
         cost.append([d if d <= reach_mm else _NEVER for d in apart_mm] + alone)
-    return [(i, j) for i, j in enumerate(assign(cost)) if j < len(place_mm)]
+    return [(i, j) for i, j in enumerate(assign(cost)) if j < len(position_mm)]
 
 
 class Seen(NamedTuple):
-    """One frame: the fingers on the plate, and the contacts that were found."""
+    """True fingers and found contacts of one frame."""
 
-    true_mm: Sequence[Place]
+    true_mm: Sequence[Position]
     found: Sequence[Touch]
     force_n: Sequence[float] | None = None
-    """Of each finger, NaN where unknown."""
+    """Force of each finger, NaN if unknown."""
 
 
 @dataclass(frozen=True, slots=True)
 class Matches:
-    """n frames, m contacts that belong to a finger."""
+    """n frames and their m matched contacts."""
 
     fingers: NDArray[np.int64]
-    """On the plate in each frame, shape (n,)."""
+    """Number of fingers in each frame, shape (n,)."""
     contacts: NDArray[np.int64]
-    """Found in each frame, shape (n,)."""
+    """Number of contacts in each frame, shape (n,)."""
     told_apart: NDArray[np.bool_]
-    """Whether there are as many contacts as fingers, and each is nearer to its own than to any other, shape (n,)."""
+    """Whether contacts and fingers are equal in number and each contact is nearest to its own finger, shape (n,)."""
     frame: NDArray[np.int64]
-    """In which of the n frames each matched contact is, shape (m,)."""
+    """Frame of each matched contact, shape (m,)."""
     judged: Judgement
-    """Their places beside the truth, m touches."""
+    """Estimated and true positions of the matched contacts."""
     force: Floats
-    """As found, shape (m,), NaN where unknown."""
+    """Estimated relative force, shape (m,), NaN if unknown."""
     force_n: Floats
-    """The truth, shape (m,), NaN where unknown."""
+    """True force, shape (m,), NaN if unknown."""
 
     def of(self, chosen: NDArray[np.bool_]) -> Matches:
-        """Return those of the chosen frames, shape (n,)."""
+        """Select frames by a mask of shape (n,)."""
         mine = chosen[self.frame]
         j = self.judged
         return Matches(
             self.fingers[chosen], self.contacts[chosen], self.told_apart[chosen],
             (np.cumsum(chosen) - 1)[self.frame[mine]],
-            Judgement(j.true_mm[mine], j.place_mm[mine], j.sigma_mm[mine], j.confidence[mine]),
+            Judgement(j.true_mm[mine], j.position_mm[mine], j.sigma_mm[mine], j.confidence[mine]),
             self.force[mine], self.force_n[mine],
         )  # fmt: skip
 
 
 def match_frames(frames: Iterable[Seen], reach_mm: float = REACH_MM) -> Matches:
-    """Match the contacts of each frame with its fingers; see `match`."""
+    """Match contacts with fingers in each frame; see `match`."""
     fingers, contacts, told_apart, where, rows = [], [], [], [], []
     for number, seen in enumerate(frames):
         places = [(touch.x_mm, touch.y_mm) for touch in seen.found]
@@ -113,18 +115,25 @@ def match_frames(frames: Iterable[Seen], reach_mm: float = REACH_MM) -> Matches:
     )  # fmt: skip
 
 
-def _nearest(place: Place, points: Sequence[Place]) -> int:
+def _nearest(place: Position, points: Sequence[Position]) -> int:
     return min(range(len(points)), key=lambda i: hypot(points[i][0] - place[0], points[i][1] - place[1]))
 
 
 def scores_by_fingers(matches: Matches) -> dict[str, dict[str, Any]]:
-    """Return the scores of the frames with none, one, two, ... fingers; counts that do not occur are left out.
+    """Return the scores of the frames with 0, 1, 2, ... fingers, for the numbers that occur.
 
-    `n` frames; `count_right`, the share with as many contacts as fingers; `missed` fingers and `ghosts`, contacts that
-    are no finger's, over all frames; the position scores of matched contacts; `all_within_1_mm` and `_2_mm`, the share
-    of frames in which each finger has a contact so near; `told_apart`, see `Matches`; `within_1_sigma` and `_2_sigma`,
-    the share of errors, each axis by itself; and `touchd.evaluation.force.force_scores`. What has nothing to be made
-    of is None.
+    ==================================  =========================================================================
+    `n`                                 frames
+    `count_right`                       share of frames with as many contacts as fingers
+    `missed`, `ghosts`                  fingers without contact, contacts without finger
+    `rmse_mm`, `median_mm`, ...         position scores of matched contacts
+    `all_within_1_mm`, `_2_mm`          share of frames in which every finger has a contact within 1 or 2 mm
+    `told_apart`                        share of frames, see `Matches`
+    `within_1_sigma`, `_2_sigma`        share of errors per axis within 1 or 2 predicted standard errors
+    `force_rank`, ...                   see `touchd.evaluation.force.force_scores`
+    ==================================  =========================================================================
+
+    A score without data is None.
     """
     return {str(k): _scores(matches.of(matches.fingers == k), int(k)) for k in np.unique(matches.fingers)}
 

@@ -1,4 +1,4 @@
-"""Scores of positions against the truth, each under its own name."""
+"""Statistics of position errors."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from numpy.typing import ArrayLike
 
 
 def position_scores(error_mm: ArrayLike) -> dict[str, float]:
-    """Return the scores of n position errors, of shape (n, 2), in mm.
+    """Return the statistics of n position errors of shape (n, 2), mm.
 
     `rmse_mm` is sqrt(mean ||error||^2) (Bahrami et al. 2022); the others are statistics of ||error||.
 
     Raises
     ------
     ValueError
-        If there is no error to score.
+        n is 0.
     """
     distance_mm = np.linalg.norm(np.asarray(error_mm, float).reshape(-1, 2), axis=1)
     if not len(distance_mm):

@@ -1,4 +1,4 @@
-"""A model judged on single touches: what it says of each, and its scores."""
+"""Score a model on single touches."""
 
 from __future__ import annotations
 
@@ -15,26 +15,27 @@ from touchd.localization.model import Description, Model
 
 @dataclass(frozen=True, slots=True)
 class Judgement:
-    """What a model said of n touches, beside the truth."""
+    """Estimates of a model for n touches, with the true positions."""
 
     true_mm: NDArray[np.float32]
-    """Shape (n, 2)."""
-    place_mm: NDArray[np.float64]
-    """Shape (n, 2)."""
+    """True positions, shape (n, 2)."""
+    position_mm: NDArray[np.float64]
+    """Estimated positions, shape (n, 2)."""
     sigma_mm: NDArray[np.float64]
-    """Predicted standard error of either axis, shape (n,)."""
+    """Predicted standard error per axis, shape (n,)."""
     confidence: NDArray[np.float64]
     """Shape (n,)."""
     true_class: NDArray[np.int64] | None = None
-    """Grid and keypad heads: number of the zone or key, shape (n,); beside all keys it is that of the keys."""
+    """Grid and keypad heads: true zone or key, shape (n,); `keys` for a touch beside all keys."""
     found_class: NDArray[np.int64] | None = None
+    """Estimated zone or key, shape (n,)."""
     keys: int = 0
-    """Keypad head: how many keys there are."""
+    """Keypad head: number of keys."""
 
     @property
     def error_mm(self) -> NDArray[np.float64]:
-        """Position less truth, shape (n, 2)."""
-        return np.asarray(self.place_mm - self.true_mm)
+        """Estimated less true position, shape (n, 2)."""
+        return np.asarray(self.position_mm - self.true_mm)
 
     @property
     def distance_mm(self) -> NDArray[np.float64]:
@@ -43,9 +44,9 @@ class Judgement:
 
 
 def judge(model: Model, features: NDArray[np.float32], true_mm: NDArray[np.float32], noise_energy: float) -> Judgement:
-    """Return what a model says of features of shape (n, inputs), one by one as the daemon asks it.
+    """Run a model on features of shape (n, inputs), one touch at a time as the daemon does.
 
-    `noise_energy` is that of an untouched residual, ADC counts squared.
+    `noise_energy` is the energy of an untouched residual, ADC counts squared.
     """
     d = model.description
     route = make_features(d.domain, d.acquisition)
@@ -62,11 +63,11 @@ def judge(model: Model, features: NDArray[np.float32], true_mm: NDArray[np.float
     if d.head == "regression":
         return plain
     keys = len(d.layout.key) if d.layout and d.head == "keypad" else 0
-    return Judgement(true_mm, plain.place_mm, plain.sigma_mm, plain.confidence, classes(true_mm, d), found, keys)
+    return Judgement(true_mm, plain.position_mm, plain.sigma_mm, plain.confidence, classes(true_mm, d), found, keys)
 
 
 def classes(true_mm: NDArray[np.float32], description: Description) -> NDArray[np.int64]:
-    """Return the zone of a grid, or the key of a layout, under each position (n, 2)."""
+    """Return the true class of each position (n, 2): zone of a grid, or key of a layout."""
     if description.head == "keypad" and description.layout is not None:
         return labels_of(true_mm, description.layout)
     plate = description.plate
@@ -74,29 +75,29 @@ def classes(true_mm: NDArray[np.float32], description: Description) -> NDArray[n
 
 
 def zones_of(position_mm: NDArray[np.floating], grid: int, size_mm: NDArray[np.floating]) -> NDArray[np.int64]:
-    """Return the zone of each position (n, 2), counted row by row, on a grid over a plate of this size (2,)."""
+    """Return the zone of each position (n, 2), row by row; `size_mm` (2,) is the plate's size."""
     column, row = np.clip(position_mm / size_mm * grid, 0, grid - 1e-6).astype(np.int64).T
     return np.asarray(row * grid + column)
 
 
 def labels_of(position_mm: NDArray[np.floating], layout: Layout) -> NDArray[np.int64]:
-    """Return the number of the key under each position (n, 2), that of the keys where there is none."""
+    """Return the index of the key under each position (n, 2), or the number of keys beside all keys."""
     labels = np.full(len(position_mm), len(layout.key))
-    place_mm = position_mm.astype(np.float64)
-    for number, key in reversed(list(enumerate(layout.key))):  # of keys that overlap the first counts, as in Layout.at
-        offset_mm = place_mm - [key.x_mm, key.y_mm]
+    exact_mm = position_mm.astype(np.float64)
+    for number, key in reversed(list(enumerate(layout.key))):  # the first of overlapping keys wins, as in Layout.at
+        offset_mm = exact_mm - [key.x_mm, key.y_mm]
         labels[((offset_mm >= 0) & (offset_mm < [key.width_mm, key.height_mm])).all(axis=1)] = number
     return labels
 
 
 def key_scores(found: NDArray[np.int64], truth: NDArray[np.int64], keys: int) -> dict[str, float]:
-    """Return the accuracy, and how many touches of a key were taken for another key; class `keys` is no key."""
+    """Return the accuracy, and the number of touches of one key assigned to another; class `keys` means no key."""
     wrong = (found != truth) & (found != keys) & (truth != keys)
     return {"accuracy": float((found == truth).mean()), "key_to_key_errors": float(wrong.sum())}
 
 
 def scores(judged: Judgement) -> dict[str, float]:
-    """Return the scores of a judgement: of the position, and by head of its sigma or its classes."""
+    """Return position scores, and those of sigma (regression) or of the classes (grid, keypad)."""
     found = position_scores(judged.error_mm) | {"confident": float((judged.confidence >= 0.5).mean())}
     if judged.true_class is None or judged.found_class is None:
         return found | {"within_sigma": float((np.abs(judged.error_mm) <= judged.sigma_mm[:, None]).mean())}

@@ -1,4 +1,4 @@
-"""Scores of a whole replay: which of the recording's touches were found, and how well."""
+"""Score a replay: match published contacts with the recording's true touches."""
 
 from __future__ import annotations
 
@@ -10,60 +10,60 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.evaluation.matching import Matches, Place, Seen, match, match_frames
+from touchd.evaluation.matching import Matches, Position, Seen, match, match_frames
 from touchd.evaluation.truth import TrueTouch, fingers_only, true_touches
 from touchd.event import TouchEvent
 from touchd.recording.data import Recording
 from touchd.touch import Touch
 
 SLACK_FRAMES = 10
-"""A contact may end so many frames after its touch: release and filter take their time."""
+"""A contact may end this many frames after its touch, because release and filter lag."""
 
 
 @dataclass(slots=True)
 class FoundContact:
-    """One contact as the events tell it, from its first message to its last."""
+    """A contact's messages, from first to last."""
 
     frames: list[int] = field(default_factory=list)
-    position_mm: list[Place] = field(default_factory=list)
+    position_mm: list[Position] = field(default_factory=list)
     downs: int = 0
     ups: int = 0
     followed: list[int | None] = field(default_factory=list)
-    """In each of its frames the index of the touch that it is, by `match`; None if it is none."""
+    """Index of the touch that each message matches, by `match`; None if none."""
     touch: int | None = None
-    """Index of the touch that it is on the whole; None for a ghost."""
+    """Index of the touch that the contact belongs to; None for a ghost."""
 
 
 @dataclass(frozen=True, slots=True)
 class StreamScores:
-    """How a replay's contacts match the truth."""
+    """Counts and errors of a replay's contacts against the true touches."""
 
     touches: int
     found: int
     """Touches with at least one contact."""
     missed: int
     ghosts: int
-    """Contacts that belong to no touch."""
+    """Contacts without a touch."""
     split: int
     """Contacts beyond the first of a touch."""
     switches: int
-    """How often a contact went on as another finger."""
+    """Times that a contact's id jumps to another finger."""
     clean: bool
     """Whether each contact has exactly one down and one up."""
     error_mm: NDArray[np.float64]
-    """Position less truth for each contact of each message, shape (n, 2)."""
+    """Estimated less true position for each contact of each message, shape (n, 2)."""
     moving: NDArray[np.bool_]
-    """Whether the finger was moving, for each error, shape (n,)."""
+    """Whether the finger moves, for each error, shape (n,)."""
     jitter_mm: float | None
-    """RMS distance of a still finger's positions from their own mean, over all touches."""
+    """RMS distance of a still finger's positions from their mean, over all touches."""
     down_latency_ms: float | None
-    """Median time from a touch's first frame to that of its contact's first message."""
+    """Median time from a touch's first frame to its first message."""
     settled: Matches
-    """What a subscriber believes in each frame that is settled, beside the truth; see `settled_frames`."""
+    """Contacts and fingers of the settled frames; see `settled_frames`."""
 
 
 def found_contacts(events: Iterable[TouchEvent]) -> list[FoundContact]:
-    """Return the contacts that touch messages tell of, in order of their ids."""
+    """Collect the contacts of touch messages, ordered by id."""
     contacts: dict[int, FoundContact] = {}
     for event in events:
         for contact in event.contacts:
@@ -77,11 +77,11 @@ def found_contacts(events: Iterable[TouchEvent]) -> list[FoundContact]:
 
 
 def score_stream(recording: Recording, events: Sequence[TouchEvent]) -> StreamScores:
-    """Match the contacts of a replay's touch messages with the fingers of the recording's truth.
+    """Match the contacts of a replay's touch messages with the recording's true fingers.
 
-    In each message contacts and fingers are assigned to each other, see `match`. A contact is the touch that it follows
-    in most messages, of those which began before it. It is a ghost if it follows none in at least half of the messages
-    in which there is a finger.
+    Each message assigns contacts to fingers, see `match`. A contact belongs to the touch that it matches in most
+    messages, among touches that began before it. It is a ghost if it matches no touch in at least half of the messages
+    in which a finger is down.
     """
     recording = fingers_only(recording)
     touches, contacts = true_touches(recording), found_contacts(events)
@@ -99,7 +99,7 @@ def score_stream(recording: Recording, events: Sequence[TouchEvent]) -> StreamSc
         for mine, touch in zip(owned, touches, strict=True) if mine
     ]  # fmt: skip
     still = [error[~moving] for error, moving in parts if not moving.all()]
-    # Of a still finger, what differs from its own mean is jitter.
+    # The scatter of a still finger about its own mean is jitter.
     wander = [np.square(error - error.mean(axis=0)).sum(axis=1) for error in still]
     found = sum(map(bool, owned))
     return StreamScores(
@@ -119,9 +119,9 @@ def score_stream(recording: Recording, events: Sequence[TouchEvent]) -> StreamSc
 
 
 def settled_frames(recording: Recording, events: Iterable[TouchEvent]) -> Iterator[Seen]:
-    """Yield what a subscriber believes in each frame: the contacts of the last message that are not up.
+    """Yield a subscriber's contacts for each settled frame: those of the last message that are not up.
 
-    Frames less than `SLACK_FRAMES` after a finger landed or lifted are left out: confirming that takes its time.
+    A frame is settled `SLACK_FRAMES` after the last finger landed or lifted; confirmation takes that time.
     """
     truth = recording.contacts_mm
     if truth is None:
@@ -144,7 +144,7 @@ def settled_frames(recording: Recording, events: Iterable[TouchEvent]) -> Iterat
 
 
 Rows = dict[int, dict[int, int]]
-"""By frame: the touches that are down in it, each with the row of that frame."""
+"""By frame: index of each touch that is down, and the frame's row in that touch."""
 Errors = dict[tuple[int, int], tuple[NDArray[np.float64], NDArray[np.bool_]]]
 
 
@@ -157,7 +157,7 @@ def _rows(touches: list[TrueTouch]) -> Rows:
 
 
 def _follow(contacts: list[FoundContact], touches: list[TrueTouch], rows: Rows) -> None:
-    """Find out which touch each contact is, message by message."""
+    """Match each contact with a touch, message by message."""
     messages: dict[int, list[tuple[FoundContact, int]]] = {}
     for contact in contacts:
         contact.followed = [None] * len(contact.frames)
@@ -189,10 +189,10 @@ def _switches(contact: FoundContact) -> int:
 
 
 def _errors(contacts: list[FoundContact], touches: list[TrueTouch], rows: Rows) -> Errors:
-    """Return position less truth, (n, 2), and whether the finger moved, (n,), by contact and touch.
+    """Return estimated less true position (n, 2) and whether the finger moves (n,), by contact and touch.
 
-    Where a contact is no finger for a moment, being too far from any, it is compared with its own touch still, unless
-    another contact is that one now: large errors count.
+    A contact too far from every finger is compared with its own touch, unless another contact matches that touch:
+    large errors count.
     """
     taken = {
         (number, index)
@@ -216,6 +216,6 @@ def _errors(contacts: list[FoundContact], touches: list[TrueTouch], rows: Rows) 
     return {key: (table[:, :2], table[:, 2] > 0) for key, table in tables.items()}
 
 
-def _place(touch: TrueTouch, row: int) -> Place:
+def _place(touch: TrueTouch, row: int) -> Position:
     x_mm, y_mm = touch.position_mm[row].tolist()
     return x_mm, y_mm

@@ -1,4 +1,4 @@
-"""Touched frames one by one: what the daemon would have of each, the fingers on the plate, and what is found."""
+"""Score single touched frames: each frame's baseline and residual, true fingers, and the touches found."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ Array = NDArray[np.float32]
 
 
 class Look(NamedTuple):
-    """One touched frame as the daemon would have it: all of shape (channels, samples), ADC counts."""
+    """A touched frame with its baseline, each of shape (channels, samples), ADC counts."""
 
     counts: Counts
     baseline: Array
@@ -41,57 +41,57 @@ class Look(NamedTuple):
 
 
 Find = Callable[[Look], Sequence[Touch]]
-"""Returns the touches found in one frame, in any order, knowing nothing of the frames before."""
+"""Finds the touches of one frame, in any order, without knowledge of earlier frames."""
 
 
 @dataclass(frozen=True, slots=True)
 class TouchedFrames:
-    """n frames in which something touches the plate, by k fingers at most or by something else."""
+    """n touched frames with at most k fingers; a frame may also hold a palm or water."""
 
     acquisition: Acquisition
     counts: Counts
     """All frames of the recording, shape (m, channels, samples)."""
     touched: NDArray[np.int64]
-    """Which of them these are, shape (n,)."""
+    """Indices of the touched frames, shape (n,)."""
     beside: NDArray[np.int64]
-    """The two untouched ones beside each, whose mean is its baseline, shape (n, 2)."""
+    """Indices of the two untouched frames whose mean is the baseline, shape (n, 2)."""
     true_mm: Array
-    """Shape (n, k, 2), NaN where a finger is not touching."""
+    """Positions, shape (n, k, 2), NaN for a finger that is up."""
     force_n: Array | None
-    """Shape (n, k), NaN where unknown or not touching."""
+    """Forces, shape (n, k), NaN if unknown or up."""
 
     def __len__(self) -> int:
         return len(self.touched)
 
     @property
     def fingers(self) -> NDArray[np.int64]:
-        """How many touch in each frame, shape (n,)."""
+        """Number of fingers in each frame, shape (n,)."""
         return np.asarray(np.isfinite(self.true_mm[:, :, 0]).sum(axis=1))
 
     def baseline(self, i: int) -> Array:
-        """Return the untouched plate beside frame i, shape (channels, samples)."""
+        """Return the baseline of frame i, shape (channels, samples)."""
         return np.asarray(self.counts[self.beside[i]].mean(axis=0, dtype=np.float32))
 
     def noise_energy(self) -> float:
-        """Return the energy of the noise in a residual, ADC counts squared."""
+        """Return the noise energy of a residual, ADC counts squared."""
         return noise_energy(noise_of(self.counts[np.unique(self.beside)]), self.acquisition)
 
     def look(self, i: int) -> Look:
-        """Return frame i as the daemon would have it."""
+        """Return frame i with its baseline and residual."""
         counts, baseline = self.counts[self.touched[i]], self.baseline(i)
         return Look(counts, baseline, residual_of(counts, baseline))
 
 
 def touched_frames(recording: Recording) -> TouchedFrames:
-    """Return the touched frames of a labelled recording, each with the untouched frames beside it.
+    """Collect the touched frames of a labelled recording and the untouched frames beside each.
 
     Raises
     ------
     RecordingValues
-        If there is no touched or no untouched frame, or the truth lies outside the plate.
+        The recording lacks touched or untouched frames, or a true position lies outside the plate.
     """
     truth = recording.contacts_mm
-    assert truth is not None  # the verb has seen it
+    assert truth is not None  # checked by the caller
     _check_inside(recording, truth)
     touching = np.isfinite(truth[:, :, 0]).any(axis=1)
     touched, untouched = np.flatnonzero(touching), np.flatnonzero(~touching)
@@ -111,11 +111,11 @@ def touched_frames(recording: Recording) -> TouchedFrames:
 
 
 def find_with(model: Model, atlas: Atlas | None, frames: TouchedFrames) -> Find:
-    """Return the daemon's localizer for a model and an atlas, if any, asked about single frames: each is a touch-down.
+    """Return the daemon's localizer as a function of single frames, each of them a touch-down.
 
-    The baseline of a frame is the mean of two untouched ones, so its residual has the noise of one and a half frames;
-    the noise model takes the difference of those two, which has that of two. A network without an atlas places one
-    finger in every frame, however unsure it is: it knows single fingers only.
+    The baseline is the mean of two untouched frames, so a residual has 1.5 times the noise power of a frame. The noise
+    model gets differences of these two frames, scaled from twice that power. A network without an atlas locates one
+    finger in every frame, at any confidence.
     """
     always = {"min_confidence": 0, "keep_confidence": 0, "max_sigma_mm": 1e9, "min_snr_db": 0}
     localizer: Localizer
@@ -143,7 +143,7 @@ def find_with(model: Model, atlas: Atlas | None, frames: TouchedFrames) -> Find:
 
 
 def network_features(model: Model, frames: TouchedFrames) -> Array:
-    """Return what a network takes of each frame, shape (n, inputs)."""
+    """Return the network's features of each frame, shape (n, inputs)."""
     extract = make_features(model.description.domain, frames.acquisition).extract
     features = np.empty((len(frames), model.description.inputs), np.float32)
     of_residual = model.description.input == "residual"
@@ -154,13 +154,13 @@ def network_features(model: Model, frames: TouchedFrames) -> Array:
 
 
 def see(find: Find, frames: TouchedFrames) -> list[Seen]:
-    """Return what is found in each frame, one by one as the daemon asks."""
+    """Find the touches of each frame, one frame at a time as the daemon does."""
     seen = []
     for i in range(len(frames)):
         down = np.isfinite(frames.true_mm[i, :, 0])
-        places_mm = [(x_mm, y_mm) for x_mm, y_mm in frames.true_mm[i, down].tolist()]
+        positions_mm = [(x_mm, y_mm) for x_mm, y_mm in frames.true_mm[i, down].tolist()]
         force_n = frames.force_n[i, down].tolist() if frames.force_n is not None else None
-        seen.append(Seen(places_mm, tuple(find(frames.look(i))), force_n))
+        seen.append(Seen(positions_mm, tuple(find(frames.look(i))), force_n))
     return seen
 
 
@@ -173,5 +173,5 @@ def _check_inside(recording: Recording, truth: Array) -> None:
             f"{outside.sum()} touches lie outside the plate of {plate.width_mm:g} x {plate.height_mm:g} mm, the first "
             f"at ({x_mm:.1f}, {y_mm:.1f})",
             "contacts_mm",
-            "correct the truth or the plate's size",
+            "correct the positions or the plate's size",
         )

@@ -1,4 +1,4 @@
-"""What a recording's truth says: which contacts are fingers, and when each of them touched."""
+"""Extract the true touches from a recording's labels."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from touchd.recording.data import Recording
 
 STILL_MM_S = 5.0
-"""A finger slower than this is still; a faster one moves."""
+"""Fingers below this speed are still, mm/s."""
 
 
 @dataclass(frozen=True, slots=True)
 class TrueTouch:
-    """One touch of the truth: a run of frames of one finger."""
+    """One touch: a run of frames of one finger."""
 
     start_s: float
     """Time of its first frame."""
@@ -28,10 +28,9 @@ class TrueTouch:
 
 
 def fingers_only(recording: Recording) -> Recording:
-    """Return the recording with no truth but that of fingers.
+    """Remove the labels of palms and drops from a simulated recording; contacts found there then count as ghosts.
 
-    The twin's palms and drops have a place but no force. Whatever is found there was put there by nobody's finger.
-    Elsewhere an unknown force says nothing.
+    The twin labels palms and drops with a position but no force. In other recordings an unknown force means nothing.
     """
     truth, force_n = recording.contacts_mm, recording.force_n
     if truth is None or force_n is None or recording.meta.source != "simulated":
@@ -40,7 +39,7 @@ def fingers_only(recording: Recording) -> Recording:
 
 
 def true_touches(recording: Recording) -> list[TrueTouch]:
-    """Return the touches of a recording's truth, in order of their first frames."""
+    """Return a recording's true touches, ordered by first frame."""
     if recording.contacts_mm is None:
         return []
     touches: list[TrueTouch] = []
@@ -57,7 +56,7 @@ def true_touches(recording: Recording) -> list[TrueTouch]:
 
 
 def _moving(position_mm: NDArray[np.float32], timestamp_ns: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Return in which frames a finger is faster than `STILL_MM_S`, shape (n,)."""
+    """Return whether a finger is faster than `STILL_MM_S` in each frame, shape (n,)."""
     moving = np.zeros(len(position_mm), bool)
     if len(position_mm) > 1:
         speed_mm_s = np.linalg.norm(np.diff(position_mm, axis=0), axis=1) / (np.diff(timestamp_ns) * 1e-9)

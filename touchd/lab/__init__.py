@@ -1,1 +1,1 @@
-"""Measurements of everything else: run time against error, and the source paper's experiments."""
+"""Measure the other rooms: run time against error, and the source paper's experiments."""

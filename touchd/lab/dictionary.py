@@ -1,6 +1,6 @@
-"""Estimators that keep every recorded touch and look up the one most like the frame: kNN and GCC.
+"""Estimators that compare a frame with every recorded touch: kNN and GCC.
 
-They need no training, and the memory and the time of all they keep: the source paper argues against both.
+They need no training, but memory and time for all recorded touches, which is the source paper's argument against them.
 """
 
 from __future__ import annotations
@@ -12,18 +12,18 @@ from sklearn.neighbors import NearestNeighbors
 Rows = NDArray[np.float32]
 
 LAGS_S = np.arange(-8, 9, 2) * 1e-6
-"""Delays at which two signals are compared: two samples of the reference acquisition to either side."""
+"""Delays at which two signals are compared: up to two samples of the reference acquisition."""
 
 
 class Nearest:
-    """kNN: the mean position of the k recorded touches at the least distance.
+    """kNN: mean position of the k nearest recorded touches.
 
     Parameters
     ----------
     features : array of shape (n, inputs)
     position_mm : array of shape (n, 2)
     k : int
-        The paper takes 1.
+        The paper uses 1.
     """
 
     def __init__(self, features: Rows, position_mm: Rows, k: int = 1) -> None:
@@ -40,13 +40,13 @@ class Nearest:
 class Correlation:
     """GCC: the position of the recorded touch with the highest generalised cross-correlation.
 
-    All bins count alike (the phase transform, PHAT: Knapp and Carter, IEEE Trans. ASSP 24(4), 1976), the
-    channels' correlations are added, and their peak is looked for within `LAGS_S`.
+    All bins have equal weight (phase transform, PHAT: Knapp and Carter, IEEE Trans. ASSP 24(4), 1976). The correlations
+    of the channels are summed, and their peak is sought within `LAGS_S`.
 
     Parameters
     ----------
     features : array of shape (n, inputs)
-        In the frequency domain: real and imaginary parts of the bins, channel by channel.
+        Frequency-domain features: real and imaginary parts of the bins, channel by channel.
     position_mm : array of shape (n, 2)
     channels : int
     f_hz : array of shape (bins,)
@@ -66,7 +66,7 @@ class Correlation:
         return np.asarray(self._position_mm[self.correlate(features).argmax(axis=1)])
 
     def correlate(self, features: Rows) -> Rows:
-        """Return the peaks of the correlation with each recorded touch, shape (m, n); 1 for the same signal."""
+        """Return the correlation peak with each recorded touch, shape (m, n); 1 for an equal signal."""
         white = self._whitened(features)
         peak = np.full((len(white), len(self._kept)), -np.inf, np.float32)
         for turn in self._turns:

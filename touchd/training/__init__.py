@@ -1,1 +1,1 @@
-"""From a labelled recording to a model: `train_network` and `train_atlas` are the front doors."""
+"""Train a model on a labelled recording: `train_network` and `train_atlas` are the front doors."""

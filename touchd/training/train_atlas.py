@@ -1,4 +1,4 @@
-"""Train a network and its field atlas on one labelled recording. Reads from top to bottom."""
+"""Train a network and its field atlas on one labelled recording."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from touchd.evaluation.dataset import Split, digest, make_dataset, split
 from touchd.localization.atlas import Atlas, atlas_path, save_atlas
 from touchd.localization.model import Model
 from touchd.recording.data import Recording
-from touchd.training.data.inspection import freedom, inspect
+from touchd.training.data.inspection import degrees_of_freedom, inspect
 from touchd.training.data.one_temperature import at_one_temperature
 from touchd.training.field.dispersion import Dispersion, dispersion_of, fitted_note
 from touchd.training.field.learn import Learned, learn_thoroughly
@@ -21,36 +21,36 @@ from touchd.training.field.regression import Floats, touches_of
 from touchd.training.network.export import put_model
 from touchd.training.network.loop import Progress
 from touchd.training.network.recipe import RECIPES
-from touchd.training.train_network import Result, Say, train
+from touchd.training.train_network import Result, Warn, train
 
 AMPLE = 2.0
-"""Touches for each degree of freedom: with 0.9, 1.4, 1.8, 2.3 and 4.6 the RMSE was 0.78, 0.47, 0.30, 0.22, 0.08 mm."""
+"""Touches per degree of freedom: with 0.9, 1.4, 1.8, 2.3 and 4.6 the RMSE was 0.78, 0.47, 0.30, 0.22, 0.08 mm."""
 HOPELESS = 0.5
-"""With 0.7 it was 1.1 mm from starts at the truth: no better than a network's, and steeply rising."""
+"""With 0.7 touches per degree of freedom the RMSE was 1.1 mm, even from true starts: no better than a network's."""
 TRAINING_SHARE = 0.7
 
 
 @dataclass(frozen=True, slots=True)
 class AtlasResult:
-    """A field atlas beside its network, and how well it does on touches that neither ever saw."""
+    """A field atlas with its network, and their scores on the test touches."""
 
     path: Path
     atlas: Atlas
     model: Model
     network: Result | None
-    """Of the network's training; None for one that was there already."""
+    """Result of training the network; None for a given network."""
     learned: Learned
     dispersion: Dispersion
     parts: Split
     trial: Trial
     calibration: Calibration
     notes: list[str]
-    """What the user should know."""
+    """Warnings for the user."""
     duration_s: float
 
     @property
     def scores(self) -> dict[str, float]:
-        """Of the test touches."""
+        """Scores on the test touches."""
         return self.atlas.description.scores
 
 
@@ -63,24 +63,24 @@ def train_atlas(
     epochs: int | None = None,
     command: str = "",
     progress: Progress = lambda _what, _done, _all, _rmse_mm: None,
-    warn: Say = lambda _note: None,
+    warn: Warn = lambda _note: None,
 ) -> AtlasResult:
-    """Train a field atlas, and the network that it starts from, and write both: `plate.onnx`, `plate.atlas.npz`.
+    """Train a field atlas and its starting network, and write both: `plate.onnx`, `plate.atlas.npz`.
 
     Parameters
     ----------
     recording : Recording
     path : Path
-        Of the network to write.
+        Network file to write.
     network : Path, optional
-        One trained on this recording before, to be used instead of training one; its split is used, `seed` is not.
+        Network trained on this recording, instead of training one; its split replaces that of `seed`.
     seed, epochs, command, progress, warn
-        As of `touchd.training.train_network.train`.
+        See `touchd.training.train_network.train`.
 
     Raises
     ------
     ModelMismatch
-        If the network was trained on another recording, or does not answer with positions.
+        The network was trained on another recording, or is no regression.
     TrainingError, OutputError
     """
     started_s = time.monotonic()
@@ -97,8 +97,8 @@ def train_atlas(
     steady, reference = at_one_temperature(recording, plain)
     touches = touches_of(steady, parts.train)
     dispersion = dispersion_of(steady, touches)
-    audible = informative(signal_over_noise(touches_of(steady, parts.validation)))
-    for text in check_density(touches.place_mm, float(dispersion.wavenumber_per_mm[audible[-1]])):
+    snr = informative(signal_over_noise(touches_of(steady, parts.validation)))
+    for text in check_density(touches.position_mm, float(dispersion.wavenumber_per_mm[snr[-1]])):
         note(text)
     learned = learn_thoroughly(
         touches, dispersion.wavenumber_per_mm, lambda done, steps: progress("field", done, steps, float("nan"))
@@ -135,16 +135,16 @@ def train_atlas(
     )
 
 
-def check_density(place_mm: Floats, wavenumber_per_mm: float) -> Iterator[str]:
-    """Tell when touches (n, 2) for training are fewer than an atlas needs in its finest bin.
+def check_density(position_mm: Floats, wavenumber_per_mm: float) -> Iterator[str]:
+    """Warn if the training touches (n, 2) are too few for the atlas' finest bin.
 
     Raises
     ------
     TrainingError
-        If they are so few that it would place nothing.
+        They are so few that the atlas could not locate a touch.
     """
-    least = freedom(place_mm, wavenumber_per_mm)
-    have = len(place_mm)
+    least = degrees_of_freedom(position_mm, wavenumber_per_mm)
+    have = len(position_mm)
     if have < HOPELESS * least:
         raise TrainingError(
             f"{have} touches for training: an atlas of this part of the plate has {least:.0f} degrees of freedom",
@@ -158,23 +158,23 @@ def check_density(place_mm: Floats, wavenumber_per_mm: float) -> Iterator[str]:
 
 
 def _fitting(model: Model, path: Path, recording: Recording) -> Model:
-    """Return the model if an atlas of this recording can start from it."""
+    """Return the model if it can start an atlas of this recording, else raise ModelMismatch."""
     d = model.description
     if d.head != "regression" or d.domain != "frequency" or d.input != "residual":
         raise ModelMismatch(
-            f"the recipe {d.name} gives no start for an atlas", str(path), "use a network of the recipe best or small"
+            f"the recipe {d.name} cannot start an atlas", str(path), "use a network of the recipe best or small"
         )
     if d.data_sha256 != digest(recording):
         raise ModelMismatch(
-            "was trained on another recording than this",
+            "trained on another recording",
             str(path),
-            "name the recording that it was trained on, or train both anew: leave --network out",
+            "name the recording that it was trained on, or omit --network to train both",
         )
     return model
 
 
 def _copy(network: Path, path: Path) -> Model:
-    """Put a network where it is wanted, whole or not at all."""
+    """Copy a network to `path` atomically and load it."""
     if path.exists() and path.samefile(network):
         return Model(path)
     return put_model(network.read_bytes(), path)

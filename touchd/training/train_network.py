@@ -1,4 +1,4 @@
-"""Train a model on a labelled recording, by a recipe. Reads from top to bottom."""
+"""Train a model on a labelled recording by a recipe."""
 
 from __future__ import annotations
 
@@ -26,46 +26,46 @@ from touchd.training.field.dispersion import fitted_note, is_known
 from touchd.training.field.few_touches import learn_field
 from touchd.training.field.learn import Field
 from touchd.training.network.export import describe, make_graph, write_model
-from touchd.training.network.export_check import TOLERANCE, Exactness, check_graph
+from touchd.training.network.export_check import TOLERANCE, ExportDifference, check_graph
 from touchd.training.network.loop import Batches, Curve, Progress, fit
-from touchd.training.network.network import PlainRegression, Regression
-from touchd.training.network.objectives import Batch, Positions, make_task
+from touchd.training.network.network import PaperNetwork, PositionNetwork
+from touchd.training.network.objectives import Batch, Positions, make_objective
 from touchd.training.network.recipe import RECIPES, Recipe
-from touchd.training.network.sigma_calibration import make_honest
+from touchd.training.network.sigma_calibration import calibrate_sigma
 
-BATCH = 512  # fingers a step
-SYNTHETIC = 0.8  # of them, the share drawn from the learned field; the others are the recorded touches
-OTHERS = 256  # and things that are no finger
-STEPS = 18  # an epoch has at least: two passes over 4,483 touches, the source paper's training part
-LEARNING_RATE = 3e-3  # the peak of a one-cycle schedule with AdamW
+BATCH = 512  # fingers per step
+SYNTHETIC = 0.8  # share of them drawn from the learned field; the rest are recorded touches
+OTHERS = 256  # non-fingers per step
+STEPS = 18  # least steps per epoch: two passes over 4,483 touches, the source paper's training part
+LEARNING_RATE = 3e-3  # peak of the one-cycle schedule with AdamW
 WEIGHT_DECAY = 0.01
 PAPER_BATCH = 64
-PAPER_LEARNING_RATE = 1e-3  # Adam's usual one; the paper names neither
-GUESSED = 0.95  # an error above this share of that of a constant answer
+PAPER_LEARNING_RATE = 1e-3  # Adam's default; the paper states neither batch nor rate
+GUESSED = 0.95  # warn if the RMSE exceeds this share of a constant answer's RMSE
 
-Say = Callable[[str], None]
+Warn = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """A trained model and how well it does on touches it never saw."""
+    """A trained model and its scores on the test touches."""
 
     model: Model
     scores: dict[str, float]
     curve: Curve
-    """The loss and the validation RMSE after each epoch."""
+    """Loss and validation RMSE by epoch."""
     notes: list[str]
-    """What the user should know, such as that the field could not be learned."""
-    exactness: Exactness
-    """How far the exported model is from the trained network, on the test touches."""
+    """Warnings for the user."""
+    export_difference: ExportDifference
+    """Differences between exported model and trained network, on the test touches."""
     judged: Judgement
-    """What the exported model says of the test touches."""
+    """Estimates of the exported model for the test touches."""
     parts: Split
     duration_s: float
 
     @property
     def curve_mm(self) -> list[float]:
-        """Validation RMSE after each epoch."""
+        """Validation RMSE by epoch, mm."""
         return self.curve.validation_mm
 
 
@@ -83,14 +83,23 @@ def train(
     command: str = "",
     field: Field | None = None,
     progress: Progress = lambda _what, _done, _all, _rmse_mm: None,
-    warn: Say = lambda _note: None,
+    warn: Warn = lambda _note: None,
 ) -> Result:
     """Train a model by a recipe and write it as an ONNX file.
 
-    The same recording, seed and number of threads give the same network. A `share` under 1 trains on so much of
-    the training part, with validation and test unchanged, as a learning curve needs it. A `field` learned from the
-    training part before is drawn from as it is. `patience` is that of `fit`;
-    `warn` is told each note as soon as it is known. The file is written only if all went well.
+    Equal recording, seed and number of threads give an equal network. The file is written only after a complete
+    training.
+
+    Parameters
+    ----------
+    share : float
+        Share of the training part to use, for a learning curve; validation and test stay unchanged.
+    field : Field, optional
+        Field to draw touches from, learned from the training part; by default it is learned here.
+    patience : int, optional
+        See `fit`.
+    warn : callable
+        Receives each warning as soon as it arises.
 
     Raises
     ------
@@ -103,9 +112,9 @@ def train(
     parts = thin(split(len(data), seed), share)
     plate = recording.meta.plate
     features = data.signal if recipe.paper else data.residual
-    # Every other row: neighbours share a frame.
+    # Take every other row: adjacent rows share a frame, hence noise.
     drift = drift_directions(data.untouched[np.sort(parts.train)][::2])
-    task = make_task(recipe, features.shape[1], plate, grid, layout, drift)
+    objective = make_objective(recipe, features.shape[1], plate, grid, layout, drift)
     notes: list[str] = []
 
     def note(text: str) -> None:
@@ -117,27 +126,27 @@ def train(
     peak, augmenter = None, None
     if recipe.paper:
         batches = _paper_batches(data, parts, generator)
-        optimiser = torch.optim.Adam(task.network.parameters(), lr=PAPER_LEARNING_RATE)
+        optimiser = torch.optim.Adam(objective.network.parameters(), lr=PAPER_LEARNING_RATE)
     else:
         keys = layout if recipe.head == "keypad" else None
         synthesiser = _synthesiser(data, parts, keys, generator, progress, note, field)
         bank = make_bank(data, torch.from_numpy(parts.train), generator)
         augmenter = Augmenter(bank, synthesiser, generator)
-        batches = _augmented_batches(bank, augmenter, synthesiser, generator, others=task.wants_others)
-        optimiser = torch.optim.AdamW(task.network.parameters(), lr=LEARNING_RATE, weight_decay=WEIGHT_DECAY)
+        batches = _augmented_batches(bank, augmenter, synthesiser, generator, others=objective.wants_others)
+        optimiser = torch.optim.AdamW(objective.network.parameters(), lr=LEARNING_RATE, weight_decay=WEIGHT_DECAY)
         peak = LEARNING_RATE
 
     def validate() -> float:
-        return task.scores(features[parts.validation], data.position_mm[parts.validation])["rmse_mm"]
+        return objective.scores(features[parts.validation], data.position_mm[parts.validation])["rmse_mm"]
 
     curve = fit(
-        task, batches, optimiser, epochs or recipe.epochs, validate, progress, peak=peak, patience=patience
+        objective, batches, optimiser, epochs or recipe.epochs, validate, progress, peak=peak, patience=patience
     )  # fmt: skip
-    if isinstance(task.network, PlainRegression):
-        task.network.sigma_mm.fill_(validate() / np.sqrt(2))  # per axis
-    elif isinstance(task.network, Regression) and task.network.noise_apart and augmenter is not None:
+    if isinstance(objective.network, PaperNetwork):
+        objective.network.sigma_mm.fill_(validate() / np.sqrt(2))  # per axis
+    elif isinstance(objective.network, PositionNetwork) and objective.network.noise_apart and augmenter is not None:
         held_out = torch.from_numpy(features[parts.validation])
-        make_honest(task.network, augmenter, held_out, _positions(data, parts.validation))
+        calibrate_sigma(objective.network, augmenter, held_out, _positions(data, parts.validation))
 
     description = Description(
         name=recipe.name,
@@ -149,28 +158,28 @@ def train(
         data_sha256=data.sha256,
         command=command,
         seed=seed,
-        **task.description(),
+        **objective.description(),
     )
     test_mm = data.position_mm[parts.test]
-    graph = make_graph(task.network, description)
-    exactness = check_graph(task.network, graph, features[parts.test])
-    if exactness.rounding > TOLERANCE:
-        note(f"float32 rounds this network's answers by up to {exactness.rounding:.2g} mm")
-    # The scores are those of the exported model, so it is asked before they can stand in it.
+    graph = make_graph(objective.network, description)
+    export_difference = check_graph(objective.network, graph, features[parts.test])
+    if export_difference.rounding > TOLERANCE:
+        note(f"float32 rounding changes this network's answers by up to {export_difference.rounding:.2g} mm")
+    # The model's metadata contain its scores, so score a first export before writing the final one.
     with tempfile.TemporaryDirectory() as folder:
         judged = judge(
             write_model(graph, Path(folder) / "model.onnx"), features[parts.test], test_mm, data.noise_energy
         )
-    found = task.scores(features[parts.test], test_mm) | scores(judged)
+    found = objective.scores(features[parts.test], test_mm) | scores(judged)
     if found["rmse_mm"] > GUESSED * _guess_mm(data.position_mm[parts.train], test_mm):
-        note("the model places touches no better than the middle of all of them: it has learned nothing")
+        note("the model is no better than a constant position: it has learned nothing")
     describe(graph, description.model_copy(update={"scores": {name: round(value, 4) for name, value in found.items()}}))
     seconds = time.monotonic() - started_s
-    return Result(write_model(graph, path), found, curve, notes, exactness, judged, parts, seconds)
+    return Result(write_model(graph, path), found, curve, notes, export_difference, judged, parts, seconds)
 
 
 def _guess_mm(known_mm: Positions, test_mm: Positions) -> float:
-    """Return the RMSE of one who says the middle of the known touches whatever comes."""
+    """Return the RMSE of a constant answer: the mean training position."""
     return float(np.sqrt(np.square(test_mm - known_mm.mean(axis=0)).sum(axis=1).mean()))
 
 
@@ -180,12 +189,12 @@ def _synthesiser(
     layout: Layout | None,
     generator: torch.Generator,
     progress: Progress,
-    note: Say,
+    note: Warn,
     field: Field | None = None,
 ) -> Synthesiser | None:
-    """Return the source of drawn touches, or None with a note where the field cannot be learned."""
+    """Return the source of synthetic touches, or None with a note in the time domain, where no field is learned."""
     if data.domain != "frequency":
-        note("in the time domain no field is learned: trained on the recorded touches alone")
+        note("the time domain has no field to learn: trained on the recorded touches alone")
         return None
     plate = data.meta.plate
     if not is_known(plate):
@@ -195,7 +204,7 @@ def _synthesiser(
 
 
 def _positions(data: Dataset, indices: NDArray[np.int64]) -> Tensor:
-    """Return positions in plate sizes from the centre, shape (n, 2)."""
+    """Return positions relative to the plate's centre, in units of its size, shape (n, 2)."""
     plate = data.meta.plate
     return torch.from_numpy(data.position_mm[indices]) / torch.tensor([plate.width_mm, plate.height_mm]) - 0.5
 
@@ -203,11 +212,11 @@ def _positions(data: Dataset, indices: NDArray[np.int64]) -> Tensor:
 def _augmented_batches(
     bank: Bank, augmenter: Augmenter, synthesiser: Synthesiser | None, generator: torch.Generator, *, others: bool
 ) -> Batches:
-    """Return batches of drawn and recorded touches under all disturbances, and of what is no finger."""
+    """Return batches of synthetic and recorded touches with all disturbances, and of non-fingers if `others`."""
     count = len(bank.residual)
     recorded = BATCH if synthesiser is None else round(BATCH * (1 - SYNTHETIC))
     steps = max(STEPS, 2 * -(-count // BATCH))
-    own_noise = torch.zeros((BATCH, 1))  # what is drawn has none
+    own_noise = torch.zeros((BATCH, 1))  # synthetic touches have no noise of their own
     own_noise[:recorded] = BASELINE_NOISE**0.5
 
     def epoch() -> Iterator[Batch]:
@@ -224,10 +233,10 @@ def _augmented_batches(
 
 
 def _paper_batches(data: Dataset, parts: Split, generator: torch.Generator) -> Batches:
-    """Return batches of the recorded touches, each once an epoch, as the paper has them."""
+    """Return batches of the recorded touches, each touch once per epoch, as in the paper."""
     features = torch.from_numpy(data.signal[parts.train])
     position = _positions(data, parts.train)
-    steps = max(1, len(features) // PAPER_BATCH)  # the few that are left over wait for another epoch
+    steps = max(1, len(features) // PAPER_BATCH)  # drop the incomplete batch; the order changes each epoch
 
     def epoch() -> Iterator[Batch]:
         order = torch.randperm(len(features), generator=generator)

@@ -1,1 +1,1 @@
-"""The digital twin: a plate with its transducers and electronics, and what touches it."""
+"""The digital twin: plate, transducers, electronics, and scenes of touches."""

@@ -1,4 +1,4 @@
-"""Results of long computations, kept on disk between runs."""
+"""Cache results of long computations on disk."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ Arrays = dict[str, NDArray[np.float64]]
 
 
 def folder() -> Path:
-    """Where results are kept: `$XDG_CACHE_HOME/touchd`, or `~/.cache/touchd`."""
+    """Return the cache folder: `$XDG_CACHE_HOME/touchd`, or `~/.cache/touchd`."""
     base = os.environ.get("XDG_CACHE_HOME")
     return (Path(base) if base else Path("~/.cache").expanduser()) / "touchd"
 
 
 def remember(name: str, parameters: Mapping[str, Any], compute: Callable[[], Arrays]) -> Arrays:
-    """Return what `compute` returns, from disk when it was computed before with the same parameters.
+    """Return the result of `compute`, from disk if it was computed before with equal parameters.
 
-    A folder that cannot be written, or a damaged file, only costs the time to compute again.
+    An unwritable folder or a damaged file only costs computing again.
 
     Parameters
     ----------
@@ -41,11 +41,11 @@ def remember(name: str, parameters: Mapping[str, Any], compute: Callable[[], Arr
     digest = hashlib.sha256(json.dumps(parameters, sort_keys=True).encode()).hexdigest()[:24]
     try:
         path = folder() / f"{name}-{digest}.npz"
-        # Opened here: numpy leaves its own file open when the archive is damaged.
+        # Open the file here: numpy leaves its own open if the archive is damaged.
         with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
             return {key: stored[key] for key in stored.files}
     except (OSError, RuntimeError, ValueError, EOFError, KeyError, zipfile.BadZipFile):
-        pass  # absent, damaged, or no home folder: all the same here
+        pass  # absent, damaged, or no home folder: compute
     arrays = compute()
     with contextlib.suppress(OSError, RuntimeError):
         _write(path, arrays)
@@ -53,7 +53,7 @@ def remember(name: str, parameters: Mapping[str, Any], compute: Callable[[], Arr
 
 
 def _write(path: Path, arrays: Arrays) -> None:
-    """Write to a temporary name, then rename: another process sees the whole file or none."""
+    """Write to a temporary name, then rename, so that another process sees the whole file or none."""
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=".part-")
     try:

@@ -1,4 +1,4 @@
-"""From the receivers' signals to ADC counts: gains, noise, interference, faults and quantisation."""
+"""Convert the receivers' signals to ADC counts: gains, noise, interference, faults, quantisation."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ Floats = NDArray[np.float64]
 
 
 class Tone(NamedTuple):
-    """A sine from elsewhere, such as a charger's, that is not locked to the chirp."""
+    """A sine asynchronous to the chirp, such as a charger's."""
 
     frequency_hz: float
     level_db: float
-    """RMS against the untouched plate's signal."""
+    """RMS relative to the untouched signal."""
     start_s: float = 0.0
     stop_s: float = np.inf
 
@@ -33,41 +33,41 @@ class Dead(NamedTuple):
 
 
 class Electronics(NamedTuple):
-    """Everything between the receivers and the counts."""
+    """Electronics between the receivers and the counts."""
 
     noise_db: float = 60.0
-    """How far white noise lies below the untouched plate's RMS; inf for none."""
+    """Signal-to-noise ratio of the untouched plate, for white noise; inf for none."""
     peak: float = 0.6
-    """Largest value of the untouched plate's signal, as a part of full scale; over 1 it clips."""
+    """Peak of the untouched signal relative to full scale; above 1 it clips."""
     gains: tuple[float, ...] = ()
-    """One a channel; empty for all 1."""
+    """Gain per channel; empty for all 1."""
     gain_drift_per_s: tuple[float, ...] = ()
-    """Relative change of each channel's gain per second; empty for none."""
+    """Relative gain change per second and channel; empty for none."""
     jitter_s: float = 0.0
-    """Standard deviation of the trigger's time."""
+    """Standard deviation of the trigger time."""
     tones: tuple[Tone, ...] = ()
     dead: tuple[Dead, ...] = ()
     image_db: float | None = None
-    """Level of the chirp's image about the DAC's rate, against the signal; 15 dB below it before the transducer."""
+    """Level of the chirp's image around the DAC rate, relative to the signal; -15 dB before the transducer."""
 
 
 class Digitiser:
-    """Turns signals into counts, frame after frame: R channels, S samples.
+    """Converts signals to counts, frame by frame: R channels, S samples.
 
-    Noise is drawn frame by frame from one stream, so how frames are cut into chunks makes no difference.
+    One generator draws the noise frame by frame, so results do not depend on the block size.
 
     Parameters
     ----------
     electronics : Electronics
     acquisition : Acquisition
     untouched : array of shape (R, S)
-        The untouched plate's signal at the reference temperature, largest value 1.
+        Signal of the untouched plate at the reference temperature, peak 1.
     seed : SeedSequence
 
     Raises
     ------
     SimulationError
-        When a setting does not fit the channels.
+        A setting does not fit the channels.
     """
 
     def __init__(
@@ -81,9 +81,9 @@ class Digitiser:
         for name in ("gains", "gain_drift_per_s"):
             given = len(getattr(electronics, name))
             if given not in (0, channels):
-                raise SimulationError(f"{given} {name} for {channels} channels", "electronics", "give one a channel")
+                raise SimulationError(f"{given} {name} for {channels} channels", "electronics", "give one per channel")
         if any(not 0 <= dead.channel < channels for dead in electronics.dead):
-            raise SimulationError("no such channel to be dead", "electronics", f"use 0 .. {channels - 1}")
+            raise SimulationError("a dead channel that does not exist", "electronics", f"use 0 .. {channels - 1}")
         if electronics.peak <= 0 or electronics.jitter_s < 0:
             raise SimulationError("a negative peak or jitter", "electronics", "use positive numbers")
         self._e = electronics
@@ -96,7 +96,7 @@ class Digitiser:
         self._image = _image(acquisition, electronics.image_db, self._rms, rng)
 
     def resume(self, noise: Mapping[str, Any]) -> None:
-        """Go on with the noise from a state that `noise_states` gave."""
+        """Continue the noise from a state returned by `noise_states`."""
         self._noise.bit_generator.state = noise
 
     def counts(self, signal: Floats, time_s: Floats) -> NDArray[np.int16]:
@@ -104,7 +104,7 @@ class Digitiser:
 
         Parameters
         ----------
-        signal : array of shape (n, R, S), in units of the untouched plate's largest value; is overwritten
+        signal : array of shape (n, R, S), in units of the untouched signal's peak; overwritten
         time_s : array of shape (n,)
             Start of each chirp.
 
@@ -122,7 +122,7 @@ class Digitiser:
         for tone, phase in zip(e.tones, self._phases, strict=True):
             on = (time_s >= tone.start_s) & (time_s < tone.stop_s)
             amplitude = np.sqrt(2) * self._rms * 10 ** (tone.level_db / 20)
-            # Whole turns go first: at 1e8 radians a sine has lost half of its digits.
+            # Remove whole turns first: at 1e8 rad a sine has lost half of its digits.
             turn = np.modf(tone.frequency_hz * moment)[0]
             signal += (on[:, None] * amplitude * np.sin(2 * np.pi * turn + phase))[:, None, :]
         full_scale = 2 ** (a.bits - 1)
@@ -135,18 +135,18 @@ class Digitiser:
 
 
 def noise_states(seed: int | Sequence[int], values: int, frames: Iterable[int]) -> list[dict[str, Any]]:
-    """Return the state of a recording's noise before each of the given frames.
+    """Return the state of a recording's noise generator before each of the given frames.
 
-    The noise is drawn for that, and dropped: a normal variate takes as many steps of the generator as it needs.
+    The noise is drawn and discarded, because a normal variate takes a varying number of generator steps.
 
     Parameters
     ----------
     seed : int or sequence of int
-        The recording's.
+        Seed of the recording.
     values : int
-        Of one frame: channels times samples.
+        Values per frame: channels times samples.
     frames : iterable of int
-        Ascending.
+        Frame numbers, ascending.
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed).spawn(3)[2].spawn(2)[0])
     states: list[dict[str, Any]] = []
@@ -160,10 +160,10 @@ def noise_states(seed: int | Sequence[int], values: int, frames: Iterable[int]) 
 
 
 def _image(acquisition: Acquisition, level_db: float | None, rms: float, rng: np.random.Generator) -> Floats:
-    """Make a stand-in for the chirp's image at 400 .. 450 kHz that aliases onto the band, shape (R, S).
+    """Return a substitute for the chirp's image at 400 .. 450 kHz aliased into the band, shape (R, S).
 
-    The twin's plate ends at half the sample rate, so the image runs through a random reverberation of 1 ms instead.
-    What matters to touchd is kept: it is locked to the chirp, inside the band, and a touch does not change it.
+    The twin's plate ends at half the sample rate, so the image passes a random reverberation of 1 ms instead. It keeps
+    the properties that matter: synchronous with the chirp, inside the band, unchanged by a touch.
     """
     shape = (acquisition.channels, acquisition.samples)
     if level_db is None:

@@ -1,12 +1,12 @@
-"""What the receivers hear of one chirp, at any temperature, before electronics: the twin without noise.
+"""Simulate the receivers' signals of one chirp at any temperature, before electronics and noise.
 
-Signals are computed on a record a few times longer than a frame, at complex frequencies, so that what rings on beyond
-the record does not wrap around into the frame: damping the record by exp(-13) and undoing that afterwards leaves
--110 dB of it. Only the frame at the start of the record is kept.
+Signals are computed on a record a few times longer than a frame, at complex frequencies, so that ringing beyond the
+record does not wrap around into the frame: damping the record by exp(-13) and undoing it afterwards leaves -110 dB.
+Only the frame at the start of the record is kept.
 
-A change of temperature scales all modes' frequencies by one factor s. Then the response at omega = s nu is that at nu,
-so the plate is computed once, on a fixed grid of nu; the emission and the contacts are taken at s nu, and the time
-signal at s t, by a Taylor series about t. That is exact, and costs a few inverse transforms.
+Temperature scales all modes' frequencies by one factor s. The response at omega = s nu equals that at nu, so the plate
+is computed once, on a fixed grid of nu; emission and contacts are evaluated at s nu, and the time signal at s t, by a
+Taylor series about t. This is exact and costs a few inverse transforms.
 """
 
 from __future__ import annotations
@@ -30,36 +30,36 @@ Complex = NDArray[np.complex128]
 
 REFERENCE_C = 22.0
 ERROR = 1e-11
-"""Of series in time and in temperature, against the signal: far below a count, however frames are grouped."""
+"""Error of the series in time and temperature relative to the signal: far below one count."""
 MOST_LATE_S = 1e-6
-"""Latest trigger. A Taylor series shifts the signal; nothing real shifts it so far."""
+"""Largest trigger delay; the Taylor series that shifts the signal converges up to it."""
 
 
 class Instrument:
-    """The plate, its discs and the chirp: touches in, signals out. R receivers, S samples.
+    """Plate, discs and chirp: maps touches to signals. R receivers, S samples.
 
-    Signals are in units of the largest value of the untouched plate's at the reference temperature.
+    Signals are in units of the peak of the untouched plate at the reference temperature.
 
     Parameters
     ----------
     plate : Plate
     layout : Layout, optional
-        Where the discs are; by default one emitter and four receivers.
+        Positions of the discs; by default one emitter and four receivers.
     acquisition : Acquisition, optional
-        Its channels must be as many as the receivers; by default 250 samples at 250 kHz.
+        As many channels as receivers; by default 250 samples at 250 kHz.
     loss : float
         Loss factor: 2e-3 .. 1e-2 for a mounted plate with bonded discs.
     temperature_per_k : float
         Relative change of the modes' frequencies per kelvin: -2e-4 .. -2e-5.
     span_k : float
-        Largest distance from the reference temperature.
+        Largest difference from the reference temperature.
     tail_period_s : float, optional
-        Include what still rings from all the previous chirps, one each so many seconds. Costs a record that long.
+        Include the ringing of all previous chirps, one per `tail_period_s`; the record is then as long.
 
     Raises
     ------
     SimulationError
-        When the twin cannot make such an instrument.
+        The twin cannot simulate this instrument.
     """
 
     def __init__(
@@ -88,10 +88,10 @@ class Instrument:
         if tail_period_s is not None and tail_period_s < frame_s:
             raise SimulationError("chirps follow each other faster than frames last", "tail", "lower the frame rate")
         if tail_period_s is not None and loss < 1e-4:
-            raise SimulationError("without loss, all chirps ring on for ever", "tail", "use a loss factor")
+            raise SimulationError("without loss, all chirps ring for ever", "tail", "use a loss factor")
         if not 0 <= loss < 0.2:
             raise SimulationError(f"a loss factor of {loss:g}", "loss", "use 0 .. 0.2; glass with discs has 0.005")
-        # With the previous chirps wanted, a record of one period that wraps around is just what happens.
+        # With a tail, a record of one period wraps around exactly as the ringing does.
         record_s, damping = (2 * frame_s, 13.0) if tail_period_s is None else (tail_period_s, 0.0)
         self._record = round(record_s * a.sample_rate_hz / 2) * 2
         self._decay_per_s = damping / record_s
@@ -103,12 +103,12 @@ class Instrument:
         self._tables()
 
     def scale(self, temperature_c: ArrayLike) -> Floats:
-        """Factor of all modes' frequencies at a temperature.
+        """Return the factor of all modes' frequencies at a temperature.
 
         Raises
         ------
         SimulationError
-            When the temperature is further from the reference than the instrument was made for.
+            The temperature is outside `span_k`.
         """
         off = np.asarray(temperature_c, dtype=float) - REFERENCE_C
         if not np.all(np.abs(off) <= self.span_k):
@@ -118,13 +118,13 @@ class Instrument:
         return np.asarray(1 + self.temperature_per_k * off)
 
     def untouched(self, temperature_c: ArrayLike, late_s: ArrayLike = 0.0) -> Floats:
-        """Signals of the untouched plate.
+        """Return the signals of the untouched plate.
 
         Parameters
         ----------
         temperature_c : array_like of shape (n,)
         late_s : array_like of shape (n,) or ()
-            How late the ADC was triggered.
+            Trigger delay.
 
         Returns
         -------
@@ -139,22 +139,22 @@ class Instrument:
         return np.asarray(combined @ self._untouched[: len(orders)].reshape(-1, R * S)).reshape(-1, R, S)
 
     def change(self, touches: Sequence[Sequence[Contact]], temperature_c: ArrayLike, late_s: ArrayLike = 0.0) -> Floats:
-        """Change of the signals by what touches the plate.
+        """Return the change of the signals due to contacts.
 
         Parameters
         ----------
-        touches : n sequences of contacts, some of which may be empty
+        touches : n sequences of contacts, each possibly empty
         temperature_c : array_like of shape (n,)
         late_s : array_like of shape (n,) or ()
 
         Returns
         -------
-        Array of shape (n, R, S), to be added to the untouched plate's signals.
+        Array of shape (n, R, S), to add to the untouched plate's signals.
 
         Raises
         ------
         SimulationError
-            When a contact reaches over the edge.
+            A contact reaches over the edge.
         """
         scale = self.scale(temperature_c)
         late = _late(late_s, len(scale))
@@ -166,7 +166,7 @@ class Instrument:
             for i in np.flatnonzero(counts == count).tolist():
                 alike.setdefault(split[i], []).append(i)
             rows = list(alike.values())
-            # Keep the products of modes in cache and in memory.
+            # Limit the group, so that the products of modes stay in cache and memory.
             for some in np.array_split(np.arange(len(rows)), math.ceil(len(rows) * (count + 5) ** 2 / 2000)):
                 part = [i for k in some for i in rows[k]]
                 spectrum = self.response.change([split[i] for i in part], scale[part])
@@ -175,21 +175,21 @@ class Instrument:
         return result / self._peak
 
     def _tables(self) -> None:
-        """Compute the emission, and the untouched plate with its time derivatives, at the nodes in temperature."""
+        """Compute the emission, and the untouched signals with their time derivatives, at the temperature nodes."""
         nu = self.response.nu_rad_s
         a = self.acquisition
         span = max(abs(self.temperature_per_k) * self.span_k, 1e-9)
-        # A Chebyshev series of n terms leaves as much as a Taylor series over half the span, and to be sure one more.
+        # A Chebyshev series of n terms has the error of a Taylor series over half the span; add one for safety.
         n = self._orders(span * float(self._t[-1]) / 2) + 1
         self._node_scale = chebyshev.points(1.0, span, n)
         self._emission = np.array(
             [chirp.spectrum(a.chirp, s * nu) * anti_alias(s * nu, a.sample_rate_hz) for s in self._node_scale]
         )
         s = self._node_scale
-        heard = self.response.untouched() * self._emission[:, None, :] / s[:, None, None] ** 2
-        # A derivative by the trigger's time is s times one by the record's time.
+        received = self.response.untouched() * self._emission[:, None, :] / s[:, None, None] ** 2
+        # The derivative with respect to the trigger's time is s times that with respect to the record's time.
         orders = [
-            self._to_time(heard * (1j * nu) ** k, s, np.zeros(n)) * s[:, None, None] ** k / math.factorial(k)
+            self._to_time(received * (1j * nu) ** k, s, np.zeros(n)) * s[:, None, None] ** k / math.factorial(k)
             for k in range(self._orders(MOST_LATE_S))
         ]
         self._untouched = np.stack(orders)
@@ -198,7 +198,7 @@ class Instrument:
         self._untouched /= self._peak
 
     def _orders(self, shift_s: float) -> int:
-        """Terms of a Taylor series that shifts a time signal so far, to `ERROR`."""
+        """Return the number of Taylor terms that shift a time signal by `shift_s` to within `ERROR`."""
         x = np.pi * self.acquisition.sample_rate_hz * shift_s
         k, term = 1, x
         while term > ERROR:
@@ -207,7 +207,7 @@ class Instrument:
         return k
 
     def _to_time(self, spectrum: Complex, scale: Floats, late_s: Floats) -> Floats:
-        """Time signals at s (t + late) of spectra over nu, of shape (n, R, F); result (n, R, S)."""
+        """Return the time signals at s (t + late) of spectra over nu of shape (n, R, F); result (n, R, S)."""
         a = self.acquisition
         at = scale[:, None] * (self._t + late_s[:, None])
         shift = at - self._t
@@ -225,7 +225,7 @@ class Instrument:
 
 
 def _late(late_s: ArrayLike, n: int) -> Floats:
-    """Spread the triggers' delays over n frames, if they are small enough."""
+    """Broadcast the trigger delays to n frames, and check them."""
     late = np.broadcast_to(np.asarray(late_s, dtype=float), (n,))
     if not np.all(np.abs(late) <= MOST_LATE_S):
         raise SimulationError("a trigger off by more than 1 us", "jitter", "use 200 ns or less")
@@ -233,9 +233,9 @@ def _late(late_s: ArrayLike, n: int) -> Floats:
 
 
 def anti_alias(omega_rad_s: Complex, sample_rate_hz: float) -> Complex:
-    """Gain of the filter before the ADC: all up to 80 % of half the sample rate, -87 dB there.
+    """Return the gain of the anti-alias filter: 1 up to 80 % of half the sample rate, -87 dB at half the rate.
 
-    An analytic function, since at complex frequencies any other would be another filter.
+    It is an analytic function, so it is the same filter at complex frequencies.
     """
     f = omega_rad_s / (np.pi * sample_rate_hz)
     return np.asarray(1 / (1 + np.exp((f - 0.92) / 0.008)))

@@ -1,4 +1,4 @@
-"""A robot's session computed in parts, side by side: the same recording to the bit, however it is divided."""
+"""Simulate a robot's session in parts, in parallel; the recording does not depend on the division, bit for bit."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ from touchd.twin.scenes.timeline import Stage
 from touchd.twin.simulate import BLOCK, recording_of, stream
 
 CHUNK = 16 * BLOCK
-"""Frames of a part: some tenths of a second's work. A multiple of the block, within which sums are rounded alike."""
+"""Frames per part, some tenths of a second's work; a multiple of `BLOCK`, so that sums round alike."""
 FEW = 4 * CHUNK
-"""Up to so many frames are computed before another process has even started."""
+"""Up to this number of frames, one process finishes before others would start."""
 
 
 @dataclass(frozen=True)
 class Session:
-    """All that a session's frames depend on; see `touchd.twin.simulate.simulate_touches`."""
+    """Everything that a session's frames depend on; see `touchd.twin.simulate.simulate_touches`."""
 
     touches: TouchSet
     seed: int
@@ -42,12 +42,12 @@ class Session:
     electronics: Electronics
 
     def prepare(self) -> tuple[Stage, Instrument]:
-        """Write down the session, and make the instrument that hears it.
+        """Write the session's timeline, and create its instrument.
 
         Raises
         ------
         SimulationError
-            When either is impossible.
+            Timeline or instrument is impossible.
         """
         instrument = Instrument(self.plate, loss=self.loss, tail_period_s=self.tail_period_s)
         rng = np.random.default_rng(np.random.SeedSequence(self.seed).spawn(3)[0])
@@ -71,16 +71,16 @@ def simulate_session(
     workers, dask
         See `touchd.jobs.run`; without both, few frames are computed in this process.
     kept : Path, optional
-        Where finished parts are kept; see `parts_kept`.
+        Folder of finished parts; see `parts_kept`.
     progress : callable, optional
-        Called with the number of frames just finished.
+        Receives the number of frames just finished.
     chunk : int
-        Frames of a part, a multiple of `BLOCK`.
+        Frames per part, a multiple of `BLOCK`.
 
     Raises
     ------
     SimulationError
-        When the count, margin, finger or plate is impossible.
+        Count, margin, finger or plate is impossible.
     JobError
     """
     stage, instrument = session.prepare()
@@ -100,20 +100,20 @@ def simulate_session(
     if workers is None and dask is None and total <= FEW:
         workers = 1
 
-    def tell(name: str, _done: int, _total: int) -> None:
+    def advance(name: str, _done: int, _total: int) -> None:
         if progress is not None:
             progress(places[name].stop - places[name].start)
 
-    for name, counts in run(jobs, workers=workers, dask=dask, cache=kept, progress=tell).items():
+    for name, counts in run(jobs, workers=workers, dask=dask, cache=kept, progress=advance).items():
         frames[places[name]] = counts
     return recording_of(stage, instrument, frames)
 
 
 @contextmanager
 def parts_kept(session: Session) -> Iterator[Path | None]:
-    """Give the folder for finished parts, and remove it at the end unless that is an error; None without a home.
+    """Yield the folder of finished parts, or None without a home folder; remove it after success.
 
-    So what ends before the recording is written goes on where it was, and afterwards nothing is left.
+    A run that ends before the recording is written resumes from these parts.
     """
     try:
         folder = cache.folder() / "jobs" / f"touches-{digest(session)[:24]}"
@@ -125,12 +125,12 @@ def parts_kept(session: Session) -> Iterator[Path | None]:
 
 
 def part(session: Session, start: int, stop: int, noise: dict[str, Any]) -> NDArray[np.int16]:
-    """Compute frames start .. stop - 1: a job. `noise` is the noise's generator at the first of them."""
+    """Compute frames start .. stop - 1, as a job; `noise` is the state of the noise generator at `start`."""
     stage, instrument = _prepared(session)
     return np.concatenate(list(stream(stage, instrument, session.seed, start=start, stop=stop, noise=noise)))
 
 
 @lru_cache(maxsize=1)
 def _prepared(session: Session) -> tuple[Stage, Instrument]:
-    """Prepare a session once a process."""
+    """Prepare a session once per process."""
     return session.prepare()

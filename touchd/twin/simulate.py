@@ -1,4 +1,4 @@
-"""From a scene to frames: all at once as a recording, or block by block for a live source."""
+"""Simulate a scene: at once as a recording, or block by block for a live source."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from touchd.twin.scenes.robot import COUNT, TOUCH_RATE_HZ, TouchSet, write_touch
 from touchd.twin.scenes.timeline import Stage
 
 Progress = Callable[[int], object]
-"""Called with the number of frames just finished."""
+"""Receives the number of frames just finished."""
 
 BLOCK = 64
-"""Frames computed at a time, always from the scene's first frame on, so that results do not depend on who asks."""
+"""Frames per block, counted from the scene's first frame, so that results do not depend on the caller."""
 
 DEFAULT_PLATE = Plate(width_mm=200, height_mm=200, thickness_mm=5, material="glass")
 
@@ -40,7 +40,7 @@ def stream(
 ) -> Iterator[NDArray[np.int16]]:
     """Yield a scene's frames in blocks: int16 arrays of shape (up to `block`, channels, samples).
 
-    Every block is computed when it is asked for. Noise and jitter come from streams of their own.
+    Each block is computed on demand. Noise and jitter have their own generators.
 
     Parameters
     ----------
@@ -48,11 +48,11 @@ def stream(
     instrument : Instrument
     seed : int or sequence of int
     block : int
-        Frames at a time.
+        Frames per block.
     start, stop : int
-        Yield these frames only, as they are in the whole; `start` is a multiple of the block.
+        Range of frames to yield, equal to the same range of the whole; `start` is a multiple of `block`.
     noise : mapping, optional
-        State of the noise at `start`, from `touchd.twin.electronics.noise_states`; needed if that is not 0.
+        State of the noise at `start`, from `touchd.twin.electronics.noise_states`; required unless `start` is 0.
     """
     jitter_seed, digitiser_seed = np.random.SeedSequence(seed).spawn(3)[1:]
     jitter = np.random.default_rng(jitter_seed)
@@ -60,7 +60,7 @@ def stream(
     digitiser = Digitiser(stage.electronics, instrument.acquisition, reference, digitiser_seed)
     if noise is not None:
         digitiser.resume(noise)
-    jitter.standard_normal(start)  # those of the frames before
+    jitter.standard_normal(start)  # skip the jitter of earlier frames
     time_s = stage.time_s
     end = len(time_s) if stop is None else stop
     for first in range(start, end, block):
@@ -86,7 +86,7 @@ def stage_scene(
     keys: Sequence[Key] | None = None,
     code: str | None = None,
 ) -> Stage:
-    """Write down a named scene; see `simulate_scene`."""
+    """Write the timeline of a named scene; see `simulate_scene`."""
     rng = np.random.default_rng(np.random.SeedSequence(seed).spawn(3)[0])
     return write_scene(name, plate, rng, frames, rate_hz, electronics or Electronics(), finger, keys, code)
 
@@ -112,28 +112,28 @@ def simulate_scene(
     name : str
         One of `touchd.twin.scenes.catalogue.SCENES`.
     seed : int
-        The same seed gives the same recording, to the bit.
+        Equal seeds give equal recordings, bit for bit.
     frames : int, optional
-        By default as many as the scene needs.
+        Number of frames; by default the scene's.
     rate_hz : float, optional
-        Frames a second; by default 125, and 100 for the demo.
+        Frames per second; by default 125, for the demo 100.
     plate : Plate
     instrument : Instrument, optional
-        Instead of the default one on `plate`, which is then ignored.
+        Replaces the default instrument on `plate`; `plate` is then ignored.
     electronics : Electronics, optional
     finger : str, optional
-        "silicone" or "human" instead of the scene's own.
+        "silicone" or "human"; by default the scene's.
     keys : sequence of (name, x_mm, y_mm), optional
-        Centres of the keys of the scene `keypad`; by default 3 x 4 about the plate's centre.
+        Keys of the scene `keypad` with their centres; by default 3 x 4 around the plate's centre.
     code : str, optional
-        Names of the keys that are typed, a character each.
+        Keys to type, one character each.
     progress : callable, optional
         Called with the number of frames just finished.
 
     Raises
     ------
     SimulationError
-        When the scene is unknown, too short, or does not fit the plate.
+        The scene is unknown, too short, or does not fit the plate.
     """
     instrument = instrument or Instrument(plate)
     stage = stage_scene(
@@ -160,40 +160,40 @@ def simulate_touches(
     label_noise_mm: float = 0.0,
     progress: Progress | None = None,
 ) -> Recording:
-    """Simulate a robot's training set: an untouched frame, a touch, an untouched frame, a touch, and so on.
+    """Simulate a robot's training set: untouched frame, touch, untouched frame, touch, ...
 
     Parameters
     ----------
     count : int
-        Touches; the recording has twice as many frames.
+        Number of touches; the recording has twice as many frames.
     seed : int
-        The same seed gives the same recording, to the bit.
+        Equal seeds give equal recordings, bit for bit.
     plate : Plate
     instrument : Instrument, optional
-        Instead of the default one on `plate`, which is then ignored.
+        Replaces the default instrument on `plate`; `plate` is then ignored.
     electronics : Electronics, optional
     finger : "silicone" (12-28 mm^2) or "human" (40-100 mm^2)
     margin_mm : float, optional
-        Least distance of a touch's centre from the plate's edge; by default the least that the finger's contact needs.
+        Least distance of a touch's centre from the edge; by default such that the contact fits.
     stale_k : float
-        By how many kelvin the plate is warmer in each touch than in the untouched frames beside it.
+        Warming of the plate between an untouched frame and the touch after it, K.
     fingers : int
-        Contacts of each touch, 1 .. 5, each with an area of its own; they never cover each other.
+        Contacts of each touch, 1 .. 5, each with its own area, without overlap.
     apart_mm : float
-        Least distance of any two centres.
+        Least distance between centres.
     edge_gap_mm : float, optional
-        Exact distance from edge to edge of two round contacts, in any direction.
+        Exact gap between two round contacts, edge to edge, in any direction.
     warmer_k : float
-        By how many kelvin the whole session is warmer than the reference temperature; negative for colder.
+        Temperature of the session above the reference, K; may be negative.
     label_noise_mm : float
-        Standard deviation, per axis, of the written truth from where the contact is.
+        Standard deviation of the labels per axis.
     progress : callable, optional
         Called with the number of frames just finished.
 
     Raises
     ------
     SimulationError
-        When the count, margin, finger or distances are impossible.
+        Count, margin, finger or distances are impossible.
     """
     asked = TouchSet(count, finger, margin_mm, stale_k, fingers, apart_mm, edge_gap_mm, warmer_k, label_noise_mm)
     instrument = instrument or Instrument(plate)
@@ -203,7 +203,7 @@ def simulate_touches(
 
 
 def meta_of(instrument: Instrument, rate_hz: float, notes: str) -> Meta:
-    """Describe simulated frames."""
+    """Return the metadata of simulated frames."""
     a, layout = instrument.acquisition, instrument.layout
     return Meta(
         sample_rate_hz=a.sample_rate_hz, bits=a.bits, full_scale_v=a.full_scale_v, frame_rate_hz=rate_hz,
@@ -214,7 +214,7 @@ def meta_of(instrument: Instrument, rate_hz: float, notes: str) -> Meta:
 
 
 def _record(stage: Stage, instrument: Instrument, seed: int, progress: Progress | None) -> Recording:
-    """Compute all frames of a scene."""
+    """Simulate all frames of a scene."""
     a, n = instrument.acquisition, len(stage.sequence)
     try:
         frames = np.empty((n, *a.shape), dtype=np.int16)
@@ -230,7 +230,7 @@ def _record(stage: Stage, instrument: Instrument, seed: int, progress: Progress 
 
 
 def recording_of(stage: Stage, instrument: Instrument, frames: NDArray[np.int16]) -> Recording:
-    """Put a scene's frames, of shape (n, channels, samples), together with its truth."""
+    """Combine a scene's frames, of shape (n, channels, samples), with its labels."""
     contacts_mm, force_n = stage.truth()
     return Recording(
         meta=meta_of(instrument, stage.rate_hz, stage.notes),

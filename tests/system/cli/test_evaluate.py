@@ -166,6 +166,6 @@ def test_plot(model: Path, recording: str, folder: Path, tmp_path: Path) -> None
 
 def test_nothing_matched(folder: Path, tmp_path: Path) -> None:
     """Where no contact was matched nothing is drawn."""
-    with pytest.raises(RecordingValues, match="no contact to draw"):
+    with pytest.raises(RecordingValues, match="no contact to plot"):
         said(GRID, folder / "two.npz", "--plot", tmp_path / "errors.png")
     assert not (tmp_path / "errors.png").exists()

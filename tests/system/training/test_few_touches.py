@@ -22,9 +22,9 @@ FEW = 110
 def missed(field: Field, dataset: Dataset) -> float:
     """The share of the energy of touches that were not learned from which the field leaves, median."""
     held_out = np.arange(FEW, len(dataset))
-    place_mm = dataset.position_mm[held_out]
-    inside = ((place_mm >= field.low_mm) & (place_mm <= field.high_mm)).all(axis=1)
-    made = Synthesiser(field, SIZE_MM, torch.Generator()).at(torch.from_numpy(place_mm[inside])).numpy()
+    position_mm = dataset.position_mm[held_out]
+    inside = ((position_mm >= field.low_mm) & (position_mm <= field.high_mm)).all(axis=1)
+    made = Synthesiser(field, SIZE_MM, torch.Generator()).at(torch.from_numpy(position_mm[inside])).numpy()
     return float(np.median(unlike(made, dataset.residual[held_out][inside], dataset)))
 
 

@@ -71,7 +71,7 @@ def test_another_recording_and_an_integer_model_are_refused(
 ) -> None:
     frames = touches.frames.copy()
     frames[0, 0, 0] += 1
-    with pytest.raises(TrainingError, match="not the recording"):
+    with pytest.raises(TrainingError, match="trained on another recording"):
         quantise(original, replace(touches, frames=frames), tmp_path / "b.onnx")
     made = quantise(original, touches, tmp_path / "b.onnx")
     with pytest.raises(TrainingError, match="int8 already"):

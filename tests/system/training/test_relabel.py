@@ -17,6 +17,6 @@ def test_label_noise(noise_mm: float) -> None:
     """A field is learned from labels that are off, and their noise is found."""
     waves = Waves(K, 4, 7)
     touches, _ = touch(waves, 350, 45.0, 8)
-    off_mm = noise_mm * np.random.default_rng(9).normal(size=touches.place_mm.shape)
-    learned = learn_thoroughly(Touches(touches.place_mm + off_mm, touches.values, touches.noise), K)
+    off_mm = noise_mm * np.random.default_rng(9).normal(size=touches.position_mm.shape)
+    learned = learn_thoroughly(Touches(touches.position_mm + off_mm, touches.values, touches.noise), K)
     assert learned.label_noise_mm == pytest.approx(noise_mm, abs=0.05)

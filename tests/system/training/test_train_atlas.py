@@ -63,7 +63,7 @@ def test_accuracy(result: AtlasResult, touches: Recording) -> None:
     kept = np.flatnonzero(np.isin(band_bins(atlas.description.acquisition), atlas.description.bins))
     true_mm = steady.position_mm[at].astype(float)
     placed = place(atlas, touches_of(steady, at).values[:, :, kept], true_mm + 0.7)
-    off_mm = np.linalg.norm(placed.place_mm - true_mm, axis=1)
+    off_mm = np.linalg.norm(placed.position_mm - true_mm, axis=1)
     print(f"median {np.median(off_mm):.3f}, 95 % {np.percentile(off_mm, 95):.3f} mm")
     assert np.median(off_mm) < 0.12
     assert np.median(placed.misfit) < 0.05
@@ -144,7 +144,7 @@ def test_label_noise(touches: Recording, tmp_path: Path) -> None:
     kept = np.flatnonzero(np.isin(band_bins(steady.acquisition), result.atlas.description.bins))
     true_mm = steady.position_mm[at].astype(float)
     placed = place(result.atlas, touches_of(steady, at).values[:, :, kept], true_mm)
-    median_mm = float(np.median(np.linalg.norm(placed.place_mm - true_mm, axis=1)))
+    median_mm = float(np.median(np.linalg.norm(placed.position_mm - true_mm, axis=1)))
     print(f"median {median_mm:.3f} mm from labels that are off by 0.3 mm per axis")
     assert median_mm < 0.25
     page = (write_atlas_report(result, sloppy.meta, ["a"]) / "report.md").read_text()

@@ -77,7 +77,7 @@ def test_taps_meanwhile_change_no_verdict(scene: Scene) -> None:
 def test_a_rate_that_was_not_asked_for(idle: np.ndarray, rate_hz: float, level: str) -> None:
     finding = doctor.check_rate(sample(idle, period_ns=round(1e9 / rate_hz)), 125.0)
     assert finding.level == level
-    assert f"{rate_hz:.2f} frames a second" in finding.text
+    assert f"{rate_hz:.2f} frames per second" in finding.text
 
 
 def test_lost_frames_are_counted_and_make_no_lower_rate(scene: Scene) -> None:

@@ -36,35 +36,35 @@ def touch(x_mm: float, y_mm: float, sigma_mm: float = 1.0, force: float = 0.5) -
     return Touch(x_mm, y_mm, sigma_mm, 0.9, force)
 
 
-def cost(pairs: list[tuple[int, int]], true_mm: Places, place_mm: Places, reach_mm: float) -> float:
+def cost(pairs: list[tuple[int, int]], true_mm: Places, position_mm: Places, reach_mm: float) -> float:
     """Distances, and the reach for each finger without a contact."""
-    together = sum(hypot(true_mm[i][0] - place_mm[j][0], true_mm[i][1] - place_mm[j][1]) for i, j in pairs)
+    together = sum(hypot(true_mm[i][0] - position_mm[j][0], true_mm[i][1] - position_mm[j][1]) for i, j in pairs)
     return together + (reach_mm * (len(true_mm) - len(pairs)) if len(pairs) < len(true_mm) else 0.0)
 
 
 @given(PLACES, PLACES, st.floats(0.5, 60))
-def test_no_other_assignment_within_the_reach_costs_less(true_mm: Places, place_mm: Places, reach_mm: float) -> None:
-    pairs = match(true_mm, place_mm, reach_mm)
+def test_no_other_assignment_within_the_reach_costs_less(true_mm: Places, position_mm: Places, reach_mm: float) -> None:
+    pairs = match(true_mm, position_mm, reach_mm)
     assert len({i for i, _ in pairs}) == len({j for _, j in pairs}) == len(pairs)
-    assert all(cost([pair], [true_mm[pair[0]]] * 5, place_mm, 0) <= reach_mm for pair in pairs)
-    few, many = sorted([range(len(true_mm)), range(len(place_mm))], key=len)
+    assert all(cost([pair], [true_mm[pair[0]]] * 5, position_mm, 0) <= reach_mm for pair in pairs)
+    few, many = sorted([range(len(true_mm)), range(len(position_mm))], key=len)
     best = inf
     for size in range(len(few) + 1):
         for chosen, others in itertools.product(itertools.combinations(few, size), itertools.permutations(many, size)):
             tried = list(zip(chosen, others, strict=True))
-            if len(true_mm) > len(place_mm):
+            if len(true_mm) > len(position_mm):
                 tried = [(i, j) for j, i in tried]
-            if all(cost([(0, j)], [true_mm[i]], place_mm, 0) <= reach_mm for i, j in tried):
-                best = min(best, cost(tried, true_mm, place_mm, reach_mm))
-    assert cost(pairs, true_mm, place_mm, reach_mm) == pytest.approx(best, abs=1e-6)
+            if all(cost([(0, j)], [true_mm[i]], position_mm, 0) <= reach_mm for i, j in tried):
+                best = min(best, cost(tried, true_mm, position_mm, reach_mm))
+    assert cost(pairs, true_mm, position_mm, reach_mm) == pytest.approx(best, abs=1e-6)
 
 
 @given(PLACES, PLACES)
-def test_without_a_reach_it_is_the_plain_assignment(true_mm: Places, place_mm: Places) -> None:
-    pairs = match(true_mm, place_mm, inf)
-    assert len(pairs) == min(len(true_mm), len(place_mm))
-    apart_mm = np.array([[hypot(x - u, y - v) for u, v in place_mm] for x, y in true_mm]).reshape(
-        len(true_mm), len(place_mm)
+def test_without_a_reach_it_is_the_plain_assignment(true_mm: Places, position_mm: Places) -> None:
+    pairs = match(true_mm, position_mm, inf)
+    assert len(pairs) == min(len(true_mm), len(position_mm))
+    apart_mm = np.array([[hypot(x - u, y - v) for u, v in position_mm] for x, y in true_mm]).reshape(
+        len(true_mm), len(position_mm)
     )
     rows, columns = linear_sum_assignment(apart_mm)
     total_mm = sum(apart_mm[i, j] for i, j in pairs)
@@ -79,27 +79,27 @@ def test_the_nearest_to_each_is_not_always_the_best_for_all() -> None:
 
 @given(FRAMES)
 def test_missed_ghosts_and_matches_account_for_every_finger_and_contact(frames: list[tuple[Places, Places]]) -> None:
-    seen = [Seen(true_mm, [touch(*place) for place in place_mm]) for true_mm, place_mm in frames]
+    seen = [Seen(true_mm, [touch(*place) for place in position_mm]) for true_mm, position_mm in frames]
     by_fingers = scores_by_fingers(match_frames(seen))
     assert sum(scores["n"] for scores in by_fingers.values()) == len(frames)
     for key, scores in by_fingers.items():
-        mine = [(true_mm, place_mm) for true_mm, place_mm in frames if len(true_mm) == int(key)]
-        pairs = [match(true_mm, place_mm) for true_mm, place_mm in mine]
+        mine = [(true_mm, position_mm) for true_mm, position_mm in frames if len(true_mm) == int(key)]
+        pairs = [match(true_mm, position_mm) for true_mm, position_mm in mine]
         assert scores["n"] == len(mine)
-        assert scores["ghosts"] == sum(len(place_mm) for _, place_mm in mine) - sum(map(len, pairs))
-        assert scores["count_right"] == np.mean([len(true_mm) == len(place_mm) for true_mm, place_mm in mine])
+        assert scores["ghosts"] == sum(len(position_mm) for _, position_mm in mine) - sum(map(len, pairs))
+        assert scores["count_right"] == np.mean([len(true_mm) == len(position_mm) for true_mm, position_mm in mine])
         if key == "0":
             assert set(scores) == {"n", "count_right", "ghosts"}
             continue
         assert scores["missed"] == sum(len(true_mm) for true_mm, _ in mine) - sum(map(len, pairs))
         errors = [
-            np.subtract(place_mm[j], np.array(true_mm[i], np.float32))
-            for (true_mm, place_mm), found in zip(mine, pairs, strict=True)
+            np.subtract(position_mm[j], np.array(true_mm[i], np.float32))
+            for (true_mm, position_mm), found in zip(mine, pairs, strict=True)
             for i, j in found
         ]
         near = [
-            len(found) == len(true_mm) and all(hypot(*np.subtract(true_mm[i], place_mm[j])) <= 2 for i, j in found)
-            for (true_mm, place_mm), found in zip(mine, pairs, strict=True)
+            len(found) == len(true_mm) and all(hypot(*np.subtract(true_mm[i], position_mm[j])) <= 2 for i, j in found)
+            for (true_mm, position_mm), found in zip(mine, pairs, strict=True)
         ]
         assert scores["all_within_2_mm"] == np.mean(near)
         if not errors:

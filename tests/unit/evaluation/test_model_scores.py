@@ -60,5 +60,5 @@ def test_the_tenths_of_a_right_standard_error_lie_on_the_line() -> None:
                      sigma_mm, np.ones(50_000))  # fmt: skip
     predicted, actual = sigma_deciles(said)
     np.testing.assert_allclose(actual, predicted, rtol=0.05)
-    _, doubled = sigma_deciles(replace(said, place_mm=2 * said.place_mm))
+    _, doubled = sigma_deciles(replace(said, position_mm=2 * said.position_mm))
     np.testing.assert_allclose(doubled, 2 * predicted, rtol=0.05)

@@ -53,7 +53,7 @@ def test_the_network_as_a_finder_says_what_it_says_to_the_daemon(one: Recording,
     seen = see(find_with(model, None, frames), frames)
     judged = judge(model, network_features(model, frames), frames.true_mm[:, 0], frames.noise_energy())
     mine = match_frames(seen, reach_mm=np.inf).judged
-    np.testing.assert_array_equal(mine.place_mm, judged.place_mm)
+    np.testing.assert_array_equal(mine.position_mm, judged.position_mm)
     np.testing.assert_array_equal(mine.sigma_mm, judged.sigma_mm)
     np.testing.assert_array_equal(mine.confidence, judged.confidence)
     scores = scores_by_fingers(match_frames(seen))["1"]

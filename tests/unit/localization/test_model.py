@@ -17,7 +17,8 @@ from touchd.keypad import PHONE, load_layout
 from touchd.localization.model import METADATA_KEY, Description, Model
 from touchd.training.network.export import fold, make_graph, write_model
 from touchd.training.network.export_check import TOLERANCE, check_graph
-from touchd.training.network.network import Classifier, PlainRegression, Regression
+from touchd.training.network.network import PaperNetwork, PositionNetwork
+from touchd.training.network.zones_and_keys import Classifier
 
 RIG = Acquisition(channels=4, samples=250, sample_rate_hz=250e3)
 PLATE = Plate(width_mm=200, height_mm=150)
@@ -31,11 +32,11 @@ def description(**changes: object) -> Description:
     return Description.model_validate(values | changes)
 
 
-def export(network: Regression | PlainRegression | Classifier, about: Description, path: Path) -> Model:
+def export(network: PositionNetwork | PaperNetwork | Classifier, about: Description, path: Path) -> Model:
     return write_model(make_graph(network, about), path)
 
 
-N = TypeVar("N", Regression, PlainRegression, Classifier)
+N = TypeVar("N", PositionNetwork, PaperNetwork, Classifier)
 
 
 def seen(network: N) -> N:
@@ -51,7 +52,7 @@ def seen(network: N) -> N:
 @pytest.fixture(scope="module")
 def regression(tmp_path_factory: pytest.TempPathFactory) -> Model:
     path = tmp_path_factory.mktemp("model") / "regression.onnx"
-    return export(seen(Regression(392, (200.0, 150.0))), description(), path)
+    return export(seen(PositionNetwork(392, (200.0, 150.0))), description(), path)
 
 
 def test_a_model_says_what_it_is(regression: Model) -> None:
@@ -59,7 +60,7 @@ def test_a_model_says_what_it_is(regression: Model) -> None:
 
 
 def test_what_is_exported_is_what_was_trained() -> None:
-    network = seen(Regression(392, (200.0, 150.0)))
+    network = seen(PositionNetwork(392, (200.0, 150.0)))
     features = np.random.default_rng(1).standard_normal((200, 392)).astype(np.float32) * 50
     exact = check_graph(network, make_graph(network, description()), features)
     assert 0 < exact.function <= TOLERANCE
@@ -71,7 +72,7 @@ def test_plain_spectra_lose_no_digits_to_what_they_have_in_common() -> None:
 
     def rounding(common: float) -> float:
         torch.manual_seed(1)
-        network = PlainRegression(392, (200.0, 150.0), dropout=0.0)
+        network = PaperNetwork(392, (200.0, 150.0), dropout=0.0)
         far = common * torch.randn(1, 392)
         for _ in range(100):
             network.raw(far + 10 * torch.randn(64, 392))
@@ -84,7 +85,7 @@ def test_plain_spectra_lose_no_digits_to_what_they_have_in_common() -> None:
 
 @pytest.mark.parametrize("weight", ["trunk.1.weight", "head.bias"])
 def test_another_function_than_the_trained_one_is_refused(weight: str) -> None:
-    network = seen(Regression(392, (200.0, 150.0)))
+    network = seen(PositionNetwork(392, (200.0, 150.0)))
     graph = make_graph(network, description())
     with torch.no_grad():
         dict(network.named_parameters())[weight].flatten()[0].add_(0.01)
@@ -94,7 +95,7 @@ def test_another_function_than_the_trained_one_is_refused(weight: str) -> None:
 
 
 def test_folding_leaves_no_normalisation_and_the_same_function() -> None:
-    network = seen(Regression(392, (200.0, 150.0))).double()
+    network = seen(PositionNetwork(392, (200.0, 150.0))).double()
     features = torch.randn(100, 392, dtype=torch.float64) * 50
     folded = fold(network)
     assert not any(isinstance(m, torch.nn.BatchNorm1d) for m in folded.modules())
@@ -124,7 +125,7 @@ def test_whatever_it_is_fed_a_model_answers_with_a_place_on_the_plate(regression
 
 
 def test_the_error_of_noise_is_told_apart_and_grows_with_the_noise(tmp_path: Path) -> None:
-    network = seen(Regression(392, (200.0, 150.0)))
+    network = seen(PositionNetwork(392, (200.0, 150.0)))
     model = export(network, description(), tmp_path / "a.onnx")
     features = np.random.default_rng(6).standard_normal((20, 392)).astype(np.float32) * 50
     with torch.inference_mode():
@@ -138,7 +139,7 @@ def test_the_error_of_noise_is_told_apart_and_grows_with_the_noise(tmp_path: Pat
 
 
 def test_a_model_that_does_not_tell_the_error_of_noise_apart_has_one_sigma_in_any_noise(tmp_path: Path) -> None:
-    network = seen(PlainRegression(392, (200.0, 150.0)))
+    network = seen(PaperNetwork(392, (200.0, 150.0)))
     network.sigma_mm.fill_(3.0)
     model = export(network, description(), tmp_path / "plain.onnx")
     estimate = model.estimate()
@@ -149,7 +150,7 @@ def test_a_model_that_does_not_tell_the_error_of_noise_apart_has_one_sigma_in_an
 def test_a_louder_touch_is_at_the_same_place() -> None:
     """Normalisation lives inside the graph: what is given are plain residuals."""
     features = np.random.default_rng(3).standard_normal(392).astype(np.float32)
-    network = Regression(392, (200.0, 150.0)).eval()
+    network = PositionNetwork(392, (200.0, 150.0)).eval()
     with torch.inference_mode():
         quiet, loud = (network.normalise(torch.from_numpy(features * gain)[None]) for gain in (1, 1000))
     torch.testing.assert_close(quiet[0], loud[0])

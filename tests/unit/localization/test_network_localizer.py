@@ -17,7 +17,7 @@ from touchd.localization.model import Description, Model
 from touchd.localization.network_localizer import Finder
 from touchd.outcome import Counters
 from touchd.training.network.export import make_graph, write_model
-from touchd.training.network.network import PlainRegression, Regression
+from touchd.training.network.network import PaperNetwork, PositionNetwork
 
 RIG = Acquisition(channels=4, samples=250, sample_rate_hz=250e3)
 LEVELS = (1.0, 10.0, 100.0)
@@ -25,7 +25,7 @@ LEVELS = (1.0, 10.0, 100.0)
 SETTINGS = Settings.model_validate({"model": {"min_confidence": 0.0, "keep_confidence": 0.0, "max_sigma_mm": 1e6}})
 
 
-def model_of(network: Regression | PlainRegression, folder: Path) -> Model:
+def model_of(network: PositionNetwork | PaperNetwork, folder: Path) -> Model:
     about = Description(
         name="test", head="regression", domain="frequency", input="residual", acquisition=RIG,
         plate=Plate(width_mm=200, height_mm=200),
@@ -52,7 +52,7 @@ def residual() -> np.ndarray:
 
 def test_sigma_grows_with_the_gates_noise_as_float64_has_it(residual: np.ndarray, tmp_path: Path) -> None:
     torch.manual_seed(3)
-    network = Regression(392, (200.0, 200.0)).eval()
+    network = PositionNetwork(392, (200.0, 200.0)).eval()
     model = model_of(network, tmp_path)
     features = (residual.astype(np.float64) @ windowed_dft(RIG)).reshape(1, -1)
     with torch.inference_mode():
@@ -66,7 +66,7 @@ def test_sigma_grows_with_the_gates_noise_as_float64_has_it(residual: np.ndarray
 
 def test_a_finger_that_noise_leaves_too_unsure_is_not_placed(residual: np.ndarray, tmp_path: Path) -> None:
     torch.manual_seed(3)
-    model = model_of(Regression(392, (200.0, 200.0)), tmp_path)
+    model = model_of(PositionNetwork(392, (200.0, 200.0)), tmp_path)
     quiet, *_, loud = (placed(model, residual, deviation)[0] for deviation in LEVELS)
     between = SETTINGS.model_copy(
         update={"model": SETTINGS.model.model_copy(update={"max_sigma_mm": (quiet + loud) / 2})}
@@ -76,5 +76,5 @@ def test_a_finger_that_noise_leaves_too_unsure_is_not_placed(residual: np.ndarra
 
 
 def test_a_network_that_knows_nothing_of_noise_says_the_same_in_any(residual: np.ndarray, tmp_path: Path) -> None:
-    model = model_of(PlainRegression(392, (200.0, 200.0)), tmp_path)
+    model = model_of(PaperNetwork(392, (200.0, 200.0)), tmp_path)
     assert {sigma for deviation in LEVELS for sigma in placed(model, residual, deviation)} == {1.0}

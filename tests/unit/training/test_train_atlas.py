@@ -8,20 +8,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from touchd.errors import TrainingError
-from touchd.training.data.inspection import freedom
+from touchd.training.data.inspection import degrees_of_freedom
 from touchd.training.field.make_atlas import SPARED, informative
 from touchd.training.train_atlas import AMPLE, HOPELESS, check_density
 
 
 @given(st.integers(4, 5000), st.floats(0.1, 0.4))
 def test_few_touches_are_called_few_and_hopelessly_few_refused(count: int, wavenumber_per_mm: float) -> None:
-    place_mm = np.random.default_rng(count).uniform(0, 190, (count, 2))
-    share = count / freedom(place_mm, wavenumber_per_mm)
+    position_mm = np.random.default_rng(count).uniform(0, 190, (count, 2))
+    share = count / degrees_of_freedom(position_mm, wavenumber_per_mm)
     if share < HOPELESS:
         with pytest.raises(TrainingError, match="degrees of freedom"):
-            list(check_density(place_mm, wavenumber_per_mm))
+            list(check_density(position_mm, wavenumber_per_mm))
     else:
-        assert len(list(check_density(place_mm, wavenumber_per_mm))) == (share < AMPLE)
+        assert len(list(check_density(position_mm, wavenumber_per_mm))) == (share < AMPLE)
 
 
 @given(st.lists(st.floats(0, 1e4), min_size=1, max_size=60))

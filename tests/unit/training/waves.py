@@ -17,9 +17,9 @@ class Waves:
         self._angle = rng.uniform(0, 2 * np.pi, shape)
         self._size = (rng.normal(size=shape) + 1j * rng.normal(size=shape)) / np.sqrt(2 * 24)
 
-    def at(self, place_mm: np.ndarray) -> np.ndarray:
+    def at(self, position_mm: np.ndarray) -> np.ndarray:
         """The field at places (n, 2), shape (n, channels, bins)."""
-        along = np.einsum("nd,dwpcb->nwpcb", place_mm, np.stack([np.cos(self._angle), np.sin(self._angle)]))
+        along = np.einsum("nd,dwpcb->nwpcb", position_mm, np.stack([np.cos(self._angle), np.sin(self._angle)]))
         waves = (self._size * np.exp(1j * self._k * along)).sum(axis=2)
         product: np.ndarray = waves[:, 0] * waves[:, 1]
         return product
@@ -28,11 +28,11 @@ class Waves:
 def touch(
     waves: Waves, count: int, size_mm: float, seed: int, noise: float = 1e-4, spread: float = 0.2
 ) -> tuple[Touches, np.ndarray]:
-    """Touches all over a square, with their strengths: complex, alike in all bins, 1 on average."""
+    """Touches all over a square, with their amplitudes: complex, alike in all bins, 1 on average."""
     rng = np.random.default_rng(seed)
-    place_mm = rng.uniform(0, size_mm, (count, 2))
-    strength = 1 + spread * (rng.uniform(-1, 1, count) + 1j * rng.uniform(-1, 1, count))
-    field = waves.at(place_mm)
-    values = strength[:, None, None] * field
+    position_mm = rng.uniform(0, size_mm, (count, 2))
+    amplitude = 1 + spread * (rng.uniform(-1, 1, count) + 1j * rng.uniform(-1, 1, count))
+    field = waves.at(position_mm)
+    values = amplitude[:, None, None] * field
     values = values + np.sqrt(noise / 2) * (rng.normal(size=values.shape) + 1j * rng.normal(size=values.shape))
-    return Touches(place_mm, values.astype(np.complex64), noise), strength
+    return Touches(position_mm, values.astype(np.complex64), noise), amplitude

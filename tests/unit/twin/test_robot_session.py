@@ -59,10 +59,10 @@ def test_scenes_refuse_to_be_divided(
     options: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["simulate", "tap", "-o", str(tmp_path / "x.npz"), *options]) == 2
-    assert "are for touches" in capsys.readouterr().err
+    assert "apply to touches" in capsys.readouterr().err
 
 
 def test_jobs_and_a_cluster_exclude_each_other(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     options = ["--jobs", "2", "--dask", "tcp://127.0.0.1:1"]
     assert main(["simulate", "touches", "-o", str(tmp_path / "x.npz"), *options]) == 2
-    assert "cluster's own" in capsys.readouterr().err
+    assert "cluster's workers" in capsys.readouterr().err

@@ -1,1 +1,1 @@
-"""Pictures of models, error maps and replayed sessions."""
+"""Plots of models, error maps and replayed sessions (matplotlib, extra `train`)."""

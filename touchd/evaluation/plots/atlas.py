@@ -1,4 +1,4 @@
-"""Pictures of the field atlas: the field itself, what limits its accuracy, and fingers followed with it."""
+"""Plots of the field atlas: learned field, error by noise and by training touches, tracked fingers."""
 
 from __future__ import annotations
 
@@ -26,42 +26,42 @@ Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 FLOOR_DB = -60.0
-"""Of the spectrum's picture."""
+"""Lower limit of the spectrum's colour scale."""
 ERROR_MM = 0.4
-"""Half of what the pictures of errors in time show."""
+"""Half the range of the error axes."""
 
 
 @dataclass(frozen=True, slots=True)
 class FieldImage:
-    """The field of one receiver and bin on a square grid: as it is, and as it was learned."""
+    """True and learned field of one receiver and bin on a square grid."""
 
     x_mm: Floats
     y_mm: Floats
     true: Complex
     """Shape (rows, columns), in any unit."""
     learned: Complex
-    """The same, in the unit that fits `true` best."""
+    """Scaled to fit `true` best."""
     frequency_hz: float
     wavenumber_per_mm: float
-    """Of the plate's wave there, rad/mm."""
+    """Wavenumber of the plate's A0 wave at `frequency_hz`, rad/mm."""
     channel: int
 
 
 @dataclass(frozen=True, slots=True)
 class NoiseLevel:
-    """Touches at one level of noise, judged, and what could be reached."""
+    """Estimates and bounds at one noise level."""
 
     noise_db: float
-    """Below the untouched plate's signal."""
+    """Signal-to-noise ratio of the untouched plate, dB."""
     judged: Judgement
     bound_mm: float
-    """Median error of the best possible estimator."""
+    """Cramer-Rao bound of the median error."""
     plain_mm: float
-    """The same of least squares that take all bins for equally good."""
+    """Median error of unweighted least squares."""
 
 
 def draw_field(image: FieldImage, meta: Meta) -> Figure:
-    """Draw the learned field, the spectrum of the true one, and how far they differ."""
+    """Plot the learned field, the spectrum of the true field, and their difference."""
     figure = Figure(figsize=(14.5, 4.3), layout="constrained")
     left, middle, right = figure.subplots(1, 3)
     khz = image.frequency_hz * 1e-3
@@ -100,7 +100,7 @@ def _spectrum(figure: Figure, axes: Axes, image: FieldImage) -> None:
 
 
 def draw_noise(levels: Sequence[NoiseLevel]) -> Figure:
-    """Draw error and bound by noise, and the actual error by the predicted one at each level."""
+    """Plot error and bound by noise, and actual against predicted error at each noise level."""
     figure = Figure(figsize=(11.5, 4.8), layout="constrained")
     left, right = figure.subplots(1, 2)
     noise_db = [level.noise_db for level in levels]
@@ -108,14 +108,14 @@ def draw_noise(levels: Sequence[NoiseLevel]) -> Figure:
     left.plot(noise_db, [s["p95_mm"] for s in scores], "^-", color=COLOURS[3], label="95th percentile of the error")
     left.plot(noise_db, [s["median_mm"] for s in scores], "o-", color=COLOURS[0], label="median error")
     plain = [level.plain_mm for level in levels]
-    left.plot(noise_db, plain, "--", color=COLOURS[0], lw=1, label="median, were the field known exactly")
+    left.plot(noise_db, plain, "--", color=COLOURS[0], lw=1, label="median with the exact field")
     bound = [level.bound_mm for level in levels]
     left.plot(noise_db, bound, "-", color=TRUTH, lw=4, zorder=0, label="Cramer-Rao bound, median")
     left.set(
         xlabel="noise below the untouched signal (dB)", ylabel="error (mm)", yscale="log", title="error by noise",
         xticks=noise_db,
     )  # fmt: skip
-    left.invert_xaxis()  # noisier to the right
+    left.invert_xaxis()  # noise grows to the right
     left.legend(frameon=False, fontsize=9)
     low, high = np.inf, 0.0
     for level, colour in zip(levels, COLOURS, strict=False):
@@ -126,7 +126,7 @@ def draw_noise(levels: Sequence[NoiseLevel]) -> Figure:
     right.plot(ends, ends, color=TRUTH, lw=5, zorder=0, label="as predicted")
     right.set(
         xscale="log", yscale="log", xlim=ends, ylim=ends, xlabel="predicted: median sigma (mm)",
-        ylabel="actual: 68 % of errors are below (mm)", title="predicted and actual error, a tenth of the touches each",
+        ylabel="actual: 68 % of errors are below (mm)", title="predicted and actual error, by deciles of sigma",
     )  # fmt: skip
     right.legend(frameon=False, fontsize=9, loc="upper left")
     _plain_ticks(left.yaxis)
@@ -138,7 +138,7 @@ def draw_noise(levels: Sequence[NoiseLevel]) -> Figure:
 
 
 def draw_learning(touches: Sequence[int], scores: Sequence[dict[str, float]], freedom: float) -> Figure:
-    """Draw the error by the number of touches that the field was learned from, and the field's degrees of freedom."""
+    """Plot the error by the number of training touches, with the field's degrees of freedom."""
     figure = Figure(figsize=(6.8, 4.6), layout="constrained")
     axes = figure.add_subplot()
     for name, label, style, colour in (
@@ -148,7 +148,7 @@ def draw_learning(touches: Sequence[int], scores: Sequence[dict[str, float]], fr
         axes.plot(touches, [s[name] for s in scores], style, color=colour, label=label)
     axes.axvline(freedom, color=TRUTH, lw=4, zorder=0, label=f"degrees of freedom at 100 kHz: {freedom:.0f}")
     axes.set(
-        xscale="log", yscale="log", xlabel="touches that the field was learned from", ylabel="error (mm)",
+        xscale="log", yscale="log", xlabel="training touches", ylabel="error (mm)",
         title="error by training touches",
     )  # fmt: skip
     axes.set_xticks(list(touches), [str(n) for n in touches])
@@ -160,7 +160,7 @@ def draw_learning(touches: Sequence[int], scores: Sequence[dict[str, float]], fr
 
 
 def draw_fingers(recording: Recording, events: Sequence[TouchEvent]) -> Figure:
-    """Draw contacts over the fingers' true paths, and x and y with their errors beside the predicted sigma in time."""
+    """Plot contacts over the fingers' true paths; x, y and their errors over time, with the predicted sigma."""
     figure = Figure(figsize=(13.5, 6.6), layout="constrained")
     grid = figure.add_gridspec(4, 2, width_ratios=(1, 1.35))
     plate_axes = figure.add_subplot(grid[:, 0])
@@ -176,7 +176,7 @@ def draw_fingers(recording: Recording, events: Sequence[TouchEvent]) -> Figure:
     for number, rows in enumerate(followed(recording, events)):
         colour = COLOURS[number % len(COLOURS)]
         t, x, y, sigma, true_x, true_y = rows.T
-        label = None if number else "contacts, a colour each"
+        label = None if number else "contacts, one colour each"
         plate_axes.plot(x, y, color=colour, lw=1, marker=".", ms=3, label=label)
         for axes, error_axes, value, truth in ((x_axes, ex_axes, x, true_x), (y_axes, ey_axes, y, true_y)):
             axes.plot(t, value, color=colour, lw=1)
@@ -203,9 +203,9 @@ def draw_fingers(recording: Recording, events: Sequence[TouchEvent]) -> Figure:
 
 
 def followed(recording: Recording, events: Sequence[TouchEvent]) -> list[Floats]:
-    """Return each contact, message by message, beside its finger, in order of their ids.
+    """Return each contact's messages with the true position of its finger, ordered by id.
 
-    Rows are time (s), x, y, sigma (mm), and x and y of the finger that it is in that frame, NaN for none: (n, 6).
+    Columns are time (s), x, y, sigma (mm), true x and y (NaN without a finger): shape (n, 6).
     """
     assert recording.contacts_mm is not None
     row_of = {number: i for i, number in enumerate(recording.sequence.tolist())}

@@ -1,4 +1,4 @@
-"""Maps of the plate: where on it a model errs, which way, and in which of its zones."""
+"""Maps of the plate: error, bias and misclassified zones."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from touchd.recording.data import Meta
 
 Floats = NDArray[np.float64]
 
-MAP = "viridis"  # told apart by every eye, and in grey
+MAP = "viridis"  # readable with colour blindness, and in grey
 NOTHING = "#e8eaed"
 ARROW, CHANCE = "#14213d", "#b8bec6"
 CELL_TOUCHES = 6
-"""Touches a cell of the error map holds on average: a median of fewer says little."""
+"""Mean touches per cell of the error map: the median of fewer is too noisy."""
 BIAS_TOUCHES = 24
-"""The same of the bias map, where errors in all directions shall cancel."""
+"""Mean touches per cell of the bias map: enough for errors in random directions to cancel."""
 MOST_CELLS = 25
-"""Along either side."""
+"""Cells along either side."""
 
 
 def cells_of(position_mm: NDArray[np.float32], plate: Plate, touches: int) -> tuple[NDArray[np.int64], tuple[int, int]]:
-    """Return in which cell of the plate each of n places lies, (n,), counted row by row, and how many rows and columns.
+    """Return the cell of each of n positions, (n,), row by row, and the numbers of rows and columns.
 
-    The cells are about square and hold so many touches each on average.
+    Cells are about square and hold `touches` touches on average.
     """
     side_mm = sqrt(plate.width_mm * plate.height_mm * touches / len(position_mm))
     columns, rows = (
@@ -42,7 +42,7 @@ def cells_of(position_mm: NDArray[np.float32], plate: Plate, touches: int) -> tu
 
 
 def cell_medians(position_mm: NDArray[np.float32], value: Floats, plate: Plate) -> tuple[Floats, NDArray[np.int64]]:
-    """Return median value and number of touches in each cell of the plate, shape (rows, columns), NaN where none."""
+    """Return median value and number of touches per cell, shape (rows, columns); NaN without touches."""
     cell, shape = cells_of(position_mm, plate, CELL_TOUCHES)
     count = np.bincount(cell, minlength=shape[0] * shape[1])
     medians = np.array([np.median(value[cell == i]) if count[i] else np.nan for i in range(len(count))])
@@ -52,11 +52,11 @@ def cell_medians(position_mm: NDArray[np.float32], value: Floats, plate: Plate) 
 def cell_bias(
     position_mm: NDArray[np.float32], error_mm: Floats, plate: Plate
 ) -> tuple[Floats, Floats, NDArray[np.bool_], float]:
-    """Return where and which way a model errs on the whole, cell by cell, of those c that hold three touches or more.
+    """Return the bias of a model in each of the c cells with three touches or more.
 
-    The bias is the median error of either axis, which a few gross errors do not move. It is beyond chance where it
-    would be so long in one of twenty cells without any: compared with the standard error of a median, 1.25 that of a
-    mean, from the median absolute deviation.
+    The bias is the median error per axis, which ignores gross errors. It is significant if a cell without bias exceeds
+    it in 1 of 20 cases: the standard error of a median is 1.25 times that of a mean, estimated from the median absolute
+    deviation.
 
     Returns
     -------
@@ -73,21 +73,21 @@ def cell_bias(
         mine = error_mm[cell == number]
         bias_mm[i] = np.median(mine, axis=0)
         spread_mm = 1.4826 * np.median(np.abs(mine - bias_mm[i]), axis=0)
-        # chi^2 of two degrees of freedom is 5.99 or more in one of twenty.
+        # P(chi^2 of two degrees of freedom > 5.99) = 5 %.
         beyond[i] = np.sum((bias_mm[i] / np.maximum(1.2533 * spread_mm, 1e-12)) ** 2) * len(mine) > 5.99
     centre_mm = (np.stack([used % columns, used // columns], axis=1) + 0.5) * size_mm
     return centre_mm, bias_mm, beyond, float(size_mm.min())
 
 
 def draw_error_map(judged: Judgement, meta: Meta) -> Figure:
-    """Draw the median error in each cell of the plate."""
+    """Plot the median error of each cell."""
     figure = Figure(figsize=(7.0, 6.0), layout="constrained")
     _error_map(figure, figure.add_subplot(), judged, meta)
     return figure
 
 
 def draw_maps(judged: Judgement, meta: Meta, remark: str = "") -> Figure:
-    """Draw the median error, and beside it the bias, in each cell of the plate; the remark stands above both."""
+    """Plot the median error of each cell, and beside it the bias; `remark` is the title of both."""
     figure = Figure(figsize=(13.5, 6.4 if remark else 6.0), layout="constrained")
     left, right = figure.subplots(1, 2)
     _error_map(figure, left, judged, meta)
@@ -100,7 +100,7 @@ def draw_maps(judged: Judgement, meta: Meta, remark: str = "") -> Figure:
 def _error_map(figure: Figure, axes: Axes, judged: Judgement, meta: Meta) -> None:
     plate = meta.plate
     medians, count = cell_medians(judged.true_mm, judged.distance_mm, plate)
-    # One cell that is far off shall not make all others look alike.
+    # Clip the scale, so that one cell with a large error does not hide the differences of the others.
     top = float(np.nanpercentile(medians, 95))
     image = axes.imshow(
         np.ma.masked_invalid(medians), cmap=MAP, vmin=0, vmax=max(top, 1e-6), extent=_extent(plate)
@@ -109,7 +109,7 @@ def _error_map(figure: Figure, axes: Axes, judged: Judgement, meta: Meta) -> Non
     for row, column in np.argwhere(count > 0):
         _say_in_cell(axes, plate, medians.shape, row, column, f"{count[row, column]}", medians[row, column] > top / 2)
     _draw_plate(axes, meta)
-    axes.set_title(f"error of {len(judged.true_mm)} touches; in each cell: how many; grey: none", fontsize=10)
+    axes.set_title(f"error of {len(judged.true_mm)} touches; number per cell; grey: none", fontsize=10)
 
 
 def _bias_map(axes: Axes, judged: Judgement, meta: Meta) -> None:
@@ -117,7 +117,7 @@ def _bias_map(axes: Axes, judged: Judgement, meta: Meta) -> None:
     _draw_plate(axes, meta)
     axes.set_facecolor("white")
     axes.set_aspect("equal")
-    axes.set_title("bias: median error of each cell, as an arrow; dark: beyond chance", fontsize=10)
+    axes.set_title("bias: median error of each cell, as an arrow; dark: significant (5 %)", fontsize=10)
     rows, columns = cells_of(judged.true_mm, meta.plate, BIAS_TOUCHES)[1]
     for draw, parts, length_mm in (
         (axes.axvline, columns, meta.plate.width_mm),
@@ -128,26 +128,26 @@ def _bias_map(axes: Axes, judged: Judgement, meta: Meta) -> None:
     length_mm = np.linalg.norm(bias_mm, axis=1)
     if not length_mm.any():
         return
-    # Most arrows stay within their cell; that a few are longer shall not make the others vanish.
+    # Scale by the 90th percentile: a few long arrows leave their cell, the others stay visible.
     scale = max(float(np.percentile(length_mm, 90)), float(length_mm.max()) / 2) / (0.95 * side_mm)
     for chosen, colour in ((~beyond, CHANCE), (beyond, ARROW)):
         arrows = axes.quiver(
             *centre_mm[chosen].T, *bias_mm[chosen].T, color=colour, angles="xy", scale_units="xy", pivot="middle",
             scale=scale, width=0.0045, clip_on=False,
         )  # fmt: skip
-        arrows.set_in_layout(False)  # what reaches beyond the plate needs no room
+        arrows.set_in_layout(False)  # arrows may reach beyond the axes
     unit_mm = _round_down(side_mm * scale)
     axes.quiverkey(arrows, 0.9, -0.115, unit_mm, f"{unit_mm:g} mm", labelpos="W", coordinates="axes")
 
 
 def _round_down(length: float) -> float:
-    """Return the largest of 1, 2 and 5 times a power of ten that is not above a length."""
+    """Round a length down to 1, 2 or 5 times a power of ten."""
     power = 10.0 ** np.floor(np.log10(length))
     return float(max(step for step in (1, 2, 5) if step * power <= length * (1 + 1e-9)) * power)
 
 
 def draw_zones(judged: Judgement, description: Description, meta: Meta) -> Figure:
-    """Draw the share of touches in each zone of a grid that were taken for another zone."""
+    """Plot the share of misclassified touches in each zone of a grid."""
     assert judged.true_class is not None
     assert judged.found_class is not None
     n = description.grid
@@ -157,17 +157,17 @@ def draw_zones(judged: Judgement, description: Description, meta: Meta) -> Figur
     figure = Figure(figsize=(7.0, 6.0), layout="constrained")
     axes = figure.add_subplot()
     image = axes.imshow(np.ma.masked_invalid(share), cmap=MAP, vmin=0, vmax=100, extent=_extent(meta.plate))
-    figure.colorbar(image, ax=axes, label="touches taken for another zone (%)", shrink=0.85)
+    figure.colorbar(image, ax=axes, label="misclassified touches (%)", shrink=0.85)
     for row, column in np.argwhere(count.reshape(n, n) > 0):
         text = f"{count.reshape(n, n)[row, column]}"
         _say_in_cell(axes, meta.plate, (n, n), row, column, text, share[row, column] > 50)
     _draw_plate(axes, meta)
-    axes.set_title(f"{n} x {n} zones, {len(judged.true_mm)} touches; in each zone: how many", fontsize=10)
+    axes.set_title(f"{n} x {n} zones, {len(judged.true_mm)} touches; number per zone", fontsize=10)
     return figure
 
 
 def _extent(plate: Plate) -> tuple[float, float, float, float]:
-    """Left, right, bottom and top of an image of the plate: y runs down."""
+    """Return left, right, bottom and top of an image of the plate; y points down."""
     return 0, plate.width_mm, plate.height_mm, 0
 
 

@@ -1,4 +1,4 @@
-"""Pictures of one model: how it learned, what it takes for what, and whether it knows how much it errs."""
+"""Plots of a model: learning curve, confusion of keys, calibration of sigma."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from touchd.evaluation.plots.session import COLOURS, TRUTH
 from touchd.localization.model import Description
 
 ONE_SIGMA = 0.683
-"""Share of Gaussian errors within one deviation."""
+"""Share of Gaussian errors within one standard deviation."""
 
 
 def draw_learning_curve(loss: Sequence[float], validation_mm: Sequence[float], kept: int) -> Figure:
-    """Draw the training loss and the validation RMSE by epoch, and which epoch was kept, counted from 1."""
+    """Plot training loss and validation RMSE by epoch, and mark the kept epoch, counted from 1."""
     figure = Figure(figsize=(7.0, 5.0), layout="constrained")
     above, below = figure.subplots(2, 1, sharex=True)
     epochs = np.arange(1, len(loss) + 1)
@@ -41,7 +41,7 @@ def draw_learning_curve(loss: Sequence[float], validation_mm: Sequence[float], k
 
 
 def draw_confusion(judged: Judgement, description: Description) -> Figure:
-    """Draw which key was taken for which: counts, coloured by their share of the row."""
+    """Plot the confusion matrix of the keys: counts, coloured by share of the row."""
     assert description.layout is not None
     names = [*(key.name for key in description.layout.key), "beside"]
     matrix = confusion(judged, len(names))
@@ -50,7 +50,7 @@ def draw_confusion(judged: Judgement, description: Description) -> Figure:
     side = 2.8 + 0.36 * len(names)
     figure = Figure(figsize=(side + 0.8, side), layout="constrained")
     axes = figure.add_subplot()
-    axes.set_facecolor(NOTHING)  # keys that were never touched
+    axes.set_facecolor(NOTHING)  # rows of keys without a touch
     image = axes.imshow(share, cmap=MAP, vmin=0, vmax=100)
     figure.colorbar(image, ax=axes, label="share of the touched key (%)", shrink=0.85)
     for row, column in np.argwhere(matrix):
@@ -63,7 +63,7 @@ def draw_confusion(judged: Judgement, description: Description) -> Figure:
 
 
 def confusion(judged: Judgement, classes: int) -> NDArray[np.int64]:
-    """Return how often each class (row) was taken for each (column), shape (classes, classes)."""
+    """Return the confusion matrix: true classes in rows, estimated in columns, shape (classes, classes)."""
     assert judged.true_class is not None
     assert judged.found_class is not None
     pair = judged.true_class * classes + judged.found_class
@@ -71,7 +71,7 @@ def confusion(judged: Judgement, classes: int) -> NDArray[np.int64]:
 
 
 def draw_sigma(judged: Judgement) -> Figure:
-    """Draw the share of errors within k sigma beside a Gaussian's, and actual by predicted error."""
+    """Plot the share of errors within k sigma, beside the Gaussian share, and actual against predicted error."""
     figure = Figure(figsize=(10.0, 4.6), layout="constrained")
     left, right = figure.subplots(1, 2)
     ratio = np.sort((np.abs(judged.error_mm) / judged.sigma_mm[:, None]).ravel())
@@ -90,14 +90,14 @@ def draw_sigma(judged: Judgement) -> Figure:
         ylabel="actual: 68 % of errors are below (mm)", title="touches in order of their sigma",
     )  # fmt: skip
     _plain_ticks(right)
-    right.legend(frameon=False)  # where it hides no point
+    right.legend(frameon=False)  # matplotlib chooses the emptiest corner
     for axes in (left, right):
         axes.grid(alpha=0.25, which="both")
     return figure
 
 
 def sigma_deciles(judged: Judgement) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the median sigma, and the error that 68.3 % of either axis stay below, by tenths in order of sigma."""
+    """Return by deciles of sigma the median sigma, and the 68.3 % quantile of the absolute error per axis."""
     parts = np.array_split(np.argsort(judged.sigma_mm, kind="stable"), min(10, len(judged.sigma_mm)))
     predicted = np.array([np.median(judged.sigma_mm[part]) for part in parts])
     return predicted, np.array([np.quantile(np.abs(judged.error_mm[part]), ONE_SIGMA) for part in parts])

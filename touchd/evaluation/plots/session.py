@@ -1,4 +1,4 @@
-"""Pictures, drawn with matplotlib (extra `train`)."""
+"""Plot a replayed session (matplotlib, extra `train`)."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ COLOURS = ("#0b6e99", "#d1495b", "#3a7d44", "#e28413", "#6a4c93", "#2f4858", "#8
 
 
 def draw_session(recording: Recording, events: list[TouchEvent], path: Path) -> None:
-    """Draw the plate with the touches of a recording and the contacts found, and x and y over time.
+    """Plot true touches and published contacts on the plate, and x and y over time.
 
     Raises
     ------
     OutputError
-        If the picture cannot be written.
+        The file cannot be written.
     """
     figure = Figure(figsize=(10.5, 5.0), layout="constrained")
     plate_axes = figure.add_subplot(1, 2, 1)
@@ -43,13 +43,13 @@ def draw_session(recording: Recording, events: list[TouchEvent], path: Path) -> 
     for number, contact in enumerate(contacts):
         colour = COLOURS[number % len(COLOURS)]
         label = f"contact {number + 1}"
-        if len(contacts) > len(COLOURS):  # colours come again: a name each would tell them apart no more
+        if len(contacts) > len(COLOURS):  # colours repeat, so single names would be ambiguous
             label = f"{len(contacts)} contacts" if number == 0 else None
-        place_mm = np.asarray(contact.position_mm)
-        plate_axes.plot(*place_mm.T, color=colour, lw=1.2, marker="o", ms=2.5, label=label)
-        plate_axes.plot(*place_mm[0], color=colour, marker="o", ms=6)  # where it went down; a tap is hardly more
+        position_mm = np.asarray(contact.position_mm)
+        plate_axes.plot(*position_mm.T, color=colour, lw=1.2, marker="o", ms=2.5, label=label)
+        plate_axes.plot(*position_mm[0], color=colour, marker="o", ms=6)  # marks the start; a tap is little more
         when = [seconds[frame] for frame in contact.frames]
-        for axes, values in zip((x_axes, y_axes), place_mm.T, strict=True):
+        for axes, values in zip((x_axes, y_axes), position_mm.T, strict=True):
             axes.plot(when, values, color=colour, lw=1.2, marker="o", ms=2.5)
 
     plate = recording.meta.plate
@@ -58,7 +58,7 @@ def draw_session(recording: Recording, events: list[TouchEvent], path: Path) -> 
         title=f"{plate.material} plate, {plate.width_mm:g} x {plate.height_mm:g} x {plate.thickness_mm:g} mm",
     )  # fmt: skip
     draw_transducers(recording.meta, plate_axes)
-    # Below the plate: inside it a legend would cover touches.
+    # Place the legend below the plate, where it covers no touch.
     plate_axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=4, fontsize=8, frameon=False)
     x_axes.set(ylabel="x (mm)", ylim=(0, plate.width_mm), title="contacts over time")
     y_axes.set(ylabel="y (mm)", ylim=(plate.height_mm, 0), xlabel="time (s)", xlim=(0, max(seconds.values())))
@@ -68,7 +68,7 @@ def draw_session(recording: Recording, events: list[TouchEvent], path: Path) -> 
 
 
 def draw_transducers(meta: Meta, axes: Axes, colour: str = "black") -> None:
-    """Mark emitter and receivers where a recording names their places; the edge keeps a light mark visible."""
+    """Mark emitter and receivers at the recording's positions; a black edge keeps light marks visible."""
     how: dict[str, Any] = {"color": colour, "ms": 7, "markeredgecolor": "black", "ls": "none"}
     if meta.emitter_mm:
         axes.plot(*meta.emitter_mm, "s", label="emitter", **how)
@@ -82,9 +82,9 @@ def save(figure: Figure, path: Path) -> None:
     Raises
     ------
     OutputError
-        If it cannot be written.
+        The file cannot be written.
     """
     try:
         figure.savefig(path, dpi=110, metadata={"Software": None} if path.suffix == ".png" else None)
     except (OSError, ValueError) as error:
-        raise OutputError(f"cannot be written ({error})", str(path), "name a .png in a folder that exists") from error
+        raise OutputError(f"cannot be written ({error})", str(path), "name a .png in an existing folder") from error

@@ -1,4 +1,4 @@
-"""A network by itself, run as the daemon runs its own: on one thread, with its buffers bound once."""
+"""Run a network alone, as the daemon does: on one thread, with buffers bound once."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.localization.model import _load as open_session  # the daemon's own options, whatever they become
+from touchd.localization.model import _load as open_session  # so that both share the session options
 
 _TYPES = {"tensor(float)": np.float32, "tensor(double)": np.float64}
 
 
 class BoundNetwork:
-    """A network with its buffers bound once, as the daemon runs its own: fill `inputs`, call, read `outputs`."""
+    """A network with buffers bound once: fill `inputs`, call, read `outputs`."""
 
     def __init__(self, path: Path, rows: int = 1) -> None:
         self._session = open_session(path)

@@ -1,4 +1,4 @@
-"""What a frame may cost, as a ratio to the bare run of the paper's network in the same process; and other limits."""
+"""Budgets: limits of a frame's cost relative to the bare network, and of latency, throughput, start and memory."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ class Budget(NamedTuple):
     unit: str
     limit: float
     read: Callable[[Run], float | None]
-    """Returns the figure of a run, None if it was not measured."""
+    """Returns the measured value of a run, None if not measured."""
     least: bool = False
-    """Whether it is a lower limit."""
+    """Whether `limit` is a lower limit."""
 
     def holds(self, value: float, margin: float = 1.0) -> bool:
-        """Return whether a value is within the limit, or within so many times of it."""
+        """Return whether a value meets the limit, relaxed by the factor `margin`."""
         return value * margin >= self.limit if self.least else value <= margin * self.limit
 
 
@@ -56,4 +56,4 @@ BUDGETS = (
         lambda run: max((cell.rss_mb for cell in run.daemon if cell.rate_hz is not None), default=None),
     ),
 )  # fmt: skip
-"""Those that one run can tell; growth of memory and allocations are tests of their own."""
+"""Budgets that a single run can check; memory growth and allocations have tests of their own."""

@@ -1,7 +1,6 @@
-"""`python -m touchd.lab.benchmark.bus`: the event bus with nothing behind it, as the floor of the daemon's latency.
+"""`python -m touchd.lab.benchmark.bus`: latency of the event bus alone, the floor of the daemon's latency.
 
-A process that wakes up at a steady rate and sends the time, and this one, which receives it: how late that is, is the
-doing of ZeroMQ, the kernel and the computer alone.
+One process sends the time at a steady rate, this one receives it. The delay is due to ZeroMQ, kernel and computer.
 """
 
 from __future__ import annotations
@@ -20,18 +19,18 @@ from touchd.lab.benchmark.stopwatch import Spread, spread
 from touchd.service.cpu_latency import Awake, permitted
 
 BODY_BYTES = 330
-"""As a touch message with one contact."""
+"""Size of a touch message with one contact."""
 BURN_IN_S = 0.3
 PATIENCE_MS = 10_000
 
 
 def measure(rate_hz: float, seconds: float, folder: Path, *, apart: bool = False) -> Spread:
-    """Return how long messages take from one process to another, in us: on one processor, or `apart` on two.
+    """Return the latency of messages between two processes, us: on one processor, or on two if `apart`.
 
     Raises
     ------
     JobError
-        If none came.
+        No message arrived.
     """
     address = f"ipc://{folder}/bare-bus"
     took_us, cpus = [], daemon_cpus()
@@ -40,7 +39,7 @@ def measure(rate_hz: float, seconds: float, folder: Path, *, apart: bool = False
         socket.connect(address)
         socket.subscribe(b"touch")
         command = [sys.executable, "-m", "touchd.lab.benchmark.bus", address, rate_hz, seconds, *cpus]
-        with subprocess.Popen([str(part) for part in command]) as process:  # noqa: S603 - this very module
+        with subprocess.Popen([str(part) for part in command]) as process:  # noqa: S603 - runs this module
             try:
                 while body := socket.recv_multipart()[1]:
                     took_us.append((time.monotonic_ns() - int.from_bytes(body[:8], "little")) * 1e-3)
@@ -48,12 +47,12 @@ def measure(rate_hz: float, seconds: float, folder: Path, *, apart: bool = False
                 process.kill()
     counted = took_us[round(BURN_IN_S * rate_hz) :]
     if not counted:
-        raise JobError("nothing came over the bare bus", "benchmark", "give it more time")
+        raise JobError("no message arrived over the bare bus", "benchmark", "allow it more time")
     return spread(counted)
 
 
 def run(address: str, rate_hz: float, seconds: float, cpus: tuple[int, ...]) -> None:
-    """Send, once somebody is subscribed; an empty message ends it. The processors are kept awake as by the daemon."""
+    """Send after the first subscription; an empty message ends the run. Processors are kept awake as by the daemon."""
     if cpus:
         os.sched_setaffinity(0, cpus)
     if permitted():

@@ -1,4 +1,4 @@
-"""`python -m touchd.lab.benchmark.child`: the daemon in a process of its own, put together as ever, with a clock in it.
+"""`python -m touchd.lab.benchmark.child`: the daemon in its own process, with the usual composition plus a clock.
 
 It reads what to do as JSON on standard input, and writes what it measured as a file of arrays.
 """
@@ -34,13 +34,13 @@ WARM_UP_RUNS, BARE_RUNS = 50, 400
 
 
 class Task(BaseModel):
-    """What to run."""
+    """Parameters of a run."""
 
     model_config = ConfigDict(frozen=True)
 
     loop: Path
     rate_hz: float | None
-    """None is as fast as frames are taken."""
+    """None for full speed."""
     seconds: float
     bare: Path
     output: Path
@@ -51,18 +51,18 @@ class Task(BaseModel):
 
 
 class Clocked:
-    """Stands in for the pre-roll, which gets each frame when all else is done with it."""
+    """Wraps the pre-roll, which receives each frame last, and records times."""
 
     def __init__(self, preroll: PreRoll, most_frames: int) -> None:
         self._preroll = preroll
         self._keep = preroll.keep
-        # Written once, so that the memory is there before it is needed.
+        # Filled with ones, so that the kernel maps the memory before the run.
         self.received_ns = np.ones(most_frames, np.int64)
         self.done_ns = np.ones(most_frames, np.int64)
         self.count = 0
 
     def keep(self, frame: Frame, contacts: Sequence[Contact]) -> None:
-        """Store when a frame was complete and when its messages were handed over, then keep the frame."""
+        """Store when the frame was complete and when its messages were handed over, then keep the frame."""
         now_ns = time.monotonic_ns()
         i = frame.sequence
         if i < len(self.done_ns):
@@ -71,23 +71,23 @@ class Clocked:
         self._keep(frame, contacts)
 
     def poll(self) -> None:
-        """Called when no frame has come."""
+        """Forward the call for a time-out without a frame."""
         self._preroll.poll()
 
     def close(self) -> None:
-        """Called at the end."""
+        """Close the pre-roll."""
         self._preroll.close()
 
 
 class Pauses:
-    """How long the garbage collector held the daemon up."""
+    """Measures the pauses of the garbage collector."""
 
     def __init__(self) -> None:
         self.us: list[float] = []
         self._since_ns = 0
 
     def __call__(self, phase: str, _info: dict[str, int]) -> None:
-        """Time a collection: a callback of `gc`."""
+        """Record a pause; a callback of `gc`."""
         if phase == "start":
             self._since_ns = time.perf_counter_ns()
         else:
@@ -95,8 +95,8 @@ class Pauses:
 
 
 def run(task: Task) -> None:
-    """Run the daemon through a scene, and write what was measured."""
-    # A daemon at full speed has its bare runs in between; another one is not to hold their memory.
+    """Run the daemon through a scene and write the measurements."""
+    # At full speed bare runs alternate with frames; at a steady rate their memory would distort the result.
     between = _bare(task.bare) if task.rate_hz is None else None
     bare_us: list[float] = []
     at_start: dict[str, float] = {}
@@ -141,7 +141,7 @@ def run(task: Task) -> None:
     clocked.close()
     if between is None:
         bare_us = _bare(task.bare)(BARE_RUNS)
-    # What led to the scene does not count.
+    # Subtract the counts of the lead-in.
     counts = {name: count - at_start.get(name, 0) for name, count in _counted(service.pipeline.counters).items()}
     taken = slice(loop.lead, clocked.count)
     np.savez(
@@ -153,13 +153,13 @@ def run(task: Task) -> None:
 
 
 def _counted(counters: Counters) -> dict[str, float]:
-    """Return the counts so far: of frames, and of those skipped by reason."""
+    """Return the counts of frames, lost and inferred, and of skipped frames by reason."""
     own = {"frames": counters.frames, "lost": counters.lost, "inferred": counters.inferred}
     return {**own, **counters.skipped}
 
 
 def _bare(path: Path) -> Any:
-    """Return what runs the bare network so often, and returns the times in us."""
+    """Return a function that runs the bare network `count` times and returns the times, us."""
     runner = BoundNetwork(path)
     runner.inputs[...] = np.random.default_rng(0).standard_normal(runner.inputs.shape)
     for _ in range(WARM_UP_RUNS):

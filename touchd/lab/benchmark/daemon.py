@@ -1,4 +1,4 @@
-"""The daemon end to end: in a process of its own, heard by this one."""
+"""Measure the daemon end to end: it runs in its own process, and this process subscribes."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ from touchd.lab.benchmark.stopwatch import spread
 
 PATIENCE_S = 30.0
 BURN_IN_S = 0.3
-"""Frames at the start that do not count."""
+"""Frames of this time at the start are discarded."""
 DAY = {"idle": 0.98, "still": 0.01, "moving": 0.01}
-"""What a touch plate is doing all day, by share."""
+"""Share of each scene in a typical day."""
 FOREVER_S = 1e6
 ENDLESS = 10_000_000
 
@@ -44,30 +44,30 @@ def measure(
     scene : str
     loop : Loop
     rate_hz : float or None
-        None is as fast as frames are taken.
+        None for full speed.
     seconds : float
     model : Path
-        The network, with its atlas beside it if there is one.
+        The network, with or without an atlas beside it.
     bare : Path
         The bare network.
     folder : Path
-        For what the two processes exchange.
+        Folder for files and sockets of the two processes.
     apart : bool
-        Whether the subscriber has another processor than the daemon even at a steady rate; at full speed it has.
+        Whether the subscriber has its own processor at a steady rate too; at full speed it always has.
     awake : bool
-        Whether the processors are kept from sleeping while the plate is touched, as is the default at high rates.
+        Whether the processors are kept awake while the plate is touched, as is the default at high rates.
 
     Raises
     ------
     JobError
-        If the daemon fails.
+        The daemon fails.
     """
     stored = folder / f"{scene.replace(' ', '-')}.npz"
     if not stored.exists():
         loop.save(stored)
     output = folder / "measured.npz"
     address = f"ipc://{folder}/bus"
-    # At full speed the subscriber may fall behind: nothing is to be lost for that.
+    # At full speed the subscriber may fall behind; a large high-water mark prevents losses.
     bus = {"bind": [address]} if rate_hz is not None else {"bind": [address], "high_water_mark": ENDLESS}
     settings: dict[str, Any] = {
         "bus": bus, "model": {"path": str(model)}, "baseline": {"absorb_s": FOREVER_S},
@@ -84,14 +84,14 @@ def measure(
         Subscriber(address, ("touch", "health"), PATIENCE_S) as events,
         _running(task) as process,
     ):
-        heard = dict(_heard(events, process))
+        arrivals = dict(_arrivals(events, process))
         lost = events.lost.total()
     with np.load(output) as found:
-        return _result(scene, rate_hz, heard, lost, begun_ns, {name: found[name] for name in found.files})
+        return _result(scene, rate_hz, arrivals, lost, begun_ns, {name: found[name] for name in found.files})
 
 
 def day(cells: Iterable[DaemonResult]) -> Day | None:
-    """Return what a typical day costs, from the cells at 125 frames a second."""
+    """Return the cost of a typical day, from the cells at 125 frames/s."""
     share = {cell.scene: cell.cpu_share for cell in cells if cell.rate_hz == 125}
     if not DAY.keys() <= share.keys():
         return None
@@ -101,7 +101,7 @@ def day(cells: Iterable[DaemonResult]) -> Day | None:
 
 @contextmanager
 def _running(task: Task) -> Iterator[subprocess.Popen[str]]:
-    """Run the daemon's process beside this one, and see that it ended well."""
+    """Run the daemon's process, and raise JobError if it fails."""
     own = {name: value for name, value in os.environ.items() if not name.upper().startswith("TOUCHD_")}
     with (
         tempfile.TemporaryFile("w+") as said,
@@ -132,8 +132,8 @@ def _last_line(said: Any) -> str:
     return lines[-1] if lines else "it said nothing"
 
 
-def _heard(events: Subscriber[Event], process: subprocess.Popen[str]) -> Iterator[tuple[int, int]]:
-    """Yield each touch message's frame with the time at which it was here, until the daemon stops."""
+def _arrivals(events: Subscriber[Event], process: subprocess.Popen[str]) -> Iterator[tuple[int, int]]:
+    """Yield each touch message's frame and arrival time, until the daemon stops."""
     while True:
         try:
             event = events.receive(0.5)
@@ -149,29 +149,36 @@ def _heard(events: Subscriber[Event], process: subprocess.Popen[str]) -> Iterato
 
 
 def _result(
-    scene: str, rate_hz: float | None, heard: dict[int, int], lost: int, begun_ns: int, found: dict[str, NDArray[Any]]
+    scene: str,
+    rate_hz: float | None,
+    arrivals: dict[int, int],
+    lost: int,
+    begun_ns: int,
+    found: dict[str, NDArray[Any]],
 ) -> DaemonResult:
     received_ns, done_ns, lead = found["received_ns"], found["done_ns"], int(found["lead"])
     frames = len(received_ns)
     counted = received_ns >= received_ns[0] + BURN_IN_S * 1e9 if frames else np.zeros(0, bool)
     if not counted.any():
-        raise JobError("the daemon took no frames", "benchmark", "give it more time")
+        raise JobError("the daemon took no frames", "benchmark", "allow it more time")
     handed = spread((done_ns - received_ns)[counted] * 1e-3)
-    arrived = [(heard[lead + i] - received_ns[i]) * 1e-3 for i in np.flatnonzero(counted).tolist() if lead + i in heard]
+    arrived = [
+        (arrivals[lead + i] - received_ns[i]) * 1e-3 for i in np.flatnonzero(counted).tolist() if lead + i in arrivals
+    ]
     paced = rate_hz is not None
     to_subscriber = paced and len(arrived) > 0
     took = spread(arrived) if to_subscriber else handed
     cpu_s, wall_s, all_frames = float(found["cpu_s"]), float(found["wall_s"]), max(int(found["frames"]), 1)
     skipped = dict(zip(found["reasons"].tolist(), (found["skipped"] / all_frames).tolist(), strict=True))
     return DaemonResult(
-        scene=scene, rate_hz=rate_hz, to="subscriber" if to_subscriber else "socket" if heard else "decision",
+        scene=scene, rate_hz=rate_hz, to="subscriber" if to_subscriber else "socket" if arrivals else "decision",
         frames=int(counted.sum()), p50_us=rounded(took.p50), p99_us=rounded(took.p99), p999_us=rounded(took.p999),
         max_us=rounded(took.most), handed_p50_us=rounded(handed.p50), handed_p99_us=rounded(handed.p99),
         handed_p999_us=rounded(handed.p999), ratio=rounded(handed.p50 / float(np.median(found["bare_us"]))),
         frames_per_s=rounded(frames / wall_s), frames_per_cpu_s=rounded(frames / cpu_s),
         cpu_share=rounded(cpu_s / wall_s, 4),
         rss_mb=rounded(float(found["rss"]) / 2**20, 4), gc_pauses=len(found["pauses_us"]),
-        gc_longest_us=rounded(float(np.max(found["pauses_us"], initial=0.0))), messages=len(heard),
+        gc_longest_us=rounded(float(np.max(found["pauses_us"], initial=0.0))), messages=len(arrivals),
         lost=lost + int(found["lost"]), skipped={why: rounded(share, 4) for why, share in skipped.items() if share},
         inferred=rounded(int(found["inferred"]) / all_frames, 4),
         start_s=rounded((int(found["ready_ns"]) - begun_ns) * 1e-9, 3),

@@ -1,4 +1,4 @@
-"""Every estimator that is compared: each takes the residual of one frame and says where the finger is."""
+"""The estimators of the benchmark: each maps the residual of one frame to a position."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ from touchd.touch import Touch
 
 Array = NDArray[np.float32]
 Place = tuple[float, float] | None
-"""x and y, mm; None where an estimator finds no finger."""
+"""x and y, mm; None if the estimator finds no finger."""
 NETWORKS = ("regression", "small", "int8", "grid10", "keypad", "time")
 LOOK_UP_MACS = 72
-"""Of one step of Gauss-Newton, for each feature: 48 for the splines, 24 for the products of all parts."""
+"""Multiply-adds per feature of a Gauss-Newton step: 48 for the splines, 24 for the products."""
 _NODES_READ = 16
 
 
@@ -40,28 +40,28 @@ def _nothing(*_: object) -> None:
 
 @dataclass(slots=True)
 class Estimator:
-    """One way to a position, and what it costs by count."""
+    """One way to a position, with its cost."""
 
     name: str
     group: str
-    """network, route, dictionary, atlas or given: what it is compared for."""
+    """Group of the comparison: network, route, dictionary, atlas or given."""
     locate: Callable[[Array], Place]
-    """Takes a residual of shape (channels, samples); this is what is timed."""
+    """Maps a residual of shape (channels, samples) to a position; this call is timed."""
     macs: int
-    """Multiply-adds, at most."""
+    """Upper limit of the multiply-adds."""
     bytes: int
-    """Of weights, tables or recorded touches that are read for one position."""
+    """Bytes of weights, tables or recorded touches read for one position."""
     rebase: Callable[[Block], object] = _nothing
-    """Takes note of another untouched plate; not timed, since the daemon does it once a second."""
+    """Sets another untouched plate; not timed, because the daemon does it once a second."""
     prepare: Callable[[Array], object] = _nothing
-    """Sees the frame before, by its residual; not timed."""
+    """Receives the residual of the preceding frame; not timed."""
     slow: bool = False
-    """Whether it is asked once only."""
+    """Whether to run one pass only."""
     remark: str = ""
 
 
 def network(model: Model, graph: onnx.ModelProto, name: str, group: str = "network") -> Estimator:
-    """Return a network with the daemon's own features: a product with the windowed DFT, or the samples."""
+    """Return a network with the daemon's features: the windowed DFT as a product, or the samples."""
     a = model.description.acquisition
     features = make_features(model.description.domain, a)
     into = model.features.reshape(features.shape)
@@ -90,13 +90,13 @@ def network(model: Model, graph: onnx.ModelProto, name: str, group: str = "netwo
 
 
 def routes(model: Model, graph: onnx.ModelProto, folder: Path) -> Iterator[Estimator]:
-    """Yield the default network with its features taken another way, or computed in float64."""
+    """Yield the default network with features computed otherwise, or computed in float64."""
     a = model.description.acquisition
     matrix = windowed_dft(a)
     macs, weights = graphs.multiply_adds(graph), graphs.weight_bytes(graph)
     whole = macs + a.channels * matrix.size
 
-    # What numpy.fft offers: window, transform of all bins, and the band cut out of it.
+    # numpy.fft: window, transform of all bins, band cut out.
     window = np.hanning(a.samples).astype(np.float32)
     bins = band_bins(a)
     band, count = slice(int(bins[0]), int(bins[-1]) + 1), len(bins)
@@ -107,7 +107,7 @@ def routes(model: Model, graph: onnx.ModelProto, folder: Path) -> Iterator[Estim
         into[:, 0], into[:, 1] = spectrum.real, spectrum.imag
         return model.estimate()[:2]
 
-    # A transform of real data of length N takes about N log2 N multiply-adds.
+    # A real transform of length N takes about N log2 N multiply-adds.
     rfft_macs = round(a.channels * a.samples * (1 + math.log2(a.samples)))
     yield Estimator("regression, rfft", "route", by_rfft, macs + rfft_macs, weights + 4 * a.samples)
 
@@ -133,7 +133,7 @@ def routes(model: Model, graph: onnx.ModelProto, folder: Path) -> Iterator[Estim
 
 
 def dictionaries(features: Array, place_mm: Array, acquisition: Acquisition) -> Iterator[Estimator]:
-    """Yield kNN (k = 1) and GCC, which look a touch up among recorded ones: features (n, inputs), places (n, 2)."""
+    """Yield kNN (k = 1) and GCC on recorded touches: features (n, inputs), positions (n, 2)."""
     from touchd.lab.dictionary import LAGS_S, Correlation, Nearest
 
     matrix = windowed_dft(acquisition).astype(np.float32)
@@ -153,13 +153,13 @@ def dictionaries(features: Array, place_mm: Array, acquisition: Acquisition) -> 
 
     own = acquisition.channels * matrix.size
     yield Estimator("kNN", "dictionary", asking(nearest), own + features.size, nearest.bytes, slow=True)
-    # A complex multiply-add is four real ones; there is half a complex number for each feature.
+    # A complex multiply-add is four real ones, and a feature is half a complex number.
     gcc = own + 2 * features.size * len(LAGS_S)
     yield Estimator("GCC", "dictionary", asking(correlation), gcc, correlation.bytes, slow=True)
 
 
 def atlases(model: Model, atlas: Atlas, graph: onnx.ModelProto) -> Iterator[Estimator]:
-    """Yield the field atlas as a finger comes down, from the network's answer, and as it is being followed."""
+    """Yield the field atlas at touch-down, starting from the network's position, and while tracking."""
     a = model.description.acquisition
     settings = Settings.model_validate({"skip": {"still": False}})
     localizer = AtlasLocalizer(model, atlas, settings, None)
@@ -172,7 +172,7 @@ def atlases(model: Model, atlas: Atlas, graph: onnx.ModelProto) -> Iterator[Esti
         return _only(localizer.localize(detection, alive=False).touches)
 
     def rebase(block: Block) -> None:
-        # The mean of n frames takes a share of their noise along: a frame that is not of them differs by more.
+        # The mean of n frames contains a share of their noise; another frame differs from it by more.
         n = len(block.untouched)
         np.copyto(baseline, block.baseline)
         localizer.update(block.baseline, block.untouched * np.float32(math.sqrt((n + 1) / (n - 1))))
@@ -202,14 +202,14 @@ def atlases(model: Model, atlas: Atlas, graph: onnx.ModelProto) -> Iterator[Esti
 
 
 def bare(folder: Path) -> BoundNetwork:
-    """Return the paper's network with random weights: the measure of all times."""
+    """Return the paper's network with random weights, the reference of all times."""
     runner = BoundNetwork(_write(graphs.bare_network(), folder / "bare.onnx"))
     runner.inputs[...] = np.random.default_rng(0).standard_normal(runner.inputs.shape)
     return runner
 
 
 def _only(touches: tuple[Touch, ...]) -> Place:
-    """Return the place of the surest of the touches found."""
+    """Return the position of the touch with the smallest sigma."""
     if not touches:
         return None
     best = min(touches, key=lambda touch: touch.sigma_mm)

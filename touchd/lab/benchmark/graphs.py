@@ -1,4 +1,4 @@
-"""Networks made for the benchmark, as ONNX graphs: the paper's trunk, and other versions of one that ships."""
+"""ONNX graphs of the benchmark: the paper's network, and variants of a shipped one."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ _PRODUCTS = ("Gemm", "MatMul", "MatMulInteger")
 
 
 def bare_network(seed: int = 0) -> onnx.ModelProto:
-    """Return the paper's regression network with random weights: what it costs does not depend on them.
+    """Return the paper's regression network with random weights, on which its run time does not depend.
 
-    Its batch normalisations are folded into the linear layers, as in every network that touchd exports.
+    Batch normalisations are folded into the linear layers, as in every exported network.
     """
     rng = np.random.default_rng(seed)
     nodes, weights, name = [], [], "features"
@@ -47,7 +47,7 @@ def bare_network(seed: int = 0) -> onnx.ModelProto:
 
 
 def with_features_inside(model: onnx.ModelProto, acquisition: Acquisition) -> onnx.ModelProto:
-    """Return a network that takes samples, (n, channels, samples), since its first product is the windowed DFT."""
+    """Return a network that takes samples (n, channels, samples): its first product is the windowed DFT."""
     made = onnx.ModelProto()
     made.CopyFrom(model)
     graph = made.graph
@@ -65,7 +65,7 @@ def with_features_inside(model: onnx.ModelProto, acquisition: Acquisition) -> on
 
 
 def in_double(model: onnx.ModelProto) -> onnx.ModelProto:
-    """Return the same network computed in float64: its weights are those of float32."""
+    """Return the network computed in float64, with its float32 weights."""
     made = onnx.ModelProto()
     made.CopyFrom(model)
     for tensor in (*made.graph.initializer, *(a.t for n in made.graph.node for a in n.attribute if a.name == "value")):
@@ -78,18 +78,18 @@ def in_double(model: onnx.ModelProto) -> onnx.ModelProto:
 
 
 def multiply_adds(model: onnx.ModelProto) -> int:
-    """Return the multiply-adds of a network's matrix products, for one row of features."""
+    """Return the multiply-adds of the matrix products, for one row of features."""
     sizes = {name: size for name, size, _ in _constants(model)}
     return sum(sizes.get(node.input[1], 0) for node in model.graph.node if node.op_type in _PRODUCTS)
 
 
 def weight_bytes(model: onnx.ModelProto) -> int:
-    """Return how many bytes of constants one run of a network reads."""
+    """Return the bytes of constants that one inference reads."""
     return sum(size_bytes for _, _, size_bytes in _constants(model))
 
 
 def _constants(model: onnx.ModelProto) -> list[tuple[str, int, int]]:
-    """Return name, size and bytes of every constant."""
+    """Return name, size and bytes of each constant."""
     found = [(tensor.name, tensor) for tensor in model.graph.initializer]
     found += [
         (node.output[0], node.attribute[0].t)

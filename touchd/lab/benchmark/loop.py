@@ -1,4 +1,4 @@
-"""Frames that are played as long as wanted: to and fro, so that there is no seam."""
+"""Play frames to and fro without a seam, for any duration."""
 
 from __future__ import annotations
 
@@ -14,52 +14,52 @@ from touchd.frame import Acquisition, Counts, Frame
 from touchd.sources.source import EndOfStream
 
 PERIOD_NS = 8_000_000
-"""Of the frames' own time at full speed, as at 125 frames a second."""
+"""Frame period in the frames' own time at full speed, as at 125 frames/s."""
 BURST_EVERY, BURST = 250, 10
-"""At full speed, `BURST` bare runs come after every `BURST_EVERY` frames."""
+"""At full speed, `BURST` bare runs follow every `BURST_EVERY` frames."""
 
 
 @dataclass(frozen=True, slots=True)
 class Loop:
-    """A scene to be played: first what leads to it, once, then the rest to and fro."""
+    """A scene to play: a lead-in once, then the rest to and fro."""
 
     acquisition: Acquisition
     frames: NDArray[np.int16]
     """Shape (n, channels, samples)."""
     lead: int
-    """How many of the frames lead to it."""
+    """Number of lead-in frames."""
 
     def save(self, path: Path) -> None:
-        """Write it for another process."""
+        """Write the loop for another process."""
         np.savez(path, frames=self.frames, lead=self.lead, acquisition=self.acquisition.model_dump_json())
 
     @classmethod
     def load(cls, path: Path) -> Loop:
-        """Read what `save` wrote."""
+        """Read a loop written by `save`."""
         with np.load(path) as found:
             acquisition = Acquisition.model_validate_json(str(found["acquisition"]))
             return cls(acquisition, found["frames"], int(found["lead"]))
 
     def order(self) -> NDArray[np.int64]:
-        """Return the indices of the frames of one round, to and fro."""
+        """Return the frame indices of one round, to and fro."""
         there = np.arange(self.lead, len(self.frames))
         return np.concatenate([there, there[-2:0:-1]])
 
 
 class LoopSource:
-    """Frames of a loop, each when it is due; all of what leads to it comes at once.
+    """A source that delivers the frames of a loop when due; the lead-in comes at once.
 
     Parameters
     ----------
     loop : Loop
     rate_hz : float
-        Infinite is as fast as frames are taken.
+        Frames per second; infinite for full speed.
     seconds : float
-        How long it goes on, after the lead.
+        Duration after the lead-in.
     between : callable
-        Called now and then at full speed, on time that is not counted.
+        Called every `BURST_EVERY` frames at full speed; its time is excluded.
     begun : callable
-        Called before the first frame after the lead.
+        Called before the first frame after the lead-in.
     """
 
     def __init__(
@@ -88,16 +88,16 @@ class LoopSource:
 
     @property
     def apart_s(self) -> float:
-        """Time taken by what came between the frames."""
+        """Time spent in `between`."""
         return self._apart_ns * 1e-9
 
-    def read(self, timeout_s: float) -> Frame | None:  # noqa: ARG002 - the next frame is never so far away
+    def read(self, timeout_s: float) -> Frame | None:  # noqa: ARG002 - the next frame is due before any timeout
         """Return the next frame when it is due.
 
         Raises
         ------
         EndOfStream
-            When the time is over.
+            The duration is over.
         """
         number = self._number
         now_ns = time.monotonic_ns()
@@ -131,5 +131,5 @@ class LoopSource:
         return Frame(counts, number, self._start_ns + number * self._period_ns, now_ns)
 
     def close(self) -> None:
-        """End it."""
+        """End the stream."""
         self._open = False

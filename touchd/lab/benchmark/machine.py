@@ -1,4 +1,4 @@
-"""The computer that was measured, as far as it matters; nothing that tells which one of its kind it is."""
+"""Describe the computer that ran the benchmark, without identifying it."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from touchd import __version__
 
 
 class Machine(BaseModel):
-    """What runs were made on."""
+    """Hardware and software of a run."""
 
     model_config = ConfigDict(frozen=True)
 
     cpu: str
     cores: int
-    """That this process may use."""
+    """Cores that this process may use."""
     caches: str
-    """Of the first processor, data and unified."""
+    """Data and unified caches of the first processor."""
     memory_gb: float
     kernel: str
     python: str
@@ -31,10 +31,10 @@ class Machine(BaseModel):
     onnxruntime: str
     touchd: str
     load: float
-    """Load average when it began: other programs at work disturb."""
+    """Load average at the start: other programs disturb the measurement."""
 
     def line(self) -> str:
-        """Return one line for people."""
+        """Return the description in one line."""
         return (
             f"{self.cpu}, {self.cores} cores, {self.caches}, {self.memory_gb:.0f} GB; Linux {self.kernel}, "
             f"Python {self.python}, NumPy {self.numpy}, ONNX Runtime {self.onnxruntime}, touchd {self.touchd}; "
@@ -43,7 +43,7 @@ class Machine(BaseModel):
 
 
 def this_machine() -> Machine:
-    """Describe the computer that this runs on."""
+    """Describe this computer."""
     return Machine(
         cpu=_cpu(),
         cores=len(os.sched_getaffinity(0)),

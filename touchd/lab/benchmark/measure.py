@@ -1,4 +1,4 @@
-"""One run of everything."""
+"""Run the whole benchmark."""
 
 from __future__ import annotations
 
@@ -28,18 +28,18 @@ from touchd.twin.instrument import Instrument
 from touchd.twin.simulate import DEFAULT_PLATE, simulate_touches
 
 Progress = Callable[[str, float], object]
-"""Told what is going on, and which part of all is done."""
+"""Receives the current step and the share done."""
 
 DICTIONARY_SEED = 1
-"""Of the touches that the shipped networks were trained on."""
+"""Seed of the touches that the shipped networks were trained on."""
 KEYPAD = "keypad"
 REPEATS = 3
-"""At full speed, of which the one of median ratio counts: how processes and threads share the cores differs."""
+"""Runs at full speed, of which the one with the median ratio counts: the scheduler places threads differently."""
 
 
 @dataclass(frozen=True, slots=True)
 class Scale:
-    """How much is measured."""
+    """Extent of the measurement."""
 
     touches: int = 1000
     passes: int = 5
@@ -50,7 +50,7 @@ class Scale:
     cell_s: float = 3.0
     full_speed_s: float = 1.0
     repeated: tuple[str, ...] = tuple(WANTED)
-    """Scenes that are run `REPEATS` times at full speed."""
+    """Scenes that run `REPEATS` times at full speed."""
     skip_rounds: int = 60
     bound: bool = True
 
@@ -62,26 +62,26 @@ QUICK = Scale(
 
 
 def benchmark(models: Path, *, quick: bool, progress: Progress, also: Sequence[Path] = ()) -> Run:
-    """Measure everything.
+    """Measure estimators, daemon and skips.
 
     Parameters
     ----------
     models : Path
-        Folder of the networks, with an atlas beside the default one or not.
+        Folder of the networks; the default one may have an atlas beside it.
     quick : bool
-        Less of everything, in about 20 s: no recorded touches looked up, the daemon at full speed only.
+        Measure in about 20 s: fewer touches, no kNN and GCC, the daemon at full speed only.
     progress : callable
     also : sequence of Path
-        Further networks for the example rig, such as one that takes samples.
+        Further networks for the example rig.
 
     Raises
     ------
     ModelMissing
-        If a network is not there.
+        A network's file does not exist.
     ModelMismatch
-        If one is for another acquisition.
+        A network expects another acquisition.
     JobError
-        If the daemon fails.
+        The daemon fails.
     """
     scale = QUICK if quick else Scale()
     begun_s = time.monotonic()
@@ -135,7 +135,7 @@ def _estimators(models: Path, folder: Path, scale: Scale, instrument: Instrument
 
 
 def _given(also: Sequence[Path], instrument: Instrument) -> Iterator[Estimator]:
-    """Yield the networks that were asked for besides, by the names of their files."""
+    """Yield the networks of --also, by their file names."""
     for path in also:
         if not path.is_file():
             raise ModelMissing("no such model", str(path), "check --also")
@@ -147,7 +147,7 @@ def _given(also: Sequence[Path], instrument: Instrument) -> Iterator[Estimator]:
 def _cells(
     models: Path, folder: Path, scale: Scale, loops: dict[str, Loop], progress: Progress
 ) -> tuple[list[DaemonResult], tail.Tails | None]:
-    """Run the daemon through every scene at every rate, and the bus without it."""
+    """Run the daemon through every scene at every rate, and the bus alone."""
     wanted = [
         (scene, rate_hz)
         for scene in loops
@@ -186,9 +186,9 @@ def _skips(
 
 
 def _bound_mm(held: HeldOut, instrument: Instrument) -> float:
-    """Return the median error that no unbiased estimate goes below, with the noise of these residuals."""
+    """Return the Cramer-Rao bound of the median error, with the noise of these residuals."""
     truth, frames = held.recording.contacts_mm, held.recording.frames
-    assert truth is not None  # the twin knows it
+    assert truth is not None  # the twin labels its scenes
     untouched = frames[(truth[:, :, 0] != truth[:, :, 0]).all(axis=1)]
     return median_bound_mm(held.recording, instrument, noise_of(untouched) * (1 + 1 / UNTOUCHED) ** 0.5)
 

@@ -1,4 +1,4 @@
-"""Which processor the daemon gets and which its subscriber, so that a run does not depend on where threads wander."""
+"""Pin daemon and subscriber to processors, so that results do not depend on the scheduler."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from contextlib import contextmanager
 
 
 def daemon_cpus() -> tuple[int, ...]:
-    """Return the processor for the daemon and all its threads; none if there is but one."""
+    """Return the processor of the daemon and its threads; empty with a single processor."""
     cpus = sorted(os.sched_getaffinity(0))
-    # The last one: interrupts mostly go to the first.
+    # The last one, because interrupts mostly go to the first.
     return (cpus[-1],) if len(cpus) > 1 else ()
 
 
 @contextmanager
 def subscribing(*, apart: bool) -> Iterator[None]:
-    """Keep this thread, and those it starts, on the daemon's processor, or off it.
+    """Pin this thread, and those it starts, to the daemon's processor, or off it if `apart`.
 
-    Meanwhile the garbage collector leaves alone what the benchmark has loaded, which no subscriber would have.
+    The garbage collector ignores the benchmark's objects meanwhile, since a subscriber would not have them.
     """
     before = os.sched_getaffinity(0)
     own = set(daemon_cpus()) or before

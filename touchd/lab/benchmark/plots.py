@@ -1,4 +1,4 @@
-"""The pictures: error against run time, and the daemon's latency."""
+"""Plots of a run: error against run time, and the daemon's latency."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from touchd.lab.reproduction.paper import HEADS, KEYPAD_MS, REGRESSION_MS
 
 GROUPS = {
     "atlas": ("field atlas", COLOURS[1], "*"),
-    "network": ("networks that ship", COLOURS[0], "o"),
-    "route": ("the default network, otherwise computed", COLOURS[2], "s"),
-    "dictionary": ("recorded touches looked up", COLOURS[3], "D"),
+    "network": ("shipped networks", COLOURS[0], "o"),
+    "route": ("the default network, computed otherwise", COLOURS[2], "s"),
+    "dictionary": ("compared with recorded touches", COLOURS[3], "D"),
     "given": ("other models", COLOURS[5], "^"),
 }
 PAPER = "#555555"
@@ -25,17 +25,17 @@ BY_ITS_RECIPE_MM = {"R": 6.0, "C-10": 8.1}
 """Median error of the paper's heads, trained by its recipe on the twin's full plate: docs/reproduction.md."""
 PLAIN = FuncFormatter(lambda value, _position: f"{value:,g}")
 SAME_HEIGHT, SAME_PLACE = 0.1, 0.9
-"""Decades in error and in time within which points would have their names upon each other."""
+"""Distance in decades of error and of time below which labels would overlap."""
 RATES = (125.0, 500.0, 1000.0)
 
 
 def draw(run: Run, folder: Path) -> list[str]:
-    """Write the pictures of a run into a folder that exists, and return their names.
+    """Write the plots of a run into a folder, and return their file names.
 
     Raises
     ------
     OutputError
-        If one cannot be written.
+        A plot cannot be written.
     """
     save(draw_errors(run), folder / "errors.png")
     names = ["errors.png"]
@@ -46,7 +46,7 @@ def draw(run: Run, folder: Path) -> list[str]:
 
 
 def draw_errors(run: Run) -> Figure:
-    """Draw the median error of each estimator against its median run time."""
+    """Plot the median error of each estimator against its median run time."""
     figure = Figure(figsize=(9.6, 6.2), layout="constrained")
     axes = figure.add_subplot()
     for group, (label, colour, marker) in GROUPS.items():
@@ -90,12 +90,12 @@ def draw_errors(run: Run) -> Figure:
         )  # fmt: skip
     axes.grid(alpha=0.25, which="both")
     figure.legend(loc="outside lower center", ncols=3, frameon=False, fontsize=9)
-    axes.set_title(f"{run.touches.count} touches of a {run.touches.finger} finger that no training saw", fontsize=11)
+    axes.set_title(f"{run.touches.count} touches of a {run.touches.finger} finger, unseen in training", fontsize=11)
     return figure
 
 
 def _label_all(axes: Axes, run: Run) -> None:
-    """Name every point: of those at one height the leftmost highest, so that no line runs through a name."""
+    """Label every point; at equal height the leftmost gets the highest label, so that no line crosses a label."""
     levels: list[list[EstimatorResult]] = []
     for one in sorted(run.estimators, key=lambda one: one.p50_us):
         near = (
@@ -122,7 +122,7 @@ def _label_all(axes: Axes, run: Run) -> None:
 
 
 def draw_latency(run: Run) -> Figure:
-    """Draw for every scene and rate how long a frame takes to its subscriber, and how many frames a core takes."""
+    """Plot the latency of every scene and rate, and the frames per second of processor time."""
     figure = Figure(figsize=(10.4, 4.8), layout="constrained")
     left, right = figure.subplots(1, 2, width_ratios=(1.9, 1))
     scenes = list(dict.fromkeys(cell.scene for cell in run.daemon))
@@ -131,7 +131,7 @@ def draw_latency(run: Run) -> Figure:
         _bars(left, cells, number, len(scenes))
     left.axhline(1e3 * REGRESSION_MS, color=PAPER, lw=1, ls=":")
     left.axhline(1e3 * KEYPAD_MS, color=PAPER, lw=1, ls=":")
-    left.set(yscale="log", ylabel="frame complete to subscriber (us)", xlabel="frames a second",
+    left.set(yscale="log", ylabel="frame complete to subscriber (us)", xlabel="frames per second",
              xticks=range(len(RATES)), xticklabels=[f"{rate:,.0f}" for rate in RATES], xlim=(-0.55, 3.25))  # fmt: skip
     if run.bus_us is not None:
         x = RATES.index(BUS_RATE_HZ) + len(scenes) / 2 * 0.14
@@ -172,7 +172,7 @@ def _bar(axes: Axes, x: float, times_us: BareTimes, colour: str, label: str | No
 
 
 def _spell_out(axes: Axes, *, x: bool = True) -> None:
-    """Write numbers at a logarithmic axis as numbers, without powers."""
+    """Label a logarithmic axis with plain numbers."""
     axes.yaxis.set_major_formatter(PLAIN)
     if x:
         axes.xaxis.set_major_formatter(PLAIN)

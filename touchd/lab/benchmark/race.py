@@ -1,4 +1,4 @@
-"""All estimators on the same touches, in turns with the bare network."""
+"""Time and score all estimators on the same touches, in turns with the bare network."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class _Entry:
     estimator: Estimator
     watch: Stopwatch = field(default_factory=Stopwatch)
     beside: Stopwatch = field(default_factory=Stopwatch)
-    """The bare network in the same turns."""
+    """Times of the bare network in the same turns."""
     places: list[Place] = field(default_factory=list)
 
 
@@ -42,11 +42,11 @@ def race(
     bare : callable
         Runs the bare network once.
     blocks : sequence of Block
-        Each block is one batch of every estimator, beside a batch of the bare network.
+        Batches: each estimator takes a block, in turns with a batch of the bare network.
     passes : int
-        How often the blocks are gone through; slow estimators see them once.
+        Number of passes over the blocks; slow estimators take one.
     limit_s : float
-        No pass begins after so long.
+        No pass starts after this time.
     tick : callable
         Called after each block.
     """
@@ -72,7 +72,7 @@ def race(
 
 
 def _batch(entry: _Entry, block: Block) -> list[Place]:
-    """Ask an estimator for the touches of a block, one by one."""
+    """Locate the touches of a block, one by one."""
     estimator, clock = entry.estimator, time.perf_counter_ns
     prepare, locate = estimator.prepare, estimator.locate
     estimator.rebase(block)

@@ -1,4 +1,4 @@
-"""What a run of `touchd benchmark` found, as it is stored."""
+"""Results of `touchd benchmark`, as stored in JSON."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class _Part(BaseModel):
 
 
 class BareTimes(_Part):
-    """Of the bare network, or of the bare bus, us."""
+    """Percentiles of the bare network or the bare bus, us."""
 
     p50: float
     p99: float
@@ -35,15 +35,15 @@ class EstimatorResult(_Part):
     p999_us: float
     max_us: float
     ratio: float
-    """To the bare network, batch by batch in turns: the median."""
+    """Run time relative to the bare network: median over batches that took turns."""
     floor_us: float
-    """Time in which `bytes` are read once from the cache that they fit in."""
+    """Time to read `bytes` once from the cache that holds them."""
     calls: int
     macs: int
     bytes: int
     touches: int
     missed: int
-    """Touches in which it found no finger; the errors are of the others."""
+    """Touches without an estimate; the errors are of the others."""
     rmse_mm: float
     median_mm: float
     p95_mm: float
@@ -51,59 +51,59 @@ class EstimatorResult(_Part):
 
 
 class DaemonResult(_Part):
-    """One scene at one rate, from the frame complete on this computer to where it ends."""
+    """Latency and load of one scene at one rate, from the complete frame."""
 
     scene: str
     rate_hz: float | None
-    """None is as fast as frames are taken."""
+    """None at full speed."""
     to: Literal["subscriber", "decision", "socket"]
-    """Where the times end: at a subscriber in another process; where nothing is sent, at the decision; at full speed,
-    where messages queue up for the subscriber, at the socket."""
+    """Where the times end: at a subscriber in another process; at the decision, if no message is sent; at the socket at
+    full speed, where messages queue up for the subscriber."""
     frames: int
     p50_us: float
     p99_us: float
     p999_us: float
     max_us: float
     handed_p50_us: float
-    """The same to the messages handed to the socket, or to the decision that there is none."""
+    """Time until the socket has the messages, or until the decision to send none."""
     handed_p99_us: float
     handed_p999_us: float
     ratio: float
-    """`handed_p50_us` to the bare network in the same process."""
+    """`handed_p50_us` relative to the bare network in the same process."""
     frames_per_s: float
     frames_per_cpu_s: float
-    """In a second of processor time: what other programs take away is not counted."""
+    """Frames per second of processor time, which other programs do not affect."""
     cpu_share: float
-    """Of one processor."""
+    """Share of one processor."""
     rss_mb: float
     gc_pauses: int
     gc_longest_us: float
     messages: int
     lost: int
-    """Messages that the subscriber did not get, and frames that the source missed."""
+    """Messages that the subscriber missed, plus frames that the source missed."""
     skipped: dict[str, float]
-    """Share of the frames, by reason."""
+    """Share of the frames by reason."""
     inferred: float
-    """Share of the frames that the network saw."""
+    """Share of the frames that ran the network."""
     start_s: float
-    """From the start of the process to its first frame."""
+    """Time from process start to the first frame."""
 
 
 class SkipResult(_Part):
-    """What one skip saves."""
+    """Time that a skip saves."""
 
     name: str
     scene: str
     with_us: float
     without_us: float
     saved: float
-    """Share of the time: median over turns."""
+    """Share of the time saved, median over turns."""
     same: str
-    """How the events with it compare with those without."""
+    """Difference between the events with and without the skip."""
 
 
 class Day(_Part):
-    """A typical day, in an hour's processor time at 125 frames a second."""
+    """A typical day: processor time per hour at 125 frames/s."""
 
     idle: float
     still: float
@@ -112,26 +112,26 @@ class Day(_Part):
 
 
 class Touches(_Part):
-    """What the errors are of."""
+    """Touches that the errors refer to."""
 
     count: int
     seed: int
     finger: str
     bound_mm: float | None = None
-    """Median error that no unbiased estimate goes below (Cramer-Rao)."""
+    """Cramer-Rao bound of the median error."""
 
 
 class Otherwise(_Part):
-    """A moving finger at `BUS_RATE_HZ` in other circumstances than those of the run."""
+    """A moving finger at `BUS_RATE_HZ` in other circumstances than the run's."""
 
     daemon_us: BareTimes
-    """To the subscriber."""
+    """Latency to the subscriber."""
     bus_us: BareTimes | None = None
-    """The bus with nothing behind it, likewise."""
+    """Latency of the bus alone in the same circumstances."""
 
 
 class Run(_Part):
-    """Everything."""
+    """All results of a run."""
 
     version: Literal[1] = 1
     quick: bool
@@ -143,21 +143,20 @@ class Run(_Part):
     left_out: tuple[str, ...]
     daemon: tuple[DaemonResult, ...]
     bus_us: BareTimes | None = None
-    """A message over a bus with nothing behind it, from process to process at `BUS_RATE_HZ`: the floor of the daemon's
-    times to the subscriber."""
+    """Latency of a message over the bus alone, between processes at `BUS_RATE_HZ`: the floor of the daemon's latency to
+    the subscriber."""
     held_up_us: BareTimes | None = None
-    """How late the daemon's processor lets a program be that only looks at the clock, at the same rate: the floor of
-    both."""
+    """Delay of a program that only polls the clock, on the daemon's processor at the same rate: the floor of both."""
     apart: Otherwise | None = None
-    """The same with the subscriber on another processor than the daemon. A run that has it was placed: its subscriber
-    is on the daemon's processor, but at full speed on another."""
+    """Results with daemon and subscriber on different processors. A run with this field pinned them: at a steady rate
+    to one processor, at full speed to two."""
     asleep: Otherwise | None = None
-    """The same where nothing keeps the processors awake; only in a run that was permitted to."""
+    """Results without keeping the processors awake; only if the run had the permission to keep them awake."""
     skips: tuple[SkipResult, ...]
     day: Day | None
 
     def cell(self, scene: str, rate_hz: float | None) -> DaemonResult | None:
-        """Return the daemon's figures for a scene at a rate, None if it was not run."""
+        """Return the result of a scene at a rate, None if not run."""
         return next((one for one in self.daemon if (one.scene, one.rate_hz) == (scene, rate_hz)), None)
 
 
@@ -167,7 +166,7 @@ def load(path: Path) -> Run:
     Raises
     ------
     ConfigError
-        If the file is not one.
+        The file is no stored run.
     """
     try:
         return Run.model_validate_json(path.read_text("utf-8"))
@@ -179,12 +178,12 @@ def load(path: Path) -> Run:
 
 
 def store(run: Run, path: Path) -> None:
-    """Write a run.
+    """Write a run as JSON.
 
     Raises
     ------
     OutputError
-        If it cannot be written.
+        The file cannot be written.
     """
     try:
         path.write_text(run.model_dump_json(indent=1) + "\n", "utf-8")
@@ -195,5 +194,5 @@ def store(run: Run, path: Path) -> None:
 
 
 def rounded(value: float, digits: int = 5) -> float:
-    """Return a value with so many digits that count: more are noise."""
+    """Round a value to `digits` significant digits; further digits are noise."""
     return float(f"{value:.{digits}g}")

@@ -1,4 +1,4 @@
-"""Scenes of the twin, computed once, that are played as long as wanted."""
+"""Simulate the scenes that the daemon benchmark plays."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from touchd.twin.simulate import simulate_scene
 
 SEED = 211
 RAMP_FRAMES = 10
-"""In which a finger comes down or lifts."""
+"""Frames in which a finger comes down or lifts."""
 
 
 class _Wanted(NamedTuple):
@@ -32,11 +32,11 @@ WANTED = {
     "keypad": _Wanted("keypad", 500, 1),
 }
 LEARN_FRAMES = 60
-"""Untouched frames before anything is touched, at least: the baseline is learned from them."""
+"""Least number of untouched frames before the first touch, from which the baseline is learned."""
 
 
 def make_loop(name: str, instrument: Instrument) -> Loop:
-    """Simulate a scene of `WANTED`; what is played is its longest run with all fingers down."""
+    """Simulate a scene of `WANTED`; the loop plays its longest run with all fingers down."""
     act, count, fingers = WANTED[name]
     recording = simulate_scene(act, seed=SEED, frames=count, instrument=instrument)
     first, last = _longest_run(recording, fingers)
@@ -44,9 +44,9 @@ def make_loop(name: str, instrument: Instrument) -> Loop:
 
 
 def _longest_run(recording: Recording, fingers: int) -> tuple[int, int]:
-    """Return the first frame, and the one after the last, of the longest run with that many fingers settled."""
+    """Return first and end frame of the longest run with this number of settled fingers."""
     truth = recording.contacts_mm
-    assert truth is not None  # the twin knows it
+    assert truth is not None  # the twin labels its scenes
     down = np.isfinite(truth[:, :, 0]).sum(axis=1) == fingers
     down[:LEARN_FRAMES] = False
     edges = np.flatnonzero(np.diff(np.concatenate([[False], down, [False]]).astype(np.int8)))

@@ -1,4 +1,4 @@
-"""What each skip saves: the same frames through two pipelines in turns, one with it and one without."""
+"""Measure the time that each skip saves: the same frames pass through two pipelines, with and without it."""
 
 from __future__ import annotations
 
@@ -32,21 +32,21 @@ BATCH = 25
 class _Case:
     name: str
     scene: str
-    heard: bool = True
-    """Whether somebody is subscribed to touches."""
+    subscribed: bool = True
+    """Whether a subscriber wants touches."""
     screen_off: bool = False
 
 
 CASES = (
     _Case("gate", "idle"),
     _Case("still", "still"),
-    _Case("unheard", "moving", heard=False),
+    _Case("unheard", "moving", subscribed=False),
     _Case("screen", "moving", screen_off=True),
 )
 
 
 class _Played:
-    """One pipeline that is played a loop."""
+    """A pipeline that processes a loop."""
 
     def __init__(self, case: _Case, loop: Loop, model: Path, skip: bool) -> None:
         settings = Settings.model_validate(
@@ -54,7 +54,7 @@ class _Played:
         )
         source = LoopSource(loop, math.inf, 0.0)
         self._pipeline = make_pipeline(source, settings, Model(model), notify=lambda _reason, _fields: None)
-        self._messages = Messages(settings, lambda topic: case.heard and topic == "touch")
+        self._messages = Messages(settings, lambda topic: case.subscribed and topic == "touch")
         self._frames = list(loop.frames)
         self._order = loop.order().tolist()
         self.number = 0
@@ -67,7 +67,7 @@ class _Played:
         self._lead = loop.lead
 
     def batch(self, watch: Stopwatch) -> None:
-        """Take some frames, and keep how long each took."""
+        """Process a batch of frames and add their times."""
         clock, times_ns = time.perf_counter_ns, []
         for _ in range(BATCH):
             counts = self._frames[self._order[(self.number - self._lead) % len(self._order)]]
@@ -88,7 +88,7 @@ class _Played:
 
 
 def measure(loops: Mapping[str, Loop], model: Path, rounds: int, tick: Callable[[], object]) -> list[SkipResult]:
-    """Return what every skip that can be switched off saves."""
+    """Measure every skip that the configuration can turn off."""
     found = []
     for case in CASES:
         loop = loops[case.scene]
@@ -107,7 +107,7 @@ def measure(loops: Mapping[str, Loop], model: Path, rounds: int, tick: Callable[
 
 
 def tracking(estimators: Mapping[str, EstimatorResult]) -> SkipResult | None:
-    """Return what it saves that a finger that is being followed needs no network, if there is an atlas."""
+    """Return the time that tracking saves by not running the network; None without an atlas."""
     down, followed = estimators.get("atlas, touch-down"), estimators.get("atlas, tracking")
     if down is None or followed is None:
         return None
@@ -119,7 +119,7 @@ def tracking(estimators: Mapping[str, EstimatorResult]) -> SkipResult | None:
 
 
 def bins(atlas: Atlas, rounds: int) -> SkipResult:
-    """Return what it saves that the atlas leaves out the bins of the chirp's band that tell nothing of a finger."""
+    """Return the time that the atlas saves by omitting bins without signal."""
     d = atlas.description
     a = d.acquisition
     matrices = [windowed_dft(a, np.array(some)).astype(np.float32) for some in (d.bins, band_bins(a))]
@@ -138,7 +138,7 @@ def bins(atlas: Atlas, rounds: int) -> SkipResult:
 
 
 def _compared(case: _Case, some: list[Event], all_of_them: list[Event]) -> str:
-    """Say how the events with a skip compare with those without."""
+    """Compare the events with a skip to those without."""
     if case.screen_off:
         return "no touches, as asked"
     changes, others = _changes(some), _changes(all_of_them)
@@ -158,10 +158,10 @@ def _contacts(events: list[Event]) -> list[tuple[int, Any]]:
 
 
 def _changes(events: list[Event]) -> list[tuple[int, int, str]]:
-    """Return frame, contact and phase of all that comes down or goes up."""
+    """Return frame, contact and phase of each contact that goes down or up."""
     return [(frame, c.id, c.phase) for frame, c in _contacts(events) if c.phase in ("down", "up")]
 
 
 def _places(events: list[Event]) -> dict[tuple[int, int], tuple[float, float, float]]:
-    """Return x, y and sigma of every contact in every frame in which it was reported, mm."""
+    """Return x, y and sigma of every published contact by frame and id, mm."""
     return {(frame, c.id): (c.x_mm, c.y_mm, c.sigma_mm) for frame, c in _contacts(events)}

@@ -1,4 +1,4 @@
-"""Times of single calls, and what is said of them."""
+"""Time single calls and summarise the times."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 _Found = TypeVar("_Found")
 BURN_IN = 2
-"""Batches at the start that do not count: caches, branch predictors and clocks settle."""
+"""Batches discarded at the start, while caches, branch predictors and clock rates settle."""
 
 
 class Spread(NamedTuple):
@@ -27,15 +27,14 @@ class Spread(NamedTuple):
 
 
 def spread(times_us: ArrayLike) -> Spread:
-    """Return median, 99th and 99.9th percentile, and the largest of times (n,)."""
+    """Return median, 99th and 99.9th percentile and maximum of times (n,)."""
     return Spread(*np.percentile(np.asarray(times_us, float), (50, 99, 99.9, 100)).tolist())
 
 
 def held_up(rate_hz: float, seconds: float, clock: Callable[[], int] = time.monotonic_ns) -> Spread:
-    """Return how late a program sees the time that only looks at the clock and never sleeps, in us.
+    """Return how late a program that only polls the clock sees each period's end, us.
 
-    No program on this processor can be on time more often: what is late here was held up by the computer itself, or by
-    the host of a virtual one.
+    This is the least delay of any program on this processor: the computer, or the host of a virtual one, causes it.
     """
     period_ns, late_us = 1e9 / rate_hz, []
     start_ns = clock()
@@ -48,22 +47,22 @@ def held_up(rate_hz: float, seconds: float, clock: Callable[[], int] = time.mono
 
 
 def middle(found: list[_Found], key: Callable[[_Found], float]) -> _Found:
-    """Return the one whose key is the median."""
+    """Return the result with the median key."""
     return sorted(found, key=key)[len(found) // 2]
 
 
 class Stopwatch:
-    """Keeps how long calls took, batch by batch."""
+    """Collects the times of calls, batch by batch."""
 
     def __init__(self) -> None:
         self._batches_us: list[NDArray[np.float64]] = []
 
     def add(self, times_ns: list[int]) -> None:
-        """Take in the times of one batch."""
+        """Add the times of one batch."""
         self._batches_us.append(np.array(times_ns, float) * 1e-3)
 
     def time(self, call: Callable[[], object], count: int) -> None:
-        """Time a batch of calls one by one."""
+        """Time each call of a batch."""
         clock, times_ns = time.perf_counter_ns, []
         for _ in range(count):
             begun_ns = clock()
@@ -77,12 +76,12 @@ class Stopwatch:
         return np.concatenate(self._batches_us[BURN_IN:] or self._batches_us)
 
     def medians_us(self) -> NDArray[np.float64]:
-        """Return the median of each batch, burn-in included: batches of two stopwatches belong together in order."""
+        """Return the median of each batch, burn-in included; two stopwatches pair their batches in order."""
         return np.array([np.median(batch) for batch in self._batches_us])
 
 
 def ratio(one: Stopwatch, other: Stopwatch) -> float:
-    """Return how many times as long one takes as the other: the median over the batches that took turns."""
+    """Return the median ratio of times over batches that took turns."""
     a, b = one.medians_us(), other.medians_us()
     count = min(len(a), len(b))
     skipped = BURN_IN if count > BURN_IN else 0
@@ -91,9 +90,9 @@ def ratio(one: Stopwatch, other: Stopwatch) -> float:
 
 @contextmanager
 def undisturbed() -> Iterator[int | None]:
-    """Stay on one processor if the system lets us, and have the collector leave alone what is loaded, as the daemon.
+    """Pin this process to one processor and freeze the garbage collector's objects, as the daemon does.
 
-    Gives the number of the processor, None where there is no staying.
+    Yields the processor's number, or None if the system forbids pinning.
     """
     gc.collect()
     gc.freeze()
@@ -113,7 +112,7 @@ def undisturbed() -> Iterator[int | None]:
 
 
 class Floor:
-    """The least time in which so many bytes can be read once, from the cache that they fit in."""
+    """Least time to read a number of bytes once, from the cache that holds them."""
 
     ROUNDS = 60
 
@@ -121,7 +120,7 @@ class Floor:
         self._known_us: dict[int, float] = {}
 
     def us(self, count_bytes: int) -> float:
-        """Return the median time of a product of a buffer of that size with itself, over and over, us."""
+        """Return the median time of the dot product of a buffer of that size with itself, us."""
         if count_bytes not in self._known_us:
             buffer = np.ones(max(1, count_bytes // 4), np.float32)
             watch = Stopwatch()

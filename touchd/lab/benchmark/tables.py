@@ -1,4 +1,4 @@
-"""The tables of a run, as text: shown on the terminal and written into the page alike."""
+"""Tables of a run as text, for terminal and page."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from touchd.lab.reproduction.paper import HEADS, KEYPAD_MS, REGRESSION_MS
 
 
 class Table(NamedTuple):
-    """Headings and rows of text; the first column is a name."""
+    """Headings and rows of text; the first column holds names."""
 
     title: str
     headings: tuple[str, ...]
@@ -18,7 +18,7 @@ class Table(NamedTuple):
 
 
 def estimator_table(run: Run) -> Table:
-    """Return time, error and cost of every estimator, beside the paper's own."""
+    """Return time, error and cost of every estimator, with the paper's times."""
     headings = ("estimator", "p50 us", "p99 us", "p99.9 us", "max us", "x bare", "floor us", "RMSE mm", "median mm",
                 "p95 mm", "missed", "k MACs", "kB")  # fmt: skip
     bare = run.bare_us
@@ -39,7 +39,7 @@ def _estimator_row(one: EstimatorResult) -> list[str]:
 
 
 def daemon_table(run: Run) -> Table:
-    """Return the daemon's latency and load for every scene and rate."""
+    """Return the daemon's latency and load by scene and rate."""
     headings = ("scene", "frames/s", "ends at", "p50 us", "p99 us", "p99.9 us", "handed p50 us", "x bare", "CPU",
                 "frames/CPU s", "MB", "GC pauses, longest us", "lost")  # fmt: skip
     return Table("The daemon, from a frame complete to where it ends", headings, [_cell_row(c) for c in run.daemon])
@@ -56,7 +56,7 @@ def _cell_row(cell: DaemonResult) -> list[str]:
 
 
 def share_table(run: Run) -> Table:
-    """Return what became of the frames in each scene."""
+    """Return the share of skipped and inferred frames by scene."""
     reasons = list(dict.fromkeys(why for cell in run.daemon for why in cell.skipped if why != "learning"))
     seen: dict[str, DaemonResult] = {}
     for cell in run.daemon:
@@ -69,7 +69,7 @@ def share_table(run: Run) -> Table:
 
 
 def skip_table(run: Run) -> Table:
-    """Return what each skip saves."""
+    """Return the time that each skip saves."""
     rows = [
         [one.name, one.scene, number(one.with_us), number(one.without_us), f"{one.saved:.0%}", one.same]
         for one in run.skips
@@ -78,7 +78,7 @@ def skip_table(run: Run) -> Table:
 
 
 def budget_table(run: Run) -> Table:
-    """Return the budgets with what was measured."""
+    """Return the budgets with the measured values."""
     rows = []
     for budget in BUDGETS:
         value = budget.read(run)
@@ -90,7 +90,7 @@ def budget_table(run: Run) -> Table:
 
 
 def comparison_table(run: Run, other: Run) -> Table:
-    """Return every time of a run as a ratio to the bare network, beside that of a stored run."""
+    """Return every time relative to the bare network, beside a stored run's."""
     rows = []
     ours, theirs = _ratios(run), _ratios(other)
     for name, now in ours.items():
@@ -111,7 +111,7 @@ def _ratios(run: Run) -> dict[str, float]:
 
 
 def plain(table: Table) -> str:
-    """Return a table as text in columns, for a log."""
+    """Format a table as aligned text, for a log."""
     rows = [list(table.headings), *table.rows]
     widths = [max(len(row[i]) for row in rows) for i in range(len(table.headings))]
     lines = ["  ".join([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])]).rstrip() for row in rows]
@@ -119,5 +119,5 @@ def plain(table: Table) -> str:
 
 
 def number(value: float) -> str:
-    """Return a value with about three digits, and never a power."""
+    """Format a value with about three digits, without exponent."""
     return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.1f}" if abs(value) >= 10 else f"{value:.2f}"

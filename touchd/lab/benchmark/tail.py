@@ -1,4 +1,4 @@
-"""The slowest frames of a moving finger: beside what no frame can be quicker than, and in other circumstances."""
+"""Latency tail of a moving finger, beside its floors and in other circumstances."""
 
 from __future__ import annotations
 
@@ -13,15 +13,14 @@ from touchd.lab.benchmark.stopwatch import Spread, held_up, middle
 from touchd.service.cpu_latency import permitted
 
 TAIL = "moving", BUS_RATE_HZ
-"""The cell of which the tail counts."""
+"""Scene and rate whose tail is measured."""
 TURNS = 3
-"""The median tail of so many is taken: a computer shared with others may hold a process up for longer than anything
-that is measured."""
+"""Turns, of which the median tail counts: a shared computer may delay a process longer than anything measured."""
 
 
 @dataclass(frozen=True, slots=True)
 class Tails:
-    """The tail of the times to a subscriber, of the bus by itself, and of looking at the clock."""
+    """Latency of the daemon, of the bus alone, and of a program that polls the clock."""
 
     cell: DaemonResult
     bus_us: BareTimes
@@ -31,16 +30,16 @@ class Tails:
 
 
 def measure(cell: Callable[..., DaemonResult], seconds: float, folder: Path) -> Tails:
-    """Run a cell, what it cannot be better than, and the cell in what other circumstances there are, in turns.
+    """Measure a cell, its floors, and the cell in other circumstances, in turns.
 
     Parameters
     ----------
     cell : callable
-        Runs it, with the options `apart` and `awake` of `daemon.measure`.
+        Runs the cell, with the options `apart` and `awake` of `daemon.measure`.
     seconds : float
-        How long each of the others runs.
+        Duration of each other measurement.
     folder : Path
-        For the sockets.
+        Folder for the sockets.
     """
     here, floors, late, apart, floors_apart, asleep = [], [], [], [], [], []
     for _ in range(TURNS):

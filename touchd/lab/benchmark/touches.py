@@ -1,4 +1,4 @@
-"""The touches that every estimator is asked: simulated with a seed that no training saw."""
+"""Simulate the touches for all estimators, with a seed unseen in training."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ FINGER = "silicone"
 BLOCK = 20
 """Touches at one temperature, with one baseline."""
 UNTOUCHED = 16
-"""Frames that make the baseline of a block: the daemon's is a mean of more."""
+"""Frames averaged for the baseline of a block; the daemon averages more."""
 STEP_MM = 0.8
-"""From where the finger was a frame before: 100 mm/s at 125 frames a second."""
+"""Distance from the finger's position one frame before: 100 mm/s at 125 frames/s."""
 WALK_K = 1.0
 RATE_HZ = 125.0
 
@@ -33,36 +33,36 @@ Array = NDArray[np.float32]
 
 
 class Block(NamedTuple):
-    """Touches of one temperature."""
+    """Touches at one temperature."""
 
     baseline: Array
     """Mean untouched frame, shape (channels, samples), ADC counts."""
     untouched: Array
     """Residuals of the untouched frames, shape (UNTOUCHED, channels, samples)."""
     before: Array
-    """Residuals of the frames in which each finger was `STEP_MM` away, shape (BLOCK, channels, samples)."""
+    """Residuals of the preceding frames, with each finger `STEP_MM` away, shape (BLOCK, channels, samples)."""
     residual: Array
-    """Residuals of the touches, the same shape."""
+    """Residuals of the touches, shape (BLOCK, channels, samples)."""
     true_mm: Array
-    """Shape (BLOCK, 2)."""
+    """True positions, shape (BLOCK, 2)."""
 
 
 @dataclass(frozen=True, slots=True)
 class HeldOut:
-    """All blocks, and the recording that they are from."""
+    """All blocks, and their recording."""
 
     blocks: list[Block]
     recording: Recording
-    """Without the frames before."""
+    """Untouched and touched frames, without the preceding ones."""
 
     @property
     def count(self) -> int:
-        """How many touches."""
+        """Number of touches."""
         return len(self.blocks) * BLOCK
 
 
 def held_out(count: int, instrument: Instrument, seed: int = SEED) -> HeldOut:
-    """Simulate that many touches, a multiple of `BLOCK`, anywhere on the plate but at its very edge."""
+    """Simulate `count` touches, a multiple of `BLOCK`, anywhere on the plate except its margin."""
     stage = _stage(count // BLOCK, instrument, seed)
     frames = np.concatenate(list(stream(stage, instrument, seed)))
     whole = recording_of(stage, instrument, frames)
@@ -90,7 +90,7 @@ def _blocks(frames: NDArray[np.int16], true_mm: Array, size: int) -> Iterator[Bl
 
 
 def _stage(blocks: int, instrument: Instrument, seed: int) -> Stage:
-    """Write down what happens: in each block the plate is left alone first, then touched again and again."""
+    """Write the stage: each block has untouched frames first, then touches."""
     rng = np.random.default_rng([seed, 0xBE7C])
     size = UNTOUCHED + 2 * BLOCK
     walk_k = np.cumsum(rng.standard_normal(blocks))

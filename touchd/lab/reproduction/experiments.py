@@ -1,7 +1,7 @@
-"""The experiments: functions of recordings that run anywhere, and return plain data.
+"""The experiments: functions of recordings that run on any worker and return plain data.
 
-Each trains or looks up on the training part of a recording and is judged on its test part, which depends
-on the seed alone and is the same for all of them.
+Each trains, or builds a dictionary, on the training part of a recording and is scored on the test part, which depends
+only on the seed.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ Rows = NDArray[np.float32]
 Data = dict[str, Any]
 
 TIMED = 300
-"""Touches located one by one to measure the time of one."""
+"""Number of touches located one by one to measure the time of one."""
 
 
 def trained(
@@ -43,8 +43,8 @@ def trained(
 ) -> Data:
     """Train a network by a recipe on a share of the training part.
 
-    Returns `place_mm` and `truth_mm` of the test part (n, 2), the winning class (n,) of a classifier, the
-    model as bytes, its scores, learning curve, multiply-adds and the time that training took.
+    Returns `place_mm` and `truth_mm` of the test part (n, 2), the estimated class (n,) of a classifier, the model as
+    bytes, its scores, its learning curve and the training time.
     """
     from touchd.training.train_network import train
 
@@ -65,10 +65,10 @@ def trained(
 
 
 def looked_up(recording: Recording, *, method: str, residual: bool, seed: int = 0, share: float = 1.0) -> Data:
-    """Locate the test part by the dictionary of the training part: `method` is "kNN" or "GCC".
+    """Locate the test part by a dictionary of the training part: `method` is "kNN" or "GCC".
 
-    The features are the frames' own, as the paper has them, or those of the residual. Returns `place_mm` and
-    `truth_mm` of the test part, and the `bytes` that the dictionary keeps.
+    Features are the frames' spectra, as in the paper, or those of the residuals. Returns `place_mm` and `truth_mm` of
+    the test part, and the dictionary's size in `bytes`.
     """
     data = make_dataset(recording)
     parts = thin(split(len(data), seed), share)
@@ -82,7 +82,7 @@ def looked_up(recording: Recording, *, method: str, residual: bool, seed: int = 
 
 
 def dictionary(data: Dataset, features: Rows, train: NDArray[np.int64], method: str) -> Nearest | Correlation:
-    """Return the estimator "kNN" or "GCC" that keeps some touches of a dataset."""
+    """Return the estimator "kNN" or "GCC" with the training touches of a dataset."""
     if method == "kNN":
         return Nearest(features[train], data.position_mm[train])
     a = data.acquisition
@@ -91,7 +91,7 @@ def dictionary(data: Dataset, features: Rows, train: NDArray[np.int64], method: 
 
 
 def judged(models: Mapping[str, bytes], recording: Recording) -> dict[str, Data]:
-    """Return what each model makes of a recording's touches, frame by frame."""
+    """Locate a recording's touches by each model, frame by frame."""
     sets: dict[Domain, Dataset] = {}
     found = {}
     for name, content in models.items():
@@ -104,9 +104,9 @@ def judged(models: Mapping[str, bytes], recording: Recording) -> dict[str, Data]
 
 
 def raced(recording: Recording, model: bytes, shares: tuple[float, ...], seed: int = 0) -> dict[str, float]:
-    """Return the median time in us of one touch: of the network, and of kNN and GCC by share of the training part.
+    """Return the median time of one touch, us: of the network, and of kNN and GCC by share of the training part.
 
-    One after the other in this process, each on the same touches; features are taken before.
+    The estimators run one after the other in this process, on the same touches with precomputed features.
     """
     network = loaded(model)
     data = make_dataset(recording)
@@ -126,19 +126,19 @@ def raced(recording: Recording, model: bytes, shares: tuple[float, ...], seed: i
 
 
 def test_part(recording: Recording, model: Model, seed: int) -> tuple[Rows, Rows]:
-    """Return features and positions of the test part, as the model takes them."""
+    """Return the model's features of the test part, and the positions."""
     features, place_mm = touches_of(make_dataset(recording, model.description.domain), model)
     test = split(len(features), seed).test
     return features[test], place_mm[test]
 
 
 def touches_of(data: Dataset, model: Model) -> tuple[Rows, Rows]:
-    """Return features and positions of a dataset's touches, as the model takes them."""
+    """Return the model's features of a dataset's touches, and the positions."""
     return inputs_of(data, model), data.position_mm
 
 
 def loaded(model: bytes) -> Model:
-    """Return a model from the bytes of its file."""
+    """Load a model from the bytes of its file."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "model.onnx"
         path.write_bytes(model)
@@ -146,12 +146,12 @@ def loaded(model: bytes) -> Model:
 
 
 def inputs_of(data: Dataset, model: Model) -> Rows:
-    """Return the features (n, inputs) of a dataset that a model takes."""
+    """Return the dataset's features (n, inputs) that the model expects."""
     return data.residual if model.description.input == "residual" else data.signal
 
 
 def located(model: Model, touches: tuple[Rows, Rows]) -> Data:
-    """Return what a model makes of touches, given as features and positions."""
+    """Run a model on touches, given as features and positions."""
     features, truth_mm = touches
     outputs = model.run(features)
     found: Data = {"truth_mm": truth_mm}
@@ -165,7 +165,7 @@ def located(model: Model, touches: tuple[Rows, Rows]) -> Data:
 
 
 def centres_mm(model: Model) -> Rows:
-    """Return the centre of each class of a grid or keypad model; beside all keys the plate's."""
+    """Return the centre of each class of a grid or keypad model; the plate's centre for the class beside all keys."""
     d = model.description
     if d.layout is not None:
         middle = (d.plate.width_mm / 2, d.plate.height_mm / 2)

@@ -1,4 +1,4 @@
-"""The report's pictures."""
+"""Plots of the report."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ PAPER = "black"
 
 
 def draw(results: Results, folder: Path) -> None:
-    """Write all pictures of a report into a folder that exists.
+    """Write all plots of a report into a folder.
 
     Raises
     ------
     OutputError
-        If one cannot be written.
+        A plot cannot be written.
     """
     save(_heads(results), folder / "heads.png")
     save(_keypad(results), folder / "keypad.png")
@@ -111,8 +111,8 @@ def _circle(results: Results) -> Figure:
     for number, name in enumerate((*CIRCLE_HEADS, "touchd")):
         data = results.circle[name]
         axes = figure.add_subplot(1, 4, number + 1)
-        axes.plot(*data["truth_mm"].T, color=TRUTH, lw=6, solid_capstyle="round", label="the finger's way")
-        axes.plot(*data["place_mm"].T, ".", color=COLOURS[0], ms=3, label="found, each frame by itself")
+        axes.plot(*data["truth_mm"].T, color=TRUTH, lw=6, solid_capstyle="round", label="true path")
+        axes.plot(*data["place_mm"].T, ".", color=COLOURS[0], ms=3, label="estimated, each frame alone")
         title = f"{name}: mean {distance_mm(data).mean():.1f} mm"
         axes.set(xlim=(0, 200), ylim=(200, 0), aspect="equal", xlabel="x (mm)", title=title)
         axes.grid(alpha=0.25)
@@ -142,7 +142,7 @@ def _errors(results: Results) -> Figure:
     }  # fmt: skip
     for number, (kind, label) in enumerate(labels.items()):
         _cumulative(kinds, distance_mm(results.held_out["regression", kind]), label, COLOURS[number])
-    kinds.set(title="the network that ships")
+    kinds.set(title="the shipped network")
     for axes in (models, kinds):
         axes.set(xlabel="error (mm)", xscale="log", xlim=(0.01, 50), ylim=(0, 100))
         axes.axvline(4.4, color=PAPER, ls="--", lw=1)

@@ -1,4 +1,4 @@
-"""What the source paper reports: Bahrami, Moriot, Masson and Grondin, Sensors 22:3183, 2022 (arXiv 2202.08947)."""
+"""Figures of the source paper: Bahrami, Moriot, Masson and Grondin, Sensors 22:3183, 2022 (arXiv 2202.08947)."""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ HEADS: dict[tuple[str, str], Reported] = {
     ("R", "frequency"): Reported(4.4, 2.0),
     ("R", "time"): Reported(4.5, 2.1),
 }
-"""By head and domain; for C-3 to C-9 the paper gives a curve and no figures."""
+"""By head and domain; the paper gives C-3 to C-9 as a curve only."""
 C10_ACCURACY = 0.90
 CIRCLE: dict[str, Reported] = {"R": Reported(4.7, 1.8), "C-10": Reported(6.9, 2.9), "C-5": Reported(10.0, 5.4)}
-"""A human finger on models trained with the silicone one; for C-5 it says "over 1 cm"."""
+"""A human finger on models trained with the silicone finger; the paper states "over 1 cm" for C-5."""
 REGRESSION_MS, KEYPAD_MS = 0.44, 0.28
 
 KEYPAD_ACCURACY, KEYPAD_MATRIX_ACCURACY = 0.97, 595 / 627
 KEYPAD_LEARNING = {1.0: (0.97, 0.96), 0.2: (0.89, 0.87)}
-"""Accuracy of network and of kNN, by the share of the training data."""
+"""Accuracy of network and kNN, by share of the training data."""
 KNN_SLOWER = 11.67
 
 CENTRAL_MM = 110.0
-"""Side of the square in the plate's middle to which the paper's figures for C-N point."""
+"""Side of the central square that the paper's figures for C-N imply."""
 
 INCONSISTENCIES = (
-    "Its confusion matrix gives 595 of 627, 94.9 %; the text says 97 %. In the matrix no key is taken for another.",
-    "A classifier that never errs has a mean error of 38.3 mm for N = 2 and 7.65 mm for N = 10 on touches uniform over "
+    "Its confusion matrix gives 595 of 627, 94.9 %; the text says 97 %. In the matrix no key is assigned to another.",
+    "A classifier without errors has a mean error of 38.3 mm for N = 2 and 7.65 mm for N = 10 on touches uniform over "
     "20 x 20 cm. The paper's 21.8 and 4.1 mm mean touches within about 11 x 11 cm, or another metric. So each head is "
     "trained and tested on the full plate and on the central 11 x 11 cm.",
     'The row "class area" of its table is ten times too small: for N = 10 a zone of a plate of 20 x 20 cm has 4 cm^2.',

@@ -1,4 +1,4 @@
-"""What is run: the jobs of each recording, by name."""
+"""Jobs of each recording, by name."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ GRIDS = tuple(range(2, 11))
 HEADS = ("R", *(f"C-{n}" for n in GRIDS))
 SHARES = (1.0, 0.8, 0.6, 0.4, 0.2)
 KEYPAD_RECIPE, PLATE_RECIPE = "keypad", "best"
-"""What stands beside the paper's."""
+"""Recipes compared with the paper's."""
 KEYPAD_SEEDS = (0, 1, 2)
-"""The keypad is trained and split so often: the differences that matter there are small."""
+"""Seeds of the repeated keypad trainings and splits, because the differences there are small."""
 
 
 def head_jobs(seed: int, epochs: int | None) -> list[Job]:
@@ -30,7 +30,7 @@ def head_jobs(seed: int, epochs: int | None) -> list[Job]:
 
 
 def keypad_jobs(seed: int, epochs: int | None, layout: Layout) -> list[Job]:
-    """Return the trainings of the keypad on shares of the training part, and the dictionaries beside them."""
+    """Return the trainings of the keypad on shares of the training part, and the kNN look-ups on them."""
     jobs = []
     for share in SHARES:
         for more in KEYPAD_SEEDS:
@@ -43,7 +43,7 @@ def keypad_jobs(seed: int, epochs: int | None, layout: Layout) -> list[Job]:
 
 
 def better_jobs(seed: int, epochs: int | None, layout: Layout) -> list[Job]:
-    """Return what stands beside the paper's: our keypad on the least share, and dictionaries of residuals."""
+    """Return our keypad on the smallest share, and the dictionaries of spectra and residuals."""
     arguments = {"recipe": KEYPAD_RECIPE, "layout": layout, "epochs": epochs, "seed": seed}
     jobs = [Job(BETTER_KEYPAD, trained, arguments | {"share": SHARES[-1]}, ("recording",))]
     for method in ("kNN", "GCC"):
@@ -54,7 +54,7 @@ def better_jobs(seed: int, epochs: int | None, layout: Layout) -> list[Job]:
 
 
 def plate_jobs(seed: int, epochs: int | None) -> list[Job]:
-    """Return the training on a plate that nothing was made for."""
+    """Return the training on another plate, for which nothing was tuned."""
     return [Job(OTHER_PLATE, trained, {"recipe": PLATE_RECIPE, "epochs": epochs, "seed": seed}, ("recording",))]
 
 

@@ -1,4 +1,4 @@
-"""Run the experiments and collect what the report needs."""
+"""Run the experiments and collect their results for the report."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from touchd.recording.data import Recording
 
 SHIPPED = ("regression", "small", "int8", "grid10", "keypad")
 HELD_OUT = {"silicone": 201, "human": 202, "noise": 203, "stale": 204}
-"""Kinds of held-out touches and the seeds that only they have."""
+"""Seeds of the held-out touches by kind, unused elsewhere."""
 TRAINING_SEED, CENTRAL_SEED, OTHER_SEED, OTHER_HELD_OUT_SEED, CIRCLE_SEED = 1, 2, 3, 205, 206
 CIRCLE_HEADS = ("C-5", "C-10", "R")
 
@@ -29,7 +29,7 @@ Progress = Callable[[str, int, int], None]
 
 @dataclass(frozen=True, slots=True)
 class Scale:
-    """How much is computed: the paper's size by default, less for a try."""
+    """Extent of the computation; the paper's size by default."""
 
     touches: int = 6404
     other_touches: int = 5700
@@ -40,13 +40,13 @@ class Scale:
 
 @dataclass(slots=True)
 class Results:
-    """Everything that was measured, by the names of the jobs."""
+    """All results, by the jobs' names."""
 
     scale: Scale
     layout: Layout
     recording: Recording
     given: bool
-    """Whether the recording is the user's own and not the twin's."""
+    """Whether the recording is the user's, not the twin's."""
     full: Mapping[str, Data] = field(default_factory=dict)
     central: Mapping[str, Data] = field(default_factory=dict)
     other: Mapping[str, Data] = field(default_factory=dict)
@@ -67,9 +67,9 @@ def reproduce(
     progress: Progress,
     **how: Any,
 ) -> Results:
-    """Run all experiments; `how` is passed on to `touchd.jobs.run`: workers, dask, cache.
+    """Run all experiments; `how` goes to `touchd.jobs.run`: workers, dask, cache.
 
-    With a recording of the user's, what needs the twin is left out.
+    With a user's recording, experiments that need the twin are omitted.
     """
     given = recording is not None
     progress("simulating", 0, 1)
@@ -78,7 +78,7 @@ def reproduce(
     results = Results(scale, layout, touches, given)
 
     def batch(jobs: list[Job], recording: Recording) -> dict[str, Data]:
-        # Two recordings of the same touches are the same, whenever they were made.
+        # Identify a recording by its content, not by its time.
         identity = digest([dataset_digest(recording), recording.meta.plate, recording.acquisition])
         return run(jobs, shared={"recording": Shared(recording, identity)}, progress=progress, **how)
 
@@ -96,7 +96,7 @@ def reproduce(
 
 
 def _judge(results: Results, models: Path, progress: Progress) -> None:
-    """Score the shipped models, and some of those just trained, on touches of seeds that no training saw."""
+    """Score the shipped models and some of the trained ones on touches with seeds unseen in training."""
     count = results.scale.held_out
     contenders = {name: (models / f"{name}.onnx") for name in SHIPPED}
     for path in contenders.values():

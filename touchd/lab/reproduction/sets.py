@@ -1,4 +1,4 @@
-"""The recordings of the experiments: simulated with seeds of their own, or cut from one that was given."""
+"""Recordings of the experiments: simulated with their own seeds, or cut from a given one."""
 
 from __future__ import annotations
 
@@ -15,21 +15,27 @@ from touchd.twin.physics.transducer import Layout as Transducers
 from touchd.twin.simulate import DEFAULT_PLATE, simulate_scene, simulate_touches
 
 NOISY_DB = 40.0
-"""20 dB worse than the reference."""
+"""Signal-to-noise ratio, 20 dB below the reference."""
 STALE_K = 1.0
 OTHER_PLATE = Plate(width_mm=170, height_mm=240, thickness_mm=4, material="glass")
 OTHER_TRANSDUCERS = Transducers(
     emitter_mm=(90.0, 18.0), receivers_mm=((14.0, 60.0), (152.0, 40.0), (25.0, 222.0), (158.0, 205.0))
 )
-"""A plate that no shipped model and no constant in the code was made for."""
+"""A plate for which no shipped model and no constant in the code was tuned."""
 
 
 def simulated(kind: str, count: int, seed: int) -> Recording:
-    """Return simulated touches of a kind, or a scene.
+    """Simulate touches of a kind, or a scene.
 
-    "silicone" and "human" are fingers on the reference plate; "central" is the silicone one on the middle
-    11 x 11 cm; "noise" has noise 20 dB stronger; in "stale" the plate is 1 K warmer than its baseline;
-    "other" is another plate; "circle" is a human finger that draws one.
+    ============  ==============================================================
+    `silicone`    silicone finger on the reference plate
+    `human`       human finger on the reference plate
+    `central`     silicone finger on the central 11 x 11 cm
+    `noise`       noise 20 dB stronger
+    `stale`       plate 1 K warmer than its baseline
+    `other`       another plate
+    `circle`      a human finger draws a circle
+    ============  ==============================================================
     """
     if kind == "circle":
         return simulate_scene("circle", seed=seed, finger="human", frames=count)
@@ -44,13 +50,12 @@ def simulated(kind: str, count: int, seed: int) -> Recording:
 
 
 def central(recording: Recording, side_mm: float) -> Recording:
-    """Return the touches on the central square of a plate, as if the square were the whole plate.
+    """Cut the central square out of a recording, as if it were the whole plate.
 
-    Positions are counted from its corner, so that grids are laid over it and scores are its own. Frames with
-    touches elsewhere are left out.
+    Positions are relative to the square's corner. Frames with touches outside are dropped.
     """
     plate, truth = recording.meta.plate, recording.contacts_mm
-    assert truth is not None  # the verb has seen it
+    assert truth is not None  # checked by the caller
     low_mm = np.array([plate.width_mm - side_mm, plate.height_mm - side_mm]) / 2
     place_mm = truth - low_mm
     down = np.isfinite(place_mm[:, :, 0])

@@ -1,1 +1,1 @@
-"""Touches for training: inspected, joined, augmented, and brought to one temperature."""
+"""Training data: inspect, join, augment, and reduce to one temperature."""

@@ -1,7 +1,6 @@
-"""What a training set cannot hold: fresh noise, other strengths and phases, and all that is no finger.
+"""Augment recorded touches: noise, other fingers, other temperatures; and generate non-fingers.
 
-Everything works on features, which are linear in the samples; so each disturbance is added where the
-instrument would add it.
+Features are linear in the samples, so each disturbance is added to features, where the instrument would add it.
 """
 
 from __future__ import annotations
@@ -16,10 +15,9 @@ from touchd.evaluation.dataset import BASELINE_NOISE, Dataset
 from touchd.localization.features import Features, make_features
 from touchd.training.data.synthetic import Synthesiser
 
-# Phases relative to the recorded touches, rad. On the reference plate the strengths of human fingers of
-# 25-100 mm^2 lie between -0.3 and 0.2 of that of the silicone finger, turning by under 0.1 over the band; a
-# drop of water, a pure mass, is 0.5 ahead at its lower end and 0.8 at its upper one; and a finger that leaves
-# the plate is pi away.
+# Phases relative to the recorded touches, rad (twin). On the reference plate, human fingers of 25-100 mm^2 lie -0.3 to
+# 0.2 from the silicone finger and turn by less than 0.1 over the band. A drop of water, a pure mass, leads by 0.5 at
+# the band's lower end and by 0.8 at its upper. A finger that leaves the baseline is pi away.
 FINGER_PHASE = 0.33
 FINGER_TURN = 0.2
 OTHER_PHASE = 0.52
@@ -28,40 +26,40 @@ OTHER_TURN = 0.6
 
 @dataclass(frozen=True, slots=True)
 class Bank:
-    """A dataset as tensors, with noise to draw from."""
+    """A dataset as tensors, with noise and tones to draw from."""
 
     residual: Tensor
     untouched: Tensor
     stretch: Tensor
     delay: Tensor
     position: Tensor
-    """In plate sizes from the centre, shape (n, 2)."""
+    """Relative to the plate's centre, in units of its size, shape (n, 2)."""
     noise: Tensor
-    """Features of white noise of the recording's level, shape (m, inputs)."""
+    """Features of white noise at the recording's level, shape (m, inputs)."""
     tones: Tensor
-    """Features of tones of unit norm that are not locked to the chirp, shape (m, inputs)."""
+    """Features of tones asynchronous to the chirp, unit norm, shape (m, inputs)."""
     channels: int
     bins: int
-    """Bins a channel; 0 in the time domain, where phase means nothing."""
+    """Bins per channel; 0 in the time domain, which has no phase."""
     neighbours: Tensor
-    """Indices of the touches nearest to each touch, shape (n, k)."""
+    """Indices of the nearest touches of each touch, shape (n, k)."""
 
 
 def make_bank(dataset: Dataset, indices: Tensor, generator: torch.Generator, pool: int = 8192) -> Bank:
-    """Return the touches of some indices of a dataset, ready to draw from."""
+    """Build the bank of a dataset's touches with these indices."""
     a = dataset.acquisition
     features = make_features(dataset.domain, a)
     white = torch.randn((pool, a.channels, a.samples), generator=generator) * dataset.noise
     tones = _features_of(features, _tones(pool, dataset, generator))
     size_mm = torch.tensor([dataset.meta.plate.width_mm, dataset.meta.plate.height_mm])
-    place_mm = torch.from_numpy(dataset.position_mm)[indices]
-    nearest = torch.cdist(place_mm, place_mm).topk(min(24, len(indices)), largest=False).indices
+    position_mm = torch.from_numpy(dataset.position_mm)[indices]
+    nearest = torch.cdist(position_mm, position_mm).topk(min(24, len(indices)), largest=False).indices
     return Bank(
         residual=torch.from_numpy(dataset.residual)[indices],
         untouched=torch.from_numpy(dataset.untouched)[indices],
         stretch=torch.from_numpy(dataset.stretch)[indices],
         delay=torch.from_numpy(dataset.delay)[indices],
-        position=place_mm / size_mm - 0.5,
+        position=position_mm / size_mm - 0.5,
         noise=_features_of(features, white),
         tones=tones / tones.norm(dim=1, keepdim=True).clamp_min(1e-6),
         channels=a.channels,
@@ -79,7 +77,7 @@ def _features_of(features: Features, signals: Tensor) -> Tensor:
 
 
 def _tones(count: int, dataset: Dataset, generator: torch.Generator) -> Tensor:
-    """Return tones of any frequency about the chirp's band, each channel with its own size and phase."""
+    """Return tones of random frequency around the chirp's band, with random amplitude and phase per channel."""
     a = dataset.acquisition
     low_hz, high_hz = 0.9 * a.chirp.start_hz, 1.1 * a.chirp.stop_hz
     f_hz = low_hz + (high_hz - low_hz) * torch.rand((count, 1, 1), generator=generator)
@@ -91,7 +89,7 @@ def _tones(count: int, dataset: Dataset, generator: torch.Generator) -> Tensor:
 
 
 class Augmenter:
-    """Draws batches of fingers and of other things from a bank and, where there is one, from the learned field."""
+    """Draws batches of fingers and non-fingers from a bank and, if given, a synthesiser."""
 
     def __init__(self, bank: Bank, synthesiser: Synthesiser | None, generator: torch.Generator) -> None:
         self._bank = bank
@@ -100,69 +98,69 @@ class Augmenter:
         self._power = bank.noise.square().sum(dim=1).mean()
 
     def fingers(self, residual: Tensor, own_noise: Tensor) -> tuple[Tensor, Tensor]:
-        """Return residuals of touches as another finger, hour and instrument would have given them, and their noise.
+        """Vary finger, temperature, noise and channels of touches; return the residuals and their noise.
 
         Parameters
         ----------
         residual : tensor of shape (n, inputs)
         own_noise : tensor of shape (n, 1)
-            Deviation of the noise in them, in that of a recorded frame.
+            Noise deviation of each residual, relative to a recorded frame's.
 
         Returns
         -------
         tensor of shape (n, inputs)
         tensor of shape (n, 1)
-            The norm of the noise in them, tones included, over their own: what is expected of noise at that level.
+            Expected noise-to-signal ratio, tones included, by norms.
         """
         n = len(residual)
         phase = FINGER_PHASE * self._symmetric(n)
-        # Mostly fingers of all sizes, and some that are just being put down or lifted.
+        # 80 % of the touches have normal amplitudes; 20 % are just being put down or lifted.
         weak = self._chance(n, 0.2)
         size = weak * self._log_uniform(n, 0.05, 0.5) + (1 - weak) * self._log_uniform(n, 0.5, 5.0)
-        residual = self._strength(residual, phase, FINGER_TURN) * size
+        residual = self._amplitude(residual, phase, FINGER_TURN) * size
         disturbed = residual + self._instrument(self._draw(n), share=0.3)
         tone = self._tone(n) * self._log_uniform(n, 0.02, 0.4) * residual.norm(dim=1, keepdim=True)
         tone = tone * self._chance(n, 0.15)
         level = self._uniform(n, 0.0, 1.5) + self._chance(n, 0.1) * self._log_uniform(n, 1.0, 10.0)
         white = self._noise(n, level)
-        heard = self._hearing(n, share=0.1)
-        fingers = (disturbed + tone + white) * heard
+        mask = self._channel_mask(n, share=0.1)
+        fingers = (disturbed + tone + white) * mask
         noise = self._power * (level.square() + (own_noise * size).square()) + tone.square().sum(dim=1, keepdim=True)
-        return fingers, _ratio(noise * heard.mean(dim=1, keepdim=True), fingers)
+        return fingers, _ratio(noise * mask.mean(dim=1, keepdim=True), fingers)
 
     def own_noise(self, residual: Tensor) -> float:
-        """Return the norm of the noise in recorded residuals (n, inputs) over the norm of the median one."""
+        """Return the noise-to-signal ratio of the median recorded residual (n, inputs), by norms."""
         return float((BASELINE_NOISE * self._power).sqrt() / residual.norm(dim=1).median().clamp_min(1e-6))
 
     def held_out(self, residual: Tensor, level: float) -> tuple[Tensor, Tensor]:
-        """Return recorded residuals in louder noise, every other one of another finger, and their noise, as `fingers`.
+        """Add noise to held-out residuals, half of them with another finger's amplitude; return as `fingers`.
 
         Parameters
         ----------
         residual : tensor of shape (n, inputs)
         level : float
-            Deviation of the noise, in that of the recording; not under 1.
+            Noise deviation relative to the recording's, at least 1.
         """
         n = len(residual)
-        another = self._strength(residual, FINGER_PHASE * self._symmetric(n), FINGER_TURN)
+        another = self._amplitude(residual, FINGER_PHASE * self._symmetric(n), FINGER_TURN)
         mixed = torch.where(torch.arange(n)[:, None] % 2 == 0, residual, another)
         added = math.sqrt(BASELINE_NOISE * (level**2 - 1.0))
         louder = mixed + self._noise(n, torch.full((n, 1), added))
         return louder, _ratio(self._power * BASELINE_NOISE * level**2, louder)
 
     def others(self, n: int) -> Tensor:
-        """Return residuals that are no single finger, shape (n, inputs): one of the kinds below for each row."""
+        """Return non-fingers, shape (n, inputs): each row one of the kinds below."""
         kinds = [self._nothing, self._out_of_phase, self._moved_baseline, self._two_fingers, self._palm, self._drift]
         each = -(-n // len(kinds))
         batch = torch.cat([kind(each) for kind in kinds])
         keep = torch.randperm(len(batch), generator=self._generator)[:n]
         noisy = batch[keep] + self._noise(n, self._uniform(n, 0.2, 1.5))
-        return noisy * self._hearing(n, share=0.1)
+        return noisy * self._channel_mask(n, share=0.1)
 
-    # -- what is no finger -------------------------------------------------------------------------
+    # -- non-fingers -------------------------------------------------------------------------------
 
     def _nothing(self, n: int) -> Tensor:
-        """Noise alone, and tones that are not locked to the chirp."""
+        """Noise, and tones asynchronous to the chirp."""
         level = self._power.sqrt()
         several = self._tone(n) + self._tone(n) * self._uniform(n, 0.0, 1.0) * self._chance(n, 0.6)
         several = several + self._tone(n) * self._uniform(n, 0.0, 1.0) * self._chance(n, 0.3)
@@ -170,39 +168,39 @@ class Augmenter:
         return self._noise(n, self._uniform(n, 0.5, 2.0)) + tones * self._chance(n, 0.8)
 
     def _out_of_phase(self, n: int) -> Tensor:
-        """Water, dirt, and a finger that leaves a baseline which held it."""
+        """Water, dirt, and fingers that leave the baseline."""
         sign = torch.where(self._symmetric(n) < 0, -1.0, 1.0)
         phase = sign * self._uniform(n, OTHER_PHASE, torch.pi)
-        # A finger that leaves is by far the most usual of them.
+        # 40 % are fingers leaving the baseline, the most frequent case.
         phase = torch.where(self._uniform(n, 0.0, 1.0) < 0.4, torch.pi + FINGER_PHASE * self._symmetric(n), phase)
-        return self._strength(self._touches(n), phase, OTHER_TURN) * self._log_uniform(n, 0.5, 3.0)
+        return self._amplitude(self._touches(n), phase, OTHER_TURN) * self._log_uniform(n, 0.5, 3.0)
 
     def _moved_baseline(self, n: int) -> Tensor:
-        """A finger at one place while the baseline holds another."""
+        """A finger at one position, while the baseline contains it at another."""
         weight = self._log_uniform(n, 0.5, 2.0)
         return self._touches(n) - weight * self._touches(n)
 
     def _two_fingers(self, n: int) -> Tensor:
-        """Two fingers, and now and then a third."""
+        """Two fingers, in 30 % of the cases three."""
         weight = self._log_uniform(n, 0.3, 1.0)
         both = self._touches(n) + weight * self._touches(n)
         third = self._touches(n) * self._uniform(n, 0.3, 1.0) * self._chance(n, 0.3)
         return (both + third) * self._log_uniform(n, 0.7, 4.0)
 
     def _palm(self, n: int) -> Tensor:
-        """Many contacts side by side."""
+        """Many adjacent contacts."""
         centre = self._bank.neighbours[self._draw(n)]
         weight = torch.rand((n, centre.shape[1], 1), generator=self._generator)
         return (self._bank.residual[centre] * weight).sum(dim=1) * self._log_uniform(n, 0.3, 1.5)
 
     def _drift(self, n: int) -> Tensor:
-        """Temperature, trigger jitter and gains that have changed since the baseline was taken."""
+        """Temperature, trigger jitter and gains that changed since the baseline was learned."""
         return self._instrument(self._draw(n), share=1.0) * self._log_uniform(n, 1.0, 10.0)
 
     # -- disturbances ------------------------------------------------------------------------------
 
     def _instrument(self, indices: Tensor, share: float) -> Tensor:
-        """Return what a stretch of 5e-7, a delay of 0.5 ns and gains of 5e-4 (all deviations) add, times share."""
+        """Return `share` times a random stretch (deviation 5e-7), delay (0.5 ns) and gain error (5e-4)."""
         n, bank = len(indices), self._bank
         gains = torch.randn((n, bank.channels), generator=self._generator) * 5e-4 * self._uniform(n, 0.0, 1.0)
         gains = gains.repeat_interleave(bank.untouched.shape[1] // bank.channels, dim=1)
@@ -213,7 +211,7 @@ class Augmenter:
         )
 
     def _touches(self, n: int) -> Tensor:
-        """Draw touches, recorded and from the field, shape (n, inputs)."""
+        """Draw recorded and synthetic touches, shape (n, inputs)."""
         if self._synthesiser is None:
             return self._bank.residual[self._draw(n)]
         recorded = n // 3
@@ -221,8 +219,8 @@ class Augmenter:
         mixed = torch.cat([self._bank.residual[self._draw(recorded)], drawn])
         return mixed[torch.randperm(n, generator=self._generator)]
 
-    def _strength(self, residual: Tensor, phase: Tensor, turn: float) -> Tensor:
-        """Multiply by a complex strength of this phase, (n, 1), whose phase and size change along the band."""
+    def _amplitude(self, residual: Tensor, phase: Tensor, turn: float) -> Tensor:
+        """Multiply by a complex amplitude of phase (n, 1), which varies randomly along the band in phase and size."""
         bank = self._bank
         if not bank.bins:
             return residual * torch.where(phase.abs() > torch.pi / 2, -1.0, 1.0)
@@ -235,14 +233,14 @@ class Augmenter:
         a, b = parts[:, :, 0], parts[:, :, 1]
         return torch.stack([a * real - b * imaginary, a * imaginary + b * real], dim=2).reshape(n, -1)
 
-    def _hearing(self, n: int, share: float) -> Tensor:
-        """Return 1, shape (n, inputs), but 0 for one channel in this share of the rows: dead, or without a disc."""
+    def _channel_mask(self, n: int, share: float) -> Tensor:
+        """Return a mask of shape (n, inputs) that silences one channel in this share of the rows."""
         channels, inputs = self._bank.channels, self._bank.noise.shape[1]
         if channels < 3:
             return torch.ones((n, inputs))
         dead = torch.randint(channels, (n, 1), generator=self._generator) == torch.arange(channels)
-        heard = 1.0 - dead.float() * self._chance(n, share)
-        return heard.repeat_interleave(inputs // channels, dim=1)
+        mask = 1.0 - dead.float() * self._chance(n, share)
+        return mask.repeat_interleave(inputs // channels, dim=1)
 
     def _tone(self, n: int) -> Tensor:
         return self._bank.tones[torch.randint(len(self._bank.tones), (n,), generator=self._generator)]
@@ -271,5 +269,5 @@ class Augmenter:
 
 
 def _ratio(noise: Tensor, features: Tensor) -> Tensor:
-    """Return the norm of noise of this energy over that of the features, shape (n, 1)."""
+    """Return the noise-to-signal ratio by norms, shape (n, 1), from the noise energy."""
     return (noise / features.square().sum(dim=1, keepdim=True).clamp_min(1e-12)).sqrt()

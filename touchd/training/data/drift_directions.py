@@ -1,8 +1,7 @@
-"""Directions in feature space in which the untouched plate moves by itself: its temperature, above all.
+"""Find the feature directions of baseline drift, mostly temperature.
 
-A stale baseline adds to every residual the same few patterns, which the recording's own untouched frames
-show. What lies along them tells nothing of a finger that could be relied on, so a network need not see it:
-with them taken out, a baseline of another temperature costs next to nothing.
+A stale baseline adds the same few patterns to every residual, and the untouched frames of a recording show them. A
+network that projects them out tolerates a baseline of another temperature at almost no cost.
 """
 
 from __future__ import annotations
@@ -11,18 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 STANDS_OUT = 9.0
-"""A pattern is taken for more than noise if frames that it was not found in vary so many times more along it than noise
-does on average. White noise under a Hann window reaches 2.7: its bins correlate with their neighbours, 4/6 and 1/6."""
+"""A pattern counts as drift if the other half of the frames varies this many times more along it than mean noise. White
+noise under a Hann window reaches 2.7: its bins correlate with their neighbours, 4/6 and 1/6."""
 MOST = 4
 _ROWS = 2000
 
 
 def drift_directions(untouched: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return the orthonormal directions, shape (k, inputs), in which untouched features (n, inputs) move.
+    """Return the orthonormal drift directions, shape (k, inputs), of untouched features (n, inputs).
 
-    The rows are in the order of time, without noise in common. The directions are the principal components
-    of one half of them that stand out of the noise in the other half; none where nothing does, and at most
-    `MOST`. Noise is what differs from row to row: drift is slow.
+    Rows are in order of time and share no noise. The directions are principal components of one half of the rows that
+    exceed the noise in the other half: at most `MOST`, possibly none. The noise is estimated from differences of
+    successive rows, because drift is slow.
     """
     n, inputs = untouched.shape
     if n < 2 * MOST:

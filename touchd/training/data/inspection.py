@@ -1,4 +1,4 @@
-"""What is suspicious about a labelled recording, each in one sentence, before hours are spent on it."""
+"""Inspect a labelled recording before training: one sentence for each likely fault."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ from touchd.recording.data import Recording
 from touchd.twin.physics.dispersion import mindlin_wavenumber
 
 WEAK_DB = 30.0
-"""A channel so far below the median one hears next to nothing: no placing of a disc costs so much."""
+"""A channel this far below the median is faulty: no position of a disc costs as much."""
 LIKE_NOISE = 0.5
-"""Correlation of two untouched frames under which a channel holds no chirp."""
+"""Correlation of two untouched frames below which a channel contains no chirp."""
 CLIPPED_SHARE = 1e-3
-"""Of the frames; fewer are accidents."""
+"""Share of clipped frames that counts as a fault."""
 FELT = 6.0
-"""Deviations by which a touch's energy exceeds that of noise: at 1000 samples, by 27 %."""
+"""Standard deviations by which a touch's energy exceeds the noise energy: 27 % at 1000 samples."""
 JUMP = 0.03
-"""Change of the untouched signal: a gain off by 5 % makes 0.05; a kelvin within a few frames does not happen."""
+"""Relative change of the untouched signal: a gain error of 5 % makes 0.05; drift stays far below within 5 frames."""
 JUMP_OVER_DRIFT = 100.0
-"""The same, in energy over that of the usual change."""
+"""Energy of a jump relative to the median change."""
 JUMP_FRAMES = 5
 FAR_S = 30.0
-"""Between a touch and the untouched frame that it is compared with: a plate may warm by hundredths of a kelvin."""
+"""Time between a touch and its untouched frame, in which a plate may warm by hundredths of a kelvin."""
 COVERED = 0.6
-"""Share of the plate within the touches' rectangle."""
+"""Share of the plate inside the touches' bounding box."""
 CELL_TOUCHES = 8
-"""Expected in each cell of the map of holes: by chance one in 3,000 cells stays empty."""
+"""Mean touches per cell: 1 in 3,000 cells stays empty by chance."""
 _BLOCK = 512  # touches at a time in memory
 
 
@@ -57,12 +57,12 @@ class Session:
 
 
 def inspect(recording: Recording, training_share: float = 0.7) -> list[str]:
-    """Return what a user should know of a recording before training on it.
+    """Return a warning for each likely fault of a recording.
 
     Raises
     ------
     TrainingError
-        If no channel hears the chirp, or as `touchd.evaluation.dataset.labels`.
+        No channel receives the chirp; also see `touchd.evaluation.dataset.labels`.
     """
     session = Session(recording, *labels(recording))
     plate = recording.meta.plate
@@ -79,7 +79,7 @@ def inspect(recording: Recording, training_share: float = 0.7) -> list[str]:
 
 
 def channels(session: Session) -> Iterator[str]:
-    """Name the channels that are flat, hear noise only, or hear far less than the others."""
+    """Warn of channels that are constant, contain only noise, or are much weaker than the others."""
     pairs = session.quiet.astype(np.float64)
     pairs -= pairs.mean(axis=3, keepdims=True)
     power = np.square(pairs).mean(axis=(0, 1, 3))
@@ -103,7 +103,7 @@ def channels(session: Session) -> Iterator[str]:
 
 
 def clipping(recording: Recording) -> Iterator[str]:
-    """Tell of frames that reach the converter's limits."""
+    """Warn of frames at the ADC's limit."""
     most = 2 ** (recording.meta.bits - 1) - 1
     peak = np.maximum(recording.frames.max(axis=2), -(recording.frames.min(axis=2).astype(np.int32) + 1))
     share = (peak >= most).mean(axis=0)
@@ -111,18 +111,18 @@ def clipping(recording: Recording) -> Iterator[str]:
         names = ", ".join(f"{channel + 1}" for channel in np.flatnonzero(share > CLIPPED_SHARE))
         yield (
             f"the converter clips in {100 * share.max():.1f} % of the frames (channel {names}); "
-            "lower the gain, or what a touch changes is lost there"
+            "lower the gain, because clipping hides touches"
         )
 
 
 def jumps(session: Session) -> Iterator[str]:
-    """Tell where the untouched plate changes at once by far more than it drifts: another gain, disc or plate."""
+    """Warn of a sudden change of the untouched plate, far above drift: another gain, disc or plate."""
     frames, at, n = session.recording.frames, session.untouched, JUMP_FRAMES
     if len(at) < 4 * n:
         return
     sums = np.zeros((len(at) + 1, *frames.shape[1:]), np.int32)
     np.cumsum(frames[at], axis=0, dtype=np.int32, out=sums[1:])
-    # In blocks: the means themselves would be as large as the recording in float64.
+    # Work in blocks: the means of all frames in float64 would be as large as the recording.
     energy = np.empty(len(at) - 2 * n + 1)
     for start in range(0, len(energy), _BLOCK):
         i = np.arange(start, min(start + _BLOCK, len(energy)))
@@ -134,12 +134,12 @@ def jumps(session: Session) -> Iterator[str]:
         before, after = at[last + n - 1], at[last + n]
         yield (
             f"the untouched plate changes by {100 * size[last]:.0f} % at once between frames {before} and {after}: "
-            "where another gain, disc or plate begins, train on each part by itself"
+            "if gain, discs or plate changed there, train on each part separately"
         )
 
 
 def distances(session: Session) -> Iterator[str]:
-    """Tell of touches that are far in time from any untouched frame."""
+    """Warn of touches far in time from any untouched frame."""
     time_ns = session.recording.timestamp_ns
     pairs = baseline_frames(time_ns, session.touched, session.untouched)
     apart_s = np.abs(time_ns[pairs] - time_ns[session.touched][:, None]).min(axis=1) * 1e-9
@@ -147,12 +147,12 @@ def distances(session: Session) -> Iterator[str]:
     if far.any():
         yield (
             f"{far.sum()} touches are more than {FAR_S:g} s from any untouched frame, up to {apart_s.max():.0f} s: "
-            "meanwhile the plate drifts; record the untouched plate between touches"
+            "the plate drifts in that time; record the untouched plate between touches"
         )
 
 
 def unfelt(session: Session) -> Iterator[str]:
-    """Count labelled touches that do not stand out of the noise: label and signal contradict each other."""
+    """Warn of labelled touches whose energy does not exceed the noise."""
     frames, noise = session.recording.frames, noise_of(session.recording.frames[session.untouched])
     if noise == 0:
         return
@@ -163,48 +163,48 @@ def unfelt(session: Session) -> Iterator[str]:
         some = slice(start, start + _BLOCK)
         residual = frames[session.touched[some]] - frames[pairs[some]].mean(axis=1, dtype=np.float32)
         energy[some] = np.square(residual).mean(axis=(1, 2))
-    # The baseline's own noise comes on top: of one frame, or half as much of the mean of two.
+    # The baseline adds its own noise: one frame's, or half of it for the mean of two frames.
     expected = noise**2 * np.where(own, 2.0, 1.5)
-    # The energy of N white samples scatters by sqrt(2 / N) of itself.
+    # The energy of N white samples has the relative deviation sqrt(2 / N).
     silent = energy < expected * (1 + FELT * np.sqrt(2 / frames[0].size))
     if silent.any():
         yield (
-            f"{silent.sum()} touches do not stand out of the noise, the first in frame {session.touched[silent][0]}: "
+            f"{silent.sum()} touches do not exceed the noise, the first in frame {session.touched[silent][0]}: "
             "wrong labels, a finger that never touched, or too much noise"
         )
 
 
 def copies(session: Session) -> Iterator[str]:
-    """Count touches that are there twice, in one place, or over several frames: the test would know them already."""
+    """Warn of touches repeated exactly, over several frames, or at one position: they leak into the test part."""
     frames, n = session.recording.frames, len(session.touched)
     repeated = n - len({frames[i].tobytes() for i in session.touched})
     if repeated:
-        yield f"{repeated} touches are exact copies of others: test and training share them, so scores flatter"
+        yield f"{repeated} touches are exact copies: training and test part share them, so the scores are too good"
     held = session.touched[1:] == session.touched[:-1] + 1
     held &= np.linalg.norm(np.diff(session.position_mm, axis=0), axis=1) < 5.0
     if held.mean() > 0.2:
         yield (
-            f"{held.sum()} of {n} touches go on from the frame before: test and training share them, so scores "
-            "flatter; judge the model on another recording"
+            f"{held.sum()} of {n} touches continue from the frame before: training and test part share them, so the "
+            "scores are too good; evaluate the model on another recording"
         )
         return
     _, places = np.unique(np.round(session.position_mm, 2), axis=0, return_counts=True)
     shared = int(places[places > 1].sum())
     if shared > 0.1 * n:
         yield (
-            f"{shared} of {n} touches share their place with another: scores say little of the places between; "
+            f"{shared} of {n} touches share their position with another: the scores ignore the positions between; "
             "spread touches at random"
         )
 
 
 def coverage(position_mm: NDArray[np.float32], plate: Plate) -> Iterator[str]:
-    """Tell which part of the plate holds all touches, and of holes in it."""
+    """Warn if the touches cover a small part of the plate, or leave holes."""
     low, high = position_mm.min(axis=0), position_mm.max(axis=0)
     share = float(np.prod(high - low)) / (plate.width_mm * plate.height_mm)
     if share < COVERED:
         yield (
             f"all touches lie within x {low[0]:.0f}..{high[0]:.0f}, y {low[1]:.0f}..{high[1]:.0f} mm, "
-            f"{100 * share:.0f} % of the plate: elsewhere the model knows nothing"
+            f"{100 * share:.0f} % of the plate: the model is untrained elsewhere"
         )
     cells = min(10, int(np.sqrt(len(position_mm) / CELL_TOUCHES)))
     cell = np.minimum((position_mm - low) / np.maximum(high - low, 1e-3) * cells, cells - 1).astype(int)
@@ -213,13 +213,13 @@ def coverage(position_mm: NDArray[np.float32], plate: Plate) -> Iterator[str]:
     if len(empty):
         x_mm, y_mm = low + (empty[0] + 0.5) * (high - low) / cells
         yield (
-            f"{len(empty)} of {cells**2} equal parts of the touched rectangle hold no touch, one about "
+            f"{len(empty)} of {cells**2} equal parts of the touched rectangle contain no touch, one about "
             f"({x_mm:.0f}, {y_mm:.0f}) mm: the model guesses there"
         )
 
 
-def freedom(position_mm: NDArray[np.floating], wavenumber_per_mm: float) -> float:
-    """Return the degrees of freedom of a residual field within the rectangle of some places (n, 2).
+def degrees_of_freedom(position_mm: NDArray[np.floating], wavenumber_per_mm: float) -> float:
+    """Return the degrees of freedom of the residual field in the bounding box of positions (n, 2).
 
     A function on an area A without spatial frequencies above 2 k has A (2 k)^2 / 4 pi = A k^2 / pi of them
     (Landau 1967); k is the plate's wavenumber.
@@ -228,17 +228,17 @@ def freedom(position_mm: NDArray[np.floating], wavenumber_per_mm: float) -> floa
 
 
 def density(position_mm: NDArray[np.float32], plate: Plate, stop_hz: float, training_share: float) -> Iterator[str]:
-    """Tell when touches are fewer than the degrees of freedom of the residual field at the chirp's end."""
+    """Warn if the touches are fewer than the residual field's degrees of freedom at the chirp's end."""
     try:
         wavenumber_per_mm = float(mindlin_wavenumber(plate, np.array([stop_hz]))[0]) * 1e-3
     except SimulationError:
-        return  # an unknown material: training says what it means
+        return  # unknown material: `fitted_note` warns of it
     area_mm2 = float(np.prod(np.ptp(position_mm, axis=0)))
-    needed = freedom(position_mm, wavenumber_per_mm)
+    needed = degrees_of_freedom(position_mm, wavenumber_per_mm)
     have = training_share * len(position_mm)
     if have < needed:
         yield (
-            f"{have:.0f} touches for training are fewer than the {needed:.0f} that waves up to {stop_hz / 1e3:g} kHz "
-            f"need on {area_mm2 / 100:.0f} cm2 of this plate: positions will be coarse; "
+            f"{have:.0f} training touches are fewer than the {needed:.0f} degrees of freedom of waves up to "
+            f"{stop_hz / 1e3:g} kHz on {area_mm2 / 100:.0f} cm2 of this plate: positions will be coarse; "
             f"record {needed / training_share:.0f} or more"
         )

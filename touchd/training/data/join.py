@@ -1,4 +1,4 @@
-"""Several recordings of one plate, taken alike, as one."""
+"""Join several recordings of one plate and acquisition."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from touchd.errors import TrainingError
 from touchd.recording.data import Recording
 
 APART_NS = 3_600_000_000_000
-"""An hour between two recordings, so that no touch is compared with the untouched plate of another one."""
+"""Gap of one hour between recordings, so that no touch is compared with another recording's untouched frames."""
 
 
 def join(recordings: Sequence[Recording], names: Sequence[str]) -> Recording:
-    """Return the recordings one after the other, an hour apart; `names` tell them apart in an error.
+    """Concatenate recordings, an hour apart; `names` identify them in an error.
 
-    What not all of them have, such as forces, is left out.
+    Arrays that a recording lacks, such as forces, are dropped.
 
     Raises
     ------
     TrainingError
-        If their acquisitions, plates or transducers differ, or one is not labelled.
+        Acquisitions, plates or transducers differ, or a recording has no labels.
     """
     first = recordings[0]
     for recording, name in zip(recordings, names, strict=True):
@@ -54,7 +54,7 @@ def _check_same(what: str, one: Any, two: Any, first: str, other: str) -> None:
         raise TrainingError(
             f"mixed acquisitions: {what} is {one} in {first}, but {two} here",
             other,
-            "train a model on each, or record again alike",
+            "train a model on each, or record again with equal settings",
         )
 
 
@@ -64,6 +64,6 @@ def _truth(recording: Recording) -> np.ndarray[Any, np.dtype[np.float32]]:
 
 
 def _widened(truth: np.ndarray[Any, np.dtype[np.float32]], fingers: int) -> np.ndarray[Any, np.dtype[np.float32]]:
-    """Return the truth (n, k, 2) with columns of no touch up to `fingers`."""
+    """Pad positions (n, k, 2) with NaN to `fingers` columns."""
     missing = np.full((len(truth), fingers - truth.shape[1], 2), np.nan, np.float32)
     return np.concatenate([truth, missing], axis=1)

@@ -1,4 +1,4 @@
-"""Touches as they would be if the plate had kept one temperature during the recording."""
+"""Reduce the touches of a recording to its mean temperature."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from touchd.localization.thermal import stretch_matrix
 from touchd.recording.data import Recording
 
 NEIGHBOURS = 7
-"""Touches before and after whose untouched frames tell of the temperature too: one frame's noise is a tenth of a K."""
+"""Touches before and after whose untouched frames enter the temperature estimate: one frame's error is 0.1 K."""
 NEAR_S = 60.0
-"""Those farther away in time do not: the plate warms meanwhile."""
+"""Frames farther away are ignored, because the plate drifts meanwhile."""
 _BLOCK = 512
 
 
 def at_one_temperature(recording: Recording, dataset: Dataset) -> tuple[Dataset, Array]:
-    """Return a dataset whose residuals are those at the recording's mean temperature, and the untouched plate there.
+    """Return a dataset with residuals at the recording's mean temperature, and the untouched plate there.
 
-    The untouched frames beside each touch tell how far the plate was stretched; the residual is stretched back. The
-    second value has the shape (channels, samples), ADC counts.
+    The untouched frames beside each touch measure the stretch of the plate; the residual is stretched back by it. The
+    second value has shape (channels, samples), ADC counts.
     """
     position_mm, touched, untouched = labels(recording, len(dataset))
     del position_mm
@@ -51,7 +51,7 @@ def at_one_temperature(recording: Recording, dataset: Dataset) -> tuple[Dataset,
 
 
 def smooth(values: NDArray[np.float64], time_s: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the mean of each value (n,) and those of its neighbours in time."""
+    """Return the moving average of values (n,) over neighbours in number and time."""
     at = np.arange(len(values))
     first = np.maximum(at - NEIGHBOURS, np.searchsorted(time_s, time_s - NEAR_S))
     last = np.minimum(at + NEIGHBOURS + 1, np.searchsorted(time_s, time_s + NEAR_S, side="right"))

@@ -1,4 +1,4 @@
-"""Touches drawn from the learned field: at any place, of any strength seen, as many as wanted."""
+"""Draw touches from the learned field, at random positions and recorded amplitudes."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from touchd.keypad import Layout
 from touchd.training.field.learn import STEP_MM, Field
 
 BORDER_SHARE = 0.7
-"""Of the touches drawn for a keypad, those about the borders of keys: only there can a key be mistaken."""
+"""Share of a keypad's synthetic touches near key borders, where keys can be confused."""
 BORDER_MM = 2.0
-"""Their standard deviation across the border."""
+"""Standard deviation of these touches across the border, mm."""
 
 
 class Synthesiser:
-    """Draws noiseless residuals of touches all over the touched part of the plate.
+    """Draws noiseless residuals over the touched part of the plate.
 
     Parameters
     ----------
@@ -24,7 +24,7 @@ class Synthesiser:
         Width and height of the plate.
     generator : torch.Generator
     layout : Layout, optional
-        Keys about whose borders more touches are drawn.
+        Keys whose borders receive `BORDER_SHARE` of the touches.
     """
 
     def __init__(
@@ -35,34 +35,34 @@ class Synthesiser:
         self._keys_mm = torch.tensor([[k.x_mm, k.y_mm, k.width_mm, k.height_mm] for k in keys])
         rows, self._columns = field.coefficients.shape[:2]
         self._nodes = torch.from_numpy(field.coefficients.reshape(rows * self._columns, -1))
-        self._strength = torch.from_numpy(field.strength)
+        self._amplitude = torch.from_numpy(field.amplitude)
         self._origin_mm = torch.tensor(field.origin_mm, dtype=torch.float32)
         self._low_mm = torch.tensor(field.low_mm, dtype=torch.float32)
         self._span_mm = torch.tensor(field.high_mm, dtype=torch.float32) - self._low_mm
         self._size_mm = torch.tensor(size_mm)
 
     def draw(self, n: int) -> tuple[Tensor, Tensor]:
-        """Return residuals (n, inputs) and positions (n, 2) in plate sizes from the centre."""
-        place_mm = self._low_mm + self._span_mm * torch.rand((n, 2), generator=self._generator)
+        """Draw residuals (n, inputs), and positions (n, 2) relative to the plate's centre, in units of its size."""
+        position_mm = self._low_mm + self._span_mm * torch.rand((n, 2), generator=self._generator)
         if len(self._keys_mm):
             count = round(BORDER_SHARE * n)
-            place_mm[:count] = self._at_borders(count)
-        some = torch.randint(len(self._strength), (n, 1), generator=self._generator)
-        return self.at(place_mm) * self._strength[some], place_mm / self._size_mm - 0.5
+            position_mm[:count] = self._at_borders(count)
+        some = torch.randint(len(self._amplitude), (n, 1), generator=self._generator)
+        return self.at(position_mm) * self._amplitude[some], position_mm / self._size_mm - 0.5
 
     def _at_borders(self, n: int) -> Tensor:
-        """Return places (n, 2) about the borders of the keys."""
+        """Draw positions (n, 2) near the borders of the keys."""
         key = self._keys_mm[torch.randint(len(self._keys_mm), (n,), generator=self._generator)]
         place = torch.rand((n, 2), generator=self._generator)
         across = torch.randint(2, (n, 1), generator=self._generator) == torch.arange(2)
-        place = torch.where(across, place.round(), place)  # the one or the other of two opposite borders
+        place = torch.where(across, place.round(), place)  # one of two opposite borders
         off_mm = BORDER_MM * torch.randn((n, 1), generator=self._generator) * across
         at_mm = key[:, :2] + key[:, 2:] * place + off_mm
         return at_mm.clamp(self._low_mm, self._low_mm + self._span_mm)
 
-    def at(self, place_mm: Tensor) -> Tensor:
-        """Return the field (n, inputs) at places (n, 2), by cubic B-splines."""
-        place = (place_mm - self._origin_mm) / STEP_MM
+    def at(self, position_mm: Tensor) -> Tensor:
+        """Evaluate the field (n, inputs) at positions (n, 2), by cubic B-splines."""
+        place = (position_mm - self._origin_mm) / STEP_MM
         corner = place.floor()
         weight = _basis(place - corner)
         column, row = (corner.long()[:, :, None] + torch.arange(-1, 3)).unbind(dim=1)
@@ -72,5 +72,5 @@ class Synthesiser:
 
 
 def _basis(t: Tensor) -> Tensor:
-    """Return the four cubic B-splines that are not zero at t, 0 <= t < 1; a last axis of 4 is added."""
+    """Return the four non-zero cubic B-splines at t, 0 <= t < 1, as a last axis of 4."""
     return torch.stack([(1 - t) ** 3, 3 * t**3 - 6 * t**2 + 4, -3 * t**3 + 3 * t**2 + 3 * t + 1, t**3], dim=-1) / 6

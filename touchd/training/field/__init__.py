@@ -1,1 +1,1 @@
-"""The field of a touch anywhere on the plate, learned by Gaussian process regression."""
+"""The residual field of a touch at any position, learned by Gaussian process regression."""

@@ -1,10 +1,9 @@
-"""The strength of each touch: complex, unknown, and found along with the field.
+"""Fit the complex amplitude of each touch, together with the field.
 
-Only the product of strength and field is seen, so the two are found in turn. Each touch's strength is the one
-that fits the field of all touches best, taken in a few bins, since it changes slowly along the band. An error of the
-strengths is the same in all bins, so that it moves positions as much as if no bin were averaged over: they have
-to converge. That takes many rounds, and they are cheap, since the field depends linearly on the touches at given
-weights: the inverse of each system is formed once for many rounds.
+Only the product of amplitude and field is observable, so the two are fitted in turn. An amplitude fits the field of all
+touches best, in a few bins, because it changes slowly along the band. Amplitude errors are common to all bins and move
+positions accordingly, so the fit must converge. That takes many rounds. They are cheap: at fixed weights the field is
+linear in the touches, so the inverse of each system serves many rounds.
 """
 
 from __future__ import annotations
@@ -17,13 +16,13 @@ from numpy.typing import NDArray
 Complex = NDArray[np.complex64]
 Floats = NDArray[np.float64]
 Predict = Callable[[Complex], Complex]
-"""From the touches at strength 1 in the chosen bins, shape (n, channels, chosen), to the field at their places."""
+"""Maps touches at amplitude 1 in the chosen bins, shape (n, channels, chosen), to the field at their positions."""
 
 STEEPNESS = 0.1
-"""Weight of the prior against a strong change along the band: the data of a weak touch cannot tell."""
+"""Weight of the prior against a strong change along the band, which a weak touch cannot determine."""
 WEAKEST = 0.05
 FIELD_ERROR = 3e-3
-"""Of the field's power: what it misses, beside the noise, when bins are weighed."""
+"""Share of the field's power that the field misses, beside the noise, in the weights of the bins."""
 
 
 def along_band(bins: int) -> Floats:
@@ -31,54 +30,54 @@ def along_band(bins: int) -> Floats:
     return np.linspace(-1.0, 1.0, bins)
 
 
-def fit_strengths(values: Complex, predicted: Complex, slope: Floats, bins: int) -> Complex:
-    """Return each touch's strength along the band, linear in frequency, of shape (n, bins).
+def fit_amplitudes(values: Complex, predicted: Complex, slope: Floats, bins: int) -> Complex:
+    """Fit each touch's amplitude along the band, linear in frequency, shape (n, bins).
 
     Parameters
     ----------
     values, predicted : array, shape (n, channels, chosen)
-        Touches and field in the chosen bins, weighed alike.
+        Touches and field in the chosen bins, with equal weights.
     slope : array, shape (chosen,)
-        Where the chosen bins lie along the band, from -1 to 1.
+        Position of the chosen bins along the band, from -1 to 1.
     bins : int
-        Of the whole band.
+        Number of bins of the whole band.
     """
     n = len(values)
-    # Two unknowns a touch, z = p + q s: least squares over channels and bins.
+    # Two unknowns per touch, z = p + q s: least squares over channels and bins.
     basis = np.stack([predicted, predicted * slope.astype(np.float32)], axis=-1).reshape(n, -1, 2)
     gram = np.einsum("nki,nkj->nij", basis.conj(), basis)
     gram[:, 1, 1] += STEEPNESS * gram[:, 0, 0]
     right = np.einsum("nki,nk->ni", basis.conj(), values.reshape(n, -1))
     p, q = np.linalg.solve(gram, right[..., None])[..., 0].T
-    strength = p[:, None] + q[:, None] * along_band(bins)
-    # Fix the mean of the one, which the other has to make up for.
-    strength /= np.mean(np.abs(p)) * np.exp(1j * np.angle(p.sum()))
-    strength[np.abs(strength) < WEAKEST] = WEAKEST
-    found: Complex = strength.astype(np.complex64)
+    amplitude = p[:, None] + q[:, None] * along_band(bins)
+    # Normalise the mean amplitude; the field absorbs the factor.
+    amplitude /= np.mean(np.abs(p)) * np.exp(1j * np.angle(p.sum()))
+    amplitude[np.abs(amplitude) < WEAKEST] = WEAKEST
+    found: Complex = amplitude.astype(np.complex64)
     return found
 
 
 def converge(
-    values: Complex, strength: Complex, chosen: NDArray[np.int64], weight: Floats, predict: Predict, rounds: int
+    values: Complex, amplitude: Complex, chosen: NDArray[np.int64], weight: Floats, predict: Predict, rounds: int
 ) -> Complex:
-    """Return the strengths (n, bins) after rounds of field and strengths in turn.
+    """Alternate between field and amplitudes for `rounds` rounds; return the amplitudes (n, bins).
 
     Parameters
     ----------
     values : array, shape (n, channels, chosen)
-        The touches in the chosen bins.
-    strength : array, shape (n, bins)
-        From where to start.
+        Touches in the chosen bins.
+    amplitude : array, shape (n, bins)
+        Amplitudes to start from.
     chosen : array, shape (chosen,)
         Numbers of the bins.
     weight : array, shape (chosen,)
-        Of each bin in the fit: one over the deviation of noise and field.
+        Weight of each bin: one over the deviation of noise and field error.
     predict : callable
     rounds : int
     """
     scale = weight.astype(np.float32)
-    slope = along_band(strength.shape[1])[chosen]
+    slope = along_band(amplitude.shape[1])[chosen]
     for _ in range(rounds):
-        predicted = predict(values / strength[:, None, chosen])
-        strength = fit_strengths(values * scale, predicted * scale, slope, strength.shape[1])
-    return strength
+        predicted = predict(values / amplitude[:, None, chosen])
+        amplitude = fit_amplitudes(values * scale, predicted * scale, slope, amplitude.shape[1])
+    return amplitude

@@ -1,9 +1,8 @@
-"""The wavenumber of the plate's flexural wave at each bin, which limits the field's band.
+"""Wavenumber of the plate's flexural wave at each bin, which limits the field's spatial band.
 
-It follows from the plate's material. Where that is unknown the touches tell: with too small a wavenumber the field
-cannot follow them, with too large a one it follows their noise, so that the one which foretells touches that are left
-out best is the plate's. Along the band it is taken for a power of the frequency: a half where the plate is thin beside
-the wave, one where it is thick.
+It follows from the plate's material. For an unknown material it is fitted to the touches: too small a wavenumber cannot
+follow the field, too large a one follows the noise, so the plate's wavenumber minimises the leave-one-out error. Along
+the band it is a power of the frequency, with exponent 0.5 if the plate is thin relative to the wavelength, 1 if thick.
 """
 
 from __future__ import annotations
@@ -18,66 +17,66 @@ from touchd.evaluation.dataset import Dataset
 from touchd.frame import Plate
 from touchd.localization.features import band_bins
 from touchd.training.field.regression import Floats, Prior, Touches
-from touchd.training.field.selection import cut, region_of, surprises
+from touchd.training.field.selection import cut, log_errors, region_of
 from touchd.twin.physics.dispersion import mindlin_wavenumber
 from touchd.twin.physics.material import MATERIALS
 
 POWERS = np.linspace(0.4, 1.0, 61)
 SCAN = 24
-"""Wavenumbers that are tried in each bin at first."""
+"""Number of wavenumbers tried in each bin at first."""
 FINEST = 1.4
-"""Largest of them, over that at which the touches are as many as the field's degrees of freedom."""
+"""Largest wavenumber, relative to that at which touches and degrees of freedom are equal in number."""
 COARSEST = 1 / 12
 _CLOSER = np.array([0.85, 0.9, 0.94, 0.98, 1.02, 1.06, 1.1, 1.15])
 SCAN_RIDGE = 0.1
-"""As long as the strengths are unknown: their scatter looks like noise."""
+"""Ridge while the amplitudes are unknown: their scatter acts as noise."""
 
 
 @dataclass(frozen=True, slots=True)
 class Dispersion:
-    """The wavenumber by frequency."""
+    """Wavenumber by frequency."""
 
     frequency_hz: Floats
-    """Of the bins, shape (bins,)."""
+    """Frequencies of the bins, shape (bins,)."""
     wavenumber_per_mm: Floats
     """Rad/mm, shape (bins,)."""
     fitted: bool = False
-    """Whether the touches told it."""
+    """Whether the wavenumber was fitted to touches."""
     single_hz: Floats | None = None
-    """Frequencies of those bins in which it was fitted, shape (some,)."""
+    """Frequencies of the fitted bins, shape (some,)."""
     single_per_mm: Floats | None = None
-    """The best wavenumber of each by itself, rad/mm, shape (some,)."""
+    """Best wavenumber of each of these bins alone, rad/mm, shape (some,)."""
 
 
 def known_dispersion(dataset: Dataset) -> Dispersion:
-    """Return that of a plate whose material is known.
+    """Return the dispersion of a plate of known material.
 
     Raises
     ------
     SimulationError
-        If it is not.
+        The material is unknown.
     """
     f_hz = frequencies(dataset)
     return Dispersion(f_hz, mindlin_wavenumber(dataset.meta.plate, f_hz) * 1e-3)
 
 
 def dispersion_of(dataset: Dataset, touches: Touches) -> Dispersion:
-    """Return the dispersion of a plate: by its material, or if that is unknown as the touches tell it."""
+    """Return the dispersion by the plate's material, or fitted to the touches if the material is unknown."""
     if is_known(dataset.meta.plate):
         return known_dispersion(dataset)
     return fit_dispersion(frequencies(dataset), touches)
 
 
 def is_known(plate: Plate) -> bool:
-    """Return whether the twin knows a plate's material."""
+    """Return whether the twin knows the plate's material."""
     return plate.material.lower() in MATERIALS
 
 
 def fitted_note(plate: Plate) -> str:
-    """Return what to tell of a plate whose material is unknown."""
+    """Return the warning for an unknown material."""
     return (
-        f"the plate's material {plate.material!r} is unknown: the speed of its waves was fitted to the touches; "
-        "name it in the recording if you know it"
+        f"unknown plate material {plate.material!r}: its wave speed was fitted to the touches; "
+        "name the material in the recording if you know it"
     )
 
 
@@ -88,25 +87,25 @@ def frequencies(dataset: Dataset) -> Floats:
 
 
 def fit_dispersion(frequency_hz: Floats, touches: Touches, some: int = 7) -> Dispersion:
-    """Return the power law of the wavenumber that foretells touches which are left out best, in a few bins."""
-    region = region_of(touches.place_mm)
+    """Fit the power law of the wavenumber by leave-one-out errors in a few bins."""
+    region = region_of(touches.position_mm)
     near = cut(touches, region)
     power = np.square(np.abs(near.values)).mean(axis=(0, 1))
-    heard = np.flatnonzero(power > 2 * touches.noise)
-    bins = np.unique(np.linspace(0, heard[-1] if len(heard) else len(power) - 1, some).round().astype(int))
-    area_mm2 = float(np.prod(np.maximum(np.ptp(near.place_mm, axis=0), 1e-3)))
-    most = np.sqrt(np.pi * len(near.place_mm) / area_mm2)
+    clear = np.flatnonzero(power > 2 * touches.noise)
+    bins = np.unique(np.linspace(0, clear[-1] if len(clear) else len(power) - 1, some).round().astype(int))
+    area_mm2 = float(np.prod(np.maximum(np.ptp(near.position_mm, axis=0), 1e-3)))
+    most = np.sqrt(np.pi * len(near.position_mm) / area_mm2)
     scan = most * np.geomspace(COARSEST, FINEST, SCAN)
-    unit = np.ones((len(near.place_mm), len(frequency_hz)), np.complex64)
+    unit = np.ones((len(near.position_mm), len(frequency_hz)), np.complex64)
     flat = Prior(np.ones(len(frequency_hz)), ridge=SCAN_RIDGE)
 
     def look(wavenumber: Floats) -> NDArray[np.float64]:
-        """Return the surprise of each bin (rows) at wavenumbers of its own, shape (bins, count)."""
+        """Return the leave-one-out error of each bin (rows) at its own wavenumbers, shape (bins, count)."""
         columns = []
         for column in wavenumber.T:
             everywhere = np.ones(len(frequency_hz))
             everywhere[bins] = column
-            columns.append(surprises(near, region, replace(flat, wavenumber_per_mm=everywhere), unit, bins))
+            columns.append(log_errors(near, region, replace(flat, wavenumber_per_mm=everywhere), unit, bins))
         return np.array(columns).T
 
     coarse = np.tile(scan, (len(bins), 1))

@@ -1,4 +1,4 @@
-"""What an atlas misses, and how far its standard errors can be believed: measured on touches that it never saw."""
+"""Estimate an atlas' field error and calibrate its standard errors, on touches outside its training part."""
 
 from __future__ import annotations
 
@@ -17,60 +17,60 @@ Spectra = NDArray[np.complexfloating]
 WITHIN = 0.6827
 """Share of a Gaussian's errors within one standard error."""
 LEVELS_DB = (50.0, 40.0)
-"""Noise below the untouched plate at which the standard error is made right, beside the touches' own."""
+"""Signal-to-noise ratios of the plate at which sigma is calibrated, beside the recording's own, dB."""
 FAR_MM = 2.0
-"""Touches placed farther off found another valley: no standard error tells of them."""
+"""A larger error means a wrong valley, which a standard error does not describe."""
 MOST = 30.0
-"""Of either scale: more means that something else is wrong."""
+"""Limit of either scale; a larger one points to another fault."""
 
 
 @dataclass(frozen=True, slots=True)
 class Level:
-    """Touches placed at one level of noise."""
+    """Located touches at one noise level."""
 
     noise: float
-    """Variance of a real feature, counts squared."""
+    """Noise variance of a real feature, counts squared."""
     error_mm: Floats
     """Shape (n, 2)."""
-    information: Floats
+    fisher_information: Floats
     """Shape (n, 2, 2)."""
     power: Floats
     """|z|^2, shape (n,)."""
     label_noise_mm: float = 0.0
-    """Deviation of the labels' own errors per axis."""
+    """Deviation of the label error per axis."""
 
     def sigma_mm(self, noise_scale: float, field_scale: float, error: float) -> Floats:
-        """Return the standard error of each touch along x and y, shape (n, 2); `error` is the atlas' mean."""
+        """Return the standard error of each touch along x and y, shape (n, 2); `error` is the atlas' mean error."""
         variance = noise_scale * self.noise + field_scale * error * self.power / 2
-        inverse = np.linalg.inv(self.information)
+        inverse = np.linalg.inv(self.fisher_information)
         return np.asarray(np.sqrt(variance[:, None] * np.diagonal(inverse, axis1=1, axis2=2)))
 
     def ratio(self, noise_scale: float, field_scale: float, error: float) -> Floats:
-        """Return the errors over their deviation, that of the labels included, shape (n, 2)."""
+        """Return errors relative to their deviation, label error included, shape (n, 2)."""
         sigma_mm = self.sigma_mm(noise_scale, field_scale, error)
         return np.asarray(self.error_mm / np.hypot(sigma_mm, self.label_noise_mm))
 
 
-def field_error(values: Spectra, predicted: Spectra, strength: Spectra, noise: float) -> Floats:
-    """Return what the field misses at strength 1, mean square by channel and bin, the noise's share taken off.
+def field_error(values: Spectra, predicted: Spectra, amplitude: Spectra, noise: float) -> Floats:
+    """Return the mean square error of the field at amplitude 1 by channel and bin, less the noise.
 
     Parameters
     ----------
     values, predicted : array, shape (n, channels, bins)
-        Touches, and the field at their places at strength 1.
-    strength : array, shape (n,)
+        Touches, and the field at their positions at amplitude 1.
+    amplitude : array, shape (n,)
     noise : float
-        Variance of a complex value's noise.
+        Noise variance of a complex value.
     """
-    left = np.square(np.abs(values - strength[:, None, None] * predicted)).sum(axis=0, dtype=np.float64)
-    power = float(np.square(np.abs(strength)).sum())
+    left = np.square(np.abs(values - amplitude[:, None, None] * predicted)).sum(axis=0, dtype=np.float64)
+    power = float(np.square(np.abs(amplitude)).sum())
     return np.asarray(np.maximum(left - noise * len(values), 0.0) / max(power, 1e-30))
 
 
 def calibrate(levels: list[Level], error: float) -> tuple[float, float]:
-    """Return the scales of noise and field error at which 68 % of the errors per axis are within sigma at each level.
+    """Return scales of noise and field error with which 68 % of the errors per axis lie within sigma at each level.
 
-    By the quantile: a few touches in a wrong valley do not count.
+    Quantiles ignore the few touches in a wrong valley.
     """
 
     def cost(logs: NDArray[np.float64]) -> float:
@@ -84,15 +84,19 @@ def calibrate(levels: list[Level], error: float) -> tuple[float, float]:
 
 
 def within_sigma(level: Level, atlas: Atlas) -> float:
-    """Return the share of errors per axis within the standard error that an atlas predicts."""
+    """Return the share of errors per axis within the atlas' predicted standard error."""
     d = atlas.description
     return float((np.abs(level.ratio(d.noise_scale, d.field_scale, float(atlas.error.mean()))) <= 1).mean())
 
 
 def level_of(placed: Placed, true_mm: Floats, noise: float, label_noise_mm: float = 0.0) -> Level:
-    """Return the touches that were placed in the right valley, at a noise variance of a real feature."""
-    error_mm = placed.place_mm - true_mm
+    """Keep the touches located in the right valley; `noise` is the variance of a real feature."""
+    error_mm = placed.position_mm - true_mm
     near = np.linalg.norm(error_mm, axis=1) < FAR_MM
     return Level(
-        noise, error_mm[near], placed.information[near], np.square(np.abs(placed.strength[near])), label_noise_mm
+        noise,
+        error_mm[near],
+        placed.fisher_information[near],
+        np.square(np.abs(placed.amplitude[near])),
+        label_noise_mm,
     )

@@ -1,7 +1,7 @@
-"""Learn the field that touches are drawn from; of few touches by way of the two waves that it is the product of.
+"""Learn the field for synthetic touches; with few touches, as a product of two waves.
 
-Regression needs more touches than the field has degrees of freedom. With fewer the two waves are fitted instead, in
-turn with the strengths, and regression tells only what no product explains.
+Regression needs more touches than the field has degrees of freedom. With fewer, the two waves and the amplitudes are
+fitted in turn, and regression fits only the rest.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.evaluation.dataset import Dataset
-from touchd.training.data.inspection import freedom
-from touchd.training.field.amplitude import along_band, fit_strengths
+from touchd.training.data.inspection import degrees_of_freedom
+from touchd.training.field.amplitude import along_band, fit_amplitudes
 from touchd.training.field.dispersion import dispersion_of
 from touchd.training.field.learn import OUTER_ROUNDS, Field, Learner
 from touchd.training.field.regression import Complex, Prior, Touches, each, touches_of
@@ -23,76 +23,76 @@ from touchd.training.field.wave_product import Product, basis_of, product_of
 Step = Callable[[int, int], None]
 
 FEW = 2.0
-"""Touches for each degree of freedom at the chirp's end, below which the waves are fitted."""
+"""Touches per degree of freedom at the chirp's end, below which the waves are fitted."""
 ROUNDS = 8
-"""Of waves and strengths in turn."""
+"""Number of alternations between waves and amplitudes."""
 WAVES_ERROR = 0.02
-"""Of the field's power: what the product misses, beside the noise, when bins are weighed."""
+"""Share of the field's power that the product misses, beside the noise, in the weights of the bins."""
 LEFT_RIDGE = 0.05
-"""Of what the product leaves: the share that no field of this band explains either."""
+"""Share of the product's remainder that no field of this band explains."""
 
 
 def learn_field(
     dataset: Dataset, indices: NDArray[np.int64], progress: Step = lambda _done, _all: None
 ) -> Field:  # fmt: skip
-    """Learn the field from some touches of a dataset in the frequency domain.
+    """Learn the field from the touches of a dataset with these indices, in the frequency domain.
 
-    Where the plate's material is unknown its dispersion is fitted to the touches.
+    The dispersion of an unknown material is fitted to the touches.
     """
     touches = touches_of(dataset, indices)
     prior = Prior(dispersion_of(dataset, touches).wavenumber_per_mm)
-    if len(touches.place_mm) < FEW * freedom(touches.place_mm, float(prior.wavenumber_per_mm[-1])):
+    if len(touches.position_mm) < FEW * degrees_of_freedom(touches.position_mm, float(prior.wavenumber_per_mm[-1])):
         return learn_by_waves(touches, prior, progress)
     learner = Learner(touches, prior, progress)
     return learner.draw(learner.converge(OUTER_ROUNDS))
 
 
 def learn_by_waves(touches: Touches, prior: Prior, progress: Step = lambda _done, _all: None) -> Field:
-    """Learn the field as a product of two waves, and what they leave by regression."""
+    """Learn the field as a product of two waves, and the remainder by regression."""
     bins = touches.values.shape[2]
     done = 0
 
-    def tell() -> None:
+    def advance() -> None:
         nonlocal done
         done += 1
         progress(done, (ROUNDS + 1) * len(learner.chosen) + 2 * bins)
 
-    learner = Learner(touches, prior, lambda _done, _all: tell())
+    learner = Learner(touches, prior, lambda _done, _all: advance())
     waves: dict[int, Product] = {}
-    strength = learner.converge(1)
+    amplitude = learner.converge(1)
     for _ in range(ROUNDS):
-        waves |= _products(touches, prior, strength, learner.chosen, waves, tell)
-        strength = _strengths(touches, waves, bins)
-    waves |= _products(touches, prior, strength, np.arange(bins), waves, tell)
-    explained = np.stack([waves[b].at_touches() for b in range(bins)], axis=-1) * strength[:, None, :]
+        waves |= _products(touches, prior, amplitude, learner.chosen, waves, advance)
+        amplitude = _amplitudes(touches, waves, bins)
+    waves |= _products(touches, prior, amplitude, np.arange(bins), waves, advance)
+    explained = np.stack([waves[b].at_touches() for b in range(bins)], axis=-1) * amplitude[:, None, :]
     left = replace(touches, values=touches.values - explained)
-    rest = Learner(left, replace(prior, ridge=LEFT_RIDGE), lambda _done, _all: tell())
-    return rest.draw(strength, lambda b, places_mm: waves[b].at(places_mm))
+    rest = Learner(left, replace(prior, ridge=LEFT_RIDGE), lambda _done, _all: advance())
+    return rest.draw(amplitude, lambda b, positions_mm: waves[b].at(positions_mm))
 
 
 def _products(
     touches: Touches,
     prior: Prior,
-    strength: Complex,
+    amplitude: Complex,
     bins: NDArray[np.int64],
     before: dict[int, Product],
-    tell: Callable[[], None],
+    advance: Callable[[], None],
 ) -> dict[int, Product]:
-    """Return the waves of some bins, going on from those that were found before."""
+    """Fit the waves of the given bins, starting from earlier ones."""
 
     def one(b: int) -> Product:
         start = before.get(b)
-        basis = start.basis if start else basis_of(touches.place_mm, float(prior.wavenumber_per_mm[b]))
-        return product_of(basis, touches.values[:, :, b], strength[:, b], touches.noise, start)
+        basis = start.basis if start else basis_of(touches.position_mm, float(prior.wavenumber_per_mm[b]))
+        return product_of(basis, touches.values[:, :, b], amplitude[:, b], touches.noise, start)
 
-    return dict(zip(bins.tolist(), each(one, bins, tell), strict=True))
+    return dict(zip(bins.tolist(), each(one, bins, advance), strict=True))
 
 
-def _strengths(touches: Touches, waves: dict[int, Product], bins: int) -> Complex:
-    """Return the strengths (n, bins) that fit the products of some bins best."""
+def _amplitudes(touches: Touches, waves: dict[int, Product], bins: int) -> Complex:
+    """Fit the amplitudes (n, bins) to the products of the given bins."""
     chosen = np.array(sorted(waves))
     values = touches.values[:, :, chosen]
     power = np.square(np.abs(values)).mean(axis=(0, 1))
     scale = (1 / np.sqrt(touches.noise + WAVES_ERROR * power)).astype(np.float32)
     predicted = np.stack([waves[b].at_touches() for b in chosen.tolist()], axis=-1)
-    return fit_strengths(values * scale, predicted * scale, along_band(bins)[chosen], bins)
+    return fit_amplitudes(values * scale, predicted * scale, along_band(bins)[chosen], bins)

@@ -1,9 +1,9 @@
-"""The covariance of the residual field at two places: what kernel ridge regression knows of it beforehand.
+"""Covariance of the residual field at two positions: the prior of the kernel ridge regression.
 
-The field of a bin is the product of two waves of the plate. Far from its edges either is a random sum of
-plane waves from all sides, whose covariance over a distance r is J0(k r) (Berry, J. Phys. A 10:2083, 1977);
-that of the product is J0(k r)^2, which holds no spatial frequency above 2 k. A small share of the white field
-within that band, 2 J1(K r) / (K r), makes room for what is no such wave: near fields of edges and discs.
+The field of a bin is the product of two waves of the plate. Far from the edges each wave is a random sum of plane waves
+from all directions, with covariance J0(k r) over a distance r (Berry, J. Phys. A 10:2083, 1977). Their product has the
+covariance J0(k r)^2, without spatial frequencies above 2 k. A small white share within that band, 2 J1(K r) / (K r),
+covers near fields of edges and discs.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ Array = NDArray[np.float32]
 Floats = NDArray[np.float64]
 
 BAND_MARGIN = 1.15
-"""Widens the white share's band beyond 2 k."""
+"""Factor by which the white share's band exceeds 2 k."""
 WHITE_SHARE = 0.05
 SPREAD = 0.02
-"""Of the wavenumber each way, since neither is the dispersion known exactly nor a bin a single frequency."""
-_NODES = 200  # a unit of 2 k r, so that linear interpolation is right to 1e-6: else it is not positive definite
-_ROWS = 64  # a block at a time stays in the cache
+"""Relative spread of the wavenumber: the dispersion is inexact, and a bin has a bandwidth."""
+_NODES = 200  # per unit of 2 k r: linear interpolation to 1e-6, else the matrix is not positive definite
+_ROWS = 64  # a block of this many rows fits the cache
 
 
 def covariance(distance_mm: Floats, wavenumber_per_mm: float, white_share: float = WHITE_SHARE) -> Floats:
@@ -40,7 +40,7 @@ class Kernel:
     ----------
     wavenumber_per_mm : float
     reach_mm : float
-        The longest distance that will be asked for.
+        Longest distance to evaluate.
     white_share : float
     """
 
@@ -49,7 +49,7 @@ class Kernel:
         nodes_mm = np.arange(np.ceil(reach_mm * self._per_mm) + 3) / self._per_mm
         table = covariance(nodes_mm, wavenumber_per_mm, white_share)
         self._value, self._step = _line(table)
-        # The derivative by r over r: times a component of the distance it is the derivative by that.
+        # Derivative with respect to r, over r: times a component of the distance it is a partial derivative.
         slope = np.gradient(table, nodes_mm) / np.maximum(nodes_mm, 1e-9)
         slope[0] = slope[1]
         self._slope, self._slope_step = _line(slope)
@@ -59,7 +59,7 @@ class Kernel:
         return self._look_up(distance_mm, self._value, self._step)
 
     def slope(self, distance_mm: Array) -> Array:
-        """Return its derivative by the distance, divided by the distance (1/mm^2)."""
+        """Return the kernel's derivative with respect to distance, divided by distance (1/mm^2)."""
         return self._look_up(distance_mm, self._slope, self._slope_step)
 
     def _look_up(self, distance_mm: Array, value: Array, step: Array) -> Array:
@@ -73,7 +73,7 @@ class Kernel:
 
 
 def distances(one_mm: Floats, other_mm: Floats) -> Array:
-    """Return the distances (n, m) between places (n, 2) and (m, 2) in mm."""
+    """Return the distances (n, m) between positions (n, 2) and (m, 2), mm."""
     squared = np.square(one_mm[:, None, 0] - other_mm[None, :, 0])
     squared += np.square(one_mm[:, None, 1] - other_mm[None, :, 1])
     return np.sqrt(squared).astype(np.float32)

@@ -1,9 +1,9 @@
-"""The residual field: what a touch of unit strength anywhere on the plate adds to each bin.
+"""Learn the residual field: the bins of a touch of amplitude 1 at any position.
 
-In a bin of frequency f the residual of a touch at (x, y) is a complex strength z times the product of two
-waves of the plate, which holds no spatial frequency above 2 k(f), k from the plate's dispersion. So the
-field between the recorded touches follows from them by kernel ridge regression; see `touchd.training.field.kernel`
-for what it knows beforehand and `touchd.training.field.amplitude` for the strengths.
+In a bin of frequency f the residual of a touch at (x, y) is a complex amplitude z times the product of two waves of the
+plate. The product has no spatial frequency above 2 k(f), k from the plate's dispersion. So kernel ridge regression
+interpolates the field between the recorded touches; see `touchd.training.field.kernel` for the prior and
+`touchd.training.field.amplitude` for the amplitudes.
 """
 
 from __future__ import annotations
@@ -24,24 +24,24 @@ from touchd.training.field.selection import choose
 
 Step = Callable[[int, int], None]
 Hat = tuple[Array, Array]
-"""The inverse of a bin's system and what was added to its diagonal."""
+"""Inverse of a bin's system, and the diagonal term added to it."""
 
 Known = Callable[[int, Floats], Complex]
-"""From a bin and places (m, 2) in mm to the field there, shape (m, channels), ADC counts."""
+"""Maps a bin and positions (m, 2) in mm to a known part of the field, shape (m, channels), ADC counts."""
 
 STEP_MM = 2.5
 """Spacing of the grid: a third of the shortest wavelength of the field on 5 mm glass at 100 kHz."""
 BEYOND_NODES = 2
-"""Beyond the edge on each side, so that every point has its four neighbours."""
+"""Nodes beyond the edge on each side, so that every position has its four neighbours."""
 FILTER_NODES = 6
-"""Further ones, on which the splines' filter may err: its memory fades by 3.7 a node."""
+"""Further nodes, in which the spline filter may err: its error decays by 3.7 per node."""
 OUTER_ROUNDS = 3
-"""In which the weights of the touches follow their strengths."""
+"""Rounds that update the touches' weights from their amplitudes."""
 INNER_ROUNDS = 20
-STRENGTH_BINS = 7
+AMPLITUDE_BINS = 7
 RELABEL_ROUNDS = 3
-HEARD = 0.1
-"""A bin with a smaller share of noise in its signal is heard well enough to take strengths from."""
+MOST_NOISE = 0.1
+"""Largest noise share of a bin used for amplitudes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,54 +54,54 @@ class Field:
     """x and y of the first node."""
     low_mm: tuple[float, float]
     high_mm: tuple[float, float]
-    """Corners of the part that was touched: beyond it the field is not known."""
-    strength: Array
-    """|z| of each touch it was learned from, shape (n,), 1 on average."""
+    """Corners of the touched part; the field is unknown beyond it."""
+    amplitude: Array
+    """|z| of each training touch, shape (n,), 1 on average."""
 
 
 @dataclass(frozen=True, slots=True)
 class Learned:
-    """A field, and what was found out on the way."""
+    """A field and by-products of learning it."""
 
     field: Field
-    place_mm: Floats
-    """Of the touches it was learned from, shape (n, 2)."""
-    strength: Complex
-    """Theirs, the mean over the bins, shape (n,)."""
+    position_mm: Floats
+    """Corrected positions of the training touches, shape (n, 2)."""
+    amplitude: Complex
+    """Their amplitudes, averaged over the bins, shape (n,)."""
     prior: Prior
     label_noise_mm: float
-    """Deviation of the labels' errors per axis; 0 where they are as good as the field."""
+    """Deviation of the label error per axis; 0 if not distinguishable from the field's error."""
 
 
 def learn_thoroughly(touches: Touches, wavenumber_per_mm: Floats, progress: Step = lambda _done, _all: None) -> Learned:
-    """Learn the field as well as the touches allow: its prior is chosen, and labels that are wrong are corrected."""
+    """Learn the field, choose its prior, and correct label errors."""
     learner = Learner(touches, Prior(wavenumber_per_mm), progress)
-    strength = learner.converge(OUTER_ROUNDS - 1)
-    learner.take(touches, choose(touches, learner.prior, strength, learner.chosen))
-    strength = learner.converge(1, strength)
-    displaced = learner.displacements(strength)
+    amplitude = learner.converge(OUTER_ROUNDS - 1)
+    learner.take(touches, choose(touches, learner.prior, amplitude, learner.chosen))
+    amplitude = learner.converge(1, amplitude)
+    displaced = learner.displacements(amplitude)
     noise_mm = label_noise_mm(displaced)
     if noise_mm < LEAST_MM:
-        return learner.result(strength, 0.0)
+        return learner.result(amplitude, 0.0)
     learner.more(RELABEL_ROUNDS)
     for _ in range(RELABEL_ROUNDS):
-        place_mm = replaced(touches.place_mm, learner.touches.place_mm, displaced, noise_mm)
-        better = replace(touches, place_mm=place_mm)
-        learner.take(better, choose(better, learner.prior, strength, learner.chosen))
-        strength = learner.converge(1, strength)
-        displaced = learner.displacements(strength)
-    return learner.result(strength, noise_mm)
+        position_mm = replaced(touches.position_mm, learner.touches.position_mm, displaced, noise_mm)
+        better = replace(touches, position_mm=position_mm)
+        learner.take(better, choose(better, learner.prior, amplitude, learner.chosen))
+        amplitude = learner.converge(1, amplitude)
+        displaced = learner.displacements(amplitude)
+    return learner.result(amplitude, noise_mm)
 
 
 class Learner:
-    """Learns strengths and fields together.
+    """Learns amplitudes and fields together.
 
     Parameters
     ----------
     touches : Touches
     prior : Prior
     progress : callable
-        Told the steps done and all of them.
+        Receives the steps done and the steps in all.
     """
 
     def __init__(self, touches: Touches, prior: Prior, progress: Step = lambda _done, _all: None) -> None:
@@ -112,48 +112,48 @@ class Learner:
         self._done, self._all = 0, OUTER_ROUNDS * len(self.chosen) + touches.values.shape[2]
 
     def take(self, touches: Touches, prior: Prior) -> None:
-        """Go on with other places or another prior."""
+        """Replace positions or prior."""
         self.touches, self.prior = touches, prior
         self._regression = Regression(touches, prior)
 
     def more(self, rounds: int) -> None:
-        """Have the progress know of more rounds than usual."""
+        """Add rounds to the progress total."""
         self._all += rounds * len(self.chosen)
 
-    def converge(self, rounds: int, strength: Complex | None = None) -> Complex:
-        """Return the strengths of the touches along the band after so many rounds, shape (n, bins)."""
+    def converge(self, rounds: int, amplitude: Complex | None = None) -> Complex:
+        """Return the touches' amplitudes along the band after `rounds` rounds, shape (n, bins)."""
         r, chosen = self._regression, self.chosen
         values = r.touches.values
-        if strength is None:
-            strength = np.ones((len(values), values.shape[2]), np.complex64)
+        if amplitude is None:
+            amplitude = np.ones((len(values), values.shape[2]), np.complex64)
         deviation = np.sqrt(r.touches.noise + FIELD_ERROR * r.scale[chosen] ** 2)
         for _ in range(rounds):
-            self._hats = []  # the memory of the last ones is needed
-            self._hats = each(partial(_hat, r, strength), chosen, self._tell)
-            strength = converge(values[:, :, chosen], strength, chosen, 1 / deviation, self._predict, INNER_ROUNDS)
-        return strength
+            self._hats = []  # free the memory of the last inverses first
+            self._hats = each(partial(_hat, r, amplitude), chosen, self._advance)
+            amplitude = converge(values[:, :, chosen], amplitude, chosen, 1 / deviation, self._predict, INNER_ROUNDS)
+        return amplitude
 
-    def displacements(self, strength: Complex) -> Displaced:
-        """Return how far from where they are assumed the touches seem to lie, after `converge`."""
-        return displacements(self._regression, strength, self.chosen, [inverse for inverse, _ in self._hats])
+    def displacements(self, amplitude: Complex) -> Displaced:
+        """Return the touches' displacements from their assumed positions; call after `converge`."""
+        return displacements(self._regression, amplitude, self.chosen, [inverse for inverse, _ in self._hats])
 
-    def result(self, strength: Complex, label_noise_mm: float) -> Learned:
-        """Return the field, drawn, with what was found out."""
-        mean = np.asarray(strength.mean(axis=1), np.complex64)
-        return Learned(self.draw(strength), self.touches.place_mm, mean, self.prior, label_noise_mm)
+    def result(self, amplitude: Complex, label_noise_mm: float) -> Learned:
+        """Return the field with its by-products."""
+        mean = np.asarray(amplitude.mean(axis=1), np.complex64)
+        return Learned(self.draw(amplitude), self.touches.position_mm, mean, self.prior, label_noise_mm)
 
-    def draw(self, strength: Complex, known: Known | None = None) -> Field:
-        """Return the field on its grid; with what is `known` of it beforehand, the touches are what that leaves."""
+    def draw(self, amplitude: Complex, known: Known | None = None) -> Field:
+        """Evaluate the field on its grid; `known` adds a part that was subtracted from the touches."""
         r = self._regression
         self._hats = []
-        low, high = r.touches.place_mm.min(axis=0), r.touches.place_mm.max(axis=0)
+        low, high = r.touches.position_mm.min(axis=0), r.touches.position_mm.max(axis=0)
         beyond = BEYOND_NODES + FILTER_NODES
         x_mm, y_mm = (np.arange(low[i] - beyond * STEP_MM, high[i] + (beyond + 1) * STEP_MM, STEP_MM) for i in (0, 1))
         nodes_mm = np.stack(np.meshgrid(x_mm, y_mm), axis=-1).reshape(-1, 2)
         inside = slice(FILTER_NODES, -FILTER_NODES)
 
         def one(b: int) -> Array:
-            field = r.at(b, r.weights(b, strength[:, b]), nodes_mm)
+            field = r.at(b, r.weights(b, amplitude[:, b]), nodes_mm)
             if known is not None:
                 field = field + known(b, nodes_mm)
             grid = np.stack([field.real, field.imag], axis=-1).reshape(len(y_mm), len(x_mm), -1, 2)
@@ -162,11 +162,11 @@ class Learner:
             return np.asarray(grid[inside, inside])
 
         return Field(
-            coefficients=np.ascontiguousarray(np.stack(each(one, range(strength.shape[1]), self._tell), axis=-1)),
+            coefficients=np.ascontiguousarray(np.stack(each(one, range(amplitude.shape[1]), self._advance), axis=-1)),
             origin_mm=(float(x_mm[FILTER_NODES]), float(y_mm[FILTER_NODES])),
             low_mm=(float(low[0]), float(low[1])),
             high_mm=(float(high[0]), float(high[1])),
-            strength=np.abs(strength).mean(axis=1).astype(np.float32),
+            amplitude=np.abs(amplitude).mean(axis=1).astype(np.float32),
         )
 
     def _predict(self, unit: Complex) -> Complex:
@@ -177,17 +177,17 @@ class Learner:
 
         return np.stack(each(one, range(len(self._hats))), axis=-1)
 
-    def _tell(self) -> None:
+    def _advance(self) -> None:
         self._done += 1
         self._progress(self._done, self._all)
 
     def _informative(self) -> NDArray[np.int64]:
-        """Return some bins all along the part of the band that is heard."""
+        """Return bins spread over the part of the band with little noise."""
         r = self._regression
-        heard = np.flatnonzero(r.touches.noise < HEARD * r.scale**2)
-        last = heard[-1] if len(heard) else len(r.scale) - 1
-        return np.unique(np.linspace(0, last, STRENGTH_BINS).round().astype(np.int64))
+        clear = np.flatnonzero(r.touches.noise < MOST_NOISE * r.scale**2)
+        last = clear[-1] if len(clear) else len(r.scale) - 1
+        return np.unique(np.linspace(0, last, AMPLITUDE_BINS).round().astype(np.int64))
 
 
-def _hat(regression: Regression, strength: Complex, b: int) -> Hat:
-    return regression.inverse(b, strength[:, b]), regression.penalty(b, strength[:, b])
+def _hat(regression: Regression, amplitude: Complex, b: int) -> Hat:
+    return regression.inverse(b, amplitude[:, b]), regression.penalty(b, amplitude[:, b])

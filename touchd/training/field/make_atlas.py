@@ -1,7 +1,7 @@
-"""From a learned field to an atlas: which bins it keeps, how far it can be believed, and what it is worth.
+"""Make an atlas of a learned field: choose its bins, calibrate its standard error, score it.
 
-All is measured on touches that the field was not learned from: the choice of bins and the standard error on the
-validation part, the scores on the test part, from the network's answer on, as the daemon would start.
+Bins and standard error are chosen on the validation part and scores are measured on the test part, so neither uses
+touches that the field was learned from. Scores start from the network's position, as the daemon does.
 """
 
 from __future__ import annotations
@@ -23,85 +23,85 @@ from touchd.training.field.place import FieldMap, Placed, place
 from touchd.training.field.regression import Complex, Floats, Touches, touches_of
 
 SPARED = 0.01
-"""Share of the signal, on validation touches, that the faintest bins may hold together to be left out."""
+"""Share of the signal that the weakest, omitted bins may contain together, on validation touches."""
 _NOISE_SEED = 0xA71A5
 
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """How an atlas does on validation touches."""
+    """Calibration of an atlas on validation touches."""
 
     within: list[tuple[float, float, float]]
-    """At each level of noise: dB below the untouched plate, share of errors within sigma, median error in mm."""
-    audible: Floats
-    """Signal over noise of each bin of the band, shape (bins,)."""
+    """By noise level: signal-to-noise ratio of the plate in dB, share of errors within sigma, median error in mm."""
+    snr: Floats
+    """Signal-to-noise ratio of each bin of the band, shape (bins,)."""
     missed: Floats
-    """What the field misses of an average touch over noise, in each bin that is kept, shape (kept,)."""
+    """Field error of an average touch relative to the noise, for each kept bin, shape (kept,)."""
     whole_mm: float
     """Median error with all bins."""
     kept_mm: float
-    """The same with those that are kept."""
+    """Median error with the kept bins."""
 
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """What an atlas says of the test touches."""
+    """Estimates of an atlas for the test touches."""
 
     judged: Judgement
     start_mm: Floats
-    """Where the network saw them, shape (n, 2)."""
+    """Positions from the network, shape (n, 2)."""
     placed: Placed
 
 
 def make_atlas(
     steady: Dataset, reference: Array, parts: Split, learned: Learned, said: dict[str, object]
 ) -> tuple[Atlas, Calibration]:
-    """Return the atlas of a field that was learned from the training part of touches at one temperature.
+    """Make and calibrate the atlas of a field learned from the training part of touches at one temperature.
 
     Parameters
     ----------
     steady : Dataset
-        Its residuals are those at one temperature.
+        Touches at one temperature.
     reference : array, shape (channels, samples)
-        The untouched plate there.
+        Untouched plate at that temperature.
     parts : Split
     learned : Learned
     said : dict
-        What else the atlas says of itself.
+        Further fields of the atlas' description.
     """
     true_mm = steady.position_mm[parts.validation].astype(np.float64)
     touches = touches_of(steady, parts.validation)
     said = said | {"plate": steady.meta.plate, "touches": len(parts.train), "data_sha256": steady.sha256}
-    audible = signal_over_noise(touches)
-    kept = informative(audible)
-    whole = place(atlas_of(learned.field, reference, steady, np.arange(len(audible)), said), touches.values, true_mm)
+    snr = signal_over_noise(touches)
+    kept = informative(snr)
+    whole = place(atlas_of(learned.field, reference, steady, np.arange(len(snr)), said), touches.values, true_mm)
     plain = atlas_of(learned.field, reference, steady, kept, said)
-    plain = aligned(plain, learned.place_mm, learned.strength.astype(np.complex128))
+    plain = aligned(plain, learned.position_mm, learned.amplitude.astype(np.complex128))
     values = np.ascontiguousarray(touches.values[:, :, kept])
     placed = place(plain, values, true_mm)
-    near = np.linalg.norm(placed.place_mm - true_mm, axis=1) < FAR_MM
-    predicted = FieldMap(plain).look_up(placed.place_mm[near])[0].reshape(values[near].shape)
-    error = field_error(values[near], predicted, placed.strength[near], touches.noise)
+    near = np.linalg.norm(placed.position_mm - true_mm, axis=1) < FAR_MM
+    predicted = FieldMap(plain).look_up(placed.position_mm[near])[0].reshape(values[near].shape)
+    error = field_error(values[near], predicted, placed.amplitude[near], touches.noise)
     levels = noisy_levels(plain, steady, values, true_mm, learned.label_noise_mm)
     noise_scale, field_scale = calibrate([level for _, level in levels], float(error.mean()))
     scales = {"noise_scale": noise_scale, "field_scale": field_scale}
     atlas = replace(
         plain, description=plain.description.model_copy(update=scales), error=error.astype(np.float32)
     )  # fmt: skip
-    power = float(np.square(np.abs(placed.strength[near])).mean())
+    power = float(np.square(np.abs(placed.amplitude[near])).mean())
     return atlas, Calibration(
         within=[(db, within_sigma(level, atlas), _median_mm(level.error_mm)) for db, level in levels],
-        audible=audible,
+        snr=snr,
         missed=error.mean(axis=0) * power / max(touches.noise, 1e-12),
-        whole_mm=_median_mm(whole.place_mm - true_mm),
-        kept_mm=_median_mm(placed.place_mm - true_mm),
+        whole_mm=_median_mm(whole.position_mm - true_mm),
+        kept_mm=_median_mm(placed.position_mm - true_mm),
     )
 
 
 def atlas_of(
     field: Field, reference: Array, dataset: Dataset, kept: NDArray[np.int64], said: dict[str, object]
 ) -> Atlas:
-    """Return the atlas of some of a field's bins, with no errors known yet."""
+    """Return an atlas of selected bins of a field, without error estimates."""
     a = dataset.acquisition
     nodes = field.coefficients[..., kept]
     description = said | {
@@ -117,22 +117,22 @@ def atlas_of(
 
 
 def signal_over_noise(touches: Touches) -> Floats:
-    """Return the power of the touches in each bin less that of the noise, over it, shape (bins,)."""
+    """Return the signal-to-noise ratio of the touches in each bin, in power, shape (bins,)."""
     power = np.square(np.abs(touches.values)).mean(axis=(0, 1), dtype=np.float64)
     return np.asarray(np.maximum(power / max(touches.noise, 1e-12) - 1, 0.0))
 
 
-def informative(audible: Floats) -> NDArray[np.int64]:
-    """Return the bins that together hold all but a small share of the signal, in order."""
-    order = np.argsort(audible)
-    spared = np.cumsum(audible[order]) <= SPARED * audible.sum()
-    return np.sort(order[~spared]) if audible.sum() > 0 else np.arange(len(audible))
+def informative(snr: Floats) -> NDArray[np.int64]:
+    """Return the bins that contain all but `SPARED` of the signal, in order."""
+    order = np.argsort(snr)
+    spared = np.cumsum(snr[order]) <= SPARED * snr.sum()
+    return np.sort(order[~spared]) if snr.sum() > 0 else np.arange(len(snr))
 
 
 def noisy_levels(
     atlas: Atlas, dataset: Dataset, values: Complex, true_mm: Floats, label_noise_mm: float
 ) -> list[tuple[float, Level]]:
-    """Return touches placed at their own noise and at louder ones, each with its noise in dB below the plate."""
+    """Locate touches at their own noise and at added noise; return each level with its signal-to-noise ratio in dB."""
     a, bins = dataset.acquisition, np.array(atlas.description.bins)
     plain = windowed_dft(a, bins)
     window = float(np.square(np.hanning(a.samples)).sum())
@@ -142,7 +142,7 @@ def noisy_levels(
     rng = np.random.default_rng(_NOISE_SEED)
     levels = []
     for db in (own_db, *(level for level in LEVELS_DB if level < own_db - 1)):
-        # White noise of the samples: neighbouring bins share it through the window.
+        # Draw white noise in samples, so that the window correlates neighbouring bins.
         deviation = plate * 10 ** (-db / 20)
         added = np.sqrt(BASELINE_NOISE * max(deviation**2 - dataset.noise**2, 0.0))
         noise = rng.normal(size=(len(values), a.channels, a.samples)) @ plain * added
@@ -157,17 +157,19 @@ def noisy_levels(
 def try_atlas(
     atlas: Atlas, network: Model, steady: Dataset, plain: Dataset, parts: Split
 ) -> tuple[Trial, dict[str, float]]:
-    """Return what an atlas says of the test touches from the network's answer on, and its scores."""
+    """Locate the test touches from the network's positions, and score the result."""
     d = atlas.description
     true_mm = steady.position_mm[parts.test]
     start_mm = np.asarray(network.run(plain.residual[parts.test])["position_mm"], dtype=np.float64)
     kept = np.flatnonzero(np.isin(band_bins(d.acquisition), d.bins))
     touches = touches_of(steady, parts.test)
     placed = place(atlas, touches.values[:, :, kept], start_mm)
-    level = Level(touches.noise / 2, placed.place_mm - true_mm, placed.information, np.square(np.abs(placed.strength)))
+    level = Level(
+        touches.noise / 2, placed.position_mm - true_mm, placed.fisher_information, np.square(np.abs(placed.amplitude))
+    )
     sigma_mm = level.sigma_mm(d.noise_scale, d.field_scale, float(atlas.error.mean()))
-    # One figure for both axes, as the daemon sends it.
-    judged = Judgement(true_mm, placed.place_mm, np.sqrt(np.square(sigma_mm).mean(axis=1)), 1 - placed.misfit)
+    # One value for both axes, as in the daemon's messages.
+    judged = Judgement(true_mm, placed.position_mm, np.sqrt(np.square(sigma_mm).mean(axis=1)), 1 - placed.misfit)
     return Trial(judged, start_mm, placed), scores(judged)
 
 

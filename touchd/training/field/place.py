@@ -1,8 +1,7 @@
-"""Many touches placed at once on a field atlas, in float64: for calibration, and as the reference of the daemon's path.
+"""Locate many touches on a field atlas at once, in float64: for calibration, and as reference of the daemon's path.
 
-The same method as `touchd.localization.gauss_newton`, one finger at a time: the touch's strength is eliminated, and
-what the field at its place leaves of it is made smaller by moving the place (variable projection, Golub and Pereyra
-1973).
+The method is that of `touchd.localization.gauss_newton` for one finger: eliminate the amplitude, then minimise the
+unexplained energy over the position (variable projection, Golub and Pereyra 1973).
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ Complex = NDArray[np.complex128]
 
 LONGEST_STEP_MM = 3.0
 BEYOND_MM = 3.0
-"""How far outside the touched part a touch may be placed."""
+"""Margin around the touched part in which a touch may be located."""
 _DAMPING = 1e-3
 _BLOCK = 256
 
@@ -28,26 +27,26 @@ _BLOCK = 256
 class Placed:
     """n touches after Gauss-Newton."""
 
-    place_mm: Floats
+    position_mm: Floats
     """Shape (n, 2)."""
-    strength: Complex
+    amplitude: Complex
     """Shape (n,)."""
-    information: Floats
-    """Re(J^H J) with the strength projected out, shape (n, 2, 2), counts squared per mm^2: its inverse times the noise
-    variance of a real feature is the place's covariance."""
-    left: Floats
-    """Energy that the field does not explain, counts squared, shape (n,)."""
+    fisher_information: Floats
+    """Re(J^H J) with the amplitude projected out, shape (n, 2, 2), counts squared per mm^2. Its inverse times the noise
+    variance of a real feature is the covariance of the position."""
+    residual_energy: Floats
+    """Unexplained energy, counts squared, shape (n,)."""
     energy: Floats
-    """Of the touches, counts squared, shape (n,)."""
+    """Energy of the touches, counts squared, shape (n,)."""
 
     @property
     def misfit(self) -> Floats:
-        """Share of the energy that is left, shape (n,)."""
-        return self.left / np.maximum(self.energy, 1e-30)
+        """Share of the energy that is unexplained, shape (n,)."""
+        return self.residual_energy / np.maximum(self.energy, 1e-30)
 
 
 class FieldMap:
-    """The field of an atlas and its gradient, at any places at once.
+    """Evaluates the field of an atlas and its gradient at many positions.
 
     Parameters
     ----------
@@ -62,12 +61,12 @@ class FieldMap:
         self._origin_mm, self._step_mm = np.array(d.origin_mm), d.step_mm
         self.low_mm, self.high_mm = np.array(d.low_mm) - BEYOND_MM, np.array(d.high_mm) + BEYOND_MM
 
-    def look_up(self, place_mm: Floats) -> tuple[Complex, Complex, Complex]:
-        """Return the field at places (n, 2) and its derivatives by x and y (1/mm), each of shape (n, channels * bins).
+    def look_up(self, position_mm: Floats) -> tuple[Complex, Complex, Complex]:
+        """Return the field at positions (n, 2) and its derivatives (1/mm), each of shape (n, channels * bins).
 
-        Beyond the nodes the outermost cell goes on.
+        The outermost cell extrapolates beyond the nodes.
         """
-        at = (place_mm - self._origin_mm) / self._step_mm
+        at = (position_mm - self._origin_mm) / self._step_mm
         most = np.array([self._nodes.shape[1] - 3, self._nodes.shape[0] - 3])
         corner = np.clip(np.floor(at).astype(int), 1, most)
         (wx, wy), (dx, dy) = (part.transpose(1, 0, 2) for part in _splines(at - corner))
@@ -82,13 +81,13 @@ class FieldMap:
 
 
 def place(atlas: Atlas, values: NDArray[np.complexfloating], start_mm: Floats, steps: int = 6) -> Placed:
-    """Place touches by so many steps of Gauss-Newton from places nearby.
+    """Locate touches by `steps` Gauss-Newton steps from nearby positions.
 
     Parameters
     ----------
     atlas : Atlas
     values : array, shape (n, channels, bins)
-        The touches in the atlas' bins, ADC counts.
+        Touches in the atlas' bins, ADC counts.
     start_mm : array, shape (n, 2)
     steps : int
     """
@@ -100,30 +99,30 @@ def place(atlas: Atlas, values: NDArray[np.complexfloating], start_mm: Floats, s
 
 
 def _place(
-    field: FieldMap, values: Complex, place_mm: Floats, steps: int
+    field: FieldMap, values: Complex, position_mm: Floats, steps: int
 ) -> tuple[Floats, Complex, Floats, Floats, Floats]:
     for step in range(steps + 1):
-        u, by_x, by_y = field.look_up(place_mm)
+        u, by_x, by_y = field.look_up(position_mm)
         power = np.maximum(np.square(np.abs(u)).sum(axis=1), 1e-30)
-        strength = (u.conj() * values).sum(axis=1) / power
-        left = values - strength[:, None] * u
-        moved = strength[:, None, None] * np.stack([by_x, by_y], axis=1)
+        amplitude = (u.conj() * values).sum(axis=1) / power
+        left = values - amplitude[:, None] * u
+        moved = amplitude[:, None, None] * np.stack([by_x, by_y], axis=1)
         moved -= ((moved @ u.conj()[:, :, None]) / power[:, None, None]) * u[:, None, :]
-        information = (moved.conj() @ moved.transpose(0, 2, 1)).real
+        fisher_information = (moved.conj() @ moved.transpose(0, 2, 1)).real
         if step == steps:
             break
         gradient = (moved.conj() @ left[:, :, None])[:, :, 0].real
-        damped = information * (1 + _DAMPING * np.eye(2)) + 1e-30 * np.eye(2)
+        damped = fisher_information * (1 + _DAMPING * np.eye(2)) + 1e-30 * np.eye(2)
         move_mm = np.linalg.solve(damped, gradient[:, :, None])[:, :, 0]
         length_mm = np.linalg.norm(move_mm, axis=1, keepdims=True)
         move_mm *= np.minimum(1.0, LONGEST_STEP_MM / np.maximum(length_mm, 1e-12))
-        place_mm = np.clip(place_mm + move_mm, field.low_mm, field.high_mm)
+        position_mm = np.clip(position_mm + move_mm, field.low_mm, field.high_mm)
     energy = np.square(np.abs(values)).sum(axis=1)
-    return place_mm, strength, information, np.square(np.abs(left)).sum(axis=1), energy
+    return position_mm, amplitude, fisher_information, np.square(np.abs(left)).sum(axis=1), energy
 
 
 def _splines(t: Floats) -> tuple[Floats, Floats]:
-    """Return the four cubic B-splines that are not zero at t in [0, 1) and their derivatives, with a last axis of 4."""
+    """Return the four non-zero cubic B-splines at t in [0, 1) and their derivatives, as a last axis of 4."""
     value = np.stack([(1 - t) ** 3, 3 * t**3 - 6 * t**2 + 4, -3 * t**3 + 3 * t**2 + 3 * t + 1, t**3], axis=-1) / 6
     slope = np.stack([-((1 - t) ** 2), 3 * t**2 - 4 * t, -3 * t**2 + 2 * t + 1, t**2], axis=-1) / 2
     return value, slope

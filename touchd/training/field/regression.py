@@ -1,4 +1,4 @@
-"""Kernel ridge regression of one bin's field from touches, each of which tells it with its own noise."""
+"""Kernel ridge regression of each bin's field from noisy touches."""
 
 from __future__ import annotations
 
@@ -22,41 +22,41 @@ Floats = NDArray[np.float64]
 T = TypeVar("T")
 
 RIDGE = 1e-4
-"""Share of a bin's signal that is added to its noise, for what no field of this band explains."""
+"""Share of a bin's signal added to its noise, for what no field of this band explains."""
 LEAST_SIGNAL = 1e-3
-"""Of the noise: what a bin's signal is taken for where it drowns."""
+"""Least signal of a bin, relative to its noise."""
 FAINT = 0.1
-"""A touch weaker than this share of the average is weighed as if it were as strong."""
+"""Least amplitude in a touch's weight, relative to the average."""
 MOST_THREADS = 8
-"""Each holds a few matrices of n touches squared."""
+"""Limit of threads; each needs a few n x n matrices."""
 BEYOND_MM = 40.0
-"""How far beyond the touches the field may be asked for."""
+"""Largest distance beyond the touches at which the field is evaluated."""
 
 
 @dataclass(frozen=True, slots=True)
 class Touches:
     """n labelled touches in the frequency domain."""
 
-    place_mm: Floats
+    position_mm: Floats
     """Shape (n, 2)."""
     values: Complex
     """Residuals, shape (n, channels, bins), ADC counts."""
     noise: float
-    """Variance of the noise in each complex value."""
+    """Noise variance of each complex value."""
 
 
 @dataclass(frozen=True, slots=True)
 class Prior:
-    """What is assumed of each bin's field beforehand."""
+    """Assumptions on each bin's field."""
 
     wavenumber_per_mm: Floats
-    """Of the plate's flexural wave, shape (bins,)."""
+    """Wavenumber of the plate's flexural wave, shape (bins,)."""
     ridge: float = RIDGE
     white_share: float = WHITE_SHARE
 
 
 def touches_of(dataset: Dataset, indices: NDArray[np.int64]) -> Touches:
-    """Return some touches of a dataset in the frequency domain."""
+    """Return the touches of a dataset with these indices, in the frequency domain."""
     a = dataset.acquisition
     parts = dataset.residual[indices].reshape(len(indices), a.channels, 2, -1)
     values = (parts[:, :, 0] + 1j * parts[:, :, 1]).astype(np.complex64)
@@ -65,9 +65,9 @@ def touches_of(dataset: Dataset, indices: NDArray[np.int64]) -> Touches:
 
 
 class Regression:
-    """The fields of all bins, as n touches at given strengths tell them.
+    """Fields of all bins from n touches of given amplitudes.
 
-    In all methods `strength` has the shape (n,): that of the touches in the bin.
+    In all methods `amplitude`, of shape (n,), holds the amplitudes in the bin.
 
     Parameters
     ----------
@@ -81,66 +81,66 @@ class Regression:
         self.scale: Floats = np.sqrt(np.maximum(signal, max(LEAST_SIGNAL * touches.noise, 1e-12)))
         """Root mean square of each bin's signal, ADC counts, shape (bins,)."""
         self.ridge: Floats = touches.noise / self.scale**2 + prior.ridge
-        self.distance_mm = distances(touches.place_mm, touches.place_mm)
-        # From corner to corner, where there may be no touches.
-        self._reach_mm = float(np.linalg.norm(np.ptp(touches.place_mm, axis=0))) + BEYOND_MM
+        self.distance_mm = distances(touches.position_mm, touches.position_mm)
+        # The longest distance is the bounding box's diagonal, possibly without touches at its ends.
+        self._reach_mm = float(np.linalg.norm(np.ptp(touches.position_mm, axis=0))) + BEYOND_MM
 
     def kernel(self, b: int) -> Kernel:
-        """Return the kernel of a bin."""
+        """Return a bin's kernel."""
         return Kernel(float(self.prior.wavenumber_per_mm[b]), self._reach_mm, self.prior.white_share)
 
-    def penalty(self, b: int, strength: Complex) -> Array:
-        """Return what is added to the system's diagonal: a touch of strength z tells with its noise over |z|."""
-        return np.asarray(self.ridge[b] / np.maximum(np.abs(strength), FAINT) ** 2, dtype=np.float32)
+    def penalty(self, b: int, amplitude: Complex) -> Array:
+        """Return the system's diagonal term: the noise of a touch of amplitude z counts as noise / |z|."""
+        return np.asarray(self.ridge[b] / np.maximum(np.abs(amplitude), FAINT) ** 2, dtype=np.float32)
 
-    def targets(self, b: int, strength: Complex) -> Array:
-        """Return the touches at strength 1, in units of the bin's scale, shape (n, 2 * channels)."""
-        unit = self.touches.values[:, :, b] / (np.float32(self.scale[b]) * strength[:, None])
+    def targets(self, b: int, amplitude: Complex) -> Array:
+        """Return the touches at amplitude 1, in units of the bin's scale, shape (n, 2 * channels)."""
+        unit = self.touches.values[:, :, b] / (np.float32(self.scale[b]) * amplitude[:, None])
         return np.ascontiguousarray(unit.astype(np.complex64)).view(np.float32)
 
-    def inverse(self, b: int, strength: Complex) -> Array:
-        """Return the inverse of a bin's system, whose lower triangle alone is filled, shape (n, n)."""
-        factor, _ = lapack.spotrf(self._system(b, strength).T, lower=1, overwrite_a=1)
+    def inverse(self, b: int, amplitude: Complex) -> Array:
+        """Return the inverse of a bin's system, shape (n, n), lower triangle only."""
+        factor, _ = lapack.spotrf(self._system(b, amplitude).T, lower=1, overwrite_a=1)
         inverse, _ = lapack.spotri(factor, lower=1, overwrite_c=1)
         return np.asarray(inverse)
 
     def apply(self, inverse: Array, targets: Array) -> Array:
-        """Return the weights (n, 2 * channels) that an inverse gives to targets."""
+        """Return the weights (n, 2 * channels) of targets."""
         return np.ascontiguousarray(blas.ssymm(1.0, inverse, targets, lower=1))
 
-    def weights(self, b: int, strength: Complex) -> Array:
-        """Return each touch's weight in the field, shape (n, 2 * channels)."""
-        factor = cho_factor(self._system(b, strength).T, lower=True, overwrite_a=True, check_finite=False)
-        solved = cho_solve(factor, self.targets(b, strength), check_finite=False)
+    def weights(self, b: int, amplitude: Complex) -> Array:
+        """Return each touch's weight, shape (n, 2 * channels)."""
+        factor = cho_factor(self._system(b, amplitude).T, lower=True, overwrite_a=True, check_finite=False)
+        solved = cho_solve(factor, self.targets(b, amplitude), check_finite=False)
         return np.ascontiguousarray(solved, dtype=np.float32)
 
-    def at(self, b: int, weights: Array, places_mm: Floats) -> Complex:
-        """Return the field (m, channels) at places (m, 2), ADC counts."""
+    def at(self, b: int, weights: Array, positions_mm: Floats) -> Complex:
+        """Evaluate the field (m, channels) at positions (m, 2), ADC counts."""
         kernel, rows = self.kernel(b), 512
-        field = np.empty((len(places_mm), weights.shape[1]), np.float32)
-        for start in range(0, len(places_mm), rows):
-            apart_mm = distances(places_mm[start : start + rows], self.touches.place_mm)
+        field = np.empty((len(positions_mm), weights.shape[1]), np.float32)
+        for start in range(0, len(positions_mm), rows):
+            apart_mm = distances(positions_mm[start : start + rows], self.touches.position_mm)
             field[start : start + rows] = kernel(apart_mm) @ weights
         found: Complex = field.view(np.complex64) * np.float32(self.scale[b])
         return found
 
-    def _system(self, b: int, strength: Complex) -> Array:
+    def _system(self, b: int, amplitude: Complex) -> Array:
         system = self.kernel(b)(self.distance_mm)
-        system[np.diag_indices(len(system))] += self.penalty(b, strength)
+        system[np.diag_indices(len(system))] += self.penalty(b, amplitude)
         return system
 
 
 def smooth(inverse: Array, penalty: Array, targets: Array) -> Array:
-    """Return the field (n, 2 * channels) at the touches' own places, for targets at the weights of an inverse."""
+    """Return the field (n, 2 * channels) at the touches' positions, for targets and an inverse's weights."""
     return np.asarray(targets - penalty[:, None] * blas.ssymm(1.0, inverse, targets, lower=1))
 
 
-def each(work: Callable[[int], T], bins: Iterable[int], tell: Callable[[], None] = lambda: None) -> list[T]:
-    """Return the work of each bin, done on all cores, and tell when one is done."""
+def each(work: Callable[[int], T], bins: Iterable[int], advance: Callable[[], None] = lambda: None) -> list[T]:
+    """Run `work` for each bin on all cores, and call `advance` after each."""
     results = []
-    # One bin a core: threads of the linear algebra beside one another would only wait for each other.
+    # One bin per core: nested threads of the linear algebra would only compete.
     with threadpool_limits(1), ThreadPoolExecutor(min(os.cpu_count() or 1, MOST_THREADS)) as pool:
         for result in pool.map(work, [int(b) for b in bins]):
             results.append(result)
-            tell()
+            advance()
     return results

@@ -1,10 +1,10 @@
-"""The field as the product of two waves, for touches that are too few to tell it as it stands.
+"""Fit the field as the product of two waves, for touches too few for a regression of the field itself.
 
-The residual of a touch is what reaches it from the emitter times what reaches each receiver from it (Born's
-approximation: one scattering). Either is a wave of the plate, which has far fewer degrees of freedom than their
-product: on a plate of radius R about 2 k R instead of A k^2 / pi. So both are found in turn, each by ridge regression
-while the other is held (alternating least squares), from covariances of random plane waves. What no product explains,
-since a window cuts the reverberation off, is left to the regression of `touchd.training.field.regression`.
+The residual of a touch is the wave from the emitter to it times the wave from it to each receiver (Born approximation:
+single scattering). Each wave has far fewer degrees of freedom than their product: about 2 k R on a plate of radius R,
+instead of A k^2 / pi. Alternating least squares fits one wave by ridge regression while the other is fixed, with the
+covariance of random plane waves. The window cuts reverberation off, so a product cannot explain everything; the rest
+goes to `touchd.training.field.regression`.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from touchd.training.field.regression import Array, Complex, Floats
 Wave = NDArray[np.complex128]
 
 WHITE_SHARE = 0.05
-"""Of a wave's power: near fields of edges and discs, white up to a wavenumber wider than the free one."""
+"""Share of a wave's power in near fields of edges and discs, white up to `BAND_MARGIN` times the wavenumber."""
 BAND_MARGIN = 1.2
 LEFT_SHARE = (0.2, 0.1, 0.05, 0.03)
-"""Of the signal's power that is taken for no product: lowered in steps, which keeps the search from narrow valleys."""
+"""Share of the signal's power assumed to be no product; decreasing steps avoid narrow valleys."""
 ROUNDS = (20, 8, 6, 6)
 STARTS = 2
 CUT = 1e-3
-"""Of a wave's variance: what its basis may miss at a touch."""
+"""Share of a wave's variance that its basis may miss at a touch."""
 FAINT = 1e-3
 _NODE = 0.01  # rad
 _SEED = 0x3A7E5
@@ -37,7 +37,7 @@ _SEED = 0x3A7E5
 
 @dataclass(frozen=True, slots=True)
 class Basis:
-    """Functions whose sum with random weights of variance 1 is a random wave."""
+    """Functions whose sum with random weights of unit variance is a random wave."""
 
     wavenumber_per_mm: float
     pivots_mm: Floats
@@ -47,15 +47,15 @@ class Basis:
     at_touches: Floats
     """Shape (n, m)."""
 
-    def at(self, places_mm: Floats) -> Floats:
-        """Return the functions at places (k, 2), shape (k, m)."""
-        near = covariance(distances(places_mm, self.pivots_mm).astype(np.float64), self.wavenumber_per_mm)
+    def at(self, positions_mm: Floats) -> Floats:
+        """Evaluate the functions at positions (k, 2), shape (k, m)."""
+        near = covariance(distances(positions_mm, self.pivots_mm).astype(np.float64), self.wavenumber_per_mm)
         return np.asarray(solve_triangular(self.factor, near.T, lower=True, check_finite=False).T)
 
 
 @dataclass(frozen=True, slots=True)
 class Product:
-    """The two waves of a bin: weights of the basis."""
+    """The two waves of a bin, as weights of the basis."""
 
     basis: Basis
     emitter: Wave
@@ -63,14 +63,14 @@ class Product:
     receivers: Wave
     """Shape (m, channels), ADC counts."""
     left: float
-    """Share of the touches' power that is not explained."""
+    """Share of the touches' power that the product does not explain."""
 
-    def at(self, places_mm: Floats) -> Complex:
-        """Return the field (k, channels) at places (k, 2), ADC counts."""
-        return self._of(self.basis.at(places_mm))
+    def at(self, positions_mm: Floats) -> Complex:
+        """Evaluate the field (k, channels) at positions (k, 2), ADC counts."""
+        return self._of(self.basis.at(positions_mm))
 
     def at_touches(self) -> Complex:
-        """Return the field (n, channels) where the touches are."""
+        """Return the field (n, channels) at the touches, ADC counts."""
         return self._of(self.basis.at_touches)
 
     def _of(self, functions: Floats) -> Complex:
@@ -78,7 +78,7 @@ class Product:
 
 
 def covariance(distance_mm: Floats, wavenumber_per_mm: float) -> Floats:
-    """Return that of a wave at distances (mm) of any shape, 1 at 0; by linear interpolation, right to 1e-5."""
+    """Return a wave's covariance at distances (mm) of any shape, 1 at 0; linear interpolation, error 1e-5."""
     nodes_mm = np.arange(0.0, distance_mm.max(initial=0.0) + 2 * _NODE / wavenumber_per_mm, _NODE / wavenumber_per_mm)
     near = wavenumber_per_mm * np.linspace(1 - SPREAD, 1 + SPREAD, 5)
     free = sum(j0(k * nodes_mm) for k in near) / len(near)
@@ -87,32 +87,34 @@ def covariance(distance_mm: Floats, wavenumber_per_mm: float) -> Floats:
     return np.asarray(np.interp(distance_mm, nodes_mm, table))
 
 
-def basis_of(place_mm: Floats, wavenumber_per_mm: float) -> Basis:
-    """Return the functions that waves at some touches (n, 2) are sums of, by a Cholesky factor with pivots."""
-    system = covariance(distances(place_mm, place_mm).astype(np.float64), wavenumber_per_mm)
+def basis_of(position_mm: Floats, wavenumber_per_mm: float) -> Basis:
+    """Return the basis of waves at touches (n, 2), by a pivoted Cholesky factor."""
+    system = covariance(distances(position_mm, position_mm).astype(np.float64), wavenumber_per_mm)
     factor, order, rank, _ = lapack.dpstrf(system, tol=CUT, lower=1)
     factor, order = np.tril(factor)[:, :rank], order - 1
     at_touches = np.empty_like(factor)
     at_touches[order] = factor
-    return Basis(wavenumber_per_mm, place_mm[order[:rank]], np.ascontiguousarray(factor[:rank]), at_touches)
+    return Basis(wavenumber_per_mm, position_mm[order[:rank]], np.ascontiguousarray(factor[:rank]), at_touches)
 
 
-def product_of(basis: Basis, values: Complex, strength: Complex, noise: float, start: Product | None = None) -> Product:
-    """Return the product that explains touches best.
+def product_of(
+    basis: Basis, values: Complex, amplitude: Complex, noise: float, start: Product | None = None
+) -> Product:
+    """Fit the product of two waves to the touches of a bin.
 
     Parameters
     ----------
     basis : Basis
     values : array, shape (n, channels)
-        The touches in a bin, ADC counts.
-    strength : array, shape (n,)
+        Touches in the bin, ADC counts.
+    amplitude : array, shape (n,)
     noise : float
-        Variance of the noise in each value.
+        Noise variance of each value.
     start : Product, optional
-        From which to go on; else the best of several random ones is taken.
+        Product to start from; by default the best of several random starts.
     """
-    weight = np.maximum(np.square(np.abs(strength)), 1e-2)
-    unit = values.astype(np.complex128) / strength[:, None]
+    weight = np.maximum(np.square(np.abs(amplitude)), 1e-2)
+    unit = values.astype(np.complex128) / amplitude[:, None]
     scale = float(np.sqrt(np.mean(np.square(np.abs(unit)))))
     unit /= scale
     noise /= scale**2
@@ -136,15 +138,15 @@ def _alternate(
         sent /= np.sqrt(np.mean(np.square(np.abs(sent))))
         right = weight[:, None] * sent.conj() * unit
         receivers = _solve(functions, weight * np.square(np.abs(sent[:, 0])), right, ridge)
-        heard = _sum(functions, receivers)
-        right = weight[:, None] * (heard.conj() * unit).sum(axis=1, keepdims=True)
-        emitter = _solve(functions, weight * np.square(np.abs(heard)).sum(axis=1), right, ridge)
-    left = np.square(np.abs(unit - _sum(functions, emitter) * heard))
+        received = _sum(functions, receivers)
+        right = weight[:, None] * (received.conj() * unit).sum(axis=1, keepdims=True)
+        emitter = _solve(functions, weight * np.square(np.abs(received)).sum(axis=1), right, ridge)
+    left = np.square(np.abs(unit - _sum(functions, emitter) * received))
     return Product(basis, emitter, scale * receivers, float(left.sum() / np.square(np.abs(unit)).sum()))
 
 
 def _solve(functions: Array, weight: Floats, right: Wave, ridge: float) -> Wave:
-    """Return the weights of the functions by ridge regression of right / weight, with that weight."""
+    """Solve the ridge regression of right / weight, with this weight, for the functions' weights."""
     weighted = np.sqrt(weight)[:, None].astype(np.float32) * functions
     gram = weighted.T @ weighted
     gram[np.diag_indices(len(gram))] += np.float32(ridge)
@@ -154,7 +156,7 @@ def _solve(functions: Array, weight: Floats, right: Wave, ridge: float) -> Wave:
 
 
 def _sum(functions: NDArray[np.floating], weights: Wave) -> Wave:
-    """Return the sums of functions (n, m) with weights (m, k), without a complex copy of the functions."""
+    """Return functions (n, m) @ weights (m, k), without a complex copy of the functions."""
     return _complex(functions @ weights.view(np.float64).astype(functions.dtype))
 
 

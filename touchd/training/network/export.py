@@ -1,4 +1,4 @@
-"""From a trained network to one ONNX file that carries its own description."""
+"""Export a trained network to an ONNX file with touchd's metadata."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from torch import Tensor, nn
 
 from touchd.errors import OutputError
 from touchd.localization.model import METADATA_KEY, Description, Model
-from touchd.training.network.network import Network
+from touchd.training.network.zones_and_keys import Network
 
 OPSET = 17
 
 
 def make_graph(network: Network, description: Description) -> onnx.ModelProto:
-    """Return the network as a graph with its description inside."""
+    """Convert a network to an ONNX graph and add its metadata."""
     names = list(network.outputs)
     with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
-        # The TorchScript exporter needs no package beyond torch and onnx; its notice of age is no news to the user.
+        # The TorchScript exporter needs only torch and onnx; its deprecation warning does not concern the user.
         warnings.simplefilter("ignore", DeprecationWarning)
         file = Path(folder) / "model.onnx"
         torch.onnx.export(
@@ -42,24 +42,24 @@ def make_graph(network: Network, description: Description) -> onnx.ModelProto:
 
 
 def describe(graph: onnx.ModelProto, description: Description) -> None:
-    """Put a description into a graph, in place of any there."""
+    """Replace a graph's metadata."""
     del graph.metadata_props[:]
     graph.metadata_props.add(key=METADATA_KEY, value=description.model_dump_json())
 
 
 def write_model(graph: onnx.ModelProto, path: Path) -> Model:
-    """Write a graph that carries its description to `path`, whole or not at all, and return it loaded.
+    """Write a graph with metadata to `path` atomically, and load it.
 
     Raises
     ------
     OutputError
-        If the file cannot be written.
+        The file cannot be written.
     """
     return put_model(graph.SerializeToString(), path)
 
 
 def put_model(content: bytes, path: Path) -> Model:
-    """Write an ONNX file's bytes to `path`, whole or not at all, and return it loaded; raises as `write_model`."""
+    """Write an ONNX file's bytes to `path` atomically, and load it; see `write_model` for errors."""
     try:
         with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
             file.write(content)
@@ -73,7 +73,7 @@ def put_model(content: bytes, path: Path) -> Model:
 
 
 class Shift(nn.Module):
-    """Takes a mean away."""
+    """Subtracts a mean."""
 
     mean: Tensor
 
@@ -87,13 +87,13 @@ class Shift(nn.Module):
 
 
 def fold(network: Network) -> Network:
-    """Return a copy in which each batch normalisation is folded into the linear layers after it.
+    """Return a copy with each batch normalisation folded into the linear layers after it.
 
-    The same function with fewer operations: W (g (x - m) / s + b) + c is W' x + c'.
+    The function is unchanged, with fewer operations: W (g (x - m) / s + b) + c = W' x + c'.
     """
     folded = copy.deepcopy(network).eval()
     stages = folded.trunk
-    # Plain spectra lie far from zero for what they vary by: their mean has to go before any product, or digits do.
+    # Plain spectra have means far above their variation: subtract the mean before the product, or lose digits.
     plain = getattr(folded, "normalise", None) is None
     for i in range(len(stages) - 1):
         norm, linear = stages[i], stages[i + 1]
@@ -105,9 +105,9 @@ def fold(network: Network) -> Network:
 
 
 def _fold_into(layers: list[nn.Linear] | tuple[nn.Linear, ...], norm: nn.BatchNorm1d, *, shift: bool) -> nn.Module:
-    """Fold a normalisation into the layers after it, and return what stays in its place.
+    """Fold a normalisation into the layers after it, and return the module that replaces it.
 
-    In float64, since each rounding of a weight moves every position.
+    The products are computed in float64, because each rounded weight shifts every position.
     """
     assert norm.running_mean is not None
     assert norm.running_var is not None

@@ -1,4 +1,4 @@
-"""Whether what is exported is what was trained: the same function, and what its arithmetic rounds away."""
+"""Check that an exported graph computes the trained network's function, and measure its rounding error."""
 
 from __future__ import annotations
 
@@ -14,54 +14,51 @@ from numpy.typing import NDArray
 from onnx.reference import ReferenceEvaluator
 
 from touchd.errors import TrainingError
-from touchd.training.network.network import Network
+from touchd.training.network.zones_and_keys import Network
 
 TOLERANCE = 1e-4
-"""Millimetres, or probability."""
+"""Largest allowed difference, mm or probability."""
 
 
 @dataclass(frozen=True, slots=True)
-class Exactness:
-    """Largest differences over touches and outputs, in mm or, for confidence and classes, in probability."""
+class ExportDifference:
+    """Largest differences over touches and outputs: mm, or probability for confidence and classes."""
 
     function: float
-    """Between the trained network and the exported graph, both computed in float64: not more than `TOLERANCE`.
-
-    Weights are stored in float32; else this would be zero but for the order of sums.
-    """
+    """Trained network against exported graph, both in float64; at most `TOLERANCE`. Weights are stored in float32."""
     rounding: float
-    """Between the trained network in float64 and the exported graph as it runs, in float32."""
+    """Trained network in float64 against exported graph in float32, as the daemon runs it."""
 
 
-def check_graph(network: Network, graph: onnx.ModelProto, features: NDArray[np.float32]) -> Exactness:
-    """Compare a trained network with its exported graph on the features of touches, shape (n, inputs).
+def check_graph(network: Network, graph: onnx.ModelProto, features: NDArray[np.float32]) -> ExportDifference:
+    """Compare a trained network with its exported graph on features of shape (n, inputs).
 
-    In float32 two runtimes differ by the order in which they sum, whatever they compute; in float64 what is left is
-    a difference of the function.
+    In float32 two runtimes differ by their order of summation; in float64 any difference above `TOLERANCE` is a
+    difference of the function.
 
     Raises
     ------
     TrainingError
-        If the functions differ by more than the tolerance.
+        The functions differ by more than `TOLERANCE`.
     """
     with torch.inference_mode():
         said = copy.deepcopy(network).double().eval()(torch.from_numpy(features).double())
     trained = [part.numpy() for part in (said if isinstance(said, tuple) else (said,))]
-    # ONNX's own definition of its operators: the runtime has some of them in float32 only.
+    # Use ONNX's reference operators: onnxruntime has some operators in float32 only.
     defined = ReferenceEvaluator(_in_float64(graph))
     name = graph.graph.input[0].name
     function = _difference(trained, list(defined.run(None, {name: features.astype(np.float64)})))
-    # Written so that NaN fails too.
+    # Negated, so that NaN fails too.
     if not function <= TOLERANCE:
         raise TrainingError(
             f"the exported model differs from the trained network by {function:.2g} (at most {TOLERANCE:g})",
             "export",
-            "report this with the recording and the seed",
+            "report a bug, with the recording and the seed",
         )
     options = ort.SessionOptions()
-    options.intra_op_num_threads = 1  # as the daemon runs it
+    options.intra_op_num_threads = 1  # as in the daemon
     session = ort.InferenceSession(graph.SerializeToString(), options, providers=["CPUExecutionProvider"])
-    return Exactness(function, _difference(trained, session.run(None, {name: features})))
+    return ExportDifference(function, _difference(trained, session.run(None, {name: features})))
 
 
 def _difference(one: list[NDArray[Any]], two: list[Any]) -> float:
@@ -69,7 +66,7 @@ def _difference(one: list[NDArray[Any]], two: list[Any]) -> float:
 
 
 def _in_float64(graph: onnx.ModelProto) -> onnx.ModelProto:
-    """Return a copy of a graph in which every float32 is a float64 of the same value."""
+    """Return a copy of a graph with every float32 converted to float64."""
     double = onnx.ModelProto()
     double.CopyFrom(graph)
     for tensor in double.graph.initializer:

@@ -1,4 +1,4 @@
-"""The training loop: epochs of batches, until the schedule ends or nothing improves any more."""
+"""Training loop: run epochs until the schedule ends, or until validation stops improving."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ import torch
 from torch.optim.lr_scheduler import OneCycleLR
 
 from touchd.errors import TrainingError
-from touchd.training.network.objectives import Batch, Task
+from touchd.training.network.objectives import Batch, Objective
 
 PATIENCE = 30
-"""Epochs without a better validation RMSE after which a training at a constant rate ends."""
+"""Epochs without a better validation RMSE that end a training at a constant rate."""
 
 Progress = Callable[[str, int, int, float], None]
-"""Told of each step: what is done, steps done, steps in all, validation RMSE in mm (NaN before the first)."""
+"""Receives each step: stage, steps done, steps in all, validation RMSE in mm (NaN before the first)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Batches:
-    """What a network is shown in an epoch."""
+    """Batches of one epoch."""
 
     steps: int
     epoch: Callable[[], Iterator[Batch]]
@@ -30,18 +30,18 @@ class Batches:
 
 @dataclass(frozen=True, slots=True)
 class Curve:
-    """How a training went, epoch by epoch."""
+    """Loss and validation RMSE by epoch."""
 
     loss: list[float]
-    """Mean over the batches of the epoch."""
+    """Mean over the epoch's batches."""
     validation_mm: list[float]
-    """RMSE on the validation part."""
+    """RMSE on the validation part, mm."""
     kept: int
-    """The epoch, counted from 1, whose weights are the result."""
+    """Epoch whose weights were kept, counted from 1."""
 
 
 def fit(
-    task: Task,
+    objective: Objective,
     batches: Batches,
     optimiser: torch.optim.Optimizer,
     epochs: int,
@@ -51,32 +51,32 @@ def fit(
     peak: float | None = None,
     patience: int | None = None,
 ) -> Curve:
-    """Train the task's network in place.
+    """Train the objective's network in place.
 
-    With a `peak`, the rate follows one cycle (Smith and Topin 2019) up to it and down to nothing. Such a training
-    gets best in its last epochs, so it runs to its end, and the last weights are the result. Without, it stops after
-    `patience` epochs in a row without a better validation RMSE, and the best epoch's weights are the result.
+    With `peak`, the learning rate follows one cycle (Smith and Topin 2019) up to it and down to zero. A one-cycle
+    training is best at its end, so it runs all epochs and keeps the last weights. Without `peak`, training stops after
+    `patience` consecutive epochs without a better validation RMSE and keeps the best epoch's weights.
 
     Raises
     ------
     TrainingError
-        If patience is asked of a cycle, or the loss or the RMSE is no number.
+        Both `peak` and `patience` are given, or the loss or RMSE is not finite.
     """
     if peak is not None and patience is not None:
         raise TrainingError(
-            "a one-cycle schedule gets best in its last epochs: stopping early would cut them off",
+            "a one-cycle schedule is best in its last epochs, which early stopping would omit",
             "patience",
-            "leave it out, and ask for fewer epochs",
+            "omit --patience; use fewer epochs to shorten the training",
         )
     schedule = None if peak is None else OneCycleLR(optimiser, peak, total_steps=epochs * batches.steps)
-    curve, best = Curve([], [], 0), copy.deepcopy(task.network.state_dict())
+    curve, best = Curve([], [], 0), copy.deepcopy(objective.network.state_dict())
     kept = 0
     for epoch in range(1, epochs + 1):
-        task.network.train()
+        objective.network.train()
         total = torch.zeros(())
         for batch in batches.epoch():
             optimiser.zero_grad()
-            loss = task.loss(batch)
+            loss = objective.loss(batch)
             loss.backward()  # type: ignore[no-untyped-call]  # torch leaves it unannotated
             optimiser.step()
             total += loss.detach()
@@ -86,19 +86,19 @@ def fit(
         curve.validation_mm.append(validate())
         if not (math.isfinite(curve.loss[-1]) and math.isfinite(curve.validation_mm[-1])):
             raise TrainingError(
-                f"the training diverged in epoch {epoch}: its loss is {curve.loss[-1]:g}, "
-                f"its validation RMSE {curve.validation_mm[-1]:g} mm",
+                f"training diverged in epoch {epoch}: loss {curve.loss[-1]:g}, "
+                f"validation RMSE {curve.validation_mm[-1]:g} mm",
                 "training",
-                "look for frames of extreme values in the recording, or try another --seed",
+                "check the recording for frames of extreme values, or try another --seed",
             )
         progress("network", epoch, epochs, curve.validation_mm[-1])
         if schedule is not None:
             kept = epoch
         elif curve.validation_mm[-1] < min(curve.validation_mm[:-1], default=math.inf):
-            kept, best = epoch, copy.deepcopy(task.network.state_dict())
+            kept, best = epoch, copy.deepcopy(objective.network.state_dict())
         elif epoch - kept >= (patience or PATIENCE):
             progress("network", epochs, epochs, curve.validation_mm[kept - 1])
             break
     if schedule is None:
-        task.network.load_state_dict(best)
+        objective.network.load_state_dict(best)
     return Curve(curve.loss, curve.validation_mm, kept)

@@ -1,4 +1,4 @@
-"""What a network is trained for: its loss, its scores, and what its model says of itself."""
+"""Training objectives: loss, scores and metadata of each kind of network."""
 
 from __future__ import annotations
 
@@ -14,129 +14,130 @@ from touchd.evaluation.metrics import position_scores
 from touchd.evaluation.model_scores import key_scores, labels_of, zones_of
 from touchd.frame import Plate
 from touchd.keypad import Layout
-from touchd.training.network.network import Classifier, Keypad, Network, PlainRegression, Regression
+from touchd.training.network.network import PaperNetwork, PositionNetwork
 from touchd.training.network.recipe import Recipe
+from touchd.training.network.zones_and_keys import Classifier, KeypadNetwork, Network
 
 DROPOUT = 0.3  # the paper's
-SPREAD_BINS = 0.75  # of the target histograms: the HL-Gauss paper's choice
-WITHIN_SIGMA = 0.683  # of the errors of either axis: what a standard error means for Gaussian ones
-FINGER_SHARE = 0.5  # weight of the finger-or-not cross-entropy beside the position's
+SPREAD_BINS = 0.75  # deviation of the target histograms, from the HL-Gauss paper
+WITHIN_SIGMA = 0.683  # share of errors per axis within sigma, as for Gaussian errors
+FINGER_SHARE = 0.5  # weight of the finger cross-entropy relative to the position's
 
 Positions = NDArray[np.float32]
 
 
 class Batch(NamedTuple):
-    """What a network is shown at once: n fingers, then other things."""
+    """One training batch: n fingers, then m - n non-fingers."""
 
     features: Tensor
     """Shape (m, inputs), m >= n."""
     position: Tensor
-    """Of the fingers, in plate sizes from the centre, shape (n, 2)."""
+    """Positions of the fingers relative to the plate's centre, in units of its size, shape (n, 2)."""
     noise: Tensor
-    """In the fingers: its norm over that of the features, shape (n, 1); 0 where it is not known."""
+    """Noise-to-signal ratio of the fingers' features, by norms, shape (n, 1); 0 if unknown."""
 
 
-class Task(Protocol):
-    """What the training loop asks of a task."""
+class Objective(Protocol):
+    """Objective of a training loop."""
 
     wants_others: bool
-    """Whether it learns what is no finger."""
+    """Whether batches contain non-fingers."""
 
     @property
     def network(self) -> Network:
-        """What is trained."""
+        """Network to train."""
         ...
 
     def loss(self, batch: Batch) -> Tensor:
-        """Return the loss of what is shown."""
+        """Return the loss of a batch."""
         ...
 
     def scores(self, features: NDArray[np.float32], position_mm: Positions) -> dict[str, float]:
-        """Return scores on touches; `rmse_mm` is always among them."""
+        """Return scores on touches, including `rmse_mm`."""
         ...
 
     def description(self) -> dict[str, Any]:
-        """Return the fields of the model's description that are the task's."""
+        """Return the model metadata that depend on the objective."""
         ...
 
 
-class PositionTask:
-    """Position by histograms, standard error, and finger or not."""
+class PositionObjective:
+    """Position by histograms, standard error, and finger confidence."""
 
     wants_others = True
 
     def __init__(self, inputs: int, plate: Plate, recipe: Recipe, drift: Tensor) -> None:
-        self.network = Regression(inputs, (plate.width_mm, plate.height_mm), recipe.widths, drift=drift)
+        self.network = PositionNetwork(inputs, (plate.width_mm, plate.height_mm), recipe.widths, drift=drift)
 
     def loss(self, batch: Batch) -> Tensor:
-        """Return cross-entropy of the position, quantile loss of sigma, and cross-entropy of finger or not."""
+        """Return position cross-entropy plus quantile loss of sigma plus finger cross-entropy."""
         features, position, noise = batch
         network, n = self.network, len(position)
         votes, log_error, logit = network.raw(features)
         votes = votes[:n]
         place = -(network.targets(position, SPREAD_BINS) * votes.log_softmax(dim=2)).sum(dim=2).mean()
-        error_mm = (network.place_mm(votes.detach()) - network.truth_mm(position)).abs()
+        error_mm = (network.position_mm(votes.detach()) - network.truth_mm(position)).abs()
         sigma = _pinball((error_mm + 1e-3).log() - network.log_sigma(log_error[:n], noise), WITHIN_SIGMA)
         truth = (torch.arange(len(features)) < n).float()[:, None]
         finger = nn.functional.binary_cross_entropy_with_logits(logit, truth)
         return place + sigma + FINGER_SHARE * finger
 
     def scores(self, features: NDArray[np.float32], position_mm: Positions) -> dict[str, float]:
-        """Return the scores of the position, and the share of confident touches."""
+        """Return position scores and the share of confident touches."""
         with torch.inference_mode():
-            place_mm, _, confidence, *_ = self.network.eval()(torch.from_numpy(features))
+            estimated_mm, _, confidence, *_ = self.network.eval()(torch.from_numpy(features))
         confident = float((confidence.numpy() >= 0.5).mean())
-        return position_scores(place_mm.numpy() - position_mm) | {"confident": confident}
+        return position_scores(estimated_mm.numpy() - position_mm) | {"confident": confident}
 
     def description(self) -> dict[str, Any]:
-        """Return nothing: the head says it all."""
+        """Return no metadata: a regression needs none."""
         return {}
 
 
-class PaperPositionTask:
-    """The paper's regression: the mean squared error of x and y."""
+class PaperObjective:
+    """Mean squared error of x and y, as in the paper."""
 
     wants_others = False
 
     def __init__(self, inputs: int, plate: Plate, recipe: Recipe) -> None:
-        self.network = PlainRegression(inputs, (plate.width_mm, plate.height_mm), recipe.widths, DROPOUT)
+        self.network = PaperNetwork(inputs, (plate.width_mm, plate.height_mm), recipe.widths, DROPOUT)
 
     def loss(self, batch: Batch) -> Tensor:
-        """Return the mean squared error, in plate sizes."""
+        """Return the mean squared error, in units of the plate's size."""
         return nn.functional.mse_loss(self.network.raw(batch.features), batch.position)
 
     def scores(self, features: NDArray[np.float32], position_mm: Positions) -> dict[str, float]:
-        """Return the scores of the position."""
+        """Return position scores."""
         with torch.inference_mode():
-            place_mm, _, _ = self.network.eval()(torch.from_numpy(features))
-        return position_scores(place_mm.numpy() - position_mm)
+            estimated_mm, _, _ = self.network.eval()(torch.from_numpy(features))
+        return position_scores(estimated_mm.numpy() - position_mm)
 
     def description(self) -> dict[str, Any]:
-        """Return nothing: the head says it all."""
+        """Return no metadata: a regression needs none."""
         return {}
 
 
-class KeyTask(PositionTask):
-    """Keys, read from a position: learned as a position, scored by keys."""
+class KeyObjective(PositionObjective):
+    """Keys from an estimated position: trained as a position, scored by keys."""
 
-    network: Keypad
+    network: KeypadNetwork
 
     def __init__(self, inputs: int, plate: Plate, recipe: Recipe, drift: Tensor, layout: Layout) -> None:
         self._layout = layout
         keys_mm = torch.tensor([[k.x_mm, k.y_mm, k.x_mm + k.width_mm, k.y_mm + k.height_mm] for k in layout.key])
-        self.network = Keypad(inputs, (plate.width_mm, plate.height_mm), keys_mm, recipe.widths, drift=drift)
+        self.network = KeypadNetwork(inputs, (plate.width_mm, plate.height_mm), keys_mm, recipe.widths, drift=drift)
 
     def scores(self, features: NDArray[np.float32], position_mm: Positions) -> dict[str, float]:
-        """Return the scores of the position behind the keys, the accuracy, and touches taken for another key."""
+        """Return position scores, accuracy, and touches of one key assigned to another."""
         network = self.network.eval()
         with torch.inference_mode():
-            place_mm, *_ = Regression.forward(network, torch.from_numpy(features))
+            estimated_mm, *_ = PositionNetwork.forward(network, torch.from_numpy(features))
             probability = network(torch.from_numpy(features)).numpy()
             true_mm = network.truth_mm(torch.from_numpy(position_mm) / network.size_mm - 0.5)
         truth = labels_of(position_mm, self._layout)
         confident = float((probability.sum(axis=1) >= 0.5).mean())
         return (
-            position_scores((place_mm - true_mm).numpy())
+            position_scores((estimated_mm - true_mm).numpy())
             | key_scores(probability.argmax(axis=1), truth, len(self._layout.key))
             | {"confident": confident}
         )
@@ -146,10 +147,10 @@ class KeyTask(PositionTask):
         return {"layout": self._layout}
 
 
-class ClassTask:
-    """Zones of a grid, or keys of a layout and the zone beside them: cross-entropy.
+class ClassObjective:
+    """Cross-entropy of zones of a grid, or of keys and the area beside them.
 
-    A position is the centre of the likeliest zone, or of the likeliest key; beside the keys, the plate's centre.
+    The position estimate is the centre of the most probable zone or key; beside the keys, the plate's centre.
     """
 
     wants_others = False
@@ -180,7 +181,7 @@ class ClassTask:
         return labels_of(position_mm, self._layout)
 
     def scores(self, features: NDArray[np.float32], position_mm: Positions) -> dict[str, float]:
-        """Return accuracy, the scores of the position, and for keys the touches taken for another key."""
+        """Return accuracy, position scores, and for keys the touches of one key assigned to another."""
         with torch.inference_mode():
             best = self.network.eval().raw(torch.from_numpy(features)).argmax(dim=1).numpy()
         truth = self.labels(position_mm)
@@ -194,37 +195,37 @@ class ClassTask:
         return {"grid": self._grid} if self._layout is None else {"layout": self._layout}
 
 
-def make_task(
+def make_objective(
     recipe: Recipe, inputs: int, plate: Plate, grid: int, layout: Layout | None, drift: NDArray[np.float32]
-) -> Task:
-    """Return the task of a recipe; `drift`, of shape (k, inputs), is what its network shall not see.
+) -> Objective:
+    """Create the objective of a recipe; its network projects out `drift`, of shape (k, inputs).
 
     Raises
     ------
     TrainingError
-        If the grid has no zones, or a keypad no layout.
+        The grid has fewer than 2 zones per side, or a keypad has no layout.
     """
     if recipe.head == "keypad" and layout is None:
-        raise TrainingError("a keypad needs its keys", "--layout", "name a TOML file of keys")
+        raise TrainingError("a keypad recipe needs a layout", "--layout", "name a TOML file of keys")
     if recipe.head == "grid" and grid < 2:
-        raise TrainingError(f"a grid of {grid} x {grid} zones tells nothing", "--n", "use 2 or more")
+        raise TrainingError(f"a grid of {grid} x {grid} zones has one class", "--n", "use 2 or more")
     directions = torch.from_numpy(drift)
     if recipe.head == "regression":
         return (
-            PaperPositionTask(inputs, plate, recipe)
+            PaperObjective(inputs, plate, recipe)
             if recipe.paper
-            else PositionTask(inputs, plate, recipe, directions)
+            else PositionObjective(inputs, plate, recipe, directions)
         )
     if recipe.head == "keypad" and layout is not None:
         if not recipe.paper:
-            return KeyTask(inputs, plate, recipe, directions, layout)
-        return ClassTask(inputs, plate, recipe, directions, grid, layout)
-    return ClassTask(inputs, plate, recipe, directions, grid, None)
+            return KeyObjective(inputs, plate, recipe, directions, layout)
+        return ClassObjective(inputs, plate, recipe, directions, grid, layout)
+    return ClassObjective(inputs, plate, recipe, directions, grid, None)
 
 
 def _pinball(excess: Tensor, share: float) -> Tensor:
-    """Return the loss that is least where this share of the excesses is negative (Koenker and Bassett 1978).
+    """Return the quantile loss, least if this share of the excesses is negative (Koenker and Bassett 1978).
 
-    Unlike the likelihood of a Gaussian it is not ruled by the few touches placed in the wrong lobe.
+    Unlike a Gaussian likelihood, it ignores the size of the few errors of touches in a wrong lobe.
     """
     return torch.maximum(share * excess, (share - 1) * excess).mean()

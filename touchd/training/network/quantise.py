@@ -1,4 +1,4 @@
-"""A model with weights of 8 bits: a quarter of the memory to read for each touch."""
+"""Quantise a model's weights to 8 bits: a quarter of the memory traffic per touch."""
 
 from __future__ import annotations
 
@@ -20,28 +20,26 @@ from touchd.training.field.error_scale import WITHIN
 from touchd.training.network.export import describe, write_model
 
 ERROR_BIAS = "log_error.bias"
-"""Of `touchd.training.network.network.Regression`, as the export names it."""
+"""Bias of the log-sigma layer of `touchd.training.network.network.PositionNetwork`, by its name in the export."""
 
 
 def quantise(model: Model, recording: Recording, path: Path) -> Model:
-    """Write a model's integer version to `path` and return it loaded, with scores of its own.
+    """Quantise a model's weights to 8 bits, write the result to `path` and load it.
 
-    Each column of the weights has a scale, and so has each frame's vector of activations, which is found
-    while it is computed: so no touches are needed to calibrate it, and weak ones lose no more than strong
-    ones. Errors that the original predicts grow by as much as rounding makes those of the validation part grow.
-    The scores are those of the recording's test part.
+    Each weight column has a scale; activations are scaled per frame at run time, so no calibration touches are needed
+    and weak touches lose no more precision than strong ones. The predicted standard errors grow as much as the errors
+    of the validation part. The model's metadata receive its scores on the recording's test part.
 
     Raises
     ------
     TrainingError
-        If the recording is not the one that the model was trained on: then which touches it has never seen
-        is not known. Or if the model is an integer one already.
+        The model was trained on another recording, so its test part is unknown; or it is quantised already.
     """
     description = model.description
     data = make_dataset(recording, description.domain)
     if data.sha256 != description.data_sha256:
         raise TrainingError(
-            "not the recording that the model was trained on, whose test part would judge the integer version",
+            "the model was trained on another recording, so its test part is unknown",
             str(model.path),
             "give the recording named in the model's command",
         )
@@ -49,7 +47,7 @@ def quantise(model: Model, recording: Recording, path: Path) -> Model:
         raise TrainingError(f"the weights are {description.precision} already", str(model.path), "give the original")
     with tempfile.TemporaryDirectory() as folder:
         small = Path(folder) / "int8.onnx"
-        logging.getLogger().addFilter(_hush)  # it advises a pre-processing that the export has done
+        logging.getLogger().addFilter(_hush)  # hides advice to pre-process, which the export has done
         try:
             quantize_dynamic(model.path, small, per_channel=True, weight_type=QuantType.QInt8)
         finally:
@@ -77,12 +75,12 @@ def _loaded(graph: onnx.ModelProto) -> Model:
 
 
 def _spread(judged: Judgement) -> float:
-    """Return how many predicted standard errors hold 68 % of the errors of either axis."""
+    """Return the 68 % quantile of the error per axis, in predicted standard errors."""
     return float(np.quantile(np.abs(judged.error_mm) / judged.sigma_mm[:, None], WITHIN))
 
 
 def _widen(graph: onnx.ModelProto, factor: float) -> None:
-    """Multiply the errors that a graph predicts, whose logs are a layer's output: by way of its bias."""
+    """Multiply a graph's predicted standard errors by `factor`, through the bias of their logarithm."""
     (bias,) = (tensor for tensor in graph.graph.initializer if tensor.name == ERROR_BIAS)
     wider = onnx.numpy_helper.to_array(bias) + np.float32(np.log(factor))
     bias.CopyFrom(onnx.numpy_helper.from_array(wider, bias.name))

@@ -1,4 +1,4 @@
-"""A network's standard errors made honest: measured on touches that it never saw, and scaled."""
+"""Calibrate a network's standard errors on touches outside its training part."""
 
 from __future__ import annotations
 
@@ -13,63 +13,63 @@ from torch import Tensor
 from touchd.training.data.augment import Augmenter
 from touchd.training.field.error_scale import MOST, WITHIN
 from touchd.training.field.regression import Floats
-from touchd.training.network.network import Regression
+from touchd.training.network.network import PositionNetwork
 
 LOUDER = (0.2, 0.6)
-"""Noise over the median touch, by the norms of the features, at which the standard error is made right beside the
-touches' own: on the reference plate 50 and 40 dB below the untouched signal."""
+"""Noise relative to the median touch, by feature norms, at which sigma is calibrated beside the touches' own noise. On
+the reference plate this is 50 and 40 dB below the untouched signal."""
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
-    """Touches at one level of noise, and what a network says of them: all of shape (n, 1) but the first."""
+class Predictions:
+    """Errors and predicted standard errors of n touches at one noise level, shape (n, 1)."""
 
     error_mm: Floats
-    """Absolute, shape (n, 2)."""
+    """Absolute error per axis, shape (n, 2)."""
     sigma_mm: Floats
-    """Predicted, without noise."""
+    """Predicted sigma without noise."""
     noise_mm: Floats
-    """Predicted, of the noise that there is."""
+    """Predicted sigma due to the noise present."""
 
     def quantile(self, sigma_scale: float, noise_scale: float) -> float:
-        """Return how many predicted standard errors hold 68 % of the errors of either axis."""
+        """Return the 68 % quantile of the error per axis, in predicted standard errors."""
         predicted_mm = np.hypot(sigma_scale * self.sigma_mm, noise_scale * self.noise_mm)
         return float(np.quantile(self.error_mm / predicted_mm, WITHIN))
 
 
-def make_honest(network: Regression, augmenter: Augmenter, residual: Tensor, position: Tensor) -> None:
-    """Scale a network's sigma and its error of noise such that 68 % of the errors are within sigma.
+def calibrate_sigma(network: PositionNetwork, augmenter: Augmenter, residual: Tensor, position: Tensor) -> None:
+    """Scale a network's two sigma outputs so that 68 % of the errors per axis lie within sigma.
 
-    In training it was shown more kinds of disturbance than most plates know, and is cautious without them. So two
-    scales are found on touches that it was not trained on: with their own noise and with louder, half of them as
-    another finger would have given them. By the quantile: a few touches in a wrong lobe do not count.
+    Training shows the network more disturbances than most plates have, so its sigma is too large. The two scales are
+    fitted on held-out touches, at their own noise and at higher noise, half of them with another finger's amplitude.
+    Quantiles ignore the few touches that land in a wrong lobe.
 
     Parameters
     ----------
-    network : Regression
-        That tells the error of noise apart.
+    network : PositionNetwork
+        Network with a separate noise output.
     augmenter : Augmenter
-        Knows the noise of the recording.
+        Source of the recording's noise.
     residual : tensor of shape (n, inputs)
-        Of recorded touches.
+        Recorded touches.
     position : tensor of shape (n, 2)
-        In plate sizes from the centre.
+        True positions, relative to the plate's centre, in units of its size.
     """
     own = augmenter.own_noise(residual)
     levels = [1.0, *(louder / own for louder in LOUDER if 0 < own < louder / 1.1)]
-    told = [_told(network, *augmenter.held_out(residual, level), position) for level in levels]
+    predictions = [_predict(network, *augmenter.held_out(residual, level), position) for level in levels]
 
     def cost(logs: NDArray[np.float64]) -> float:
         scales = np.exp(np.clip(logs, -np.log(MOST), np.log(MOST)))
-        return float(np.square(np.log([said.quantile(*scales) for said in told])).sum())
+        return float(np.square(np.log([said.quantile(*scales) for said in predictions])).sum())
 
     found = minimize(cost, np.zeros(2), method="Nelder-Mead", options={"xatol": 1e-3, "fatol": 1e-7})
     with torch.no_grad():
         network.log_error.bias.add_(torch.from_numpy(np.clip(found.x, -np.log(MOST), np.log(MOST))))
 
 
-def _told(network: Regression, features: Tensor, noise: Tensor, position: Tensor) -> Told:
+def _predict(network: PositionNetwork, features: Tensor, noise: Tensor, position: Tensor) -> Predictions:
     with torch.inference_mode():
-        place_mm, sigma_mm, _, noise_mm = network.eval()(features)
-        error_mm = (place_mm - network.truth_mm(position)).abs()
-    return Told(error_mm.double().numpy(), sigma_mm.double().numpy(), (noise_mm * noise).double().numpy())
+        position_mm, sigma_mm, _, noise_mm = network.eval()(features)
+        error_mm = (position_mm - network.truth_mm(position)).abs()
+    return Predictions(error_mm.double().numpy(), sigma_mm.double().numpy(), (noise_mm * noise).double().numpy())

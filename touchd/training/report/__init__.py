@@ -1,1 +1,1 @@
-"""The report that a training leaves beside its model."""
+"""The report that training writes beside a model."""

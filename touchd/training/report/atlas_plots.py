@@ -1,4 +1,4 @@
-"""Pictures of a field atlas: which bins tell of a finger, and how the plate's waves limit it."""
+"""Plots of a field atlas: signal and field error by frequency, misfit over the plate, dispersion."""
 
 from __future__ import annotations
 
@@ -16,36 +16,36 @@ from touchd.training.field.make_atlas import Calibration, Trial
 
 
 def draw_bins(atlas: Atlas, calibration: Calibration) -> Figure:
-    """Draw by frequency how far a touch, and what the field misses of it, stand out of the noise."""
+    """Plot the signal and the field error of a touch relative to the noise, by frequency."""
     d = atlas.description
     a = d.acquisition
     band, kept = band_bins(a), np.array(d.bins)
     spacing_khz = a.sample_rate_hz / a.samples / 1e3
     figure = Figure(figsize=(7.0, 4.4), layout="constrained")
     axes = figure.add_subplot()
-    audible_db = 10 * np.log10(np.maximum(calibration.audible, 1e-3))
+    snr_db = 10 * np.log10(np.maximum(calibration.snr, 1e-3))
     missed_db = 10 * np.log10(np.maximum(calibration.missed, 1e-3))
     for left_out in np.setdiff1d(band, kept):
         axes.axvspan((left_out - 0.5) * spacing_khz, (left_out + 0.5) * spacing_khz, color="#e8eaed", lw=0, zorder=-1)
-    axes.plot(band * spacing_khz, audible_db, "o-", color=COLOURS[0], ms=3, lw=1.4, label="touch")
-    axes.plot(kept * spacing_khz, missed_db, "s-", color=COLOURS[1], ms=3, lw=1.4, label="what the field misses of it")
-    axes.axhline(0, color=TRUTH, lw=3, zorder=0, label="noise of a frame less its baseline")
-    axes.set(xlabel="frequency (kHz)", ylabel="power over noise (dB)", title="bins; grey: left out")
-    axes.set_ylim(bottom=max(-25.0, min(audible_db.min(), missed_db.min()) - 3))
+    axes.plot(band * spacing_khz, snr_db, "o-", color=COLOURS[0], ms=3, lw=1.4, label="touch")
+    axes.plot(kept * spacing_khz, missed_db, "s-", color=COLOURS[1], ms=3, lw=1.4, label="field error")
+    axes.axhline(0, color=TRUTH, lw=3, zorder=0, label="noise of a residual")
+    axes.set(xlabel="frequency (kHz)", ylabel="power over noise (dB)", title="bins; grey: omitted")
+    axes.set_ylim(bottom=max(-25.0, min(snr_db.min(), missed_db.min()) - 3))
     axes.legend(frameon=False)
     axes.grid(alpha=0.25)
     return figure
 
 
 def draw_misfit(trial: Trial, meta: Meta) -> Figure:
-    """Draw for each test touch which share of its energy the field does not explain, where it was touched."""
+    """Plot the unexplained share of each test touch's energy at its true position."""
     figure = Figure(figsize=(7.0, 6.0), layout="constrained")
     axes = figure.add_subplot()
     misfit = 100 * trial.placed.misfit
-    order = np.argsort(misfit)  # the worst above the others
+    order = np.argsort(misfit)  # draw the worst last, on top
     x_mm, y_mm = trial.judged.true_mm[order].T
     image = axes.scatter(x_mm, y_mm, c=misfit[order], s=16, cmap=MAP, vmin=0, vmax=float(np.percentile(misfit, 98)))
-    figure.colorbar(image, ax=axes, label="energy left unexplained (%)", extend="max", shrink=0.85)
+    figure.colorbar(image, ax=axes, label="unexplained energy (%)", extend="max", shrink=0.85)
     axes.set(
         xlabel="x (mm)", ylabel="y (mm)", xlim=(0, meta.plate.width_mm), ylim=(meta.plate.height_mm, 0), aspect="equal",
         title=f"misfit of {len(misfit)} touches, median {np.median(misfit):.2g} %",
@@ -57,7 +57,7 @@ def draw_misfit(trial: Trial, meta: Meta) -> Figure:
 
 
 def draw_dispersion(dispersion: Dispersion, material: str) -> Figure:
-    """Draw the wavenumber by frequency: that of the material, or that which was fitted with the bins it rests on."""
+    """Plot the wavenumber by frequency: of the material, or fitted, with the bins used for the fit."""
     figure = Figure(figsize=(7.0, 4.4), layout="constrained")
     axes = figure.add_subplot()
     label = "power law fitted to all bins" if dispersion.fitted else f"Mindlin plate of {material}"

@@ -1,4 +1,4 @@
-"""The report beside a model: a folder with a page and pictures, there whole or not at all."""
+"""Write the report beside a model: a folder with a page and plots, replaced as a whole."""
 
 from __future__ import annotations
 
@@ -21,26 +21,28 @@ from touchd.evaluation.plots.model import draw_confusion, draw_learning_curve, d
 from touchd.evaluation.plots.session import save
 from touchd.frame import Plate
 from touchd.recording.data import Meta
+from touchd.training.report.template import render
 
-if TYPE_CHECKING:  # a report is written of what was trained; torch is not needed for that
+if TYPE_CHECKING:  # a report needs no torch
     from touchd.training.train_network import Result
 
 PAGE = "report.md"
+TEMPLATE = Path(__file__).with_name("network_report.md.j2")
 EDGE_SHARE = 0.1
-"""Of the touched rectangle's sides: closer to them a touch is near the edge."""
+"""Share of the touched rectangle's sides that counts as near the edge."""
 UNITS = {"n": "touches", "accuracy": "%", "within_sigma": "%", "confident": "%", "key_to_key_errors": "touches"}
 MEANINGS = {
-    "n": "of the test part, never seen in training",
-    "rmse_mm": "square root of the mean squared distance from the truth",
+    "n": "touches of the test part, unseen in training",
+    "rmse_mm": "root of the mean squared distance from the true position",
     "mean_mm": "mean distance",
-    "sd_mm": "its standard deviation",
-    "median_mm": "half of the touches are closer",
-    "p95_mm": "95 % are closer",
-    "max_mm": "the farthest",
-    "within_sigma": "errors of either axis within the predicted standard error; 68 % if it is right",
+    "sd_mm": "standard deviation of the distance",
+    "median_mm": "median distance",
+    "p95_mm": "95th percentile of the distance",
+    "max_mm": "largest distance",
+    "within_sigma": "errors per axis within the predicted standard error; 68 % if exact",
     "confident": "touches with a confidence of 0.5 or more",
     "accuracy": "touches in the right class",
-    "key_to_key_errors": "touches of a key taken for another key",
+    "key_to_key_errors": "touches of a key assigned to another key",
 }
 
 
@@ -50,24 +52,18 @@ def report_folder(model: Path) -> Path:
 
 
 def write_report(result: Result, meta: Meta, names: list[str]) -> Path:
-    """Write the report of a trained model into its folder, in place of an older one, and return the folder.
-
-    Raises
-    ------
-    OutputError
-        If it cannot be written; an older report is then left as it was.
-    """
+    """Write the report of a trained model into its folder, and return the folder; see `write_folder`."""
     pictures = {name: draw() for name, draw in _pictures(result, meta).items()}
     return write_folder(result.model.path, pictures, lambda: page(result, meta, names, list(pictures)))
 
 
 def write_folder(model: Path, pictures: dict[str, Figure], text: Callable[[], str]) -> Path:
-    """Write pictures and a page into a model's report folder, in place of an older one, and return the folder.
+    """Write plots and a page into a model's report folder, replacing an older report, and return the folder.
 
     Raises
     ------
     OutputError
-        If it cannot be written; an older report is then left as it was.
+        The report cannot be written; an older report stays unchanged.
     """
     folder = report_folder(model)
     try:
@@ -84,59 +80,29 @@ def write_folder(model: Path, pictures: dict[str, Figure], text: Callable[[], st
         raise OutputError(
             f"the report cannot be written ({error.strerror or error})",
             str(folder),
-            "the model is; check folder and space, or use --no-report",
+            "the model is written; check folder and space, or use --no-report",
         ) from error
     return folder
 
 
 def remove_report(model: Path) -> None:
-    """Remove the report of an older model of this name, if there is one."""
+    """Remove the report of an older model of this name."""
     shutil.rmtree(report_folder(model), ignore_errors=True)
 
 
 def page(result: Result, meta: Meta, names: list[str], pictures: list[str]) -> str:
     """Return the report's text, in Markdown."""
-    d, parts = result.model.description, result.parts
-    plate = d.plate
-    a = d.acquisition
-    lines = [
-        f"# {result.model.path.name}",
-        "",
-        f"Recipe `{d.name}`, for a {plate.material} plate of {plate.width_mm:g} x {plate.height_mm:g} x "
-        f"{plate.thickness_mm:g} mm, {a.channels} channels of {a.samples} samples at {a.sample_rate_hz / 1e3:g} kHz, "
-        f"chirp {d.acquisition.chirp.start_hz / 1e3:g} to {a.chirp.stop_hz / 1e3:g} kHz.",
-        "",
-        *(f"- {line}" for line in findings(result, meta.plate)),
-        "",
-        "## Warnings",
-        "",
-        *([f"- {note}" for note in result.notes] or ["None."]),
-        "",
-        "## Scores",
-        "",
-        "| score | | | meaning |",
-        "|---|---|---|---|",
-        *(score_row(name, value) for name, value in result.scores.items()),
-        "",
-        *(line for name in pictures for line in (f"![{name.removesuffix('.png')}]({name})", "")),
-        "## How it was made",
-        "",
-        f"- `{d.command}`" if d.command else "- by a program",
-        f"- recordings: {', '.join(names)}; SHA-256 of frames and truth {d.data_sha256}",
-        f"- {len(parts.train)} touches for training, {len(parts.validation)} for validation, {len(parts.test)} for the "
-        f"test; seed {d.seed}",
-        f"- {len(result.curve.loss)} epochs, of which number {result.curve.kept} was kept; "
-        f"{duration(result.duration_s)}",
-        "- exported graph against trained network on the test touches: differences of at most "
-        f"{result.exactness.function:.1e} in float64, {result.exactness.rounding:.1e} as it runs (mm, or probability)",
-        f"- touchd {__version__}, torch {version('torch')}, onnxruntime {version('onnxruntime')}",
-        "",
-    ]
-    return "\n".join(lines)
+    d = result.model.description
+    versions = {"touchd": __version__, "torch": version("torch"), "onnxruntime": version("onnxruntime")}
+    return render(
+        TEMPLATE, name=result.model.path.name, d=d, a=d.acquisition, result=result, parts=result.parts, names=names,
+        findings=findings(result, meta.plate), scores=[score_row(*score) for score in result.scores.items()],
+        plots=pictures, duration=duration(result.duration_s), versions=versions,
+    )  # fmt: skip
 
 
 def findings(result: Result, plate: Plate) -> list[str]:
-    """Return what to make of the figures, a sentence each."""
+    """Interpret the scores and the learning curve, one sentence per finding."""
     found = findings_of(result.judged, plate)
     curve = result.curve.validation_mm
     tenth = max(1, len(curve) // 10)
@@ -146,7 +112,7 @@ def findings(result: Result, plate: Plate) -> list[str]:
 
 
 def findings_of(judged: Judgement, plate: Plate) -> list[str]:
-    """Return what to make of the answers to the test touches, a sentence each."""
+    """Interpret the estimates for the test touches, one sentence per finding."""
     found = [_about_scores(judged)]
     if judged.true_class is None:
         found.append(_about_edges(judged))
@@ -156,7 +122,7 @@ def findings_of(judged: Judgement, plate: Plate) -> list[str]:
             worst = judged.true_mm[judged.distance_mm.argmax()]
             how_many = "1 touch is" if far == 1 else f"{far} touches are"
             found.append(
-                f"{how_many} more than ten times the median off, the farthest at "
+                f"{how_many} off by more than ten times the median, the farthest at "
                 f"({worst[0]:.0f}, {worst[1]:.0f}) mm of {plate.width_mm:g} x {plate.height_mm:g}."
             )
     return found
@@ -165,10 +131,10 @@ def findings_of(judged: Judgement, plate: Plate) -> list[str]:
 def _about_scores(judged: Judgement) -> str:
     if judged.true_class is not None and judged.found_class is not None:
         right = 100 * (judged.found_class == judged.true_class).mean()
-        return f"{right:.1f} % of the test's touches are in the right class."
+        return f"{right:.1f} % of the test touches are in the right class."
     distance_mm = judged.distance_mm
     return (
-        f"Half of the test's touches are within {np.median(distance_mm):.2f} mm, 95 % within "
+        f"Half of the test touches are within {np.median(distance_mm):.2f} mm, 95 % within "
         f"{np.percentile(distance_mm, 95):.2f} mm."
     )
 
@@ -180,18 +146,18 @@ def _about_edges(judged: Judgement) -> str:
     if near.all() or not near.any():
         return "Too few touches to compare the edges with the middle."
     edge_mm, middle_mm = (float(np.median(judged.distance_mm[part])) for part in (near, ~near))
-    how = "Worse near the edges" if edge_mm > 1.25 * middle_mm else "Much the same near the edges as in the middle"
+    how = "Worse near the edges" if edge_mm > 1.25 * middle_mm else "Similar near the edges and in the middle"
     return f"{how}: median {edge_mm:.2f} mm in the outer tenth on each side, {middle_mm:.2f} mm within."
 
 
 def _about_sigma(judged: Judgement) -> str:
     share = 100 * float((np.abs(judged.error_mm) <= judged.sigma_mm[:, None]).mean())
-    how = "about right" if 62 <= share <= 75 else "cautious" if share > 75 else "too small"
-    return f"The predicted standard error is {how}: {share:.0f} % of the errors are within it (68 % if it were exact)."
+    how = "about right" if 62 <= share <= 75 else "too large" if share > 75 else "too small"
+    return f"The predicted standard error is {how}: {share:.0f} % of the errors are within it (68 % if exact)."
 
 
 def _pictures(result: Result, meta: Meta) -> dict[str, Callable[[], Figure]]:
-    """Return how to draw each picture of the report, by file name."""
+    """Return the function that draws each plot, by file name."""
     judged, d, curve = result.judged, result.model.description, result.curve
     pictures = {"learning-curve.png": lambda: draw_learning_curve(curve.loss, curve.validation_mm, curve.kept)}
     if d.head == "grid":
@@ -205,12 +171,12 @@ def _pictures(result: Result, meta: Meta) -> dict[str, Callable[[], Figure]]:
 
 
 def score_row(name: str, value: float) -> str:
-    """Return a score as a row of a table in Markdown."""
+    """Format a score as a row of a Markdown table."""
     unit = "mm" if name.endswith("_mm") else UNITS.get(name, "")
     text = f"{100 * value:.1f}" if unit == "%" else f"{value:.0f}" if unit == "touches" else f"{value:.3f}"
     return f"| `{name}` | {text} | {unit} | {MEANINGS.get(name, '')} |"
 
 
 def duration(seconds: float) -> str:
-    """Return a time as one would say it."""
+    """Format a duration in s or min."""
     return f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.0f} min"

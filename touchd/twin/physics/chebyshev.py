@@ -9,12 +9,12 @@ Floats = NDArray[np.float64]
 
 
 def points(centre: float, reach: float, count: int) -> Floats:
-    """Return so many points of centre +- reach, shape (count,), among which interpolation converges fastest."""
+    """Return `count` points of centre +- reach, shape (count,), at which interpolation converges fastest."""
     return np.asarray(centre + reach * np.cos(_angles(count)))
 
 
 def weights(at: Floats, points: Floats) -> Floats:
-    """Return the weights, shape (n, m), that a function's values at m `points` have in those at n other places."""
+    """Return the interpolation weights, shape (n, m), of values at m `points` for n other positions."""
     count = len(points)
     distance = at[:, None] - points
     exact = distance == 0

@@ -1,4 +1,4 @@
-"""Speeds of the flexural wave A0 in an infinite plate: Mindlin's, which the twin has, and the exact ones."""
+"""Speeds of the flexural wave A0 in an infinite plate: by Mindlin's theory, as in the twin, and exact."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def lamb_group_velocity(plate: Plate, frequency_hz: ArrayLike) -> Floats:
 
 
 def _group_velocity(phase_velocity: Callable[[Floats], Floats], frequency_hz: ArrayLike) -> Floats:
-    """Group velocity dw/dk by a central difference of one part in ten thousand each way."""
+    """Group velocity dw/dk by a central difference with relative steps of 1e-4."""
     f = np.asarray(frequency_hz, dtype=float)
     up, down = f * (1 + 1e-4), f * (1 - 1e-4)
     return np.asarray((up - down) / (up / phase_velocity(up) - down / phase_velocity(down)))

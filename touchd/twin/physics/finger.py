@@ -1,4 +1,4 @@
-"""What touches the plate: the mechanical impedance of fingers, palms and drops."""
+"""Mechanical impedance of fingers, palms and drops."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def _poisson(x: NDArray[np.generic]) -> Complex:
 
 
 class Tissue(NamedTuple):
-    """What a finger is made of."""
+    """Material and contact area of a finger."""
 
     rho_kg_m3: float
     c_m_s: float
@@ -85,7 +85,7 @@ def impedance(kind: str, omega_rad_s: ArrayLike, area_mm2: ArrayLike) -> Complex
     Raises
     ------
     SimulationError
-        When there is no such kind.
+        The kind is unknown.
     """
     if kind == "drop":
         return np.asarray(1j * np.asarray(omega_rad_s) * drop_mass_mg(area_mm2) * 1e-6)
@@ -93,12 +93,12 @@ def impedance(kind: str, omega_rad_s: ArrayLike, area_mm2: ArrayLike) -> Complex
 
 
 def tissue_of(kind: str) -> Tissue:
-    """Look up a kind of finger.
+    """Return the tissue of a kind of finger.
 
     Raises
     ------
     SimulationError
-        When there is no such kind.
+        The kind is unknown.
     """
     try:
         return TISSUES[kind]
@@ -117,12 +117,12 @@ def force_of(kind: str, area_mm2: ArrayLike) -> Floats:
 
 
 class Contact(NamedTuple):
-    """One thing that lies on the plate in one frame."""
+    """A contact in one frame."""
 
     x_mm: float
     y_mm: float
     area_mm2: float
-    """Of a palm: of each of its patches."""
+    """Contact area; of a palm, the area of each patch."""
     kind: str
     """"silicone", "human", "drop" or "palm"."""
 
@@ -136,7 +136,7 @@ _PALM_MM = (
 
 
 def patches(contact: Contact) -> list[Contact]:
-    """Split a palm into patches of human tissue; anything else is its own single patch."""
+    """Split a palm into patches of human tissue; other contacts are one patch."""
     if contact.kind != "palm":
         return [contact]
     return [Contact(contact.x_mm + x, contact.y_mm + y, contact.area_mm2, "human") for x, y in _PALM_MM]

@@ -48,7 +48,7 @@ def _disc_rule(radial: int, angular: int) -> tuple[Floats, Floats, Floats]:
     node, weight = np.polynomial.legendre.leggauss(radial)
     radius = np.sqrt((node + 1) / 2)
     step = np.arange(angular) / angular
-    # Turning every second ring by half a step doubles the angular order for free.
+    # Turning every second ring by half a step doubles the angular order at no cost.
     angle = 2 * np.pi * (step[None, :] + (np.arange(radial)[:, None] % 2) / (2 * angular))
     x = radius[:, None] * np.cos(angle)
     y = radius[:, None] * np.sin(angle)

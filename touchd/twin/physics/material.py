@@ -1,4 +1,4 @@
-"""What plates are made of."""
+"""Materials of plates."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def material_of(plate: Plate) -> Material:
     Raises
     ------
     SimulationError
-        When the twin does not know it.
+        The twin does not know the material.
     """
     try:
         return MATERIALS[plate.material.lower()]

@@ -21,7 +21,7 @@ from touchd.twin.physics.material import material_of, stiffness_of
 Floats = NDArray[np.float64]
 
 MOST_POLYNOMIALS = 80
-"""Above this an eigenproblem takes minutes and gigabytes."""
+"""Limit of the polynomials: a larger eigenproblem takes minutes and gigabytes."""
 
 
 class Modes(NamedTuple):
@@ -48,14 +48,14 @@ def size_m(plate: Plate) -> tuple[float, float]:
 
 
 def polynomials_for(plate: Plate, frequency_hz: float) -> tuple[int, int]:
-    """How many polynomials along x and y resolve the plate's waves up to a frequency, to about 1e-7.
+    """Return the polynomials along x and y that resolve the plate's waves up to a frequency, to about 1e-7.
 
     A polynomial basis needs pi per wavelength and a margin that hardly grows; 48 at 100 kHz on 200 mm of 5 mm glass.
 
     Raises
     ------
     SimulationError
-        When the plate is too many wavelengths wide.
+        The plate is too many wavelengths wide.
     """
     k = float(mindlin_wavenumber(plate, frequency_hz))
     counts = [2 * int(np.ceil((k * length / 2 + 15) / 2)) for length in size_m(plate)]
@@ -81,7 +81,7 @@ def solve(plate: Plate, counts: tuple[int, int], below_hz: float = np.inf) -> Mo
     Raises
     ------
     SimulationError
-        When the material is unknown.
+        The material is unknown.
     """
     classes = [_solve_class(plate, counts, px, py, below_hz) for px in (0, 1) for py in (0, 1)]
     omega = np.concatenate([c.omega_rad_s for c in classes])

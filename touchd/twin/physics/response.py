@@ -1,4 +1,4 @@
-"""Response of the plate between its discs, and what contacts change in it, at fixed complex frequencies."""
+"""Response of the plate between its discs, and its change by contacts, at fixed complex frequencies."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 FEW = 5
-"""Contacts whose scattering among each other costs less than their receptances; of more, as in a palm, it is computed
-at a few temperatures only."""
+"""Number of contacts up to which multiple scattering costs less than receptances. Above it, as for a palm, scattering
+is computed at a few temperatures only."""
 SMOOTH = 0.02
-"""What contacts change is smooth in the modes' frequencies over at least this share of them, being damped."""
+"""Relative range of modes' frequencies over which a contact's change is smooth, because of damping."""
 
 
 class Response:
@@ -86,7 +86,7 @@ class Response:
         """Change of the response by contacts, for n touches of the same number c of contacts each.
 
         Exact, multiple scattering included: -g_rc (1 + z g_cc)^-1 z g_ce with z = i omega Z (Woodbury's identity).
-        Receptances are computed once for all touches that are the same.
+        Equal touches share their receptances.
 
         Parameters
         ----------
@@ -146,7 +146,7 @@ class Response:
 
 
 def _few_scales(scale: Floats) -> Floats:
-    """Return fewer factors from whose responses those at all of `scale` follow to 1e-12; all, if there are none."""
+    """Return fewer factors, from which the responses at all of `scale` interpolate to 1e-12, or all factors."""
     low, high = float(scale.min()), float(scale.max())
     reach = (high - low) / 2
     count = 1

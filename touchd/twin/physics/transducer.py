@@ -1,4 +1,4 @@
-"""Piezoceramic discs under the plate: where they are, what they feel, and how their mass changes the modes."""
+"""Piezoceramic discs under the plate: positions, averages over the discs, and their mass in the plate's modes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from touchd.twin.physics.plate import Modes, polynomials_for, size_m, solve
 Floats = NDArray[np.float64]
 
 VERSION = 1
-"""Raised when the same rig gives other modes than before, so that old files on disk are not used."""
+"""Version of the algorithm; increase it when the same rig gives other modes, to invalidate files on disk."""
 
 BASIS_HZ = 3.0
 """Modes of the bare plate up to this many times the highest frequency carry the discs' masses."""
@@ -27,7 +27,7 @@ KEPT_HZ = 2.0
 
 
 class Layout(BaseModel):
-    """Where the discs are, and their size."""
+    """Positions and size of the discs."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -37,7 +37,7 @@ class Layout(BaseModel):
     """Centres of the receivers, mm."""
     diameter_mm: float = Field(default=6.0, gt=0)
     mass_g: float = Field(default=0.43, ge=0)
-    """Of each disc: 6 mm by 2 mm of PZT."""
+    """Mass of each disc: 6 mm by 2 mm of PZT."""
 
     @property
     def centres_mm(self) -> Floats:
@@ -46,10 +46,10 @@ class Layout(BaseModel):
 
 
 def default_layout(plate: Plate) -> Layout:
-    """Place an emitter and four receivers, on purpose without any symmetry.
+    """Place an emitter and four receivers without any symmetry.
 
-    Mirrored touches look alike to a symmetric layout on a symmetric plate. The figures are for 200 x 200 mm and are
-    scaled to other sizes.
+    A symmetric layout cannot distinguish mirrored touches on a symmetric plate. Positions for 200 x 200 mm are scaled
+    to the plate's size.
     """
     sx, sy = plate.width_mm / 200, plate.height_mm / 200
     receivers = ((15.0, 15.0), (185.0, 20.0), (180.0, 185.0), (20.0, 170.0))
@@ -57,7 +57,7 @@ def default_layout(plate: Plate) -> Layout:
 
 
 class LoadedModes(NamedTuple):
-    """Modes of the plate with its discs, and what the discs make of them: n modes, unit modal mass."""
+    """Modes of the plate with its discs, and their values at the discs: n modes, unit modal mass."""
 
     omega_rad_s: Floats
     """Angular frequencies, shape (n,)."""
@@ -68,12 +68,12 @@ class LoadedModes(NamedTuple):
 
 
 def loaded_modes(plate: Plate, layout: Layout, frequency_hz: float = 125e3) -> LoadedModes:
-    """Modes of a plate that carries its discs, for use up to a frequency; kept on disk.
+    """Return the modes of a plate with discs, for use up to a frequency; cached on disk.
 
     Raises
     ------
     SimulationError
-        When a disc is not wholly on the plate, the plate too large or its material unknown.
+        A disc reaches over the edge, the plate is too large, or its material is unknown.
     """
     width, height = plate.width_mm, plate.height_mm
     edge = np.minimum(layout.centres_mm, np.array([width, height]) - layout.centres_mm).min()
@@ -106,8 +106,8 @@ def loaded_modes(plate: Plate, layout: Layout, frequency_hz: float = 125e3) -> L
 def load(modes: Modes, plate: Plate, layout: Layout, below_hz: float = np.inf) -> LoadedModes:
     """Add the discs' masses to a bare plate's modes.
 
-    In modal coordinates the masses change the unit mass matrix by a rank of one each. Solving once for the modes of
-    the loaded plate is exact within the given modes, and spares every later computation the update.
+    In modal coordinates each mass is a rank-one change of the unit mass matrix. The loaded plate's modes are exact
+    within the given ones, and no later computation needs the update.
     """
     size, counts = size_m(plate), modes.w.shape[1:]
     centres = layout.centres_mm * 1e-3

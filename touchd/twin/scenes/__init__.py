@@ -1,1 +1,1 @@
-"""What happens on the plate: `catalogue` names the scenes, `timeline` holds one."""
+"""Scenes on the plate: `catalogue` names them, `timeline` holds one."""

@@ -1,4 +1,4 @@
-"""The named scenes. Each begins with untouched plate, which is what touchd learns its baseline from."""
+"""The named scenes. Each starts with the untouched plate, from which touchd learns its baseline."""
 
 from __future__ import annotations
 
@@ -14,24 +14,23 @@ from touchd.frame import Plate
 from touchd.twin.electronics import Electronics
 from touchd.twin.instrument import REFERENCE_C
 from touchd.twin.physics.finger import tissue_of
-from touchd.twin.scenes import one_finger as acts
-from touchd.twin.scenes import several_fingers as hand
+from touchd.twin.scenes import one_finger, several_fingers
 from touchd.twin.scenes.one_finger import END_S, IDLE_S, KEY_S, Cast, Key
 from touchd.twin.scenes.timeline import Stage
 
 
 class Scene(NamedTuple):
-    """A scene by name."""
+    """A named scene."""
 
     play: Callable[[Stage, Cast], None]
     seconds: float
-    """As long as it needs, unless told otherwise."""
+    """Default duration."""
     what: str
     """One line for the help text."""
     finger: str = "human"
     rate_hz: float = 125.0
     least_mm: float = 50.0
-    """Shorter side of the smallest plate that has room for it."""
+    """Shorter side of the smallest plate that fits the scene."""
 
 
 def write_scene(
@@ -45,7 +44,7 @@ def write_scene(
     keys: Sequence[Key] | None,
     code: str | None,
 ) -> Stage:
-    """Write down a named scene; see `touchd.twin.simulate.simulate_scene`."""
+    """Write the timeline of a named scene; see `touchd.twin.simulate.simulate_scene`."""
     scene = SCENES.get(name)
     if scene is None:
         raise SimulationError(f"no scene {name!r}", "scene", f"use one of {', '.join(SCENES)}")
@@ -65,7 +64,7 @@ def write_scene(
     if name == "lostframes":
         sequence = _with_gaps(n, rng, rate)
     time_s = sequence / rate
-    # A room drifts by tenths of a kelvin within minutes; one period of 5 minutes, from any phase.
+    # A room drifts by tenths of a kelvin within minutes: one period of 5 minutes, with a random phase.
     temperature_c = REFERENCE_C + 0.2 * np.sin(2 * np.pi * (time_s / 300 + rng.uniform()))
     stage = Stage(plate, rate, sequence, temperature_c, rng, electronics, notes=f"simulated scene {name}: {scene.what}")
     scene.play(stage, cast)
@@ -73,7 +72,7 @@ def write_scene(
 
 
 def default_keys(plate: Plate) -> list[Key]:
-    """Keys of a telephone, 3 x 4, 32 mm apart where the plate has the room, about its centre."""
+    """Return the keys of a telephone, 3 x 4 around the plate's centre, 32 mm apart if the plate has room."""
     pitch = min(32.0, (plate.width_mm - 20) / 3, (plate.height_mm - 20) / 4)
     return [
         (name, plate.width_mm / 2 + (i % 3 - 1) * pitch, plate.height_mm / 2 + (i // 3 - 1.5) * pitch)
@@ -82,7 +81,7 @@ def default_keys(plate: Plate) -> list[Key]:
 
 
 def _with_gaps(n: int, rng: np.random.Generator, rate_hz: float) -> NDArray[np.int64]:
-    """Lose 1-20 frames about twice a second, after the untouched start."""
+    """Drop 1-20 frames about twice a second, after the untouched start."""
     step = np.ones(n, dtype=np.int64)
     step[0] = 0
     late = np.flatnonzero(np.arange(n) > IDLE_S * rate_hz)
@@ -94,24 +93,24 @@ def _with_gaps(n: int, rng: np.random.Generator, rate_hz: float) -> NDArray[np.i
 
 
 SCENES: dict[str, Scene] = {
-    "idle": Scene(acts.idle, 5.0, "nothing touches the plate"),
-    "tap": Scene(acts.tap, 6.0, "taps at random places", "silicone"),
-    "circle": Scene(acts.circle, 5.0, "a finger draws a circle of 60 mm radius"),
-    "hold": Scene(acts.hold, 12.0, "a finger rests while its contact keeps growing"),
-    "longhold": Scene(acts.longhold, 35.0, "the same for 34 s, while the plate warms by 1 K"),
-    "swipe": Scene(acts.swipe, 4.0, "swipes across the plate"),
-    "pinch": Scene(hand.pinch, 4.0, "two fingers move together"),
-    "two": Scene(hand.two, 8.0, "two fingers press, slide and lift independently", least_mm=80.0),
-    "five": Scene(hand.five, 8.0, "five fingers press, slide and lift independently", least_mm=150.0),
-    "cross": Scene(hand.cross, 8.2, "two fingers' strokes cross, 15 mm from each other", least_mm=80.0),
-    "keypad": Scene(acts.keypad, 4.1, "a code is typed"),
-    "drift": Scene(acts.drift, 60.0, "the plate warms by 3 K and cools again; a tap now and then", "silicone"),
-    "palm": Scene(acts.palm, 4.0, "a palm lies on the plate", least_mm=80.0),
-    "drop": Scene(acts.drop, 5.0, "a drop of water falls on the plate and stays; taps beside it"),
-    "interference": Scene(acts.interference, 6.0, "tones from elsewhere; taps", "silicone"),
-    "deadchannel": Scene(acts.deadchannel, 6.0, "a receiver's wire breaks half-way; taps", "silicone"),
-    "clipping": Scene(acts.clipping, 5.0, "the gain is too high; taps", "silicone"),
-    "lostframes": Scene(acts.tap, 6.0, "frames are lost; taps", "silicone"),
-    "demo": Scene(acts.demo, 9.0, "four taps, a swipe and most of a circle", "silicone", 100.0),
+    "idle": Scene(one_finger.idle, 5.0, "nothing touches the plate"),
+    "tap": Scene(one_finger.tap, 6.0, "taps at random places", "silicone"),
+    "circle": Scene(one_finger.circle, 5.0, "a finger draws a circle of 60 mm radius"),
+    "hold": Scene(one_finger.hold, 12.0, "a finger rests while its contact keeps growing"),
+    "longhold": Scene(one_finger.longhold, 35.0, "the same for 34 s, while the plate warms by 1 K"),
+    "swipe": Scene(one_finger.swipe, 4.0, "swipes across the plate"),
+    "pinch": Scene(several_fingers.pinch, 4.0, "two fingers move together"),
+    "two": Scene(several_fingers.two, 8.0, "two fingers press, slide and lift independently", least_mm=80.0),
+    "five": Scene(several_fingers.five, 8.0, "five fingers press, slide and lift independently", least_mm=150.0),
+    "cross": Scene(several_fingers.cross, 8.2, "two fingers' strokes cross, 15 mm from each other", least_mm=80.0),
+    "keypad": Scene(one_finger.keypad, 4.1, "a code is typed"),
+    "drift": Scene(one_finger.drift, 60.0, "the plate warms by 3 K and cools again; a tap now and then", "silicone"),
+    "palm": Scene(one_finger.palm, 4.0, "a palm lies on the plate", least_mm=80.0),
+    "drop": Scene(one_finger.drop, 5.0, "a drop of water falls on the plate and stays; taps beside it"),
+    "interference": Scene(one_finger.interference, 6.0, "tones from elsewhere; taps", "silicone"),
+    "deadchannel": Scene(one_finger.deadchannel, 6.0, "a receiver's wire breaks half-way; taps", "silicone"),
+    "clipping": Scene(one_finger.clipping, 5.0, "the gain is too high; taps", "silicone"),
+    "lostframes": Scene(one_finger.tap, 6.0, "frames are lost; taps", "silicone"),
+    "demo": Scene(one_finger.demo, 9.0, "four taps, a swipe and most of a circle", "silicone", 100.0),
 }
 """All scenes by name."""

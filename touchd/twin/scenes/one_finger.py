@@ -1,4 +1,4 @@
-"""What happens in the scenes of one finger: fingers, palms and drops written onto a stage."""
+"""Scenes of one finger: they write fingers, palms and drops onto a stage."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ Key = tuple[str, float, float]
 """A key's name and centre: name, x_mm, y_mm."""
 
 IDLE_S = 0.8
-"""Untouched plate at the start of every scene."""
+"""Duration of the untouched plate at the start of every scene."""
 END_S = 0.3
-"""And at its end."""
+"""Duration of the untouched plate at its end."""
 KEY_S = 0.6
-"""From one key to the next."""
+"""Time between keys."""
 LONG_HOLD_K = 1.0
-"""A plate with a warm hand on it: a stale baseline is off by a centimetre."""
+"""Warming by a hand on the plate; it shifts estimates from a stale baseline by a centimetre."""
 FORCES_N = {"silicone": (1.5, 3.5), "human": (0.3, 0.8)}
-"""Of a light touch: 17-26 and 55-90 mm^2."""
+"""Forces of a light touch: contact areas of 17-26 and 55-90 mm^2."""
 
 
 @dataclass(frozen=True, slots=True)
 class Cast:
-    """What an act may use beside the stage."""
+    """Finger, keys and code of a scene."""
 
     finger: str
     keys: Sequence[Key]
@@ -37,7 +37,7 @@ class Cast:
 
 
 def _tap_from(stage: Stage, kind: str, start_s: float, stop_s: float, pause_s: float = 0.35) -> None:
-    """Tap at random places from one time to another."""
+    """Tap at random positions from `start_s` to `stop_s`."""
     at = start_s
     while True:
         length, pause = stage.rng.uniform(0.20, 0.35), stage.rng.uniform(1.0, 1.5) * pause_s
@@ -52,7 +52,7 @@ def idle(_stage: Stage, _cast: Cast) -> None:
 
 
 def tap(stage: Stage, cast: Cast) -> None:
-    """Tap at random places."""
+    """Tap at random positions."""
     _tap_from(stage, cast.finger, IDLE_S, stage.end_s - END_S)
 
 
@@ -76,7 +76,7 @@ def longhold(stage: Stage, cast: Cast) -> None:
 
 
 def swipe(stage: Stage, cast: Cast) -> None:
-    """Swipe across the plate, again and again."""
+    """Swipe across the plate repeatedly."""
     w, h = stage.plate.width_mm, stage.plate.height_mm
     at, ways = IDLE_S, [((0.15, 0.3), (0.85, 0.4)), ((0.8, 0.75), (0.2, 0.65)), ((0.5, 0.85), (0.45, 0.15))]
     for i in range(1000):
@@ -102,8 +102,8 @@ def keypad(stage: Stage, cast: Cast) -> None:
 
 
 def drift(stage: Stage, cast: Cast) -> None:
-    """Warm the plate and let it cool, and tap now and then."""
-    # 0.1 K a second: one kelvin is a centimetre to a baseline that does not follow.
+    """Warm the plate and let it cool, with a few taps."""
+    # 0.1 K/s; with a fixed baseline one kelvin shifts estimates by a centimetre.
     turn = np.clip((stage.time_s - IDLE_S) / (stage.end_s - IDLE_S), 0, 1)
     stage.temperature_c += 1.5 - 1.5 * np.cos(2 * np.pi * turn)
     _tap_from(stage, cast.finger, IDLE_S + 2, stage.end_s - END_S, pause_s=1.5)
@@ -118,7 +118,7 @@ def palm(stage: Stage, _cast: Cast) -> None:
 
 def drop(stage: Stage, cast: Cast) -> None:
     """Let a drop fall, and tap beside it."""
-    # 18.1 mm^2 hold a half sphere of 29 mg. It stays; a finger taps beside it.
+    # 18.1 mm^2 hold a half sphere of 29 mg.
     stage.lay("drop", IDLE_S, stage.end_s + 1, still(*anywhere(stage, 30.0)), area_mm2=18.1, column=1)
     before = len(stage.kinds)
     _tap_from(stage, cast.finger, IDLE_S + 1.0, stage.end_s - END_S)
@@ -127,20 +127,20 @@ def drop(stage: Stage, cast: Cast) -> None:
 
 
 def interference(stage: Stage, cast: Cast) -> None:
-    """Tap, while tones come from elsewhere."""
+    """Tap during interfering tones."""
     tones = (Tone(62_347.0, -30.0, IDLE_S + 0.7), Tone(88_911.0, -36.0, IDLE_S + 0.7))
     stage.electronics = stage.electronics._replace(tones=stage.electronics.tones + tones)
     tap(stage, cast)
 
 
 def deadchannel(stage: Stage, cast: Cast) -> None:
-    """Tap, while a receiver's wire breaks half-way."""
+    """Tap while a receiver's wire breaks half-way."""
     stage.electronics = stage.electronics._replace(dead=(*stage.electronics.dead, Dead(0, stage.end_s / 2)))
     tap(stage, cast)
 
 
 def clipping(stage: Stage, cast: Cast) -> None:
-    """Tap, with the gain too high."""
+    """Tap with too high a gain."""
     stage.electronics = stage.electronics._replace(peak=stage.electronics.peak * 2.5)
     tap(stage, cast)
 

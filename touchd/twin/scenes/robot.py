@@ -1,4 +1,4 @@
-"""The robot's session: touches all over the plate, each with an untouched frame just before it."""
+"""The robot's session: touches all over the plate, each after an untouched frame."""
 
 from __future__ import annotations
 
@@ -19,22 +19,22 @@ Floats = NDArray[np.float64]
 COUNT = 6404
 """Touches of the paper's training set."""
 TOUCH_RATE_HZ = 2.0
-"""A robot is slow."""
+"""Touched and untouched frames per second of a robot."""
 AREAS_MM2 = {"silicone": (12.0, 28.0), "human": (40.0, 100.0)}
-"""Range of the contact area, which the force varies."""
+"""Range of the contact area."""
 MARGIN_MM = {"silicone": 5.0, "human": 6.0}
-"""Least distance of a touch's centre from the plate's edge: the whole contact lies on the plate."""
+"""Least distance of a touch's centre from the edge, so that the contact fits on the plate."""
 WALK_K = 1.0
-"""The temperature's walk over the session stays within +- this."""
+"""Largest deviation of the random temperature walk."""
 MOST_FINGERS = 5
-"""Of one hand."""
+"""Fingers of one hand."""
 TRIES = 2000
-"""Places drawn for a touch of several fingers before they are said not to fit."""
+"""Draws for a touch of several fingers before it is refused."""
 
 
 @dataclass(frozen=True, slots=True)
 class TouchSet:
-    """What the robot is asked for; see `touchd.twin.simulate.simulate_touches`."""
+    """Parameters of a session; see `touchd.twin.simulate.simulate_touches`."""
 
     count: int = COUNT
     finger: str = "silicone"
@@ -48,12 +48,12 @@ class TouchSet:
 
 
 def write_touches(asked: TouchSet, plate: Plate, rng: np.random.Generator, electronics: Electronics) -> Stage:
-    """Write down a session.
+    """Write the timeline of a session.
 
     Raises
     ------
     SimulationError
-        When the count, margin, finger or distances are impossible.
+        Count, margin, finger or distances are impossible.
     """
     count, finger = asked.count, asked.finger
     tissue_of(finger)
@@ -75,7 +75,7 @@ def write_touches(asked: TouchSet, plate: Plate, rng: np.random.Generator, elect
     stage.notes = f"{count} simulated touches of {_who(asked)}, each after an untouched frame"
     area = rng.uniform(low, high, (count, asked.fingers))
     place = margin_mm + _places(asked, span, np.sqrt(area / np.pi), rng)
-    if asked.label_noise_mm:  # drawn last: the frames are the same whether labels are exact or not
+    if asked.label_noise_mm:  # drawn last, so that label noise does not change the frames
         stage.label_error_mm = np.zeros((2 * count, asked.fingers, 2))
         stage.label_error_mm[1::2] = asked.label_noise_mm * rng.standard_normal(place.shape)
 
@@ -96,11 +96,11 @@ def write_touches(asked: TouchSet, plate: Plate, rng: np.random.Generator, elect
 
 def _check(asked: TouchSet) -> None:
     if asked.count < 1:
-        raise SimulationError(f"{asked.count} touches", "count", "ask for one at least")
+        raise SimulationError(f"{asked.count} touches", "count", "use 1 or more")
     if not 1 <= asked.fingers <= MOST_FINGERS:
         raise SimulationError(f"{asked.fingers} fingers", "fingers", f"use 1 .. {MOST_FINGERS}")
     if asked.edge_gap_mm is not None and asked.fingers != 2:
-        raise SimulationError(f"a gap between {asked.fingers} fingers", "edge_gap", "ask for 2 fingers")
+        raise SimulationError(f"a gap between {asked.fingers} fingers", "edge_gap", "use 2 fingers")
     lengths = {"apart": asked.apart_mm, "edge_gap": asked.edge_gap_mm or 0.0, "label_noise": asked.label_noise_mm}
     for name, length_mm in lengths.items():
         if not 0 <= length_mm < np.inf:
@@ -117,10 +117,10 @@ def _who(asked: TouchSet) -> str:
 
 
 def _places(asked: TouchSet, span: Floats, radius: Floats, rng: np.random.Generator) -> Floats:
-    """Return centres of contacts of radii (count, fingers) on a span (2,), shape (count, fingers, 2), all in mm.
+    """Return centres of contacts of radii (count, fingers) on a span (2,), shape (count, fingers, 2), mm.
 
-    All fingers of a touch are drawn again until they keep their distances, so that every place that does is equally
-    likely; no contact covers another. With a gap, the first finger's place is, and the direction to the second.
+    All fingers of a touch are drawn again until they keep their distances, so all valid positions are equally
+    probable. Contacts never overlap. With `edge_gap_mm`, the first finger's position and the direction are uniform.
     """
     count, fingers = radius.shape
     one, other = np.triu_indices(fingers, 1)
@@ -148,5 +148,5 @@ def _places(asked: TouchSet, span: Floats, radius: Floats, rng: np.random.Genera
         f"{_who(asked)} do not fit within {span[0]:g} x {span[1]:g} mm ({len(pending)} of {count} touches, "
         f"each drawn {TRIES} times)",
         "apart" if asked.edge_gap_mm is None else "edge_gap",
-        "ask for fewer fingers, less distance, or a larger plate",
+        "use fewer fingers, less distance, or a larger plate",
     )

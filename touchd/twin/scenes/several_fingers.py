@@ -1,4 +1,4 @@
-"""What happens in the scenes of several fingers: each presses, slides and lifts as if the others were not there."""
+"""Scenes of several fingers, which press, slide and lift independently."""
 
 from __future__ import annotations
 
@@ -41,9 +41,9 @@ def five(stage: Stage, cast: Cast) -> None:
 
 
 def cross(stage: Stage, cast: Cast) -> None:
-    """Draw two strokes that cross, again and again, the fingers close to each other half-way."""
+    """Draw two crossing strokes repeatedly, with the fingers close to each other half-way."""
     p, end_s = stage.plate, stage.end_s - END_S
-    # Wherever it happens and whichever way it goes, the stroke stays on the plate.
+    # The stroke stays on the plate for any centre and direction.
     room_mm = min(p.width_mm, p.height_mm) / 2 - PASS_MM
     half_mm = min(45.0, 0.75 * room_mm)
     at_s = IDLE_S
@@ -52,7 +52,7 @@ def cross(stage: Stage, cast: Cast) -> None:
         centre_mm = np.array([p.width_mm, p.height_mm]) / 2 + off_mm
         heading, turn = stage.rng.uniform(0, 2 * np.pi), stage.rng.uniform(np.pi / 3, 5 * np.pi / 6)
         ways = [np.array([np.cos(angle), np.sin(angle)]) for angle in (heading, heading + turn)]
-        # Perpendicular to how they move against each other, their offset is the least distance.
+        # An offset perpendicular to the relative motion is the least distance.
         beside_mm = (ways[0] + ways[1]) / np.linalg.norm(ways[0] + ways[1]) * PASS_MM / 2
         for column, (way, side) in enumerate(zip(ways, (1, -1), strict=True)):
             middle_mm = centre_mm + side * beside_mm
@@ -67,12 +67,12 @@ def cross(stage: Stage, cast: Cast) -> None:
 
 
 def _later(path: Path, late_s: float) -> Path:
-    """Join a path when it is under way."""
+    """Return the rest of a path from `late_s` on."""
     return lambda t: path(t + late_s)
 
 
 def _play(stage: Stage, cast: Cast, fingers: int, apart_mm: float) -> None:
-    """Let each finger press or slide, pause, and so on; where there is no room it waits."""
+    """Let each finger press or slide and pause in turn; a finger without room waits."""
     end_s = stage.end_s - END_S
     next_s = IDLE_S + stage.rng.uniform(0, 0.6, fingers)
     while (start_s := next_s.min()) <= end_s - SHORTEST_S:
@@ -87,7 +87,7 @@ def _play(stage: Stage, cast: Cast, fingers: int, apart_mm: float) -> None:
 
 
 def _free_path(stage: Stage, start_s: float, stop_s: float, apart_mm: float) -> Path | None:
-    """Return a place to press, or a way to slide, far enough from every other finger all the time; None if hard."""
+    """Return a position or a slide that keeps its distance from every other finger; None after `TRIES` draws."""
     on = (stage.time_s >= start_s) & (stage.time_s < stop_s)
     t = stage.time_s[on] - start_s
     others = [(x[on], y[on]) for x, y in zip(stage.x_mm, stage.y_mm, strict=True)]
@@ -100,7 +100,7 @@ def _free_path(stage: Stage, start_s: float, stop_s: float, apart_mm: float) -> 
                 continue
             path = line(first, last, stop_s - start_s)
         x, y = (np.asarray(value, dtype=float) for value in path(t))
-        # NaN, where the other does not touch, is not below anything.
+        # NaN, for a finger that is up, compares as false.
         if not any((np.hypot(x - its_x, y - its_y) < apart_mm).any() for its_x, its_y in others):
             return path
     return None

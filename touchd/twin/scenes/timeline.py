@@ -1,4 +1,4 @@
-"""A scene being written down: what touches the plate, when and where."""
+"""The timeline of a scene: contacts, temperature and electronics, frame by frame."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ Floats = NDArray[np.float64]
 Path = Callable[[Floats], tuple[ArrayLike, ArrayLike]]
 
 SMALLEST_MM2 = 2.0
-"""Contact area in the first moment of a touch."""
+"""Contact area at the first moment of a touch."""
 
 
 @dataclass(slots=True)
 class Stage:
-    """Everything that happens in n frames, with at most k contacts at once."""
+    """Contacts, temperature and electronics in n frames, with at most k contacts at once."""
 
     plate: Plate
     rate_hz: float
@@ -30,29 +30,29 @@ class Stage:
     temperature_c: Floats
     """Shape (n,)."""
     rng: np.random.Generator
-    """For whatever the scene leaves to chance."""
+    """Generator for the scene's random choices."""
     electronics: Electronics
     notes: str = ""
     kinds: list[str] = field(default_factory=list)
-    """What each contact is."""
+    """Kind of each contact."""
     x_mm: list[Floats] = field(default_factory=list)
-    """For each contact, shape (n,); NaN where it does not touch."""
+    """x of each contact, shape (n,); NaN while up."""
     y_mm: list[Floats] = field(default_factory=list)
     area_mm2: list[Floats] = field(default_factory=list)
     force_n: list[Floats] = field(default_factory=list)
     columns: list[list[int]] = field(default_factory=list)
-    """Contacts that share a column of the truth, since they never touch at once."""
+    """Contacts of each label column; contacts of one column never overlap in time."""
     label_error_mm: Floats | None = None
-    """How far the written truth is off, shape (n, k, 2)."""
+    """Label error, shape (n, k, 2)."""
 
     @property
     def time_s(self) -> Floats:
-        """Start of each frame since the first, shape (n,)."""
+        """Start of each frame relative to the first, shape (n,)."""
         return np.asarray((self.sequence - self.sequence[0]) / self.rate_hz)
 
     @property
     def end_s(self) -> float:
-        """When the last frame ends."""
+        """End of the last frame."""
         return float(self.time_s[-1]) + 1 / self.rate_hz
 
     def lay(
@@ -67,24 +67,24 @@ class Stage:
         creep: float = 0.0,
         column: int = 0,
     ) -> None:
-        """Lay something on the plate and take it off again.
+        """Add a contact that comes down at `start_s` and lifts at `stop_s`.
 
-        The area grows for 10-30 ms at the start and shrinks as long at the end.
+        The area grows for 10-30 ms at the start and shrinks for as long at the end.
 
         Parameters
         ----------
         kind : "silicone", "human", "palm" or "drop"
         start_s, stop_s : float
         path : callable
-            Takes seconds since the start, shape (m,), and returns x and y in mm.
+            Maps seconds since the start, shape (m,), to x and y in mm.
         force_n : float
-            Of a finger, when it has settled.
+            Settled force of a finger.
         area_mm2 : float, optional
-            Of anything else.
+            Settled area of a palm or drop.
         creep : float
-            Part by which the area goes on growing within the next tens of seconds.
+            Share by which the area keeps growing over tens of seconds.
         column : int
-            Which finger of the truth this is.
+            Label column of the contact.
         """
         rise_s, fall_s = self.rng.uniform(0.010, 0.030, 2)
         time_s = self.time_s
@@ -111,7 +111,7 @@ class Stage:
         return row
 
     def touches(self, start: int, stop: int) -> list[list[Contact]]:
-        """Contacts in each of the frames start .. stop - 1."""
+        """Return the contacts in each of the frames start .. stop - 1."""
         result: list[list[Contact]] = [[] for _ in range(start, stop)]
         for kind, *rows in zip(self.kinds, self.x_mm, self.y_mm, self.area_mm2, strict=True):
             x, y, area = (row[start:stop] for row in rows)
@@ -120,9 +120,9 @@ class Stage:
         return result
 
     def truth(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Return `contacts_mm` of shape (n, k, 2) and `force_n` of shape (n, k), as a recording has them.
+        """Return the labels `contacts_mm` of shape (n, k, 2) and `force_n` of shape (n, k).
 
-        A label that is off never leaves the plate.
+        Labels with an error are clamped to the plate.
         """
         n, k = len(self.sequence), max(len(self.columns), 1)
         contacts = np.full((n, k, 2), np.nan, dtype=np.float32)

@@ -1,4 +1,4 @@
-"""Ways of a finger over the plate: each takes seconds since it landed, shape (m,), and returns x and y in mm."""
+"""Trajectories of a finger: each maps seconds since landing, shape (m,), to x and y in mm."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ Floats = NDArray[np.float64]
 
 
 def still(x_mm: float, y_mm: float) -> Path:
-    """Stay at a place."""
+    """Stay at a position."""
     return lambda t: (np.full(len(t), x_mm), np.full(len(t), y_mm))
 
 
 def line(start: ArrayLike, stop: ArrayLike, seconds: float) -> Path:
-    """Move between two places, slowly at both ends."""
+    """Move between two positions, with zero speed at both ends."""
     a, b = np.asarray(start, dtype=float), np.asarray(stop, dtype=float)
 
     def path(t: Floats) -> tuple[ArrayLike, ArrayLike]:
@@ -27,7 +27,7 @@ def line(start: ArrayLike, stop: ArrayLike, seconds: float) -> Path:
 
 
 def arc(stage: Stage, seconds: float, turns: float) -> Path:
-    """Draw a circle of 60 mm radius, less on a small plate, about the centre, from the top clockwise."""
+    """Draw a circle around the centre, clockwise from the top; radius 60 mm, less on a small plate."""
     cx, cy = stage.plate.width_mm / 2, stage.plate.height_mm / 2
     radius = min(60.0, cx - 15, cy - 15)
 
@@ -39,7 +39,7 @@ def arc(stage: Stage, seconds: float, turns: float) -> Path:
 
 
 def anywhere(stage: Stage, margin_mm: float = 12.0) -> tuple[float, float]:
-    """Return any place, x and y in mm, that is so far from the edge."""
+    """Return a random position, x and y in mm, at least `margin_mm` from the edge."""
     x, y = stage.rng.uniform(size=2)
     p = stage.plate
     return margin_mm + x * (p.width_mm - 2 * margin_mm), margin_mm + y * (p.height_mm - 2 * margin_mm)

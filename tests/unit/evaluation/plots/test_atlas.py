@@ -55,8 +55,8 @@ def test_error_and_bound_are_drawn_by_noise() -> None:
     levels = []
     for noise_db, sigma_mm in ((60.0, 0.03), (40.0, 0.3)):
         true_mm = rng.uniform(0, 200, (400, 2)).astype(np.float32)
-        place_mm = true_mm + sigma_mm * rng.standard_normal((400, 2))
-        judged = Judgement(true_mm, place_mm, np.full(400, sigma_mm), np.ones(400))
+        position_mm = true_mm + sigma_mm * rng.standard_normal((400, 2))
+        judged = Judgement(true_mm, position_mm, np.full(400, sigma_mm), np.ones(400))
         levels.append(NoiseLevel(noise_db, judged, sigma_mm / 2, sigma_mm / 1.5))
     figure = draw_noise(levels)
     left, right = figure.axes

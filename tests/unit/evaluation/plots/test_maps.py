@@ -30,14 +30,14 @@ def test_cells_cover_the_plate_and_each_place_lies_in_its_own(
     n: int, wanted: int, width_mm: float, height_mm: float, seed: int
 ) -> None:
     plate = Plate(width_mm=width_mm, height_mm=height_mm)
-    place_mm = np.random.default_rng(seed).uniform(0, [width_mm, height_mm], (n, 2)).astype(np.float32)
-    cell, (rows, columns) = cells_of(place_mm, plate, wanted)
+    position_mm = np.random.default_rng(seed).uniform(0, [width_mm, height_mm], (n, 2)).astype(np.float32)
+    cell, (rows, columns) = cells_of(position_mm, plate, wanted)
     assert 3 <= rows <= 25
     assert 3 <= columns <= 25
     assert (cell >= 0).all()
     assert (cell < rows * columns).all()
     low_mm = np.stack([cell % columns, cell // columns], axis=1) * [width_mm / columns, height_mm / rows]
-    inside = (place_mm >= low_mm - 1e-3) & (place_mm <= low_mm + [width_mm / columns, height_mm / rows] + 1e-3)
+    inside = (position_mm >= low_mm - 1e-3) & (position_mm <= low_mm + [width_mm / columns, height_mm / rows] + 1e-3)
     assert inside.all()
 
 

@@ -16,7 +16,7 @@ from touchd.lab.benchmark.touches import Block
 from touchd.localization.features import Domain
 from touchd.localization.model import Description, Model
 from touchd.training.network.export import make_graph, write_model
-from touchd.training.network.network import PlainRegression
+from touchd.training.network.network import PaperNetwork
 
 RIG = Acquisition(channels=4, samples=250, sample_rate_hz=250e3)
 Kind = Literal["residual", "signal"]
@@ -25,7 +25,7 @@ SIZES: dict[Domain, int] = {"frequency": 392, "time": 1000}
 
 def made(domain: Domain, kind: Kind, path: Path) -> Model:
     torch.manual_seed(1)
-    untrained = PlainRegression(SIZES[domain], (200.0, 150.0))
+    untrained = PaperNetwork(SIZES[domain], (200.0, 150.0))
     untrained(torch.randn(64, SIZES[domain]) * 50)
     untrained.eval()
     about = Description(

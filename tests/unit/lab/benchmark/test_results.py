@@ -83,11 +83,11 @@ def test_what_the_bus_takes_by_itself_stands_beside_the_daemon(run: Run, tmp_pat
     placed = run.model_copy(update={"bus_us": floor, "apart": apart, "asleep": asleep, "held_up_us": late})
     text = page(placed, "pictures")
     assert "p50 160, p99 1,500, p99.9 4,321 us" in text
-    assert "both on one processor" in text
+    assert "share one processor" in text
     assert "p99.9 5,432 us" in text
     assert "p99.9 6,543 us" in text
     assert "p99.9 765 us late" in text
-    for what in ("both on one processor", "on another processor", "kept awake"):
+    for what in ("share one processor", "on another processor", "kept awake"):
         assert what not in page(run, "pictures")
     assert draw(placed, tmp_path)
 

@@ -40,8 +40,8 @@ def augmenter(bank: Bank, field: Field) -> Augmenter:
 
 def test_a_bank_holds_the_touches_that_were_named_and_no_other(dataset: Dataset, bank: Bank) -> None:
     np.testing.assert_array_equal(bank.residual.numpy(), dataset.residual[:KNOWN])
-    place_mm = (bank.position.numpy() + 0.5) * 200
-    np.testing.assert_allclose(place_mm, dataset.position_mm[:KNOWN], atol=1e-3)
+    position_mm = (bank.position.numpy() + 0.5) * 200
+    np.testing.assert_allclose(position_mm, dataset.position_mm[:KNOWN], atol=1e-3)
     assert bank.neighbours.max() < KNOWN
     assert torch.equal(bank.neighbours[:, 0], torch.arange(KNOWN)), "each touch is its own nearest"
 

@@ -99,10 +99,13 @@ def with_a_hole(_frames: np.ndarray, truth: np.ndarray) -> None:
         (clipped, r"the converter clips in \d+\.\d % of the frames \(channel"),
         (other_gain, "the untouched plate changes by 1[01] % at once between frames 39[89] and 40[01]"),
         (other_channel, r"the untouched plate changes by \d+ % at once between frames 30[01] and 30[23]"),
-        (without_finger, "2 touches do not stand out of the noise, the first in frame 5"),
-        (twice, "5 touches are exact copies of others"),
-        (on_a_raster, r"\d+ of 400 touches share their place with another"),
-        (with_a_hole, r"of 49 equal parts of the touched rectangle hold no touch, one about \((9|10)\d, (9|10)\d\) mm"),
+        (without_finger, "2 touches do not exceed the noise, the first in frame 5"),
+        (twice, "5 touches are exact copies"),
+        (on_a_raster, r"\d+ of 400 touches share their position with another"),
+        (
+            with_a_hole,
+            r"of 49 equal parts of the touched rectangle contain no touch, one about \((9|10)\d, (9|10)\d\) mm",
+        ),
     ],
 )
 def test_what_is_wrong_is_named(change: Change, says: str, touches: Recording) -> None:
@@ -122,7 +125,7 @@ def test_touches_held_over_many_frames_are_no_independent_ones(touches: Recordin
     for first in range(0, len(truth), 10):
         truth[first : first + 8] = truth[first + 1]
         truth[first + 8 : first + 10] = np.nan
-    assert any("go on from the frame before" in note for note in inspect(replace(touches, contacts_mm=truth)))
+    assert any("continue from the frame before" in note for note in inspect(replace(touches, contacts_mm=truth)))
 
 
 def test_a_touch_far_from_any_untouched_frame_is_named_with_its_distance(touches: Recording) -> None:
@@ -136,15 +139,15 @@ def test_a_touch_far_from_any_untouched_frame_is_named_with_its_distance(touches
 @given(st.integers(100, 4000), st.integers(0, 100))
 def test_few_touches_are_called_few_and_enough_are_not(count: int, seed: int) -> None:
     """1,000-1,750 for the reference plate, by its size and the waves on it."""
-    place_mm = np.random.default_rng(seed).uniform(0, 200, (count, 2)).astype(np.float32)
-    notes = list(density(place_mm, PLATE, Chirp().stop_hz, 0.7))
+    position_mm = np.random.default_rng(seed).uniform(0, 200, (count, 2)).astype(np.float32)
+    notes = list(density(position_mm, PLATE, Chirp().stop_hz, 0.7))
     assert bool(notes) == (0.7 * count < 1340) or 1200 < 0.7 * count < 1400
 
 
 @given(st.integers(100, 6000), st.integers(0, 100))
 def test_touches_all_over_the_plate_have_no_hole(count: int, seed: int) -> None:
-    place_mm = np.random.default_rng(seed).uniform(0, 200, (count, 2)).astype(np.float32)
-    holes = [note for note in coverage(place_mm, PLATE) if "of the touched rectangle" in note]
+    position_mm = np.random.default_rng(seed).uniform(0, 200, (count, 2)).astype(np.float32)
+    holes = [note for note in coverage(position_mm, PLATE) if "of the touched rectangle" in note]
     assert len(holes) == 0 or holes[0].startswith("1 of"), "by chance"
 
 

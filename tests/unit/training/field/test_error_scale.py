@@ -18,12 +18,12 @@ def level(noise: float, scales: tuple[float, float], seed: int, label_mm: float 
     n = 2500
     power = np.exp(rng.normal(size=n))
     root = rng.normal(size=(n, 2, 2)) + 3 * np.eye(2)
-    information = (root @ root.transpose(0, 2, 1)) * power[:, None, None] * 40
+    fisher_information = (root @ root.transpose(0, 2, 1)) * power[:, None, None] * 40
     variance = scales[0] * noise + scales[1] * ERROR * power / 2
-    spread = np.linalg.cholesky(np.linalg.inv(information)) * np.sqrt(variance)[:, None, None]
+    spread = np.linalg.cholesky(np.linalg.inv(fisher_information)) * np.sqrt(variance)[:, None, None]
     error_mm = (spread @ rng.normal(size=(n, 2, 1)))[:, :, 0] + label_mm * rng.normal(size=(n, 2))
     error_mm[: n // 50] *= 30
-    return Level(noise, error_mm, information, power, label_mm)
+    return Level(noise, error_mm, fisher_information, power, label_mm)
 
 
 @pytest.mark.parametrize("noise_scale", [0.7, 2.0, 4.0])
@@ -47,10 +47,10 @@ def test_what_a_field_misses_is_what_is_left_less_the_noise(seed: int, missed: f
         return found
 
     n, field = 4000, gauss(4000, 2, 3)
-    strength = np.asarray(1 + 0.3 * gauss(n), np.complex128)
+    amplitude = np.asarray(1 + 0.3 * gauss(n), np.complex128)
     true = field + np.sqrt(missed) * gauss(n, 2, 3)
-    values = strength[:, None, None] * true + np.sqrt(noise) * gauss(n, 2, 3)
-    found = field_error(values.astype(np.complex64), field.astype(np.complex64), strength, noise)
+    values = amplitude[:, None, None] * true + np.sqrt(noise) * gauss(n, 2, 3)
+    found = field_error(values.astype(np.complex64), field.astype(np.complex64), amplitude, noise)
     assert found.shape == (2, 3)
     np.testing.assert_allclose(found, missed, atol=0.15 * missed + 0.1 * noise + 1e-6)
     assert (found >= 0).all()

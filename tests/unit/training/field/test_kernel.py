@@ -14,8 +14,8 @@ SHARE = st.floats(0.0, 1.0)
 
 @given(WAVENUMBER, SHARE, st.integers(0, 2**31))
 def test_it_is_a_covariance_one_at_no_distance_and_never_more(k: float, share: float, seed: int) -> None:
-    place_mm = np.random.default_rng(seed).uniform(0, 60, (40, 2))
-    apart_mm = np.linalg.norm(place_mm[:, None] - place_mm[None], axis=2)
+    position_mm = np.random.default_rng(seed).uniform(0, 60, (40, 2))
+    apart_mm = np.linalg.norm(position_mm[:, None] - position_mm[None], axis=2)
     matrix = covariance(apart_mm, k, share)
     assert np.allclose(np.diag(matrix), 1, atol=1e-9)
     assert np.abs(matrix).max() < 1 + 1e-9

@@ -39,20 +39,20 @@ def unlike(found: np.ndarray, truth: np.ndarray, dataset: Dataset) -> np.ndarray
 def test_it_predicts_touches_it_never_saw_better_than_their_nearest_neighbours(dataset: Dataset, field: Field) -> None:
     held_out = dataset.position_mm[KNOWN:]
     inside = ((held_out >= field.low_mm) & (held_out <= field.high_mm)).all(axis=1)
-    place_mm, truth = held_out[inside], dataset.residual[KNOWN:][inside]
-    predicted = synthesiser(field).at(torch.from_numpy(place_mm)).numpy()
+    position_mm, truth = held_out[inside], dataset.residual[KNOWN:][inside]
+    predicted = synthesiser(field).at(torch.from_numpy(position_mm)).numpy()
     known = dataset.position_mm[:KNOWN]
-    nearest = np.linalg.norm(place_mm[:, None] - known[None], axis=2).argmin(axis=1)
+    nearest = np.linalg.norm(position_mm[:, None] - known[None], axis=2).argmin(axis=1)
     mine = np.median(unlike(predicted, truth, dataset))
     its = np.median(unlike(dataset.residual[nearest], truth, dataset))
     print(f"unexplained energy: field {mine:.3f}, nearest neighbour {its:.3f}, of {inside.sum()} touches")
     assert mine < its / 2
 
 
-def test_the_strengths_are_one_on_average_and_never_negative(field: Field) -> None:
-    assert field.strength.shape == (KNOWN,)
-    assert field.strength.mean() == pytest.approx(1, abs=0.2)
-    assert field.strength.min() > 0
+def test_the_amplitudes_are_one_on_average_and_never_negative(field: Field) -> None:
+    assert field.amplitude.shape == (KNOWN,)
+    assert field.amplitude.mean() == pytest.approx(1, abs=0.2)
+    assert field.amplitude.min() > 0
 
 
 @pytest.fixture
@@ -90,15 +90,15 @@ def test_it_is_linear_in_the_coefficients_and_reproduces_a_plane(x_mm: float, y_
     assert at(plane + 2 * noise) == pytest.approx(at(plane) + 2 * at(noise), abs=1e-3)
 
 
-def test_touches_are_drawn_inside_the_touched_part_with_strengths_that_occurred(field: Field) -> None:
+def test_touches_are_drawn_inside_the_touched_part_with_amplitudes_that_occurred(field: Field) -> None:
     residual, place = synthesiser(field).draw(2000)
-    place_mm = (place + 0.5) * torch.tensor(SIZE_MM)
-    assert (place_mm >= torch.tensor(field.low_mm) - 1e-3).all()
-    assert (place_mm <= torch.tensor(field.high_mm) + 1e-3).all()
+    position_mm = (place + 0.5) * torch.tensor(SIZE_MM)
+    assert (position_mm >= torch.tensor(field.low_mm) - 1e-3).all()
+    assert (position_mm <= torch.tensor(field.high_mm) + 1e-3).all()
     quarter = (torch.tensor(field.high_mm) - torch.tensor(field.low_mm)) / 4
-    assert (place_mm.std(dim=0) > quarter).all(), "all over it"
-    strength = residual.norm(dim=1) / synthesiser(field).at(place_mm).norm(dim=1)
-    nearest = (strength[:, None] - torch.from_numpy(field.strength)[None]).abs().min(dim=1).values
+    assert (position_mm.std(dim=0) > quarter).all(), "all over it"
+    amplitude = residual.norm(dim=1) / synthesiser(field).at(position_mm).norm(dim=1)
+    nearest = (amplitude[:, None] - torch.from_numpy(field.amplitude)[None]).abs().min(dim=1).values
     assert nearest.max() < 2e-3
     again, _ = synthesiser(field).draw(2000)
     assert torch.equal(residual, again), "the same seed, the same touches"
@@ -108,10 +108,12 @@ def test_for_a_keypad_most_are_drawn_about_the_borders_of_keys(field: Field) -> 
     key = Key(name="1", x_mm=90, y_mm=85, width_mm=24, height_mm=30)
     made = Synthesiser(field, SIZE_MM, torch.Generator().manual_seed(0), Layout(key=(key,)))
     _, place = made.draw(2000)
-    place_mm = (place + 0.5) * torch.tensor(SIZE_MM)
-    assert (place_mm >= torch.tensor(field.low_mm) - 1e-3).all()
-    assert (place_mm <= torch.tensor(field.high_mm) + 1e-3).all()
-    offset_mm = torch.stack([place_mm[:, 0] - 90, 114 - place_mm[:, 0], place_mm[:, 1] - 85, 115 - place_mm[:, 1]])
+    position_mm = (place + 0.5) * torch.tensor(SIZE_MM)
+    assert (position_mm >= torch.tensor(field.low_mm) - 1e-3).all()
+    assert (position_mm <= torch.tensor(field.high_mm) + 1e-3).all()
+    offset_mm = torch.stack(
+        [position_mm[:, 0] - 90, 114 - position_mm[:, 0], position_mm[:, 1] - 85, 115 - position_mm[:, 1]]
+    )
     at_border = (offset_mm.min(dim=0).values.abs() < 2 * BORDER_MM).float()
     assert at_border[:1400].mean() > 0.9
     assert at_border[1400:].mean() < 0.7

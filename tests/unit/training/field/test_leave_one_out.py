@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.unit.training.waves import Waves, touch
-from touchd.training.field.leave_one_out import displacements, foretold, left_out
+from touchd.training.field.leave_one_out import displacements, left_out, predicted_by_others
 from touchd.training.field.regression import Prior, Regression, Touches, each
 
 K = np.array([0.2, 0.25, 0.3])
@@ -24,7 +24,7 @@ def regression(touches: Touches) -> Regression:
 
 def without(touches: Touches, i: int, b: int, regression: Regression) -> tuple[Regression, np.ndarray]:
     """The regression of all others, with the same scale of the bin."""
-    rest = Touches(np.delete(touches.place_mm, i, 0), np.delete(touches.values, i, 0), touches.noise)
+    rest = Touches(np.delete(touches.position_mm, i, 0), np.delete(touches.values, i, 0), touches.noise)
     other = Regression(rest, regression.prior)
     other.scale, other.ridge = regression.scale, regression.ridge
     return other, other.weights(b, np.ones(len(rest.values), np.complex64))
@@ -34,9 +34,9 @@ def without(touches: Touches, i: int, b: int, regression: Regression) -> tuple[R
 def test_a_touch_is_foretold_by_the_others_alone(i: int, touches: Touches, regression: Regression) -> None:
     b, one = 1, np.ones(len(touches.values), np.complex64)
     inverse = regression.inverse(b, one)
-    field, by_x, by_y = foretold(regression, b, one, inverse)[:, i] * regression.scale[b]
+    field, by_x, by_y = predicted_by_others(regression, b, one, inverse)[:, i] * regression.scale[b]
     other, weights = without(touches, i, b, regression)
-    at, step = touches.place_mm[i], 0.05
+    at, step = touches.position_mm[i], 0.05
     around = at + step * np.array([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]])
     values = other.at(b, weights, around)
     size = np.abs(values).max()
@@ -49,12 +49,12 @@ def test_a_touch_is_foretold_by_the_others_alone(i: int, touches: Touches, regre
 def test_a_touch_with_a_wrong_label_is_seen_where_it_was() -> None:
     touches, _ = touch(Waves(K, 4, 5), 400, 60.0, 6, spread=0.0)
     moved_mm = np.random.default_rng(2).normal(scale=0.3, size=(8, 2))
-    wrong = touches.place_mm.copy()
+    wrong = touches.position_mm.copy()
     chosen = np.flatnonzero(np.abs(wrong - 30).max(axis=1) < 22)[:80:10]
     wrong[chosen] += moved_mm
     regression = Regression(Touches(wrong, touches.values, touches.noise), Prior(K))
-    strength, bins = np.ones((len(wrong), 3), np.complex64), np.arange(3)
-    inverses = each(lambda b: regression.inverse(b, strength[:, b]), bins)
-    found = displacements(regression, strength, bins, inverses).by_mm[chosen]
+    amplitude, bins = np.ones((len(wrong), 3), np.complex64), np.arange(3)
+    inverses = each(lambda b: regression.inverse(b, amplitude[:, b]), bins)
+    found = displacements(regression, amplitude, bins, inverses).by_mm[chosen]
     left_mm = np.linalg.norm(found + moved_mm, axis=1)
     assert np.median(left_mm) < 0.25 * np.median(np.linalg.norm(moved_mm, axis=1))

@@ -42,9 +42,9 @@ def test_the_field_is_what_scipys_splines_say_and_its_derivatives_what_differenc
     atlas: Atlas, at: tuple[float, float]
 ) -> None:
     field = FieldMap(atlas)
-    place_mm = np.array([at])
-    u, by_x, by_y = (part[0] for part in field.look_up(place_mm))
-    index = (place_mm[0, ::-1] - ORIGIN_MM[::-1]) / STEP_MM
+    position_mm = np.array([at])
+    u, by_x, by_y = (part[0] for part in field.look_up(position_mm))
+    index = (position_mm[0, ::-1] - ORIGIN_MM[::-1]) / STEP_MM
     expected = [
         map_coordinates(atlas.coefficients[:, :, i], index[:, None], order=3, prefilter=False)[0] for i in range(24)
     ]
@@ -53,7 +53,7 @@ def test_the_field_is_what_scipys_splines_say_and_its_derivatives_what_differenc
     step = 1e-3
     for axis, slope in enumerate((by_x, by_y)):
         off = step * np.eye(2)[axis]
-        ends = [field.look_up(place_mm + sign * off)[0][0] for sign in (1, -1)]
+        ends = [field.look_up(position_mm + sign * off)[0][0] for sign in (1, -1)]
         np.testing.assert_allclose(slope, (ends[0] - ends[1]) / (2 * step), atol=1e-4)
 
 
@@ -62,13 +62,13 @@ def test_from_a_millimetre_off_a_touch_without_noise_is_placed_where_it_was(
     atlas: Atlas, at: tuple[float, float], direction: float, size: float, phase: float
 ) -> None:
     true_mm = np.array([at])
-    strength = size * np.exp(1j * phase)
-    values = (strength * FieldMap(atlas).look_up(true_mm)[0]).reshape(1, 3, 4)
+    amplitude = size * np.exp(1j * phase)
+    values = (amplitude * FieldMap(atlas).look_up(true_mm)[0]).reshape(1, 3, 4)
     start_mm = true_mm + np.array([[np.cos(direction), np.sin(direction)]])
     found = place(atlas, values, start_mm, steps=12)
     if found.misfit[0] < 1e-6:  # else it ended in another valley: rare with 12 values only
-        np.testing.assert_allclose(found.place_mm, true_mm, atol=1e-3)
-        assert found.strength[0] == pytest.approx(strength, rel=1e-3)
+        np.testing.assert_allclose(found.position_mm, true_mm, atol=1e-3)
+        assert found.amplitude[0] == pytest.approx(amplitude, rel=1e-3)
 
 
 def test_nearly_all_starts_a_millimetre_off_lead_there(atlas: Atlas) -> None:
@@ -77,19 +77,19 @@ def test_nearly_all_starts_a_millimetre_off_lead_there(atlas: Atlas) -> None:
     values = FieldMap(atlas).look_up(true_mm)[0].reshape(-1, 3, 4)
     angle = rng.uniform(0, 2 * np.pi, 400)
     found = place(atlas, values, true_mm + np.stack([np.cos(angle), np.sin(angle)], axis=1), steps=12)
-    assert (np.linalg.norm(found.place_mm - true_mm, axis=1) < 1e-3).mean() > 0.97
+    assert (np.linalg.norm(found.position_mm - true_mm, axis=1) < 1e-3).mean() > 0.97
 
 
 def test_the_scatter_under_noise_is_what_the_information_says(atlas: Atlas) -> None:
-    """The inverse of the information times the noise variance of a real feature is the places' covariance."""
+    """The inverse Fisher information times the noise variance of a real feature is the covariance of the position."""
     rng = np.random.default_rng(2)
     n, noise = 3000, 1e-4
     true_mm = np.tile([[31.0, 37.5]], (n, 1))
     values = 1.5 * FieldMap(atlas).look_up(true_mm)[0]
     values = values + np.sqrt(noise) * (rng.normal(size=values.shape) + 1j * rng.normal(size=values.shape))
     found = place(atlas, values.reshape(n, 3, 4), true_mm)
-    expected = np.linalg.inv(np.median(found.information, axis=0)) * noise
-    actual = np.cov((found.place_mm - true_mm).T)
+    expected = np.linalg.inv(np.median(found.fisher_information, axis=0)) * noise
+    actual = np.cov((found.position_mm - true_mm).T)
     np.testing.assert_allclose(actual, expected, atol=0.1 * np.trace(expected))
 
 
@@ -97,6 +97,6 @@ def test_no_place_is_beyond_the_touched_part_by_more_than_a_step(atlas: Atlas) -
     rng = np.random.default_rng(3)
     values = rng.normal(size=(50, 3, 4)) + 1j * rng.normal(size=(50, 3, 4))
     found = place(atlas, values, rng.uniform(-20, 90, (50, 2)))
-    assert (found.place_mm >= np.array([0, 10]) - 3).all()
-    assert (found.place_mm <= np.array([56, 66]) + 3).all()
-    assert np.isfinite(found.information).all()
+    assert (found.position_mm >= np.array([0, 10]) - 3).all()
+    assert (found.position_mm <= np.array([56, 66]) + 3).all()
+    assert np.isfinite(found.fisher_information).all()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tests.unit.training.waves import Waves, touch
-from touchd.training.data.inspection import freedom
+from touchd.training.data.inspection import degrees_of_freedom
 from touchd.training.field.few_touches import FEW, learn_by_waves
 from touchd.training.field.kernel import distances
 from touchd.training.field.learn import OUTER_ROUNDS, Field, Learner
@@ -35,7 +35,7 @@ def emitted() -> Emitted:
 @pytest.fixture(scope="module")
 def touches(emitted: Emitted) -> tuple[Touches, np.ndarray]:
     found = touch(emitted, FEW_TOUCHES, SIZE_MM, seed=6)
-    assert FEW * freedom(found[0].place_mm, float(K[-1])) > FEW_TOUCHES, "few"
+    assert FEW * degrees_of_freedom(found[0].position_mm, float(K[-1])) > FEW_TOUCHES, "few"
     return found
 
 
@@ -52,36 +52,36 @@ def inner(count: int) -> np.ndarray:
 def test_sums_of_its_functions_are_waves_of_the_covariance_at_the_touches_and_beside_them(
     touches: tuple[Touches, np.ndarray],
 ) -> None:
-    place_mm = touches[0].place_mm
-    basis = basis_of(place_mm, 0.3)
-    np.testing.assert_allclose(basis.at(place_mm), basis.at_touches, atol=1e-6)
-    everywhere = np.concatenate([place_mm, inner(100)])
+    position_mm = touches[0].position_mm
+    basis = basis_of(position_mm, 0.3)
+    np.testing.assert_allclose(basis.at(position_mm), basis.at_touches, atol=1e-6)
+    everywhere = np.concatenate([position_mm, inner(100)])
     functions = basis.at(everywhere)
     expected = covariance(distances(everywhere, everywhere).astype(np.float64), 0.3)
     missed = np.diag(expected - functions @ functions.T)
-    assert missed[: len(place_mm)].max() < CUT + 1e-6
+    assert missed[: len(position_mm)].max() < CUT + 1e-6
     assert missed.min() > -1e-6, "never more than there is"
-    assert missed[len(place_mm) :].mean() < 0.02
+    assert missed[len(position_mm) :].mean() < 0.02
 
 
 def test_a_product_is_found_between_touches_from_one_bin_alone(
     emitted: Emitted, touches: tuple[Touches, np.ndarray]
 ) -> None:
-    known, strength = touches
-    basis = basis_of(known.place_mm, float(K[2]))
-    product = product_of(basis, known.values[:, :, 2], strength.astype(np.complex64), known.noise)
-    places_mm = inner(200)
-    missed = unexplained(product.at(places_mm), emitted.at(places_mm)[:, :, 2])
+    known, amplitude = touches
+    basis = basis_of(known.position_mm, float(K[2]))
+    product = product_of(basis, known.values[:, :, 2], amplitude.astype(np.complex64), known.noise)
+    positions_mm = inner(200)
+    missed = unexplained(product.at(positions_mm), emitted.at(positions_mm)[:, :, 2])
     print(f"unexplained: {missed:.4f} between touches, {product.left:.4f} of theirs")
     assert missed < 0.05
     assert product.left < 0.02
 
 
 def test_going_on_from_a_product_explains_no_less(touches: tuple[Touches, np.ndarray]) -> None:
-    known, strength = touches
-    values, strengths = known.values[:, :, 2], strength.astype(np.complex64)
-    first = product_of(basis_of(known.place_mm, float(K[2])), values, strengths, known.noise)
-    again = product_of(first.basis, values, strengths, known.noise, first)
+    known, amplitude = touches
+    values, amplitudes = known.values[:, :, 2], amplitude.astype(np.complex64)
+    first = product_of(basis_of(known.position_mm, float(K[2])), values, amplitudes, known.noise)
+    again = product_of(first.basis, values, amplitudes, known.noise, first)
     assert again.left < 1.02 * first.left
 
 
@@ -99,19 +99,19 @@ def at_nodes(field: Field, step: int) -> tuple[np.ndarray, np.ndarray]:
     return np.array(places), np.array(values)
 
 
-def test_with_few_touches_of_unknown_strength_waves_tell_much_more_than_regression(
+def test_with_few_touches_of_unknown_amplitude_waves_tell_much_more_than_regression(
     emitted: Emitted, touches: tuple[Touches, np.ndarray]
 ) -> None:
-    known, strength = touches
+    known, amplitude = touches
     learner = Learner(known, Prior(K))
     plain, waves = learner.draw(learner.converge(OUTER_ROUNDS)), learn_by_waves(known, Prior(K))
     missed = []
     for field in (plain, waves):
-        places_mm, values = at_nodes(field, 2)
-        missed.append(unexplained(values, emitted.at(places_mm)))
+        positions_mm, values = at_nodes(field, 2)
+        missed.append(unexplained(values, emitted.at(positions_mm)))
     print(f"unexplained: regression {missed[0]:.3f}, waves {missed[1]:.3f}")
     assert missed[1] < missed[0] / 3
-    assert np.corrcoef(waves.strength, np.abs(strength))[0, 1] > 0.9
+    assert np.corrcoef(waves.amplitude, np.abs(amplitude))[0, 1] > 0.9
 
 
 def test_progress_is_told_to_its_end(touches: tuple[Touches, np.ndarray]) -> None:

@@ -11,16 +11,16 @@ from torch import Tensor
 from touchd.errors import TrainingError
 from touchd.frame import Plate
 from touchd.training.network.loop import Batches, Curve, fit
-from touchd.training.network.objectives import Batch, PaperPositionTask
+from touchd.training.network.objectives import Batch, PaperObjective
 from touchd.training.network.recipe import RECIPES
 
 PLATE = Plate(width_mm=200, height_mm=200)
 
 
 def run(errors_mm: list[float], *, spoilt: bool = False, **how: float | int | None) -> tuple[Curve, list[Tensor]]:
-    """A training whose validation says what it is told to; returns the curve, and the weights after each epoch."""
+    """Return the curve of a training with these validation errors, and the weights after each epoch."""
     torch.manual_seed(0)
-    task = PaperPositionTask(8, PLATE, RECIPES["paper-regression"])
+    objective = PaperObjective(8, PLATE, RECIPES["paper-regression"])
     weights: list[Tensor] = []
 
     def epoch() -> Iterator[Batch]:
@@ -28,12 +28,12 @@ def run(errors_mm: list[float], *, spoilt: bool = False, **how: float | int | No
         yield Batch(features, torch.rand(16, 2) - 0.5, torch.zeros(16, 1))
 
     def validate() -> float:
-        weights.append(task.network.head.weight.detach().clone())
+        weights.append(objective.network.head.weight.detach().clone())
         return errors_mm[len(weights) - 1]
 
-    optimiser = torch.optim.Adam(task.network.parameters())
-    curve = fit(task, Batches(1, epoch), optimiser, len(errors_mm), validate, lambda *_step: None, **how)  # type: ignore[arg-type]
-    return curve, [*weights, task.network.head.weight.detach()]
+    optimiser = torch.optim.Adam(objective.network.parameters())
+    curve = fit(objective, Batches(1, epoch), optimiser, len(errors_mm), validate, lambda *_step: None, **how)  # type: ignore[arg-type]
+    return curve, [*weights, objective.network.head.weight.detach()]
 
 
 def test_at_a_constant_rate_training_stops_when_nothing_improves_and_keeps_the_best_epoch() -> None:
@@ -43,7 +43,7 @@ def test_at_a_constant_rate_training_stops_when_nothing_improves_and_keeps_the_b
     assert not torch.equal(result, weights[-1])
 
 
-def test_a_better_epoch_begins_the_patience_anew() -> None:
+def test_a_better_epoch_restarts_the_patience() -> None:
     curve, _ = run([9.0, 9.5, 8.0, 8.5, 7.0, 7.5], patience=2)
     assert (len(curve.validation_mm), len(curve.loss), curve.kept) == (6, 6, 5)
 

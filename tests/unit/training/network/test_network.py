@@ -7,10 +7,10 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from touchd.training.network.network import Regression
+from touchd.training.network.network import PositionNetwork
 from touchd.training.network.objectives import SPREAD_BINS
 
-NETWORK = Regression(8, (200.0, 100.0), (4,))
+NETWORK = PositionNetwork(8, (200.0, 100.0), (4,))
 HALF = st.floats(-0.5, 0.5, width=32)
 
 
@@ -32,16 +32,16 @@ def test_a_target_histogram_sums_to_one_and_its_mean_is_the_position(places: lis
 def test_the_network_says_a_place_as_its_histogram_means_it(places: list[tuple[float, float]]) -> None:
     position = torch.tensor(places)
     votes = NETWORK.targets(position, SPREAD_BINS).clamp_min(1e-30).log()
-    place_mm = NETWORK.place_mm(votes)
+    position_mm = NETWORK.position_mm(votes)
     expected_mm = (position + 0.5) * torch.tensor([200.0, 100.0])
-    np.testing.assert_allclose(place_mm, expected_mm, atol=1.0)
+    np.testing.assert_allclose(position_mm, expected_mm, atol=1.0)
 
 
 @given(st.integers(0, 1000))
 def test_no_place_lies_outside_the_plate_and_every_sigma_is_positive(seed: int) -> None:
     features = 1e3 * torch.randn((16, 8), generator=torch.Generator().manual_seed(seed))
-    place_mm, sigma_mm, confidence, noise_mm = NETWORK.eval()(features)
-    assert ((place_mm >= 0) & (place_mm <= torch.tensor([200.0, 100.0]))).all()
+    position_mm, sigma_mm, confidence, noise_mm = NETWORK.eval()(features)
+    assert ((position_mm >= 0) & (position_mm <= torch.tensor([200.0, 100.0]))).all()
     assert (sigma_mm > 0).all()
     assert (noise_mm > 0).all()
     assert ((confidence >= 0) & (confidence <= 1)).all()

@@ -12,8 +12,8 @@ import torch
 from tests.conftest import KNOWN, TOUCHES
 from touchd.evaluation.dataset import Dataset
 from touchd.training.data.augment import Augmenter, make_bank
-from touchd.training.network.network import Regression
-from touchd.training.network.sigma_calibration import LOUDER, make_honest
+from touchd.training.network.network import PositionNetwork
+from touchd.training.network.sigma_calibration import LOUDER, calibrate_sigma
 
 
 @pytest.fixture(scope="module")
@@ -28,10 +28,10 @@ def made(dataset: Dataset, noise: float = 1.0) -> Augmenter:
 
 
 @pytest.fixture(scope="module")
-def network(dataset: Dataset) -> Regression:
+def network(dataset: Dataset) -> PositionNetwork:
     """It has seen a few hundred steps of the touches, and its errors are centimetres."""
     torch.manual_seed(2)
-    network = Regression(dataset.residual.shape[1], (200.0, 200.0), (64, 32))
+    network = PositionNetwork(dataset.residual.shape[1], (200.0, 200.0), (64, 32))
     optimiser = torch.optim.Adam(network.parameters(), 3e-3)
     features, position = held(dataset, slice(0, KNOWN))
     for _ in range(200):
@@ -50,25 +50,25 @@ def held(dataset: Dataset, part: slice) -> tuple[torch.Tensor, torch.Tensor]:
     return torch.from_numpy(dataset.residual[part]), torch.from_numpy(dataset.position_mm[part]) / 200 - 0.5
 
 
-def honest(network: Regression, dataset: Dataset, sigma: float, noise: float) -> Regression:
+def honest(network: PositionNetwork, dataset: Dataset, sigma: float, noise: float) -> PositionNetwork:
     """The network with its heads off by these factors, made honest."""
     mine = copy.deepcopy(network)
     with torch.no_grad():
         mine.log_error.bias.add_(torch.tensor([sigma, noise]).log())
-    make_honest(mine, made(dataset), *held(dataset, slice(KNOWN, TOUCHES)))
+    calibrate_sigma(mine, made(dataset), *held(dataset, slice(KNOWN, TOUCHES)))
     return mine
 
 
 @pytest.mark.parametrize(("sigma", "noise"), [(5.0, 5.0), (0.2, 3.0), (3.0, 0.2)])
 def test_what_the_heads_said_before_is_no_matter(
-    sigma: float, noise: float, network: Regression, dataset: Dataset
+    sigma: float, noise: float, network: PositionNetwork, dataset: Dataset
 ) -> None:
     one, other = (honest(network, dataset, *scales).log_error.bias for scales in ((1.0, 1.0), (sigma, noise)))
     np.testing.assert_allclose(one.detach(), other.detach(), atol=0.05)
 
 
 def test_68_percent_of_the_errors_are_within_sigma_in_the_touches_own_noise_and_in_louder(
-    network: Regression, dataset: Dataset, augmenter: Augmenter
+    network: PositionNetwork, dataset: Dataset, augmenter: Augmenter
 ) -> None:
     mine = honest(network, dataset, 4.0, 4.0)
     residual, position = held(dataset, slice(KNOWN, TOUCHES))
@@ -76,21 +76,21 @@ def test_68_percent_of_the_errors_are_within_sigma_in_the_touches_own_noise_and_
     for level in (1.0, *(louder / augmenter.own_noise(residual) for louder in LOUDER)):
         features, noise = augmenter.held_out(residual, level)
         with torch.inference_mode():
-            place_mm, sigma_mm, _, noise_mm = mine(features)
-        error_mm = (place_mm - mine.truth_mm(position)).abs()
+            position_mm, sigma_mm, _, noise_mm = mine(features)
+        error_mm = (position_mm - mine.truth_mm(position)).abs()
         shares.append((error_mm <= torch.hypot(sigma_mm, noise_mm * noise)).float().mean().item())
     print("within sigma: " + ", ".join(f"{share:.0%}" for share in shares))
     assert np.mean(shares) == pytest.approx(0.683, abs=0.05)
     assert all(0.55 < share < 0.8 for share in shares)
 
 
-def test_a_recording_without_noise_tells_nothing_of_it(network: Regression, dataset: Dataset) -> None:
+def test_a_recording_without_noise_tells_nothing_of_it(network: PositionNetwork, dataset: Dataset) -> None:
     mine, (residual, position) = copy.deepcopy(network), held(dataset, slice(KNOWN, TOUCHES))
     silent = made(dataset, noise=0.0)
-    make_honest(mine, silent, residual, position)
+    calibrate_sigma(mine, silent, residual, position)
     features, _ = silent.held_out(residual, 1.0)
     with torch.inference_mode():
-        place_mm, sigma_mm, _, noise_mm = mine(features)
-    error_mm = (place_mm - mine.truth_mm(position)).abs()
+        position_mm, sigma_mm, _, noise_mm = mine(features)
+    error_mm = (position_mm - mine.truth_mm(position)).abs()
     assert (error_mm <= sigma_mm).float().mean().item() == pytest.approx(0.683, abs=0.1)
     assert torch.isfinite(noise_mm).all()

@@ -91,7 +91,7 @@ def judged(error_mm: np.ndarray, sigma_mm: float) -> Judgement:
     return Judgement(true_mm, true_mm + error_mm, np.full(len(true_mm), sigma_mm), np.ones(len(true_mm)))
 
 
-@pytest.mark.parametrize(("sigma_mm", "says"), [(1.0, "about right: 68 %"), (3.0, "cautious"), (0.3, "too small")])
+@pytest.mark.parametrize(("sigma_mm", "says"), [(1.0, "about right: 68 %"), (3.0, "too large"), (0.3, "too small")])
 def test_a_standard_error_is_called_what_it_is(sigma_mm: float, says: str, result: Result, few: Recording) -> None:
     said = judged(np.random.default_rng(2).standard_normal((20_000, 2)), sigma_mm)
     assert any(says in line for line in findings(replace(result, judged=said), few.meta.plate))
@@ -99,9 +99,7 @@ def test_a_standard_error_is_called_what_it_is(sigma_mm: float, says: str, resul
 
 def test_a_model_that_is_worse_near_the_edges_is_told(result: Result, few: Recording) -> None:
     said = judged(np.random.default_rng(2).standard_normal((2_000, 2)), 1.0)
-    assert any(
-        "Much the same near the edges" in line for line in findings(replace(result, judged=said), few.meta.plate)
-    )
+    assert any("Similar near the edges" in line for line in findings(replace(result, judged=said), few.meta.plate))
     near = ((said.true_mm < 15) | (said.true_mm > 185)).any(axis=1)
-    worse = replace(said, place_mm=said.true_mm + said.error_mm * np.where(near, 3, 1)[:, None])
+    worse = replace(said, position_mm=said.true_mm + said.error_mm * np.where(near, 3, 1)[:, None])
     assert any("Worse near the edges" in line for line in findings(replace(result, judged=worse), few.meta.plate))
