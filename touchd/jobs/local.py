@@ -1,8 +1,8 @@
 """A Dask cluster of this computer for one run: a scheduler in this process, and worker processes of one thread each.
 
 Whoever reaches a scheduler or worker of Dask can run programs as its user, and on a computer with several users all
-of them reach its loopback addresses. So every connection begins with a secret of this process. The secret reaches a worker
-through its standard input, whose end also ends the worker, when this process has gone for any reason.
+of them reach its loopback addresses. So every connection begins with a secret of this process. A worker gets the secret
+through its standard input, and ends when that ends because this process has gone, for any reason.
 """
 
 from __future__ import annotations
