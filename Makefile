@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: setup demo test lint bench soak ghosts golden docs lock packages test-packages deb vm-packages vm-test clean
+.PHONY: setup demo test unit lint bench soak ghosts golden docs lock packages test-packages deb vm-packages vm-test clean
 
 setup: .venv/.ready
 
@@ -23,8 +23,16 @@ test-packages:
 demo: setup
 	@$(BIN)/touchd demo $(ARGS)
 
+# The tests of a file stay together, for what they share; the order is that of pyproject's `testpaths`.
+SIDE_BY_SIDE := --numprocesses auto --dist loadscope --no-loadscope-reorder
+
+# Everything; some minutes.
 test: setup test-packages lint
-	$(BIN)/python -m pytest $(ARGS)
+	$(BIN)/python -m pytest $(SIDE_BY_SIDE) $(ARGS)
+
+# What needs no other process, socket of the network or kernel: under a minute.
+unit: setup
+	$(BIN)/python -m pytest $(SIDE_BY_SIDE) tests/unit $(ARGS)
 
 # The Debian package, in dist/.
 deb: setup
@@ -50,7 +58,7 @@ bench: setup
 soak: setup
 	$(BIN)/python -m tests.system.soak $(ARGS)
 
-# Hours of what is no finger: every contact that comes of it is told of. Some ten minutes.
+# Hours of scenes without fingers: prints every contact. Some ten minutes.
 ghosts: setup
 	$(BIN)/python -m tests.system.soak.ghosts $(ARGS)
 
@@ -60,6 +68,7 @@ golden: setup
 
 docs: setup
 	$(BIN)/python docs/generate.py
+	$(BIN)/touchd draw touchd/demo/session.npz -o docs/session.png
 
 lock: setup
 	$(BIN)/pip-compile --quiet --all-extras --strip-extras --no-emit-index-url --no-emit-find-links \

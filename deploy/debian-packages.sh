@@ -6,7 +6,7 @@ set -eu
 
 case "${1:-run}" in
 run) wanted="python3-venv" ;;
-# umockdev and what it needs: the mocked kernel of tests/usb.
+# umockdev and what it needs: the mocked kernel of tests/system/usb.
 test)
     wanted="python3-venv gcc libc6-dev libzmq3-dev umockdev gir1.2-umockdev-1.0 python3-gi libusb-1.0-0"
     # What is shipped for the system is checked by the system's own tools.

@@ -48,9 +48,9 @@ def command_line() -> str:
         "",
         "<!-- Generated from the commands' own help by docs/generate.py: do not edit. -->",
         "",
-        "`touchd` without a verb is the daemon. Each failure has an exit status of its own: see",
-        "[troubleshooting.md](troubleshooting.md#exit-status). Options of the daemon win over the",
-        "[configuration](configuration.md).",
+        "To look an option up. `touchd` without a verb is the daemon; its options win over the",
+        "[configuration](configuration.md). `--help` prints these texts. Each failure has an",
+        "[exit status](troubleshooting.md#exit-status) of its own.",
     ]
     for verb in ("", *sorted(cli.VERBS)):
         title = f"touchd {verb}".rstrip()
@@ -64,7 +64,8 @@ def help_of(verb: str) -> str:
     result = CliRunner().invoke(cli.touchd, arguments, prog_name="touchd", terminal_width=WIDTH)
     if result.exit_code:
         raise SystemExit(f"touchd {verb} --help fails: {result.exception!r}")
-    return "\n".join(line.rstrip() for line in result.output.rstrip().splitlines())
+    lines = (line.rstrip() for line in result.output.rstrip().splitlines())
+    return "\n".join(line for line in lines if not line.lstrip().startswith("-h, --help"))
 
 
 def exit_codes() -> str:

@@ -1,8 +1,8 @@
-"""Measure and draw what docs/numerics.md shows: some minutes in all, and the extra `train`.
+"""Measure and draw what docs/numerics.md and docs/robustness.md show: some minutes in all, and the extra `train`.
 
     python -m docs.numerics [--keep FOLDER] [PART ...]
 
-What is measured, and how, is in tests/numerics, which runs short versions of it. The training recording and the
+What is measured, and how, is in tests/scenes/numerics, which runs short versions of it. The training recording and the
 networks of the paper's recipe are made in a temporary folder, or in one that is kept and used again.
 """
 
@@ -35,7 +35,7 @@ from touchd.twin.scenes.catalogue import SCENES
 from touchd.twin.simulate import DEFAULT_PLATE, simulate_scene, simulate_touches
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGE = ROOT / "docs" / "numerics.md"
+PAGE, CURVES = ROOT / "docs" / "numerics.md", ROOT / "docs" / "robustness.md"
 
 TRAINING_TOUCHES, TRAINING_SEED, PAPER_SEED = 6404, 1, 1
 TOUCHES = 400
@@ -328,24 +328,26 @@ def atlas_learning(page: str) -> dict[int, tuple[float, float]]:
 
 def picture(figure: Figure, name: str, caption: str) -> str:
     """Save a picture, and return what the page says of it."""
-    return measured.picture(PAGE, figure, name, caption[0].upper() + caption[1:])
+    return measured.picture(CURVES, figure, name, caption[0].upper() + caption[1:])
 
 
 PARTS: dict[str, Callable[[Bench], str]] = {
     part.__name__: part for part in (float64, cut_up, limit, tones, conditioning, denormals, long)
 }
-PARTS |= {axis.name: curve(axis) for axis in curves.AXES} | {"learning": learning}
+CURVE_PARTS: dict[str, Callable[[Bench], str]] = {axis.name: curve(axis) for axis in curves.AXES}
+CURVE_PARTS["learning"] = learning
 
 
 def main() -> None:
     """Make the parts that are asked for, by default all."""
-    with measured.asked(PAGE, __doc__ or "", PARTS, "the training recording and networks") as (folder, wanted):
+    parts = PARTS | CURVE_PARTS
+    with measured.asked(PAGE, __doc__ or "", parts, "the training recording and networks") as (folder, wanted):
         bench = Bench(folder)
         for name, part in wanted.items():
             started_s = time.monotonic()
             content = part(bench)
             took = f"\n\n`python -m docs.numerics {name}`, {time.monotonic() - started_s:.0f} s."
-            measured.fill(PAGE, name, content + took)
+            measured.fill(CURVES if name in CURVE_PARTS else PAGE, name, content + took)
             print(f"{name}: {took.strip()}", flush=True)
         measured.fill(PAGE, "machine", f"Made on: {this_machine().line()}.")
 

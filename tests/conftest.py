@@ -1,4 +1,4 @@
-"""One thread of linear algebra a process, and scenes of the twin that many tests share."""
+"""Signals and threads as every test expects them; models, scenes and touches of the twin that many tests share."""
 
 # ruff: noqa: E402 - the environment has to be set before anything imports numpy
 
@@ -7,7 +7,11 @@ from __future__ import annotations
 import os
 import signal
 
-# A shell lets what it runs in the background ignore Ctrl-C, and so would all that a test starts and interrupts.
+# A shell makes what it runs in the background ignore Ctrl-C, and nohup SIGHUP: every process that a test starts would
+# inherit that. A handler is not inherited; this one ignores the signal for this process as before.
+for _number in (signal.SIGHUP, signal.SIGQUIT, signal.SIGTERM, signal.SIGUSR1, signal.SIGUSR2):
+    if signal.getsignal(_number) is signal.SIG_IGN:
+        signal.signal(_number, lambda _number, _frame: None)
 signal.signal(signal.SIGINT, signal.default_int_handler)
 # Before numpy is imported, and inherited by every process that a test starts: two busy threads of BLAS on two busy
 # cores wait for each other for milliseconds.
@@ -17,17 +21,31 @@ for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
 from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
 import structlog
+from hypothesis import HealthCheck, settings
 
+from touchd.evaluation.dataset import Dataset, make_dataset
 from touchd.localization.model import Model, default_model_path
 from touchd.recording.data import Recording
 from touchd.recording.format import write
 from touchd.twin.instrument import Instrument
-from touchd.twin.simulate import DEFAULT_PLATE, simulate_scene
+from touchd.twin.simulate import DEFAULT_PLATE, simulate_scene, simulate_touches
+
+if TYPE_CHECKING:
+    from touchd.training.field.learn import Field
+
+# How long an example takes is the computer's affair.
+settings.register_profile("touchd", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("touchd")
 
 Scene = Callable[[str], Recording]
+TOUCHES = 400
+KNOWN = 300
+"""Touches that are learned from; the others are held out."""
 
 
 @pytest.fixture(autouse=True)
@@ -75,3 +93,23 @@ def scene_file(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> Callab
         return path
 
     return path_of
+
+
+@pytest.fixture(scope="session")
+def touches(instrument: Instrument) -> Recording:
+    """A small robot's training set: the middle alone, where so few lie as close as thousands do on the whole plate."""
+    return simulate_touches(TOUCHES, seed=3, instrument=instrument, margin_mm=70.0)
+
+
+@pytest.fixture(scope="session")
+def dataset(touches: Recording) -> Dataset:
+    """Its touches, less the untouched plate."""
+    return make_dataset(touches)
+
+
+@pytest.fixture(scope="session")
+def field(dataset: Dataset) -> Field:
+    """What is learned from the known ones; imported here, since scipy takes half a second."""
+    from touchd.training.field.few_touches import learn_field
+
+    return learn_field(dataset, np.arange(KNOWN))

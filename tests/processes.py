@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
-PATIENCE_S = 60.0
+PATIENCE_S = 120.0
 """How long anything may take, on a computer that is busy with something else."""
 ROOT = Path(__file__).resolve().parent.parent
 Message = dict[str, Any]
@@ -41,10 +41,10 @@ def command(*arguments: object) -> list[str]:
     return [sys.executable, "-m", "touchd", *map(str, arguments)]
 
 
-def touchd(*arguments: object, cwd: Path = ROOT, **variables: str) -> Ended:
+def touchd(*arguments: object, cwd: Path = ROOT, patience_s: float = PATIENCE_S, **variables: str) -> Ended:
     """Run touchd to its end."""
     done = subprocess.run(
-        command(*arguments), capture_output=True, text=True, timeout=PATIENCE_S, cwd=cwd, env=environment(**variables)
+        command(*arguments), capture_output=True, text=True, timeout=patience_s, cwd=cwd, env=environment(**variables)
     )
     return Ended(done.returncode, done.stdout, done.stderr)
 

@@ -1,7 +1,7 @@
 """What goes on the wire: touch, key and health messages, version 1 of the event bus.
 
 Each class is the single definition of a topic: the daemon fills it, `encode` makes its JSON, and the
-client reads it back with `decode`. See docs/subscribing.md for the meaning of the topics.
+client reads it back with `decode`. See docs/developer.md for the meaning of the topics.
 """
 
 from __future__ import annotations

@@ -45,36 +45,33 @@ SKIPPED = {
 class Counters:
     """Counts the frames of a run by outcome; no number falls."""
 
-    __slots__ = ("_counts", "lost")
+    __slots__ = ("by_outcome", "lost")
 
     def __init__(self) -> None:
-        self._counts = [0] * len(Outcome)
+        self.by_outcome = [0] * len(Outcome)
+        """Frames by outcome: index it with one."""
         self.lost = 0
         """Frames that the device numbered and that never came."""
-
-    def count(self, outcome: Outcome) -> None:
-        """Count one frame."""
-        self._counts[outcome] += 1
 
     @property
     def frames(self) -> int:
         """Frames taken in: all but the repeated ones."""
-        return sum(self._counts) - self.repeated
+        return sum(self.by_outcome) - self.repeated
 
     @property
     def repeated(self) -> int:
         """Frames dropped because their number was not new."""
-        return self._counts[Outcome.REPEATED]
+        return self.by_outcome[Outcome.REPEATED]
 
     @property
     def inferred(self) -> int:
         """Frames that the network saw."""
-        return self._counts[Outcome.INFERRED]
+        return self.by_outcome[Outcome.INFERRED]
 
     @property
     def skipped(self) -> dict[str, int]:
         """Frames that needed no network, by reason; all but those of `tracking` needed no features either."""
-        counts = {name: self._counts[outcome] for outcome, name in SKIPPED.items()}
+        counts = {name: self.by_outcome[outcome] for outcome, name in SKIPPED.items()}
         if not counts["frozen"]:
             del counts["frozen"]
         return counts

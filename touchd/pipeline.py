@@ -15,13 +15,16 @@ from touchd.detection.detector import Detection, Detector, Notify
 from touchd.event import Contact
 from touchd.frame import Acquisition, Frame
 from touchd.keypad import Layout
-from touchd.localization.localizer import Localization, make_localizer
+from touchd.localization.localization import Localization
+from touchd.localization.localizer import make_localizer
 from touchd.localization.model import Model
 from touchd.outcome import Counters, Outcome
 from touchd.tracking.keys import KeyPress, Keys
 from touchd.tracking.tracker import Tracker
 
 SCREEN_OFF = Localization(Outcome.SCREEN_OFF)
+_LEARNING, _UNTOUCHED = Outcome.LEARNING, Outcome.UNTOUCHED  # bound once: they are asked for in every frame
+_NO_KEYS: list[KeyPress] = []
 
 
 class Result(Struct, gc=False, frozen=True):
@@ -78,20 +81,20 @@ class Pipeline:
     def process(self, frame: Frame) -> Result:
         """Take one frame through every stage."""
         detection = self._detection = self.detector.detect(frame)  # is it a measurement, and is the plate touched?
-        self.counters.lost += detection.lost
-        if detection.outcome <= Outcome.LEARNING:  # repeated, stuck, learning: says nothing of fingers
+        tracker, outcome = self._tracker, detection.outcome
+        if outcome <= _LEARNING:  # repeated, stuck, learning: says nothing of fingers
             return self._without_measurement(frame, detection)
-        if detection.outcome is Outcome.UNTOUCHED:
+        if outcome is _UNTOUCHED:
             found = self._observe(detection)  # noise and temperature of the untouched plate
         elif self.screen_off:
             found = SCREEN_OFF
         else:
-            found = self._localizer.localize(detection, alive=self._tracker.alive)
-        contacts = self._tracker.track(frame.t_ns, found.touches)
-        self.detector.adapt(  # follow, freeze or relearn the baseline: the one feedback
-            detection, found=bool(found.touches), departure=found.departure, alive=self._tracker.alive
-        )
-        return self._result(frame, found.outcome, contacts, len(found.touches))
+            found = self._localizer.localize(detection, alive=tracker.alive)
+        touches = found.touches
+        contacts = tracker.track(frame.t_ns, touches)
+        # Follow, freeze or relearn the baseline: the one feedback.
+        self.detector.adapt(detection, bool(touches), found.departure, tracker.alive)
+        return self._result(frame, detection, found.outcome, contacts, len(touches))
 
     def release(self, t_ns: int) -> Result:
         """End all contacts because no further frame comes."""
@@ -149,32 +152,36 @@ class Pipeline:
     def _without_measurement(self, frame: Frame, detection: Detection) -> Result:
         """Only liveness may lift contacts: a DAQ that hangs ends them, and so does learning, by missing touches."""
         if detection.outcome is Outcome.REPEATED:
-            self.counters.count(Outcome.REPEATED)
+            self.counters.by_outcome[Outcome.REPEATED] += 1  # its number stays that of the frame before
             return Result(frame.t_ns, frame.sequence, Outcome.REPEATED)
         if detection.outcome is Outcome.STUCK:
             contacts: list[Contact] = []
             if self.detector.hangs:
                 self._localizer.reset()
                 contacts = self._tracker.release_all(frame.t_ns)
-            return self._result(frame, Outcome.STUCK, contacts, 0)
+            return self._result(frame, detection, Outcome.STUCK, contacts, 0)
         if detection.learned is not None:
             self._localizer.update(detection.baseline, detection.learned)
-        return self._result(frame, Outcome.LEARNING, self._tracker.track(frame.t_ns, ()), 0)
+        return self._result(frame, detection, Outcome.LEARNING, self._tracker.track(frame.t_ns, ()), 0)
 
     def _observe(self, detection: Detection) -> Localization:
         """Follow the untouched plate; with `skip.gate` off localize it too, to measure what that costs."""
         found = self._localizer.observe(detection)
         if self.screen_off:
             return SCREEN_OFF
-        if not self._skip.gate:
-            outcome = self._localizer.localize(detection, alive=False).outcome
-            self._localizer.reset()
-            return Localization(outcome)
-        return found
+        if self._skip.gate:
+            return found
+        outcome = self._localizer.localize(detection, alive=False).outcome
+        self._localizer.reset()
+        return Localization(outcome)
 
-    def _result(self, frame: Frame, outcome: Outcome, contacts: list[Contact], touches: int) -> Result:
-        self.counters.count(outcome)
+    def _result(
+        self, frame: Frame, detection: Detection, outcome: Outcome, contacts: list[Contact], touches: int
+    ) -> Result:
+        """Count the frame, the only place where that is done, and return what came of it."""
+        counters = self.counters
+        counters.by_outcome[outcome] += 1
+        counters.lost += detection.lost
         self._sequence = frame.sequence
-        if not contacts:
-            return Result(frame.t_ns, frame.sequence, outcome, touches=touches)
-        return Result(frame.t_ns, frame.sequence, outcome, contacts, self._keys.update(contacts), touches)
+        keys = self._keys.update(contacts) if contacts else _NO_KEYS
+        return Result(frame.t_ns, frame.sequence, outcome, contacts, keys, touches)

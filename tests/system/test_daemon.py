@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tests.processes import PATIENCE_S, ROOT, end, environment, started, through_the_bus, touchd
+from tests.command_line import touchd
+from tests.processes import PATIENCE_S, ROOT, end, environment, started, through_the_bus
 from touchd.cli.demo import SESSION
 from touchd.client import Subscriber
 from touchd.event import HealthEvent, TouchEvent
@@ -33,7 +34,8 @@ def session() -> Recording:
     return read(SESSION)
 
 
-def test_a_recording_goes_through_the_bus_to_another_process(tmp_path: Path) -> None:
+def test_bus(tmp_path: Path) -> None:
+    """A recording goes through the bus to another process, and no message is lost."""
     daemon, listener = through_the_bus(tmp_path, SESSION)
     assert (daemon.code, listener.code, listener.err, daemon.out) == (0, 0, "", "")
     messages = listener.messages
@@ -48,9 +50,8 @@ def test_a_recording_goes_through_the_bus_to_another_process(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_a_signal_lifts_the_finger_says_that_it_stops_and_ends_with_status_0(
-    tmp_path: Path, number: signal.Signals
-) -> None:
+def test_signal(tmp_path: Path, number: signal.Signals) -> None:
+    """A signal lifts the finger, announces the stop and ends the daemon with status 0."""
     address = f"ipc://{tmp_path}/bus"
     options = ("--replay", SESSION, "--loop", "--bind", address)
     with (
@@ -63,14 +64,15 @@ def test_a_signal_lifts_the_finger_says_that_it_stops_and_ends_with_status_0(
                 break
         daemon.send_signal(number)
         heard = list(until_stopping(events))
-        assert daemon.wait(10) == 0, "within a few seconds"
+        assert daemon.wait(PATIENCE_S) == 0
     touches = [event for event in heard if isinstance(event, TouchEvent)]
     assert [c.phase for c in touches[-1].contacts] == ["up"]
     assert isinstance(heard[-1], HealthEvent)
     assert heard[-1].state == "stopping"
 
 
-def test_a_signal_ends_it_also_while_it_waits_for_a_subscriber(tmp_path: Path) -> None:
+def test_signal_while_waiting(tmp_path: Path) -> None:
+    """A signal ends it also while it waits for a subscriber."""
     address = f"ipc://{tmp_path}/bus"
     options = ("--replay", SESSION, "--bind", address, "--await-subscriber", 10 * PATIENCE_S)
     with started(*options, "--print") as daemon:
@@ -99,7 +101,8 @@ def until_stopping(events: Subscriber[Any]) -> list[Any]:
     return heard
 
 
-def test_a_loop_goes_on_beyond_the_end_until_it_is_stopped(tmp_path: Path, session: Recording) -> None:
+def test_loop(tmp_path: Path, session: Recording) -> None:
+    """A loop goes on beyond the end until it is stopped."""
     address = f"ipc://{tmp_path}/bus"
     with started("--replay", SESSION, "--speed", "20", "--loop", "--bind", address) as daemon:
         with Subscriber(address, timeout_s=PATIENCE_S) as events:
@@ -110,7 +113,8 @@ def test_a_loop_goes_on_beyond_the_end_until_it_is_stopped(tmp_path: Path, sessi
     assert ended.code == 0
 
 
-def test_print_shows_every_message_as_a_line_of_json(tmp_path: Path) -> None:
+def test_print(tmp_path: Path) -> None:
+    """`--print` shows every message as a line of JSON."""
     ended = touchd("--replay", SESSION, "--speed", "max", "--bind", f"ipc://{tmp_path}/bus", "--print")
     assert ended.code == 0
     messages = ended.messages
@@ -118,8 +122,22 @@ def test_print_shows_every_message_as_a_line_of_json(tmp_path: Path) -> None:
     assert [m["state"] for m in messages if m["type"] == "health"][-1] == "stopping"
 
 
+def test_a_retired_setting_is_ignored_with_a_warning(tmp_path: Path) -> None:
+    """The log says once where it stands and what took its place; the daemon runs."""
+    config = tmp_path / "touchd.toml"
+    config.write_text("[realtime]\nnice = -10\n")
+    options = ("--config", config, "--replay", SESSION, "--speed", "max", "--bind", f"ipc://{tmp_path}/bus")
+    ended = touchd(*options, TOUCHD_REALTIME__CPUS="1")
+    warnings = [line for line in map(json.loads, ended.err.splitlines()) if line["level"] == "warning"]
+    found = {line["where"]: line["instead"].partition("=")[0] for line in warnings}
+    assert ended.code == 0
+    assert len(warnings) == 2
+    assert found == {"environment: TOUCHD_REALTIME__CPUS": "CPUAffinity", f"{config}: realtime.nice": "Nice"}
+
+
 @pytest.mark.parametrize("full", ["stdout", "stderr"])
-def test_a_full_disk_under_its_output_or_log_does_not_end_it(full: str, tmp_path: Path) -> None:
+def test_full_disk(full: str, tmp_path: Path) -> None:
+    """A full disk under its output or log does not end it."""
     command = [sys.executable, "-m", "touchd", "--replay", str(SESSION), "--speed", "max", "--print"]
     with open("/dev/full", "w") as disk:
         done = subprocess.run(
@@ -134,7 +152,8 @@ def test_a_full_disk_under_its_output_or_log_does_not_end_it(full: str, tmp_path
         assert lines[-1]["state"] == "stopping"
 
 
-def test_its_log_is_lines_of_json_that_tell_of_states_and_not_of_touches(tmp_path: Path) -> None:
+def test_log(tmp_path: Path) -> None:
+    """Its log is lines of JSON that name states and no touches."""
     ended = touchd("--replay", SESSION, "--speed", "max", "--bind", f"ipc://{tmp_path}/bus", "--debug")
     lines = [json.loads(line) for line in ended.err.splitlines()]
     assert [line["event"] for line in lines if line["event"] == "starting"] == ["starting"]
@@ -142,14 +161,17 @@ def test_its_log_is_lines_of_json_that_tell_of_states_and_not_of_touches(tmp_pat
     assert not {"x_mm", "y_mm", "contacts", "key"} & {name for line in lines for name in line}
 
 
-def test_it_runs_without_the_packages_of_training_and_asks_for_none(tmp_path: Path) -> None:
-    """What is imported is what can fail, and what a small computer has to hold in memory."""
+def test_light(tmp_path: Path) -> None:
+    """It runs without the packages of training and imports none of them.
+
+    What is imported is what can fail, and what a small computer has to hold in memory.
+    """
     program = f"""
 import sys
 asked = set()
 class Refuse:
     def find_spec(self, name, path=None, target=None):
-        if name in {{"torch", "scipy", "matplotlib", "sklearn", "loky", "onnx", "rich"}}:
+        if name in {{"torch", "scipy", "matplotlib", "sklearn", "distributed", "onnx", "rich"}}:
             asked.add(name)
             raise ModuleNotFoundError(name=name)
 sys.meta_path.insert(0, Refuse())
@@ -165,7 +187,8 @@ print(code, *asked)
     assert set(asked) <= {"rich"}, "structlog looks whether rich is there, and does without it"
 
 
-def test_what_is_recorded_again_is_the_same_frames(tmp_path: Path, session: Recording) -> None:
+def test_record(tmp_path: Path, session: Recording) -> None:
+    """A recording of a replay holds the same frames."""
     ended = touchd("record", "--replay", SESSION, "--speed", "max", "-o", tmp_path / "again.npz")
     assert (ended.code, ended.err) == (0, "")
     again = read(tmp_path / "again.npz")
@@ -175,7 +198,8 @@ def test_what_is_recorded_again_is_the_same_frames(tmp_path: Path, session: Reco
     assert again.acquisition == session.acquisition
 
 
-def test_a_code_is_published_and_never_logged(tmp_path: Path, scene_file: Any) -> None:
+def test_code(tmp_path: Path, scene_file: Any) -> None:
+    """A code is published and never logged."""
     daemon, listener = through_the_bus(
         tmp_path, scene_file("keypad"), "--debug", TOUCHD_KEYPAD__LAYOUT=str(PHONE), TOUCHD_LOG__FORMAT="json"
     )
@@ -192,7 +216,8 @@ def test_a_code_is_published_and_never_logged(tmp_path: Path, scene_file: Any) -
     assert "2580" not in "".join(json.dumps({**line, "timestamp": ""}) for line in lines)
 
 
-def test_a_scene_of_the_twin_is_a_source_too(tmp_path: Path) -> None:
+def test_simulate(tmp_path: Path) -> None:
+    """A scene of the twin is a source, too."""
     ended = touchd("--simulate", "tap", "--seed", 21, "--speed", "max", "--bind", f"ipc://{tmp_path}/bus", "--print")
     assert ended.code == 0
     assert ended.messages[-1]["frames"] == 750
@@ -201,7 +226,8 @@ def test_a_scene_of_the_twin_is_a_source_too(tmp_path: Path) -> None:
     assert changes == [(i + 1, phase) for i in range(len(changes) // 2) for phase in ("down", "up")]
 
 
-def test_the_demo_finds_every_touch_and_sums_up_in_one_object() -> None:
+def test_demo() -> None:
+    """The demo finds every touch and sums up in one object."""
     ended = touchd("demo", "--json", "--speed", "max")
     assert (ended.code, ended.err) == (0, "")
     (summary,) = ended.messages
@@ -213,7 +239,8 @@ def test_the_demo_finds_every_touch_and_sums_up_in_one_object() -> None:
     assert 0 < summary["latency_us"]["p50"] <= summary["latency_us"]["p99"] <= summary["latency_us"]["max"]
 
 
-def test_the_demo_shows_each_touch_to_a_person() -> None:
+def test_demo_for_people() -> None:
+    """The demo shows each touch to a person."""
     ended = touchd("demo", "--speed", "max")
     assert (ended.code, ended.err) == (0, "")
     for what in ("down #1", "up   #6", "touches    6 of 6 found", "RMSE"):

@@ -17,8 +17,11 @@ import click
 import numpy as np
 import onnx
 import pytest
+from click.testing import CliRunner
+from matplotlib.image import imread
 from onnx import TensorProto, helper
 
+from tests.unit.test_house import FLOORS
 from touchd.cli.main import VERBS, touchd
 from touchd.client import Subscriber
 from touchd.config.load import load
@@ -27,6 +30,7 @@ from touchd.errors import TouchdError
 from touchd.event import Contact, HealthEvent, TouchEvent
 from touchd.frame import Acquisition, Frame, Plate
 from touchd.localization.model import METADATA_KEY, Description
+from touchd.service.reload import RESTART_ONLY
 from touchd.sinks.zeromq import ZeromqSink
 from touchd.sources.source import EndOfStream, Source
 
@@ -58,7 +62,14 @@ def shell_lines(page: Path) -> Iterator[str]:
     for language, text in blocks(page):
         if language in ("", "console", "sh", "bash"):
             for line in text.replace("\\\n", " ").splitlines():
-                yield line.removeprefix("$ ")
+                yield re.sub(r"^(\$ |# )", "", line)
+
+
+def touchd_lines(page: Path) -> Iterator[str]:
+    """Those that start touchd, from a path or not."""
+    for line in shell_lines(page):
+        if Path((line.split() or [""])[0]).name == "touchd":
+            yield line
 
 
 def anchors(page: Path) -> set[str]:
@@ -97,6 +108,82 @@ def test_every_failure_is_listed_with_its_exit_status(error: type[TouchdError]) 
     assert f"| {error.exit_code} | `{error.__name__}` |" in (DOCS / "troubleshooting.md").read_text()
 
 
+def test_readme_picture(tmp_path: Path) -> None:
+    """The picture in the README is what its command draws today.
+
+    Fonts differ between computers, and text is grey: only coloured pixels count, those of the contacts. Three in a
+    hundred of them may differ, by antialiasing; what another model or pipeline draws differs in fifteen.
+    """
+    drawn = tmp_path / "session.png"
+    (command,) = (code for code in inline_code(ROOT / "README.md") if code.startswith("touchd draw"))
+    recording, shown = command.split()[2], command.split()[-1]
+    result = CliRunner().invoke(touchd, ["draw", str(ROOT / recording), "-o", str(drawn)])
+    assert result.exit_code == 0, result.output
+    ours, theirs = (imread(path)[..., :3] for path in (drawn, ROOT / shown))
+    assert ours.shape == theirs.shape
+    coloured = (np.ptp(ours, axis=2) > 0.1) | (np.ptp(theirs, axis=2) > 0.1)
+    differs = np.abs(ours - theirs).max(axis=2) > 0.1
+    assert coloured.sum() > 5000
+    assert differs[coloured].mean() < 0.03, "run make docs, and look at the picture"
+
+
+def pictures(page: Path) -> set[Path]:
+    return {page.parent / link for link in re.findall(r"\]\(([^)\s]+\.png)\)", prose(page))}
+
+
+def test_every_picture_is_shown() -> None:
+    """No picture in docs/ is left over."""
+    assert set(DOCS.rglob("*.png")) == {picture.resolve() for page in PAGES for picture in pictures(page)}
+
+
+PER_READER = ("integrator", "developer", "plate-maker", "lab")
+WORDS_OF_A_PAGE = 1600
+
+
+@pytest.mark.parametrize("reader", PER_READER)
+def test_page_of_a_reader(reader: str) -> None:
+    """Each reader's page is linked from the README, and short enough to be read to its end."""
+    assert f"(docs/{reader}.md)" in (ROOT / "README.md").read_text()
+    assert len((DOCS / f"{reader}.md").read_text().split()) <= WORDS_OF_A_PAGE
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_every_page_can_be_reached(page: Path) -> None:
+    """Links lead to each page from the README."""
+    reached, fresh = set(), {ROOT / "README.md"}
+    while fresh:
+        reached |= fresh
+        links = {(at.parent / link).resolve() for at in fresh for link in re.findall(r"\]\(([^)#\s]+\.md)", prose(at))}
+        fresh = links.intersection(PAGES) - reached
+    assert page in reached
+
+
+@pytest.mark.parametrize("room", [room for floor in FLOORS for room in floor])
+def test_every_room_is_described(room: str) -> None:
+    """Contributors find each room of the house."""
+    house = (ROOT / "CONTRIBUTING.md").read_text().split("## The house")[1].split("## ")[0]
+    assert re.search(rf"`{room}(\.py)?`", house)
+
+
+@pytest.mark.parametrize("name", sorted(RESTART_ONLY))
+def test_what_waits_for_a_restart_is_listed(name: str) -> None:
+    """Integrators see which settings a reload does not take over."""
+    (reload,) = re.findall(r"^\*\*Reload\*\*.*?^$", (DOCS / "integrator.md").read_text(), re.DOTALL | re.MULTILINE)
+    assert f"`{name}`" in reload or f"`[{name}]`" in reload
+
+
+RIDDLES = ("take note", "told of", "anew", "hand on", "by itself", "what it is", "so long", "whatever", "is none")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_plain_words(page: Path) -> None:
+    """Pages speak plainly; what is generated from the code speaks as the code does."""
+    if page.name in ("cli.md", "configuration.md"):
+        return
+    text = re.sub(r"<!-- (\S+):begin -->.*?<!-- \1:end -->", "", prose(page), flags=re.DOTALL).lower()
+    assert [riddle for riddle in RIDDLES if re.search(rf"\b{riddle}\b", text)] == []
+
+
 # -- references --------------------------------------------------------------------------------------
 
 
@@ -129,9 +216,8 @@ def parse(line: str, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_every_command_line_parses(page: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for line in shell_lines(page):
-        if line.split()[:1] == ["touchd"]:
-            parse(line, monkeypatch)
+    for line in touchd_lines(page):
+        parse(line, monkeypatch)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
@@ -154,6 +240,16 @@ def test_commands_named_in_the_text_have_verbs_and_options_that_exist(
 def python_block(page: Path) -> str:
     (block,) = (text for language, text in blocks(page) if language == "python")
     return block
+
+
+def test_the_format_s_example_reads_a_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """NumPy alone reads a recording, as the page of formats shows it."""
+    (tmp_path / "session.npz").symlink_to(ROOT / "touchd" / "demo" / "session.npz")
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, Any] = {}
+    exec(compile(python_block(DOCS / "formats.md"), "formats.md", "exec"), names)
+    assert names["counts"].ndim == 3
+    assert names["meta"]["plate"]["width_mm"] == 200
 
 
 def test_the_readme_s_subscriber_prints_touches(tmp_path: Path) -> None:

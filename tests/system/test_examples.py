@@ -1,4 +1,4 @@
-"""The examples of docs/subscribing.md run as printed there."""
+"""The examples of docs/developer.md run as printed there."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def contact_line(event: TouchEvent) -> str:
 
 @pytest.mark.parametrize(("name", "language"), [("listen.py", "python"), ("listen.c", "c"), ("listen.mjs", "js")])
 def test_the_page_prints_the_examples_word_for_word(name: str, language: str) -> None:
-    blocks = re.findall(rf"^```{language}\n(.*?)^```$", (DOCS / "subscribing.md").read_text(), re.DOTALL | re.MULTILINE)
+    blocks = re.findall(rf"^```{language}\n(.*?)^```$", (DOCS / "developer.md").read_text(), re.DOTALL | re.MULTILINE)
     assert (EXAMPLES / name).read_text() in blocks
 
 

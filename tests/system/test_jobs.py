@@ -1,93 +1,162 @@
-"""Jobs give the same results wherever they run, are kept as they end, and fail in words."""
+"""Jobs give the same results wherever they run, end with the run that began them, and fail in words."""
 
 from __future__ import annotations
 
+import asyncio
+import json
 import os
 import signal
+import socket
 import subprocess
 import sys
+import threading
 import time
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from itertools import starmap
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from tests.jobs_to_run import MANY, always_die, fail, lines, noted, numbered, refuse, spectrum
+from tests.jobs_to_run import always_die, die, fail, gated, lines, numbered, refuse, spectrum
 from tests.processes import PATIENCE_S, ROOT, environment
-from touchd.errors import JobError, OutputError, TrainingError
-from touchd.jobs import Job, Shared, run
-from touchd.jobs.identity import code_digest, digest
-from touchd.jobs.local import _uninterrupted
-from touchd.jobs.store import Store
+from tests.system.interrupts import interrupted
+from touchd.cli.main import main
+from touchd.errors import ClusterError, JobError, TrainingError
+from touchd.jobs import Job, engine, run
+from touchd.jobs.local import SECRET_BYTES, connected_here
+from touchd.lab.reproduction.experiments import looked_up
+from touchd.lab.reproduction.plan import head_jobs
+from touchd.recording.format import read
+from touchd.twin.instrument import Instrument
+from touchd.twin.simulate import simulate_touches
 
+LOOPBACK = "127.0.0.1"
 WINDOW = np.hanning(300)
-SPECTRA = [Job(f"spectrum {seed}", spectrum, {"seed": seed}, ("window",)) for seed in range(4)]
+HERE: dict[str, Any] = {"workers": 1}
+PROCESSES: dict[str, Any] = {"workers": 2}
 
 
-def test_results_agree_to_the_bit_whatever_the_number_of_workers() -> None:
-    one = run(SPECTRA, workers=1, shared={"window": WINDOW})
-    two = run(SPECTRA, workers=2, shared={"window": WINDOW})
-    assert list(one) == list(two) == [job.name for job in SPECTRA]
-    for name in one:
-        np.testing.assert_array_equal(one[name], two[name])
+class Cluster(NamedTuple):
+    """A scheduler that runs already, with two workers."""
+
+    address: str
+    scheduler: subprocess.Popen[bytes]
+    workers: list[subprocess.Popen[bytes]]
 
 
-def test_what_is_kept_is_not_computed_again(tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
+    """A cluster that the last tests destroy."""
+    folder = tmp_path_factory.mktemp("cluster")
+    file = folder / "scheduler.json"
+    with ExitStack() as stack:
+        log = stack.enter_context((folder / "log").open("wb"))
+
+        def dask(*arguments: object) -> subprocess.Popen[bytes]:
+            command = [sys.executable, "-m", "dask", *map(str, arguments), "--scheduler-file", str(file)]
+            process = subprocess.Popen(
+                [*command, "--host", LOOPBACK, "--no-dashboard"],
+                stdout=log, stderr=log, stdin=subprocess.DEVNULL, cwd=ROOT, env=environment(),
+            )  # fmt: skip
+            stack.callback(process.wait, PATIENCE_S)
+            stack.callback(process.kill)
+            return process
+
+        scheduler = dask("scheduler", "--port", 0)
+        worker = ("worker", "--nthreads", 1, "--no-nanny", "--local-directory", folder / "space")
+        workers = [dask(*worker) for _ in range(2)]
+        deadline = time.monotonic() + PATIENCE_S
+        while not (file.exists() and file.read_text().endswith("}")):
+            assert time.monotonic() < deadline, (folder / "log").read_text()
+            time.sleep(0.02)
+        yield Cluster(json.loads(file.read_text())["address"], scheduler, workers)
+
+
+@pytest.fixture(params=["here", "processes", "cluster"])
+def where(request: pytest.FixtureRequest) -> dict[str, Any]:
+    """Each place where jobs run, as arguments of `run`."""
+    if request.param == "cluster":
+        return {"dask": request.getfixturevalue("cluster").address}
+    return HERE if request.param == "here" else PROCESSES
+
+
+def test_same_bits(cluster: Cluster, tmp_path: Path) -> None:
+    """Results are the same to the bit, here, on processes and on a cluster, which is not needed to read them again."""
+    jobs = [Job(f"spectrum {seed}", spectrum, {"seed": seed}, ("window",)) for seed in range(4)]
+    shared = {"window": WINDOW}
+    here, processes = run(jobs, **HERE, shared=shared), run(jobs, **PROCESSES, shared=shared)
+    there = run(jobs, dask=cluster.address, shared=shared, cache=tmp_path / "cache")
+    again = run(jobs, dask="tcp://nowhere:1", shared=shared, cache=tmp_path / "cache")
+    for results in (processes, there, again):
+        assert list(results) == [job.name for job in jobs]
+        for name in here:
+            np.testing.assert_array_equal(results[name], here[name])
+
+
+def test_same_touches(cluster: Cluster, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """`touchd simulate touches` writes the same recording with --jobs and --dask as in one process."""
+    made = []
+    for name, option in {"one": ("--jobs", "1"), "two": ("--jobs", "2"), "dask": ("--dask", cluster.address)}.items():
+        path = tmp_path / f"{name}.npz"
+        assert main(["simulate", "touches", "--count", "300", "--seed", "5", "-o", str(path), *option]) == 0
+        assert "600 frames" in capsys.readouterr().out
+        made.append(read(path))
+    for other in made[1:]:
+        np.testing.assert_array_equal(other.frames, made[0].frames)
+        np.testing.assert_array_equal(other.contacts_mm, made[0].contacts_mm)
+        np.testing.assert_array_equal(other.temperature_c, made[0].temperature_c)
+
+
+def test_same_experiments(cluster: Cluster, instrument: Instrument) -> None:
+    """A training and a look-up of `touchd reproduce` come out alike on a cluster and here."""
+    shared = {"recording": simulate_touches(150, seed=6, instrument=instrument, margin_mm=70.0)}
+    jobs = [job for job in head_jobs(0, 2) if job.name in ("R, frequency", "C-3, frequency")]
+    jobs += [Job("look-up", looked_up, {"method": "GCC", "residual": True}, ("recording",))]
+    there, here = run(jobs, dask=cluster.address, shared=shared), run(jobs, **HERE, shared=shared)
+    assert list(there) == ["R, frequency", "C-3, frequency", "look-up"]
+    for name in here:
+        np.testing.assert_array_equal(there[name]["place_mm"], here[name]["place_mm"])
+    assert there["R, frequency"]["curve_mm"] == here["R, frequency"]["curve_mm"]
+
+
+def test_failure(where: dict[str, Any], tmp_path: Path) -> None:
+    """A failure names the job; jobs beside it finish and are kept, and no more begin."""
     log, cache = tmp_path / "log", tmp_path / "cache"
-    told: list[tuple[str, int, int]] = []
-    first = run(numbered(log, 3), workers=1, cache=cache)
-    more = run(numbered(log, 5), workers=1, cache=cache, progress=lambda *step: told.append(step))
-    assert list(first.values()) == [0, 1, 4]
-    assert list(more.values()) == [0, 1, 4, 9, 16]
-    assert lines(log) == [0, 1, 2, 3, 4]
-    assert [done for _, done, _ in told] == [1, 2, 3, 4, 5]
-    assert cache.stat().st_mode & 0o777 == 0o700
+    jobs = [*numbered(log, 2), Job("hopeless", fail, {"x": 7}), *numbered(log, 40, 0.01)[2:]]
+    with pytest.raises(JobError, match="hopeless: ZeroDivisionError: 7 by nothing") as caught:
+        run(jobs, **where, cache=cache)
+    assert "in fail" in "".join(caught.value.__notes__), "the note has the job's traceback"
+    assert {0, 1} <= set(lines(log))
+    assert len(list(cache.iterdir())) == len(lines(log)) < 40
 
 
-def test_other_arguments_or_another_shared_object_are_another_job(tmp_path: Path) -> None:
-    job = SPECTRA[:1]
-    window = run(job, workers=1, shared={"window": WINDOW}, cache=tmp_path / "cache")
-    other = run(job, workers=1, shared={"window": WINDOW**2}, cache=tmp_path / "cache")
-    assert not np.array_equal(window["spectrum 0"], other["spectrum 0"])
-    assert len(list((tmp_path / "cache").iterdir())) == 2
+def test_own_error(where: dict[str, Any]) -> None:
+    """An error of touchd's own is raised as it is."""
+    with pytest.raises(TrainingError, match="recording: 3 touches -> record more"):
+        run([Job(f"{x}", refuse, {"x": 3}) for x in range(2)], **where)
 
 
-def test_a_digest_of_ones_own_decides_whether_a_shared_object_is_the_same(tmp_path: Path) -> None:
-    results = [
-        run(SPECTRA[:1], workers=1, shared={"window": Shared(window, "today's")}, cache=tmp_path / "cache")
-        for window in (WINDOW, WINDOW**2)
-    ]
-    np.testing.assert_array_equal(results[0]["spectrum 0"], results[1]["spectrum 0"])
+def test_killed_worker(tmp_path: Path) -> None:
+    """A worker that is killed makes a JobError, and what the others do is kept."""
+    jobs = [*numbered(tmp_path / "log", 3), Job("deadly", always_die, {})]
+    with pytest.raises(JobError, match=r"deadly.*killed.*what is finished is kept"):
+        run(jobs, **PROCESSES, cache=tmp_path / "cache")
+    assert len(list((tmp_path / "cache").iterdir())) == 3
 
 
-@pytest.mark.parametrize("damage", [b"", b"touchd job 1\n", b"no result at all" * 20, None])
-def test_a_damaged_file_is_computed_again(
-    tmp_path: Path, damage: bytes | None, capsys: pytest.CaptureFixture[str]
-) -> None:
-    log, cache = tmp_path / "log", tmp_path / "cache"
-    run(numbered(log, 1), workers=1, cache=cache)
-    (file,) = cache.iterdir()
-    file.write_bytes(file.read_bytes()[:-1] if damage is None else damage)
-    assert run(numbered(log, 1), workers=1, cache=cache) == {"square 0": 0}
-    assert "damaged" in capsys.readouterr().out
-    run(numbered(log, 1), workers=1, cache=cache)
-    assert lines(log) == [0, 0]
+def test_other_code(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """A worker with other source code refuses the job."""
+    monkeypatch.setattr("touchd.jobs.code_digest", lambda _module: "another")
+    with pytest.raises(JobError, match="another source code"):
+        run(numbered(tmp_path / "log", 1), **HERE)
+    assert not (tmp_path / "log").exists()
 
 
-def test_a_folder_in_which_others_may_write_is_refused(tmp_path: Path) -> None:
-    tmp_path.chmod(0o777)
-    with pytest.raises(OutputError, match="chmod 700"):
-        Store(tmp_path)
-
-
-def test_a_folder_that_cannot_be_written_costs_no_result(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "file").touch()
-    assert run(numbered(tmp_path / "log", 2), workers=1, cache=tmp_path / "file" / "cache")["square 1"] == 1
-    assert capsys.readouterr().out.count("cannot be kept") == 1
+# -- the end of a run --------------------------------------------------------------------------------
 
 
 def alive(pid: int) -> bool:
@@ -104,145 +173,140 @@ def children(pid: int) -> list[int]:
     ]
 
 
-@pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGINT])
-def test_a_run_that_is_killed_goes_on_where_it_was_and_leaves_no_worker(tmp_path: Path, end: signal.Signals) -> None:
-    log, cache = tmp_path / "log", tmp_path / "cache"
+def until(done: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + PATIENCE_S
+    while not done():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+@pytest.mark.parametrize("end", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
+def test_resumed_after_the_end(tmp_path: Path, end: signal.Signals) -> None:
+    """A run that a signal ends leaves no worker, and goes on where it was."""
+    log, gate, cache = tmp_path / "log", tmp_path / "gate", tmp_path / "cache"
     process = subprocess.Popen(
-        [sys.executable, "-m", "tests.jobs_to_run", log, cache], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
-        text=True, cwd=ROOT, env=environment(),
+        [sys.executable, "-m", "tests.jobs_to_run", tmp_path, "3", "6", "0"], stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL, text=True, cwd=ROOT, env=environment(),
     )  # fmt: skip
     with process:
         assert process.stdout is not None
-        for _ in range(2):
+        for _ in range(1 + 3):
             process.stdout.readline()
+        until(lambda: len(lines(log)) == 5)  # two wait at the gate
         workers = children(process.pid)
-        assert len(workers) >= 2
+        assert len(workers) == 2
         process.send_signal(end)
         try:
-            process.wait(PATIENCE_S)
+            assert process.wait(PATIENCE_S) != 0
         finally:
             process.kill()
-        # A pipe is at its end when the last process that holds it has gone, or is about to.
-        process.stdout.read()
-    deadline = time.monotonic() + PATIENCE_S
-    while any(alive(worker) for worker in workers):
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
-    kept = len([path for path in cache.iterdir() if path.suffix == ".result"])
-    assert 2 <= kept < MANY
-    before = len(lines(log))
-    assert list(run(numbered(log, MANY, 0.2), workers=1, cache=cache).values()) == [i * i for i in range(MANY)]
-    assert len(lines(log)) - before == MANY - kept
+    until(lambda: not any(alive(worker) for worker in workers))
+    assert len(list(cache.glob("*.result"))) == 3
+    gate.touch()
+    assert list(run(gated(log, gate, 3, 6), **HERE, cache=cache).values()) == [i * i for i in range(6)]
+    assert lines(log) == [0, 1, 2, 3, 3, 4, 4, 5]
 
 
-@pytest.mark.parametrize("error", [None, ZeroDivisionError])
-def test_an_interrupt_amid_what_holds_locks_comes_when_they_are_released(error: type[Exception] | None) -> None:
-    did = []
+def test_interrupted_at_any_time() -> None:
+    """An interrupt ends a run while it begins, starts workers or works; `interrupts.py` makes many more tries."""
+    plan = [(0.0, False, True), (0.4, False, False), (1.0, False, True), (0.0, True, False), (0.3, True, True)]
+    with ThreadPoolExecutor(2) as pool:
+        tries = [pool.submit(interrupted, *when, PATIENCE_S) for when in plan]
+    for each in tries:
+        assert each.result().passed, each.result()
 
-    def hold_a_lock() -> None:
-        signal.raise_signal(signal.SIGINT)
-        did.append("whole")
-        if error is not None:
-            raise error
+
+def test_interrupted_in_this_process(tmp_path: Path) -> None:
+    """An interrupt that comes while this process waits for jobs is raised, and no worker stays."""
+    before = set(children(os.getpid()))
+
+    def interrupt(_name: str, _done: int, _count: int) -> None:
+        threading.Timer(0.1, signal.raise_signal, (signal.SIGINT,)).start()
+
+    with pytest.raises(KeyboardInterrupt):
+        run(gated(tmp_path / "log", tmp_path / "gate", 1, 3), **PROCESSES, progress=interrupt)
+    until(lambda: set(children(os.getpid())) <= before)
+
+
+def test_interrupted_in_a_destructor(tmp_path: Path) -> None:
+    """An interrupt is not lost where Python ignores exceptions."""
+
+    class Interrupt:
+        def __del__(self) -> None:
+            signal.raise_signal(signal.SIGINT)
 
     before = signal.getsignal(signal.SIGINT)
     with pytest.raises(KeyboardInterrupt):
-        _uninterrupted(hold_a_lock)()
-    assert did == ["whole"]
+        run(numbered(tmp_path / "log", 2), **PROCESSES, progress=lambda *_: Interrupt())
     assert signal.getsignal(signal.SIGINT) == before
 
 
-@pytest.mark.parametrize("workers", [1, 2])
-def test_a_failure_names_the_job_and_what_ran_beside_it_is_kept(tmp_path: Path, workers: int) -> None:
-    log, cache = tmp_path / "log", tmp_path / "cache"
-    jobs = [*numbered(log, 2), Job("hopeless", fail, {"x": 7}), *numbered(log, 40, 0.01)[2:]]
-    with pytest.raises(JobError, match="hopeless: ZeroDivisionError: 7 by nothing"):
-        run(jobs, workers=workers, cache=cache)
-    assert {0, 1} <= set(lines(log))
-    assert len(list(cache.iterdir())) == len(lines(log)) < 40
+# -- whom to trust, and what to do without workers -----------------------------------------------------
 
 
-@pytest.mark.parametrize("workers", [1, 2])
-def test_an_error_of_touchds_own_is_raised_as_it_is(workers: int) -> None:
-    with pytest.raises(TrainingError, match="recording: 3 touches -> record more"):
-        run([Job(f"{x}", refuse, {"x": 3}) for x in range(2)], workers=workers)
+def test_strangers_are_not_heard() -> None:
+    """Nobody runs a program on this computer's workers who does not know the run's secret."""
+
+    async def knock(port: int, word: bytes) -> bytes:
+        reader, writer = await asyncio.open_connection(LOOPBACK, port)
+        writer.write(word)
+        try:
+            return await reader.read()
+        finally:
+            writer.close()
+
+    async def ports() -> list[bytes]:
+        async with connected_here(1) as client:
+            addresses = [client.scheduler.address, *await client.nthreads()]  # type: ignore[union-attr]  # connected
+            knocks = [(int(address.rpartition(":")[2]), bytes(SECRET_BYTES)) for address in addresses]
+            async with asyncio.timeout(PATIENCE_S):
+                return list(await asyncio.gather(*starmap(knock, knocks)))
+
+    assert asyncio.run(ports()) == [b"", b""], "closed without a word"
 
 
-def test_a_worker_that_is_killed_is_explained(tmp_path: Path) -> None:
-    with pytest.raises(JobError, match=r"deadly.*killed.*what is finished is kept"):
-        run([*numbered(tmp_path / "log", 3), Job("deadly", always_die, {})], workers=2, cache=tmp_path / "cache")
+@pytest.mark.parametrize("silent", [False, True])
+def test_no_scheduler(monkeypatch: pytest.MonkeyPatch, silent: bool) -> None:
+    """No scheduler at an address, or a server that says nothing, is an error within seconds."""
+    assert engine.CONNECT_S < 10
+    monkeypatch.setattr(engine, "CONNECT_S", 0.5)
+    with socket.socket() as server:
+        server.bind((LOOPBACK, 0))
+        if silent:
+            server.listen()
+        address = f"tcp://{LOOPBACK}:{server.getsockname()[1]}"
+        with pytest.raises(ClusterError, match=f"{address}: no Dask scheduler answers.*dask scheduler"):
+            run(numbered(Path("log"), 1), dask=address)
 
 
-def test_a_worker_with_other_source_code_is_refused(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr("touchd.jobs.code_digest", lambda _module: "another")
-    with pytest.raises(JobError, match="another source code"):
-        run(numbered(tmp_path / "log", 1), workers=1)
-    assert not (tmp_path / "log").exists()
+def test_worker_of_a_cluster_killed(cluster: Cluster, tmp_path: Path) -> None:
+    """Another worker of a cluster runs the job whose worker was killed."""
+    log, deaths = tmp_path / "log", tmp_path / "deaths"
+    jobs = [*numbered(log, 6, 0.05), Job("unlucky", die, {"x": 9, "log": str(deaths)})]
+    assert run(jobs, dask=cluster.address)["unlucky"] == 9
+    assert lines(deaths) == [9, 9]
+    assert sorted(worker.poll() is None for worker in cluster.workers) == [False, True]
+    assert set(lines(log)) == set(range(6))
 
 
-def test_only_functions_that_a_worker_can_import_are_jobs() -> None:
-    with pytest.raises(TypeError, match="can be imported"):
-        Job("nameless", lambda: 1, {})
+def test_cluster_without_workers(cluster: Cluster, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A run ends when a cluster has had no worker for some time."""
+    monkeypatch.setattr(engine, "WORKERS_S", 1.0)
+    for worker in cluster.workers:
+        worker.kill()
+        worker.wait()
+    with pytest.raises(ClusterError, match="no worker for 1 s -> start some, and run again"):
+        run([Job("deadly", always_die, {})], dask=cluster.address)
 
 
-def test_names_are_unique(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="same name"):
-        run(numbered(tmp_path / "log", 1) * 2)
+def test_scheduler_gone(cluster: Cluster, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A run ends when the scheduler does."""
+    connected = engine._run
 
+    async def without_scheduler(*arguments: Any) -> None:
+        cluster.scheduler.kill()
+        await connected(*arguments)
 
-# -- what a result depends on ------------------------------------------------------------------------
-
-plain = st.recursive(
-    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | st.text() | st.binary(),
-    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(), inner, max_size=4),
-    max_leaves=8,
-)
-
-
-@given(plain, plain)
-def test_values_have_the_same_digest_only_if_they_are_written_alike(one: Any, other: Any) -> None:
-    def written(value: Any) -> str:
-        if isinstance(value, dict):
-            return f"dict {sorted((key, written(item)) for key, item in value.items())}"
-        return repr([written(item) for item in value] if isinstance(value, list) else value)
-
-    assert (digest(one) == digest(other)) == (written(one) == written(other))
-
-
-@dataclass
-class Point:
-    x_mm: float
-    y_mm: float
-
-
-def test_arrays_and_dataclasses_are_digested_by_content() -> None:
-    a = np.arange(6.0).reshape(2, 3)
-    assert digest(a) == digest(a.copy(order="F"))
-    assert len({digest(v) for v in (a, a.T, a.ravel(), a.astype(np.float32), a + 1e-9)}) == 5
-    assert digest(Point(1.0, 2.0)) == digest(Point(1.0, 2.0)) != digest(Point(2.0, 1.0))
-    with pytest.raises(TypeError, match="Shared"):
-        digest(object())
-
-
-def test_the_code_of_a_job_is_all_that_its_module_imports(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    package = tmp_path / "somebody"
-    package.mkdir()
-    for name, text in {
-        "__init__": "",
-        "job": "def f():\n from . import deep",
-        "deep": "X = 1",
-        "other": "X = 1",
-    }.items():
-        (package / f"{name}.py").write_text(text)
-    monkeypatch.syspath_prepend(str(tmp_path))
-
-    def now() -> str:
-        code_digest.cache_clear()
-        return code_digest("somebody.job")
-
-    before = now()
-    (package / "other.py").write_text("X = 2")
-    assert now() == before
-    (package / "deep.py").write_text("X = 2")
-    assert now() != before
-    assert noted.__module__ == "tests.jobs_to_run"
+    monkeypatch.setattr(engine, "_run", without_scheduler)
+    with pytest.raises(ClusterError, match=r"the scheduler has gone.*what is finished is kept"):
+        run([Job("deadly", always_die, {})], dask=cluster.address)

@@ -9,7 +9,8 @@ from pathlib import Path
 from tests.processes import PATIENCE_S, environment
 
 
-def test_the_inference_engine_makes_no_identifier_of_this_computer(tmp_path: Path) -> None:
+def test_identifier(tmp_path: Path) -> None:
+    """The inference engine makes no identifier of this computer."""
     home = {"HOME": str(tmp_path), "XDG_CACHE_HOME": str(tmp_path / "cache")}
     variables = {name: value for name, value in environment(**home).items() if name != "ORT_DISABLE_TELEMETRY"}
     subprocess.run(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -28,6 +29,17 @@ ONLY = {
     "tracking": {"errors", "event", "touch", "config", "keypad"},
     "twin": {"errors", "frame", "chirp", "recording", "jobs"},
     "detection": {"errors", "frame", "config", "outcome"},
+    "pipeline": {
+        "frame",
+        "touch",
+        "event",
+        "outcome",
+        "keypad",
+        "config",
+        "detection",
+        "tracking",
+        "localization",
+    },
 }
 """Rooms that may know less than their floor allows."""
 LONGEST_LINES = 331
@@ -45,10 +57,17 @@ def files() -> Iterator[tuple[str, Path]]:
 NAMES = dict(files())
 
 
+@cache
+def tree(path: Path) -> list[ast.AST]:
+    """All nodes of a file's syntax."""
+    return list(ast.walk(ast.parse(path.read_text())))
+
+
+@cache
 def imports(path: Path) -> set[str]:
     """The modules of the package that a file imports, wherever in it."""
     found = set()
-    for node in ast.walk(ast.parse(path.read_text())):
+    for node in tree(path):
         if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] == "touchd":
             module = node.module.removeprefix("touchd").removeprefix(".")
             for alias in node.names:
@@ -107,7 +126,8 @@ def test_no_room_imports_from_a_higher_floor() -> None:
 
 @pytest.mark.parametrize("name", ONLY)
 def test_some_rooms_know_less(name: str) -> None:
-    """Sinks and the client know events and configuration; the stages before localization do not know it."""
+    """Sinks and the client know events and configuration, the stages before localization not localization, and the
+    pipeline neither sources nor sinks."""
     assert rooms()[name] <= ONLY[name]
 
 
@@ -137,6 +157,13 @@ def test_no_module_is_longer_than_one_sitting() -> None:
     assert lengths[longest] <= LONGEST_LINES
 
 
+def test_usb_stays_in_its_modules() -> None:
+    """A source takes decoded frames: of `sources`, only the modules named `usb` know the protocol's bytes."""
+    others = [name for name in NAMES if name.startswith("sources.") and not name.startswith("sources.usb")]
+    knowing = {name for name in others if any(other.startswith("sources.usb") for other in imports(NAMES[name]))}
+    assert knowing == {"sources.open"}, "which opens the DAQ on USB"
+
+
 HOMES = [("usb", "sources.usb"), ("nidaqmx", "sources.ni"), ("torch", "training")]
 
 
@@ -145,7 +172,7 @@ def test_hardware_and_heavy_libraries_have_one_home(library: str, home: str) -> 
     """The daemon starts without what it does not use."""
     at = set()
     for name, path in NAMES.items():
-        for node in ast.walk(ast.parse(path.read_text())):
+        for node in tree(path):
             names = [a.name for a in node.names] if isinstance(node, ast.Import) else []
             names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
             if any(each.split(".")[0] == library for each in names):

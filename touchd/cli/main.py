@@ -31,8 +31,8 @@ VERBS = {
     "simulate": "Write a recording made by the digital twin.",
     "train": "Train a model on a labelled recording.",
 }
-EXTRAS = {"torch": "train", "scipy": "train", "sklearn": "train", "loky": "train", "onnx": "train",
-          "matplotlib": "train", "rich": "train", "jinja2": "train", "dask": "cluster", "distributed": "cluster",
+EXTRAS = {"torch": "train", "scipy": "train", "sklearn": "train", "onnx": "train",
+          "matplotlib": "train", "rich": "train", "jinja2": "train", "dask": "train", "distributed": "train",
           "nidaqmx": "ni",
           }  # fmt: skip
 
@@ -109,9 +109,9 @@ def touchd(
     ctx.obj = {"debug": debug, "config": config}
     if ctx.invoked_subcommand is not None:
         return
-    from touchd.config.load import load
+    from touchd.config.load import Retired, load
     from touchd.service.daemon import run
-    from touchd.service.log import configure
+    from touchd.service.log import configure, warn_retired
     from touchd.sources.open import SourceChoice
 
     overrides: dict[str, Any] = {}
@@ -121,14 +121,17 @@ def touchd(
         overrides["model"] = {"path": model}
     if debug:
         overrides["log"] = {"level": "debug"}
-    settings = load(config, overrides)
+    retired: list[Retired] = []
+    settings = load(config, overrides, retired.append)
     configure(settings.log)
+    for key in retired:
+        warn_retired(key)
     run(
         settings,
         SourceChoice(replay, simulate, speed, loop, seed, ni),
         echo=echo,
         await_subscriber_s=await_subscriber,
-        read_settings=lambda: load(config, overrides),
+        read_settings=lambda: load(config, overrides, warn_retired),
     )
 
 

@@ -126,13 +126,12 @@ def _record(recorder: Recorder, frames: int | None, seconds: float | None) -> No
         for number in (signal.SIGINT, signal.SIGTERM):
             stack.callback(signal.signal, number, signal.signal(number, handle))
 
-        def stopped() -> bool:
-            return stop or (frames is not None and recorder.frames >= frames)
-
         def report(change: Change) -> None:
             click.echo(f"device {change.state}: {change.reason}", err=True)
 
-        for frame in frames_of(recorder, _TIMEOUT_S, stopped=stopped, on_change=report):
+        for frame in frames_of(recorder, _TIMEOUT_S, on_change=report):
+            if stop or recorder.frames == frames:
+                break
             if frame is None:
                 # A silent source must not extend a recording of ten seconds.
                 if seconds is not None and time.monotonic() - started_s >= seconds:

@@ -12,6 +12,8 @@ from touchd.errors import OutputError
 from touchd.localization.atlas import atlas_path
 from touchd.training.network.recipe import RECIPES
 
+PACE_S = 600.0
+"""The time left is estimated from the steps of this time: an epoch may last a minute."""
 _RECIPES = "\n".join(["\b", "Recipes:", *(f"  {recipe.name:16}  {recipe.what}" for recipe in RECIPES.values())])
 
 
@@ -62,15 +64,13 @@ def command(
     The recipe atlas also writes a field atlas, named .atlas.npz, beside the network, and scores both together.
     """
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 
-    from touchd.evaluation.dataset import labels, split
     from touchd.keypad import PHONE, load_layout
     from touchd.recording.format import read
     from touchd.training.data.join import join
     from touchd.training.report.atlas_report import write_atlas_report
     from touchd.training.report.network_report import PAGE, remove_report, write_report
-    from touchd.training.report.time_left import TimeLeft, say
     from touchd.training.train_atlas import train_atlas
     from touchd.training.train_network import train
 
@@ -91,19 +91,19 @@ def command(
         BarColumn(),
         MofNCompleteColumn(),
         TextColumn("{task.fields[note]}"),
-        TextColumn("{task.fields[left]}"),
+        TimeRemainingColumn(compact=True, elapsed_when_finished=True),
         console=Console(stderr=True),
+        speed_estimate_period=PACE_S,
     )
     tasks: dict[str, TaskID] = {}
-    left = TimeLeft(len(split(len(labels(touches)[1]), seed).train), 0 if network else epochs)
 
     def progress(what: str, done: int, steps: int, rmse_mm: float) -> None:
         # The bar starts with the first step, so that an earlier error prints one line.
         bar.start()
         if what not in tasks:
-            tasks[what] = bar.add_task(what, note="", left="")
+            tasks[what] = bar.add_task(what, note="")
         note = "" if math.isnan(rmse_mm) else f"validation {rmse_mm:.2f} mm"
-        bar.update(tasks[what], completed=done, total=steps, note=note, left=say(left.after(what, done, steps)))
+        bar.update(tasks[what], completed=done, total=steps, note=note)
 
     def warn(note: str) -> None:
         # Warn before training; the bar's console keeps the line clear of the bar.

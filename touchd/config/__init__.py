@@ -1,1 +1,1 @@
-"""The configuration: `schema` declares every key, `load` reads them, `render` writes them out."""
+"""The configuration: `schema` declares every key, `load` reads them, `mistakes` explains, `render` writes."""

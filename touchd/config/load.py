@@ -1,99 +1,136 @@
-"""Loading the configuration: options over environment over file over defaults, and every mistake explained at once."""
+"""Read the configuration: command line over environment over file over defaults."""
 
 from __future__ import annotations
 
-import difflib
 import json
 import os
 import re
 import tomllib
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from pydantic import ValidationError
 from pydantic.fields import FieldInfo
-from pydantic_settings import BaseSettings, EnvSettingsSource, SettingsConfigDict
+from pydantic_settings import BaseSettings, EnvSettingsSource, InitSettingsSource, SettingsConfigDict
 
-from touchd.config.render import expected, expected_item, fields, is_secret, section, toml_value, variable
-from touchd.config.schema import Settings
+from touchd.config.mistakes import REMOVE, Layer, explain, nearest
+from touchd.config.render import fields, variable
+from touchd.config.schema import RETIRED, Settings
 from touchd.errors import ConfigError
 
 DEFAULT_PATH = Path("/etc/touchd/touchd.toml")
-"""Read when no file is named, if it exists."""
+"""Read if it exists and no other file is named."""
 NOT_SETTINGS = frozenset({"TOUCHD_DEBUG"})
-"""Environment variables with our prefix that are no settings."""
+"""Environment variables with touchd's prefix that set no key."""
 _PREFIX = "TOUCHD_"
 _TOML_ERROR = re.compile(r"(?P<what>.*) \(at (?P<place>line \d+, column \d+|end of document)\)", re.DOTALL)
 
 
-@dataclass(frozen=True, slots=True)
-class _Problem:
+class Retired(NamedTuple):
+    """A key of an earlier version that the configuration still has. It is ignored."""
+
     where: str
-    what: str
-    fix: str
+    instead: str
+    """What took its place."""
 
 
-def load(path: Path | None = None, overrides: Mapping[str, Any] | None = None) -> Settings:
+def load(
+    path: Path | None = None,
+    overrides: Mapping[str, Any] | None = None,
+    retired: Callable[[Retired], object] = lambda _: None,
+) -> Settings:
     """Return the settings in effect.
 
     Parameters
     ----------
     path : Path, optional
-        A TOML file, which must exist; unset, /etc/touchd/touchd.toml is read if it exists.
+        A TOML file, which must exist. Without it, /etc/touchd/touchd.toml is read if it exists.
     overrides : mapping, optional
-        What the command line asks for: `{"bus": {"bind": [...]}}` or `{"bus.bind": [...]}`. None means not given.
+        The command line's settings: `{"bus": {"bind": [...]}}`.
+    retired : callable, optional
+        Called for each key of an earlier version, once for each place that has it.
 
     Raises
     ------
     ConfigError
-        With all that is wrong: where it stands, what it must be, and what to do.
+        With every mistake: where it stands, what the value must be, and what to do.
     """
-    problems: list[_Problem] = []
+    problems: list[ConfigError] = []
     layers = [
-        ("command line: {key}", _nested(overrides or {})),
-        ("environment: {variable}", _environment(problems)),
-        (f"{path or DEFAULT_PATH}: {{key}}", _file(path)),
+        Layer("command line", dict(overrides or {})),
+        Layer("environment", _environment(problems), by_variable=True),
+        Layer(str(path or DEFAULT_PATH), _file(path)),
     ]
-    merged: dict[str, Any] = {}
-    for _, layer in reversed(layers):
-        merged = _merge(merged, layer)
+    for report in _drop_retired(layers):
+        retired(report)
     settings = Settings()
     try:
-        settings = Settings.model_validate(merged)
+        sources = [InitSettingsSource(_Layered, layer.content) for layer in layers]
+        settings = Settings(**dict(_Layered(sources=sources)))  # type: ignore[call-arg]  # not a field: see there
     except ValidationError as error:
-        problems += _explain_all(error, layers)
-    if len(problems) == 1:
-        raise ConfigError(problems[0].what, problems[0].where, problems[0].fix)
+        problems += explain(error, layers)
+    if len(problems) > 1:
+        every = "; ".join(map(str, problems))
+        raise ConfigError(f"{len(problems)} problems: {every}", "configuration", "correct them all")
     if problems:
-        list_of_all = "; ".join(f"{p.where}: {p.what} -> {p.fix}" for p in problems)
-        raise ConfigError(f"{len(problems)} problems: {list_of_all}", "configuration", "correct them all")
+        raise problems[0]
     return settings
 
 
-def _nested(overrides: Mapping[str, Any]) -> dict[str, Any]:
-    layer: dict[str, Any] = {}
-    for key, value in overrides.items():
-        for part in reversed(key.split(".")):
-            value = {part: _nested(value) if isinstance(value, Mapping) else value}
-        layer = _merge(layer, {k: v for k, v in value.items() if v is not None})
-    return layer
+class _Layered(Settings, BaseSettings):
+    """The settings as pydantic-settings merges them: the first of `sources` that has a key wins."""
+
+    # The file's names are case-sensitive: the table [Bus] is a mistake. Variables may have any case.
+    model_config = SettingsConfigDict(env_prefix=_PREFIX, env_nested_delimiter="__", case_sensitive=True)
+
+    @classmethod
+    def settings_customise_sources(cls, settings_cls: Any, init_settings: Any, *_: Any, **__: Any) -> Any:  # noqa: ARG003 - pydantic's
+        """Return the sources given on construction, in place of pydantic's own."""
+        return tuple(init_settings()["sources"])
 
 
-def _merge(low: Mapping[str, Any], high: Mapping[str, Any]) -> dict[str, Any]:
-    merged = dict(low)
-    for key, value in high.items():
-        if isinstance(value, Mapping) and isinstance(merged.get(key), Mapping):
-            merged[key] = _merge(merged[key], value)
+class _Environment(EnvSettingsSource):
+    """The variables that name a key."""
+
+    def __init__(self, values: Mapping[str, str]) -> None:
+        super().__init__(_Layered, case_sensitive=False)
+        self.env_vars = {name.lower(): value for name, value in values.items()}
+
+    def decode_complex_value(self, field_name: str, field: FieldInfo, value: Any) -> Any:  # noqa: ARG002 - pydantic's
+        """Read a list as JSON, or with commas between its items."""
+        try:
+            return json.loads(value)
+        except (ValueError, RecursionError):
+            return [item.strip() for item in value.split(",")]
+
+
+def _environment(problems: list[ConfigError]) -> dict[str, Any]:
+    known = [variable(table, key) for table, key, _ in fields()]
+    gone = [variable(*name.split(".")) for name in RETIRED]
+    tables = [f"{_PREFIX}{table.upper()}" for table in Settings.model_fields]
+    values: dict[str, str] = {}
+    for name, value in os.environ.items():
+        upper = name.upper()
+        if not upper.startswith(_PREFIX) or upper in NOT_SETTINGS:
+            continue
+        where = f"environment: {name}"
+        if upper in tables:
+            problems.append(ConfigError("names a whole table", where, f"name one of its keys: {upper}__KEY"))
+        elif upper not in (*known, *gone):
+            near = nearest(upper, [*known, *NOT_SETTINGS])
+            problems.append(ConfigError("unknown variable", where, f"did you mean {near}?" if near else REMOVE))
+        elif any("\ud800" <= character <= "\udfff" for character in value):
+            problems.append(ConfigError("is not UTF-8", where, "set it again"))
         else:
-            merged[key] = value
-    return merged
+            values[name] = value
+    return _Environment(values)()
 
 
 def _file(path: Path | None) -> dict[str, Any]:
     where = path or DEFAULT_PATH
     try:
+        # Not by TomlConfigSettingsSource: it ignores a missing file, a folder and a pipe.
         return tomllib.loads(where.read_bytes().decode())
     except FileNotFoundError as error:
         if path is None:
@@ -113,112 +150,11 @@ def _file(path: Path | None) -> dict[str, Any]:
         raise ConfigError(f"is not valid TOML: {what[:1].lower()}{what[1:]}", place, "correct this line") from error
 
 
-class _Schema(Settings, BaseSettings):
-    """The settings, as pydantic-settings asks for them in order to read the environment."""
-
-    model_config = SettingsConfigDict(env_prefix=_PREFIX, env_nested_delimiter="__")
-
-
-class _Environment(EnvSettingsSource):
-    """The environment variables that name a key."""
-
-    def __init__(self, values: Mapping[str, str]) -> None:
-        super().__init__(_Schema)
-        self.env_vars = {name.lower(): value for name, value in values.items()}
-
-    def decode_complex_value(self, field_name: str, field: FieldInfo, value: Any) -> Any:  # noqa: ARG002 - pydantic's
-        """Take a list as JSON, or with commas between its items."""
-        try:
-            return json.loads(value)
-        except (ValueError, RecursionError):
-            return [item.strip() for item in value.split(",")]
-
-
-def _environment(problems: list[_Problem]) -> dict[str, Any]:
-    known = {variable(table, key): f"{table}.{key}" for table, key, _ in fields()}
-    tables = {f"{_PREFIX}{table.upper()}": table for table in Settings.model_fields}
-    values: dict[str, str] = {}
-    for name, value in os.environ.items():
-        upper = name.upper()
-        if not upper.startswith(_PREFIX) or upper in NOT_SETTINGS:
-            continue
-        where = f"environment: {name}"
-        if upper in tables:
-            problems.append(_Problem(where, "names a whole table", f"name one of its keys: {upper}__KEY"))
-        elif upper not in known:
-            near = _nearest(upper, [*known, *NOT_SETTINGS])
-            problems.append(_Problem(where, "unknown variable", f"did you mean {near}?" if near else _REMOVE))
-        elif any("\ud800" <= character <= "\udfff" for character in value):
-            problems.append(_Problem(where, "is not UTF-8", "set it again"))
-        else:
-            values[name] = value
-    return _Environment(values)()
-
-
-_REMOVE = "remove it; `touchd config --default` prints every key"
-
-
-def _explain_all(error: ValidationError, layers: list[tuple[str, Any]]) -> list[_Problem]:
-    """Say in plain words, and once, what pydantic found."""
-    found = error.errors(include_url=False, include_context=False)
-    # A bad item makes the whole list bad: the item is enough.
-    return [
-        _explain(e["type"], e["loc"], e["input"], e["msg"], layers)
-        for e in found
-        if not any(len(other["loc"]) > len(e["loc"]) and other["loc"][: len(e["loc"])] == e["loc"] for other in found)
-    ]
-
-
-def _explain(
-    kind: str, loc: tuple[int | str, ...], value: Any, message: str, layers: list[tuple[str, Any]]
-) -> _Problem:
-    key = ".".join(str(part) for part in loc[:2])
-    name = key + "".join(f"[{part}]" for part in loc[2:])
-    origin = next((place for place, layer in layers if _holds(layer, loc)), "{key}")
-    where = origin.format(key=name, variable=variable(*map(str, loc[:2])) if len(loc) > 1 else key)
-    if kind == "extra_forbidden":
-        return _Problem(where, "unknown key" if len(loc) > 1 else "unknown table or key", _suggest(loc) or _REMOVE)
-    if len(loc) < 2:
-        return _Problem(where, f"is {_shown(key, value)}, must be a table", f"write [{key}], and its keys below it")
-    field = section(str(loc[0])).model_fields[str(loc[1])]
-    fix = f"correct it, or leave it out for the default, {toml_value(field.default)}"
-    if kind == "value_error":
-        return _Problem(where, message.removeprefix("Value error, "), fix)
-    wanted = expected(field) if len(loc) == 2 else expected_item(field)
-    return _Problem(where, f"is {_shown(key, value)}, must be {wanted}", fix)
-
-
-def _holds(layer: Any, loc: tuple[int | str, ...]) -> bool:
-    for part in loc[:2]:
-        if not isinstance(layer, Mapping) or part not in layer:
-            return False
-        layer = layer[part]
-    return True
-
-
-def _shown(key: str, value: Any) -> str:
-    if is_secret(key):
-        return "something else (not shown)"
-    try:
-        text = "empty" if value in ("", [], ()) else repr(value)
-    except ValueError:  # a whole number of thousands of digits
-        text = "far too large"
-    return text if len(text) <= 60 else f"{text[:57]}..."
-
-
-def _suggest(loc: tuple[int | str, ...]) -> str:
-    """Name the key that was probably meant: of this name in any table, or of a similar one in this table."""
-    name = str(loc[-1])
-    same = [f"{table}.{key}" for table, key, _ in fields() if key == name]
-    if len(loc) == 1:
-        near = _nearest(name, list(Settings.model_fields))
-        near = near and f"[{near}]"
-    else:
-        near = _nearest(name, [key for table, key, _ in fields() if table == loc[0]])
-        near = near and f"{loc[0]}.{near}"
-    found = next(iter(same), near)
-    return f"did you mean {found}?" if found else ""
-
-
-def _nearest(name: str, names: list[str]) -> str | None:
-    return next(iter(difflib.get_close_matches(name, names, n=1)), None)
+def _drop_retired(layers: list[Layer]) -> Iterator[Retired]:
+    """Remove the keys of earlier versions from the layers, and yield where each stood."""
+    for name, instead in RETIRED.items():
+        table, key = name.split(".")
+        for layer in layers:
+            if layer.holds((table, key)):
+                layer.content[table] = {k: v for k, v in layer.content[table].items() if k != key}
+                yield Retired(layer.place((table, key)), instead)

@@ -1,20 +1,22 @@
-"""The configuration as text: a commented TOML file, and the reference of every key."""
+"""Write the configuration as text: a commented TOML file, and the reference of every key."""
 
 from __future__ import annotations
 
 import json
 import types
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, Literal, Union, get_args, get_origin
 
 import annotated_types
-from pydantic import BaseModel, SecretStr
+from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from touchd.config.schema import Settings
 
 _NAMES = {int: "a whole number", float: "a number", bool: "true or false", str: "a text", Path: "a path"}
+EXPECTED_ITEM = "an address, tcp:// or ipc://"
+"""What each item of a list must be; addresses are the only lists."""
 
 
 def section(table: str) -> type[BaseModel]:
@@ -25,8 +27,8 @@ def section(table: str) -> type[BaseModel]:
 
 def fields() -> Iterator[tuple[str, str, FieldInfo]]:
     """Yield the table, the key and the definition of every setting, in order."""
-    for table in Settings.model_fields:
-        for key, field in section(table).model_fields.items():
+    for table, keys in _tables():
+        for key, field in keys:
             yield table, key, field
 
 
@@ -36,7 +38,7 @@ def variable(table: str, key: str) -> str:
 
 
 def is_secret(key: str) -> bool:
-    """Return whether the value of a key must not be repeated in a message."""
+    """Return whether no message may repeat the value of a key."""
     return any(word in key.lower() for word in ("secret", "password", "token"))
 
 
@@ -70,22 +72,12 @@ def _kind(annotation: Any) -> str:
     if origin in (Union, types.UnionType):
         return " or ".join("empty" if part is type(None) else _kind(part) for part in arguments)
     if origin is tuple:
-        return "a list of whole numbers" if _of_numbers(annotation) else "a list of addresses, tcp:// or ipc://"
+        return "a list of addresses, tcp:// or ipc://"
     return _NAMES.get(annotation, str(annotation))
 
 
-def expected_item(field: FieldInfo) -> str:
-    """Return what the items of a list must be, in words."""
-    return "a whole number, at least 0" if _of_numbers(field.annotation) else "an address, tcp:// or ipc://"
-
-
-def _of_numbers(annotation: Any) -> bool:
-    item = get_args(annotation)[0]
-    return get_args(item)[:1] == (int,)
-
-
 def toml_value(value: Any, key: str = "") -> str:
-    """Return a value as TOML writes it; a path that is not set is an empty text."""
+    """Return a value in TOML; an unset path is an empty text."""
     if value is None:
         return '""'
     if isinstance(value, bool):
@@ -96,69 +88,58 @@ def toml_value(value: Any, key: str = "") -> str:
         return f"0x{value:04x}"
     if isinstance(value, int | float):
         return repr(value)
-    # JSON's escapes are TOML's, but for the one control character that JSON lets through.
+    # JSON's escapes are TOML's, but JSON leaves one control character as it is.
     return json.dumps(str(value), ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
-def render(settings: Settings) -> str:
-    """Return a TOML file of the settings: every key with its value, default, range and meaning.
+_FILE_HEAD = f"""\
+# The configuration of touchd: every key, and the value in effect. A key that is left out takes its default.
+# Each can also be set by the environment variable TOUCHD_TABLE__KEY, for example {variable("bus", "bind")}.
+"""
+_PAGE_HEAD = """\
+# Configuration
 
-    It can be loaded again. The value of a secret is not written.
-    """
-    lines = [
-        "# The configuration of touchd: every key, and the value in effect. A key that is left out takes its default.",
-        f"# Each can also be set by the environment variable TOUCHD_TABLE__KEY, for example {variable('bus', 'bind')}.",
-    ]
-    previous = ""
-    for table, key, field in fields():
-        if table != previous:
-            lines += ["", f"# {_summary(table)}", f"[{table}]"]
-            previous = table
-        lines += [
-            f"# {field.description}",
-            f"# {_capital(expected(field))}. Default: {toml_value(field.default, key)}",
-        ]
-        value = getattr(getattr(settings, table), key)
-        if isinstance(value, SecretStr):
-            lines.append(f"# {key} is secret and not shown.")
-        else:
-            lines.append(f"{key} = {toml_value(value, key)}")
-    return "\n".join(lines) + "\n"
+<!-- Generated from touchd/config/schema.py: do not edit. -->
+
+The command line wins over the environment, the environment over the file, the file over the defaults.
+`touchd` reads the file that `--config` names, or else `/etc/touchd/touchd.toml` if there is one.
+`touchd config` prints what is in effect; `touchd config --default` prints a file to start from.
+An empty text unsets a path. A list is given in a variable with commas between its items, or as JSON.
+A key, table or variable that touchd does not know is an error. A key of an earlier version is ignored, with a warning.
+"""
+
+
+def render(settings: Settings) -> str:
+    """Return the settings as a TOML file that loads again: every key with its value, default, range and meaning."""
+    text = _FILE_HEAD
+    for table, keys in _tables():
+        text += f"\n# {_summary(table)}\n[{table}]\n"
+        for key, field in keys:
+            wanted = expected(field)
+            value = getattr(getattr(settings, table), key)
+            text += f"# {field.description}\n"
+            text += f"# {wanted[:1].upper()}{wanted[1:]}. Default: {toml_value(field.default, key)}\n"
+            text += f"{key} = {toml_value(value, key)}\n"
+    return text
 
 
 def markdown() -> str:
     """Return the reference of all settings: a table for each section."""
-    lines = [
-        "# Configuration",
-        "",
-        "<!-- Generated from touchd/config/schema.py: do not edit. -->",
-        "",
-        "The command line wins over the environment, the environment over the file, the file over the defaults.",
-        "`touchd` reads the file that `--config` names, or else `/etc/touchd/touchd.toml` if there is one.",
-        "`touchd config` prints what is in effect; `touchd config --default` prints a file to start from.",
-        "An empty text unsets a path. A list is given in a variable with commas between its items, or as JSON.",
-        "A key, table or variable that touchd does not know is an error.",
-    ]
-    previous = ""
-    for table, key, field in fields():
-        if table != previous:
-            lines += ["", f"## `[{table}]`", "", _summary(table), ""]
-            lines += ["| key | takes | default | meaning | variable |", "|---|---|---|---|---|"]
-            previous = table
-        cells = [
-            f"`{key}`",
-            expected(field),
-            f"`{toml_value(field.default, key)}`",
-            field.description or "",
-            f"`{variable(table, key)}`",
-        ]
-        lines.append(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |")
-    return "\n".join(lines) + "\n"
+    text = _PAGE_HEAD
+    for table, keys in _tables():
+        text += f"\n## `[{table}]`\n\n{_summary(table)}\n\n"
+        text += "| key | takes | default | meaning | variable |\n|---|---|---|---|---|\n"
+        for key, field in keys:
+            default, name = f"`{toml_value(field.default, key)}`", f"`{variable(table, key)}`"
+            cells = (f"`{key}`", expected(field), default, field.description or "", name)
+            text += f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |\n"
+    return text
+
+
+def _tables() -> Iterator[tuple[str, Iterable[tuple[str, FieldInfo]]]]:
+    for table in Settings.model_fields:
+        yield table, section(table).model_fields.items()
 
 
 def _summary(table: str) -> str:
     return (section(table).__doc__ or "").split("\n", 1)[0]
-
-
-def _capital(text: str) -> str:
-    return text[:1].upper() + text[1:]

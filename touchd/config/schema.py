@@ -1,7 +1,6 @@
-"""The configuration: every setting with its unit, range, default and meaning.
+"""Every setting with its unit, range, default and meaning.
 
-The models here are the only place where a default is written; docs/configuration.md and
-deploy/touchd.toml are generated from them.
+Each default is written here alone. docs/configuration.md and deploy/touchd.toml are generated from these models.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from pydantic_core import PydanticCustomError
 
 
 class _Section(BaseModel):
-    """One table of the file. Unknown keys are errors; values are never changed after loading."""
+    """One table of the file. An unknown key is an error; values never change after loading."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, validate_default=True)
 
@@ -29,7 +28,7 @@ class _Section(BaseModel):
 
 
 def _empty_is_unset(value: Any) -> Any:
-    # TOML has no null: this is how a file says "none", and how it takes back what a lower layer set.
+    # TOML has no null: an empty text unsets a path, also one that a lower layer sets.
     return None if value == "" else value
 
 
@@ -54,29 +53,32 @@ OptionalPath = Annotated[Path | None, BeforeValidator(_empty_is_unset), AfterVal
 class DeviceSettings(_Section):
     """The DAQ, and the name under which its events are published."""
 
-    name: str = Field("touchd", description="`device` of every message; tell several plates apart by it.", min_length=1)
+    name: str = Field("touchd", description="`device` in every message; tells several plates apart.", min_length=1)
     vendor_id: int = Field(0x1209, ge=0, le=0xFFFF, description="USB vendor id.")
     product_id: int = Field(0x0001, ge=0, le=0xFFFF, description="USB product id.")
     serial: str = Field("", description="USB serial number; empty takes the first device found.")
-    rate_hz: int = Field(125, ge=1, le=65535, description="Frames a second asked of the device.")
+    rate_hz: int = Field(125, ge=1, le=65535, description="Frame rate asked of the device, Hz.")
     stall_s: float = Field(
-        1.0, ge=0.05, le=10, description="Without a frame for so long contacts are lifted and the stream begun anew, s."
+        1.0,
+        ge=0.05,
+        le=10,
+        description="After this time without a frame, contacts are lifted and the stream restarts, s.",
     )
     queue_frames: int = Field(
-        64, ge=2, le=10000, description="Frames that wait at most when the computer is busy; the oldest are dropped."
+        64, ge=2, le=10000, description="Most frames that wait while the computer is busy; then the oldest are dropped."
     )
 
 
 class NiSettings(_Section):
-    """A rig of NI hardware, taken instead of a DAQ on USB by the option --ni. Not tried on hardware."""
+    """A rig of NI hardware, which --ni takes instead of a DAQ on USB. Not tried on hardware."""
 
     inputs: str = Field("cDAQ1Mod1/ai0:3", description="Analog inputs, one for each receiver.", min_length=1)
     output: str = Field("cDAQ1Mod2/ao0", description="Analog output that plays the chirp.", min_length=1)
     trigger: str = Field(
-        "", description="Terminal at which the inputs start; empty is the start trigger of the output's chassis."
+        "", description="Terminal that starts the inputs; empty is the start trigger of the output's chassis."
     )
-    amplitude_v: float = Field(5.0, gt=0, le=10, description="Of the chirp, V.")
-    output_limit_v: float = Field(10.0, gt=0, le=100, description="What the output can give, V.")
+    amplitude_v: float = Field(5.0, gt=0, le=10, description="Amplitude of the chirp, V.")
+    output_limit_v: float = Field(10.0, gt=0, le=100, description="Highest voltage of the output, V.")
 
 
 class ModelSettings(_Section):
@@ -84,22 +86,19 @@ class ModelSettings(_Section):
 
     path: OptionalPath = Field(None, description="ONNX file with touchd's description; unset uses the shipped model.")
     atlas: bool = Field(
-        True,
-        description="Place fingers on the field atlas beside the model, if there is one: several, and ten times finer.",
+        True, description="Place fingers by the field atlas beside the model, if there is one: several, and finer."
     )
     min_confidence: float = Field(
-        0.5, ge=0, le=1, description="Below this a frame is taken for something else than a finger, and not placed."
+        0.5, ge=0, le=1, description="Least confidence of the network that a frame shows a finger."
     )
     keep_confidence: float = Field(
-        0.2, ge=0, le=1, description="The same while a contact is down: hysteresis, so that none is split."
+        0.2, ge=0, le=1, description="The same while a contact is down: the hysteresis keeps it from splitting."
     )
     min_snr_db: float = Field(
-        3.0,
-        ge=0,
-        description="A change less than this above the noise tells that something is there, but not where, dB.",
+        3.0, ge=0, description="Least ratio of signal to noise of a located touch, dB. A weaker change is not located."
     )
     max_sigma_mm: float = Field(
-        5.0, gt=0, description="A finger placed less surely than this is not placed (yet); regression only, mm."
+        5.0, gt=0, description="Largest predicted standard error of a reported position, mm. Regression models only."
     )
 
 
@@ -107,81 +106,79 @@ class BaselineSettings(_Section):
     """The untouched plate, followed as it drifts."""
 
     learn_frames: int = Field(
-        32, ge=2, description="Frames averaged into the first baseline, before anything is sensed."
+        32, ge=2, description="Frames averaged into the first baseline. Until then touchd detects nothing."
     )
-    time_constant_s: float = Field(0.5, gt=0, description="How fast the baseline follows the untouched plate, s.")
+    time_constant_s: float = Field(
+        0.5, gt=0, description="Time constant with which the baseline follows the untouched plate, s."
+    )
     absorb_s: float = Field(
-        30.0, gt=0, description="What stays on the plate this long becomes part of the baseline, and is reported, s."
+        30.0, gt=0, description="A change that lasts this long becomes part of the baseline, and is reported, s."
     )
     drift_below_db: float = Field(
-        -50.0,
-        lt=0,
-        description="Without a finger, a change smaller than this share of the signal is drift and followed, dB.",
+        -50.0, lt=0, description="Without a finger, a change below this share of the signal is drift and followed, dB."
     )
     unsteady_s: float = Field(
-        1.0,
-        gt=0,
-        description="A change without a finger that never repeats itself for this long is noise: learn it, s.",
+        1.0, gt=0, description="A change without a finger that never repeats for this long is noise, and is learned, s."
     )
 
 
 class GateSettings(_Section):
-    """Whether anything is there at all."""
+    """Detection: whether the plate is touched."""
 
     false_alarm_rate: float = Field(
-        1e-7, gt=0, lt=0.1, description="Probability that noise alone opens the gate, per frame."
+        1e-7, gt=0, lt=0.1, description="Probability per frame that noise alone opens the gate."
     )
     close_ratio: float = Field(
         0.5, gt=0, lt=1, description="The gate closes at this fraction of the excess that opens it (hysteresis)."
     )
-    noise_frames: int = Field(1000, ge=10, description="Untouched frames over which the noise is followed.")
+    noise_frames: int = Field(1000, ge=10, description="Untouched frames over which the noise is averaged.")
 
 
 class SkipSettings(_Section):
-    """What the scene does not need is not done. Each skip can be switched off, to see what it saves."""
+    """Work that the scene does not need is skipped. Each skip can be switched off, to measure what it saves."""
 
     gate: bool = Field(
-        True, description="No features and no network while the gate is closed; if false they run all the same."
+        True,
+        description="No features and no network while the gate is closed; false runs them and discards the result.",
     )
     still: bool = Field(
-        True, description="No features and no network while a frame is, but for the noise, the one looked at last."
+        True,
+        description="No features and no network on a frame that differs from the last one examined by noise alone.",
     )
     still_false_alarm_rate: float = Field(
-        0.01, gt=0, lt=0.5, description="Probability that noise alone has a still finger looked at again, per frame."
+        0.01, gt=0, lt=0.5, description="Probability per frame that noise alone has a still finger examined again."
     )
-    unheard: bool = Field(True, description="No messages of a topic that nobody is subscribed to.")
-    screen: bool = Field(True, description="No touches while the screen is off, as told by `touchd screen off`.")
+    unheard: bool = Field(True, description="No messages of a topic without subscribers.")
+    screen: bool = Field(True, description="No touches while the screen is off (`touchd screen off`).")
 
 
 class TrackerSettings(_Section):
     """From positions to contacts."""
 
-    confirm_frames: int = Field(2, ge=1, description="Frames in a row before a contact is reported down.")
-    release_frames: int = Field(2, ge=1, description="Frames without it before a contact is reported up.")
-    max_contacts: int = Field(10, ge=1, description="Contacts alive at once; further ones are ignored.")
-    reach_mm: float = Field(25.0, gt=0, description="A contact moves at most this far from one frame to the next, mm.")
+    confirm_frames: int = Field(2, ge=1, description="Consecutive frames before a contact is reported down.")
+    release_frames: int = Field(2, ge=1, description="Consecutive frames without the finger before it is reported up.")
+    max_contacts: int = Field(10, ge=1, description="Most contacts at once; further fingers are ignored.")
+    reach_mm: float = Field(25.0, gt=0, description="Farthest a contact moves from one frame to the next, mm.")
     dead_band_mm: float = Field(
         0.1, ge=0, description="Movement within this, or within 1.5 `sigma_mm` if that is more, is `hold`, mm."
     )
     min_cutoff_hz: float = Field(
-        4.0, gt=0, description="One-Euro filter: cut-off for a still finger, Hz, where `sigma_mm` is 0.5; a surer "
-        "one's is higher in proportion.",
+        4.0, gt=0, description="One-Euro filter: cut-off for a still finger with a `sigma_mm` of 0.5, Hz; a smaller "
+        "`sigma_mm` raises it in proportion.",
     )  # fmt: skip
     beta: float = Field(
-        0.6, ge=0, description="One-Euro filter: how much the cut-off opens with speed, Hz per mm/s, at the same sigma."
+        0.6, ge=0, description="One-Euro filter: how the cut-off rises with speed, at the same `sigma_mm`, Hz per mm/s."
     )
     force_full_scale: float = Field(
-        0.1, gt=0, description="Change of the signal, as a share of its size, that counts as `force` 1."
+        0.1, gt=0, description="Change of the signal, as a share of its size, that is reported as `force` 1."
     )
-    refresh_s: float = Field(0.1, gt=0, description="A message at least this often while a contact is down, s.")
+    refresh_s: float = Field(0.1, gt=0, description="Longest time between messages while a contact is down, s.")
 
 
 class KeypadSettings(_Section):
     """Keypad mode."""
 
-    layout: OptionalPath = Field(
-        None, description="TOML file of keys with rectangles in mm; set, it turns keypad mode on."
-    )
+    layout: OptionalPath = Field(None, description="TOML file of keys, rectangles in mm; it turns keypad mode on.")
 
 
 Endpoint = Annotated[str, Field(pattern=r"^(tcp|ipc)://.+$")]
@@ -199,18 +196,20 @@ class BusSettings(_Section):
     )
     curve_clients: OptionalPath = Field(
         None,
-        description="Folder of the public keys that may subscribe; unset admits every client that has the server's.",
+        description="Folder of the public keys that may subscribe; unset admits every client with the server's key.",
     )
     insecure: bool = Field(False, description="Allow an address beyond loopback without keys.")
-    high_water_mark: int = Field(1000, ge=1, description="Messages kept for a slow subscriber before it loses some.")
+    high_water_mark: int = Field(
+        1000, ge=1, description="Most messages that wait for a slow subscriber; then it loses some."
+    )
 
 
 class ControlSettings(_Section):
-    """Where the daemon is told that the screen went off or on: see `touchd screen`."""
+    """The socket of `touchd screen`, which says whether the screen is on."""
 
     socket: OptionalPath = Field(
         None,
-        description="Socket file; unset is `control` in the service's runtime folder, and none without a service.",
+        description="Socket file; unset is `control` in the service's runtime folder, or no socket without a service.",
     )
     group: str = Field("", description="Group that may use it (mode 0660); empty keeps it private.")
 
@@ -218,25 +217,25 @@ class ControlSettings(_Section):
 class HealthSettings(_Section):
     """The `health` topic."""
 
-    period_s: float = Field(1.0, gt=0, description="A health message at least this often, s.")
+    period_s: float = Field(1.0, gt=0, description="Longest time between health messages, s.")
 
 
 class PreRollSettings(_Section):
     """The last seconds of frames, saved on SIGUSR1 so that a ghost touch can be replayed. They can reveal a PIN."""
 
-    seconds: float = Field(10.0, ge=0, le=600, description="Kept in memory, s; 0 keeps none.")
+    seconds: float = Field(10.0, ge=0, le=600, description="Time kept in memory, s; 0 keeps nothing.")
     folder: OptionalPath = Field(
         None, description="Where they are saved; unset is the service's state directory, or ~/.local/state/touchd."
     )
     min_confidence: float = Field(
-        0.0, ge=0, le=1, description="A touch that goes down less surely than this saves them too; 0 never does."
+        0.0, ge=0, le=1, description="A touch that goes down with a lower confidence saves them too; 0 never does."
     )
-    interval_s: float = Field(10.0, ge=0, description="They are not saved more often than this, s.")
-    keep: int = Field(20, ge=1, description="Files kept in the folder; older ones are deleted.")
+    interval_s: float = Field(10.0, ge=0, description="Least time between two files, s.")
+    keep: int = Field(20, ge=1, description="Most files in the folder; older ones are deleted.")
 
 
 class LogSettings(_Section):
-    """What is logged, and how."""
+    """The log."""
 
     level: Literal["debug", "info", "warning", "error"] = Field(
         "info", description="Least severe level that is logged."
@@ -245,23 +244,24 @@ class LogSettings(_Section):
 
 
 class RealtimeSettings(_Section):
-    """Optional: what makes latency steadier; docs/deployment.md has the measured benefit."""
+    """What makes latency steadier. docs/integrator.md has the measured benefit, and the settings of systemd's unit."""
 
-    cpus: tuple[Annotated[int, Field(ge=0)], ...] = Field(
-        (), description="Processors that the daemon may run on; empty leaves it to the kernel."
+    lock_memory: bool = Field(
+        False, description="Keep the daemon's memory from being swapped out; needs LimitMEMLOCK= of the unit."
     )
-    fifo_priority: int = Field(
-        0, ge=0, le=99, description="Priority under SCHED_FIFO, ahead of all ordinary programs; 0 is ordinary."
-    )
-    nice: int = Field(0, ge=-20, le=19, description="Among ordinary programs, lower is ahead.")
-    lock_memory: bool = Field(False, description="Keep all of the daemon's memory from being swapped out.")
-    freeze_gc: bool = Field(True, description="Leave what was loaded at the start out of Python's garbage collection.")
+    freeze_gc: bool = Field(True, description="Exempt what is loaded at the start from Python's garbage collection.")
     awake_from_hz: float = Field(
-        500.0,
-        ge=0,
-        description="With so many frames a second or more, keep the processors from sleeping between them while a "
-        "finger is on the plate, if the system permits it; 0 never does.",
-    )
+        500.0, ge=0, description="Frame rate from which the processors may not sleep between frames while a finger is "
+        "on the plate, Hz, if the system permits it; 0 always lets them sleep.",
+    )  # fmt: skip
+
+
+RETIRED = {
+    "realtime.cpus": "CPUAffinity= in a drop-in of the systemd unit",
+    "realtime.fifo_priority": "CPUSchedulingPolicy=fifo and CPUSchedulingPriority= in a drop-in of the systemd unit",
+    "realtime.nice": "Nice= in a drop-in of the systemd unit",
+}
+"""Keys that earlier versions had, and what took their place. They are accepted and ignored, with a warning."""
 
 
 class Settings(_Section):

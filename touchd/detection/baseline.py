@@ -76,7 +76,7 @@ class Baseline:
         ndarray of shape (learn_frames,) or None
             The residual energies of the window's frames once the baseline is known; None before.
         """
-        self._keep_time(t_ns)
+        self._t_ns = t_ns
         self.signal[...] = counts
         self._window[self._filled] = counts
         self._filled += 1
@@ -103,7 +103,8 @@ class Baseline:
 
     def subtract(self, counts: Counts, t_ns: int) -> float:
         """Put the frame less the mean into `residual`, and return its energy (counts squared)."""
-        self._keep_time(t_ns)
+        self._elapsed_ns = t_ns - self._t_ns
+        self._t_ns = t_ns
         # One conversion, then floats alone: to mix them in one call takes twice as long, and memory each time.
         self.signal[...] = counts
         _subtract(self.signal, self.mean, self.residual)
@@ -126,10 +127,6 @@ class Baseline:
             self._weight.fill(elapsed_s / (self._time_constant_s + elapsed_s))
         _multiply(self.residual, self._weight, self._step)
         _add(self.mean, self._step, self.mean)
-
-    def _keep_time(self, t_ns: int) -> None:
-        self._elapsed_ns = t_ns - self._t_ns
-        self._t_ns = t_ns
 
 
 def _steady(residuals: Signal, energies: NDArray[np.float64]) -> bool:

@@ -28,6 +28,8 @@ TURN_EVERY = 16
 """Stuck channels: the detector watches another channel after every 16th untouched frame, and after every touched one,
 since a stuck channel holds a finger."""
 
+_TOUCHED, _UNTOUCHED = Outcome.TOUCHED, Outcome.UNTOUCHED  # bound once: they are asked for in every frame
+
 Notify = Callable[[str, dict[str, float]], None]
 
 
@@ -39,10 +41,9 @@ class Detection(Struct, gc=False, frozen=True):
     t_ns: int
     energy: float
     """Of the residual, counts squared."""
-    noise_energy: float
-    """Mean energy of the residual of an untouched frame, counts squared."""
+    noise_root: float
     noise_deviation: float
-    """Standard deviation of the cube root of that energy."""
+    """Mean and standard deviation of the cube root of the energy of untouched frames' residuals."""
     signal: Signal
     """The frame, shape (channels, samples), ADC counts."""
     residual: Signal
@@ -57,6 +58,15 @@ class Detection(Struct, gc=False, frozen=True):
     """Residuals of the frames that the baseline was learned from, (n, channels, samples), once it is learned."""
     lost: int = 0
     """Frames missing before this one."""
+
+    @property
+    def noise_energy(self) -> float:
+        """Mean energy of the residual of an untouched frame, counts squared."""
+        return self.noise_root**3
+
+    def energy_above(self, quantile: float) -> float:
+        """Return the energy that untouched frames exceed as a normal deviate exceeds the quantile, counts squared."""
+        return (self.noise_root + quantile * self.noise_deviation) ** 3
 
 
 class Detector:
@@ -122,15 +132,17 @@ class Detector:
             return self._learning_frame(frame, lost)
         energy = baseline.subtract(frame.counts, frame.t_ns)
         gate = self.gate
-        outcome, changed = Outcome.TOUCHED, False
+        outcome, changed = _TOUCHED, False
         if not gate.decide(energy):
-            outcome, changed = Outcome.UNTOUCHED, gate.update(energy)
-        return Detection(
-            outcome, frame.t_ns, energy, gate.noise_energy, gate.noise_deviation, baseline.signal, baseline.residual,
-            baseline.mean, self._live, changed, None, lost,
-        )  # fmt: skip
+            outcome, changed = _UNTOUCHED, gate.update(energy)
+        views = baseline.signal, baseline.residual, baseline.mean, self._live
+        if changed or lost:
+            return Detection(
+                outcome, frame.t_ns, energy, gate.noise_root, gate.noise_deviation, *views, changed, None, lost
+            )
+        return Detection(outcome, frame.t_ns, energy, gate.noise_root, gate.noise_deviation, *views)
 
-    def adapt(self, detection: Detection, *, found: bool, departure: bool, alive: bool) -> None:
+    def adapt(self, detection: Detection, found: bool, departure: bool, alive: bool) -> None:
         """Follow, freeze or relearn the baseline, by what came of a measured frame.
 
         Parameters
@@ -144,8 +156,9 @@ class Detector:
         alive : bool
             Whether a contact is down.
         """
-        if detection.outcome is Outcome.UNTOUCHED:
-            self._relearn.reset()
+        if detection.outcome is _UNTOUCHED:
+            if self._relearn.active:
+                self._relearn.reset()
             if not (self._last_sequence or 0) % TURN_EVERY:
                 self._stuck.turn()
             if not alive:
@@ -217,7 +230,7 @@ class Detector:
     ) -> Detection:
         baseline = self._baseline
         return Detection(
-            outcome, frame.t_ns, 0.0, self.gate.noise_energy, self.gate.noise_deviation, baseline.signal,
+            outcome, frame.t_ns, 0.0, self.gate.noise_root, self.gate.noise_deviation, baseline.signal,
             baseline.residual, baseline.mean, self._live, False, learned, lost,
         )  # fmt: skip
 

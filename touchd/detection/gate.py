@@ -32,9 +32,11 @@ class Gate:
     def __init__(self, settings: GateSettings, set_share: int = _SET_SHARE) -> None:
         self._set_share = set_share
         self._count, self._weight, self._margin = 0, 1.0, 1.0
-        self._mean = 0.0
+        self.noise_root = 0.0
+        """Mean cube root of the residual energy of untouched frames."""
         self._variance = 0.0
-        self._deviation = 0.0
+        self.noise_deviation = 0.0
+        """Its standard deviation, with a margin for what few frames tell of it."""
         self._open_above = math.inf
         self._close_below = math.inf
         self._run, self._below, self._due = 0, False, 0
@@ -54,7 +56,7 @@ class Gate:
         roots = np.cbrt(energies)
         self._run = 0
         self._know(len(roots))
-        self._mean = float(roots.mean())
+        self.noise_root = float(roots.mean())
         self._variance = float(roots.var(ddof=1))
         self._reported_energy = self.noise_energy
         self.is_open = False
@@ -72,7 +74,7 @@ class Gate:
         deviation of the noise for the length of the gate's memory, and keep the threshold above many fingers.
         """
         self._last.append(energy)
-        step = energy ** (1 / 3) - self._mean
+        step = energy ** (1 / 3) - self.noise_root
         below = step < 0
         self._run = self._run + 1 if below is self._below else 1
         self._below = below
@@ -86,7 +88,7 @@ class Gate:
         if self._count != self._memory:
             self._know(min(self._count + 1, self._memory))
         weight = self._weight
-        self._mean += weight * step
+        self.noise_root += weight * step
         # The exact update of an exponentially weighted variance (West, CACM 22:532, 1979).
         self._variance = (1.0 - weight) * (self._variance + weight * step * step)
         self._due -= 1
@@ -97,17 +99,12 @@ class Gate:
     @property
     def noise_energy(self) -> float:
         """Mean energy of the residual of an untouched frame, ADC counts squared."""
-        return self._mean**3
+        return self.noise_root**3
 
     @property
     def threshold_energy(self) -> float:
         """The energy above which a closed gate opens, ADC counts squared."""
         return self._open_above
-
-    @property
-    def noise_deviation(self) -> float:
-        """Standard deviation of the cube root of that energy."""
-        return self._deviation
 
     def _set_parameters(self, settings: GateSettings) -> None:
         self._quantile = NormalDist().inv_cdf(1.0 - settings.false_alarm_rate)
@@ -123,15 +120,9 @@ class Gate:
 
     def _set_thresholds(self) -> None:
         self._due = self._count // self._set_share
-        mean = self._mean
-        self._deviation = deviation = math.sqrt(self._variance) * self._margin
+        mean = self.noise_root
+        self.noise_deviation = deviation = math.sqrt(self._variance) * self._margin
         excess = self._quantile * deviation
         opens, closes = mean + excess, mean + self._close_ratio * excess
         self._open_above = opens * opens * opens
         self._close_below = closes * closes * closes
-
-
-def energy_above(noise_energy: float, noise_deviation: float, quantile: float) -> float:
-    """Return the energy that untouched frames exceed as a normal deviate exceeds the quantile, counts squared."""
-    root: float = noise_energy ** (1 / 3) + quantile * noise_deviation
-    return root * root * root

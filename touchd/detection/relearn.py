@@ -52,6 +52,8 @@ class Relearn:
 
     def reset(self) -> None:
         """Start with the next frame: the gate has closed."""
+        self.active = False
+        """Whether the gate has been open since the last reset."""
         self._same_since_ns: int | None = None
         self._noise_since_ns = self._looked_ns = 0
         self._follows = False  # whether `_previous` is the predecessor
@@ -71,6 +73,7 @@ class Relearn:
         departure : bool
             Whether the negative of the residual is a finger.
         """
+        self.active = True
         if self._same_since_ns is None:
             self._begin(t_ns, residual.reshape(-1), energy)
             self._noise_since_ns = self._looked_ns = t_ns

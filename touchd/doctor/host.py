@@ -99,20 +99,19 @@ def take(source: Source, seconds: float) -> Sample:
     t_ns: list[int] = []
     reason = "no frame came"
 
-    def is_enough() -> bool:
-        return bool(t_ns) and t_ns[-1] - t_ns[0] >= seconds * 1e9
-
     def note(change: Change) -> None:
         nonlocal reason
         reason = change.reason
 
     deadline_s = time.monotonic() + _SILENCE_S
-    for frame in frames_of(source, stopped=is_enough, on_change=note):
+    for frame in frames_of(source, on_change=note):
         if frame is not None:
             counts.append(frame.counts.copy())
             sequence.append(frame.sequence)
             t_ns.append(frame.t_ns)
             deadline_s = time.monotonic() + _SILENCE_S
+            if frame.t_ns - t_ns[0] >= seconds * 1e9:
+                break
         elif time.monotonic() > deadline_s:
             break
     if len(t_ns) < 2:

@@ -20,7 +20,7 @@ from touchd.frame import Acquisition, Counts
 from touchd.localization.atlas import Atlas
 from touchd.localization.atlas_localizer import AtlasLocalizer
 from touchd.localization.features import make_features
-from touchd.localization.localizer import Localizer
+from touchd.localization.localization import Localizer
 from touchd.localization.model import Model
 from touchd.localization.network_localizer import NetworkLocalizer
 from touchd.localization.noise import MEMORY_FRAMES

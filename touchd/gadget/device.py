@@ -1,7 +1,6 @@
-"""A DAQ made of software: the device's side of the USB protocol, whatever carries it.
+"""A DAQ made of software: the device's side of the USB protocol.
 
-`touchd.gadget.functionfs` puts it on a real cable; the tests put it on buses of their own. Only the standard library is
-needed.
+`touchd.gadget.functionfs` puts it on a real cable. It needs only the standard library.
 """
 
 from __future__ import annotations
@@ -13,22 +12,22 @@ from collections.abc import Callable, Iterator
 from touchd.sources.usb_protocol import Flag, Header, Info, Request, Status, build_frame, build_info, build_status
 
 BACKLOG = 8
-"""Frames that a device keeps for a host that is late; then it drops the oldest ones."""
+"""Frames that the device keeps for a late host; then it drops the oldest."""
 COMMANDS = ("corrupt", "short", "halt", "silent", "normal")
-"""What `Gadget.command` takes; each but the last is a fault."""
+"""Commands of `Gadget.command`; each but the last makes a fault."""
 _VENDOR_IN, _VENDOR_OUT = 0xC0, 0x40  # recipient device
 _PAUSE_NS = 1_000_000_000
 
 
 class Gadget:
-    """Answers vendor requests, and makes the frames that are due.
+    """Answer vendor requests, and build the frames that are due.
 
     Parameters
     ----------
     info : Info
         What GET_INFO answers.
     samples : iterator of bytes
-        One frame's samples at a time, interleaved; when it ends, so does the stream.
+        The interleaved samples of one frame after the other; the stream ends with them.
     clock : callable
         Monotonic time, ns.
     """
@@ -48,7 +47,7 @@ class Gadget:
         self._fault = ""
 
     def control(self, kind: int, request: int, value: int, length: int) -> bytes | None:
-        """Answer a request: the data of one to the host, nothing for one from it; None is a stall.
+        """Return the answer to a request, empty for one without data; None stalls it.
 
         Parameters
         ----------
@@ -72,19 +71,19 @@ class Gadget:
         return None
 
     def command(self, name: str) -> None:
-        """Make a fault, one of COMMANDS: of the next frame, or silence until `normal`. To test hosts with."""
+        """Make a fault, one of COMMANDS, to test a host: in the next frame, or silence until `normal`."""
         if name not in COMMANDS:
             raise ValueError(f"no such command: {name!r}")
         self._fault = "" if name == "normal" else name
 
     def wait_s(self) -> float:
-        """Return how long it is until a frame is due, seconds; infinite while stopped or silent."""
+        """Return the time until a frame is due, s; infinite while stopped or silent."""
         if not self.running or self._fault == "silent":
             return float("inf")
         return max(0.0, (self._complete_ns() - self._clock()) * 1e-9)
 
     def next_transfer(self) -> bytes | int | None:
-        """Return what goes over the endpoint now: a frame, EPIPE for a halt, or None if nothing is due."""
+        """Return what to send now: a frame, EPIPE to halt the endpoint, or None if nothing is due."""
         if self.wait_s() > 0:
             return None
         fault, self._fault = self._fault, ""
@@ -107,11 +106,11 @@ class Gadget:
         return frame[: len(frame) // 2 + 1] if fault == "short" else frame
 
     def _catch_up(self) -> None:
-        """Drop what the host did not fetch in time, as a device with little memory does."""
+        """Drop the frames beyond the backlog, as a device with little memory does."""
         period_ns = 1_000_000_000 // self.rate_hz
         late_ns = self._clock() - self._complete_ns()
         if late_ns > max(_PAUSE_NS, (BACKLOG + 1) * period_ns):
-            self._chirp_ns += late_ns  # nobody was there: the scene has waited
+            self._chirp_ns += late_ns  # the host was away: the scene has waited
         for _ in range(late_ns // period_ns - BACKLOG if late_ns <= _PAUSE_NS else 0):
             next(self._samples, None)
             self._advance()

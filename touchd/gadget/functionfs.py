@@ -1,6 +1,6 @@
-"""A software DAQ on a real cable: Linux's FunctionFS carries its endpoints, ConfigFS makes it a USB device.
+"""A software DAQ on a real cable: FunctionFS of Linux carries its endpoints, ConfigFS makes it a USB device.
 
-The kernel side is described in Documentation/usb/functionfs.rst and gadget_configfs.rst of the Linux sources.
+Documentation/usb/functionfs.rst and gadget_configfs.rst of the Linux sources describe the kernel's side.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import struct
 import subprocess
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
@@ -23,20 +24,20 @@ from touchd.sources.usb_protocol import INTERFACE_CLASS
 
 ENDPOINT: Final = 0x81
 _MAGIC_DESCRIPTORS_V2, _MAGIC_STRINGS = 3, 2
-# Three speeds; and vendor requests with the device as recipient, which otherwise never reach a function.
+# Three speeds; and vendor requests with the device as recipient, which without this flag never reach a function.
 _FULL_SPEED, _HIGH_SPEED, _SUPER_SPEED, _ALL_CONTROL = 1, 2, 4, 64
 _EVENT = struct.Struct("<BBHHHB3x")  # a setup packet, and the type of the event
 _DISABLE, _SETUP = 3, 4
 _BULK, _ENGLISH = 2, 0x0409
 _IDLE_S = 0.02
-# While nobody is connected, or a transfer is cut off: to be tried again.
+# No host is connected, or a transfer is cut off: try again.
 _AWAY = (errno.ESHUTDOWN, errno.ECONNRESET, errno.EAGAIN, errno.EINTR, errno.ENODEV, errno.EIO, errno.EBADFD)
 
 log = structlog.get_logger()
 
 
 def descriptors() -> bytes:
-    """Return what is written to ep0 first: the interface and its endpoint for full, high and super speed."""
+    """Return the first data for ep0: the interface and its endpoint at full, high and super speed."""
     interface = struct.pack("<9B", 9, 4, 0, 0, 1, *INTERFACE_CLASS, 1)
 
     def endpoint(packet_bytes: int) -> bytes:
@@ -51,24 +52,24 @@ def descriptors() -> bytes:
 
 
 def strings() -> bytes:
-    """Return what is written to ep0 next: the interface's name."""
+    """Return the next data for ep0: the interface's name."""
     text = struct.pack("<H", _ENGLISH) + b"touchd DAQ\0"
     return struct.pack("<IIII", _MAGIC_STRINGS, 16 + len(text), 1, 1) + text
 
 
 class FunctionFs:
-    """A gadget's endpoints in a folder where FunctionFS is mounted; two threads serve them until the process ends.
+    """Serve a gadget's endpoints in a folder where FunctionFS is mounted, by two threads, until the process ends.
 
     Parameters
     ----------
     folder : Path
-        Holds `ep0`, and once that has got the descriptors `ep1`.
+        Holds `ep0`, and `ep1` once the descriptors are written to `ep0`.
     gadget : Gadget
 
     Raises
     ------
     GadgetError
-        The kernel does not take the descriptors, or the folder is none of FunctionFS.
+        FunctionFS is not mounted there, or the kernel does not take the descriptors.
     """
 
     def __init__(self, folder: Path, gadget: Gadget) -> None:
@@ -101,12 +102,12 @@ class FunctionFs:
                 self._asked.set()
 
     def serve_frames(self) -> None:
-        """Send what is due for as long as the process lives."""
+        """Send frames when they are due, until the process ends."""
         while True:
-            self.send_next()
+            self._send_next()
 
-    def send_next(self) -> None:
-        """Send what is due, or wait a moment for it."""
+    def _send_next(self) -> None:
+        """Send what is due, or wait up to 20 ms for it."""
         transfer = self._gadget.next_transfer()
         try:
             if transfer is None:
@@ -124,7 +125,7 @@ class FunctionFs:
             time.sleep(_IDLE_S)
 
     def _answer(self, answer: bytes | None, *, to_host: bool) -> None:
-        """Send an answer or acknowledge; a transfer in the wrong direction is how FunctionFS is told to stall."""
+        """Send an answer, acknowledge, or stall: FunctionFS stalls after a transfer in the wrong direction."""
         try:
             if answer is None:
                 os.read(self._ep0, 0) if to_host else os.write(self._ep0, b"")
@@ -133,12 +134,11 @@ class FunctionFs:
             else:
                 os.read(self._ep0, 0)
         except OSError as error:
-            # EL2HLT confirms a stall, EIDRM says that the host has thought better of it.
+            # EL2HLT confirms a stall; EIDRM: the host has cancelled its request.
             if error.errno not in (errno.EL2HLT, errno.EIDRM, *_AWAY):
                 raise
 
-    def _guard(self, serve: object) -> None:
-        assert callable(serve)
+    def _guard(self, serve: Callable[[], None]) -> None:
         try:
             serve()
         except Exception as error:
@@ -147,16 +147,16 @@ class FunctionFs:
 
 
 class ConfigFs:
-    """A USB device with one function, made in ConfigFS; needs root.
+    """A USB device with one function in ConfigFS; needs root.
 
     Parameters
     ----------
     serial : str
     vendor_id, product_id : int
     name : str
-        Of the gadget and of its function.
+        Name of the gadget and of its function.
     root, mounts : Path
-        Where gadgets are made, and where FunctionFS is mounted.
+        Folders in which to make the gadget, and to mount its FunctionFS.
     """
 
     def __init__(
@@ -170,7 +170,7 @@ class ConfigFs:
         mounts: Path = Path("/dev"),
     ) -> None:
         self.folder = mounts / f"ffs-{name}"
-        """Where the endpoints will be."""
+        """Holds the endpoints after `create`."""
         self._gadget = root / name
         self._function = self._gadget / "functions" / f"ffs.{name}"
         self._link = self._gadget / "configs" / "c.1" / self._function.name
@@ -182,12 +182,12 @@ class ConfigFs:
         }  # fmt: skip
 
     def create(self) -> None:
-        """Make the device, and mount its FunctionFS; what an earlier one left behind is replaced.
+        """Make the device, replace one that an earlier process left behind, and mount its FunctionFS.
 
         Raises
         ------
         GadgetError
-            No root, or no support in the kernel.
+            The process is not root, or the kernel has no support.
         """
         for module in ("libcomposite", "usb_f_fs"):  # may be built in
             subprocess.run(["modprobe", "-q", module], check=False)  # noqa: S603, S607 - fixed names
@@ -211,16 +211,16 @@ class ConfigFs:
         _run("mount", "-t", "functionfs", self._name, str(self.folder))
 
     def plug(self, udc: str) -> None:
-        """Connect the device to a port, a name in /sys/class/udc; its endpoints must be served by then."""
+        """Connect the device to a port, a name in /sys/class/udc; `FunctionFs` must serve its endpoints by then."""
         self._write_udc(udc)
 
     def unplug(self) -> None:
-        """Disconnect the device, as if the cable were pulled."""
+        """Disconnect the device, as a pulled cable does."""
         with contextlib.suppress(GadgetError):  # it was not connected
             self._write_udc("\n")
 
     def remove(self) -> None:
-        """Take everything away again, as far as it is there."""
+        """Remove what `create` made, as far as it exists."""
         if not self._gadget.is_dir():
             return
         self.unplug()
@@ -240,14 +240,13 @@ class ConfigFs:
             (self._gadget / "UDC").write_text(udc)
         except OSError as error:
             raise GadgetError(
-                f"the port {udc.strip()!r} cannot be used ({error.strerror})",
-                "--udc",
+                f"the port {udc.strip()!r} cannot be used ({error.strerror})", "--udc",
                 "name one of /sys/class/udc that no other gadget uses",
-            ) from error
+            ) from error  # fmt: skip
 
 
 def first_udc(ports: Path = Path("/sys/class/udc")) -> str:
-    """Return the name of the first port that can be a USB device; raises GadgetError if there is none."""
+    """Return the name of the first port that can be a USB device; raises GadgetError without one."""
     with contextlib.suppress(OSError):
         for port in sorted(ports.iterdir()):
             return port.name

@@ -1,147 +1,167 @@
-"""Jobs on the cores of this computer: a process for each, through loky."""
+"""A Dask cluster of this computer for one run: a scheduler in this process, and worker processes of one thread each.
+
+Whoever reaches a scheduler or worker of Dask can run programs as its user, and on a computer with several users all
+of them reach its loopback addresses. So every connection begins with a secret of this process. The secret reaches a
+worker through its standard input, whose end also ends the worker, when this process has gone for any reason.
+"""
 
 from __future__ import annotations
 
+import asyncio
+import logging
 import os
-import pickle
-import signal
+import secrets
+import shutil
+import subprocess
+import sys
 import tempfile
 import threading
-import time
-from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import Future
-from contextlib import ExitStack, contextmanager
+from collections.abc import AsyncIterator
+from contextlib import ExitStack, asynccontextmanager
 from functools import cache
-from itertools import islice
-from queue import SimpleQueue
-from typing import Any, ParamSpec
+from typing import TYPE_CHECKING, Any
 
 from touchd.errors import JobError
-from touchd.jobs.job import Failure, Parcel, Task, one_thread, perform
+from touchd.jobs.job import ONE_THREAD
 
-ORPHAN_CHECK_S = 0.5
-P = ParamSpec("P")
+if TYPE_CHECKING:
+    from distributed import Client
+    from distributed.security import Security
+    from tornado.iostream import IOStream
 
-
-def cores() -> int:
-    """How many processes can work at once here; 1 where loky is not installed, since then there is but this one."""
-    try:
-        import loky
-    except ModuleNotFoundError:
-        return 1
-    count: int = loky.cpu_count()
-    return count
-
-
-def on_cores(
-    workers: int, tasks: Iterator[Task], parcels: Mapping[str, Parcel]
-) -> Iterator[tuple[str, bytes | Failure]]:
-    """Run tasks in processes of their own; they end with this generator, or with this process whatever ends it.
-
-    Raises
-    ------
-    JobError
-        When a worker died.
-    """
-    from loky import BrokenProcessPool, ProcessPoolExecutor
-
-    under_way: set[str] = set()
-    ended: SimpleQueue[Future[tuple[str, bytes | Failure]]] = SimpleQueue()
-    with ExitStack() as stack:
-        # Files without a name, reached through this process: they vanish with it.
-        paths = {}
-        for name, parcel in parcels.items():
-            file = stack.enter_context(tempfile.TemporaryFile())
-            file.write(parcel.data)
-            file.flush()
-            paths[name] = f"/proc/{os.getpid()}/fd/{file.fileno()}"
-
-        pool = ProcessPoolExecutor(workers)
-        stack.callback(_uninterrupted(pool.shutdown), wait=True, kill_workers=True)
-
-        def begin(count: int) -> None:
-            for task in islice(tasks, count):
-                under_way.add(task.job.name)
-                used = {name: paths[name] for name in task.job.shared}
-                pool.submit(_in_worker, os.getpid(), task, used).add_done_callback(ended.put)
-
-        try:
-            # Processes that ignore Ctrl-C, which is this one's affair; it does too, for the tenth of a second it takes.
-            # To block the signal instead would lose none, but loky unblocks it before it starts its workers.
-            with _interrupted(signal.SIG_IGN):
-                begin(workers)
-            while under_way:
-                name, outcome = ended.get().result()
-                under_way.remove(name)
-                yield name, outcome
-                _uninterrupted(begin)(1)
-        except BrokenProcessPool as error:
-            raise JobError(
-                "a worker process was killed, perhaps since memory ran out", ", ".join(sorted(under_way)),
-                "run again, with fewer jobs at a time; what is finished is kept",
-            ) from error  # fmt: skip
+SCHEME, HOST = "touchd", "127.0.0.1"
+SECRET_BYTES = 32
+START_CHECK_S = 0.1
+CONFIG: dict[str, object] = {
+    "distributed.scheduler.http.routes": [],
+    "distributed.worker.http.routes": [],
+    "distributed.scheduler.worker-ttl": None,
+}
+"""No pages for a browser; a worker that is silent, as while the computer sleeps, is not given up."""
+WORKER = "from touchd.jobs.local import work; work()"
 
 
-@contextmanager
-def _interrupted(handler: Callable[[int, object], object] | signal.Handlers) -> Iterator[None]:
-    """Have Ctrl-C do that; it comes to the main thread only."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, handler)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
+@asynccontextmanager
+async def connected_here(workers: int) -> AsyncIterator[Client]:
+    """Start a scheduler and workers, connect to it, and kill them at the end."""
+    import dask
+    from distributed import Client, Scheduler
 
-
-def _uninterrupted(call: Callable[P, object]) -> Callable[P, None]:
-    """Let Ctrl-C wait until a call has returned.
-
-    Where it came while the pool's own locks were taken they stayed so, and the pool's end waited for them for ever.
-    """
-
-    def whole(*args: P.args, **kwargs: P.kwargs) -> None:
-        came: list[int] = []
-        try:
-            with _interrupted(lambda number, _: came.append(number)):
-                call(*args, **kwargs)
-        finally:
-            for number in came[:1]:
-                signal.raise_signal(number)
-
-    return whole
-
-
-def _in_worker(parent: int, task: Task, paths: Mapping[str, str]) -> tuple[str, bytes | Failure]:
-    """Do a task in a worker process."""
-    _settle(parent)
-    with one_thread():
-        try:
-            shared = {name: _load(path) for name, path in paths.items()}
-        except Exception as error:
-            return task.job.name, Failure.of(error)
-        return task.job.name, perform(task, shared)
+    secret = _secret()
+    _require(secret)
+    quiet()
+    with (
+        tempfile.TemporaryDirectory(prefix="touchd-jobs-", ignore_cleanup_errors=True) as folder,
+        dask.config.set(CONFIG | {"temporary-directory": folder}),
+    ):
+        async with (
+            Scheduler(
+                protocol=SCHEME, host=HOST, port=0, dashboard=False, dashboard_address=f"{HOST}:0",
+                security=_security(), allowed_failures=0,
+            ) as scheduler,
+            Client(scheduler.address, asynchronous=True, security=_security(), set_as_default=False) as client,
+        ):  # fmt: skip
+            with ExitStack() as stack:
+                processes = []
+                for _ in range(workers):
+                    processes.append(_started(scheduler.address, folder, secret))
+                    stack.callback(_end, processes[-1])
+                while not await client.nthreads():
+                    if any(process.poll() is not None for process in processes):
+                        raise JobError("a worker process ended as it began", "", "see above, or run with --jobs 1")
+                    await asyncio.sleep(START_CHECK_S)
+                yield client
 
 
 @cache
-def _load(path: str) -> Any:
-    """Load a shared object, once a worker."""
-    with open(path, "rb") as file:
-        return pickle.load(file)  # noqa: S301 - written by this process's parent
+def _secret() -> bytes:
+    """Return this process's secret: one for all its runs, since Dask has one transport for each scheme."""
+    return secrets.token_bytes(SECRET_BYTES)
 
 
-@cache
-def _settle(parent: int) -> None:
-    """Leave Ctrl-C to the parent process also in a worker that loky started later, and end when the parent has gone.
+def _started(scheduler: str, folder: str, secret: bytes) -> subprocess.Popen[bytes]:
+    """Start a worker process beyond the reach of Ctrl-C, with the modules that this process can import."""
+    path = os.pathsep.join(part or os.getcwd() for part in sys.path)
+    process = subprocess.Popen(  # noqa: S603 - this very Python
+        [sys.executable, "-P", "-c", WORKER, scheduler, folder], env=os.environ | ONE_THREAD | {"PYTHONPATH": path},
+        stdin=subprocess.PIPE, start_new_session=True,
+    )  # fmt: skip
+    assert process.stdin is not None
+    process.stdin.write(secret)
+    process.stdin.flush()
+    return process
 
-    Nobody would take the results.
-    """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
-    def watch() -> None:
-        while os.getppid() == parent:
-            time.sleep(ORPHAN_CHECK_S)
-        os._exit(1)
+def _end(process: subprocess.Popen[bytes]) -> None:
+    with process:
+        process.kill()
 
-    threading.Thread(target=watch, daemon=True).start()
+
+def work() -> None:
+    """Be a worker process, until standard input ends."""
+    _, scheduler, folder = sys.argv
+    _require(sys.stdin.buffer.read(SECRET_BYTES))
+    threading.Thread(target=_end_with_parent, args=(folder,), daemon=True).start()
+    asyncio.run(_serve(scheduler, folder))
+
+
+def _end_with_parent(folder: str) -> None:
+    sys.stdin.buffer.read()
+    shutil.rmtree(folder, ignore_errors=True)
+    os._exit(1)
+
+
+async def _serve(scheduler: str, folder: str) -> None:
+    import dask
+    from distributed import Worker
+
+    quiet()
+    dask.config.set(CONFIG | {"temporary-directory": folder})
+    async with Worker(scheduler, host=HOST, nthreads=1, memory_limit=0, security=_security()) as worker:
+        await worker.finished()
+
+
+def quiet() -> None:
+    """Silence Dask's log: what it would say, with tracebacks, is said by the errors of `touchd.jobs`."""
+    import distributed  # noqa: F401 - which sets the level when it is imported
+
+    for name in ("distributed", "distributed.client"):
+        logging.getLogger(name).setLevel(logging.CRITICAL)
+
+
+def _security() -> Security:
+    """Demand no TLS here, even if Dask's configuration demands it for the user's clusters."""
+    from distributed.security import Security
+
+    return Security(require_encryption=False)
+
+
+def _require(secret: bytes) -> None:
+    """Have all connections at addresses of `SCHEME` begin with a secret, in this process."""
+    from distributed.comm.registry import backends
+    from distributed.comm.tcp import TCPBackend, TCPConnector, TCPListener
+    from tornado.tcpclient import TCPClient
+
+    class _Client(TCPClient):
+        async def connect(self, *args: Any, **kwargs: Any) -> IOStream:
+            stream = await super().connect(*args, **kwargs)
+            await stream.write(secret)
+            return stream
+
+    class _Connector(TCPConnector):
+        prefix = f"{SCHEME}://"
+        client = _Client()
+
+    class _Listener(TCPListener):
+        prefix = f"{SCHEME}://"
+
+        async def _prepare_stream(self, stream: IOStream, _address: str) -> IOStream | None:
+            if secrets.compare_digest(await stream.read_bytes(SECRET_BYTES), secret):
+                return stream
+            stream.close()
+            return None
+
+    class _Backend(TCPBackend):
+        _connector_class, _listener_class = _Connector, _Listener
+
+    backends[SCHEME] = _Backend()

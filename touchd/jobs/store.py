@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import grp
 import hashlib
 import os
+import pwd
+import stat
 import tempfile
 from pathlib import Path
 
@@ -16,56 +19,59 @@ log = structlog.get_logger()
 
 MAGIC = b"touchd job 1\n"
 _HEAD = len(MAGIC) + hashlib.sha256().digest_size
+ROOT_UID = 0
 
 
 class Store:
-    """A folder of pickled results, for this user only.
-
-    To unpickle is to run what the file says. So a folder is refused in which somebody else may write.
+    """A folder of pickled results. To unpickle is to run what a file says, so nobody else may be able to write there.
 
     Parameters
     ----------
     folder : Path
-        Made when the first result is written, closed to all others.
+        Made when the first result is written, closed to others. Symbolic links are resolved once, here.
 
     Raises
     ------
     OutputError
-        When the folder is another user's, or others may write there.
+        When another user could write results there, or exchange the folder or one that it lies in.
     """
 
     def __init__(self, folder: Path) -> None:
-        self.folder = folder
+        self.folder = folder.resolve()
         self._complained = False
-        with contextlib.suppress(OSError):  # absent, or not to be looked at: then nothing is read from it either
-            status = folder.stat()
-            if status.st_uid != os.geteuid() or status.st_mode & 0o022:
-                raise OutputError(
-                    "others may write there, and what results are read from there could run code of theirs",
-                    str(folder),
-                    f"choose another folder, or close it: chmod 700 {folder}",
-                )
+        for path in (self.folder, *self.folder.parents):
+            with contextlib.suppress(FileNotFoundError, NotADirectoryError, PermissionError):
+                reason = _unsafe_folder(path.stat(), is_parent=path != self.folder)
+                if reason:
+                    raise OutputError(
+                        f"{reason}, and a result kept in {self.folder} could run that user's code", str(path),
+                        f"choose another folder, or close this one if it is yours: chmod go-w {path}",
+                    )  # fmt: skip
 
     def load(self, key: str) -> bytes | None:
-        """Return a pickled result; None if it is not there, or damaged, which is logged."""
+        """Return a pickled result; None, with the reason in the log, if it is damaged or not this user's alone."""
         path = self._path(key)
         try:
-            content = path.read_bytes()
+            with open(os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK), "rb") as file:
+                reason = _unsafe_file(os.fstat(file.fileno()))
+                content = b"" if reason else file.read()
         except (FileNotFoundError, NotADirectoryError):
             return None
         except OSError as error:
-            self._complain("a stored result cannot be read", path, error)
+            self._complain("a stored result cannot be read, and is computed again", path, error)
             return None
         data = content[_HEAD:]
-        if content[:_HEAD] != MAGIC + hashlib.sha256(data).digest():
-            log.warning("a stored result is damaged, and is computed again", path=path)
+        if not reason and content[:_HEAD] != MAGIC + hashlib.sha256(data).digest():
+            reason = "it is damaged"
+        if reason:
+            log.warning("a stored result is computed again", reason=reason, path=path)
             return None
         return data
 
     def save(self, key: str, data: bytes) -> None:
         """Write a result to a temporary name, then rename: a reader sees the whole file or none.
 
-        A folder that cannot be written costs the results' being kept, not the run; that is logged once.
+        A folder that cannot be written costs the kept results, not the run; that is logged once.
         """
         path = self._path(key)
         try:
@@ -80,7 +86,7 @@ class Store:
                     os.unlink(temporary)
                 raise
         except OSError as error:
-            self._complain("results cannot be kept: a run that is stopped begins anew", self.folder, error)
+            self._complain("results cannot be kept: a run that is stopped starts over", self.folder, error)
 
     def _path(self, key: str) -> Path:
         return self.folder / f"{key}.result"
@@ -89,3 +95,36 @@ class Store:
         if not self._complained:
             log.warning(what, path=path, error=error.strerror)
         self._complained = True
+
+
+def _unsafe_folder(status: os.stat_result, *, is_parent: bool) -> str:
+    """Return why another user could change entries of a folder, or "".
+
+    In a parent with the sticky bit, such as /tmp, others cannot exchange what is this user's. Root may do everything.
+    """
+    if status.st_uid != os.geteuid() and not (is_parent and status.st_uid == ROOT_UID):
+        return "the folder belongs to another user"
+    if _others_write(status) and not (is_parent and status.st_mode & stat.S_ISVTX):
+        return "other users may write to the folder"
+    return ""
+
+
+def _unsafe_file(status: os.stat_result) -> str:
+    """Return why another user could have written a file, or ""."""
+    if not stat.S_ISREG(status.st_mode):
+        return "it is no file"
+    if status.st_uid != os.geteuid():
+        return "it belongs to another user"
+    return "other users may write to it" if _others_write(status) else ""
+
+
+def _others_write(status: os.stat_result) -> bool:
+    """Whether anybody else may write; a group that is the user's own, as on many systems, is nobody else."""
+    if status.st_mode & stat.S_IWGRP:
+        try:
+            user, group = pwd.getpwuid(os.geteuid()), grp.getgrgid(status.st_gid)
+        except KeyError:
+            return True
+        if group.gr_gid != user.pw_gid or group.gr_name != user.pw_name or set(group.gr_mem) - {user.pw_name}:
+            return True
+    return bool(status.st_mode & stat.S_IWOTH)

@@ -20,7 +20,7 @@ from touchd.localization.classify import Classifier
 from touchd.localization.estimator import Estimator, TouchMaker
 from touchd.localization.fit_criteria import CRITERIA
 from touchd.localization.gauss_newton import STILL_MM, Bins, Fit, GaussNewton, no_fit
-from touchd.localization.localizer import UNTOUCHED, Localization
+from touchd.localization.localization import UNTOUCHED, Localization
 from touchd.localization.model import Model
 from touchd.localization.multitouch import MultitouchSearch
 from touchd.localization.plate_model import PlateModel
@@ -62,6 +62,7 @@ class AtlasLocalizer:
         self._still = StillFinger(atlas, self._solver)
         self._found = UNTOUCHED
         self._departure = False
+        self._live: NDArray[np.bool_] | None = None
         self.configure(settings, layout)
 
     def configure(self, settings: Settings, layout: Layout | None) -> None:
@@ -88,8 +89,8 @@ class AtlasLocalizer:
 
     def observe(self, detection: Detection) -> Localization:
         """Follow noise and temperature on an untouched frame, and forget fingers and water."""
-        self._set_channels(detection.live)
-        self._search.update(detection.t_ns)
+        if detection.live is not self._live:
+            self._set_channels(detection.live)
         if self._plate.observe(detection):
             self._classifier.dry()
         if self._found.touches:
@@ -101,7 +102,8 @@ class AtlasLocalizer:
 
     def localize(self, detection: Detection, *, alive: bool, complete: bool = False) -> Localization:
         """Return the fingers of a touched frame."""
-        self._set_channels(detection.live)
+        if detection.live is not self._live:
+            self._set_channels(detection.live)
         t_ns = detection.t_ns
         self._search.update(t_ns)
         if self._found.touches and self._rests(detection.residual):
@@ -235,8 +237,9 @@ class AtlasLocalizer:
         return fit
 
     def _set_channels(self, live: NDArray[np.bool_]) -> None:
-        if self._plate.set_channels(live):
-            self._still.reset()
+        self._live = live
+        self._plate.set_channels(live)
+        self._still.reset()
 
     def _lose(self) -> tuple[Touch, ...]:
         self._prediction.reset()

@@ -15,8 +15,8 @@ from touchd.localization.pursuit import Pursuit, apart_mm, is_worth
 
 FITS_A_SECOND = 1250.0
 """A search may take this many fits per second of the frames' time: a fit costs about a fifth of a millisecond."""
-FITS_AT_ONCE = 55.0
-"""Fits allowed in one frame before any finger is tracked: enough for five, added one by one."""
+FITS_AT_ONCE = 65.0
+"""Fits allowed in the first frame of a search before any finger is tracked: enough for five, added one by one."""
 _LONGEST_NS = 100_000_000
 """A gap between frames counts as this much time at most."""
 _BEGIN_COST = 1.0
@@ -43,7 +43,7 @@ class MultitouchSearch:
 
     def __init__(self, solver: GaussNewton, pursuit: Pursuit, noise: NoiseModel) -> None:
         self._solver, self._pursuit, self._noise = solver, pursuit, noise
-        self._t_ns = self._elapsed_ns = 0
+        self._t_ns = self._before_ns = 0  # of the last frame and the one before
         self.reset()
 
     def reset(self) -> None:
@@ -62,9 +62,8 @@ class MultitouchSearch:
         self._running = None
 
     def update(self, t_ns: int) -> None:
-        """Take the time of the next frame: a search may use what has passed since the last one."""
-        self._elapsed_ns = min(max(t_ns - self._t_ns, 0), _LONGEST_NS)
-        self._t_ns = t_ns
+        """Take the time of the next touched frame: a search may use what has passed since the last one."""
+        self._before_ns, self._t_ns = self._t_ns, t_ns
 
     def is_due(self, excess: float, signal: float) -> bool:
         """Return whether to search in this frame, whose fit leaves the share `excess` of the signal's energy."""
@@ -97,7 +96,10 @@ class MultitouchSearch:
         if self._running is None:
             self._running = self._all(bins.copy(), fit, signal, tracked=tracked)
             self._credit = -_BEGIN_COST if tracked else FITS_AT_ONCE
-        self._credit = self._credit + FITS_A_SECOND * 1e-9 * self._elapsed_ns if limited else math.inf
+        if not limited:
+            self._credit = math.inf
+        elif tracked or not fresh:
+            self._credit += FITS_A_SECOND * 1e-9 * min(max(self._t_ns - self._before_ns, 0), _LONGEST_NS)
         try:
             while self._credit > 0:
                 self._credit -= next(self._running)

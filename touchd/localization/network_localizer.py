@@ -7,10 +7,9 @@ import math
 from touchd.config.schema import Settings
 from touchd.detection.baseline import Signal
 from touchd.detection.detector import Detection
-from touchd.detection.gate import energy_above
 from touchd.keypad import Layout
 from touchd.localization.estimator import Estimator, TouchMaker
-from touchd.localization.localizer import UNTOUCHED, Localization
+from touchd.localization.localization import UNTOUCHED, Localization
 from touchd.localization.model import Model
 from touchd.localization.stillness import StillFrame
 from touchd.outcome import Outcome
@@ -75,8 +74,7 @@ class NetworkLocalizer:
         if self._found.touches and self._still.holds(detection.residual):
             return self._found
         if self._skips_still:
-            energy = energy_above(detection.noise_energy, detection.noise_deviation, self._still.quantile)
-            self._still.update(detection.residual, energy)
+            self._still.update(detection.residual, detection.energy_above(self._still.quantile))
         touches = self._look(detection, self._keep_confidence if alive else self._min_confidence)
         departure = not touches and not alive and self._estimator.of_residual and self._departs()
         # The next frames that hold are still.

@@ -60,9 +60,9 @@ class PlateModel:
         if detection.noise_changed:
             self.noise.restart()
         self._untouched_frames += 1
-        heard = self._untouched_frames % NOISE_EVERY == 0
-        if heard:
-            self.hear(detection.residual)
+        if self._untouched_frames % NOISE_EVERY:
+            return False
+        self.hear(detection.residual)
         if not 0 <= detection.t_ns - self._compared_ns <= COMPARE_NS:
             self._compared_ns = detection.t_ns
             np.subtract(detection.baseline, self._baseline, out=self._moved)
@@ -70,7 +70,7 @@ class PlateModel:
             # By less a frame shows no difference, and neither does a position.
             if float(flat.dot(flat)) > DRIFTED * detection.noise_energy:
                 self.set_baseline(detection.baseline)
-        return heard
+        return True
 
     def hear(self, residual: Signal) -> None:
         """Update the noise model with an untouched frame's residual, shape (channels, samples)."""
@@ -84,13 +84,10 @@ class PlateModel:
         self.drift.set_baseline(baseline)
         self._select()
 
-    def set_channels(self, live: NDArray[np.bool_]) -> bool:
-        """Use live channels alone, shape (channels,); return whether they are others than before."""
-        if live is self._live:
-            return False
+    def set_channels(self, live: NDArray[np.bool_]) -> None:
+        """Use live channels alone, shape (channels,)."""
         self._live = live
         self._select()
-        return True
 
     def drop_silent(self, detection: Detection) -> bool:
         """Leave out channels that have died since the baseline was learned; return whether there are any."""

@@ -1,4 +1,4 @@
-"""A recording in memory: its frames, their truth, and what it says of the rig."""
+"""A recording in memory: frames, true contacts, and a description of the rig."""
 
 from __future__ import annotations
 
@@ -50,9 +50,9 @@ class Recording:
     timestamp_ns: NDArray[np.int64]
     """Start of the chirp since the first frame, shape (n,), ns."""
     contacts_mm: NDArray[np.float32] | None = None
-    """Truth of shape (n, k, 2), NaN where finger k is not touching."""
+    """True positions of shape (n, k, 2), NaN where finger k does not touch."""
     force_n: NDArray[np.float32] | None = None
-    """Shape (n, k), NaN where unknown or not touching."""
+    """True force of shape (n, k), NaN where unknown or not touching."""
     temperature_c: NDArray[np.float32] | None = None
     """Shape (n,)."""
 

@@ -1,4 +1,4 @@
-"""The recording format, version 1: a `.npz` file, or a folder of numbered ones. See docs/formats.md."""
+"""Read and write recordings, version 1: a `.npz` file, or a folder of numbered ones. See docs/formats.md."""
 
 from __future__ import annotations
 
@@ -25,16 +25,14 @@ _CHUNK_NAME = re.compile(r"(?!\.)(?:.*[^0-9])?([0-9]+)\.npz", re.DOTALL)
 
 
 def write(path: Path, recording: Recording, *, compress: bool = True) -> None:
-    """Write one file, readable by its owner only; after a power cut it is there whole, or not at all.
-
-    An existing file is replaced.
+    """Write one file, readable by its owner alone, and replace an existing one. A power cut leaves all or nothing.
 
     Raises
     ------
     RecordingShape, RecordingValues
-        The recording breaks the format; nothing is written.
+        The recording breaks the format. Nothing is written.
     OutputError
-        The file cannot be written; nothing is left behind.
+        The file cannot be written. Nothing is left behind.
     """
     check(recording, str(path))
     arrays: dict[str, Any] = {name: getattr(recording, name) for name in ARRAYS}
@@ -42,7 +40,7 @@ def write(path: Path, recording: Recording, *, compress: bool = True) -> None:
     save = np.savez_compressed if compress else np.savez
     temporary = ""
     try:
-        # mkstemp creates with mode 0600. A dot in front: no reader takes it for a chunk.
+        # mkstemp creates with mode 0600. The dot keeps readers from taking the file for a chunk.
         handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent)
         with os.fdopen(handle, "wb") as file:
             save(file, format=FORMAT, version=VERSION, meta=recording.meta.model_dump_json(), **arrays)
@@ -61,7 +59,7 @@ def write(path: Path, recording: Recording, *, compress: bool = True) -> None:
 
 
 def _sync_folder(folder: Path) -> None:
-    # The new name is safe only once the folder is on disk too; some file systems cannot do this.
+    # The new name is safe once the folder is on disk too. Some file systems cannot sync one.
     with contextlib.suppress(OSError):
         handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
         try:
@@ -76,7 +74,7 @@ def read(path: Path) -> Recording:
     Raises
     ------
     RecordingError
-        One of its subclasses, see `touchd.errors`.
+        A subclass, see `touchd.errors`.
     """
     chunks = list(Reader(path))
     if len(chunks) == 1:
@@ -90,9 +88,9 @@ def read(path: Path) -> Recording:
 
 
 class Reader:
-    """Iterates over the chunks of a recording, one in memory at a time; a file is one chunk.
+    """Iterates over the chunks of a recording, one in memory at a time. A file is one chunk.
 
-    Every iteration starts at the beginning. The first chunk is kept, so a single file is read once only.
+    Each iteration starts at the first chunk, which stays in memory: a single file is read once.
 
     Parameters
     ----------
@@ -102,7 +100,7 @@ class Reader:
     Raises
     ------
     RecordingError
-        One of its subclasses, on construction for the first chunk and during iteration for the others.
+        A subclass: on construction for the first chunk, during iteration for the others.
     """
 
     def __init__(self, path: Path) -> None:

@@ -1,4 +1,4 @@
-"""What makes a recording valid, beyond being a readable file: types, shapes, order and finite numbers."""
+"""Check the content of a recording: types, shapes, order and finite numbers."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from touchd.errors import RecordingShape, RecordingValues
 from touchd.recording.data import Recording
 
-# Key: type, shape; n frames of (channels, samples), k contacts.
 ARRAYS: dict[str, tuple[type[np.generic], str]] = {
     "frames": (np.int16, "(n, channels, samples)"),
     "sequence": (np.int64, "(n,)"),
@@ -22,12 +21,13 @@ ARRAYS: dict[str, tuple[type[np.generic], str]] = {
     "force_n": (np.float32, "(n, k)"),
     "temperature_c": (np.float32, "(n,)"),
 }
+"""Type and shape of each key: n frames of (channels, samples), k contacts."""
 REQUIRED = ("frames", "sequence", "timestamp_ns")
 _SEE = "see docs/formats.md"
 
 
 def check(recording: Recording, where: str = "recording") -> None:
-    """Refuse a recording that breaks the format; `where` names it in the error.
+    """Raise if a recording breaks the format. `where` names it in the error.
 
     Raises
     ------
@@ -39,7 +39,7 @@ def check(recording: Recording, where: str = "recording") -> None:
     _check_shapes(recording, where)
     for name in ("sequence", "timestamp_ns"):
         values = getattr(recording, name)
-        # Compared, not subtracted: a difference of two int64 can overflow.
+        # A comparison: the difference of two int64 can overflow.
         stuck = np.flatnonzero(values[1:] <= values[:-1])
         if stuck.size:
             i = int(stuck[0])
@@ -99,7 +99,7 @@ def _check_shapes(recording: Recording, where: str) -> None:
 
 
 def check_continues(before: Recording, before_path: Path, chunk: Recording, path: Path) -> None:
-    """Refuse a chunk that cannot follow the one before it."""
+    """Raise if a chunk cannot follow the one before it: another rig, other keys, or an earlier time."""
     where = f"{path}, after {before_path.name}"
     fix = "keep the chunks of different recordings in different folders"
     for part in ("acquisition", "meta.plate", "meta.emitter_mm", "meta.receivers_mm"):

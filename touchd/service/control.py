@@ -1,6 +1,6 @@
-"""What the administrator's programs tell a running daemon: datagrams at a socket in the file system.
+"""Takes commands from other programs: datagrams at a socket in the file system.
 
-One datagram is one command, in ASCII: `screen off`, `screen on`. Who may write to the file may command.
+One datagram is one command, in ASCII: `screen off`, `screen on`. Whoever may write to the file may command.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from touchd.errors import AddressInUse, BusError, ConfigError
 
 COMMANDS = ("screen off", "screen on")
 SERVICE_PATH = Path("/run/touchd/control")
-"""Of the service that the package installs."""
+"""The socket of the service that the package installs."""
 _LONGEST_BYTES = 64
 _PATIENCE_S = 2.0  # a daemon that hangs leaves its queue full
 _MOST_PER_POLL = 16  # a flood of commands must not hold up a frame
@@ -28,7 +28,7 @@ log = structlog.get_logger()
 
 
 def path_of(settings: ControlSettings) -> Path | None:
-    """Return where a daemon with these settings listens: systemd's runtime folder unless named, None without either."""
+    """Return the socket of a daemon: `control.socket`, else one in systemd's runtime folder, else None."""
     if settings.socket is not None:
         return settings.socket
     folder = os.environ.get("RUNTIME_DIRECTORY", "").partition(":")[0]
@@ -36,12 +36,12 @@ def path_of(settings: ControlSettings) -> Path | None:
 
 
 def send(path: Path, command: str) -> None:
-    """Tell the daemon that listens there.
+    """Send a command to the daemon that listens at `path`.
 
     Raises
     ------
     BusError
-        If none does, or this user may not.
+        No daemon listens there, or this user may not command it.
     """
     try:
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender:
@@ -61,16 +61,16 @@ class Control:
     Parameters
     ----------
     path : Path
-        Of the socket; one that a daemon left behind is replaced.
+        The socket; one that a dead daemon left behind is replaced.
     group : str
-        May write to it beside the daemon's user; empty admits nobody else.
+        May command too, beside the daemon's user; empty admits nobody else.
 
     Raises
     ------
     AddressInUse
-        If another daemon listens there.
+        Another daemon listens there.
     ConfigError
-        If the socket cannot be made, or given to the group.
+        The socket cannot be made, or given to the group.
     """
 
     def __init__(self, path: Path, group: str = "") -> None:
@@ -93,7 +93,7 @@ class Control:
             os.umask(umask)
 
     def poll(self) -> list[str]:
-        """Return the commands that have come, in order, without waiting; others are logged and passed over."""
+        """Return the commands that have come, in order, without waiting; log and drop what is no command."""
         found: list[str] = []
         for _ in range(_MOST_PER_POLL):
             try:
@@ -107,10 +107,10 @@ class Control:
         return found
 
     def close(self) -> None:
-        """Listen no more; further calls do nothing."""
+        """Stop listening and remove the socket; further calls do nothing."""
         if self._socket.fileno() < 0:
             return
-        # Only one's own file: another daemon may have taken the path meanwhile.
+        # Only this daemon's own file: another one may have taken the path meanwhile.
         with contextlib.suppress(OSError):
             if self._socket.getsockname() == str(self.path):
                 self.path.unlink()
@@ -118,7 +118,7 @@ class Control:
 
 
 def _clear(path: Path) -> None:
-    """Remove the socket of a daemon that is gone; nothing else is removed."""
+    """Remove the socket of a dead daemon, and nothing else."""
     try:
         if not stat.S_ISSOCK(path.lstat().st_mode):
             raise ConfigError("there is something else than a socket", f"control.socket {path}", "name another path")

@@ -1,9 +1,8 @@
-"""Keeps the processors from sleeping between frames that come fast, while a finger is on the plate.
+"""Keeps the processors from sleeping between frames while a finger is on the plate.
 
-A processor with nothing to do sleeps, and takes its time to wake: real ones up to some tenths of a millisecond, that of
-a virtual machine as long as its host lets it wait. Linux takes requests for less (PM quality of service): a number of
-microseconds written to a device file, which counts as long as the file is open, so that it ends with the process
-whatever ends that.
+An idle processor sleeps, and takes time to wake: some tenths of a millisecond on hardware, in a virtual machine as long
+as its host lets it wait. Linux takes requests for less (PM quality of service): a number of microseconds, written to a
+device file, which holds while the file is open, so it ends with the process.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ import structlog
 DEVICE = Path("/dev/cpu_dma_latency")
 _AT_ONCE_US = (0).to_bytes(4, "little")
 _UNEVEN = 1.05
-"""Frames of the rate that is asked for may come so much later than its period says."""
+"""The longest time between two frames of a rate, in periods."""
 
 log = structlog.get_logger()
 
@@ -27,12 +26,12 @@ def permitted(device: Path = DEVICE) -> bool:
 
 
 class Awake:
-    """Holds the processors awake, and lets them sleep again.
+    """Keeps the processors awake while the plate is touched.
 
     Parameters
     ----------
     from_hz : float
-        Frames a second from which it does so; 0 is never.
+        The lowest frame rate at which it does so; 0 is never.
     device : Path
     """
 
@@ -43,8 +42,8 @@ class Awake:
         self.held = False
         """Whether the processors are kept awake."""
 
-    def follow(self, touched: bool, period_ns: int) -> None:
-        """Hold them awake if the plate is touched and the last two frames came close enough; let go if it is not."""
+    def update(self, touched: bool, period_ns: int) -> None:
+        """Start when the plate is touched and the last two frames came close enough; stop when it is not touched."""
         if touched == self.held:
             return
         if not touched:
@@ -53,7 +52,7 @@ class Awake:
             self.hold()
 
     def hold(self) -> None:
-        """Keep the processors awake. Where the system refuses it that is logged, and not tried again."""
+        """Keep the processors awake; if the system refuses, log it and never try again."""
         try:
             self._file = os.open(self._device, os.O_WRONLY | os.O_CLOEXEC)
             os.write(self._file, _AT_ONCE_US)

@@ -1,4 +1,4 @@
-"""Logging: one line an event, for a person on a terminal, as JSON for a machine. Never where somebody touched."""
+"""The log: a line for each event, as text on a terminal, else as JSON. It never says where somebody touched."""
 
 from __future__ import annotations
 
@@ -13,19 +13,20 @@ import numpy as np
 import structlog
 from structlog.typing import EventDict, Processor, WrappedLogger
 
+from touchd.config.load import Retired
 from touchd.config.schema import LogSettings
 
 PRIVATE = frozenset({"key", "keys", "contact", "contacts", "contacts_mm", "x_mm", "y_mm", "pin", "code"})
-"""What a PIN could be read from. Redacted at any depth."""
+"""Keys from whose values a PIN could be read. They are redacted at any depth."""
 REDACTED = "[private]"
 _PLAIN = (str, int, float, bool, type(None), Path, BaseException)
 
 
 def redact(_logger: WrappedLogger | None, _method: str, event_dict: EventDict) -> EventDict:
-    """Replace what a log must not hold; a structlog processor.
+    """Remove private content from an entry, as a structlog processor.
 
-    Private keys lose their values. Objects other than numbers, text and containers of them are named by their type
-    only, since the text of an event, a frame or an array would tell its content.
+    Private keys lose their values. Of an object other than numbers, text and containers of them the log has the type
+    alone: the text of an event, a frame or an array would show its content.
     """
     return {key: _redact(key, value) for key, value in event_dict.items()}
 
@@ -33,21 +34,21 @@ def redact(_logger: WrappedLogger | None, _method: str, event_dict: EventDict) -
 def _redact(key: object, value: Any) -> Any:
     if str(key).lower() in PRIVATE:
         return REDACTED
-    # exc_info and stack_info are structlog's own; it turns them into text after us.
+    # exc_info and stack_info are structlog's own, which later processors turn into text.
     if isinstance(value, _PLAIN) or key in ("exc_info", "stack_info"):
         return value
     if isinstance(value, Mapping):
         return {str(inner): _redact(inner, item) for inner, item in value.items()}
     if isinstance(value, np.number):
         return value.item()
-    # Not any sequence: bytes are one, and so are named tuples, whatever they hold.
+    # Not any sequence: bytes and named tuples are sequences too.
     if type(value) in (list, tuple, set, frozenset):
         return [_redact(None, item) for item in value]
     return f"<{type(value).__name__}>"
 
 
 class _Unfailing:
-    """A text stream to which a line that cannot be written is lost: a full disk must not end the daemon."""
+    """A text stream that drops a line it cannot write: a full disk must not end the daemon."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
@@ -63,10 +64,10 @@ class _Unfailing:
 
 
 def configure(settings: LogSettings, stream: TextIO | None = None) -> None:
-    """Send all log events of this process to `stream`, standard error unless told otherwise.
+    """Send all log entries of this process to `stream`, by default standard error.
 
-    Levels below the one that is set are replaced by a function that does nothing; code that runs for every frame
-    keeps a bound logger, `structlog.get_logger().bind()`, made after this call, to have no more cost than that.
+    A level below the one that is set costs a call that does nothing, with a bound logger that was made after this call:
+    `structlog.get_logger().bind()`. Code that runs for each frame keeps one.
     """
     stream = stream or sys.stderr
     json = settings.format == "json" or (settings.format == "auto" and not stream.isatty())
@@ -89,3 +90,8 @@ def configure(settings: LogSettings, stream: TextIO | None = None) -> None:
         # Not cached: a logger made at import would keep the level and stream of a time before this call.
         cache_logger_on_first_use=False,
     )
+
+
+def warn_retired(key: Retired) -> None:
+    """Warn of a key that an earlier version had."""
+    structlog.get_logger().warning("a setting that is gone is ignored", where=key.where, instead=key.instead)

@@ -26,10 +26,11 @@ STALL_NS = 1_000_000_000
 """A source that is no device has stalled after this time without a frame, ns."""
 _READY: tuple[State, ...] = ("streaming", "lost")
 """Frames flow, or the device is awaited."""
+_TICK_NS = 4_000_000
+"""Sinks are polled this often, and all else is done that is due: at usual rates after each frame. Polling costs a fifth
+of an idle frame."""
 _CONTROL_NS = 50_000_000
 """Commands are read this often: reading costs half as much as an idle frame."""
-_POLL_NS = 4_000_000
-"""Sinks are polled this often, so after each frame at usual rates: polling costs a fifth of an idle frame."""
 
 log = structlog.get_logger()
 
@@ -95,7 +96,7 @@ class Service:
         self._stop = False
         self._reload_asked = False
         self._seen_ns = self._stream_ns = 0
-        self._health_ns = self._control_ns = self._poll_ns = 0
+        self._health_ns = self._control_ns = self._tick_ns = 0
 
     def stop(self) -> None:
         """End `run` after the current frame; safe to call from a signal handler."""
@@ -116,13 +117,8 @@ class Service:
         self._seen_ns = self._clock()
         self._publish_health()
         try:
-            for frame in frames_of(self._source, stopped=lambda: self._stop, on_change=self._follow):
-                if frame is None:
-                    self._wait()
-                else:
-                    self._take(frame)
             if not self._stop:
-                log.info("end of stream", frames=self.pipeline.counters.frames)
+                self._run_frames()
         finally:
             self._manager.stopping()
             for sink in self._sinks:
@@ -134,8 +130,18 @@ class Service:
             for sink in self._sinks:
                 sink.close()
 
+    def _run_frames(self) -> None:
+        for frame in frames_of(self._source, on_change=self._follow):
+            if frame is None:
+                self._wait()
+            else:
+                self._take(frame)
+            if self._stop:
+                return
+        log.info("end of stream", frames=self.pipeline.counters.frames)
+
     def _take(self, frame: Frame) -> None:
-        """Process a frame, publish its messages, and do what is due beside it."""
+        """Process a frame, publish its messages, and do what is due."""
         period_ns = frame.t_ns - self._stream_ns
         self._stream_ns = frame.t_ns
         self._seen_ns = now_ns = frame.received_ns
@@ -147,40 +153,38 @@ class Service:
             self._publish(self._messages.make(result, pipeline.spectrum), now_ns)
         if self._preroll is not None:
             self._preroll.keep(frame, result.contacts)
-        # Sinks come after the frame, which never waits: a new subscriber gets the next one.
-        if now_ns - self._poll_ns >= _POLL_NS:
-            self._poll(now_ns)
-        self._do_due(now_ns, period_ns)
+        # After the frame, which never waits: a new subscriber gets the next one.
+        if now_ns - self._tick_ns >= _TICK_NS:
+            self._tick(now_ns)
+        touched = pipeline.touched
+        if touched is not self._awake.held:
+            self._awake.update(touched, period_ns)
 
     def _wait(self) -> None:
         """Do what is due while no frame comes."""
         if self._preroll is not None:
             self._preroll.poll()
         now_ns = self._clock()
-        self._poll(now_ns)
         if not self._reports_state and self._state == "streaming" and now_ns - self._seen_ns > STALL_NS:
             self._release(now_ns)
             self._enter("stalled")
-        self._do_due(now_ns, 0)
+        self._tick(now_ns)
+        if not self.pipeline.touched:
+            self._awake.close()
 
-    def _poll(self, now_ns: int) -> None:
-        self._poll_ns = now_ns
+    def _tick(self, now_ns: int) -> None:
+        self._tick_ns = now_ns
         for sink in self._sinks:
             sink.poll()
-
-    def _do_due(self, now_ns: int, period_ns: int) -> None:
         if now_ns - self._health_ns >= self._health.period_ns:
             self._publish_health()
-        touched = self.pipeline.touched
-        if touched is not self._awake.held:
-            self._awake.follow(touched, period_ns)
         if self._control is not None and now_ns - self._control_ns >= _CONTROL_NS:
             self._control_ns = now_ns
             for command in self._control.poll():
                 self._set_screen(off=command == "screen off", now_ns=now_ns)
         if self._reload_asked:
             self._read_configuration()
-        # Here, where every frame comes by: a stage, a sink or a source that hangs starves the watchdog.
+        # Here, between frames: a stage, a sink or a source that hangs starves the watchdog.
         self._manager.beat(now_ns)
 
     def _read_configuration(self) -> None:

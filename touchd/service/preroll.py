@@ -1,4 +1,4 @@
-"""The last seconds of frames, in memory, so that a ghost touch becomes a file that can be replayed."""
+"""Keeps the last seconds of frames in memory, so that a ghost touch becomes a recording that can be replayed."""
 
 from __future__ import annotations
 
@@ -22,22 +22,21 @@ from touchd.recording.data import Meta
 from touchd.sources.recorder import Block, write_blocks
 
 AFTER_NS = 1_000_000_000
-"""A doubtful touch is saved so much later, with how it went on."""
+"""From a doubtful touch until it is saved, ns: the recording shows how the touch went on."""
 _OURS = re.compile(r"preroll-\d{8}T\d{6}Z-[a-z0-9]+(-\d+)?\.npz")
 
 log = structlog.get_logger()
 
 
 class PreRoll:
-    """Keeps a copy of each frame for some seconds, and writes them as a recording when asked to.
+    """Keeps a copy of each frame for some seconds, and writes them as a recording on request.
 
-    Memory is taken in blocks of a second that are used again. Writing is done by a thread of its own; whatever goes
-    wrong there is logged and nothing else.
+    Frames lie in blocks of a second, which are used again. A thread of its own writes them, and logs what goes wrong.
 
     Parameters
     ----------
     acquisition : Acquisition
-        Of the frames.
+        The geometry of the frames.
     rate_hz : float
         Frames a second.
     meta : callable
@@ -79,7 +78,7 @@ class PreRoll:
         if last is not None and (frame.sequence <= last.sequence or frame.t_ns <= last.t_ns):
             if frame.sequence == last.sequence:
                 return  # seen already
-            self._forget()  # the device counts anew: no recording holds both
+            self._reset()  # the device counts from its start again: no recording holds both
         self._last = frame
         current = self._current
         current.append(frame, frame.t_ns)
@@ -94,11 +93,11 @@ class PreRoll:
             self.poll()
 
     def request(self, reason: str) -> None:
-        """Have what is in memory saved at the next `poll`; safe to call from a signal handler."""
+        """Request a save at the next `poll`; safe to call from a signal handler."""
         self._asked = reason
 
     def poll(self) -> None:
-        """Save if that was asked for and is due; to be called also while no frame comes."""
+        """Save if a save was requested and is due; called also while no frame comes."""
         if self._asked:
             reason, self._asked = self._asked, ""
             self._save(reason)
@@ -107,7 +106,7 @@ class PreRoll:
             self._save("doubtful")
 
     def close(self) -> None:
-        """Save what is still to be saved, and wait until it is written."""
+        """Save what is still due, and wait until it is written."""
         if self._due_ns is not None:
             self._due_ns = self._clock()
         self.poll()
@@ -126,18 +125,18 @@ class PreRoll:
             log.warning("pre-roll not saved", reason=reason, why=why)
             return
         self._saved_ns = now_ns
-        # Full blocks are lent to the writer as they are; the one in hand goes on being filled.
+        # The writer borrows full blocks, and gets a copy of the current one, which is being filled.
         self._lent = blocks[:-1] if blocks[-1] is self._current else blocks
         handed = [*self._lent, *([self._current.copy()] if self._current.size else [])]
         self._writing = self._writer.submit(self._write, reason, handed)
 
     def _recycle(self, block: Block) -> None:
         if self._writing is not None and not self._writing.done() and any(block is lent for lent in self._lent):
-            return  # the writer has it; another one is made
+            return  # the writer still reads it
         block.size = 0
         self._free.append(block)
 
-    def _forget(self) -> None:
+    def _reset(self) -> None:
         while self._blocks:
             self._recycle(self._blocks.popleft())
         self._current.size = 0
@@ -154,18 +153,18 @@ class PreRoll:
             log.info("pre-roll saved: it can reveal a PIN", path=path, frames=frames, reason=reason)
             self._prune()
         except Exception as error:
-            # A full disk, or whatever: touches go on.
+            # A full disk, for example: touches go on.
             log.warning("pre-roll not saved", reason=reason, why=str(error))
 
     def _prune(self) -> None:
-        """Delete the oldest of our own files beyond those that are to be kept."""
+        """Delete the oldest of the pre-roll's own files, all but the last `keep`."""
         ours = sorted(path for path in self._folder.iterdir() if _OURS.fullmatch(path.name))
         for path in ours[: -self._settings.keep]:
             path.unlink(missing_ok=True)
 
 
 def default_folder() -> Path:
-    """Return systemd's state directory of the service, or else the user's."""
+    """Return the service's state directory, as systemd names it, or else the user's."""
     if managed := os.environ.get("STATE_DIRECTORY"):
         return Path(managed.partition(":")[0]) / "preroll"
     home = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
@@ -173,7 +172,7 @@ def default_folder() -> Path:
 
 
 def save_on_signal(preroll: PreRoll) -> None:
-    """Have SIGUSR1 save the pre-roll."""
+    """Save the pre-roll on SIGUSR1."""
 
     def handle(_number: int, _frame: FrameType | None) -> None:
         preroll.request("sigusr1")

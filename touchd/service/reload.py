@@ -16,26 +16,28 @@ from touchd.service import log as logging
 from touchd.service.health import Health
 from touchd.service.messages import Messages
 
-RESTART_ONLY = frozenset({"device", "bus", "control", "realtime", "model.path", "baseline.learn_frames"})
-"""Tables and keys that hold from the start to the end: what is open, bound, loaded or learned by then."""
+RESTART_ONLY = frozenset(
+    {"device", "ni", "bus", "control", "realtime", "preroll", "model.path", "model.atlas", "baseline.learn_frames"}
+)
+"""Tables and keys that a running daemon cannot change: what is open, bound, loaded or learned."""
 
 log = structlog.get_logger()
 
 
 @dataclass(frozen=True, slots=True)
 class Changes:
-    """What a newly read configuration changes."""
+    """How a configuration differs from the one in use."""
 
     settings: Settings
-    """The old ones with all that can be taken over."""
+    """Those in use, with the keys in `taken` changed."""
     taken: tuple[str, ...]
-    """Keys that differ and are taken over."""
+    """Keys that a running daemon can change."""
     waiting: tuple[str, ...]
-    """Keys that differ and need a restart."""
+    """Keys that need a restart."""
 
 
 def compare(running: Settings, read: Settings) -> Changes:
-    """Return what becomes of each key in which the settings just read differ from those in use."""
+    """Return the keys in which the settings just read differ from those in use."""
     taken: list[str] = []
     waiting: list[str] = []
     values = running.model_dump()

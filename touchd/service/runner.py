@@ -11,22 +11,16 @@ READ_TIMEOUT_S = 0.05
 """How long the daemon waits for a frame: so late, at most, it answers a signal or a new subscriber."""
 
 
-def _never() -> bool:
-    return False
-
-
 def _ignore(_change: Change) -> None:
     pass
 
 
 def frames_of(
-    source: Source,
-    timeout_s: float = READ_TIMEOUT_S,
-    *,
-    stopped: Callable[[], bool] = _never,
-    on_change: Callable[[Change], object] = _ignore,
+    source: Source, timeout_s: float = READ_TIMEOUT_S, *, on_change: Callable[[Change], object] = _ignore
 ) -> Iterator[Frame | None]:
     """Yield each frame of a source until the source ends, and None whenever no frame came within `timeout_s`.
+
+    So a caller can stop at any time, by leaving its loop.
 
     Parameters
     ----------
@@ -34,8 +28,6 @@ def frames_of(
         Stays open at the end. A frame is valid until the next one is asked for.
     timeout_s : float
         The longest wait for a frame.
-    stopped : callable
-        Asked before each frame; True ends the loop.
     on_change : callable
         Called with each change of a live source's state, before the None that follows it.
 
@@ -45,9 +37,10 @@ def frames_of(
         The source has failed.
     """
     changes: Callable[[], Iterable[Change]] = getattr(source, "changes", tuple)
-    while not stopped():
+    read = source.read
+    while True:
         try:
-            frame = source.read(timeout_s)
+            frame = read(timeout_s)
         except EndOfStream:
             return
         if frame is None:

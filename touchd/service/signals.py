@@ -1,4 +1,4 @@
-"""What signals do to a daemon: SIGTERM and SIGINT stop it, SIGHUP reloads its configuration."""
+"""SIGTERM and SIGINT stop a daemon, SIGHUP reloads its configuration."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from touchd.service.loop import Service
 
 
 def stop_on_signals(service: Service) -> None:
-    """Have SIGTERM and SIGINT end the service in order; a second one ends it at once."""
+    """Stop the service in order on SIGTERM or SIGINT; a second one ends the process at once."""
 
     def handle(number: int, _frame: FrameType | None) -> None:
         service.stop()
@@ -21,7 +21,7 @@ def stop_on_signals(service: Service) -> None:
 
 
 def reload_on_hangup(service: Service) -> None:
-    """Have SIGHUP reload the configuration; a daemon in a terminal ends with it, one under nohup ignores it."""
+    """Reload the configuration on SIGHUP; a daemon in a terminal ends with it, one under nohup ignores it."""
     if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN or (sys.stdin is not None and sys.stdin.isatty()):
         return
     signal.signal(signal.SIGHUP, lambda _number, _frame: service.reload())

@@ -1,6 +1,6 @@
-"""Telling the service manager how the daemon does, by systemd's protocol (sd_notify(3), systemd.service(5)).
+"""Reports readiness, state and life to the service manager, by systemd's protocol (sd_notify(3), systemd.service(5)).
 
-It is a datagram with lines of `NAME=value` to the socket named by NOTIFY_SOCKET. Without a manager nothing is sent.
+A report is a datagram with lines of `NAME=value` to the socket named by NOTIFY_SOCKET. Without a manager none is sent.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ log = structlog.get_logger()
 
 
 class Notifier:
-    """The connection to the service manager; nothing it does can make the daemon wait, or fail.
+    """The connection to the service manager, which can neither delay the daemon nor make it fail.
 
     Parameters
     ----------
     address : str
-        The manager's socket: a path, or `@` and an abstract name; empty if there is no manager.
+        The manager's socket: a path, or `@` and an abstract name; empty without a manager.
     watchdog_s : float
-        The manager restarts the daemon when nothing was heard for so long; 0 is never.
+        The manager restarts the daemon after this time without a heartbeat; 0 is never.
     clock : callable
         CLOCK_MONOTONIC, ns: the manager compares it with its own.
     """
@@ -44,54 +44,54 @@ class Notifier:
                 self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
                 self._socket.connect("\0" + address[1:] if address.startswith("@") else address)
             except OSError as error:
-                log.warning("the service manager cannot be told anything", socket=address, error=error.strerror)
+                log.warning("the service manager cannot be reached", socket=address, error=error.strerror)
                 self.close()
 
     @classmethod
     def from_environment(cls, environment: Mapping[str, str] = os.environ) -> Notifier:
-        """Return the connection that the manager asked for, if there is one and it is meant for this process."""
+        """Return the connection that the environment names, if it names this process."""
         watchdog = environment.get("WATCHDOG_USEC", "")
         mine = environment.get("WATCHDOG_PID", str(os.getpid())) == str(os.getpid())
         watchdog_s = int(watchdog) * 1e-6 if watchdog.isdecimal() and mine else 0.0
         return cls(environment.get("NOTIFY_SOCKET", ""), watchdog_s)
 
     def status(self, text: str) -> None:
-        """Have the manager show one line on what the daemon does."""
+        """Show one line on what the daemon does."""
         if text != self._status and self._send(f"STATUS={_one_line(text)}"):
             self._status = text
 
     def ready(self) -> None:
-        """Say that the daemon does its work, or awaits its device; once it was heard, further calls send nothing."""
+        """Report that the daemon works, or awaits its device; once the manager has it, further calls send nothing."""
         self._ready = self._ready or self._send("READY=1")
 
     def reloading(self) -> None:
-        """Say that the configuration is being read again; `reloaded` has to follow."""
+        """Report that a reload begins; `reloaded` has to follow."""
         if self._ready:
             self._send(f"RELOADING=1\nMONOTONIC_USEC={self._clock() // 1000}")
 
     def reloaded(self) -> None:
-        """Say that the configuration was read."""
+        """Report that the reload is done."""
         if self._ready:
             self._ready = self._send("READY=1")
 
     def stopping(self) -> None:
-        """Say that the daemon is about to end."""
+        """Report that the daemon is about to end."""
         self._send("STOPPING=1")
 
     def beat(self, now_ns: int) -> None:
-        """Feed the watchdog, if it is time to; to be called wherever the daemon must come by."""
+        """Send a heartbeat if one is due; called from the loop over the frames."""
         if self._beat_ns and (self._last_beat_ns is None or now_ns - self._last_beat_ns >= self._beat_ns):
             self._last_beat_ns = now_ns
             self._send("WATCHDOG=1")
 
     def close(self) -> None:
-        """Say nothing any more; further calls do nothing."""
+        """Stop reporting; further calls do nothing."""
         if self._socket is not None:
             self._socket.close()
             self._socket = None
 
     def _send(self, lines: str) -> bool:
-        """Return whether the manager has it; one that is busy or restarts hears the next line, or heartbeat."""
+        """Return whether the manager has it; one that is busy or restarts gets the next report or heartbeat."""
         if self._socket is None:
             return False
         try:

@@ -1,4 +1,4 @@
-"""Addresses of the bus: which ones stay on this computer, and whose a socket file is. No sockets of ZeroMQ here."""
+"""Addresses of the bus: which of them leave this computer, and who may use a socket file. No ZeroMQ here."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def is_file(address: str) -> bool:
 
 
 def split(address: str) -> tuple[str, str]:
-    """Return host and port of a `tcp://` address, IPv6 hosts without their brackets.
+    """Return host and port of a `tcp://` address. An IPv6 host loses its brackets.
 
     Raises
     ------
@@ -35,7 +35,7 @@ def split(address: str) -> tuple[str, str]:
 
 
 def is_loopback(host: str) -> bool:
-    """Return whether only this computer can reach the host; names other than localhost count as beyond."""
+    """Return whether this computer alone can reach the host. A name other than localhost counts as outside."""
     if host == "localhost":
         return True
     try:
@@ -45,12 +45,12 @@ def is_loopback(host: str) -> bool:
 
 
 def refuse_insecure(address: str) -> None:
-    """Let an address without keys pass if the computer itself decides who may use it.
+    """Raise if others than this computer's users can reach an address.
 
     Raises
     ------
     InsecureBind
-        If others can reach it.
+        If the network, or every local user, can.
     """
     if is_file(address):
         if address.startswith("ipc://@"):
@@ -69,10 +69,10 @@ def refuse_insecure(address: str) -> None:
 
 @contextlib.contextmanager
 def private_file(address: str, group: str) -> Iterator[None]:
-    """Around the binding of an `ipc://` address: refuse a taken path, and give the new file its mode and group.
+    """Bind an `ipc://` address within this context: it refuses a taken path, and sets mode and group of the new file.
 
-    The file is 0600 from its first moment; with a group it is handed over first and opened, to 0660, last. The umask
-    that does this is the whole process's: bind before other threads make files.
+    The file has mode 0600 from its first moment. With a group, the group is set first and mode 0660 last. The umask is
+    that of the whole process: bind before other threads make files.
 
     Raises
     ------
@@ -117,7 +117,7 @@ def _group_id(address: str, group: str) -> int:
 
 
 def _refuse_taken(address: str, path: Path) -> None:
-    """Ask whoever listens at the path to answer: libzmq would unlink the file without asking."""
+    """Raise if somebody listens at the path: libzmq would unlink the file without asking."""
     try:
         mode = path.lstat().st_mode
     except FileNotFoundError:
@@ -131,11 +131,11 @@ def _refuse_taken(address: str, path: Path) -> None:
             "there is something else than a socket, and it is not replaced", address, "bind elsewhere, or move it away"
         )
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
-        probe.setblocking(False)  # a full queue of a live publisher is an answer too
+        probe.setblocking(False)  # a live publisher may have a full queue
         try:
             probe.connect(str(path))
         except ConnectionRefusedError:
-            return  # left behind by a process that is gone
+            return  # a process that is gone left it behind
         except FileNotFoundError:
             return
         except PermissionError as error:

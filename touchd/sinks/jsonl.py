@@ -1,4 +1,4 @@
-"""Events as lines of JSON, for `--print`: people, pipes and tests read them."""
+"""Write events as lines of JSON, for `--print`."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ log = structlog.get_logger()
 
 
 class JsonlSink:
-    """One line of JSON per event, flushed at once.
+    """Writes one line of JSON per event, and flushes it.
 
-    A terminal or a pipe that is not read makes the writer wait, unlike the bus: this is for looking, not for
-    production. When the reader has gone, or the disk is full, the sink falls silent; the bus goes on.
+    Unlike the bus it waits for a terminal or a pipe that is not read: it is for looking, not for production. When the
+    reader is gone or the disk is full, the sink stops writing and the daemon runs on.
 
     Parameters
     ----------
     stream : TextIO
-        Where the lines go; it stays open.
+        Where the lines go. It stays open.
     topics : Collection[str]
-        What is written. Key presses are secret: leave `key` out where the stream ends in a log.
+        The topics to write. Key presses are secret: leave out `key` if the stream ends in a log.
     clock : Callable
         CLOCK_MONOTONIC in ns, for the latency.
     """
@@ -40,11 +40,11 @@ class JsonlSink:
         self._clock = clock
 
     def wants(self, topic: str) -> bool:
-        """Return whether lines of this topic are written."""
+        """Return whether this topic is written."""
         return topic in self._topics
 
     def publish(self, event: Event, received_ns: int) -> None:
-        """Write one event, if its topic is wanted."""
+        """Write one event if its topic is wanted."""
         if event.type not in self._topics:
             return
         body = encode_at(event, received_ns, self._clock) if isinstance(event, TouchEvent) else encode(event)
@@ -58,8 +58,8 @@ class JsonlSink:
             log.warning("events are printed no more", error=error.strerror)
 
     def poll(self) -> None:
-        """Do nothing: lines have no subscribers."""
+        """Do nothing: a stream has no subscribers."""
 
     def close(self) -> None:
-        """Write no more; the stream belongs to the caller."""
+        """Stop writing. The stream belongs to the caller."""
         self._topics = frozenset()

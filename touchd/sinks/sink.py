@@ -1,4 +1,4 @@
-"""Where events go. A sink never blocks and never raises for the sake of a reader."""
+"""Where events go. No reader can make a sink block or raise."""
 
 from __future__ import annotations
 
@@ -8,20 +8,20 @@ from touchd.event import Event
 
 
 class Sink(Protocol):
-    """What the service asks of a sink."""
+    """What the service calls."""
 
     def wants(self, topic: str) -> bool:
-        """Return whether anybody would see a message of this topic, so that none is built in vain."""
+        """Return whether anybody receives this topic. The service makes no message that nobody receives."""
         ...
 
     def publish(self, event: Event, received_ns: int) -> None:
-        """Hand one event over, without waiting. `received_ns` is its frame's, for the latency."""
+        """Send one event without waiting. `received_ns` is the time of its frame, for the latency."""
         ...
 
     def poll(self) -> None:
-        """Do what has come up since the last call, without waiting."""
+        """Take in what readers sent since the last call, without waiting."""
         ...
 
     def close(self) -> None:
-        """Flush and release; further calls do nothing."""
+        """Flush and release. Further calls do nothing."""
         ...

@@ -1,6 +1,6 @@
 """The event bus: a ZeroMQ publisher that never makes the daemon wait.
 
-Nothing in this module logs a payload: key events are secret.
+No line of this module logs a payload: key events are secret.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from touchd.sinks import curve, endpoint
 
 log = structlog.get_logger()
 
-_LINGER_MS = 500  # the daemon shall end within a second of being told to
-_MOST_PER_POLL = 64  # subscription messages taken in at once: a flood of them must not hold up a frame
+_LINGER_MS = 500  # the daemon ends within a second of SIGTERM
+_MOST_PER_POLL = 64  # subscription messages read at once: a flood must not delay a frame
 _MOST_RECEIVED_BYTES = 4096  # subscriptions and handshakes
-_LOOK_S = 0.1  # how long a wait goes on at most once it shall end
-# Plain integers: an operation on zmq's flags makes an object, and takes longer than the call it is for.
+_LOOK_S = 0.1  # a wait ends at most this late
+# Plain integers: an operation on zmq's flags makes an object, and takes longer than the call.
 _EVENTS, _POLLIN = int(zmq.EVENTS), int(zmq.POLLIN)
 _MORE, _NOBLOCK = int(zmq.SNDMORE | zmq.NOBLOCK), int(zmq.NOBLOCK)
 _SUBSCRIBE, _UNSUBSCRIBE = b"\x01", b"\x00"
@@ -33,9 +33,9 @@ _SUBSCRIBE, _UNSUBSCRIBE = b"\x01", b"\x00"
 class ZeromqSink:
     """Publishes events on an XPUB socket, with a last-value cache.
 
-    A subscriber that reads too slowly loses messages once `high_water_mark` of them wait for it; a gap in `seq` shows
-    it. XPUB cannot address one subscriber, so the cached message that a new one gets reaches all of that topic once
-    more, byte for byte: the same `seq` tells the repeat.
+    A slow subscriber loses messages once `high_water_mark` of them wait for it; a gap in `seq` shows the loss. A new
+    subscriber gets the last message of its topic. XPUB cannot address one subscriber: all of that topic receive it
+    again, byte for byte, with the same `seq`.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ class ZeromqSink:
         self._clock = clock
         self._open = True
         self._last: dict[str, Event | bytes] = {}
-        # The prefixes subscribed to, and the topics they stand for. The prefixes alone tell when a topic is dropped.
+        # The prefixes subscribed to, and their topics. A topic is dropped with its last prefix.
         self._prefixes: set[bytes] = set()
         self._wanted: frozenset[str] = frozenset()
         self._topic_frames = {topic: topic.encode() for topic in TOPICS}
@@ -66,13 +66,13 @@ class ZeromqSink:
         self._socket = self._context.socket(zmq.XPUB)
         self._authenticator: ThreadAuthenticator | None = None
         try:
-            # Verbose for subscriptions: each one asks for the last value. Not for their ends: libzmq then reports
-            # only that of a prefix's last one, which is right even for a client that subscribed twice.
+            # Verbose for subscriptions: each one needs the last value. Not for unsubscriptions: libzmq then reports
+            # the last one of a prefix alone, also where a client subscribed twice.
             self._socket.setsockopt(zmq.XPUB_VERBOSE, 1)
             self._socket.setsockopt(zmq.SNDHWM, settings.high_water_mark)
             self._socket.setsockopt(zmq.LINGER, _LINGER_MS)
             self._socket.setsockopt(zmq.MAXMSGSIZE, _MOST_RECEIVED_BYTES)
-            # A subscriber whose cable was pulled is found out after half a minute.
+            # Half a minute finds a subscriber whose cable was pulled.
             for option, value in ((zmq.TCP_KEEPALIVE, 1), (zmq.TCP_KEEPALIVE_IDLE, 15), (zmq.TCP_KEEPALIVE_INTVL, 5),
                                   (zmq.TCP_KEEPALIVE_CNT, 3)):  # fmt: skip
                 self._socket.setsockopt(option, value)
@@ -82,14 +82,14 @@ class ZeromqSink:
             raise
 
     addresses: tuple[str, ...]
-    """The addresses bound, in the order of the settings, with the port chosen where one was left open."""
+    """The addresses bound, in the order of the settings. A port `*` is replaced by the port in use."""
 
     def wants(self, topic: str) -> bool:
         """Return whether somebody is subscribed to the topic, as of the last `poll`."""
         return topic in self._wanted
 
     def publish(self, event: Event, received_ns: int) -> None:
-        """Send the event to its topic's subscribers, and keep it for those to come; it must not change afterwards."""
+        """Send the event to the subscribers of its topic, and keep it for later ones. It must not change afterwards."""
         topic = event.type
         if topic not in self._wanted:
             self._last[topic] = event
@@ -99,8 +99,8 @@ class ZeromqSink:
         self._last[topic] = body
 
     def poll(self) -> None:
-        """Take in subscriptions that have come or gone, and give new ones the last message of their topics."""
-        # Asking for the state costs a microsecond; an attempt to receive that fails costs several.
+        """Read subscriptions and unsubscriptions. Send the last message of each topic that has new subscribers."""
+        # The state costs a microsecond, a failed attempt to receive several.
         if not self._open or not int(self._socket.getsockopt(_EVENTS)) & _POLLIN:
             return
         new: set[str] = set()
@@ -127,7 +127,7 @@ class ZeromqSink:
     def wait_for_subscriber(
         self, timeout_s: float, topic: str = "touch", stopped: Callable[[], bool] = lambda: False
     ) -> None:
-        """Return once somebody is subscribed to the topic, or nobody shall wait any more.
+        """Return once somebody is subscribed to the topic, or `stopped` returns true.
 
         For scripts that publish at full speed.
 
@@ -150,7 +150,7 @@ class ZeromqSink:
             self.poll()
 
     def close(self) -> None:
-        """Send what is waiting, for at most half a second, and free the addresses; further calls do nothing."""
+        """Send waiting messages, for at most half a second, and free the addresses. Further calls do nothing."""
         if not self._open:
             return
         self._open = False
@@ -162,26 +162,26 @@ class ZeromqSink:
         self._context.term()
 
     def _send(self, topic: str, body: bytes) -> None:
-        """Hand one message to the socket, which drops it for every subscriber that is behind."""
+        """Send one message. The socket drops it for each subscriber that is behind."""
         self._socket.send(self._topic_frames[topic], _MORE)
         self._socket.send(body, _NOBLOCK)
 
     def _send_last(self, topic: str) -> None:
-        """Send a topic's last message again, or for the first time if nobody was there when it happened."""
+        """Send the last message of a topic again, or for the first time if nobody was subscribed."""
         last = self._last[topic]
         if not isinstance(last, bytes):
-            # Not `encode_at`: how long it lay here is no latency, and the field stays 0.
+            # Not `encode_at`: its time in the cache is no latency, and the field stays 0.
             last = self._last[topic] = encode(last)
         self._send(topic, last)
 
     def _bind_all(self, settings: BusSettings) -> tuple[str, ...]:
-        """Bind every address, and return what was bound in the order of the settings."""
+        """Bind every address. Return the bound addresses in the order of the settings."""
         secret_key = settings.curve_secret_key
         if secret_key is None and not settings.insecure:
             for address in settings.bind:
                 endpoint.refuse_insecure(address)
         bound = dict.fromkeys(range(len(settings.bind)), "")
-        # A listener copies the options that hold when it is bound. So files come first, and keys concern TCP alone.
+        # A listener copies the socket's options when it is bound: files come first, and keys concern TCP alone.
         for index, address in enumerate(settings.bind):
             if endpoint.is_file(address):
                 with endpoint.private_file(address, settings.ipc_group):
@@ -213,13 +213,13 @@ class ZeromqSink:
         return self._socket.getsockopt_string(zmq.LAST_ENDPOINT).rstrip("\0")
 
     def _require_keys(self, pair: curve.KeyPair, clients: Path | None) -> None:
-        """Encrypt from here on; with a folder of clients admit only those."""
+        """Encrypt what is bound from now on. With a folder of clients, admit those alone."""
         self._socket.setsockopt(zmq.CURVE_SERVER, 1)
         self._socket.setsockopt(zmq.CURVE_PUBLICKEY, pair.public)
         self._socket.setsockopt(zmq.CURVE_SECRETKEY, pair.secret)
         if clients is None:
             return
-        curve.load_folder(clients)  # now, so that a mistake in it is seen at the start
+        curve.load_folder(clients)  # a mistake in it ends the start
         self._socket.setsockopt_string(zmq.ZAP_DOMAIN, "touchd")
         self._authenticator = ThreadAuthenticator(self._context)
         self._authenticator.start()
@@ -227,10 +227,10 @@ class ZeromqSink:
 
 
 def _is_from_peer(message: zmq.Frame) -> bool:
-    """Return whether a peer sent the message, rather than libzmq noting that the last one has gone.
+    """Return whether a peer sent the message; otherwise libzmq made it when the last subscriber went.
 
-    libzmq passes on the unsubscription of a peer that never subscribed, too. Believing it would let one client silence
-    all others; not believing an honest one costs the encoding of messages for nobody. Only a spectrum is too dear.
+    libzmq also forwards the unsubscription of a peer that never subscribed, by which one client could silence all
+    others. An honest one that is ignored costs the encoding of messages for nobody; only a spectrum is too expensive.
     """
     try:
         return bool(message.get("Socket-Type"))
@@ -239,7 +239,7 @@ def _is_from_peer(message: zmq.Frame) -> bool:
 
 
 class _Clients:
-    """Who may subscribe: asked at every handshake, so that keys come and go without a restart."""
+    """Decides at each handshake who may subscribe: keys come and go without a restart."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder

@@ -1,12 +1,13 @@
-"""What a source asks of a DAQ, whatever connects it: `touchd.sources.usb` has the one on USB."""
+"""What `DaqSource` needs from a DAQ, over any connection: `usb` has the one on USB, `ni` a rig of NI hardware."""
 
 from __future__ import annotations
 
 from typing import Protocol
 
-from touchd.frame import Acquisition, Chirp
+from msgspec import Struct
+
+from touchd.frame import Acquisition, Counts
 from touchd.recording.data import Device
-from touchd.sources.usb_protocol import Info
 
 
 class DaqAbsent(Exception):
@@ -14,61 +15,50 @@ class DaqAbsent(Exception):
 
 
 class DaqGone(Exception):
-    """The device may be gone: look for it again."""
+    """The connection is of no more use: close it and look for the device again. The text says why."""
 
 
-class DaqHalted(Exception):
-    """The device has halted its endpoint: clear that, and go on."""
+class DaqFrame(Struct, gc=False, frozen=True):
+    """What a device measured during one chirp, numbered and dated by the device."""
 
-
-class DaqOverflow(Exception):
-    """The device sent more than was asked for; that transfer is lost."""
+    counts: Counts
+    """ADC counts of shape (channels, samples), a view that is valid until the next `read`."""
+    sequence: int
+    """Number of the chirp, unwrapped: it grows by 1 from chirp to chirp. Any number may be the first after `start`."""
+    timestamp_us: int
+    """The device's clock at the start of the chirp, us."""
+    clipped: bool = False
+    """A sample is at the ADC's limit."""
+    withheld: str = ""
+    """Why the counts are no measurement of the plate, a key of `Tally.withheld`; empty if they are one."""
 
 
 class Daq(Protocol):
-    """A connection to one device, opened and described. Every method may raise DaqGone."""
+    """An open connection to one device. Every method but `close` may raise DaqGone."""
 
-    info: Info
-    serial: str
-    packet_bytes: int
-    """Of the endpoint: a read of another multiple ends a transfer."""
+    acquisition: Acquisition
+    """What its frames look like."""
+    device: Device
+    """What a recording says of it: serial number and firmware."""
+    min_rate_hz: int
+    max_rate_hz: int
+    """Frame rates that `start` takes, Hz."""
+
+    @property
+    def corrupt(self) -> int:
+        """Frames that failed a check on this connection, up to the one that `read` returned last; never falls."""
 
     def start(self, rate_hz: int) -> None:
-        """Begin the stream anew; what an earlier one left behind is thrown away."""
+        """Begin the stream, or restart it, and discard what an earlier stream left behind."""
 
     def stop(self) -> None:
         """End the stream."""
 
-    def read(self, timeout_s: float) -> memoryview | None:
-        """Return what one transfer brought, valid until the next call; None if nothing came in time.
-
-        Raises
-        ------
-        DaqHalted, DaqOverflow
-        """
-
-    def clear_halt(self) -> None:
-        """Let a halted endpoint go on."""
+    def read(self, timeout_s: float) -> DaqFrame | None:
+        """Return the next valid frame; None if there is none in time, or the device sent something else first."""
 
     def reset(self) -> None:
-        """Reset the device; it has to be looked for again."""
+        """Reset the device, which breaks the connection."""
 
     def close(self) -> None:
-        """Let go of the device; never fails."""
-
-
-def acquisition_of(info: Info) -> Acquisition:
-    """Return the geometry of a device's frames, in touchd's units."""
-    chirp = Chirp(
-        start_hz=info.chirp_start_hz, stop_hz=info.chirp_stop_hz, duration_s=info.chirp_us / 1e6,
-        dac_rate_hz=info.dac_rate_hz,
-    )  # fmt: skip
-    return Acquisition(
-        channels=info.channels, samples=info.samples, sample_rate_hz=info.sample_rate_hz, bits=info.bits,
-        full_scale_v=info.full_scale_mv / 1e3, chirp=chirp,
-    )  # fmt: skip
-
-
-def device_of(daq: Daq) -> Device:
-    """Return what a recording says of a device."""
-    return Device(serial=daq.serial, firmware=".".join(map(str, daq.info.firmware)))
+        """Release the device; never fails."""

@@ -1,4 +1,4 @@
-"""A device's clock mapped to this computer's: no drift, no jitter, never backwards."""
+"""Map a device's clock to this computer's: without drift or jitter, and never backwards."""
 
 from __future__ import annotations
 
@@ -6,38 +6,38 @@ from collections import deque
 from typing import NamedTuple
 
 BUCKET_NS = 500_000_000
-"""One frame of each such span, the quickest, is remembered."""
+"""Length of a bucket; the fit uses the quickest frame of each."""
 BUCKETS = 60
-"""Spans that the fit looks back on: 30 s, over which a crystal's rate hardly changes."""
+"""Buckets of the fit: 30 s, over which a crystal's rate hardly changes."""
 MAX_SKEW = 1e-3
-"""No clock is faster or slower than this; a crystal's limit is nearer to 1e-4."""
-_FIT_BUCKETS = 8  # with fewer the rate is noise, and taken to be right
+"""Limit of the fitted rate; crystals are within 1e-4."""
+_FIT_BUCKETS = 8  # with fewer the fitted rate is noise, so the device's is taken as exact
 _SETTLE_NS = 1_000_000_000
 _MAX_SLEW = 0.1
-_JUMP_NS = 1_000_000_000  # clocks that part by so much between two frames: the device's was set
+_JUMP_NS = 1_000_000_000  # if the clocks part by more between two frames, the device's clock was set
 
 
 class _Point(NamedTuple):
     x_ns: int
     """Device time."""
     y_ns: int
-    """What was to be added to it to get the time of arrival, beyond what it was at the first frame: how far the clocks
-    have parted since, and this frame's delay less that one's."""
+    """Arrival less device time, less the same of the first frame: how far the clocks have parted since, plus the
+    difference of the two frames' delays."""
 
 
 class DeviceClock:
-    """Turns the device's time of a chirp into CLOCK_MONOTONIC.
+    """Convert the device's time of a chirp to CLOCK_MONOTONIC.
 
     A frame arrives late by a delay that varies but is never negative, so the offset of the clocks is the lower envelope
-    of (arrival less device time). The envelope is a straight line while the rates are constant; the line under all
-    points with the least distance to them is the edge of their lower convex hull above the mean of x (S. Moon, P.
-    Skelly, D. Towsley, "Estimation and removal of clock skew from network delay measurements", INFOCOM 1999). The
-    output follows that line without steps.
+    of (arrival less device time). The envelope is a straight line while the rates are constant. Of all lines under the
+    points, the closest is the edge of their lower convex hull above the mean of x (S. Moon, P. Skelly, D. Towsley,
+    "Estimation and removal of clock skew from network delay measurements", INFOCOM 1999). The output follows that line
+    without steps.
 
     Parameters
     ----------
     complete_ns : int
-        From the start of a chirp to its last sample: no frame can arrive sooner.
+        Time from the start of a chirp to its last sample, the least delay of a frame.
     """
 
     def __init__(self, complete_ns: int) -> None:
@@ -68,7 +68,7 @@ class DeviceClock:
         self._last_ns, self._last_received_ns = device_ns, received_ns
         x_ns = device_ns - self._epoch_ns
         y_ns = received_ns - self._complete_ns - self._first_ns - x_ns
-        self._remember(_Point(x_ns, y_ns))
+        self._add(_Point(x_ns, y_ns))
         self._follow(x_ns, step_ns)
         t_ns = self._first_ns + x_ns + round(self._offset_ns)
         self.delay_ns = received_ns - self._complete_ns - t_ns
@@ -80,12 +80,12 @@ class DeviceClock:
         self._minima: deque[_Point] = deque(maxlen=BUCKETS)
         self._bucket = 0
         self._skew = 0.0
-        # An integer, whatever the uptime: floats hold only how far the clocks have parted since.
+        # An integer, exact after any uptime; floats hold only how far the clocks have parted since.
         self._first_ns = received_ns - self._complete_ns
-        # The line: its height at x = 0. And what is in fact added to device time, which follows it.
+        # Height of the line at x = 0; and what is added to device time, which follows the line.
         self._intercept_ns = self._offset_ns = 0.0
 
-    def _remember(self, point: _Point) -> None:
+    def _add(self, point: _Point) -> None:
         bucket = point.x_ns // BUCKET_NS
         if bucket != self._bucket or not self._minima:
             if self._minima:
@@ -94,11 +94,11 @@ class DeviceClock:
             self._minima.append(point)
         elif point.y_ns < self._minima[-1].y_ns:
             self._minima[-1] = point
-        # Sooner than the line allows: the line was too high.
+        # A frame below the line shows that the line was too high.
         self._intercept_ns = min(self._intercept_ns, point.y_ns - self._skew * point.x_ns)
 
     def _fit(self) -> None:
-        """Draw the line anew under what is remembered."""
+        """Fit the line under the points."""
         points = list(self._minima)
         if len(points) < _FIT_BUCKETS:
             self._skew = 0.0
@@ -109,7 +109,7 @@ class DeviceClock:
         self._intercept_ns = min(y - self._skew * x for x, y in points)
 
     def _follow(self, x_ns: int, step_ns: int) -> None:
-        """Let the offset move towards the line, so slowly that time neither jumps nor runs backwards."""
+        """Move the offset towards the line, slowly enough that time neither jumps nor runs backwards."""
         self._offset_ns += self._skew * step_ns
         error_ns = self._intercept_ns + self._skew * x_ns - self._offset_ns
         limit_ns = _MAX_SLEW * step_ns

@@ -1,4 +1,4 @@
-"""A bounded queue of frames between two threads, in memory that is allocated once; when full it drops the oldest."""
+"""A bounded queue of frames between two threads, allocated once; a full queue drops its oldest frame."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ class _Waiting(NamedTuple):
 
 
 class FrameRing(Generic[Mark]):
-    """Frames from one thread to another, with marks of any type in their order among them.
+    """Frames from one thread to another, with marks of any type between them, in order.
 
     Parameters
     ----------
     frames : int
-        How many frames may wait. Latency is bounded by it: a reader who falls behind loses the oldest ones.
+        Frames that may wait. This bounds the latency: a reader who falls behind loses the oldest frames.
     shape : tuple of int
         Of a frame's counts, (channels, samples).
     """
 
     def __init__(self, frames: int, shape: tuple[int, int]) -> None:
         self.dropped = 0
-        """Frames that were dropped because the reader was behind."""
-        # One more is in the reader's hands.
+        """Frames dropped because the reader was behind."""
+        # One slot more, which the reader holds.
         memory = np.zeros((frames + 1, *shape), np.int16)
         self._slots: list[Counts] = list(memory)
         read_only = memory.view()
@@ -46,7 +46,7 @@ class FrameRing(Generic[Mark]):
         self._changed = threading.Condition()
 
     def put(self, counts: Counts, sequence: int, t_ns: int, received_ns: int) -> None:
-        """Copy a frame in. `counts` may be any view of shape (channels, samples): it is the only copy that is made."""
+        """Copy a frame in, the only copy on its way. `counts` may be any view of shape (channels, samples)."""
         with self._changed:
             slot = self._free.pop() if self._free else self._drop()
         self._slots[slot][:] = counts
@@ -55,13 +55,13 @@ class FrameRing(Generic[Mark]):
             self._changed.notify()
 
     def mark(self, mark: Mark) -> None:
-        """Put a mark behind the frames so far; marks are never dropped."""
+        """Append a mark; marks are never dropped."""
         with self._changed:
             self._queue.append(mark)
             self._changed.notify()
 
     def take(self, timeout_s: float) -> Frame | None:
-        """Return the next frame, valid until the next call; None if there is none in time, or a mark comes first."""
+        """Return the next frame, valid until the next call; None if none comes in time, or a mark comes first."""
         with self._changed:
             if not self._queue:
                 self._changed.wait(timeout_s)
@@ -74,7 +74,7 @@ class FrameRing(Generic[Mark]):
         return Frame(self._views[first.slot], first.sequence, first.t_ns, first.received_ns)
 
     def marks(self) -> list[Mark]:
-        """Take the marks that no frame comes before."""
+        """Take the marks that come before the next frame."""
         found: list[Mark] = []
         with self._changed:
             while self._queue and not isinstance(first := self._queue[0], _Waiting):
@@ -83,10 +83,10 @@ class FrameRing(Generic[Mark]):
         return found
 
     def _drop(self) -> int:
-        """Take the oldest frame out, whatever marks stand before it, and return its slot."""
+        """Remove the oldest frame, keep the marks before it, and return its slot."""
         for i, item in enumerate(self._queue):
             if isinstance(item, _Waiting):
                 del self._queue[i]
                 self.dropped += 1
                 return item.slot
-        raise AssertionError("all slots are taken, so one must be waiting")
+        raise AssertionError("no slot is free, so a frame waits")

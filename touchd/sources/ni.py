@@ -1,10 +1,10 @@
 """A rig of NI hardware as a DAQ: one analog output for the chirp, simultaneous analog inputs. NOT TRIED ON HARDWARE.
 
-The chirp is played again and again from the output's own buffer, which is one period of frames long. The inputs run all
-the time and start with the output (its start trigger is routed to them in hardware), so frame n begins n periods after
-the start, on the same timebase: chirp and samples keep their distance to the tick, whatever this computer does.
+The output plays its own buffer, one period of frames, again and again. The inputs run continuously and start on the
+output's start trigger, which the chassis routes to them, so frame n begins n periods after the start, on the same
+timebase: the delay from chirp to samples is constant to the tick at any load of this computer.
 
-The vendor's package (extra `ni`) and driver are imported here and nowhere else. docs/ni.md has the set-up.
+This module alone imports the vendor's package (extra `ni`) and driver. docs/integrator.md has the set-up.
 """
 
 from __future__ import annotations
@@ -24,37 +24,40 @@ from touchd.chirp import waveform
 from touchd.config.schema import NiSettings
 from touchd.errors import ConfigError, SourceError
 from touchd.frame import Acquisition
-from touchd.sources.daq import DaqAbsent, DaqGone
-from touchd.sources.usb_protocol import Header, Info, build_frame
+from touchd.recording.data import Device
+from touchd.sources.daq import DaqAbsent, DaqFrame, DaqGone
 
-_WHOLE = 1 << 30  # no packets: every read is a frame
-_BUFFER_S = 1.0  # what the driver keeps for a computer that is late
+_BUFFER_S = 1.0  # of the driver, for a computer that is late
 _DRIVER_FIX = "install NI-DAQmx, which the package needs"
 
 
 class NiDaq:
-    """The rig, opened; frames leave it in the form of those on USB.
+    """An open rig.
 
     Parameters
     ----------
     settings : NiSettings
     acquisition : Acquisition
-        What to play and to sample.
+        The chirp to play, and the frames to sample.
 
     Raises
     ------
     DaqAbsent
         The driver does not find the device.
     SourceError
-        There is no driver, or the inputs are not sampled simultaneously.
+        The driver is not installed, or the inputs are not sampled simultaneously.
     ConfigError
-        The voltages are beyond what can be.
+        The chirp's amplitude is above the output's limit.
     """
 
-    packet_bytes = _WHOLE
+    corrupt = 0
+    """The driver reports an error instead."""
+    min_rate_hz = 1
 
     def __init__(self, settings: NiSettings, acquisition: Acquisition) -> None:
-        self._settings, self._acquisition = settings, acquisition
+        self.acquisition = acquisition
+        self.max_rate_hz = int(acquisition.sample_rate_hz // acquisition.samples)
+        self._settings = settings
         if settings.amplitude_v > settings.output_limit_v:
             raise ConfigError(
                 f"is {settings.amplitude_v:g} V, above ni.output_limit_v", "ni.amplitude_v", "play the chirp lower"
@@ -62,7 +65,7 @@ class NiDaq:
         self._tasks: list[Any] = []
         try:
             device = nidaqmx.system.device.Device(settings.inputs.partition("/")[0])
-            self.serial = f"{device.serial_num:08X}"
+            self.device = Device(serial=f"{device.serial_num:08X}")
             simultaneous = device.ai_simultaneous_sampling_supported
         except (DaqNotFoundError, DaqNotSupportedError) as error:
             raise SourceError("there is no NI-DAQmx driver", "ni", _DRIVER_FIX) from error
@@ -73,66 +76,42 @@ class NiDaq:
                 f"{settings.inputs} samples its channels one after the other", "ni.inputs",
                 "use inputs that are sampled at the same time, such as those of an NI-9223",
             )  # fmt: skip
-        self.info = self._describe()
 
     def start(self, rate_hz: int) -> None:
-        """Play and sample anew; the first frame begins with the start trigger."""
+        """Play and sample from the start trigger on, with which the first frame begins."""
         self.stop()
-        acquisition, settings = self._acquisition, self._settings
+        acquisition = self.acquisition
         period = _whole(acquisition.sample_rate_hz / rate_hz, "the sample rate", rate_hz)
         played = _whole(acquisition.chirp.dac_rate_hz / rate_hz, "the DAC's rate", rate_hz)
-        chirp = settings.amplitude_v * waveform(acquisition.chirp)
+        chirp = self._settings.amplitude_v * waveform(acquisition.chirp)
         if len(chirp) > played or acquisition.samples > period:
             raise ConfigError(f"is {rate_hz}: a frame lasts longer than that", "device.rate_hz", "lower it")
         try:
             output, inputs = self._task(), self._task()
-            output.ao_channels.add_ao_voltage_chan(
-                settings.output, min_val=-settings.output_limit_v, max_val=settings.output_limit_v
-            )
-            output.timing.cfg_samp_clk_timing(
-                acquisition.chirp.dac_rate_hz, sample_mode=AcquisitionType.CONTINUOUS, samps_per_chan=played
-            )
-            output.out_stream.regen_mode = RegenerationMode.ALLOW_REGENERATION
-            stream_writers.AnalogSingleChannelWriter(output.out_stream, auto_start=False).write_many_sample(
-                np.concatenate([chirp, np.zeros(played - len(chirp))])
-            )
-            inputs.ai_channels.add_ai_voltage_chan(
-                settings.inputs, min_val=-acquisition.full_scale_v, max_val=acquisition.full_scale_v
-            )
-            if inputs.number_of_channels != acquisition.channels:
-                raise ConfigError(
-                    f"names {inputs.number_of_channels} channels, not {acquisition.channels}", "ni.inputs",
-                    "name one for each receiver, in the order of the model's",
-                )  # fmt: skip
-            inputs.timing.cfg_samp_clk_timing(
-                acquisition.sample_rate_hz, sample_mode=AcquisitionType.CONTINUOUS,
-                samps_per_chan=round(_BUFFER_S * acquisition.sample_rate_hz),
-            )  # fmt: skip
-            inputs.triggers.start_trigger.cfg_dig_edge_start_trig(settings.trigger or _start_of(settings.output))
+            self._prepare_output(output, np.concatenate([chirp, np.zeros(played - len(chirp))]))
+            self._prepare_inputs(inputs)
             self._reader = stream_readers.AnalogUnscaledReader(inputs.in_stream)
             inputs.start()  # armed first: it waits for the output
             output.start()
         except DaqError as error:
             self.stop()
             raise DaqGone(f"it cannot be started ({error.error_code})") from error
-        shape = acquisition.channels, acquisition.samples
-        self._counts: NDArray[np.int16] = np.zeros(shape, np.int16)
+        self._counts: NDArray[np.int16] = np.zeros(acquisition.shape, np.int16)
         self._rest: NDArray[np.int16] = np.zeros((acquisition.channels, period - acquisition.samples), np.int16)
         self._period_s, self._frame = 1 / rate_hz, 0
 
-    def read(self, timeout_s: float) -> memoryview | None:
-        """Return the next frame as soon as its last sample is there."""
+    def read(self, timeout_s: float) -> DaqFrame | None:
+        """Return the next frame as soon as its last sample is taken."""
         timeout_s = max(timeout_s, 3 * self._period_s)
         try:
-            if self._frame and self._rest.size:  # what came after the last frame, up to this one
+            if self._frame and self._rest.size:  # from the end of the last frame to the beginning of this one
                 self._reader.read_int16(self._rest, self._rest.shape[1], timeout_s)
             self._reader.read_int16(self._counts, self._counts.shape[1], timeout_s)
         except DaqError as error:
-            # Also a time-out: part of a frame may have been read, and only a new start finds the beginning of one.
+            # A time-out, too, may come within a frame: only a new start finds the beginning of one.
             raise DaqGone(f"reading fails ({error.error_code})") from error
-        header = Header(self._frame, round(self._frame * self._period_s * 1e6), flags=self._clipped())
-        self._frame += 1
-        return memoryview(build_frame(self.info, header, self._counts.T.astype("<i2").tobytes()))
+        sequence, self._frame = self._frame, self._frame + 1
+        return DaqFrame(self._counts, sequence, round(sequence * self._period_s * 1e6), clipped=self._clipped())
 
     def stop(self) -> None:
         """End both tasks."""
@@ -141,9 +120,6 @@ class NiDaq:
             with contextlib.suppress(DaqError):
                 task.close()
 
-    def clear_halt(self) -> None:
-        """Do nothing: there is no endpoint."""
-
     def reset(self) -> None:
         """Reset the device."""
         self.stop()
@@ -151,7 +127,7 @@ class NiDaq:
             nidaqmx.system.device.Device(self._settings.inputs.partition("/")[0]).reset_device()
 
     def close(self) -> None:
-        """Let go of the device; never fails."""
+        """Release the device; never fails."""
         self.stop()
 
     def _task(self) -> Any:
@@ -159,22 +135,40 @@ class NiDaq:
         self._tasks.append(task)
         return task
 
-    def _clipped(self) -> int:
-        return int(bool((np.abs(self._counts.astype(np.int32)) >= 2 ** (self.info.bits - 1) - 1).any()))
+    def _prepare_output(self, output: Any, period_v: NDArray[np.float64]) -> None:
+        """Load one period into the output's buffer, to be played again and again."""
+        limit_v = self._settings.output_limit_v
+        output.ao_channels.add_ao_voltage_chan(self._settings.output, min_val=-limit_v, max_val=limit_v)
+        output.timing.cfg_samp_clk_timing(
+            self.acquisition.chirp.dac_rate_hz, sample_mode=AcquisitionType.CONTINUOUS, samps_per_chan=len(period_v)
+        )
+        output.out_stream.regen_mode = RegenerationMode.ALLOW_REGENERATION
+        stream_writers.AnalogSingleChannelWriter(output.out_stream, auto_start=False).write_many_sample(period_v)
 
-    def _describe(self) -> Info:
-        a = self._acquisition
-        return Info(
-            channels=a.channels, samples=a.samples, sample_rate_hz=round(a.sample_rate_hz), bits=a.bits,
-            dac_rate_hz=round(a.chirp.dac_rate_hz), chirp_start_hz=round(a.chirp.start_hz),
-            chirp_stop_hz=round(a.chirp.stop_hz), chirp_us=round(a.chirp.duration_s * 1e6),
-            full_scale_mv=round(a.full_scale_v * 1e3), max_frame_rate_hz=int(a.sample_rate_hz // a.samples),
-            min_frame_rate_hz=1,
+    def _prepare_inputs(self, inputs: Any) -> None:
+        """Let the inputs sample continuously from the output's start trigger on."""
+        acquisition, settings = self.acquisition, self._settings
+        inputs.ai_channels.add_ai_voltage_chan(
+            settings.inputs, min_val=-acquisition.full_scale_v, max_val=acquisition.full_scale_v
+        )
+        if inputs.number_of_channels != acquisition.channels:
+            raise ConfigError(
+                f"names {inputs.number_of_channels} channels, not {acquisition.channels}", "ni.inputs",
+                "name one for each receiver, in the order of the model's",
+            )  # fmt: skip
+        inputs.timing.cfg_samp_clk_timing(
+            acquisition.sample_rate_hz, sample_mode=AcquisitionType.CONTINUOUS,
+            samps_per_chan=round(_BUFFER_S * acquisition.sample_rate_hz),
         )  # fmt: skip
+        inputs.triggers.start_trigger.cfg_dig_edge_start_trig(settings.trigger or _start_of(settings.output))
+
+    def _clipped(self) -> bool:
+        limit = 2 ** (self.acquisition.bits - 1) - 1
+        return bool(self._counts.max() >= limit or self._counts.min() <= -limit)
 
 
 def _start_of(output: str) -> str:
-    """Return the terminal of an output's start trigger; modules share that of their chassis."""
+    """Return the terminal of an output's start trigger, which the modules of a chassis share."""
     chassis = re.sub(r"Mod\d+$", "", output.partition("/")[0])
     return f"/{chassis}/ao/StartTrigger"
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import inf
 from pathlib import Path
 
 from touchd.config.schema import Settings
@@ -12,41 +13,46 @@ from touchd.localization.model import Model
 from touchd.sources.source import Source
 
 PAPER = Acquisition(channels=4, samples=250, sample_rate_hz=250e3)
-"""What the source paper's rig samples: the geometry of a rig that no model is there for."""
+"""What the source paper's rig samples: the acquisition of an NI rig without a model."""
 
 
 @dataclass(frozen=True, slots=True)
 class SourceChoice:
-    """Which source the command line asked for: the DAQ on USB unless it names another."""
+    """The source that the command line names; by default the DAQ on USB."""
 
     replay: Path | None = None
+    """A recording to play back."""
     simulate: str | None = None
+    """A scene of the digital twin to simulate."""
     speed: float = 1.0
-    """Relative to the recording; infinite is as fast as frames are taken."""
+    """Of a replay or simulation, relative to real time; infinite is as fast as frames are taken."""
     loop: bool = False
+    """Restart the replay or scene at its end."""
     seed: int = 0
+    """Of the simulation."""
     ni: bool = False
+    """Use the NI rig."""
 
 
 def open_source(choice: SourceChoice, settings: Settings, model: Model | None = None) -> Source:
-    """Return the source that was asked for; each backend is imported on use.
+    """Open the source that was chosen; import its backend only then.
 
     Parameters
     ----------
     choice : SourceChoice
     settings : Settings
-        Those of `device` and `ni`, the DAQ to use if no other source was named.
+        `device` and `ni` configure a DAQ.
     model : Model, optional
-        What the DAQ's frames are for: it may then be plugged in later, and one that the model does not fit is refused.
-        Without a model the DAQ has to be there.
+        The model that the frames are for. With a model a DAQ may be plugged in later, and a DAQ that the model does not
+        fit is refused; without one a DAQ on USB must be plugged in.
 
     Raises
     ------
     SourceError
-        If several were named, or a scene shall run at a speed of its own; or the DAQ cannot be used.
+        Several sources are named, a scene is given a speed, or the DAQ cannot be used.
     """
-    asked = {"--replay": choice.replay is not None, "--simulate": choice.simulate is not None, "--ni": choice.ni}
-    named = [option for option, given in asked.items() if given]
+    given = {"--replay": choice.replay is not None, "--simulate": choice.simulate is not None, "--ni": choice.ni}
+    named = [option for option, is_given in given.items() if is_given]
     if len(named) > 1:
         raise SourceError("several sources were named", " and ".join(named), "name one of them")
     if choice.replay is not None:
@@ -54,22 +60,28 @@ def open_source(choice: SourceChoice, settings: Settings, model: Model | None = 
 
         return ReplaySource(choice.replay, speed=choice.speed, loop=choice.loop)
     if choice.simulate is not None:
-        from touchd.sources.simulated import SimulatedSource
+        return _simulate(choice.simulate, choice)
+    return _open_ni(settings, model) if choice.ni else _open_usb(settings, model)
 
-        if choice.speed not in (1.0, float("inf")):
-            raise SourceError(
-                "a live scene has no other speed", f"--speed {choice.speed:g}", "leave it out, or say max"
-            )
-        return SimulatedSource(
-            choice.simulate, seed=choice.seed, paced=choice.speed != float("inf"), loop=choice.loop
-        )  # fmt: skip
-    if choice.ni:
-        from touchd.sources.live import DaqSource
-        from touchd.sources.ni import NiDaq
 
-        acquisition = model.description.acquisition if model else PAPER
-        check = model.check if model else (lambda _acquisition: None)
-        return DaqSource(lambda: NiDaq(settings.ni, acquisition), settings.device, acquisition, check)
+def _simulate(scene: str, choice: SourceChoice) -> Source:
+    from touchd.sources.simulated import SimulatedSource
+
+    if choice.speed not in (1.0, inf):
+        raise SourceError("a live scene has no other speed", f"--speed {choice.speed:g}", "leave it out, or say max")
+    return SimulatedSource(scene, seed=choice.seed, paced=choice.speed != inf, loop=choice.loop)
+
+
+def _open_ni(settings: Settings, model: Model | None) -> Source:
+    from touchd.sources.live import DaqSource
+    from touchd.sources.ni import NiDaq
+
+    acquisition = model.description.acquisition if model else PAPER
+    check = model.check if model else lambda _: None
+    return DaqSource(lambda: NiDaq(settings.ni, acquisition), settings.device, acquisition, check)
+
+
+def _open_usb(settings: Settings, model: Model | None) -> Source:
     from touchd.sources.usb import open_usb
 
     if model is None:

@@ -1,4 +1,4 @@
-"""A recorder around any source: the frames go on to whoever reads them, and into a file."""
+"""Record from any source: pass its frames on, and write them to a file or folder."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from touchd.sources.source import Change, LiveSource, Source
 CHUNK_FRAMES = 5000
 """Frames in a chunk of a folder: at 125 frames a second, a power cut costs at most 40 s."""
 MAX_FILE_FRAMES = 60_000
-"""Frames in a single file, which is kept in memory until the end: 120 MB of 4 x 250 counts."""
+"""Frames in a single file, which stays in memory until the end: 120 MB of 4 x 250 counts."""
 
 
 def describe(
@@ -32,7 +32,7 @@ def describe(
     device: Device | None = None,
     notes: str = "",
 ) -> Meta:
-    """Return a recording's description, dated now."""
+    """Return the description of a recording that begins now."""
     return Meta(
         sample_rate_hz=acquisition.sample_rate_hz,
         bits=acquisition.bits,
@@ -48,17 +48,17 @@ def describe(
 
 
 class Recorder:
-    """A source that keeps what it passes on.
+    """A source that records the frames of another one.
 
-    A path that ends in `.npz` becomes one file, written by `close`. Any other becomes a folder of numbered chunks, each
-    written as soon as it is full, by a thread of its own so that no frame has to wait for the disk.
+    A path that ends in `.npz` becomes one file, written by `close`. Any other becomes a folder of numbered chunks; a
+    thread writes each chunk as soon as it is full, so that no frame waits for the disk.
 
     Parameters
     ----------
     source : Source
-        Where the frames come from; closed together with the recorder.
+        The source to record; `close` closes it too.
     path : Path
-        What to write; it must not exist yet.
+        File or folder to write; it must not exist yet.
     meta : Meta
         The recording's description, see `describe`.
     chunk_frames : int
@@ -69,7 +69,7 @@ class Recorder:
     Raises
     ------
     OutputError
-        The path exists, or nothing can be written there.
+        The path exists, or cannot be written.
     """
 
     def __init__(
@@ -85,11 +85,11 @@ class Recorder:
         self.meta = meta
         self.path = path
         self.frames = 0
-        """Frames kept so far."""
+        """Frames recorded."""
         self.lost = 0
-        """Frames that the source's counter jumped over."""
+        """Frames that the source's counter skipped."""
         self.dropped = 0
-        """Frames passed on but not kept, since their counter or time did not go forward."""
+        """Frames passed on but not recorded, because their number or time did not increase."""
         self._source = source
         self._single = path.suffix == ".npz"
         self._chunk_frames = chunk_frames
@@ -104,12 +104,12 @@ class Recorder:
         self._writer = ThreadPoolExecutor(1, "touchd-recorder")
 
     def read(self, timeout_s: float) -> Frame | None:
-        """Return the source's next frame, having kept a copy.
+        """Record and return the source's next frame.
 
         Raises
         ------
         EndOfStream
-            When the source has no further frame.
+            The source has no further frame.
         OutputError
             A chunk could not be written, or a single file is full; `close` still saves what is in memory.
         """
@@ -121,11 +121,11 @@ class Recorder:
         return frame
 
     def changes(self) -> list[Change]:
-        """Take the changes of a live source's state; no frame comes before they are taken."""
+        """Take the changes of a live source's state; no frame overtakes them."""
         return self._source.changes() if isinstance(self._source, LiveSource) else []
 
     def close(self) -> None:
-        """Write what has not been written, and close the source. Without a frame there will be no file.
+        """Write the rest, and close the source. Without a frame no file is made.
 
         Raises
         ------
@@ -135,7 +135,7 @@ class Recorder:
         if self._closed:
             return
         self._closed = True
-        with ExitStack() as steps:  # the last one goes first, and each is done whatever became of the others
+        with ExitStack() as steps:  # from the last to the first, and each even if others fail
             steps.callback(self._remove_if_empty)
             steps.callback(self._writer.shutdown)
             steps.callback(self._finish_writing)
@@ -166,7 +166,7 @@ class Recorder:
             self._flush()
 
     def _flush(self) -> None:
-        """Hand what is in memory to the writing thread."""
+        """Queue the blocks in memory for the writing thread."""
         blocks, self._blocks = self._blocks, []
         if blocks:
             path = self.path if self._single else self.path / f"{self._chunks:06d}.npz"
@@ -185,7 +185,7 @@ class Recorder:
 
 
 class Block:
-    """Room for so many frames, partly filled."""
+    """Memory for a number of frames, filled from the front."""
 
     def __init__(self, frames: int, acquisition: Acquisition) -> None:
         self.size = 0
@@ -194,14 +194,14 @@ class Block:
         self.timestamp_ns: NDArray[np.int64] = np.empty(frames, np.int64)
 
     def append(self, frame: Frame, timestamp_ns: int) -> None:
-        """Copy a frame in; there must be room."""
+        """Copy a frame in; the block must not be full."""
         self.counts[self.size] = frame.counts
         self.sequence[self.size] = frame.sequence
         self.timestamp_ns[self.size] = timestamp_ns
         self.size += 1
 
     def copy(self) -> Block:
-        """Return a block of its own with the same frames, and no further room."""
+        """Return a full block with copies of the frames."""
         twin = Block.__new__(Block)
         twin.size = self.size
         twin.counts, twin.sequence = self.counts[: self.size].copy(), self.sequence[: self.size].copy()
@@ -210,7 +210,7 @@ class Block:
 
 
 def write_blocks(path: Path, meta: Meta, blocks: list[Block], *, epoch_ns: int = 0, compress: bool = True) -> int:
-    """Write blocks as one file, whose time counts from `epoch_ns`, and return how many frames that are."""
+    """Write blocks as one file whose time counts from `epoch_ns`, and return the number of frames."""
     frames = np.concatenate([block.counts[: block.size] for block in blocks])
     sequence = np.concatenate([block.sequence[: block.size] for block in blocks])
     timestamp_ns = np.concatenate([block.timestamp_ns[: block.size] for block in blocks]) - epoch_ns
@@ -219,7 +219,7 @@ def write_blocks(path: Path, meta: Meta, blocks: list[Block], *, epoch_ns: int =
 
 
 def _prepare(path: Path, single: bool) -> None:
-    """Find out now, not after an hour of recording, that nothing can be written."""
+    """Check the path now, not after an hour of recording."""
     try:
         if os.path.lexists(path):
             raise OutputError("exists already", str(path), "choose another name, or delete it first")

@@ -1,4 +1,4 @@
-"""A recording played back as if it happened now."""
+"""Play a recording back as if it happened now."""
 
 from __future__ import annotations
 
@@ -18,28 +18,28 @@ _MAX_WAIT_S = 1e6
 
 
 class ReplaySource:
-    """Frames of a recording, at the pace of their timestamps; late frames are caught up with, never skipped.
+    """Frames of a recording, at the pace of their timestamps. A slow reader gets every frame, late ones at once.
 
-    A frame's `t_ns` is the clock at the first frame plus the recorded time since then, whatever the speed.
-    The counts are read-only views of the recording in memory, of which a folder keeps one chunk at a time.
+    A frame's `t_ns` is the clock at the first frame plus the recorded time since then, at every speed. The counts are
+    read-only views of the recording in memory; of a folder one chunk is in memory at a time.
 
     Parameters
     ----------
     path : Path
         A recording: a file, or a folder of chunks.
     speed : float
-        1 takes as long as the recording did, 2 half of that; infinity never waits.
+        1 takes as long as the recording, 2 half as long; infinity never waits.
     loop : bool
-        Start again at the end. Sequence and time go on counting; the seam is one frame period long.
+        Restart at the end. Sequence and time continue, with one frame period between the laps.
     clock : callable
         Monotonic time, ns.
     sleep : callable
-        Waits for so many seconds.
+        Waits, s.
 
     Raises
     ------
     RecordingError
-        The recording cannot be used; for a later chunk of a folder, when `read` reaches it.
+        The recording cannot be used. A later chunk of a folder raises it from `read`.
     ConfigError
         The speed is below 0.001.
     """
@@ -64,7 +64,7 @@ class ReplaySource:
         self._clock = clock
         self._sleep = sleep
         self._epoch_ns: int | None = None
-        # What the recording's own counters are shifted by; they grow from lap to lap.
+        # Added to the recording's own counters; they grow from lap to lap.
         self._sequence_shift = 0
         self._time_shift_ns = 0
         # The chunk being played, and the next frame in it.
@@ -78,7 +78,7 @@ class ReplaySource:
         self._take(first)
 
     def read(self, timeout_s: float) -> Frame | None:
-        """Return the next frame once it is due, or None if it is not within `timeout_s`.
+        """Return the next frame once it is due; None if it is not due within `timeout_s`.
 
         Raises
         ------
@@ -104,7 +104,7 @@ class ReplaySource:
         return Frame(self._counts[i], self._sequence[i], self._epoch_ns + elapsed_ns, now_ns)
 
     def close(self) -> None:
-        """Let go of the recording."""
+        """Release the recording."""
         self._loop = False
         self._chunks = iter(())
         self._sequence, self._elapsed_ns = [], []
@@ -117,7 +117,7 @@ class ReplaySource:
         return now_ns
 
     def _advance(self) -> None:
-        """Take the next chunk, which may be the first of another lap."""
+        """Take the next chunk, or the first one of another lap."""
         chunk = next(self._chunks, None)
         if chunk is not None:
             self._take(chunk)
@@ -131,9 +131,9 @@ class ReplaySource:
 
     def _take(self, chunk: Recording) -> None:
         self._counts: Counts = chunk.frames.view()
-        # A stage that wrote into a frame would change the next lap.
+        # Read-only: a stage that wrote into a frame would change the next lap.
         self._counts.flags.writeable = False
-        # Python's integers: they index faster, and no number of laps overflows them.
+        # Python's integers index faster, and no number of laps overflows them.
         shift, shift_ns = self._sequence_shift, self._time_shift_ns - self._first_ns
         self._sequence = [shift + n for n in chunk.sequence.tolist()]
         self._elapsed_ns = [shift_ns + t for t in chunk.timestamp_ns.tolist()]

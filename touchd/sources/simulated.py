@@ -1,4 +1,4 @@
-"""Frames live from the digital twin, computed ahead of the time at which they are due."""
+"""Frames live from the digital twin, computed ahead of time by a thread."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from touchd.twin.scenes.one_finger import Key
 from touchd.twin.simulate import DEFAULT_PLATE, meta_of, stage_scene, stream
 
 _AHEAD = 2
-"""Blocks of frames that wait to be read."""
+"""Blocks of frames that are computed ahead."""
 _MAX_WAIT_S = 1e6
 
 
 class SimulatedSource:
-    """A scene as if it happened now; late frames are caught up with, never skipped.
+    """A scene as if it happened now. A slow reader gets every frame, late ones at once.
 
-    A frame's `t_ns` is the clock at the first frame plus the scene's own time, whatever the speed, so events do not
-    depend on how fast this computer is. The first lap is, to the bit, what `simulate_scene` returns for the seed;
-    later laps repeat the scene with other noise.
+    A frame's `t_ns` is the clock at the first frame plus the scene's own time, so events do not depend on the speed of
+    this computer. The first lap is bit for bit what `simulate_scene` returns for the seed; later laps repeat the scene
+    with other noise.
 
     Parameters
     ----------
@@ -35,22 +35,22 @@ class SimulatedSource:
     rate_hz : float, optional
         Frames a second; by default the scene's own, 125 or 100.
     frames : int, optional
-        Of one lap; by default as many as the scene needs.
+        Frames of one lap; by default as many as the scene needs.
     paced : bool
-        Hand out each frame when it is due; otherwise as soon as it is computed.
+        Return each frame when it is due; otherwise as soon as it is computed.
     loop : bool
-        Begin again at the end. Sequence and time go on counting.
+        Restart at the end. Sequence and time continue.
     plate, instrument, electronics, finger, keys, code
         As for `simulate_scene`.
     clock : callable
         Monotonic time, ns.
     sleep : callable
-        Waits for so many seconds.
+        Waits, s.
 
     Raises
     ------
     SimulationError
-        When the scene is unknown, too short, or does not fit the plate.
+        The scene is unknown, too short, or does not fit the plate.
     """
 
     def __init__(
@@ -93,14 +93,14 @@ class SimulatedSource:
         self._thread.start()
 
     def read(self, timeout_s: float) -> Frame | None:
-        """Return the next frame once it is due and computed, or None if that takes longer than `timeout_s`.
+        """Return the next frame once it is due and computed; None if that takes longer than `timeout_s`.
 
         Raises
         ------
         EndOfStream
             After the last frame, unless the scene loops; or after `close`.
         SimulationError
-            When the twin failed.
+            The twin has failed.
         """
         if self._closed.is_set():
             raise EndOfStream
@@ -109,7 +109,7 @@ class SimulatedSource:
         if not self._take_block((deadline_ns - now_ns) / 1e9):
             return None
         assert self._block is not None
-        if self._epoch_ns is None:  # once the first frame is at hand, so that it is not late
+        if self._epoch_ns is None:  # after the first block is computed, so that its frames are not late
             self._epoch_ns = self._clock()
         laps_ahead = self._lap * (self._sequence[-1] + 1 - self._sequence[0])
         sequence = laps_ahead + self._sequence[self._frame]
@@ -132,7 +132,7 @@ class SimulatedSource:
     def close(self) -> None:
         """Stop computing; further calls do nothing."""
         self._closed.set()
-        while True:  # whoever waits to put a block finds room, and then the flag
+        while True:  # so that a thread that waits to put a block finds room, and then the flag
             try:
                 self._blocks.get_nowait()
             except queue.Empty:
@@ -140,7 +140,7 @@ class SimulatedSource:
         self._thread.join()
 
     def _take_block(self, timeout_s: float) -> bool:
-        """Make sure that a frame is at hand; return False if none came in time."""
+        """Take the next block if the last one is used up; return False if none came in time."""
         if self._block is not None and self._next < len(self._block):
             return True
         try:
@@ -156,14 +156,14 @@ class SimulatedSource:
         return True
 
     def _compute(self) -> None:
-        """Compute blocks until there is no further one; every failure travels to the reader."""
+        """Compute all blocks; a failure travels through the queue to the reader."""
         last: Exception = EndOfStream()
         try:
             lap = 0
             while lap == 0 or self._loop:
                 seed = self._seed if lap == 0 else (self._seed, lap)
                 for block in stream(self._stage, self._instrument, seed):
-                    # A stage that wrote into a frame would not be caught by any other source.
+                    # Read-only, like the frames of every other source.
                     block.flags.writeable = False
                     if not self._put(block):
                         return
@@ -173,7 +173,7 @@ class SimulatedSource:
         self._put(last)
 
     def _put(self, item: Counts | Exception) -> bool:
-        """Hand over a block; return False once nobody wants it."""
+        """Queue a block or an error; return False once the source is closed."""
         while not self._closed.is_set():
             try:
                 self._blocks.put(item, timeout=0.1)

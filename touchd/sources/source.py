@@ -1,4 +1,4 @@
-"""Where frames come from."""
+"""The protocol of a source of frames, and the state and tally of one with a device behind it."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from touchd.frame import Acquisition, Frame
 
 
 class EndOfStream(Exception):
-    """There will be no further frame."""
+    """The source has no further frame."""
 
 
 class Source(Protocol):
-    """What the service asks of a source."""
+    """What the service needs of a source."""
 
     acquisition: Acquisition
 
     def read(self, timeout_s: float) -> Frame | None:
-        """Return the next frame, or None if there was none in time.
+        """Return the next frame; None if none comes in time.
 
         Raises
         ------
         EndOfStream
-            When there will be no further frame.
+            The source has no further frame.
         """
         ...
 
@@ -43,23 +43,23 @@ class Change(NamedTuple):
 
 @dataclass(slots=True)
 class Tally:
-    """What became of a device's frames before anybody could read them; each frame counts once, and no number falls.
+    """Frames of a device that the source did not pass on, by reason; no number falls.
 
-    The device's frames are those that were read, plus `lost`, `corrupt`, `behind` and `withheld`.
+    Each frame counts once: it is read, or in one of `lost`, `corrupt`, `behind` and `withheld`.
     """
 
     lost: int = 0
-    """Jumped over by the device's counter, less the corrupt ones."""
+    """Skipped by the device's counter, less the corrupt ones."""
     corrupt: int = 0
     """Failed a check."""
     behind: int = 0
     """Dropped, the oldest first, because the pipeline was behind."""
     withheld: dict[str, int] = field(default_factory=dict)
-    """Valid, but of no plate: test patterns, chirps that the emitter failed to send; by reason."""
+    """Valid, but no measurement of the plate: `test_pattern`, or `emitter_fault` for a chirp that was not sent."""
     clipped: int = 0
-    """Taken although the ADC clipped."""
+    """Passed on although the ADC clipped."""
     late: int = 0
-    """Taken although they came more than a frame's period later than the quickest ones."""
+    """Passed on although they came more than a frame period later than the quickest frames."""
 
 
 @runtime_checkable
@@ -69,8 +69,8 @@ class LiveSource(Source, Protocol):
     tally: Tally
 
     def changes(self) -> list[Change]:
-        """Take the changes of state since the frame that was read last, in order.
+        """Take the changes of state since the last frame, in order.
 
-        `read` returns None at once when there is one, and no later frame before they are taken.
+        While a change waits, `read` returns None at once: no frame overtakes it.
         """
         ...

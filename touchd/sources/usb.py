@@ -1,16 +1,15 @@
-"""A DAQ on USB. The only module that imports pyusb; docs/usb-protocol.md is what the device speaks."""
+"""Find, open and command a DAQ on USB: the only module that imports pyusb. docs/usb-protocol.md is the protocol."""
 
 from __future__ import annotations
 
-import array
 import contextlib
 import ctypes
 import errno
+from array import array
 from collections.abc import Callable, Iterator
-from functools import cache
-from typing import Any, NoReturn
+from functools import cache, partial
+from typing import Any
 
-import structlog
 import usb.backend.libusb1
 import usb.core
 import usb.util
@@ -18,39 +17,26 @@ import usb.util
 from touchd.config.schema import DeviceSettings
 from touchd.errors import SourceError
 from touchd.frame import Acquisition
-from touchd.sources.daq import DaqAbsent, DaqGone, DaqHalted, DaqOverflow
-from touchd.sources.live import DaqSource, open_live
-from touchd.sources.usb_protocol import (
-    INFO_BYTES,
-    INTERFACE_CLASS,
-    STATUS_BYTES,
-    Info,
-    ProtocolFault,
-    Request,
-    Status,
-    parse_info,
-    parse_status,
-)
+from touchd.sources.daq import DaqAbsent, DaqGone
+from touchd.sources.live import WAITS, DaqSource, Waits, open_live
+from touchd.sources.usb_protocol import INFO_BYTES, INTERFACE_CLASS, Info, ProtocolFault, Request, parse_info
+from touchd.sources.usb_stream import EndpointHalted, RequestRefused, TransferOverflow, UsbDaq
 
 CONTROL_TIMEOUT_MS = 500
-_DRAIN_TIMEOUT_MS = 10
-_DRAIN_READS = 32
 _VENDOR_IN, _VENDOR_OUT = 0xC0, 0x40  # recipient device
 _SYSTEM_LIBUSB = "libusb-1.0.so.0"
 
-log = structlog.get_logger()
 
-
-class UsbDaq:
-    """An open DAQ whose interface is claimed.
+class UsbDevice:
+    """An open device of protocol 1 whose interface is claimed: what `UsbDaq` needs of it.
 
     Parameters
     ----------
     device : usb.core.Device
     configuration : int
-        The value of the one that the interface belongs to.
+        The value of the interface's configuration.
     interface : usb.core.Interface
-        The one of protocol 1.
+        The interface of protocol 1.
 
     Raises
     ------
@@ -66,7 +52,7 @@ class UsbDaq:
         endpoint = next(ep for ep in interface if _is_bulk_in(ep))
         self._endpoint = endpoint.bEndpointAddress
         self.packet_bytes: int = endpoint.wMaxPacketSize
-        self.where = _where(device)
+        self._where = _where(device)
         try:
             self._open(configuration)
             self.serial = serial_of(device)
@@ -74,11 +60,43 @@ class UsbDaq:
         except BaseException:
             self.close()
             raise
-        # Whole packets, so that no device can overflow it, and room for a frame that fills its last packet: the empty
-        # packet behind it then belongs to the same transfer.
-        packets = self.info.frame_bytes // self.packet_bytes + 1
-        self._buffer = array.array("B", bytes(packets * self.packet_bytes))
-        self._view = memoryview(self._buffer)
+
+    def command(self, request: Request, value: int = 0) -> None:
+        """Send a request without data."""
+        self._control(_VENDOR_OUT, request, value)
+
+    def fill(self, buffer: array[int], timeout_ms: int) -> int | None:
+        """Read one transfer into the buffer and return its length in bytes; None if nothing came in time."""
+        try:
+            return int(self._device.read(self._endpoint, buffer, timeout_ms))
+        except usb.core.USBTimeoutError:
+            return None
+        except usb.core.USBError as error:
+            if error.errno == errno.EPIPE:
+                raise EndpointHalted from error
+            if error.errno == errno.EOVERFLOW:
+                raise TransferOverflow from error
+            raise _gone(error) from error
+
+    def clear_halt(self) -> None:
+        """Clear a halt of the endpoint."""
+        try:
+            self._device.clear_halt(self._endpoint)
+        except usb.core.USBError as error:
+            raise DaqGone(f"its endpoint stays halted ({_name(error)})") from error
+
+    def reset(self) -> None:
+        """Reset the device, which breaks the connection."""
+        # A device that comes back as another one ends its reset with "not found".
+        with contextlib.suppress(usb.core.USBError):
+            self._device.reset()
+
+    def close(self) -> None:
+        """Release the device; never fails."""
+        with contextlib.suppress(usb.core.USBError):
+            usb.util.release_interface(self._device, self._interface)
+        with contextlib.suppress(usb.core.USBError):
+            usb.util.dispose_resources(self._device)
 
     def _open(self, configuration: int) -> None:
         device, number = self._device, self._interface
@@ -92,76 +110,21 @@ class UsbDaq:
             usb.util.claim_interface(device, number)
         except usb.core.USBError as error:
             if error.errno == errno.EACCES:
-                raise DaqAbsent(f"no permission to open it ({self.where}): install the udev rules of touchd") from error
-            if error.errno == errno.EBUSY:
-                raise DaqAbsent(f"another program uses it ({self.where})") from error
-            raise DaqAbsent(f"it cannot be opened ({self.where}: {_name(error)})") from error
+                why = f"no permission to open it ({self._where}): install the udev rules of touchd"
+            elif error.errno == errno.EBUSY:
+                why = f"another program uses it ({self._where})"
+            else:
+                why = f"it cannot be opened ({self._where}: {_name(error)})"
+            raise DaqAbsent(why) from error
 
     def _ask_info(self) -> Info:
         try:
-            data = self._control(_VENDOR_IN, Request.GET_INFO, 0, INFO_BYTES)
-            return parse_info(bytes(data))
-        except DaqHalted as error:
-            raise SourceError("refuses GET_INFO", f"device {self.where}", _WRONG_FIRMWARE) from error
-        except ProtocolFault as error:
-            raise SourceError(str(error), f"device {self.where}", _WRONG_FIRMWARE) from error
-
-    def start(self, rate_hz: int) -> None:
-        """Begin the stream anew; what an earlier one left behind is thrown away."""
-        self.stop()
-        with contextlib.suppress(DaqHalted, DaqOverflow):
-            for _ in range(_DRAIN_READS):
-                if self._read(_DRAIN_TIMEOUT_MS) is None:
-                    break
-        try:
-            self._control(_VENDOR_OUT, Request.START, rate_hz)
-        except DaqHalted as error:
-            raise DaqGone("it refuses START") from error
-
-    def stop(self) -> None:
-        """End the stream."""
-        with contextlib.suppress(DaqHalted):  # it may say that there is none
-            self._control(_VENDOR_OUT, Request.STOP, 0)
-
-    def status(self) -> Status:
-        """Return what the device counts."""
-        try:
-            return parse_status(bytes(self._control(_VENDOR_IN, Request.GET_STATUS, 0, STATUS_BYTES)))
-        except (DaqHalted, ProtocolFault) as error:
-            raise SourceError(f"GET_STATUS fails: {error}", f"device {self.where}", _WRONG_FIRMWARE) from error
-
-    def read(self, timeout_s: float) -> memoryview | None:
-        """Return what one transfer brought, valid until the next call; None if nothing came in time."""
-        return self._read(round(timeout_s * 1000))
-
-    def _read(self, timeout_ms: int) -> memoryview | None:
-        try:
-            size: int = self._device.read(self._endpoint, self._buffer, timeout_ms)
-        except usb.core.USBTimeoutError:
-            return None
-        except usb.core.USBError as error:
-            _translate(error)
-        return self._view[:size]
-
-    def clear_halt(self) -> None:
-        """Let a halted endpoint go on."""
-        try:
-            self._device.clear_halt(self._endpoint)
-        except usb.core.USBError as error:
-            raise DaqGone(f"its endpoint stays halted ({_name(error)})") from error
-
-    def reset(self) -> None:
-        """Reset the device; it has to be looked for again."""
-        # Not found is how a device that comes back as another one ends its reset.
-        with contextlib.suppress(usb.core.USBError):
-            self._device.reset()
-
-    def close(self) -> None:
-        """Let go of the device; never fails."""
-        with contextlib.suppress(usb.core.USBError):
-            usb.util.release_interface(self._device, self._interface)
-        with contextlib.suppress(usb.core.USBError):
-            usb.util.dispose_resources(self._device)
+            return parse_info(bytes(self._control(_VENDOR_IN, Request.GET_INFO, 0, INFO_BYTES)))
+        except (RequestRefused, ProtocolFault) as error:
+            raise SourceError(
+                str(error), f"device {self._where}",
+                "give the DAQ firmware for protocol 1, or another id in device.vendor_id and product_id",
+            ) from error  # fmt: skip
 
     def _control(self, kind: int, request: Request, value: int, size: int = 0) -> Any:
         try:
@@ -169,21 +132,9 @@ class UsbDaq:
         except usb.core.USBTimeoutError as error:
             raise DaqGone(f"it does not answer {request.name}") from error
         except usb.core.USBError as error:
-            _translate(error)
-
-
-_WRONG_FIRMWARE = "give the DAQ firmware for protocol 1, or another id in device.vendor_id and product_id"
-
-
-def _translate(error: usb.core.USBError) -> NoReturn:
-    """Raise what an error of libusb means to the state machine."""
-    if error.errno == errno.EPIPE:
-        raise DaqHalted from error
-    if error.errno == errno.EOVERFLOW:
-        raise DaqOverflow from error
-    # EIO, ENODEV, EPROTO and ESHUTDOWN are how a cable that is pulled looks, and whatever else there is: a new
-    # connection is the only thing that may help.
-    raise DaqGone(f"it is gone ({_name(error)})") from error
+            if error.errno == errno.EPIPE:
+                raise RequestRefused(f"refuses {request.name}") from error
+            raise _gone(error) from error
 
 
 def find_daq(settings: DeviceSettings, backend: Any = None) -> UsbDaq:
@@ -198,9 +149,9 @@ def find_daq(settings: DeviceSettings, backend: Any = None) -> UsbDaq:
     Raises
     ------
     DaqAbsent
-        There is none that can be used; the text says why.
+        No device can be used; the text says why.
     SourceError
-        It does not speak protocol 1; or there is no libusb.
+        The device does not speak protocol 1, or libusb is not installed.
     """
     ids = f"{settings.vendor_id:04x}:{settings.product_id:04x}"
     others = []
@@ -212,7 +163,7 @@ def find_daq(settings: DeviceSettings, backend: Any = None) -> UsbDaq:
             usb.util.dispose_resources(device)
             others.append(f"{_where(device)} has the serial number {serial!r}, not {settings.serial!r}")
         else:
-            return UsbDaq(device, *found)
+            return UsbDaq(UsbDevice(device, *found))
     raise DaqAbsent("; ".join(others) or f"no DAQ with the ids {ids} is plugged in")
 
 
@@ -220,7 +171,9 @@ def open_usb(
     settings: DeviceSettings,
     acquisition: Acquisition | None = None,
     check: Callable[[Acquisition], None] = lambda _: None,
+    *,
     backend: Any = None,
+    waits: Waits = WAITS,
 ) -> DaqSource:
     """Return the source of a DAQ on USB.
 
@@ -228,36 +181,32 @@ def open_usb(
     ----------
     settings : DeviceSettings
     acquisition : Acquisition, optional
-        What the frames must look like, with `check` to compare it with what the device says; the device may then be
-        plugged in at any later time. Without it the device must be there, and decides.
-    check : callable
-        See `DaqSource`.
+        What the frames must look like; the device may then be plugged in later, and `check` compares (see `DaqSource`).
+        Without it the device must be plugged in, and decides.
     backend : usb.backend.IBackend, optional
         Instead of libusb.
 
     Raises
     ------
     DeviceLost
-        No device is there to say what its frames look like.
+        No acquisition is given, and no device is plugged in.
     SourceError
-        There is no libusb, or the device does not speak protocol 1.
+        libusb is not installed, or the device does not speak protocol 1.
     """
-    backend = backend or libusb()  # missing, it is a failure now and not one of the thread
-
-    def find() -> UsbDaq:
-        return find_daq(settings, backend)
-
-    return open_live(find, settings) if acquisition is None else DaqSource(find, settings, acquisition, check)
+    find = partial(find_daq, settings, backend or libusb())  # without libusb this fails now, not in the thread
+    if acquisition is None:
+        return open_live(find, settings, waits)
+    return DaqSource(find, settings, acquisition, check, waits=waits)
 
 
 @cache
 def libusb() -> Any:
-    """Return pyusb's backend on the system's libusb, or else on the one that comes with libusb-package.
+    """Return pyusb's backend on the system's libusb, or on that of libusb-package.
 
     Raises
     ------
     SourceError
-        There is neither.
+        Neither is installed.
     """
 
     def find(name: str) -> str | None:
@@ -299,8 +248,8 @@ def _devices(settings: DeviceSettings, backend: Any) -> Iterator[Any]:
 
 
 def _interface(device: Any) -> tuple[int, Any] | None:
-    """Return the interface of protocol 1, behind the value of its configuration; or None."""
-    with contextlib.suppress(usb.core.USBError):  # unplugged while it was looked at
+    """Return the value of the configuration, and in it the interface of protocol 1; None if the device has none."""
+    with contextlib.suppress(usb.core.USBError):  # unplugged meanwhile
         for configuration in device:
             for interface in configuration:
                 kind = (interface.bInterfaceClass, interface.bInterfaceSubClass, interface.bInterfaceProtocol)
@@ -325,6 +274,11 @@ def _active_configuration(device: Any) -> int | None:
 
 def _where(device: Any) -> str:
     return f"bus {device.bus or 0:03d} address {device.address or 0:03d}"
+
+
+def _gone(error: usb.core.USBError) -> DaqGone:
+    # A pulled cable shows as EIO, ENODEV, EPROTO or ESHUTDOWN. After any other error, too, only a new connection helps.
+    return DaqGone(f"it is gone ({_name(error)})")
 
 
 def _name(error: usb.core.USBError) -> str:

@@ -1,7 +1,7 @@
-"""The USB protocol, version 1, as bytes: GET_INFO, GET_STATUS and frames, built, checked and found again.
+"""The USB protocol, version 1, as bytes: build and parse GET_INFO, GET_STATUS and frames.
 
-Nothing here touches a device, and only the standard library is needed, so that a device written in Python can use it
-too. docs/usb-protocol.md is the specification.
+It touches no device and needs only the standard library, so that a device written in Python can use it too.
+docs/usb-protocol.md is the specification.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ STATUS_BYTES: Final = 32
 HEADER_BYTES: Final = 32
 UNKNOWN_TEMPERATURE: Final = -32768
 SEQUENCE_SPAN: Final = 1 << 32
-"""The counter of frames wraps here."""
+"""The counter of chirps wraps here."""
 
 _INFO_MAGIC: Final = b"TDAQ"
 _FRAME_MAGIC: Final = b"TDFR"
@@ -44,7 +44,7 @@ class Request(IntEnum):
 
 
 class Flag(IntFlag):
-    """What a device says of a frame."""
+    """Bits of a frame's `flags`."""
 
     CLIPPED = 1
     EMITTER_FAULT = 2
@@ -53,12 +53,12 @@ class Flag(IntFlag):
 
 
 class ProtocolFault(ValueError):
-    """Bytes that are not what the protocol asks for; the text says why."""
+    """Bytes that break the protocol; the text says how."""
 
 
 @dataclass(frozen=True, slots=True)
 class Info:
-    """The answer to GET_INFO: what the device is, and what its frames look like."""
+    """The answer to GET_INFO: the device, and the geometry of its frames."""
 
     channels: int
     samples: int
@@ -86,7 +86,7 @@ class Status:
 
     frames_sent: int = 0
     overruns: int = 0
-    """Frames that the device dropped because the host did not fetch them in time."""
+    """Frames that the device dropped because the host was late."""
     trigger_faults: int = 0
     temperature: int = UNKNOWN_TEMPERATURE
     """0.01 degrees Celsius; -32768 is unknown."""
@@ -94,7 +94,7 @@ class Status:
 
 
 class Header(NamedTuple):
-    """What stands before a frame's samples, less what is the same for all frames."""
+    """The fields of a frame's header that differ from frame to frame."""
 
     sequence: int
     """Counts chirps, modulo 2**32."""
@@ -121,7 +121,7 @@ def parse_info(data: bytes) -> Info:
     Raises
     ------
     ProtocolFault
-        It is none, of another protocol version, or describes no frame that could be.
+        The bytes are no answer to GET_INFO, of another protocol version, or describe an impossible frame.
     """
     if len(data) < INFO_BYTES or data[:4] != _INFO_MAGIC:
         raise ProtocolFault(f"GET_INFO answers {len(data)} bytes that begin with {data[:4].hex() or 'nothing'}")
@@ -174,30 +174,36 @@ def build_frame(info: Info, header: Header, samples: bytes) -> bytes:
 
 
 class FrameReader:
-    """Finds the valid frames in what a bulk endpoint delivers, whatever else is between them.
+    """Find the valid frames in the transfers of a bulk endpoint.
 
-    A frame normally is one transfer. When it is not (a read that timed out within a frame, a frame cut short, a
-    transfer of rubbish), the reader searches byte by byte for the next frame whose header and CRC are right.
+    Normally a transfer is a frame. If it is not (a read timed out within a frame, a frame is cut short, rubbish comes),
+    the reader searches byte by byte for the next frame with a valid header and CRC.
 
     Parameters
     ----------
     info : Info
-        What the frames look like; one of another size is corrupt.
+        The geometry of the frames; a frame of another size is corrupt.
     """
 
     def __init__(self, info: Info) -> None:
         self.corrupt = 0
-        """Frames that failed a check: one for each frame's length, or part of it, of bytes that were none."""
+        """Frames that failed a check: between two valid frames, the length of the rubbish in frames, rounded up."""
         self._frame_bytes = info.frame_bytes
         self._sizes = (_FRAME_MAGIC, _FRAME_VERSION, HEADER_BYTES, info.channels, info.bits, info.samples)
         self._pending = bytearray()
         self._skipped = 0  # bytes since the last valid frame, or the last end of a transfer
 
     def feed(self, data: memoryview, *, ended: bool) -> Iterator[tuple[Header, memoryview]]:
-        """Take what one read brought, and yield each valid frame: its header, and its samples as bytes.
+        """Take the data of one read, and yield the header and the samples of each valid frame.
 
-        The samples are a view, valid until the next step. `ended` says that a short packet has closed the transfer: no
-        later byte belongs to a frame that has begun in it.
+        The samples are a view of bytes, valid while `data` does not change. At each frame `corrupt` holds the corrupt
+        frames before it.
+
+        Parameters
+        ----------
+        data : memoryview
+        ended : bool
+            A short packet has closed the transfer: no later byte belongs to a frame that has begun in it.
         """
         if not self._pending and len(data) == self._frame_bytes:
             header = self._header(data, 0)
@@ -212,7 +218,7 @@ class FrameReader:
             self._close_gap()
 
     def reset(self) -> None:
-        """Forget a frame that has begun: what follows has nothing to do with it."""
+        """Discard a frame that has begun: no later byte belongs to it."""
         self._skip(len(self._pending))
         self._pending.clear()
         self._close_gap()
@@ -223,7 +229,7 @@ class FrameReader:
         while True:
             found = pending.find(_FRAME_MAGIC, at)
             if found < 0:
-                # The last bytes may be the beginning of a magic number.
+                # The last bytes may begin a magic number.
                 found = max(at, len(pending) - len(_FRAME_MAGIC) + 1)
             self._skip(found - at)
             at = found

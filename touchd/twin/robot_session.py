@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from touchd.errors import SimulationError
 from touchd.frame import Plate
-from touchd.jobs import Job, run
-from touchd.jobs.identity import digest
+from touchd.jobs import Job, digest, run
 from touchd.recording.data import Recording
 from touchd.twin import cache
 from touchd.twin.electronics import Electronics, noise_states

@@ -1,4 +1,4 @@
-"""Tables and pictures of docs/numerics.md: each way of placing a finger, by what is made worse."""
+"""Tables and pictures of docs/robustness.md: each way of placing a finger, by what is made worse."""
 
 from __future__ import annotations
 

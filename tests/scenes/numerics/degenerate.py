@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -18,7 +19,7 @@ from tests.scenes.numerics import reference
 from touchd.config.schema import BaselineSettings
 from touchd.detection.baseline import Baseline
 from touchd.localization.atlas import Atlas
-from touchd.localization.gauss_newton import Refiner
+from touchd.localization.gauss_newton import Bins, GaussNewton
 from touchd.localization.model import Model, default_model_path
 from touchd.recording.data import Recording
 from touchd.twin.electronics import Electronics
@@ -132,20 +133,20 @@ def slowdowns(turns: int = 300) -> Iterator[Slowdown]:
         return model.infer
 
     def fit(scale: float) -> Callable[[], object]:
-        refiner = Refiner(atlas)
-        refiner.frame[:] = scale * np.random.default_rng(1).standard_normal(atlas.size)
-        refiner.take()
-        return lambda: refiner.one(100.0, 100.0, 3)
+        solver = GaussNewton(atlas)
+        vector = (scale * np.random.default_rng(1).standard_normal(atlas.size)).astype(np.float32)
+        bins = Bins(vector, None, float(vector @ vector))
+        return lambda: solver.fit_one(bins, 100.0, 100.0, 3)
 
     def following(scale: float) -> Callable[[], object]:
         baseline = Baseline((4, 250), BaselineSettings())
         mean = (scale * np.random.default_rng(2).standard_normal((4, 250))).astype(np.float32)
-        silence = np.zeros((4, 250), np.int16)
+        silence, times_ns = np.zeros((4, 250), np.int16), itertools.count(0, 8_000_000)
 
         def step() -> None:
             baseline.mean[:] = mean
-            baseline.subtract(silence)
-            baseline.follow(0.008)
+            baseline.subtract(silence, next(times_ns))
+            baseline.follow()
 
         return step
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from touchd.config.schema import BaselineSettings, GateSettings
 from touchd.detection.baseline import Baseline
 from touchd.detection.gate import Gate
-from touchd.localization.noise_power import MEMORY_FRAMES, Noise
+from touchd.localization.noise import MEMORY_FRAMES, BinPower
 from touchd.sources.device_clock import DeviceClock
 
 SHAPE = (1, 64)
@@ -42,7 +42,7 @@ def resting_baseline(rate_hz: float, inputs: NDArray[np.int16], start: NDArray[n
     settings = BaselineSettings()
     baseline = Baseline(SHAPE, settings)
     baseline.mean[:] = start
-    elapsed_s = 1 / rate_hz
+    elapsed_s, t_ns = 1 / rate_hz, 0
     weight = elapsed_s / (settings.time_constant_s + elapsed_s)
     seen: dict[bytes, int] = {}
     exact = _exact_rest(inputs, weight)
@@ -54,8 +54,9 @@ def resting_baseline(rate_hz: float, inputs: NDArray[np.int16], start: NDArray[n
         if len(seen) > 4096:  # a short cycle shows soon after it has begun: old states need not be kept
             seen = {key: lap}
         for frame in inputs:
-            baseline.subtract(frame)
-            baseline.follow(elapsed_s)
+            t_ns += round(1e9 / rate_hz)
+            baseline.subtract(frame, t_ns)
+            baseline.follow()
     else:
         raise AssertionError("no state came again")
     off = float(np.abs(baseline.mean.astype(np.float64) - exact).max())
@@ -94,35 +95,35 @@ def long_gate(updates: int, seed: int = 0) -> Drifted:
     rng = np.random.default_rng(seed)
     gate.learn(rng.chisquare(1000, 32))
     energies = rng.chisquare(1000, 60 * memory).tolist()
-    follow = gate.follow
+    update = gate.update
     for _ in range((updates - 1) // len(energies)):
         for energy in energies:
-            follow(energy)
+            update(energy)
     wide = np.longdouble
-    mean, variance, count = wide(gate._mean), wide(gate._variance), gate._count
+    mean, variance, count = wide(gate.noise_root), wide(gate._variance), gate._count
     worst = 0.0
     for energy in energies[: (updates - 1) % len(energies) + 1]:
-        follow(energy)
+        update(energy)
         count = min(count + 1, memory)
         if gate._count != count:  # by chance so many in a row were on one side of the mean: learned anew, from raw ones
-            mean, variance, count = wide(gate._mean), wide(gate._variance), gate._count
+            mean, variance, count = wide(gate.noise_root), wide(gate._variance), gate._count
             continue
         weight = wide(1) / count
         step = wide(energy) ** (wide(1) / 3) - mean
         mean += weight * step
         variance = (1 - weight) * (variance + weight * step * step)
-        worst = max(worst, abs(float(gate._mean / mean) - 1), abs(float(gate._variance / variance) - 1))
+        worst = max(worst, abs(float(gate.noise_root / mean) - 1), abs(float(gate._variance / variance) - 1))
     return Drifted(updates, worst, memory * float(np.finfo(float).eps))
 
 
 def long_noise(updates: int, seed: int = 0) -> Drifted:
     """The noise's power in each bin (float32) beside the same in float64."""
     rng = np.random.default_rng(seed)
-    noise = Noise(1, 8)
+    noise = BinPower(1, 8)
     power, worst = np.zeros(16), 0.0
     for number in range(updates):
         features = (1e4 * rng.standard_normal(16)).astype(np.float32)
-        noise.hear(features)
+        noise.update(features)
         power += (features.astype(np.float64) ** 2 - power) / min(number + 1, MEMORY_FRAMES)
         if number % 97 == 0:
             worst = max(worst, float(np.abs(noise.power / power - 1).max()))

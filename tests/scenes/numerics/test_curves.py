@@ -1,4 +1,4 @@
-"""The curves of docs/numerics.md are measured as it says: a few of their points, with few touches."""
+"""The curves of docs/robustness.md are measured as it says: a few of their points, with few touches."""
 
 from __future__ import annotations
 

@@ -50,9 +50,9 @@ def test_a_baseline_that_fades_stays_finite_and_harmless() -> None:
     baseline = Baseline((1, 8), BaselineSettings())
     baseline.mean[:] = 20_000.0
     silence = np.zeros((1, 8), np.int16)
-    for _ in range(20_000):
-        energy = baseline.subtract(silence)
-        baseline.follow(0.008)
+    for number in range(20_000):
+        energy = baseline.subtract(silence, 8_000_000 * number)
+        baseline.follow()
     assert 0 < np.abs(baseline.mean).max() < TINY
     assert energy == 0.0
 

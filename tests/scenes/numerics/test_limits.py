@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from tests.scenes.numerics.degenerate import in_nodes, on_discs, on_the_edge, taps_at
 from tests.scenes.numerics.limits import Case, Verdict, cases, changed, image, judge, moments, tones, tried
 from tests.scenes.numerics.watch import frames_of, run
-from touchd.localization.gauss_newton import Refiner
+from touchd.localization.gauss_newton import Bins, GaussNewton
 from touchd.localization.model import Model
 from touchd.recording.data import Recording
 from touchd.twin.instrument import Instrument
@@ -148,12 +148,12 @@ def test_any_frame_from_any_start_is_fitted_on_the_plate(
 ) -> None:
     """8e6 is what bins can hold at most: 250 samples of 16 bits under the window."""
     assert atlas_model.atlas is not None
-    refiner = Refiner(atlas_model.atlas)
-    refiner.frame[:] = scale * np.random.default_rng(seed).uniform(-1, 1, len(refiner.frame))
-    refiner.take()
-    for fit in (refiner.one(*start, 5), refiner.several([start, (100.0, 100.0)], 4)):
-        assert all(0 <= x <= 200 and 0 <= y <= 200 for x, y in fit.places_mm)
-        assert np.isfinite(fit.strengths).all()
+    solver, size = GaussNewton(atlas_model.atlas), atlas_model.atlas.size
+    vector = (scale * np.random.default_rng(seed).uniform(-1, 1, size)).astype(np.float32)
+    bins = Bins(vector, None, (vector @ vector).item())
+    for fit in (solver.fit_one(bins, *start, 5), solver.fit_several(bins, [start, (100.0, 100.0)], 4)):
+        assert all(0 <= x <= 200 and 0 <= y <= 200 for x, y in fit.positions_mm)
+        assert np.isfinite(fit.amplitudes).all()
         assert np.isfinite(fit.energies).all()
-        assert np.isfinite(fit.information).all()
-        assert np.isfinite(fit.left)
+        assert np.isfinite(fit.fisher_information).all()
+        assert np.isfinite(fit.residual_energy)

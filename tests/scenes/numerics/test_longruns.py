@@ -18,6 +18,7 @@ from touchd.config.schema import GateSettings
 from touchd.detection.gate import Gate
 from touchd.event import TouchEvent, encode
 from touchd.localization.model import Model
+from touchd.outcome import Outcome
 from touchd.recording.data import Recording
 from touchd.tracking.one_euro import OneEuro
 from touchd.twin.instrument import Instrument
@@ -54,10 +55,10 @@ def test_the_gates_count_of_frames_ends_at_its_memory() -> None:
     energies = np.random.default_rng(1).chisquare(1000, 5032)
     gate.learn(energies[:32])
     for energy in energies[32:].tolist():
-        gate.follow(energy)
+        gate.update(energy)
     assert gate._count == GateSettings().noise_frames
     before = np.cbrt(gate.noise_energy)
-    gate.follow(1500.0)
+    gate.update(1500.0)
     assert np.cbrt(gate.noise_energy) - before == pytest.approx((np.cbrt(1500.0) - before) / 1000, rel=1e-6)
 
 
@@ -99,10 +100,11 @@ def test_counters_and_messages_count_on_past_2_32(taps: Recording, atlas_model: 
     result = run([], model=atlas_model)
     pipeline = result.pipeline
     counters = pipeline.counters
-    counters.frames = counters.lost = counters.inferred = counters.skipped["gate"] = 2**32 - 10
-    pipeline._messages._seq["touch"] = count(2**32 - 1)
-    pipeline.tracker._next_id = 2**32 - 1
-    events = [e for frame in frames_of(taps) for e in pipeline.process(frame) if isinstance(e, TouchEvent)]
+    counters.by_outcome[Outcome.UNTOUCHED] = counters.lost = 2**32 - 10
+    result.messages._seq["touch"] = count(2**32 - 1)
+    pipeline._tracker._next_id = 2**32 - 1
+    made = (result.messages.make(pipeline.process(frame), pipeline.spectrum) for frame in frames_of(taps))
+    events = [event for some in made for event in some if isinstance(event, TouchEvent)]
     assert counters.frames == 2**32 - 10 + len(taps.frames)
     sequence = [event.seq for event in events]
     assert sequence == list(range(2**32 - 1, 2**32 - 1 + len(events)))

@@ -9,13 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tests.scenes.numerics.double import double, double_model
-from touchd import pipeline
+from tests.scenes.numerics.double import double_model
 from touchd.config.schema import Settings
+from touchd.detection.detector import Detection
 from touchd.event import Event, TouchEvent
 from touchd.frame import Frame
-from touchd.localization import network_localizer
+from touchd.localization.atlas_localizer import AtlasLocalizer
 from touchd.localization.model import Model, default_model_path
+from touchd.pipeline import Pipeline
 from touchd.recording.data import Recording
 from touchd.service.messages import Messages
 from touchd.touch import Touch
@@ -25,14 +26,14 @@ Array = NDArray[Any]
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """One frame as the locator was given it, and what it made of it."""
+    """One frame as the localizer was given it, and what it made of it."""
 
     number: int
     """Of the frame in the recording."""
     residual: Array
     """Shape (channels, samples), ADC counts."""
     baseline: Array
-    """The untouched plate that the locator was told of last, shape (channels, samples)."""
+    """The untouched plate that the bins were corrected for, shape (channels, samples)."""
     features: Array
     """Of the residual as the atlas takes them, corrected for the plate's temperature, gains and drift, (size,)."""
     drifted: Array
@@ -48,9 +49,10 @@ class Look:
 class Run:
     """What came of a scene."""
 
+    pipeline: Pipeline
     looks: list[Look] = field(default_factory=list)
     events: list[Event] = field(default_factory=list)
-    pipeline: Any = None
+    messages: Any = None
 
     @property
     def touches(self) -> list[TouchEvent]:
@@ -70,44 +72,46 @@ def run(
     frames: Iterable[Frame], *, wide: bool = False, settings: Settings | None = None, model: Model | None = None
 ) -> Run:
     """Frames through the pipeline; `wide` is in double precision."""
-    result, number = Run(), -1
-    modules: Any = double() if wide else _SINGLE
-    chosen: Any = model or (double_model(default_model_path()) if wide else Model(default_model_path()))
-
-    class Watched(modules.network_localizer.Locator):  # type: ignore[misc]  # a class of a module made at run time
-        def rebase(self, baseline: Array) -> None:
-            super().rebase(baseline)
-            self.told = baseline.copy()
-
-        def locate(self, residual: Array, *rest: Any) -> tuple[Touch, ...]:
-            features, nothing = (np.zeros(self._untouched.shape, self._untouched.dtype) for _ in range(2))
-            self.drift.features(residual, features)
-            self.drift.features(np.zeros_like(residual), nothing)
-            touches: tuple[Touch, ...] = super().locate(residual, *rest)
-            mask = self._refiner.mask
-            result.looks.append(
-                Look(
-                    number, residual.copy(), self.told, features, -nothing, None if mask is None else mask > 0,
-                    list(self._course.places_mm), touches,
-                )
-            )  # fmt: skip
-            return touches
-
-    kept = modules.network_localizer.Locator
-    modules.network_localizer.Locator = Watched
-    try:
-        made = modules.pipeline.Pipeline(chosen.description.acquisition, chosen, settings or Settings())
-    finally:
-        modules.network_localizer.Locator = kept
-    result.pipeline = made
-    messages = Messages(settings or Settings(), lambda _topic: True, wall_offset_ns=0)
-    for number, frame in enumerate(frames):  # noqa: B007  the watched locator reads it
-        result.events += messages.make(made.process(frame), made.spectrum)
+    chosen = model or (double_model(default_model_path()) if wide else Model(default_model_path()))
+    settings = settings or Settings()
+    result = Run(pipeline=Pipeline(chosen.description.acquisition, chosen, settings))
+    localizer = result.pipeline._localizer
+    watch = _watch(localizer) if isinstance(localizer, AtlasLocalizer) else None
+    result.messages = Messages(settings, lambda _topic: True, wall_offset_ns=0)
+    for number, frame in enumerate(frames):
+        if watch is not None:
+            watch.number = number
+        result.events += result.messages.make(result.pipeline.process(frame), result.pipeline.spectrum)
+    result.looks = watch.looks if watch is not None else []
     return result
 
 
-class _Single:
-    network_localizer, pipeline = network_localizer, pipeline
+@dataclass
+class _Watch:
+    """What was seen of each frame that was fitted."""
+
+    number: int = -1
+    looks: list[Look] = field(default_factory=list)
 
 
-_SINGLE = _Single()
+def _watch(localizer: AtlasLocalizer) -> _Watch:
+    """Have each fit of a localizer leave what it was given and what it made of it."""
+    watch, place, plate, drift = _Watch(), localizer._place, localizer._plate, localizer._drift
+
+    def watched(detection: Detection, min_confidence: float, complete: bool) -> tuple[tuple[Touch, ...], bool]:
+        residual = detection.residual
+        features, nothing = (np.zeros_like(plate._vector) for _ in range(2))
+        drift.correct(residual, features)
+        drift.correct(np.zeros_like(residual), nothing)
+        touches, inferred = place(detection, min_confidence, complete)
+        mask, at = plate.noise.mask, list(localizer._prediction.positions_mm)
+        watch.looks.append(
+            Look(
+                watch.number, residual.copy(), plate._baseline.copy(), features, -nothing,
+                None if mask is None else mask > 0, at, touches,
+            )
+        )  # fmt: skip
+        return touches, inferred
+
+    localizer._place = watched  # type: ignore[method-assign]  # to see each fit, and only that
+    return watch

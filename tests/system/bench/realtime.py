@@ -14,7 +14,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -30,13 +30,15 @@ from touchd.twin.simulate import simulate_scene
 
 ROUNDS = 3
 PERCENTILES = (50, 99, 99.9)
-SETTINGS: dict[str, dict[str, object]] = {
-    "fifo_priority = 10": {"fifo_priority": 10},
-    "nice = -10": {"nice": -10},
-    "cpus": {"cpus": [max(os.sched_getaffinity(0))]},
-    "lock_memory": {"lock_memory": True},
-    "freeze_gc = false": {"freeze_gc": False},
+ORDINARY = os.sched_getaffinity(0)
+SETTINGS: dict[str, tuple[Callable[[], None], dict[str, object]]] = {
+    "CPUSchedulingPolicy=fifo": (lambda: os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(10)), {}),
+    "Nice=-10": (lambda: os.setpriority(os.PRIO_PROCESS, 0, -10), {}),
+    "CPUAffinity=": (lambda: os.sched_setaffinity(0, {max(ORDINARY)}), {}),
+    "lock_memory = true": (lambda: None, {"lock_memory": True}),
+    "freeze_gc = false": (lambda: None, {"freeze_gc": False}),
 }
+"""What the unit does before it starts the daemon, and the daemon's own settings."""
 
 
 @contextmanager
@@ -53,22 +55,30 @@ def busy() -> Iterator[None]:
 
 
 @contextmanager
-def ordinary() -> Iterator[None]:
-    """Schedule this thread like any other program's."""
+def as_the_unit(prepare: Callable[[], None]) -> Iterator[None]:
+    """Have processes start as the unit starts them: like any other program, but for what it prepares."""
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    prepare()
     yield
 
 
-def delays_us(recording: Path, folder: str, settings: dict[str, object]) -> NDArray[np.float64]:
+def delays_us(
+    recording: Path, folder: str, prepare: Callable[[], None], settings: dict[str, object]
+) -> NDArray[np.float64]:
     """How long after each frame was due its message was here."""
     variables = {f"TOUCHD_REALTIME__{key.upper()}": json.dumps(value) for key, value in settings.items()}
     address = f"ipc://{folder}/bus"
     options = ("--replay", recording, "--bind", address, "--await-subscriber", PATIENCE_S)
     delays: list[float] = []
-    # The subscriber with its thread runs ahead, the daemon between them is started as an ordinary program.
+    # The subscriber with its thread runs ahead, the daemon between them is started by its unit.
     os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(90))
-    with Subscriber(address, ("touch",), PATIENCE_S) as events, ordinary(), started(*options, **variables) as daemon:
+    with (
+        Subscriber(address, ("touch",), PATIENCE_S) as events,
+        as_the_unit(prepare),
+        started(*options, **variables) as daemon,
+    ):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(90))
+        os.sched_setaffinity(0, ORDINARY)
         for event in events:
             assert isinstance(event, TouchEvent)
             delays.append((time.monotonic_ns() - event.t_ns) * 1e-3)
@@ -87,14 +97,14 @@ def main() -> None:
     with tempfile.TemporaryDirectory(prefix="touchd-bench-") as folder, busy():
         recording = Path(folder) / "circle.npz"
         write(recording, simulate_scene("circle", seed=1), compress=False)
-        for name, settings in SETTINGS.items():
+        for name, setting in SETTINGS.items():
             with_us: list[NDArray[np.float64]] = []
             without_us: list[NDArray[np.float64]] = []
             for _ in range(ROUNDS):
-                for found, chosen in ((without_us, {}), (with_us, settings)):
+                for found, (prepare, chosen) in ((without_us, (lambda: None, {})), (with_us, setting)):
                     subscriber = os.fork()
                     if subscriber == 0:
-                        delays = delays_us(recording, folder, chosen)
+                        delays = delays_us(recording, folder, prepare, chosen)
                         np.save(f"{folder}/delays.npy", np.percentile(delays, PERCENTILES))
                         os._exit(0)
                     os.waitpid(subscriber, 0)

@@ -61,7 +61,8 @@ def folder(instrument: Instrument, tmp_path_factory: pytest.TempPathFactory) -> 
     return folder
 
 
-def test_touches_of_one_finger_have_their_scores_at_the_top(folder: Path) -> None:
+def test_one_finger(folder: Path) -> None:
+    """Touches of one finger have their scores at the top."""
     found = scores(SHIPPED, folder / "one.npz")
     assert set(found) == POSITIONS | {"confident", "within_sigma", "by_fingers", "bound_mm", "times_bound"}
     assert 1 < found["times_bound"] == found["median_mm"] / found["bound_mm"]
@@ -73,8 +74,11 @@ def test_touches_of_one_finger_have_their_scores_at_the_top(folder: Path) -> Non
     assert mine["within_1_sigma"] == found["within_sigma"]
 
 
-def test_touches_of_two_fingers_have_theirs_below_their_count(folder: Path) -> None:
-    """A network of one finger finds one of two at most, and is none the less judged."""
+def test_two_fingers(folder: Path) -> None:
+    """Touches of two fingers have their scores below their count.
+
+    A network of one finger finds one of two at most, and is none the less judged.
+    """
     found = scores(NETWORK, folder / "two.npz")
     assert (found["n"], found["rmse_mm"]) == (0, None)
     mine = found["by_fingers"]["2"]
@@ -83,13 +87,15 @@ def test_touches_of_two_fingers_have_theirs_below_their_count(folder: Path) -> N
     assert mine["missed"] - mine["ghosts"] == 60
 
 
-def test_of_a_mixed_recording_the_top_is_that_of_its_single_fingers(folder: Path) -> None:
+def test_mixed(folder: Path) -> None:
+    """Of a mixed recording the top scores are those of its single fingers."""
     found, alone = scores(SHIPPED, folder / "both.npz"), scores(SHIPPED, folder / "one.npz")
     assert {name: found[name] for name in POSITIONS} == pytest.approx({name: alone[name] for name in POSITIONS})
     assert {key: part["n"] for key, part in found["by_fingers"].items()} == {"1": 60, "2": 60}
 
 
-def test_a_grid_is_scored_by_its_zones_and_by_its_contacts(folder: Path) -> None:
+def test_grid(folder: Path) -> None:
+    """A grid is scored by its zones and by its contacts."""
     found = scores(GRID, folder / "both.npz")
     assert 0.5 < found["accuracy"] <= 1
     assert found["n"] == 60
@@ -97,7 +103,8 @@ def test_a_grid_is_scored_by_its_zones_and_by_its_contacts(folder: Path) -> None
     assert scores(GRID, folder / "two.npz")["n"] == 0
 
 
-def test_a_stream_of_single_touches_keeps_its_scores(folder: Path) -> None:
+def test_stream(folder: Path) -> None:
+    """A stream of single touches has the scores of a stream, too."""
     found = scores(SHIPPED, folder / "tap.npz")
     assert set(found) >= POSITIONS | {"down_latency_ms", "jitter_mm", "moving_rmse_mm"}
     assert found["touches"] == found["found"] > 3
@@ -106,7 +113,8 @@ def test_a_stream_of_single_touches_keeps_its_scores(folder: Path) -> None:
     assert found["by_fingers"]["0"]["ghosts"] == found["by_fingers"]["1"]["missed"] == 0
 
 
-def test_a_stream_of_two_fingers_is_scored_per_count(folder: Path) -> None:
+def test_stream_of_two(folder: Path) -> None:
+    """A stream of two fingers is scored per count."""
     found = scores(SHIPPED, folder / "two-stream.npz")
     assert set(found["by_fingers"]) == {"0", "1", "2"}
     assert found["touches"] == found["found"] + found["missed"]
@@ -117,13 +125,15 @@ def test_a_stream_of_two_fingers_is_scored_per_count(folder: Path) -> None:
     assert all(0 < frames[str(k)] < (down == k).sum() for k in (1, 2)), "but those that are not settled"
 
 
-def test_a_palm_is_no_touch_to_be_missed(folder: Path) -> None:
+def test_palm(folder: Path) -> None:
+    """A palm is no touch that could be missed."""
     found = scores(SHIPPED, folder / "palm.npz")
     assert (found["n"], found["touches"], found["missed"]) == (0, 0, 0)
     assert set(found["by_fingers"]) == {"0"}
 
 
-def test_for_a_person_there_is_a_line_a_score_and_a_column_a_count(folder: Path) -> None:
+def test_table(folder: Path) -> None:
+    """A person sees a line for each score and a column for each count."""
     lines = said(SHIPPED, folder / "both.npz").splitlines()
     found = scores(SHIPPED, folder / "both.npz")
     (start,) = (i for i, line in enumerate(lines) if line.split()[:1] == ["fingers"])
@@ -135,7 +145,8 @@ def test_for_a_person_there_is_a_line_a_score_and_a_column_a_count(folder: Path)
     assert len({len(line) for line in lines[start:]}) == 1, "in columns"
 
 
-def test_a_recording_without_a_touch_is_refused(folder: Path, tmp_path: Path) -> None:
+def test_no_touch(folder: Path, tmp_path: Path) -> None:
+    """A recording without a touch is refused."""
     whole = read(folder / "one.npz")
     assert whole.contacts_mm is not None
     write(tmp_path / "idle.npz", replace(whole, contacts_mm=np.full_like(whole.contacts_mm, np.nan), force_n=None))
@@ -146,15 +157,15 @@ def test_a_recording_without_a_touch_is_refused(folder: Path, tmp_path: Path) ->
 @pytest.mark.parametrize(
     ("model", "recording"), [(SHIPPED, "one"), (SHIPPED, "two"), (SHIPPED, "both"), (GRID, "both")]
 )
-def test_errors_are_drawn_for_one_finger_and_for_several(
-    model: Path, recording: str, folder: Path, tmp_path: Path
-) -> None:
+def test_plot(model: Path, recording: str, folder: Path, tmp_path: Path) -> None:
+    """Errors are drawn for one finger and for several."""
     picture = tmp_path / "errors.png"
     said(model, folder / f"{recording}.npz", "--plot", picture)
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
-def test_where_nothing_was_matched_nothing_is_drawn(folder: Path, tmp_path: Path) -> None:
+def test_nothing_matched(folder: Path, tmp_path: Path) -> None:
+    """Where no contact was matched nothing is drawn."""
     with pytest.raises(RecordingValues, match="no contact to plot"):
         said(GRID, folder / "two.npz", "--plot", tmp_path / "errors.png")
     assert not (tmp_path / "errors.png").exists()

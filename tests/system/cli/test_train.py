@@ -60,7 +60,8 @@ def glass(tmp_path_factory: pytest.TempPathFactory) -> Trained:
     return Trained(folder / "glass.npz", folder / "glass.onnx", printed)
 
 
-def test_a_plate_of_another_size_rate_and_number_of_channels_is_trained_by_name_alone(glass: Trained) -> None:
+def test_other_plate(glass: Trained) -> None:
+    """A plate of another size, rate and number of channels is trained without options."""
     about = Model(glass.model).description
     assert about.acquisition.shape == (3, 200)
     assert (about.plate.width_mm, about.plate.height_mm, about.acquisition.sample_rate_hz) == (80, 120, 240e3)
@@ -69,13 +70,15 @@ def test_a_plate_of_another_size_rate_and_number_of_channels_is_trained_by_name_
     assert "on 15 touches never seen in training" in glass.printed
 
 
-def test_a_warning_is_loud_and_in_the_report(glass: Trained) -> None:
+def test_warning(glass: Trained) -> None:
+    """A warning is printed and in the report."""
     few = "105 touches for training are fewer than"
     assert f"touchd: warning: {few}" in glass.printed
     assert few in (glass.model.with_suffix(".report") / "report.md").read_text()
 
 
-def test_a_model_is_evaluated_on_a_recording_of_its_plate(glass: Trained, tmp_path: Path) -> None:
+def test_evaluated(glass: Trained, tmp_path: Path) -> None:
+    """A model is evaluated on a recording of its plate."""
     picture = tmp_path / "errors.png"
     found = json.loads(said("evaluate", glass.model, glass.recording, "--json", "--plot", picture))
     assert found["n"] == COUNT
@@ -84,7 +87,8 @@ def test_a_model_is_evaluated_on_a_recording_of_its_plate(glass: Trained, tmp_pa
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
-def test_an_aluminium_plate_with_many_receivers_and_keys_is_trained(tmp_path: Path) -> None:
+def test_aluminium(tmp_path: Path) -> None:
+    """An aluminium plate with many receivers and keys is trained."""
     receivers = tuple((15.0 + 26 * i, 15.0 + 20 * (i % 3)) for i in range(6))
     recording = made(
         Plate(width_mm=160, height_mm=70, thickness_mm=6, material="aluminium"),
@@ -101,7 +105,7 @@ def test_an_aluminium_plate_with_many_receivers_and_keys_is_trained(tmp_path: Pa
     write(tmp_path / "a.npz", recording)
     model = tmp_path / "a.onnx"
     said(
-        "train", tmp_path / "a.npz", "-o", model, "--recipe", "keypad", "--layout", keys, "--epochs", "2", "--no-report"
+        "train", tmp_path / "a.npz", "-o", model, "--recipe", "keypad", "--layout", keys, "--epochs", "1", "--no-report"
     )
     found = json.loads(said("evaluate", model, tmp_path / "a.npz", "--json"))
     assert 0 <= found["accuracy"] <= 1
@@ -115,21 +119,24 @@ def refused(error: type[TouchdError], *arguments: object) -> str:
     return str(caught.value)
 
 
-def test_a_model_of_another_plate_is_refused_with_both_shapes(glass: Trained) -> None:
+def test_other_shape(glass: Trained) -> None:
+    """A model of another plate is refused with both shapes."""
     shipped = Path(__file__).parents[3] / "models" / "regression.onnx"
     text = refused(ModelMismatch, "evaluate", shipped, glass.recording)
     assert "(4, 250)" in text
     assert "(3, 200)" in text
 
 
-def test_a_few_touches_are_enough_to_judge_a_model_by(glass: Trained, tmp_path: Path) -> None:
+def test_few_touches(glass: Trained, tmp_path: Path) -> None:
+    """Ten touches are enough to judge a model by."""
     whole = read(glass.recording)
     cut = {name: getattr(whole, name)[:20] for name in ("frames", "sequence", "timestamp_ns", "contacts_mm")}
     write(tmp_path / "few.npz", replace(whole, **cut, force_n=None, temperature_c=None))
     assert json.loads(said("evaluate", glass.model, tmp_path / "few.npz", "--json"))["n"] == 10
 
 
-def test_a_model_of_a_plate_of_another_size_is_judged_with_a_loud_warning(glass: Trained, tmp_path: Path) -> None:
+def test_other_size(glass: Trained, tmp_path: Path) -> None:
+    """A model of a plate of another size is judged with a warning."""
     whole = read(glass.recording)
     plate = whole.meta.plate.model_copy(update={"width_mm": 81.0})
     write(tmp_path / "wider.npz", replace(whole, meta=whole.meta.model_copy(update={"plate": plate})))
@@ -138,7 +145,8 @@ def test_a_model_of_a_plate_of_another_size_is_judged_with_a_loud_warning(glass:
     assert "of the plate width_mm=81.0" in printed
 
 
-def test_recordings_of_two_plates_are_not_mixed(glass: Trained, touches_file: Path, tmp_path: Path) -> None:
+def test_two_plates(glass: Trained, touches_file: Path, tmp_path: Path) -> None:
+    """Recordings of two plates are not mixed."""
     text = refused(TrainingError, "train", glass.recording, touches_file, "-o", tmp_path / "a.onnx")
     assert "mixed acquisitions: channels is 3 in" in text
     assert "but 4 here" in text
@@ -152,7 +160,8 @@ def touches_file(instrument: Instrument, tmp_path_factory: pytest.TempPathFactor
     return path
 
 
-def test_two_recordings_of_one_plate_are_trained_on_together(glass: Trained, tmp_path: Path) -> None:
+def test_two_recordings(glass: Trained, tmp_path: Path) -> None:
+    """Two recordings of one plate are trained on together."""
     model = tmp_path / "a.onnx"
     arguments: list[Any] = ["--recipe", "paper-regression", "--epochs", "1", "--no-report"]
     printed = said("train", glass.recording, glass.recording, "-o", model, *arguments)
@@ -161,17 +170,20 @@ def test_two_recordings_of_one_plate_are_trained_on_together(glass: Trained, tmp
     assert "touchd train glass.npz glass.npz -o a.onnx" in Model(model).description.command
 
 
-def test_a_folder_that_is_not_there_is_told_before_any_training(glass: Trained, tmp_path: Path) -> None:
+def test_no_folder(glass: Trained, tmp_path: Path) -> None:
+    """A missing folder is reported before any training."""
     text = refused(OutputError, "train", glass.recording, "-o", tmp_path / "no" / "a.onnx")
     assert str(tmp_path / "no") in text
 
 
-def test_patience_is_refused_where_the_rate_goes_through_a_cycle(glass: Trained, tmp_path: Path) -> None:
+def test_patience(glass: Trained, tmp_path: Path) -> None:
+    """Patience is refused where the rate goes through a cycle."""
     refused(TrainingError, "train", glass.recording, "-o", tmp_path / "a.onnx", "--patience", "3", "--epochs", "1")
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_replaced_model_does_not_keep_the_older_ones_report(glass: Trained, tmp_path: Path) -> None:
+def test_old_report(glass: Trained, tmp_path: Path) -> None:
+    """A replaced model does not keep the older one's report."""
     model, recipe = tmp_path / "a.onnx", ["--recipe", "paper-regression", "--epochs", "1", "--force"]
     said("train", glass.recording, "-o", model, *recipe)
     assert (tmp_path / "a.report").is_dir()
@@ -179,7 +191,8 @@ def test_a_replaced_model_does_not_keep_the_older_ones_report(glass: Trained, tm
     assert not (tmp_path / "a.report").exists()
 
 
-def test_a_recording_without_truth_is_refused(glass: Trained, tmp_path: Path) -> None:
+def test_no_truth(glass: Trained, tmp_path: Path) -> None:
+    """A recording without truth is refused."""
     bare = replace(read(glass.recording), contacts_mm=None, force_n=None)
     write(tmp_path / "bare.npz", bare)
     assert "contacts_mm" in refused(TrainingError, "train", tmp_path / "bare.npz", "-o", tmp_path / "a.onnx")

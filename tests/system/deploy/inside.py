@@ -209,7 +209,7 @@ def mocked(found: dict[str, Any]) -> None:
     keep = "import json, os, time; print(os.environ['UMOCKDEV_DIR'], flush=True); time.sleep(1e6)"
     os.umask(0)
     device = subprocess.Popen(
-        ["/usr/bin/python3", "/checkout/tests/usb/mockkernel.py", "/out/untouched.bin", "/out/touched.bin",
+        ["/usr/bin/python3", "/checkout/tests/system/usb/mockkernel.py", "/out/untouched.bin", "/out/touched.bin",
          "/usr/bin/python3", "-c", keep],
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
         env={**os.environ, "TMPDIR": str(mock), "LD_PRELOAD": PRELOAD, "PYTHONDONTWRITEBYTECODE": "1"},
@@ -236,7 +236,7 @@ def mocked(found: dict[str, Any]) -> None:
     found["mocked start"] = run("systemctl", "start", "touchd").returncode
     assert found["mocked start"] == 0
     client = subprocess.Popen(
-        ["/usr/bin/python3", "-B", "/checkout/tests/usb/client.py", BUS], stdout=subprocess.PIPE, text=True,
+        ["/usr/bin/python3", "-B", "/checkout/tests/system/usb/client.py", BUS], stdout=subprocess.PIPE, text=True,
         env={**os.environ, "PYTHONPATH": str(LIBRARY)},
     )  # fmt: skip
     assert client.stdout is not None

@@ -32,7 +32,8 @@ def wheels(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def run(root: Path, *options: object, code: int = 0) -> str:
-    environment = {**os.environ, "DESTDIR": str(root), "PIP_NO_DEPS": "1"}
+    own = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    environment = {**own, "DESTDIR": str(root), "PIP_NO_DEPS": "1"}
     done = subprocess.run(["bash", SCRIPT, *map(str, options)], capture_output=True, text=True, env=environment)
     assert done.returncode == code, done.stderr
     return done.stdout + done.stderr
@@ -44,7 +45,8 @@ def files(root: Path) -> set[str]:
     return {"opt/touchd" if name.startswith("opt/touchd/") else name for name in found}
 
 
-def test_it_installs_updates_and_removes(tmp_path: Path, wheels: Path) -> None:
+def test_life(tmp_path: Path, wheels: Path) -> None:
+    """It installs, updates and removes, and keeps what an administrator wrote."""
     venv = subprocess.run(["/usr/bin/python3", "-c", "import ensurepip, venv"], capture_output=True)
     need(venv.returncode == 0, "Debian's python3 has no venv: apt install python3-venv")
     config = tmp_path / "etc/touchd/touchd.toml"
@@ -60,7 +62,9 @@ def test_it_installs_updates_and_removes(tmp_path: Path, wheels: Path) -> None:
     assert script.startswith("#!/opt/touchd/bin/python")
     imported = "import touchd; print(touchd.__file__)"
     python = tmp_path / "opt/touchd/bin/python"
-    said = subprocess.run([python, "-c", imported], capture_output=True, text=True, cwd=tmp_path, check=True).stdout
+    said = subprocess.run(
+        [python, "-I", "-c", imported], capture_output=True, text=True, cwd=tmp_path, check=True
+    ).stdout
     assert said.startswith(str(tmp_path / "opt/touchd/lib"))
 
     config.write_text("# mine\n")
@@ -76,7 +80,8 @@ def test_it_installs_updates_and_removes(tmp_path: Path, wheels: Path) -> None:
     assert files(tmp_path) == set()
 
 
-def test_an_installation_that_fails_leaves_the_old_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_failure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An installation that fails leaves the old one."""
     (tmp_path / "opt/touchd/bin").mkdir(parents=True)
     (tmp_path / "opt/touchd/bin/touchd").write_text("the old one")
     monkeypatch.setenv("PYTHON", "/bin/false")
@@ -84,6 +89,7 @@ def test_an_installation_that_fails_leaves_the_old_one(tmp_path: Path, monkeypat
     assert (tmp_path / "opt/touchd/bin/touchd").read_text() == "the old one"
 
 
-def test_an_unknown_option_is_refused(tmp_path: Path) -> None:
+def test_unknown_option(tmp_path: Path) -> None:
+    """An unknown option is refused."""
     assert "unknown option --frobnicate" in run(tmp_path, "--frobnicate", code=1)
     assert files(tmp_path) == set()

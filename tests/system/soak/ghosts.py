@@ -17,11 +17,12 @@ import argparse
 import sys
 import time
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
 from functools import partial
+from multiprocessing import get_context
 from typing import NamedTuple
 
 import numpy as np
-from loky import ProcessPoolExecutor
 
 from tests.scenes.stages import RATE_HZ, empty_stage, play, score
 from touchd.evaluation.replay_scores import found_contacts
@@ -170,7 +171,7 @@ def main() -> int:
         count = round(arguments.minutes * 60 / PIECE_S)
         seeds = range(arguments.seed, arguments.seed + count)
         total = np.zeros(5)
-        with ProcessPoolExecutor(arguments.jobs) as pool:
+        with ProcessPoolExecutor(arguments.jobs, get_context("spawn")) as pool:
             for p in pool.map(partial(judge, name, instrument=instrument), seeds):
                 total += p.touches, p.missed, p.split, p.ghosts, p.seconds
                 if p.missed or p.ghosts:

@@ -54,7 +54,6 @@ class FakeDaq:
         self.rate_hz = 0
         self.sequence = 0
         self.answer = build_info(info)
-        self.status = Status()
         self.source: Callable[[], Transfer | None] = lambda: None
         self.started: Callable[[], None] = lambda: None
         """Called when the host says START."""
@@ -136,7 +135,7 @@ class FakeDaq:
         if request == Request.GET_INFO:
             return self.answer[:size]
         if request == Request.GET_STATUS:
-            return build_status(self.status)[:size]
+            return build_status(Status(running=self.running))[:size]
         self.running = request == Request.START
         if self.running:
             self.rate_hz = value
@@ -185,6 +184,11 @@ class FakeDaq:
             if left is not None and left <= 0:
                 return None
             self._changed.wait(left)
+
+
+def steady(daq: FakeDaq, count: int = 5) -> None:
+    """Let the device send this many frames after each START."""
+    daq.started = lambda: daq.send(*[daq.frame() for _ in range(count)])
 
 
 class _Handle:

@@ -9,13 +9,12 @@ from typing import Any
 import pytest
 
 from tests.system.usb.backend import FakeBus, FakeDaq
-from tests.system.usb.reader import INFO, Reader
+from tests.system.usb.reader import INFO, QUICK, Reader
 from touchd.config.schema import DeviceSettings
 from touchd.frame import Acquisition
-from touchd.sources import live as live_module
-from touchd.sources.daq import acquisition_of
-from touchd.sources.live import DaqSource
+from touchd.sources.live import DaqSource, Waits
 from touchd.sources.usb import open_usb
+from touchd.sources.usb_stream import acquisition_of
 
 
 @pytest.fixture
@@ -29,12 +28,6 @@ def bus(daq: FakeDaq) -> FakeBus:
 
 
 @pytest.fixture(autouse=True)
-def quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A source that is closed notices it at once."""
-    monkeypatch.setattr(live_module, "READ_TIMEOUT_S", 0.02)
-
-
-@pytest.fixture(autouse=True)
 def no_thread_is_left() -> Iterator[None]:
     yield
     assert not [thread for thread in threading.enumerate() if thread.name == "touchd-daq"]
@@ -42,14 +35,15 @@ def no_thread_is_left() -> Iterator[None]:
 
 @pytest.fixture
 def read(bus: FakeBus) -> Iterator[Callable[..., Reader]]:
-    """Open the source on the bus, with these settings."""
+    """Open a source on the bus, with these settings; it soon notices that it is closed."""
     opened: list[DaqSource] = []
 
     def open_source(
-        acquisition: Acquisition | None = None, check: Callable[[Acquisition], None] = lambda _: None, **settings: Any
-    ) -> Reader:
+        acquisition: Acquisition | None = None, check: Callable[[Acquisition], None] = lambda _: None,
+        waits: Waits = QUICK, **settings: Any,
+    ) -> Reader:  # fmt: skip
         chosen = DeviceSettings(**{"stall_s": 5.0, **settings})
-        source = open_usb(chosen, acquisition or acquisition_of(INFO), check, backend=bus)
+        source = open_usb(chosen, acquisition or acquisition_of(INFO), check, backend=bus, waits=waits)
         opened.append(source)
         return Reader(source)
 

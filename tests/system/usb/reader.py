@@ -11,12 +11,22 @@ from msgspec.structs import replace
 from tests.processes import PATIENCE_S
 from touchd.event import State
 from touchd.frame import Frame
-from touchd.sources.live import DaqSource
+from touchd.sources.live import DaqSource, Waits
 from touchd.sources.source import Change
 from touchd.sources.usb_protocol import Info
 
 INFO = Info(channels=4, samples=250, sample_rate_hz=250_000, min_frame_rate_hz=10, firmware=(1, 2, 3))
 """What the shipped model was trained with."""
+QUICK = Waits(read_s=0.02)
+"""A source that soon notices that it is closed."""
+
+
+def wait(done: Callable[[], Any]) -> None:
+    """Wait until it is so, without reading."""
+    until = time.monotonic() + PATIENCE_S
+    while not done():
+        assert time.monotonic() < until, "it never came"
+        time.sleep(0.001)
 
 
 class Reader:
@@ -51,6 +61,20 @@ class Reader:
     def until_frames(self, count: int) -> None:
         self.until(lambda: len(self.frames) >= count)
 
+    def error(self) -> Exception:
+        """Read until an error is raised, and return it."""
+        until = time.monotonic() + PATIENCE_S
+        while time.monotonic() < until:
+            try:
+                self.step()
+            except Exception as error:
+                return error
+        raise AssertionError("no error was raised")
+
     @property
     def sequence(self) -> list[int]:
         return [frame.sequence for frame in self.frames]
+
+
+Read = Callable[..., Reader]
+"""The fixture `read`: opens a source."""

@@ -12,11 +12,11 @@ from hypothesis import strategies as st
 
 from tests.processes import PATIENCE_S
 from tests.system.usb.backend import FakeBus, FakeDaq, Transfer
-from tests.system.usb.reader import Reader
+from tests.system.usb.reader import QUICK, Reader
 from touchd.config.schema import DeviceSettings
-from touchd.sources.daq import acquisition_of
 from touchd.sources.usb import open_usb
 from touchd.sources.usb_protocol import Info
+from touchd.sources.usb_stream import acquisition_of
 
 SMALL = Info(channels=2, samples=30, sample_rate_hz=250_000, min_frame_rate_hz=10)
 SIZE = SMALL.frame_bytes
@@ -74,7 +74,8 @@ def transfers_of(daq: FakeDaq, todo: list[Action], sent: dict[str, int], frames:
 
 @settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(lives=connections, first=st.integers(0, 2**32 - 1))
-def test_each_number_counts_once_and_frames_come_in_order(lives: list[list[Action]], first: int) -> None:
+def test_any_device(lives: list[list[Action]], first: int) -> None:
+    """Each number is a frame, lost or corrupt, only one of these, and frames come in order."""
     daq = FakeDaq(SMALL)
     daq.sequence = first
     sent = {"corrupt": 0, "lost": 0}
@@ -88,7 +89,7 @@ def test_each_number_counts_once_and_frames_come_in_order(lives: list[list[Actio
 
     daq.started = send
     wanted = DeviceSettings(stall_s=10, queue_frames=500)
-    source = open_usb(wanted, acquisition_of(SMALL), backend=FakeBus(daq))
+    source = open_usb(wanted, acquisition_of(SMALL), backend=FakeBus(daq), waits=QUICK)
     reader = Reader(source)
     try:
         until = time.monotonic() + PATIENCE_S

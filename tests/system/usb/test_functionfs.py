@@ -23,10 +23,10 @@ from touchd.errors import GadgetError
 from touchd.gadget import functionfs
 from touchd.gadget.device import Gadget
 from touchd.gadget.functionfs import ConfigFs, FunctionFs, descriptors, first_udc, strings
-from touchd.sources.daq import acquisition_of
 from touchd.sources.simulated import SimulatedSource
 from touchd.sources.usb import find_daq, open_usb
 from touchd.sources.usb_protocol import Info, build_info, parse_status
+from touchd.sources.usb_stream import acquisition_of
 from touchd.twin.instrument import Instrument
 
 EP0, EP1 = 100, 101
@@ -139,7 +139,8 @@ def only_control(gadget: Gadget, monkeypatch: pytest.MonkeyPatch) -> FunctionFs:
     return FunctionFs(Path("/ffs"), gadget)
 
 
-def test_it_tells_the_kernel_of_one_vendor_interface_with_one_bulk_in_endpoint_at_each_speed() -> None:
+def test_descriptors() -> None:
+    """The kernel gets one vendor interface with one bulk IN endpoint at each of three speeds."""
     data = descriptors()
     magic, length, flags, *counts = struct.unpack_from("<6I", data)
     assert (magic, length, flags, counts) == (3, len(data), 1 | 2 | 4 | 64, [2, 2, 3])
@@ -158,7 +159,8 @@ def test_it_tells_the_kernel_of_one_vendor_interface_with_one_bulk_in_endpoint_a
     assert (magic, length, languages, count_) == (2, len(strings()), 1, 1)
 
 
-def test_requests_are_answered_acknowledged_or_stalled(kernel: Kernel, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_requests(kernel: Kernel, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each request is answered, acknowledged or stalled."""
     gadget = Gadget(INFO, iter([]))
     only_control(gadget, monkeypatch)
     requests = [(0xC0, 1, 0, 64), (0x40, 2, 125, 0), (0x40, 3, 0, 0), (0xC0, 0x55, 0, 64), (0x40, 2, 60_000, 0)]
@@ -173,7 +175,8 @@ def test_requests_are_answered_acknowledged_or_stalled(kernel: Kernel, monkeypat
     assert parse_status(status).running is False
 
 
-def test_when_the_host_goes_away_the_stream_stops(kernel: Kernel, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_host_goes_away(kernel: Kernel, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The stream stops when the host goes away."""
     gadget = Gadget(INFO, iter([]))
     only_control(gadget, monkeypatch)
     assert kernel.setup(0x40, 2, 125, 0) == b""
@@ -183,7 +186,9 @@ def test_when_the_host_goes_away_the_stream_stops(kernel: Kernel, monkeypatch: p
     assert parse_status(status).running is False
 
 
-def test_a_kernel_that_refuses_is_explained(kernel: Kernel, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_kernel_refuses(kernel: Kernel, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A kernel that takes no descriptors is a GadgetError that names the folder."""
+
     def refuse(_handle: int, _data: bytes) -> int:
         raise OSError(errno.EINVAL, "Invalid argument")
 
@@ -192,7 +197,9 @@ def test_a_kernel_that_refuses_is_explained(kernel: Kernel, monkeypatch: pytest.
         FunctionFs(Path("/ffs"), Gadget(INFO, iter([])))
 
 
-def test_a_thread_that_fails_says_so(kernel: Kernel) -> None:
+def test_thread_fails(kernel: Kernel) -> None:
+    """The error of a thread that fails is kept for the command."""
+
     def broken() -> Any:
         yield bytes(2000)
         raise ZeroDivisionError
@@ -210,12 +217,14 @@ def test_a_thread_that_fails_says_so(kernel: Kernel) -> None:
     assert "ZeroDivisionError" in str(endpoints.error)
 
 
-def test_a_host_reads_what_the_device_sends_through_faults_and_all(kernel: Kernel) -> None:
+def test_host_and_gadget(kernel: Kernel) -> None:
+    """A host reads every frame of the gadget that is no fault, and counts the faults."""
     gadget = Gadget(INFO, (i.to_bytes(2, "little") * 1000 for i in count()))
     FunctionFs(Path("/ffs"), gadget)
     daq = Wired(kernel)
     found = find_daq(DeviceSettings(), FakeBus(daq))
-    assert (found.info, found.status().running) == (INFO, False)
+    assert (found.acquisition, found.min_rate_hz, found.max_rate_hz) == (acquisition_of(INFO), 10, 1000)
+    assert not gadget.running
     found.close()
     source = open_usb(DeviceSettings(rate_hz=100, stall_s=10), acquisition_of(INFO), backend=FakeBus(daq))
     reader = Reader(source)
@@ -240,7 +249,8 @@ def test_a_host_reads_what_the_device_sends_through_faults_and_all(kernel: Kerne
     assert not gadget.running, "closing the source stopped the stream"
 
 
-def test_it_streams_the_twin_and_says_of_itself_what_the_twin_is(instrument: Instrument) -> None:
+def test_twin(instrument: Instrument) -> None:
+    """The gadget streams the twin's frames, and GET_INFO describes the twin."""
     source = SimulatedSource("idle", paced=False, instrument=instrument, seed=3)
     again = SimulatedSource("idle", paced=False, instrument=instrument, seed=3)
     assert acquisition_of(info_of(source.acquisition)) == source.acquisition
@@ -254,7 +264,8 @@ def test_it_streams_the_twin_and_says_of_itself_what_the_twin_is(instrument: Ins
     again.close()
 
 
-def test_a_device_is_made_in_configfs_and_taken_away_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_configfs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A device is made in ConfigFS, plugged in, unplugged and removed."""
     ran: list[tuple[str, ...]] = []
 
     def run(command: list[str], **_: Any) -> subprocess.CompletedProcess[str]:
@@ -279,7 +290,8 @@ def test_a_device_is_made_in_configfs_and_taken_away_again(tmp_path: Path, monke
     assert not (tmp_path / "ffs-touchd").exists()
 
 
-def test_the_first_port_is_taken_and_none_is_explained(tmp_path: Path) -> None:
+def test_first_port(tmp_path: Path) -> None:
+    """The first port is used; a computer without one is a GadgetError."""
     with pytest.raises(GadgetError, match="no port that can be a USB device"):
         first_udc(tmp_path / "none")
     for name in ("b", "a"):
@@ -287,7 +299,8 @@ def test_the_first_port_is_taken_and_none_is_explained(tmp_path: Path) -> None:
     assert first_udc(tmp_path) == "a"
 
 
-def test_a_computer_that_cannot_be_a_device_says_so_in_one_line(tmp_path: Path) -> None:
+def test_no_gadget_support(tmp_path: Path) -> None:
+    """A computer that cannot be a device says so in one line."""
     ended = touchd("gadget", "--functionfs", tmp_path, "--simulate", "idle")
     assert ended.code == GadgetError.exit_code
     assert len(ended.err.splitlines()) == 1

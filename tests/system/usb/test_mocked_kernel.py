@@ -84,7 +84,8 @@ def states(log: Path) -> list[str]:
     return [line["state"] for line in lines if line["event"] == "state"]
 
 
-def test_a_device_lives_through_everything(plate: tuple[Path, Path], tmp_path: Path) -> None:
+def test_scenario(plate: tuple[Path, Path], tmp_path: Path) -> None:
+    """The daemon keeps every promise of the scenario, and ends with status 0."""
     address, log = f"ipc://{tmp_path}/bus", tmp_path / "log"
     client = [sys.executable, str(HERE / "client.py"), address, "--patience", str(PATIENCE_S)]
     with mocked(plate, *command("--bind", address), log=log) as device:
@@ -108,7 +109,8 @@ def test_a_device_lives_through_everything(plate: tuple[Path, Path], tmp_path: P
     assert "unknown ioctl" not in log.read_text()
 
 
-def test_a_daemon_waits_for_a_device_that_is_plugged_in_later(plate: tuple[Path, Path], tmp_path: Path) -> None:
+def test_plugged_in_later(plate: tuple[Path, Path], tmp_path: Path) -> None:
+    """A daemon without a device waits for it."""
     address, log = f"ipc://{tmp_path}/bus", tmp_path / "log"
     with mocked(plate, *command("--bind", address), log=log) as device:
         steer(device, "unplug")
@@ -122,7 +124,8 @@ def test_a_daemon_waits_for_a_device_that_is_plugged_in_later(plate: tuple[Path,
     assert states(log)[-3:] == ["lost", "streaming", "stopping"]
 
 
-def test_what_the_device_sends_can_be_recorded(plate: tuple[Path, Path], tmp_path: Path) -> None:
+def test_record(plate: tuple[Path, Path], tmp_path: Path) -> None:
+    """`touchd record` records what the device sends, with its serial number and firmware."""
     recording, log = tmp_path / "a.npz", tmp_path / "log"
     program = command("record", "-o", recording, "--frames", "50", "--plate", "200x200x5")
     with mocked(plate, *program, log=log) as device:

@@ -9,11 +9,9 @@ from typing import Any
 import pytest
 
 from touchd.gadget import device as gadget
-from touchd.sources import live, usb
-from touchd.sources import usb_protocol as usbframe
+from touchd.sources import usb, usb_protocol
+from touchd.sources.live import WAITS
 
-# Before a test makes it quicker.
-READ_TIMEOUT_MS = live.READ_TIMEOUT_S * 1000
 PAGE = (Path(__file__).resolve().parents[3] / "docs" / "usb-protocol.md").read_text()
 DENSE = "".join(PAGE.split())
 VECTORS: dict[str, list[dict[str, Any]]] = json.loads(
@@ -22,27 +20,30 @@ VECTORS: dict[str, list[dict[str, Any]]] = json.loads(
 
 
 @pytest.mark.parametrize("kind", VECTORS)
-def test_every_short_vector_is_shown_whole_and_the_long_ones_by_header_and_crc(kind: str) -> None:
+def test_vectors(kind: str) -> None:
+    """The page has each short vector whole, and of the long ones header and CRC."""
     for vector in VECTORS[kind]:
         shown = vector["hex"] if len(vector["hex"]) <= 200 else vector["hex"][:64]
         assert shown in DENSE, vector
         assert vector.get("crc32", "") in PAGE
 
 
-def test_every_request_flag_and_command_is_explained() -> None:
-    for request in usbframe.Request:
+def test_requests() -> None:
+    """The page explains every request, flag and command."""
+    for request in usb_protocol.Request:
         assert f"| {request.value:#04x} {request.name} |" in PAGE
-    for flag in usbframe.Flag:
+    for flag in usb_protocol.Flag:
         assert f"\n| {flag.value} | " in PAGE
     for command in gadget.COMMANDS:
         assert f"`{command}`" in PAGE
 
 
-def test_its_numbers_are_those_of_the_code() -> None:
+def test_numbers() -> None:
+    """The page's numbers are those of the code."""
     for text in (
         f"within {usb.CONTROL_TIMEOUT_MS} ms",
-        f"timeout of {READ_TIMEOUT_MS:g} ms",
-        f"every {live.RETRY_S:g} to {live.MAX_RETRY_S:g} s",
+        f"timeout of {WAITS.read_s * 1000:g} ms",
+        f"every {WAITS.retry_s:g} to {WAITS.max_retry_s:g} s",
         f"has {gadget.BACKLOG})",
     ):
         assert text in PAGE

@@ -113,7 +113,8 @@ def running(cable: Cable, address: str, model: Model) -> Iterator[Running]:
         daemon.end()
 
 
-def test_a_device_lives_through_everything(tmp_path: Path, model: Model) -> None:
+def test_scenario(tmp_path: Path, model: Model) -> None:
+    """Every step of the scenario succeeds, and every frame is counted."""
     address, cable = f"ipc://{tmp_path}/bus", Cable()
     with running(cable, address, model) as daemon:
         scenario = Scenario(address, cable.steer, PATIENCE_S)
@@ -135,9 +136,8 @@ def test_a_device_lives_through_everything(tmp_path: Path, model: Model) -> None
 
 
 @pytest.mark.parametrize("moment", ["while it is touched", "before any frame"])
-def test_a_reader_that_dies_takes_the_service_down_with_a_clear_error(
-    tmp_path: Path, model: Model, moment: str
-) -> None:
+def test_dead_reader(tmp_path: Path, model: Model, moment: str) -> None:
+    """A reader that dies ends the service with ReaderFailed."""
     address, cable = f"ipc://{tmp_path}/bus", Cable()
 
     def die() -> None:

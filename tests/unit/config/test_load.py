@@ -14,9 +14,9 @@ from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
 from touchd.config import load as configfile
-from touchd.config.load import load
+from touchd.config.load import Retired, load
 from touchd.config.render import fields, markdown, render, variable
-from touchd.config.schema import BusSettings, DeviceSettings, LogSettings, Settings
+from touchd.config.schema import RETIRED, DeviceSettings, LogSettings, Settings
 from touchd.errors import ConfigError
 
 FILE_SETTINGS = hypothesis_settings(
@@ -55,7 +55,7 @@ class TestPrecedence:
         path = toml(tmp_path, '[device]\nname = "file"\nserial = "file"\nrate_hz = 10\n')
         monkeypatch.setenv("TOUCHD_DEVICE__NAME", "environment")
         monkeypatch.setenv("TOUCHD_DEVICE__SERIAL", "environment")
-        found = load(path, {"device": {"name": "option", "rate_hz": None}}).device
+        found = load(path, {"device": {"name": "option"}}).device
         assert found == DeviceSettings(name="option", serial="environment", rate_hz=10)
 
     def test_the_default_file_is_read_if_it_exists(self) -> None:
@@ -67,10 +67,6 @@ class TestPrecedence:
         configfile.DEFAULT_PATH.parent.mkdir()
         configfile.DEFAULT_PATH.write_text("[device]\nrate_hz = 10\n")
         assert load(toml(tmp_path, "")) == Settings()
-
-    def test_options_may_be_dotted(self) -> None:
-        overrides = {"bus.bind": ["ipc:///a"], "bus": {"insecure": True}, "log.level": None}
-        assert load(None, overrides) == Settings(bus=BusSettings(bind=("ipc:///a",), insecure=True))
 
     @pytest.mark.parametrize("text", ["tcp://127.0.0.1:1,ipc:///a", '["tcp://127.0.0.1:1", "ipc:///a"]'])
     def test_a_list_in_the_environment_has_commas_or_is_json(self, monkeypatch: pytest.MonkeyPatch, text: str) -> None:
@@ -111,6 +107,7 @@ FILE_MISTAKES = [
     ("bind = []", "bind", r"unknown table or key -> did you mean bus\.bind\?"),
     ("[trakcer]", "trakcer", r"unknown table or key -> did you mean \[tracker\]\?"),
     ("[zzz]", "zzz", r"unknown table or key -> remove it"),
+    ("[Device]\nrate_hz = 10", "Device", r"unknown table or key -> did you mean \[device\]\?"),
 ]
 
 
@@ -146,14 +143,21 @@ def test_a_mistake_in_the_environment_names_the_variable(
 
 
 def test_a_mistake_on_the_command_line_is_not_blamed_on_the_file(tmp_path: Path) -> None:
-    error = mistake(toml(tmp_path, "[device]\nrate_hz = 10"), {"device.rate_hz": 0})
+    error = mistake(toml(tmp_path, "[device]\nrate_hz = 10"), {"device": {"rate_hz": 0}})
     assert error.where == "command line: device.rate_hz"
+
+
+def test_a_file_may_have_braces_in_its_name(tmp_path: Path) -> None:
+    """Its name stands in the message as it is."""
+    path = tmp_path / "{key}.toml"
+    path.write_text("[device]\nrate_hz = 0")
+    assert mistake(path).where == f"{path}: device.rate_hz"
 
 
 def test_all_mistakes_are_told_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TOUCHD_LOG__LEVEL", "loud")
     monkeypatch.setenv("TOUCHD_BUSS__BIND", "x")
-    error = mistake(toml(tmp_path, "[device]\nrate_hz = 0\nnmae = 'x'"), {"gate.noise_frames": 1})
+    error = mistake(toml(tmp_path, "[device]\nrate_hz = 0\nnmae = 'x'"), {"gate": {"noise_frames": 1}})
     assert error.what.startswith("5 problems: ")
     for part in ("TOUCHD_LOG__LEVEL", "TOUCHD_BUSS__BIND", "device.rate_hz", "device.nmae", "gate.noise_frames"):
         assert part in error.what
@@ -181,6 +185,39 @@ def test_a_file_that_is_not_toml_says_where(tmp_path: Path, content: bytes, wher
 def test_a_named_file_must_exist_and_be_readable(tmp_path: Path) -> None:
     assert mistake(tmp_path / "nowhere.toml").what == "no such file"
     assert "cannot be read" in mistake(tmp_path).what
+
+
+class TestRetired:
+    """A key that went is accepted and ignored, and its place is reported with what took over."""
+
+    @pytest.mark.parametrize("name", RETIRED)
+    def test_in_file_environment_and_overrides(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+    ) -> None:
+        """One report for each place, in order of precedence."""
+        table, _, key = name.partition(".")
+        path = toml(tmp_path, f"[{table}]\n{key} = 1\n")
+        monkeypatch.setenv(variable(table, key), "1")
+        reports: list[Retired] = []
+        assert load(path, {table: {key: 1}}, reports.append) == Settings()
+        places = [f"command line: {name}", f"environment: {variable(table, key)}", f"{path}: {name}"]
+        assert reports == [Retired(place, RETIRED[name]) for place in places]
+
+    def test_beside_other_keys(self, tmp_path: Path) -> None:
+        """The rest of its table counts, and mistakes there are still mistakes."""
+        path = toml(tmp_path, "[realtime]\nnice = 'any'\nfreeze_gc = false\n")
+        assert not load(path).realtime.freeze_gc
+        assert mistake(toml(tmp_path, "[realtime]\nnice = 5\nnicer = 5\n")).where == f"{path}: realtime.nicer"
+
+    def test_overrides_stay_as_they_were(self) -> None:
+        """The caller may load with them again."""
+        overrides = {"realtime": {"nice": 1}}
+        load(None, overrides)
+        assert overrides == {"realtime": {"nice": 1}}
+
+    def test_none_is_a_key(self) -> None:
+        """No key is both retired and in use."""
+        assert not RETIRED.keys() & {f"{table}.{key}" for table, key, _ in fields()}
 
 
 class TestSecrets:

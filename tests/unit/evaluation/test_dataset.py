@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.unit.conftest import COUNT
+from tests.conftest import TOUCHES
 from touchd.errors import TrainingError
 from touchd.evaluation.dataset import MIN_TOUCHES, Dataset, digest, make_dataset, split, thin
 from touchd.localization.features import make_features
@@ -103,7 +103,7 @@ def test_frames_of_several_fingers_are_left_out(touches: Recording) -> None:
     truth = truth_of(touches)
     second = np.full_like(truth, np.nan)
     second[1:21:2] = 30.0
-    assert len(make_dataset(replace(touches, contacts_mm=np.concatenate([truth, second], axis=1)))) == COUNT - 10
+    assert len(make_dataset(replace(touches, contacts_mm=np.concatenate([truth, second], axis=1)))) == TOUCHES - 10
 
 
 @given(st.integers(0, 5000), st.integers(0, 2**31))

@@ -20,17 +20,20 @@ from touchd.recording.format import write
 from touchd.twin.instrument import Instrument
 from touchd.twin.simulate import simulate_touches
 
+MARGIN_MM = 55.0
+"""The middle of the plate says it as well as all of it."""
+
 
 @pytest.fixture(scope="module")
 def atlas(instrument: Instrument) -> Atlas:
-    return twin_atlas(instrument)
+    return twin_atlas(instrument, MARGIN_MM - 10.0)
 
 
 @pytest.fixture(scope="module")
 def frames(instrument: Instrument) -> dict[str, TouchedFrames]:
     options = {"1": {"fingers": 1}, "2": {"fingers": 2, "apart_mm": 30.0}}
     return {
-        key: touched_frames(simulate_touches(60, seed=41, instrument=instrument, **more))  # type: ignore[arg-type]  # options
+        key: touched_frames(simulate_touches(60, seed=41, instrument=instrument, margin_mm=MARGIN_MM, **more))  # type: ignore[arg-type]  # options
         for key, more in options.items()
     }
 
@@ -68,7 +71,7 @@ def test_the_verb_takes_the_atlas_that_lies_beside_the_model(
 ) -> None:
     path = Path(shutil.copy(default_model_path(), tmp_path / "plate.onnx"))
     about = atlas.description.model_copy(update={"data_sha256": model.description.data_sha256})
-    write(tmp_path / "touches.npz", simulate_touches(40, seed=42, instrument=instrument))
+    write(tmp_path / "touches.npz", simulate_touches(40, seed=42, instrument=instrument, margin_mm=MARGIN_MM))
     medians = []
     for _ in range(2):
         done = CliRunner().invoke(command, [str(path), str(tmp_path / "touches.npz"), "--json"])

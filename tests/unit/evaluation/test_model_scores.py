@@ -3,45 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from touchd.evaluation.dataset import make_dataset
-from touchd.evaluation.model_scores import Judgement, classes, judge, scores
+from touchd.evaluation.model_scores import Judgement, classes, scores
 from touchd.evaluation.plots.maps import cell_medians
 from touchd.evaluation.plots.model import confusion, sigma_deciles
 from touchd.frame import Plate
-from touchd.keypad import PHONE, load_layout
 from touchd.localization.model import Model
-from touchd.recording.data import Recording
-from touchd.training.network.recipe import RECIPES
-from touchd.training.train_network import train
-from touchd.twin.instrument import Instrument
-from touchd.twin.simulate import simulate_touches
 
 PLATE = Plate(width_mm=200, height_mm=100)
-
-
-@pytest.fixture(scope="module")
-def touches(instrument: Instrument) -> Recording:
-    return simulate_touches(150, seed=5, instrument=instrument)
-
-
-@pytest.mark.parametrize("name", ["best", "grid", "keypad", "paper-regression", "paper-grid", "paper-keypad"])
-def test_a_model_carries_the_scores_that_it_is_given_on_its_test_touches(
-    name: str, touches: Recording, tmp_path: Path
-) -> None:
-    layout = load_layout(PHONE)
-    result = train(touches, tmp_path / "a.onnx", RECIPES[name], grid=4, layout=layout, epochs=1)
-    model, data = Model(tmp_path / "a.onnx"), make_dataset(touches)
-    features = data.residual if model.description.input == "residual" else data.signal
-    test = result.parts.test
-    for score, value in scores(judge(model, features[test], data.position_mm[test], data.noise_energy)).items():
-        assert model.description.scores[score] == pytest.approx(value, abs=1e-4), score
 
 
 def test_classes_are_told_apart_and_keys_taken_for_keys_are_counted() -> None:

@@ -11,13 +11,13 @@ from touchd.twin.electronics import Electronics
 from touchd.twin.instrument import REFERENCE_C, Instrument
 from touchd.twin.physics.finger import Contact
 
-STEP_MM, MARGIN_MM, AREA_MM2 = 2.5, 5.0, 20.0
+STEP_MM, AREA_MM2 = 2.5, 20.0
 
 
-def twin_atlas(instrument: Instrument) -> Atlas:
-    """The field of a silicone finger of middling area; its strength is 1."""
+def twin_atlas(instrument: Instrument, margin_mm: float) -> Atlas:
+    """The field of a silicone finger of middling area, whose strength is 1, but for a margin along all edges."""
     plate, acquisition = instrument.plate, instrument.acquisition
-    x_mm, y_mm = (np.arange(MARGIN_MM, size - MARGIN_MM + 1e-9, STEP_MM) for size in (plate.width_mm, plate.height_mm))
+    x_mm, y_mm = (np.arange(margin_mm, size - margin_mm + 1e-9, STEP_MM) for size in (plate.width_mm, plate.height_mm))
     bins = band_bins(acquisition)
     counts = Electronics().peak * 2 ** (acquisition.bits - 1)
     to_bins = counts * windowed_dft(acquisition)
@@ -32,7 +32,7 @@ def twin_atlas(instrument: Instrument) -> Atlas:
     nodes = np.einsum("kj,ij...->ik...", _through(len(x_mm)), nodes)
     about = AtlasDescription(
         acquisition=acquisition, plate=plate, bins=tuple(bins.tolist()), step_mm=STEP_MM,
-        origin_mm=(MARGIN_MM - STEP_MM, MARGIN_MM - STEP_MM), low_mm=(MARGIN_MM, MARGIN_MM),
+        origin_mm=(margin_mm - STEP_MM, margin_mm - STEP_MM), low_mm=(margin_mm, margin_mm),
         high_mm=(float(x_mm[-1]) - 0.01, float(y_mm[-1]) - 0.01), touches=field.shape[0] * field.shape[1],
     )  # fmt: skip
     return Atlas(

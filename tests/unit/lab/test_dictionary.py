@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.unit.conftest import KNOWN
+from tests.conftest import KNOWN
 from touchd.evaluation.dataset import Dataset
 from touchd.lab.dictionary import LAGS_S, Correlation, Nearest
 from touchd.localization.features import band_bins

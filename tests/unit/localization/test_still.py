@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from touchd.localization.still import Still
 
 from tests.conftest import Scene
 from touchd.config.schema import GateSettings, Settings
 from touchd.detection.gate import Gate
 from touchd.frame import Frame
 from touchd.localization.model import Model
-from touchd.localization.still import Still
 from touchd.outcome import Counters
 from touchd.pipeline import Pipeline
 

@@ -8,6 +8,7 @@ import json
 import os
 import stat
 import struct
+import tracemalloc
 import zipfile
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -276,6 +277,63 @@ class TestRead:
         with zipfile.ZipFile(tmp_path / "a.npz", "a") as archive:
             archive.writestr("frames.npy", b"\x93NUMPY\x01\x00" + struct.pack("<H", len(header)) + header)
         with pytest.raises(RecordingShape, match=r"claims int16 of shape .1000000000000, 4, 250\)"):
+            read(tmp_path / "a.npz")
+
+    def put_array(self, path: Path, array: bytes) -> Path:
+        """A recording whose frames are these bytes."""
+        save(path, **{k: v for k, v in content(make()).items() if k != "frames"})
+        with zipfile.ZipFile(path, "a", zipfile.ZIP_DEFLATED) as archive:
+            archive.writestr("frames.npy", array)
+        return path
+
+    def test_a_long_header_costs_no_memory(self, tmp_path: Path) -> None:
+        """Of a header that claims 64 MiB, a few KiB are read."""
+        long = 1 << 26
+        header = b"\x93NUMPY\x02\x00" + struct.pack("<I", long) + bytes(long)
+        path = self.put_array(tmp_path / "a.npz", header)
+        del header
+        tracemalloc.start()
+        try:
+            with pytest.raises(RecordingShape, match="array header"):
+                read(path)
+            _, peak_bytes = tracemalloc.get_traced_memory()
+        finally:
+            tracemalloc.stop()
+        assert peak_bytes < 1 << 22
+
+    @pytest.mark.parametrize("version", [(1, 0), (2, 0), (3, 0)])
+    def test_every_version_of_the_header(self, tmp_path: Path, version: tuple[int, int]) -> None:
+        """numpy writes the later ones on request."""
+        file = io.BytesIO()
+        np.lib.format.write_array(file, make().frames, version=version)
+        assert_same(read(self.put_array(tmp_path / "a.npz", file.getvalue())), make())
+
+    @pytest.mark.parametrize(
+        "header",
+        [
+            b"{'descr': '<i2', 'fortran_order': False, 'shape': (6L, 2L, 5L)}",  # of Python 2
+            b"{'descr': '<i2', 'fortran_order': False, 'shape': (6, 2, 5), 'x': '\\d'}",  # the parser warns of it
+            b"{'descr': 'a2', 'fortran_order': False, 'shape': (6, 2, 5)}",  # numpy warns of it
+            b"{" * 4000,
+            b"[" * 4000,
+            b"{'descr': [['a']], 'fortran_order': False, 'shape': ()}",
+            b"{'descr': [()], 'fortran_order': False, 'shape': ()}",
+            b"{'descr': (), 'fortran_order': False, 'shape': ()}",
+            b"\n  {'descr'",
+        ],
+    )
+    def test_an_odd_header_gives_a_typed_error_and_no_warning(self, tmp_path: Path, header: bytes) -> None:
+        """Or a recording: numpy reads headers of Python 2."""
+        array = b"\x93NUMPY\x01\x00" + struct.pack("<H", len(header)) + header + make().frames.tobytes()
+        assert_valid_or_refused(self.put_array(tmp_path / "a.npz", array))
+
+    def test_damage_in_an_array_is_found(self, tmp_path: Path) -> None:
+        """Each array has a checksum."""
+        whole = bytearray(save(tmp_path / "a.npz", **content(make())).read_bytes())
+        at = whole.index(make().frames.tobytes())
+        whole[at] ^= 1
+        (tmp_path / "a.npz").write_bytes(whole)
+        with pytest.raises(RecordingTruncated, match=r"'frames' is damaged .*CRC"):
             read(tmp_path / "a.npz")
 
     def test_what_does_not_fit_into_memory_is_refused_before_it_is_tried(

@@ -41,7 +41,7 @@ def latency_us() -> int:
 def test_a_finger_at_1000_frames_a_second_keeps_them_awake_until_it_lifts(device: Path) -> None:
     awake = Awake(500.0, device)
     for touched, held in ((False, 0), (True, 1), (True, 1), (False, 0), (True, 1)):
-        awake.follow(touched, MS_NS)
+        awake.update(touched, MS_NS)
         assert (awake.held, holders(device)) == (bool(held), held)
     assert device.read_bytes() == bytes(4)
     awake.close()
@@ -55,7 +55,7 @@ def test_a_finger_at_1000_frames_a_second_keeps_them_awake_until_it_lifts(device
 def test_it_is_done_from_that_rate_on_and_never_at_0(device: Path, from_hz: float, rate_hz: int, held: bool) -> None:
     awake = Awake(from_hz, device)
     # A device's clock runs a little slow beside this one.
-    awake.follow(True, round(1.0003e9 / rate_hz))
+    awake.update(True, round(1.0003e9 / rate_hz))
     assert awake.held == held
     awake.close()
 
@@ -67,7 +67,7 @@ def test_whatever_comes_nobody_is_kept_awake_for_an_untouched_plate(
     awake = Awake(500.0, device)
     touched = False
     for touched, period_ns in steps:
-        awake.follow(touched, period_ns)
+        awake.update(touched, period_ns)
         assert touched or not awake.held
         assert holders(device) == awake.held
     awake.close()
@@ -78,7 +78,7 @@ def test_a_refusal_is_logged_once_and_leaves_no_file_open(path: str) -> None:
     awake = Awake(500.0, Path(path))
     with capture_logs() as logs:
         for _ in range(5):
-            awake.follow(True, MS_NS)
+            awake.update(True, MS_NS)
     assert [(line["log_level"], line["event"]) for line in logs] == [("info", "processors may sleep between frames")]
     assert path in logs[0]["reason"]
     assert "60-touchd.rules" in logs[0]["fix"]

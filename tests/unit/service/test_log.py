@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -97,6 +98,11 @@ def test_a_disabled_call_touches_nothing_it_is_given() -> None:
     assert stream.getvalue() == ""
 
 
+def without_times(stream: io.StringIO) -> str:
+    """What was logged, without its timestamps: their microseconds hold any digits."""
+    return re.sub(r"\d{4}-\d\d-\d\dT[\d:.]+Z", "", stream.getvalue())
+
+
 @pytest.mark.parametrize("name", sorted(PRIVATE))
 @pytest.mark.parametrize("form", ["json", "console"])
 def test_no_private_value_reaches_the_log_however_it_is_given(name: str, form: str) -> None:
@@ -107,7 +113,7 @@ def test_no_private_value_reaches_the_log_however_it_is_given(name: str, form: s
     structlog.get_logger().info("c", payload={"device": "door", name.upper(): "7391"}, deep=[{"a": ({name: 7391},)}])
     with structlog.contextvars.bound_contextvars(**{name: "7391"}):
         structlog.get_logger().info("d")
-    assert "7391" not in stream.getvalue()
+    assert "7391" not in without_times(stream)
     assert stream.getvalue().count(REDACTED) == 5
 
 
@@ -123,7 +129,7 @@ def test_objects_are_named_not_printed() -> None:
     configure(LogSettings(), stream)
     structlog.get_logger().info("odd", a=Contact(), b=Pair(), c=np.full(3, 7391), d=[frame], e=b"7391")
     (line,) = logged(stream)
-    assert "7391" not in stream.getvalue()
+    assert "7391" not in without_times(stream)
     named = {"a": "<Contact>", "b": "<Pair>", "c": "<ndarray>", "d": ["<Frame>"], "e": "<bytes>"}
     assert line | named == line
 
@@ -141,7 +147,7 @@ def test_a_traceback_never_shows_the_variables_it_went_through(form: str) -> Non
     except RuntimeError:
         structlog.get_logger().exception("inference failed")
     assert "no model" in stream.getvalue()
-    assert "7391" not in stream.getvalue()
+    assert "7391" not in without_times(stream)
 
 
 def test_what_is_harmless_is_kept() -> None:

@@ -140,7 +140,8 @@ def make(scene: Scene, model: Model) -> Callable[..., Bench]:
     return lambda steps, **options: Bench(scene("circle"), model, steps, **options)
 
 
-def test_each_state_is_published_at_once(make: Callable[..., Bench], circle: list[Frame]) -> None:
+def test_states(make: Callable[..., Bench], circle: list[Frame]) -> None:
+    """Each state is published at once, to every sink."""
     silence: list[Step] = [None] * (STALL_NS // TIMEOUT_NS + 5)
     bench = make([None, *circle[:40], *silence, *circle[40:80]], period_s=1e6)
     bench.service.run()
@@ -155,14 +156,16 @@ def test_each_state_is_published_at_once(make: Callable[..., Bench], circle: lis
     assert bench.other.events == bench.sink.events
 
 
-def test_a_source_that_never_speaks_is_not_said_to_have_stalled(make: Callable[..., Bench]) -> None:
+def test_silent_source(make: Callable[..., Bench]) -> None:
+    """A source that never brought a frame has not stalled, and the sinks are polled meanwhile."""
     bench = make([None] * 100)
     bench.service.run()
     assert bench.sink.states() == ["starting", "stopping"]
     assert bench.sink.polls == 100 + 1, "sinks are looked after while no frame comes, and at the end"
 
 
-def test_health_comes_every_period(make: Callable[..., Bench], circle: list[Frame]) -> None:
+def test_period(make: Callable[..., Bench], circle: list[Frame]) -> None:
+    """Health comes every period, with or without frames."""
     bench = make([*circle[:250], *[None] * 15], period_s=0.2)
     bench.service.run()
     health_ns = [t for event, t in zip(bench.sink.events, bench.sink.times_ns, strict=True) if event.type == "health"]
@@ -173,7 +176,8 @@ def test_health_comes_every_period(make: Callable[..., Bench], circle: list[Fram
     assert gaps_ns[1:-1].min() >= 200_000_000
 
 
-def test_health_tells_what_became_of_the_frames(make: Callable[..., Bench], circle: list[Frame]) -> None:
+def test_counts(make: Callable[..., Bench], circle: list[Frame]) -> None:
+    """Health says what became of the frames."""
     bench = make([*circle[:150], *circle[148:160], *circle[165:]])
     bench.service.run()
     last, counters = bench.sink.health[-1], bench.pipeline.counters
@@ -188,9 +192,8 @@ def test_health_tells_what_became_of_the_frames(make: Callable[..., Bench], circ
     assert touched_s <= last.baseline_age_s < 3, "the baseline stands still under a finger"
 
 
-def test_at_the_end_of_the_stream_contacts_are_lifted_and_then_it_says_that_it_stops(
-    make: Callable[..., Bench], circle: list[Frame]
-) -> None:
+def test_end(make: Callable[..., Bench], circle: list[Frame]) -> None:
+    """At the end of the stream contacts are lifted; then the state is `stopping`, and all is closed."""
     bench = make(circle)
     bench.service.run()
     assert bench.sink.phases() == [(1, "down"), (1, "up")]
@@ -202,7 +205,8 @@ def test_at_the_end_of_the_stream_contacts_are_lifted_and_then_it_says_that_it_s
     assert (bench.sink.closed, bench.other.closed, bench.source.closed) == (1, 1, 1)
 
 
-def test_contacts_are_lifted_when_the_source_stalls(make: Callable[..., Bench], circle: list[Frame]) -> None:
+def test_stall(make: Callable[..., Bench], circle: list[Frame]) -> None:
+    """Contacts are lifted when the source stalls."""
     bench = make([*circle, *[None] * 25])
     bench.service.run()
     up = next(i for i, e in enumerate(bench.sink.events) if isinstance(e, TouchEvent) and e.contacts[0].phase == "up")
@@ -212,9 +216,8 @@ def test_contacts_are_lifted_when_the_source_stalls(make: Callable[..., Bench], 
     assert bench.sink.phases() == [(1, "down"), (1, "up")]
 
 
-def test_stop_ends_it_after_the_frame_in_hand_and_lifts_contacts(
-    make: Callable[..., Bench], circle: list[Frame]
-) -> None:
+def test_stop(make: Callable[..., Bench], circle: list[Frame]) -> None:
+    """`stop` ends the loop after the current frame and lifts the contacts."""
     bench = make(circle)
 
     def stop(event: Event) -> None:
@@ -230,7 +233,8 @@ def test_stop_ends_it_after_the_frame_in_hand_and_lifts_contacts(
     assert (bench.sink.closed, bench.source.closed) == (1, 1)
 
 
-def test_a_source_that_fails_is_reported_after_an_orderly_end(make: Callable[..., Bench], circle: list[Frame]) -> None:
+def test_failure(make: Callable[..., Bench], circle: list[Frame]) -> None:
+    """The error of a source comes out after an orderly end."""
     bench = make([*circle, DeviceLost("the DAQ is gone")])
     with pytest.raises(DeviceLost):
         bench.service.run()
@@ -239,9 +243,8 @@ def test_a_source_that_fails_is_reported_after_an_orderly_end(make: Callable[...
     assert (bench.sink.closed, bench.other.closed, bench.source.closed) == (1, 1, 1)
 
 
-def test_processors_are_kept_awake_while_a_finger_is_there_and_no_longer(
-    make: Callable[..., Bench], circle: list[Frame], tmp_path: Path
-) -> None:
+def test_awake(make: Callable[..., Bench], circle: list[Frame], tmp_path: Path) -> None:
+    """Processors are kept awake while a finger is on the plate, and no longer."""
     device = tmp_path / "cpu_dma_latency"
     device.touch()
     awake = Awake(1e9 / PERIOD_NS, device)
@@ -285,9 +288,8 @@ def live(scene: Scene, model: Model) -> Callable[[Sequence[Step]], Bench]:
     return lambda steps: Bench(scene("circle"), model, steps, period_s=1e6, live=True)
 
 
-def test_when_a_device_is_lost_contacts_are_lifted_and_it_is_said_at_once(
-    live: Callable[[Sequence[Step]], Bench], circle: list[Frame]
-) -> None:
+def test_lost(live: Callable[[Sequence[Step]], Bench], circle: list[Frame]) -> None:
+    """When a device is lost its contacts are lifted and the state is published at once."""
     bench = live([Change("streaming", "frames arrive"), *circle, Change("lost", "unplugged"), None, None])
     bench.service.run()
     assert bench.sink.phases() == [(1, "down"), (1, "up")]
@@ -299,9 +301,8 @@ def test_when_a_device_is_lost_contacts_are_lifted_and_it_is_said_at_once(
     assert bench.sink.times_ns[-3:-1] == [last_frame_ns, last_frame_ns], "no time passes"
 
 
-def test_a_device_that_was_away_has_its_plate_learned_anew_and_one_that_stalled_has_not(
-    live: Callable[[Sequence[Step]], Bench], circle: list[Frame]
-) -> None:
+def test_relearn(live: Callable[[Sequence[Step]], Bench], circle: list[Frame]) -> None:
+    """The plate of a device that was away is relearned, that of one that stalled is not."""
     idle = circle[:60]
     back = Change("streaming", "frames arrive")
     stalled = live(
@@ -316,9 +317,8 @@ def test_a_device_that_was_away_has_its_plate_learned_anew_and_one_that_stalled_
     assert [e.reason for e in lost.sink.health if e.state == "lost"] == ["gone", "still"]
 
 
-def test_health_takes_a_devices_counts_for_what_never_reached_the_pipeline(
-    live: Callable[[Sequence[Step]], Bench], circle: list[Frame]
-) -> None:
+def test_tally(live: Callable[[Sequence[Step]], Bench], circle: list[Frame]) -> None:
+    """Health takes a device's own counts for what never reached the pipeline."""
     bench = live([Change("streaming", "frames arrive"), *circle[:40], *circle[60:80]])
     assert isinstance(bench.source, Live)
     bench.source.tally = Tally(lost=3, corrupt=4, behind=13, withheld={"test_pattern": 5}, clipped=6, late=7)
@@ -329,9 +329,8 @@ def test_health_takes_a_devices_counts_for_what_never_reached_the_pipeline(
     assert "repeated" not in last.skipped
 
 
-def test_health_says_while_the_daq_repeats_one_frame_and_the_log_once_a_period(
-    make: Callable[..., Bench], circle: list[Frame]
-) -> None:
+def test_fault(make: Callable[..., Bench], circle: list[Frame]) -> None:
+    """Health says while the DAQ repeats one frame; the log says so at most once a period."""
     last = circle[249]
     again = [replace(last, sequence=last.sequence + n) for n in range(1, 251)]
     after = [replace(frame, sequence=frame.sequence + 250) for frame in circle[250:]]
@@ -349,9 +348,8 @@ def test_health_says_while_the_daq_repeats_one_frame_and_the_log_once_a_period(
     assert bench.sink.phases()[:3] == [(1, "down"), (1, "up"), (2, "down")]
 
 
-def test_latency_is_measured_up_to_the_last_sink_and_told_for_each_period(
-    make: Callable[..., Bench], circle: list[Frame]
-) -> None:
+def test_latency(make: Callable[..., Bench], circle: list[Frame]) -> None:
+    """Latency is measured up to the last sink, and published for each period."""
     bench = make(circle, period_s=0.5)
     steps_us = iter(range(10, 100_000, 10))
     told: list[int] = []

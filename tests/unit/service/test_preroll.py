@@ -222,7 +222,8 @@ def test_without_frames_there_is_nothing_to_save(make: Callable[..., Bench]) -> 
     assert bench.saved() == []
 
 
-def test_a_device_that_counts_anew_begins_a_new_recording(make: Callable[..., Bench]) -> None:
+def test_restart(make: Callable[..., Bench]) -> None:
+    """A device that counts from its start again begins a new recording."""
     bench = make()
     bench.frames(25)
     bench.next = 0

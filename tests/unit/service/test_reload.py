@@ -30,30 +30,36 @@ def settings(values: Setting) -> Settings:
     return Settings.model_validate(values)
 
 
-def test_every_restart_only_name_is_a_table_or_a_key() -> None:
+def test_names() -> None:
+    """Each name in RESTART_ONLY is a table or a key."""
     known = {table for table, _, _ in fields()} | {f"{table}.{key}" for table, key, _ in fields()}
     assert known >= RESTART_ONLY
 
 
-def test_nothing_changed_is_nothing_to_do() -> None:
+def test_no_change() -> None:
+    """The same settings change nothing."""
     changes = compare(Settings(), Settings())
     assert (changes.taken, changes.waiting, changes.settings) == ((), (), Settings())
 
 
-def test_thresholds_and_the_log_are_taken_over_and_what_is_open_or_bound_waits() -> None:
+def test_compare() -> None:
+    """Thresholds and the log change at once; what is open, bound, loaded or learned waits for a restart."""
     new = settings(
         {
             "tracker": {"dead_band_mm": 2.0},
             "log": {"level": "error"},
             "bus": {"bind": ["tcp://127.0.0.1:1"]},
             "device": {"rate_hz": 250},
-            "model": {"path": "another.onnx", "min_confidence": 0.9},
+            "model": {"path": "another.onnx", "atlas": False, "min_confidence": 0.9},
+            "preroll": {"seconds": 7.0},
             "baseline": {"learn_frames": 8, "absorb_s": 5.0},
         }
     )
     changes = compare(Settings(), new)
     assert set(changes.taken) == {"tracker.dead_band_mm", "log.level", "model.min_confidence", "baseline.absorb_s"}
-    assert set(changes.waiting) == {"bus.bind", "device.rate_hz", "model.path", "baseline.learn_frames"}
+    assert set(changes.waiting) == {
+        "bus.bind", "device.rate_hz", "model.path", "model.atlas", "preroll.seconds", "baseline.learn_frames",
+    }  # fmt: skip
     expected = settings(
         {
             "tracker": {"dead_band_mm": 2.0},
@@ -92,7 +98,8 @@ def run(scene: Scene, model: Model) -> Callable[[str], Run]:
     return lambda name: Run(scene, model, name)
 
 
-def test_a_finger_that_is_down_stays_down_and_moves_by_the_new_dead_band(run: Callable[[str], Run]) -> None:
+def test_tracker(run: Callable[[str], Run]) -> None:
+    """A finger that is down stays down, and moves by the new dead band."""
     circle = run("circle")
     before = circle.feed(260)
     assert [c.phase for c in before[-1]] == ["move"]
@@ -102,17 +109,19 @@ def test_a_finger_that_is_down_stays_down_and_moves_by_the_new_dead_band(run: Ca
     assert {c.id for contacts in before + after for c in contacts} == {1}
 
 
-def test_a_confidence_that_nothing_reaches_ends_the_contact(run: Callable[[str], Run]) -> None:
+def test_confidence(run: Callable[[str], Run]) -> None:
+    """A confidence that nothing reaches ends the contact."""
     circle = run("circle")
     circle.feed(260)
     circle.configure({"model": {"min_confidence": 1.0, "keep_confidence": 1.0}, "tracker": {"release_frames": 1}})
     assert [c.phase for contacts in circle.feed(270) for c in contacts] == ["up"]
 
 
-def test_another_false_alarm_rate_moves_the_gate_and_not_its_noise(run: Callable[[str], Run]) -> None:
+def test_gate(run: Callable[[str], Run]) -> None:
+    """Another false-alarm rate changes the gate's threshold and leaves its noise."""
     idle = run("idle")
     idle.feed(200)
-    gate = idle.pipeline.gate
+    gate = idle.pipeline.detector.gate
     noise, threshold = gate.noise_energy, gate.threshold_energy
     idle.configure({"gate": {"false_alarm_rate": 1e-12}})
     assert gate.noise_energy == noise
@@ -121,23 +130,23 @@ def test_another_false_alarm_rate_moves_the_gate_and_not_its_noise(run: Callable
     assert gate.threshold_energy == threshold
 
 
-def test_settings_that_come_before_the_plate_is_learned_hold_once_it_is(run: Callable[[str], Run]) -> None:
+def test_early(run: Callable[[str], Run]) -> None:
+    """Settings that come before the plate is learned hold once it is."""
     early, late = run("idle"), run("idle")
     early.feed(3)
     early.configure({"gate": {"false_alarm_rate": 1e-3}})
-    assert early.pipeline.gate.threshold_energy == math.inf
+    assert early.pipeline.detector.gate.threshold_energy == math.inf
     early.feed(40)
     late.feed(40)
     late.configure({"gate": {"false_alarm_rate": 1e-3}})
-    assert early.pipeline.gate.threshold_energy == late.pipeline.gate.threshold_energy
+    assert early.pipeline.detector.gate.threshold_energy == late.pipeline.detector.gate.threshold_energy
 
 
 # -- reading it again --------------------------------------------------------------------------------
 
 
-def test_a_wrong_file_changes_nothing_and_raises_nothing(
-    run: Callable[[str], Run], model: Model, scene_file: Callable[[str], Path], tmp_path: Path
-) -> None:
+def test_wrong_file(run: Callable[[str], Run], model: Model, scene_file: Callable[[str], Path], tmp_path: Path) -> None:
+    """A wrong file changes nothing and raises nothing."""
     path = tmp_path / "touchd.toml"
     path.write_text("[health]\nperiod_s = 0.5\n")
     pipeline = run("idle").pipeline

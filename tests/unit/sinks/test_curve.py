@@ -202,6 +202,33 @@ def test_keygen_takes_plain_names_only(tmp_path: Path, name: str) -> None:
         CliRunner().invoke(keygen, [str(tmp_path), "--name", name], catch_exceptions=False)
 
 
+def test_keygen_follows_no_link(tmp_path: Path) -> None:
+    """A link at a key's place does not lead the secret elsewhere, and nothing is left behind."""
+    (tmp_path / "keys").mkdir()
+    (tmp_path / "keys/kiosk.key_secret").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(OutputError, match="File exists") as caught:
+        curve.make_files(tmp_path / "keys", "kiosk")
+    assert caught.value.where == f"{tmp_path}/keys/kiosk.key_secret"
+    assert [path.name for path in tmp_path.rglob("*")] == ["keys", "kiosk.key_secret"]
+
+
+@pytest.mark.parametrize("text", ["public-key", "public-key = short", 'public-key = "' + "~" * 40 + '"', ""])
+def test_a_malformed_key_is_none(tmp_path: Path, text: str) -> None:
+    """A key is 40 characters of Z85."""
+    (tmp_path / "kiosk.key").write_text(f"metadata\ncurve\n    {text}\n")
+    with pytest.raises(BusError, match="holds no CURVE public key"):
+        curve.load_public(tmp_path / "kiosk.key")
+
+
+def test_a_key_file_of_an_earlier_version(tmp_path: Path) -> None:
+    """Or of czmq: comments and the order of its parts differ."""
+    pair = curve.new_pair()
+    text = f'# CURVE secret key\nmetadata\ncurve\n    secret-key = "{pair.secret.decode()}"\n'
+    (tmp_path / "kiosk.key_secret").write_text(f'{text}    public-key = "{pair.public.decode()}"\n')
+    (tmp_path / "kiosk.key_secret").chmod(0o600)
+    assert curve.load_secret(tmp_path / "kiosk.key_secret") == pair
+
+
 def test_keygen_says_why_it_cannot_write(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(OutputError, match="cannot be written"):

@@ -51,9 +51,8 @@ class Link:
     rate_hz=st.sampled_from([50.0, 125.0, 500.0]),
     seed=st.integers(0, 2**32 - 1),
 )
-def test_times_are_right_to_a_fraction_of_a_millisecond_and_do_not_drift(
-    ppm: float, jitter_us: float, rate_hz: float, seed: int
-) -> None:
+def test_accuracy(ppm: float, jitter_us: float, rate_hz: float, seed: int) -> None:
+    """After 20 s every time is right to a fraction of a millisecond, without drift."""
     link = Link(60, rate_hz=rate_hz, ppm=ppm, jitter_us=jitter_us, seed=seed)
     error_ns = link.through(DeviceClock(COMPLETE_NS))
     settled = error_ns[round(20 * rate_hz) :]
@@ -63,20 +62,23 @@ def test_times_are_right_to_a_fraction_of_a_millisecond_and_do_not_drift(
 
 
 @pytest.mark.parametrize("ppm", [-100.0, 0.0, 100.0])
-def test_after_an_hour_the_clocks_are_as_near_as_after_a_minute(ppm: float) -> None:
+def test_an_hour(ppm: float) -> None:
+    """After an hour the error is no larger than after a minute."""
     link = Link(3600, rate_hz=20, ppm=ppm, jitter_us=100, seed=3)
     error_ns = np.abs(link.through(DeviceClock(COMPLETE_NS)))
     assert error_ns[1200:].max() < 200_000
     assert error_ns[-1200:].max() < 200_000
 
 
-def test_the_distance_of_frames_is_the_devices_whatever_the_jitter() -> None:
+def test_jitter() -> None:
+    """The interval of frames is the device's to 10 us, at 300 us of jitter."""
     link = Link(40, ppm=50, jitter_us=300, seed=5)
     error_ns = link.through(DeviceClock(COMPLETE_NS))[1250:]
     assert np.abs(np.diff(error_ns)).max() < 10_000, "steps of 8 ms are right to 10 us"
 
 
-def test_a_first_frame_that_was_late_is_made_up_for_within_seconds_and_without_a_jump() -> None:
+def test_late_first_frame() -> None:
+    """A late first frame is corrected within seconds, without a jump."""
     link = Link(10, ppm=20, jitter_us=50, seed=6)
     link.received_ns[:5] += 80_000_000
     link.received_ns = np.maximum.accumulate(link.received_ns)
@@ -87,7 +89,8 @@ def test_a_first_frame_that_was_late_is_made_up_for_within_seconds_and_without_a
 
 
 @pytest.mark.parametrize("jump_us", [-10_000_000, 50_000_000, 2**50])
-def test_a_device_clock_that_is_set_is_followed_at_once(jump_us: int) -> None:
+def test_clock_is_set(jump_us: int) -> None:
+    """A device clock that is set is followed at once."""
     link = Link(20, ppm=20, jitter_us=50, seed=7, start_us=20_000_000)
     link.timestamp_us[1250:] += jump_us
     error_ns = link.through(DeviceClock(COMPLETE_NS))
@@ -95,14 +98,16 @@ def test_a_device_clock_that_is_set_is_followed_at_once(jump_us: int) -> None:
     assert np.abs(error_ns[2000:]).max() < 1e6
 
 
-def test_a_device_without_a_clock_gets_times_of_arrival_that_increase() -> None:
+def test_no_clock() -> None:
+    """Frames of a device without a clock get times of arrival, which increase."""
     clock = DeviceClock(COMPLETE_NS)
     times = [clock.map(0, received_ns) for received_ns in (10_000_000, 18_000_000, 18_000_000, 17_000_000, 26_000_000)]
     assert times[:2] == [9_000_000, 17_000_000]
     assert all(b > a for a, b in pairwise(times))
 
 
-def test_a_late_frame_is_known_by_its_delay() -> None:
+def test_delay() -> None:
+    """`delay_ns` shows how late a frame is."""
     link = Link(20, ppm=0, jitter_us=1, seed=8)
     link.received_ns = link.true_ns.astype(np.int64) + COMPLETE_NS + LEAST_DELAY_NS
     clock = DeviceClock(COMPLETE_NS)

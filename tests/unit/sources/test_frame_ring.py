@@ -36,7 +36,8 @@ def drain(ring: FrameRing[str]) -> list[int | str]:
 
 
 @given(st.integers(1, 6), st.lists(st.one_of(st.just("put"), st.just("mark"), st.just("take")), max_size=60))
-def test_it_is_a_queue_that_loses_its_oldest_frames_only(capacity: int, steps: list[str]) -> None:
+def test_any_order(capacity: int, steps: list[str]) -> None:
+    """The ring is a queue that drops only its oldest frames, and counts them."""
     ring: FrameRing[str] = FrameRing(capacity, SHAPE)
     waiting: list[int | str] = []
     held = dropped = 0
@@ -63,7 +64,8 @@ def test_it_is_a_queue_that_loses_its_oldest_frames_only(capacity: int, steps: l
     assert drain(ring) == waiting
 
 
-def test_a_frame_in_the_readers_hands_is_not_written_over() -> None:
+def test_held_frame() -> None:
+    """A frame is not overwritten while the reader holds it."""
     ring: FrameRing[str] = FrameRing(2, SHAPE)
     put(ring, 1)
     frame = ring.take(0.0)
@@ -75,7 +77,8 @@ def test_a_frame_in_the_readers_hands_is_not_written_over() -> None:
     assert ring.dropped == 16
 
 
-def test_a_frame_cannot_be_written_to_by_its_reader() -> None:
+def test_read_only() -> None:
+    """The reader cannot write to a frame."""
     ring: FrameRing[str] = FrameRing(2, SHAPE)
     put(ring, 1)
     frame = ring.take(0.0)
@@ -84,7 +87,8 @@ def test_a_frame_cannot_be_written_to_by_its_reader() -> None:
         frame.counts[0, 0] = 5
 
 
-def test_samples_that_stand_in_another_order_are_put_into_channels() -> None:
+def test_interleaved() -> None:
+    """Interleaved samples are copied into contiguous channels."""
     ring: FrameRing[str] = FrameRing(2, SHAPE)
     interleaved = np.array([[1, 11], [2, 12], [3, 13]], np.int16)
     ring.put(interleaved.T, 0, 0, 0)
@@ -95,7 +99,8 @@ def test_samples_that_stand_in_another_order_are_put_into_channels() -> None:
 
 
 @pytest.mark.parametrize("what", ["frame", "mark"])
-def test_a_reader_who_waits_is_woken(what: str) -> None:
+def test_wakes_the_reader(what: str) -> None:
+    """A frame or mark wakes a reader that waits."""
     ring: FrameRing[str] = FrameRing(2, SHAPE)
     waker = threading.Timer(0.01, lambda: put(ring, 7) if what == "frame" else ring.mark("seven"))
     waker.start()
@@ -104,7 +109,8 @@ def test_a_reader_who_waits_is_woken(what: str) -> None:
     assert [frame.sequence if frame else None, ring.marks()] == ([7, []] if what == "frame" else [None, ["seven"]])
 
 
-def test_memory_is_allocated_once() -> None:
+def test_memory() -> None:
+    """Frames lie in memory that is allocated once."""
     ring: FrameRing[str] = FrameRing(3, SHAPE)
     seen = set()
     for number in range(100):
@@ -115,7 +121,8 @@ def test_memory_is_allocated_once() -> None:
     assert len(seen) <= 4
 
 
-def test_two_threads_lose_nothing_that_is_not_counted() -> None:
+def test_two_threads() -> None:
+    """Between two threads no frame is lost without being counted."""
     ring: FrameRing[str] = FrameRing(8, SHAPE)
     total = 20_000
 

@@ -30,7 +30,6 @@ from touchd.frame import Acquisition
 from touchd.sources.daq import DaqAbsent, DaqGone
 from touchd.sources.live import DaqSource
 from touchd.sources.ni import NiDaq
-from touchd.sources.usb_protocol import FrameReader
 
 ACQUISITION = Acquisition(channels=4, samples=250, sample_rate_hz=250e3)
 SETTINGS = NiSettings()
@@ -59,7 +58,8 @@ def checked(method: Callable[..., Any]) -> Callable[..., None]:
     return call
 
 
-def test_a_call_that_the_package_does_not_have_would_be_noticed() -> None:
+def test_the_mock_is_strict() -> None:
+    """A call that the vendor's package does not have fails."""
     timing = spec(nidaqmx.task._timing.Timing)
     with pytest.raises(TypeError):
         timing.cfg_samp_clk_timing(250e3, sampling="continuous")
@@ -137,7 +137,8 @@ def started(rate_hz: int = 125) -> NiDaq:
     return daq
 
 
-def test_one_period_with_the_chirp_at_its_beginning_is_played_again_and_again(rig: Rig) -> None:
+def test_output(rig: Rig) -> None:
+    """The output plays one period, the chirp first, again and again."""
     started().close()
     output = rig.tasks[0]
     output.ao_channels.add_ao_voltage_chan.assert_called_once_with("cDAQ1Mod2/ao0", min_val=-10.0, max_val=10.0)
@@ -151,7 +152,8 @@ def test_one_period_with_the_chirp_at_its_beginning_is_played_again_and_again(ri
     assert len(played) == 4000
 
 
-def test_the_inputs_wait_for_the_outputs_trigger(rig: Rig) -> None:
+def test_inputs(rig: Rig) -> None:
+    """The inputs are armed first, and wait for the output's start trigger."""
     started().close()
     inputs = rig.tasks[1]
     inputs.ai_channels.add_ai_voltage_chan.assert_called_once_with("cDAQ1Mod1/ai0:3", min_val=-10.0, max_val=10.0)
@@ -162,30 +164,35 @@ def test_the_inputs_wait_for_the_outputs_trigger(rig: Rig) -> None:
     assert rig.order == ["inputs", "output"]
 
 
-def test_each_frame_begins_a_period_after_the_one_before(rig: Rig) -> None:
+def test_frames(rig: Rig) -> None:
+    """Each frame begins a period after the last one, and is returned before the pause behind it."""
     daq = started()
     for i in range(5):
-        data = daq.read(0.1)
-        assert data is not None
-        ((header, samples),) = FrameReader(daq.info).feed(data, ended=True)
-        assert (header.sequence, header.timestamp_us) == (i, i * 8000)
-        counts = np.frombuffer(samples, "<i2").reshape(250, 4).T
-        np.testing.assert_array_equal(counts[2], np.arange(250) + 2000 * i + 2000)
+        frame = daq.read(0.1)
+        assert frame is not None
+        assert (frame.sequence, frame.timestamp_us, frame.clipped, frame.withheld) == (i, i * 8000, False, "")
+        assert frame.counts.shape == ACQUISITION.shape
+        np.testing.assert_array_equal(frame.counts[2], np.arange(250) + 2000 * i + 2000)
         # Nothing of the pause is waited for before the frame is handed out.
         assert rig.next == 2000 * i + 250
     daq.close()
 
 
-def test_a_clipped_frame_says_so(rig: Rig) -> None:
+@pytest.mark.parametrize(
+    ("first", "clipped"), [(0, False), (32767 - 3249, True), (32766 - 3249, False), (-32767, True), (-32766, False)]
+)
+def test_clipped(rig: Rig, first: int, clipped: bool) -> None:
+    """A sample at either limit of the ADC sets `clipped`; the counts span `first` to `first` + 3249."""
     daq = started()
-    rig.next = 32767 - 100
-    data = daq.read(0.1)
-    assert data is not None
-    assert data[5] == 1
+    rig.next = first
+    frame = daq.read(0.1)
+    assert frame is not None
+    assert frame.clipped is clipped
     daq.close()
 
 
-def test_it_is_a_source_like_any_other(rig: Rig) -> None:
+def test_source(rig: Rig) -> None:
+    """`DaqSource` reads it like any DAQ."""
     device = DeviceSettings(queue_frames=1000)
     source = DaqSource(lambda: NiDaq(SETTINGS, ACQUISITION), device, ACQUISITION, lambda _: None)
     numbers: list[int] = []
@@ -201,7 +208,8 @@ def test_it_is_a_source_like_any_other(rig: Rig) -> None:
     assert len(rig.tasks) == 2
 
 
-def test_a_read_that_fails_or_is_late_means_a_new_start(rig: Rig) -> None:
+def test_read_fails(rig: Rig) -> None:
+    """A read that fails, or is late, ends the connection, and a new start makes new tasks."""
     daq = started()
     rig.fail = DaqError("no samples", -200284)
     with pytest.raises(DaqGone, match="-200284"):
@@ -213,14 +221,16 @@ def test_a_read_that_fails_or_is_late_means_a_new_start(rig: Rig) -> None:
 
 
 @pytest.mark.parametrize("rate_hz", [300, 1001])
-def test_a_rate_that_does_not_divide_or_is_too_high_is_refused(rig: Rig, rate_hz: int) -> None:
+def test_impossible_rate(rig: Rig, rate_hz: int) -> None:
+    """A rate that does not divide the sample rates, or is too high, is refused."""
     daq = NiDaq(SETTINGS, ACQUISITION)
     with pytest.raises(ConfigError, match=r"device\.rate_hz"):
         daq.start(rate_hz)
     assert rig.tasks == []
 
 
-def test_another_number_of_inputs_is_refused(rig: Rig) -> None:
+def test_other_inputs(rig: Rig) -> None:
+    """Another number of inputs than channels is refused."""
     assert rig.tasks == []
     daq = NiDaq(SETTINGS, Acquisition(channels=3, samples=250, sample_rate_hz=250e3))
     with pytest.raises(ConfigError, match="names 4 channels, not 3"):
@@ -228,13 +238,16 @@ def test_another_number_of_inputs_is_refused(rig: Rig) -> None:
     daq.close()
 
 
-def test_inputs_that_are_not_simultaneous_are_refused(rig: Rig) -> None:
+def test_multiplexed_inputs(rig: Rig) -> None:
+    """Inputs that are sampled one after the other are refused."""
     rig.device.ai_simultaneous_sampling_supported = False
     with pytest.raises(SourceError, match="one after the other"):
         NiDaq(SETTINGS, ACQUISITION)
 
 
-def test_a_device_that_is_not_there_is_looked_for_again(rig: Rig) -> None:
+def test_absent(rig: Rig) -> None:
+    """A device that the driver does not find is absent: `DaqSource` looks again."""
+
     def missing(_name: str) -> MagicMock:
         raise DaqError("invalid device", -200220)
 
@@ -243,7 +256,8 @@ def test_a_device_that_is_not_there_is_looked_for_again(rig: Rig) -> None:
         NiDaq(SETTINGS, ACQUISITION)
 
 
-def test_without_the_driver_it_says_what_to_install() -> None:
+def test_no_driver() -> None:
+    """Without the driver the error says what to install."""
     try:
         nidaqmx.system.System.local().driver_version  # noqa: B018 - asks for the driver
     except DaqNotFoundError:
@@ -251,12 +265,14 @@ def test_without_the_driver_it_says_what_to_install() -> None:
             NiDaq(SETTINGS, ACQUISITION)
 
 
-def test_more_than_the_output_can_give_is_refused() -> None:
+def test_amplitude() -> None:
+    """An amplitude above the output's limit is refused."""
     with pytest.raises(ConfigError, match=r"ni\.amplitude_v"):
         NiDaq(NiSettings(amplitude_v=9.0, output_limit_v=5.0), ACQUISITION)
 
 
-def test_a_reset_ends_the_tasks_first(rig: Rig) -> None:
+def test_reset(rig: Rig) -> None:
+    """`reset` ends the tasks, then resets the device."""
     daq = started()
     daq.reset()
     rig.device.reset_device.assert_called_once_with()

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from touchd.frame import Plate
 from touchd.twin.cache import Arrays, folder, remember
 from touchd.twin.instrument import Instrument
 from touchd.twin.physics import transducer
@@ -67,10 +68,13 @@ def test_no_temporary_file_is_left_behind(home: Path) -> None:
     assert [path.suffix for path in home.iterdir()] == [".npz"]
 
 
-def test_a_second_start_solves_nothing(small: Instrument, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.usefixtures("home")
+def test_a_second_start_solves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    first = Instrument(Plate(width_mm=90, height_mm=80, thickness_mm=5, material="glass"))
+
     def solve(*_: object) -> None:
         raise AssertionError("solved again")
 
     monkeypatch.setattr(transducer, "solve", solve)
-    again = Instrument(small.plate)
-    np.testing.assert_array_equal(again.untouched([22.0]), small.untouched([22.0]))
+    again = Instrument(first.plate)
+    np.testing.assert_array_equal(again.untouched([22.0]), first.untouched([22.0]))

@@ -5,6 +5,7 @@ One process sends the time at a steady rate, this one receives it. The delay is 
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import time
@@ -12,12 +13,10 @@ from pathlib import Path
 
 import zmq
 
-from touchd.config.schema import RealtimeSettings
 from touchd.errors import JobError
 from touchd.lab.benchmark.placement import daemon_cpus, subscribing
 from touchd.lab.benchmark.stopwatch import Spread, spread
 from touchd.service.cpu_latency import Awake, permitted
-from touchd.service.realtime import apply
 
 BODY_BYTES = 330
 """Size of a touch message with one contact."""
@@ -54,7 +53,8 @@ def measure(rate_hz: float, seconds: float, folder: Path, *, apart: bool = False
 
 def run(address: str, rate_hz: float, seconds: float, cpus: tuple[int, ...]) -> None:
     """Send after the first subscription; an empty message ends the run. Processors are kept awake as by the daemon."""
-    apply(RealtimeSettings(cpus=cpus))
+    if cpus:
+        os.sched_setaffinity(0, cpus)
     if permitted():
         Awake(rate_hz).hold()
     with zmq.Context() as context, context.socket(zmq.XPUB) as socket:

@@ -45,6 +45,8 @@ class Task(BaseModel):
     bare: Path
     output: Path
     settings: dict[str, Any]
+    cpus: tuple[int, ...]
+    """Processors to run on; empty leaves it to the kernel."""
     patience_s: float
 
 
@@ -114,7 +116,8 @@ def run(task: Task) -> None:
 
     settings = Settings.model_validate(task.settings)
     configure(LogSettings(level="error"))
-    realtime.apply(settings.realtime)
+    if task.cpus:
+        os.sched_setaffinity(0, task.cpus)
     model = load_model(settings)
     loop = Loop.load(task.loop)
     rate_hz = task.rate_hz or float("inf")

@@ -72,11 +72,11 @@ def measure(
     settings: dict[str, Any] = {
         "bus": bus, "model": {"path": str(model)}, "baseline": {"absorb_s": FOREVER_S},
         "preroll": {"folder": str(folder)},
-        "realtime": {"cpus": daemon_cpus()} | ({} if awake else {"awake_from_hz": 0}),
+        "realtime": {} if awake else {"awake_from_hz": 0},
     }  # fmt: skip
     task = Task(
         loop=stored, rate_hz=rate_hz, seconds=seconds, bare=bare, output=output, settings=settings,
-        patience_s=PATIENCE_S,
+        cpus=daemon_cpus(), patience_s=PATIENCE_S,
     )  # fmt: skip
     begun_ns = time.monotonic_ns()
     with (

@@ -9,8 +9,7 @@ from typing import Any
 
 from touchd.errors import ModelMissing
 from touchd.evaluation.dataset import digest as dataset_digest
-from touchd.jobs import Job, Shared, run
-from touchd.jobs.identity import digest
+from touchd.jobs import Job, Shared, digest, run
 from touchd.keypad import Layout
 from touchd.lab.reproduction import plan
 from touchd.lab.reproduction.experiments import Data, judged, raced

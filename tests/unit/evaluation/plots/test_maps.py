@@ -93,7 +93,7 @@ def test_the_key_is_a_round_length_that_the_arrows_have(size_mm: float) -> None:
 def test_few_touches_are_drawn_too(n: int, tmp_path: Path) -> None:
     for error_mm in (np.zeros((n, 2)), np.ones((n, 2))):
         for draw in (draw_error_map, draw_maps):
-            draw(touches(n, error_mm), META).savefig(tmp_path / "a.png")
+            draw(touches(n, error_mm), META).savefig(tmp_path / "a.png", dpi=20)
 
 
 @pytest.mark.parametrize("count", [2, len(COLOURS), len(COLOURS) + 3])

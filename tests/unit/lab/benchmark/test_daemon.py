@@ -1,56 +1,18 @@
-"""The daemon that is measured is heard by this process, and its failure is told."""
+"""What a day of the measured daemon costs."""
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
-from touchd.errors import JobError
+from tests.unit.lab.benchmark.conftest import cell
 from touchd.lab.benchmark import daemon
-from touchd.lab.benchmark.estimators import bare
-from touchd.lab.benchmark.loop import Loop
-from touchd.lab.benchmark.results import DaemonResult
-from touchd.lab.benchmark.scenes import make_loop
-from touchd.localization.model import default_model_path
-from touchd.twin.instrument import Instrument
 
 
-@pytest.fixture(scope="module")
-def moving(plate: Instrument) -> Loop:
-    return make_loop("moving", plate)
-
-
-def measured(folder: Path, loop: Loop, rate_hz: float | None, model: Path | None = None) -> DaemonResult:
-    bare(folder)
-    return daemon.measure(
-        "moving", loop, rate_hz, 0.8, model=model or default_model_path(), bare=folder / "bare.onnx", folder=folder
-    )  # fmt: skip
-
-
-def test_a_paced_scene_is_timed_to_the_subscriber_and_every_frame_is_accounted_for(
-    tmp_path: Path, moving: Loop
-) -> None:
-    found = measured(tmp_path, moving, 500.0)
-    assert found.to == "subscriber"
-    assert found.lost == 0
-    assert found.messages > 100
-    assert found.handed_p50_us < found.p50_us <= found.p99_us <= found.p999_us <= found.max_us
-    assert sum(found.skipped.values()) + found.inferred == pytest.approx(1.0, abs=0.01)
-    assert found.rss_mb > 10
-    assert found.cpu_share > 0
-
-
-def test_a_daemon_that_fails_is_named_with_its_reason(tmp_path: Path, moving: Loop) -> None:
-    with pytest.raises(JobError, match="no such model"):
-        measured(tmp_path, moving, 500.0, model=tmp_path / "none.onnx")
-
-
-def test_a_day_is_the_mean_of_what_is_done_in_it(tmp_path: Path, moving: Loop) -> None:
-    one = measured(tmp_path, moving, 125.0)
-    cells = [one.model_copy(update={"scene": scene, "cpu_share": share})
-             for scene, share in (("idle", 0.01), ("still", 0.1), ("moving", 0.2))]  # fmt: skip
-    found = daemon.day(cells)
+def test_day() -> None:
+    """A day is the mean of what is done in it, at 125 frames a second."""
+    shares = {"idle": 0.01, "still": 0.1, "moving": 0.2}
+    cells = [cell(scene, 125.0).model_copy(update={"cpu_share": share}) for scene, share in shares.items()]
+    found = daemon.day([*cells, cell("idle", 1000.0)])
     assert found is not None
     assert found.cpu_s_per_hour == pytest.approx(3600 * (0.98 * 0.01 + 0.01 * 0.1 + 0.01 * 0.2), rel=1e-2)
     assert daemon.day(cells[:2]) is None

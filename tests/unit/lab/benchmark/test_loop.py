@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from hypothesis import strategies as st
 from touchd.frame import Acquisition, Frame
 from touchd.lab.benchmark.loop import BURST_EVERY, PERIOD_NS, Loop, LoopSource
 from touchd.lab.benchmark.scenes import LEARN_FRAMES, WANTED, make_loop
+from touchd.service.runner import frames_of
 from touchd.sources.source import EndOfStream
 from touchd.twin.instrument import Instrument
 
@@ -24,15 +26,7 @@ def loop_of(count: int, lead: int) -> Loop:
 
 
 def played(source: LoopSource, most: int) -> list[Frame]:
-    frames: list[Frame] = []
-    try:
-        while len(frames) < most:
-            frame = source.read(1.0)
-            assert frame is not None
-            frames.append(frame)
-    except EndOfStream:
-        pass
-    return frames
+    return [frame for frame in islice(frames_of(source), most) if frame is not None]
 
 
 @given(count=st.integers(3, 40), lead=st.integers(0, 20))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.unit.conftest import KNOWN
+from tests.conftest import KNOWN
 from touchd.evaluation.dataset import Dataset
 from touchd.training.data import augment
 from touchd.training.data.augment import Augmenter, Bank, make_bank

@@ -7,13 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.unit.training.waves import Waves, touch
 from touchd.training.data.relabel import MOST_MM, label_noise_mm, replaced
-from touchd.training.field.learn import learn_thoroughly
 from touchd.training.field.leave_one_out import Displaced
-from touchd.training.field.regression import Touches
-
-K = np.linspace(0.2, 0.3, 9)
 
 
 @given(st.floats(0.02, 0.5), st.floats(0.01, 0.2), st.integers(0, 2**31))
@@ -36,13 +31,3 @@ def test_a_place_lies_between_label_and_sight_nearer_to_what_is_surer(seed: int,
     share = noise_mm**2 / (noise_mm**2 + sigma_mm**2)
     np.testing.assert_allclose(found[~far], (label_mm + share[:, None] * by_mm)[~far])
     np.testing.assert_array_equal(found[far], label_mm[far])
-
-
-@pytest.mark.parametrize("noise_mm", [0.0, 0.3])
-def test_a_field_of_wrong_labels_is_learned_as_if_they_were_better(noise_mm: float) -> None:
-    """The true field's touches, at labels that are off: what is found of the labels, and of the field."""
-    waves = Waves(K, 4, 7)
-    touches, _ = touch(waves, 600, 60.0, 8)
-    off_mm = noise_mm * np.random.default_rng(9).normal(size=touches.position_mm.shape)
-    learned = learn_thoroughly(Touches(touches.position_mm + off_mm, touches.values, touches.noise), K)
-    assert learned.label_noise_mm == pytest.approx(noise_mm, abs=0.05)

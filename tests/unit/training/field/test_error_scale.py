@@ -15,7 +15,7 @@ ERROR = 0.04
 def level(noise: float, scales: tuple[float, float], seed: int, label_mm: float = 0.0) -> Level:
     """Touches whose errors are those of an atlas with such scales."""
     rng = np.random.default_rng(seed)
-    n = 4000
+    n = 2500
     power = np.exp(rng.normal(size=n))
     root = rng.normal(size=(n, 2, 2)) + 3 * np.eye(2)
     fisher_information = (root @ root.transpose(0, 2, 1)) * power[:, None, None] * 40

@@ -8,7 +8,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.unit.conftest import KNOWN
+from tests.conftest import KNOWN
 from touchd.evaluation.dataset import Dataset
 from touchd.keypad import Key, Layout
 from touchd.training.data.synthetic import BORDER_MM, Synthesiser

@@ -1,23 +1,14 @@
-"""The network's target histograms, and a training from end to end on a handful of touches."""
+"""The network's target histograms, places and standard errors."""
 
 from __future__ import annotations
 
-from dataclasses import replace
-from pathlib import Path
-
 import numpy as np
-import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from touchd.errors import TrainingError
-from touchd.evaluation.dataset import Dataset, digest
-from touchd.localization.model import Model
-from touchd.recording.data import Recording
 from touchd.training.network.network import PositionNetwork
 from touchd.training.network.objectives import SPREAD_BINS
-from touchd.training.train_network import Result, train
 
 NETWORK = PositionNetwork(8, (200.0, 100.0), (4,))
 HALF = st.floats(-0.5, 0.5, width=32)
@@ -62,60 +53,3 @@ def test_the_standard_error_is_the_root_of_the_sum_of_both_squares(rows: list[tu
     logs = torch.from_numpy(np.stack([sigma, noise], axis=1))
     found = NETWORK.log_sigma(logs, torch.from_numpy(ratio)[:, None]).numpy()[:, 0]
     np.testing.assert_allclose(np.exp(found), np.hypot(np.exp(sigma), ratio * np.exp(noise)), rtol=1e-9)
-
-
-@pytest.fixture(scope="module")
-def few(touches: Recording) -> Recording:
-    cut = {name: getattr(touches, name)[:600] for name in ("frames", "sequence", "timestamp_ns", "contacts_mm")}
-    return replace(touches, **cut, force_n=None, temperature_c=None)
-
-
-@pytest.fixture(scope="module")
-def trained(few: Recording, tmp_path_factory: pytest.TempPathFactory) -> Result:
-    return train(few, tmp_path_factory.mktemp("model") / "a.onnx", seed=4, epochs=2, command="as a test")
-
-
-def test_what_is_trained_is_written_as_a_model_that_knows_where_it_comes_from(trained: Result, few: Recording) -> None:
-    loaded = Model(trained.model.path)
-    loaded.check(few.acquisition)
-    about = loaded.description
-    assert (about.head, about.domain, about.input, about.seed) == ("regression", "frequency", "residual", 4)
-    assert (about.data_sha256, about.command, about.plate) == (digest(few), "as a test", few.meta.plate)
-    assert about.scores["n"] == trained.scores["n"] == 30
-    assert len(trained.curve_mm) == 2
-    assert sorted(path.name for path in trained.model.path.parent.iterdir()) == ["a.onnx"], "and nothing else"
-
-
-def test_the_same_seed_gives_the_same_model(trained: Result, few: Recording, dataset: Dataset, tmp_path: Path) -> None:
-    again = train(few, tmp_path / "a.onnx", seed=4, epochs=2, command="as a test")
-    assert again.scores == trained.scores
-    for one, two in zip(
-        trained.model.run(dataset.residual).values(), again.model.run(dataset.residual).values(), strict=True
-    ):
-        np.testing.assert_array_equal(one, two)
-    assert again.model.path.read_bytes() == trained.model.path.read_bytes()
-
-
-def test_another_seed_gives_another_model(trained: Result, few: Recording, dataset: Dataset, tmp_path: Path) -> None:
-    other = train(few, tmp_path / "a.onnx", seed=5, epochs=1)
-    one, two = (m.run(dataset.residual)["position_mm"] for m in (trained.model, other.model))
-    assert not np.array_equal(one, two)
-
-
-def test_progress_counts_up_to_the_end(few: Recording, tmp_path: Path) -> None:
-    predictions: list[tuple[str, int, int]] = []
-    train(
-        few,
-        tmp_path / "a.onnx",
-        epochs=1,
-        progress=lambda what, done, steps, _rmse_mm: predictions.append((what, done, steps)),
-    )
-    for what in ("field", "network"):
-        done = [(at, steps) for said, at, steps in predictions if said == what]
-        assert [at for at, _ in done] == list(range(1, done[0][1] + 1))
-
-
-def test_what_cannot_be_learned_from_leaves_no_file(few: Recording, tmp_path: Path) -> None:
-    with pytest.raises(TrainingError):
-        train(replace(few, contacts_mm=None), tmp_path / "a.onnx")
-    assert list(tmp_path.iterdir()) == []

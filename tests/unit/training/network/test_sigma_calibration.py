@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from tests.unit.conftest import COUNT, KNOWN
+from tests.conftest import KNOWN, TOUCHES
 from touchd.evaluation.dataset import Dataset
 from touchd.training.data.augment import Augmenter, make_bank
 from touchd.training.network.network import PositionNetwork
@@ -55,7 +55,7 @@ def honest(network: PositionNetwork, dataset: Dataset, sigma: float, noise: floa
     mine = copy.deepcopy(network)
     with torch.no_grad():
         mine.log_error.bias.add_(torch.tensor([sigma, noise]).log())
-    calibrate_sigma(mine, made(dataset), *held(dataset, slice(KNOWN, COUNT)))
+    calibrate_sigma(mine, made(dataset), *held(dataset, slice(KNOWN, TOUCHES)))
     return mine
 
 
@@ -71,7 +71,7 @@ def test_68_percent_of_the_errors_are_within_sigma_in_the_touches_own_noise_and_
     network: PositionNetwork, dataset: Dataset, augmenter: Augmenter
 ) -> None:
     mine = honest(network, dataset, 4.0, 4.0)
-    residual, position = held(dataset, slice(KNOWN, COUNT))
+    residual, position = held(dataset, slice(KNOWN, TOUCHES))
     shares = []
     for level in (1.0, *(louder / augmenter.own_noise(residual) for louder in LOUDER)):
         features, noise = augmenter.held_out(residual, level)
@@ -85,7 +85,7 @@ def test_68_percent_of_the_errors_are_within_sigma_in_the_touches_own_noise_and_
 
 
 def test_a_recording_without_noise_tells_nothing_of_it(network: PositionNetwork, dataset: Dataset) -> None:
-    mine, (residual, position) = copy.deepcopy(network), held(dataset, slice(KNOWN, COUNT))
+    mine, (residual, position) = copy.deepcopy(network), held(dataset, slice(KNOWN, TOUCHES))
     silent = made(dataset, noise=0.0)
     calibrate_sigma(mine, silent, residual, position)
     features, _ = silent.held_out(residual, 1.0)

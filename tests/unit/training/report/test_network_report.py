@@ -7,14 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from touchd.errors import OutputError
 from touchd.evaluation.model_scores import Judgement
 from touchd.keypad import PHONE, load_layout
 from touchd.recording.data import Recording
 from touchd.training.network.recipe import RECIPES
-from touchd.training.report import network_report as report
-from touchd.training.report.network_report import findings, page, report_folder, write_report
+from touchd.training.report.network_report import findings, page, report_folder, write_folder, write_report
 from touchd.training.train_network import Result, train
 
 
@@ -62,30 +62,28 @@ def test_a_classifier_has_a_picture_of_its_classes(recipe: str, picture: str, fe
     assert is_picture(write_report(trained, few.meta, ["few.npz"]) / picture)
 
 
-def test_a_newer_report_takes_the_place_of_the_older_one_whole(result: Result, few: Recording) -> None:
-    folder = report_folder(result.model.path)
-    write_report(result, few.meta, ["one.npz"])
-    (folder / "of the older one").touch()
-    write_report(result, few.meta, ["two.npz"])
-    assert not (folder / "of the older one").exists()
-    assert "two.npz" in (folder / "report.md").read_text()
-    assert sorted(path.name for path in folder.parent.iterdir()) == ["plate.onnx", "plate.report"], "and nothing else"
+def test_replaced(tmp_path: Path) -> None:
+    """A newer report takes the place of the older one whole."""
+    folder = write_folder(tmp_path / "plate.onnx", {"old.png": Figure(), "both.png": Figure()}, lambda: "one")
+    assert folder == report_folder(tmp_path / "plate.onnx")
+    write_folder(tmp_path / "plate.onnx", {"both.png": Figure()}, lambda: "two")
+    assert sorted(path.name for path in folder.iterdir()) == ["both.png", "report.md"]
+    assert (folder / "report.md").read_text() == "two"
+    assert list(tmp_path.iterdir()) == [folder], "and nothing else"
 
 
-def test_a_report_that_cannot_be_written_leaves_the_older_one(
-    result: Result, few: Recording, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    folder = write_report(result, few.meta, ["one.npz"])
+def test_unwritable(tmp_path: Path) -> None:
+    """A report that cannot be written leaves the older one."""
+    folder = write_folder(tmp_path / "plate.onnx", {"one.png": Figure()}, lambda: "one")
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
 
-    def full(*_arguments: object) -> str:
+    def full() -> str:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(report, "page", full)
     with pytest.raises(OutputError, match="No space left"):
-        write_report(result, few.meta, ["two.npz"])
+        write_folder(tmp_path / "plate.onnx", {"two.png": Figure()}, full)
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
-    assert sorted(path.name for path in folder.parent.iterdir()) == ["plate.onnx", "plate.report"]
+    assert list(tmp_path.iterdir()) == [folder]
 
 
 def judged(error_mm: np.ndarray, sigma_mm: float) -> Judgement:
@@ -101,9 +99,7 @@ def test_a_standard_error_is_called_what_it_is(sigma_mm: float, says: str, resul
 
 def test_a_model_that_is_worse_near_the_edges_is_told(result: Result, few: Recording) -> None:
     said = judged(np.random.default_rng(2).standard_normal((2_000, 2)), 1.0)
-    assert any(
-        "Similar near the edges" in line for line in findings(replace(result, judged=said), few.meta.plate)
-    )
+    assert any("Similar near the edges" in line for line in findings(replace(result, judged=said), few.meta.plate))
     near = ((said.true_mm < 15) | (said.true_mm > 185)).any(axis=1)
     worse = replace(said, position_mm=said.true_mm + said.error_mm * np.where(near, 3, 1)[:, None])
     assert any("Worse near the edges" in line for line in findings(replace(result, judged=worse), few.meta.plate))

@@ -1,0 +1,103 @@
+"""The quick benchmark, as CI runs it: budgets with twice their room, as ratios within one process."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.processes import PATIENCE_S, touchd
+from touchd.lab.benchmark import results, tables
+from touchd.lab.benchmark.budgets import BUDGETS, Budget
+from touchd.lab.benchmark.estimators import NETWORKS
+from touchd.lab.benchmark.results import EstimatorResult, Run
+from touchd.lab.benchmark.scenes import WANTED
+from touchd.localization.model import default_model_path
+
+MARGIN = 2.0
+
+
+@pytest.fixture(scope="module")
+def quick(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    folder = tmp_path_factory.mktemp("benchmark")
+    path, given = folder / "run.json", folder / "mine.onnx"
+    given.write_bytes((default_model_path().parent / "small.onnx").read_bytes())
+    done = touchd("benchmark", "--quick", "--json", path, "--also", given, patience_s=5 * PATIENCE_S)
+    assert done.code == 0, done.err
+    return results.load(path)
+
+
+def test_figures(quick: Run, capsys: pytest.CaptureFixture[str]) -> None:
+    """The figures are printed."""
+    with capsys.disabled():
+        print()
+        for table in (tables.estimator_table(quick), tables.daemon_table(quick), tables.budget_table(quick)):
+            print(tables.plain(table))
+    assert quick.quick
+
+
+@pytest.fixture(scope="module")
+def found(quick: Run) -> dict[str, EstimatorResult]:
+    return {one.name: one for one in quick.estimators}
+
+
+@pytest.mark.parametrize("budget", [one for one in BUDGETS if one.unit == "x bare"], ids=lambda one: one.what)
+def test_budget(quick: Run, budget: Budget) -> None:
+    """No frame costs twice its budget."""
+    value = budget.read(quick)
+    assert value is not None
+    assert budget.holds(value, MARGIN), f"{budget.what}: {value:.2f} x bare, budget {budget.limit}"
+
+
+def test_complete(quick: Run, found: dict[str, EstimatorResult]) -> None:
+    """Every estimator and every scene is measured."""
+    assert {*NETWORKS, "regression, rfft", "regression, DFT in the graph", "regression, float64"} <= found.keys()
+    assert [cell.scene for cell in quick.daemon] == list(WANTED)
+    assert {one.name for one in quick.skips} >= {"gate", "still", "unheard", "screen"}
+
+
+def test_same_positions(found: dict[str, EstimatorResult]) -> None:
+    """However the features are computed, the positions are the same."""
+    for name in ("regression, rfft", "regression, DFT in the graph", "regression, float64"):
+        assert found[name].median_mm == pytest.approx(found["regression"].median_mm, abs=1e-3)
+
+
+def test_given_model(found: dict[str, EstimatorResult]) -> None:
+    """A given model is measured like those that ship."""
+    assert found["mine"].group == "given"
+    assert found["mine"].median_mm == found["small"].median_mm
+    assert found["mine"].macs == found["small"].macs
+
+
+def test_precision(found: dict[str, EstimatorResult]) -> None:
+    """The atlas errs less than the regression, the regression less than the small network."""
+    assert found["atlas, touch-down"].median_mm < 0.3 * found["regression"].median_mm
+    assert found["atlas, tracking"].median_mm < 0.3 * found["regression"].median_mm
+    assert found["regression"].median_mm < 0.5 * found["small"].median_mm < 0.5 * found["time"].median_mm
+    assert found["int8"].median_mm < 1.3 * found["regression"].median_mm
+
+
+def test_followed(quick: Run) -> None:
+    """A finger that is followed needs no network."""
+    moving = quick.cell("moving", None)
+    assert moving is not None
+    assert moving.inferred < 0.05
+    assert moving.skipped["tracking"] > 0.9
+
+
+def test_skips(quick: Run) -> None:
+    """Each skip saves time and changes no contact."""
+    for one in quick.skips:
+        assert one.saved > 0, f"{one.name} saves {one.saved:.0%}"
+        assert "come or go" not in one.same, f"{one.name}: {one.same}"
+
+
+def test_full_speed(quick: Run) -> None:
+    """At full speed nothing is lost, and only touched scenes have messages."""
+    for cell in quick.daemon:
+        assert cell.lost == 0, cell.scene
+        assert (cell.messages > 0) == (cell.scene != "idle"), cell.scene
+
+
+def test_floor(found: dict[str, EstimatorResult]) -> None:
+    """The time to read the weights falls with their size."""
+    # int8 has a quarter of the weights: reading them takes clearly less.
+    assert found["int8"].floor_us < 0.8 * found["regression"].floor_us

@@ -1,0 +1,33 @@
+"""The speed of the plate's waves, where nobody knows its material, is heard in the touches."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.unit.training.waves import Waves, touch
+from touchd.evaluation.dataset import Dataset
+from touchd.training.field.dispersion import dispersion_of, fit_dispersion, frequencies, known_dispersion
+from touchd.training.field.regression import touches_of
+
+F_HZ = np.linspace(50e3, 100e3, 15)
+
+
+@pytest.mark.parametrize(("power", "middle_per_mm"), [(0.5, 0.2), (0.6, 0.35), (0.9, 0.28)])
+def test_a_power_law_is_found_within_a_few_percent(power: float, middle_per_mm: float) -> None:
+    true = middle_per_mm * (F_HZ / np.sqrt(F_HZ[0] * F_HZ[-1])) ** power
+    touches, _ = touch(Waves(true, 4, 1), 320, 40.0, 2)
+    found = fit_dispersion(F_HZ, touches)
+    assert found.fitted
+    np.testing.assert_allclose(found.wavenumber_per_mm, true, rtol=0.06)
+
+
+def test_on_the_twins_glass_it_is_the_glass_own(dataset: Dataset) -> None:
+    """From 300 touches of a part of the plate."""
+    touches = touches_of(dataset, np.arange(300))
+    found = fit_dispersion(frequencies(dataset), touches)
+    known = known_dispersion(dataset)
+    heard = slice(0, 36)  # beyond, these touches are noise
+    np.testing.assert_allclose(found.wavenumber_per_mm[heard], known.wavenumber_per_mm[heard], rtol=0.08)
+    assert not known.fitted
+    np.testing.assert_array_equal(dispersion_of(dataset, touches).wavenumber_per_mm, known.wavenumber_per_mm)

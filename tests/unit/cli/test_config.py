@@ -1,0 +1,60 @@
+"""`touchd config` prints what is in effect, and nothing that could not be loaded."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from touchd.cli.config import command
+from touchd.config import load as configfile
+from touchd.config.load import load
+from touchd.config.render import render
+from touchd.config.schema import DeviceSettings, Settings
+from touchd.errors import ConfigError
+
+
+@pytest.fixture(autouse=True)
+def _only_this_tests_settings(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    for name in list(os.environ):
+        if name.upper().startswith("TOUCHD_"):
+            monkeypatch.delenv(name)
+    monkeypatch.setattr(configfile, "DEFAULT_PATH", tmp_path / "no" / "touchd.toml")
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    path = tmp_path / "touchd.toml"
+    path.write_text("[device]\nrate_hz = 60\n")
+    return path
+
+
+def test_effective(file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It prints the defaults as changed by file and environment."""
+    monkeypatch.setenv("TOUCHD_DEVICE__NAME", "door")
+    result = CliRunner().invoke(command, ["--config", str(file)])
+    assert result.exit_code == 0
+    printed = tmp_path / "printed.toml"
+    printed.write_text(result.output)
+    monkeypatch.delenv("TOUCHD_DEVICE__NAME")
+    assert load(printed) == Settings(device=DeviceSettings(rate_hz=60, name="door"))
+
+
+def test_file_before_verb(file: Path) -> None:
+    """The file named before the verb counts, too."""
+    assert "\nrate_hz = 60\n" in CliRunner().invoke(command, [], obj={"config": file}).output
+
+
+def test_defaults(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`--default` prints the defaults and ignores file and environment."""
+    monkeypatch.setenv("TOUCHD_DEVICE__NAME", "door")
+    assert CliRunner().invoke(command, ["--default", "--config", str(file)]).output == render(Settings())
+
+
+def test_wrong_file(tmp_path: Path) -> None:
+    """A wrong file is explained, and nothing is printed."""
+    result = CliRunner().invoke(command, ["--config", str(tmp_path / "nowhere.toml")])
+    assert isinstance(result.exception, ConfigError)
+    assert result.output == ""

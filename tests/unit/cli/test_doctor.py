@@ -1,0 +1,175 @@
+"""`touchd doctor` as its users run it: a line for each check, a fix where one is needed, an exit status."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.command_line import touchd
+from tests.conftest import Scene
+from tests.processes import Ended
+from touchd.config.schema import BusSettings
+from touchd.doctor.checks import Finding
+from touchd.doctor.host import check_addresses, judge_clock, take
+from touchd.errors import CheckFailed, SourceError
+from touchd.event import HealthEvent, Latency
+from touchd.frame import Acquisition, Frame
+from touchd.recording.format import write
+from touchd.sinks.zeromq import ZeromqSink
+from touchd.sources.source import EndOfStream
+
+CHECKS = ["clock", "bus", "model", "frame rate", "lost frames", "channels", "noise", "clipping", "baseline", "latency"]
+
+
+def examine(folder: Path, *options: object) -> tuple[Ended, dict[str, dict[str, str]]]:
+    """Run it with an address of its own; its checks by name, less the latency of a computer that is busy with tests."""
+    ended = touchd("doctor", "--json", *options, TOUCHD_BUS__BIND=f"ipc://{folder}/bus")
+    report: dict[str, Any] = json.loads(ended.out)
+    checks = {check["check"]: check for check in report["checks"]}
+    assert report["failures"] == sum(check["level"] == "failure" for check in report["checks"])
+    return ended, checks
+
+
+def test_good_plate(tmp_path: Path, scene_file: Callable[[str], Path]) -> None:
+    """A good plate passes every check."""
+    ended, checks = examine(tmp_path, "--replay", scene_file("idle"))
+    assert list(checks) == CHECKS
+    levels = {name: check["level"] for name, check in checks.items() if name not in ("latency", "clock")}
+    assert set(levels.values()) == {"ok"}, levels
+    assert ended.code == 0
+
+
+@pytest.mark.parametrize(
+    ("fault", "check"), [("clipping", "clipping"), ("lostframes", "lost frames"), ("interference", "noise")]
+)
+def test_faulty_instrument(tmp_path: Path, scene_file: Callable[[str], Path], fault: str, check: str) -> None:
+    """A faulty instrument is named, with a fix."""
+    ended, checks = examine(tmp_path, "--replay", scene_file(fault))
+    assert checks[check]["level"] != "ok"
+    assert checks[check]["fix"]
+    failed = any(found["level"] == "failure" for found in checks.values())
+    assert ended.code == (CheckFailed.exit_code if failed else 0)
+
+
+def test_lines(tmp_path: Path, scene_file: Callable[[str], Path]) -> None:
+    """For people each check is a line, and a failure says what to do."""
+    ended = touchd("doctor", "--replay", scene_file("clipping"), TOUCHD_BUS__BIND=f"ipc://{tmp_path}/bus")
+    lines = ended.out.splitlines()
+    assert [line[9:22].strip() for line in lines if not line.startswith(" ")] == CHECKS
+    (clipping,) = (i for i, line in enumerate(lines) if line.startswith("failure  clipping"))
+    assert lines[clipping + 1].strip().startswith("-> lower the gain")
+    assert ended.code == CheckFailed.exit_code
+    assert "of 10 checks failed" in ended.err
+
+
+def test_another_rig(tmp_path: Path, scene: Scene) -> None:
+    """A recording of another rig does not fit the model."""
+    recording = scene("idle")
+    path = tmp_path / "three.npz"
+    meta = recording.meta.model_copy(update={"receivers_mm": (recording.meta.receivers_mm or ())[:3]})
+    write(path, dataclasses.replace(recording, frames=recording.frames[:, :3], meta=meta))
+    ended, checks = examine(tmp_path, "--replay", path)
+    assert checks["frames"]["level"] == "failure"
+    assert "(4, 250)" in checks["frames"]["text"]
+    assert ended.code == CheckFailed.exit_code
+
+
+def test_reference(tmp_path: Path, scene_file: Callable[[str], Path]) -> None:
+    """The training recording serves as the reference."""
+    session = scene_file("tap")  # labelled: its untouched frames are taken
+    _, checks = examine(tmp_path, "--replay", scene_file("idle"), "--reference", session)
+    assert checks["baseline"]["level"] == "ok"
+
+
+def test_no_device(tmp_path: Path) -> None:
+    """Without a device it says what to do, and leaves out the checks that need frames."""
+    config = tmp_path / "touchd.toml"
+    config.write_text("[device]\nvendor_id = 0xfffe\nproduct_id = 0xfffe\n")
+    ended, checks = examine(tmp_path, "--config", config)
+    assert list(checks) == ["clock", "bus", "model", "device"]
+    assert checks["device"]["level"] == "failure"
+    assert ended.code == CheckFailed.exit_code
+
+
+# -- the bus and the clock -----------------------------------------------------------------------------
+
+
+def finding_of(address: str) -> Finding:
+    (finding,) = check_addresses(BusSettings(bind=(address,)))
+    return finding
+
+
+@pytest.fixture
+def taken() -> Iterator[ZeromqSink]:
+    sink = ZeromqSink(BusSettings(bind=("tcp://127.0.0.1:*",)))
+    yield sink
+    sink.close()
+
+
+def test_address_taken(taken: ZeromqSink) -> None:
+    """An address that another program holds is a failure."""
+    finding = finding_of(taken.addresses[0])
+    assert (finding.level, bool(finding.fix)) == ("failure", True)
+
+
+def test_running_daemon(taken: ZeromqSink) -> None:
+    """A running daemon is recognised by its health messages."""
+    import threading
+
+    health = HealthEvent("plate", 1, 1, "", "streaming", 0, 0, 0, {}, 0, Latency(), 0.0, 0.0, "a model", "1")
+    taken.publish(health, 0)
+    stop = threading.Event()
+
+    def serve() -> None:
+        while not stop.wait(0.02):
+            taken.poll()
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    try:
+        finding = finding_of(taken.addresses[0])
+    finally:
+        stop.set()
+        thread.join()
+    assert finding.level == "warning"
+    assert "in state streaming" in finding.text
+
+
+@pytest.mark.parametrize(("state", "now_s", "level"), [(0, 2e9, "ok"), (5, 2e9, "warning"), (0, 1e6, "failure")])
+def test_clock(state: int, now_s: float, level: str) -> None:
+    """The clock must be set, and should follow a time server."""
+    assert judge_clock(state, now_s).level == level
+
+
+# -- taking frames -------------------------------------------------------------------------------------
+
+
+class Few:
+    """A source of a few frames."""
+
+    acquisition = Acquisition(channels=1, samples=2, sample_rate_hz=1.0)
+
+    def __init__(self, frames: int) -> None:
+        self._frames = frames
+
+    def read(self, timeout_s: float) -> Frame | None:  # noqa: ARG002 - the protocol's
+        if not self._frames:
+            raise EndOfStream
+        self._frames -= 1
+        return Frame(np.zeros((1, 2), np.int16), self._frames, -self._frames, 0)
+
+    def close(self) -> None:
+        pass
+
+
+def test_too_few_frames() -> None:
+    """Too few frames are an error and not a verdict."""
+    assert len(take(Few(2), 1.0).counts) == 2
+    with pytest.raises(SourceError):
+        take(Few(1), 1.0)

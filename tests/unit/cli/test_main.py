@@ -1,0 +1,317 @@
+"""Every failure a user can cause ends in one line that says what, where and what to do, with a status of its own."""
+
+from __future__ import annotations
+
+import re
+import socket
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tests.command_line import touchd
+from tests.conftest import Scene
+from tests.processes import ROOT, Ended
+from touchd import errors
+from touchd.cli import main as cli
+from touchd.cli.main import VERBS, main
+from touchd.errors import TouchdError
+from touchd.recording.format import write
+
+
+class World:
+    """A folder with whatever is wrong in it."""
+
+    def __init__(self, folder: Path, good: Path) -> None:
+        self.folder = folder
+        self.good = good
+        with np.load(good) as arrays:
+            self._arrays = dict(arrays)
+
+    def broken(self, **changes: Any) -> Path:
+        """The good recording with some keys replaced."""
+        path = self.folder / "broken.npz"
+        np.savez(path, **(self._arrays | changes))
+        return path
+
+    def file(self, name: str, content: str | bytes) -> Path:
+        path = self.folder / name
+        path.write_bytes(content.encode() if isinstance(content, str) else content)
+        return path
+
+
+@pytest.fixture(scope="session")
+def good(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A short recording with nothing wrong."""
+    whole = scene("idle")
+    path = tmp_path_factory.mktemp("good") / "good.npz"
+    names = ("frames", "sequence", "timestamp_ns", "temperature_c")
+    write(path, type(whole)(whole.meta, **{name: getattr(whole, name)[:40] for name in names}))
+    return path
+
+
+@pytest.fixture
+def world(tmp_path: Path, good: Path) -> World:
+    return World(tmp_path, good)
+
+
+@pytest.fixture
+def taken() -> Iterator[str]:
+    """An address that another program holds."""
+    with socket.socket() as holder:
+        holder.bind(("127.0.0.1", 0))
+        holder.listen()
+        yield f"tcp://127.0.0.1:{holder.getsockname()[1]}"
+
+
+def explained(ended: Ended, error: type[TouchdError], *words: str) -> None:
+    """One line on standard error with what to do, the error's own status, and no traceback."""
+    assert ended.code == error.exit_code, ended.err
+    assert "touchd: " not in ended.out
+    (line,) = ended.err.splitlines()
+    assert line.startswith("touchd: ")
+    assert re.fullmatch(r".+ -> \S.+", line)
+    for word in words:
+        assert word in line
+    assert "Traceback" not in line
+
+
+Arguments = Callable[[World], tuple[object, ...]]
+
+
+def replay(make: Callable[[World], object]) -> Arguments:
+    return lambda world: ("--replay", make(world), "--bind", f"ipc://{world.folder}/bus", "--speed", "max")
+
+
+def configured(text: str | bytes) -> Arguments:
+    return lambda world: ("--config", world.file("touchd.toml", text), "--replay", world.good)
+
+
+def bound(*options: object) -> Arguments:
+    return lambda world: ("--replay", world.good, "--speed", "max", *options)
+
+
+CASES: dict[str, tuple[type[TouchdError], Arguments, tuple[str, ...]]] = {
+    "a missing recording": (errors.RecordingMissing, replay(lambda w: w.folder / "nowhere.npz"), ("nowhere.npz",)),
+    "a folder without chunks": (errors.RecordingMissing, replay(lambda w: w.folder), ("no numbered",)),
+    "a truncated recording": (
+        errors.RecordingTruncated,
+        replay(lambda w: w.file("cut.npz", w.good.read_bytes()[:-5000])),
+        ("cut.npz",),
+    ),
+    "a file that is no recording": (errors.RecordingTruncated, replay(lambda w: w.file("a.npz", "hello")), ("a.npz",)),
+    "a newer version": (
+        errors.RecordingVersion,
+        replay(lambda w: w.broken(version=2)),
+        ("version 2", "upgrade touchd"),
+    ),
+    "another format": (errors.RecordingVersion, replay(lambda w: w.broken(format="other")), ("'other'",)),
+    "frames of two axes": (
+        errors.RecordingShape,
+        replay(lambda w: w.broken(frames=np.zeros((40, 1000), np.int16))),
+        ("(40, 1000)", "(n, channels, samples)"),
+    ),
+    "frames of another type": (
+        errors.RecordingShape,
+        replay(lambda w: w.broken(frames=np.zeros((40, 4, 250)))),
+        ("float64", "int16"),
+    ),
+    "pickled objects": (
+        errors.RecordingUnsafe,
+        replay(lambda w: w.broken(sequence=np.array([{}] * 40, object))),
+        ("sequence",),
+    ),
+    "a number that is none": (
+        errors.RecordingValues,
+        replay(lambda w: w.broken(temperature_c=np.full(40, np.nan, np.float32))),
+        ("temperature_c", "frame 0"),
+    ),
+    "time that goes back": (
+        errors.RecordingValues,
+        replay(lambda w: w.broken(timestamp_ns=np.arange(40, 0, -1))),
+        ("timestamp_ns",),
+    ),
+    "a missing model": (errors.ModelMissing, bound("--model", "nowhere.onnx"), ("nowhere.onnx",)),
+    "a model that is none": (
+        errors.ModelInvalid,
+        lambda w: ("--replay", w.good, "--model", w.file("bad.onnx", "hello")),
+        ("bad.onnx",),
+    ),
+    "a model for other frames": (
+        errors.ModelMismatch,
+        replay(lambda w: w.broken(frames=np.zeros((40, 4, 200), np.int16))),
+        ("(4, 250)", "(4, 200)", "touchd train"),
+    ),
+    "an address beyond loopback": (
+        errors.InsecureBind,
+        bound("--bind", "tcp://0.0.0.0:5570"),
+        ("tcp://0.0.0.0:5570", "keygen"),
+    ),
+    "an address that is none": (errors.BusError, bound("--bind", "tcp://127.0.0.1:99999"), ("tcp://127.0.0.1:99999",)),
+    "nobody who listens": (
+        errors.BusTimeout,
+        lambda w: ("--replay", w.good, "--bind", f"ipc://{w.folder}/bus", "--await-subscriber", "0.01"),
+        ("/bus",),
+    ),
+    "nobody who publishes": (
+        errors.BusTimeout,
+        lambda w: ("listen", f"ipc://{w.folder}/bus", "--timeout", "0.01"),
+        ("/bus",),
+    ),
+    "an unknown key": (
+        errors.ConfigError,
+        configured("[tracker]\nconfirm_frame = 3"),
+        ("touchd.toml", "did you mean tracker.confirm_frames?"),
+    ),
+    "a key out of range": (errors.ConfigError, configured("[gate]\nclose_ratio = 2"), ("gate.close_ratio", "2")),
+    "invalid TOML": (errors.ConfigError, configured("[gate\n"), ("not valid TOML", "line 1")),
+    "a missing configuration": (errors.ConfigError, bound("--config", "nowhere.toml"), ("nowhere.toml",)),
+    "a bind that is no address": (errors.ConfigError, bound("--bind", "loopback"), ("'loopback'", "tcp://")),
+    "a missing keypad": (
+        errors.ConfigError,
+        configured('[keypad]\nlayout = "nowhere.toml"'),
+        ("nowhere.toml", "keypad.layout"),
+    ),
+    "no DAQ": (
+        errors.DeviceLost,
+        lambda w: ("record", "-o", w.folder / "a.npz", "--config", w.file("none.toml", '[device]\nserial = "none"')),
+        ("plug it in", "--replay"),
+    ),
+    "two sources": (errors.SourceError, bound("--simulate", "tap"), ("--simulate",)),
+    "an unknown scene": (errors.SimulationError, lambda _w: ("--simulate", "dance"), ("'dance'", "swipe")),
+    "an output that is there": (
+        errors.OutputError,
+        lambda w: ("simulate", "idle", "-o", w.file("there.npz", "precious")),
+        ("there.npz", "--force"),
+    ),
+    "a folder that is not there": (
+        errors.OutputError,
+        lambda w: ("record", "--replay", w.good, "-o", w.folder / "no" / "where.npz"),
+        ("/no: ",),
+    ),
+    "a recording without truth": (
+        errors.TrainingError,
+        lambda w: ("train", w.good, "-o", w.folder / "new.onnx"),
+        ("contacts_mm",),
+    ),
+    "a demo without truth": (errors.RecordingValues, lambda w: ("demo", w.good), ("contacts_mm", "--replay")),
+    "a speed for a live scene": (
+        errors.SourceError,
+        lambda _w: ("--simulate", "tap", "--speed", "2"),
+        ("--speed 2", "max"),
+    ),
+    "truth asked of a recording without": (
+        errors.RecordingValues,
+        lambda w: ("evaluate", ROOT / "models/regression.onnx", w.good),
+        ("contacts_mm",),
+    ),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_failure(case: str, world: World) -> None:
+    """A failure is one line with a status of its own."""
+    error, arguments, words = CASES[case]
+    explained(touchd(*arguments(world)), error, *words)
+
+
+def test_address_in_use(world: World, taken: str) -> None:
+    """An address in use is named."""
+    explained(touchd("--replay", world.good, "--bind", taken), errors.AddressInUse, taken)
+
+
+def test_wrong_variable(world: World) -> None:
+    """A wrong environment variable is named, with the right one."""
+    ended = touchd("--replay", world.good, TOUCHD_TRACKER__CONFIRM_FRAME="3")
+    explained(ended, errors.ConfigError, "TOUCHD_TRACKER__CONFIRM_FRAME", "did you mean TOUCHD_TRACKER__CONFIRM_FRAMES")
+
+
+def test_all_problems(world: World) -> None:
+    """All problems of a configuration are reported at once."""
+    config = world.file("touchd.toml", "[tracker]\nreach = 3\n[gate]\nnoise_frames = 1\n")
+    explained(touchd("--config", config), errors.ConfigError, "2 problems", "tracker.reach", "gate.noise_frames")
+
+
+def test_output_kept(world: World) -> None:
+    """An existing output stays as it was."""
+    there = world.file("there.npz", "precious")
+    for arguments in (
+        ("record", "--replay", world.good, "-o", there),
+        ("train", world.good, "-o", there),
+        ("simulate", "idle", "-o", there),
+    ):
+        assert touchd(*arguments).code == errors.OutputError.exit_code
+        assert there.read_bytes() == b"precious"
+
+
+@pytest.mark.parametrize("how", ["--debug", "TOUCHD_DEBUG"])
+def test_debug(how: str, world: World) -> None:
+    """With debugging the traceback comes before the line."""
+    options = ["--debug"] if how == "--debug" else []
+    variables: dict[str, Any] = {} if options else {how: "1"}
+    ended = touchd("--replay", world.folder / "nowhere.npz", *options, **variables)
+    assert ended.code == errors.RecordingMissing.exit_code
+    assert "Traceback (most recent call last)" in ended.err
+    assert ended.err.splitlines()[-1].startswith(f"touchd: {world.folder}/nowhere.npz: ")
+
+
+def all_errors(of: type[TouchdError] = TouchdError) -> Iterator[type[TouchdError]]:
+    for error in of.__subclasses__():
+        yield error
+        yield from all_errors(error)
+
+
+def test_statuses() -> None:
+    """Every error has a status of its own."""
+    codes = [TouchdError.exit_code, *(error.exit_code for error in all_errors())]
+    assert len(codes) == len(set(codes))
+    # 0 is success, 2 wrong use, 126 and above the shell's.
+    assert all(code not in (0, 2) and code < 126 for code in codes)
+
+
+def test_error_tree() -> None:
+    """The tree drawn at the top of `errors` is the tree of its classes."""
+    drawn = dict(re.findall(r"── (\w+) +(\d+) ", errors.__doc__ or ""))
+    assert drawn == {error.__name__: str(error.exit_code) for error in all_errors()}
+
+
+@pytest.mark.parametrize("debug", [False, True])
+def test_internal_error(debug: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """An error that nobody foresaw is called an internal error."""
+
+    def fail(**_options: Any) -> None:
+        raise ZeroDivisionError("by accident")
+
+    monkeypatch.delenv("TOUCHD_DEBUG", raising=False)
+    monkeypatch.setattr(cli.touchd, "callback", fail)
+    monkeypatch.setattr(cli.touchd, "invoke", lambda _context: fail())
+    assert main(["--debug"] if debug else []) == 1
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[-1].startswith("touchd: internal error: ZeroDivisionError('by accident') -> ")
+    assert ("Traceback (most recent call last):" in lines) == debug
+    assert debug or len(lines) == 1
+
+
+def test_wrong_use() -> None:
+    """Wrong use has status 2 and shows the right one."""
+    ended = touchd("--sped", "max")
+    assert ended.code == 2
+    assert ended.out == ""
+    assert "--speed" in ended.err
+    assert "Traceback" not in ended.err
+
+
+@pytest.mark.parametrize("speed", ["0", "-1", "nan", "inf", "fast"])
+def test_impossible_speed(speed: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """An impossible speed is wrong use."""
+    assert main(["--speed", speed, "--replay", "nowhere.npz"]) == 2
+    assert "a number above 0, or max" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("verb", sorted(VERBS))
+def test_verb_help(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """Every verb has a help of its own."""
+    assert main([verb, "--help"]) == 0
+    assert capsys.readouterr().out.startswith(f"Usage: touchd {verb} ")

@@ -1,0 +1,152 @@
+"""`touchd record` saves what came, also when its source fails, and says that it is private."""
+
+from __future__ import annotations
+
+import stat
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+from touchd.cli.record import command
+from touchd.config.schema import Settings
+from touchd.errors import ConfigError, DeviceLost, OutputError, SourceError, TouchdError
+from touchd.frame import Acquisition, Frame, Plate
+from touchd.recording.data import Meta, Recording
+from touchd.recording.format import read, write
+from touchd.sources.open import SourceChoice
+from touchd.sources.source import EndOfStream
+
+META = Meta(
+    sample_rate_hz=250e3, bits=16, full_scale_v=10.0, frame_rate_hz=125.0,
+    plate=Plate(width_mm=400.0, height_mm=300.0), source="usb", notes="old",
+)  # fmt: skip
+
+
+@pytest.fixture
+def original(tmp_path: Path) -> Path:
+    numbers = np.arange(300)
+    frames = np.broadcast_to(numbers[:, None, None], (300, 2, 3)).astype(np.int16)
+    write(tmp_path / "original.npz", Recording(META, frames, numbers, numbers * 8_000_000))
+    return tmp_path / "original.npz"
+
+
+def record(*arguments: object) -> Result:
+    return CliRunner().invoke(command, [str(argument) for argument in arguments])
+
+
+def test_replay(original: Path, tmp_path: Path) -> None:
+    """A replay can be recorded again."""
+    result = record("--replay", original, "--speed", "max", "-o", tmp_path / "a.npz", "--notes", "new")
+    assert result.exit_code == 0, result.exception
+    found, expected = read(tmp_path / "a.npz"), read(original)
+    np.testing.assert_array_equal(found.frames, expected.frames)
+    np.testing.assert_array_equal(found.timestamp_ns, expected.timestamp_ns)
+    assert found.meta.notes == "new"
+    assert found.meta.created
+    assert found.meta.model_copy(update={"notes": "old", "created": ""}) == META
+
+
+def test_privacy(original: Path, tmp_path: Path) -> None:
+    """It says that a recording can reveal a PIN, and that only its owner can read it."""
+    result = record("--replay", original, "--speed", "max", "-o", tmp_path / "a.npz")
+    assert "it can reveal a PIN, and only you can read it" in result.output
+    assert "300 frames saved, 0 lost" in result.output
+    assert stat.S_IMODE((tmp_path / "a.npz").stat().st_mode) == 0o600
+
+
+@pytest.mark.parametrize(
+    ("limit", "count"),
+    [(("--frames", 10), 10), (("--seconds", 1), 125), (("--seconds", 0.4), 50), (("--frames", 500, "--loop"), 500)],
+)
+def test_limit(original: Path, tmp_path: Path, limit: tuple[object, ...], count: int) -> None:
+    """It ends at the limit."""
+    record("--replay", original, "--speed", "max", "-o", tmp_path / "a.npz", *limit)
+    assert len(read(tmp_path / "a.npz").sequence) == count
+
+
+def test_folder(original: Path, tmp_path: Path) -> None:
+    """A name without `.npz` becomes a folder."""
+    record("--replay", original, "--speed", "max", "-o", tmp_path / "long", "--chunk-frames", 100)
+    assert len(list((tmp_path / "long").iterdir())) == 3
+    assert len(read(tmp_path / "long").sequence) == 300
+
+
+class Flaky:
+    """A live source without a description of its own, which ends with an error."""
+
+    def __init__(self, frames: int, then: Exception) -> None:
+        self.acquisition = Acquisition(channels=2, samples=3, sample_rate_hz=250e3)
+        self.left, self.then = frames, then
+
+    def read(self, timeout_s: float) -> Frame | None:  # noqa: ARG002 - the protocol's
+        if not self.left:
+            raise self.then
+        self.left -= 1
+        return Frame(np.zeros((2, 3), np.int16), -self.left, 10**12 - self.left * 10**6, 0)
+
+    def close(self) -> None:
+        pass
+
+
+def live(monkeypatch: pytest.MonkeyPatch, source: Flaky) -> None:
+    def open_source(choice: SourceChoice, _settings: Settings) -> Flaky:
+        assert choice.simulate == "scene"
+        return source
+
+    monkeypatch.setattr("touchd.sources.open.open_source", open_source)
+
+
+def test_device_lost(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A device that disappears is reported, and its frames are saved."""
+    live(monkeypatch, Flaky(3, DeviceLost("the DAQ is gone")))
+    result = record("--simulate", "scene", "--plate", "400x300x4", "-o", tmp_path / "a.npz")
+    assert isinstance(result.exception, DeviceLost)
+    assert "3 frames saved" in result.output
+    assert read(tmp_path / "a.npz").meta.plate == Plate(width_mm=400, height_mm=300, thickness_mm=4)
+
+
+def test_no_frame(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without a frame there is an error and no file."""
+    live(monkeypatch, Flaky(0, EndOfStream()))
+    result = record("--simulate", "scene", "--plate", "400x300", "-o", tmp_path / "a.npz")
+    assert isinstance(result.exception, SourceError)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_unknown_plate(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An unknown plate must be named."""
+    live(monkeypatch, Flaky(3, EndOfStream()))
+    result = record("--simulate", "scene", "-o", tmp_path / "a.npz")
+    assert isinstance(result.exception, ConfigError)
+    assert "--plate" in str(result.exception)
+
+
+@pytest.mark.parametrize("plate", ["400", "0x300", "400x-3", "axb", "1e9x1e9", "9" * 400 + "x1"])
+def test_plate_of_no_size(tmp_path: Path, plate: str) -> None:
+    """A plate of no size is refused."""
+    result = record("--plate", plate, "-o", tmp_path / "a.npz")
+    assert result.exit_code == 2
+    assert "400x300x5" in result.output
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error"),
+    [
+        (["-o", "there.npz", "--replay", "ORIGINAL"], OutputError),
+        (["-o", "no/where.npz", "--replay", "ORIGINAL"], OutputError),
+        (["-o", "a.npz", "--replay", "ORIGINAL", "--frames", "60001"], ConfigError),
+        (["-o", "a.npz", "--replay", "ORIGINAL", "--config", "nowhere.toml"], ConfigError),
+    ],
+)
+def test_refused_at_once(
+    original: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], error: type[TouchdError]
+) -> None:
+    """What cannot work is refused before anything is written."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "there.npz").write_bytes(b"precious")
+    result = record(*(str(original) if argument == "ORIGINAL" else argument for argument in arguments))
+    assert isinstance(result.exception, error)
+    assert (tmp_path / "there.npz").read_bytes() == b"precious"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["original.npz", "there.npz"]

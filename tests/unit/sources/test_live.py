@@ -1,0 +1,63 @@
+"""`DaqSource` reads any `Daq`, and goes on trying."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from tests.processes import PATIENCE_S
+from touchd.config.schema import DeviceSettings
+from touchd.frame import Acquisition
+from touchd.recording.data import Device
+from touchd.sources.daq import DaqFrame, DaqGone
+from touchd.sources.live import DaqSource, Waits
+
+ACQUISITION = Acquisition(channels=2, samples=30, sample_rate_hz=250e3)
+AT_ONCE = Waits(read_s=0.01, retry_s=1e-6, max_retry_s=1e-6)
+
+
+class Stubborn:
+    """A device that fails to start a number of times, then sends frames."""
+
+    acquisition, device, min_rate_hz, max_rate_hz, corrupt = ACQUISITION, Device(serial="SN1"), 1, 1000, 0
+
+    def __init__(self, failures: int) -> None:
+        self.starts = self.closed = self._sequence = 0
+        self._failures = failures
+
+    def start(self, rate_hz: int) -> None:  # noqa: ARG002 - the protocol's
+        self.starts += 1
+        if self.starts <= self._failures:
+            raise DaqGone("it refuses START")
+
+    def stop(self) -> None:
+        pass
+
+    def read(self, timeout_s: float) -> DaqFrame | None:
+        time.sleep(timeout_s)
+        self._sequence += 1
+        counts = np.full(ACQUISITION.shape, self._sequence, np.int16)
+        return DaqFrame(counts, self._sequence, 8000 * self._sequence)
+
+    def reset(self) -> None:
+        pass
+
+    def close(self) -> None:
+        self.closed += 1
+
+
+def test_a_device_is_tried_again_for_ever() -> None:
+    """After more failures than a float has powers of two the thread still lives, and reads the first frame."""
+    daq = Stubborn(1100)
+    source = DaqSource(lambda: daq, DeviceSettings(), ACQUISITION, lambda _: None, waits=AT_ONCE)
+    until, frame, states = time.monotonic() + PATIENCE_S, None, []
+    while frame is None and time.monotonic() < until:
+        frame = source.read(0.1)
+        states += [change.state for change in source.changes()]
+    source.close()
+    assert frame is not None
+    assert (frame.counts == frame.sequence).all()
+    assert states == ["lost", "streaming"]
+    assert (daq.starts, daq.closed) == (1101, 1101)
+    assert source.device.serial == "SN1"

@@ -1,0 +1,61 @@
+"""What localization says of one frame, and the contract of what says it."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from msgspec import Struct
+
+from touchd.config.schema import Settings
+from touchd.detection.baseline import Signal
+from touchd.detection.detector import Detection
+from touchd.keypad import Layout
+from touchd.outcome import Outcome
+from touchd.touch import Touch
+
+
+class Localization(Struct, gc=False, frozen=True):
+    """What came of one frame."""
+
+    outcome: Outcome
+    """UNTOUCHED, FAINT, STILL, TRACKED or INFERRED."""
+    touches: tuple[Touch, ...] = ()
+    departure: bool = False
+    """Whether the negative of the residual is a finger: one that the baseline held has lifted."""
+
+
+UNTOUCHED = Localization(Outcome.UNTOUCHED)
+
+
+class Localizer(Protocol):
+    """Places fingers, frame by frame."""
+
+    def configure(self, settings: Settings, layout: Layout | None) -> None:
+        """Take other thresholds and keys; fingers are found again in the next frame."""
+
+    def reset(self) -> None:
+        """Forget all fingers."""
+
+    def update(self, baseline: Signal, residuals: Signal | None = None) -> None:
+        """Take another baseline, (channels, samples), and residuals that tell its noise, (n, ...); else that stays."""
+
+    def localize(self, detection: Detection, *, alive: bool, complete: bool = False) -> Localization:
+        """Return the fingers of a touched frame.
+
+        Parameters
+        ----------
+        detection : Detection
+        alive : bool
+            Whether a contact is down: less confidence is required then.
+        complete : bool
+            Whether to finish a search for further fingers in this frame, however long it takes.
+        """
+        ...
+
+    def observe(self, detection: Detection) -> Localization:
+        """Follow noise and temperature on an untouched frame."""
+        ...
+
+    def spectrum(self, detection: Detection) -> list[float]:
+        """Return the model's input for a frame."""
+        ...
