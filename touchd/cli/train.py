@@ -13,7 +13,7 @@ from touchd.localization.atlas import atlas_path
 from touchd.training.network.recipe import RECIPES
 
 PACE_S = 600.0
-"""The time left is estimated from the steps of this time: an epoch may last a minute."""
+"""Window of steps that estimate the time left; an epoch may last a minute."""
 _RECIPES = "\n".join(["\b", "Recipes:", *(f"  {recipe.name:16}  {recipe.what}" for recipe in RECIPES.values())])
 
 

@@ -17,17 +17,12 @@ _SINE = np.sin(np.pi / 4 * (_NODE + 1))
 _COSINE2 = (1 - _SINE**2) * _WEIGHT * np.pi / 4
 
 
-def bessel_struve(x: ArrayLike) -> Complex:
-    """J1(x) - i H1(x), Bessel's and Struve's functions of order one, at real or complex x up to about 12.
+def poisson_integral(x: NDArray[np.generic]) -> Complex:
+    """Integrate cos^2(theta) exp(-i x sin theta) over 0 .. pi/2, for real or complex x up to about 12.
 
-    Poisson's integral (DLMF 10.9.4 and 11.5.1) with t = sin(theta): (2 x / pi) times the integral of
-    cos^2(theta) exp(-i x sin theta) over 0 .. pi/2, by 16 Gauss-Legendre nodes.
+    Times 2 x / pi this is J1(x) - i H1(x), Bessel's and Struve's functions of order one (DLMF 10.9.4 and 11.5.1 with
+    t = sin(theta)). 16 Gauss-Legendre nodes.
     """
-    x = np.asarray(x)
-    return np.asarray(2 * x / np.pi * _poisson(x))
-
-
-def _poisson(x: NDArray[np.generic]) -> Complex:
     total = np.zeros(x.shape, dtype=complex)
     for sine, weight in zip(_SINE, _COSINE2, strict=True):
         total += weight * np.exp(-1j * sine * x)
@@ -65,7 +60,7 @@ def piston(omega_rad_s: ArrayLike, area_mm2: ArrayLike, tissue: Tissue) -> Compl
     area_m2 = np.asarray(area_mm2, dtype=float) * 1e-6
     x = 2 * np.asarray(omega_rad_s) / tissue.c_m_s * np.sqrt(area_m2 / np.pi)
     # R1 + i X1 = 1 - 2 (J1 - i H1) / x
-    return np.asarray(tissue.rho_kg_m3 * tissue.c_m_s * area_m2 * (1 - 4 / np.pi * _poisson(x)))
+    return np.asarray(tissue.rho_kg_m3 * tissue.c_m_s * area_m2 * (1 - 4 / np.pi * poisson_integral(x)))
 
 
 def drop_mass_mg(area_mm2: ArrayLike) -> Floats:

@@ -7,7 +7,7 @@ import pytest
 from scipy import special
 
 from touchd.errors import SimulationError
-from touchd.twin.physics.finger import Contact, area_of, bessel_struve, drop_mass_mg, force_of, impedance, patches
+from touchd.twin.physics.finger import Contact, area_of, drop_mass_mg, force_of, impedance, patches, poisson_integral
 
 TABLE = [
     ("silicone", np.pi * 2.5**2, 75e3, 12 + 15j),
@@ -23,6 +23,11 @@ def test_impedances_are_those_of_the_table(kind: str, area_mm2: float, frequency
     found = complex(impedance(kind, 2 * np.pi * frequency_hz, area_mm2))
     assert abs(found.real - z.real) <= 0.6
     assert abs(found.imag - z.imag) <= 0.6
+
+
+def bessel_struve(x: np.ndarray) -> np.ndarray:
+    """J1(x) - i H1(x)."""
+    return 2 * x / np.pi * poisson_integral(x)
 
 
 def test_bessels_and_struves_functions_are_scipys() -> None:
