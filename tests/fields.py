@@ -163,4 +163,6 @@ def gauss_newton(
         move = np.linalg.lstsq(system, right, rcond=None)[0].reshape(-1, 4)
         positions += move[:, :2]
         z = z + move[:, 2] + 1j * move[:, 3]
+        if np.abs(move[:, :2]).max() < 1e-9:
+            break
     return positions, z
