@@ -68,7 +68,9 @@ class NetworkLocalizer:
         complete: bool = False,  # noqa: ARG002 - the network searches nothing
     ) -> Localization:
         """Return the finger of a touched frame."""
-        if detection.energy < self._min_snr * detection.noise_energy:
+        # An untouched frame comes to measure the network's cost.
+        touched = detection.outcome is Outcome.TOUCHED
+        if touched and detection.energy < self._min_snr * detection.noise_energy:
             self.reset()
             return _FAINT
         # Where no finger was found the network looks again: under other noise it may see one.
