@@ -22,7 +22,9 @@ def averaged(frames: np.ndarray, dtype: type = np.float32) -> BinPower:
     return bin_power
 
 
-def model_of(noise: np.ndarray | float, directions: np.ndarray = NO_DIRECTIONS, dead: tuple[int, ...] = ()) -> NoiseModel:
+def model_of(
+    noise: np.ndarray | float, directions: np.ndarray = NO_DIRECTIONS, dead: tuple[int, ...] = ()
+) -> NoiseModel:
     """A model of 200 frames of noise of some deviation, for each value or for all."""
     model, rng = NoiseModel(ATLAS), np.random.default_rng(1)
     for _ in range(200):

@@ -112,7 +112,7 @@ def test_a_confidence_that_nothing_reaches_ends_the_contact(run: Callable[[str],
 def test_another_false_alarm_rate_moves_the_gate_and_not_its_noise(run: Callable[[str], Run]) -> None:
     idle = run("idle")
     idle.feed(200)
-    gate = idle.pipeline.gate
+    gate = idle.pipeline.detector.gate
     noise, threshold = gate.noise_energy, gate.threshold_energy
     idle.configure({"gate": {"false_alarm_rate": 1e-12}})
     assert gate.noise_energy == noise
@@ -125,11 +125,11 @@ def test_settings_that_come_before_the_plate_is_learned_hold_once_it_is(run: Cal
     early, late = run("idle"), run("idle")
     early.feed(3)
     early.configure({"gate": {"false_alarm_rate": 1e-3}})
-    assert early.pipeline.gate.threshold_energy == math.inf
+    assert early.pipeline.detector.gate.threshold_energy == math.inf
     early.feed(40)
     late.feed(40)
     late.configure({"gate": {"false_alarm_rate": 1e-3}})
-    assert early.pipeline.gate.threshold_energy == late.pipeline.gate.threshold_energy
+    assert early.pipeline.detector.gate.threshold_energy == late.pipeline.detector.gate.threshold_energy
 
 
 # -- reading it again --------------------------------------------------------------------------------
