@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.ndimage import spline_filter1d
 
 from touchd.frame import Acquisition, Plate
 from touchd.localization.atlas import Atlas, AtlasDescription
 from touchd.localization.features import windowed_dft
+from touchd.localization.gauss_newton import Bins
 
 RIG = Acquisition(channels=4, samples=250, sample_rate_hz=250e3)
 PLATE = Plate(width_mm=120, height_mm=90)
@@ -15,7 +18,7 @@ BINS = tuple(range(54, 99, 3))
 STEP_MM = 2.5
 LOW_MM, HIGH_MM = (2.5, 2.5), (117.5, 87.5)
 COUNTS = 400.0
-"""Root mean square of the field in a bin at strength 1."""
+"""Root mean square of the field in a bin at amplitude 1."""
 Finger = tuple[float, float, complex]
 
 
@@ -98,6 +101,20 @@ def make_atlas(field: Field) -> Atlas:
     )  # fmt: skip
 
 
+def in_double(atlas: Atlas) -> Atlas:
+    """The same atlas; whatever is computed with it is computed in float64."""
+    return replace(
+        atlas, coefficients=atlas.coefficients.astype(np.float64), baseline=atlas.baseline.astype(np.float64),
+        error=atlas.error.astype(np.float64),
+    )  # fmt: skip
+
+
+def bins_of(features: np.ndarray, mask: np.ndarray | None = None, dtype: type = np.float32) -> Bins:
+    """Features (channels * 2 * bins,) as the solver takes them; those that are masked are zero."""
+    vector: np.ndarray = (features if mask is None else features * mask).astype(dtype)
+    return Bins(vector, None if mask is None else mask.astype(dtype), float(vector @ vector))
+
+
 def look_up(atlas: Atlas, x_mm: float, y_mm: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The atlas' field and its derivatives in float64, each (channels * bins,), from the splines' definition."""
     d = atlas.description
@@ -128,22 +145,24 @@ def as_complex(features: np.ndarray) -> np.ndarray:
 
 
 def gauss_newton(
-    atlas: Atlas, features: np.ndarray, places_mm: np.ndarray, steps: int = 20
+    atlas: Atlas, features: np.ndarray, positions_mm: np.ndarray, steps: int = 20
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Places (n, 2) and strengths (n,) by plain Gauss-Newton over places and strengths together, in float64.
+    """Positions (n, 2) and amplitudes (n,) by plain Gauss-Newton over both together, in float64.
 
-    Another way to the same minimum than that of the fast path: nothing is eliminated.
+    The fast path eliminates the amplitudes; this leads to the same minimum another way.
     """
-    data, places = as_complex(features), places_mm.astype(np.float64).copy()
-    u = np.stack([look_up(atlas, *place)[0] for place in places], axis=1)
+    data, positions = as_complex(features), positions_mm.astype(np.float64).copy()
+    u = np.stack([look_up(atlas, *position)[0] for position in positions], axis=1)
     z = np.linalg.lstsq(u, data, rcond=None)[0]
     for _ in range(steps):
-        looked = [look_up(atlas, *place) for place in places]
+        looked = [look_up(atlas, *position) for position in positions]
         left = data - sum(s * u for s, (u, _, _) in zip(z, looked, strict=True))
         columns = [(s * u_x, s * u_y, u, 1j * u) for s, (u, u_x, u_y) in zip(z, looked, strict=True)]
         slope = np.concatenate([np.stack(four, axis=1) for four in columns], axis=1)
         system, right = np.concatenate([slope.real, slope.imag]), np.concatenate([left.real, left.imag])
         move = np.linalg.lstsq(system, right, rcond=None)[0].reshape(-1, 4)
-        places += move[:, :2]
+        positions += move[:, :2]
         z = z + move[:, 2] + 1j * move[:, 3]
-    return places, z
+        if np.abs(move[:, :2]).max() < 1e-9:
+            break
+    return positions, z

@@ -1,7 +1,8 @@
-"""Frames as no plate makes them: never an exception, never a number that is none, never a touch."""
+"""Frames as no plate makes them raise nothing, place nothing, and each ends in one outcome."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 
 import numpy as np
@@ -12,6 +13,7 @@ from hypothesis import strategies as st
 from touchd.config.schema import Settings
 from touchd.frame import Frame
 from touchd.localization.model import Model, default_model_path
+from touchd.outcome import SKIPPED, Outcome
 from touchd.pipeline import Pipeline
 
 MODEL = Model(default_model_path())
@@ -37,7 +39,8 @@ SEGMENTS = st.lists(st.tuples(st.sampled_from(sorted(KINDS)), st.integers(1, 60)
 @pytest.mark.filterwarnings("error")
 @given(SEGMENTS, st.integers(0, 2**32 - 1))
 @settings(max_examples=40, deadline=None)
-def test_whatever_frames_come_nothing_breaks_and_nothing_is_placed(segments: list[tuple[str, int]], seed: int) -> None:
+def test_any_frames(segments: list[tuple[str, int]], seed: int) -> None:
+    """Nothing is raised, nothing is placed, and every frame is counted."""
     rng = np.random.default_rng(seed)
     pipeline = Pipeline(MODEL.description.acquisition, MODEL, Settings())
     t_ns, sequence, frames, first = 0, 0, 0, 0
@@ -53,3 +56,47 @@ def test_whatever_frames_come_nothing_breaks_and_nothing_is_placed(segments: lis
     assert counters.frames == frames == counters.inferred + sum(counters.skipped.values())
     assert counters.lost == sequence - first - (frames - 1)
     assert np.isfinite(pipeline.noise_counts())
+
+
+STREAM = st.lists(
+    st.tuples(st.sampled_from(["new", "new", "new", "repeated", "late", "gap", "stuck", "screen"]), st.integers(1, 25)),
+    min_size=1,
+    max_size=8,
+)
+
+
+@given(STREAM, st.booleans(), st.integers(0, 2**32 - 1))
+@settings(max_examples=12, deadline=None)
+def test_one_outcome_a_frame(stream: list[tuple[str, int]], skip_gate: bool, seed: int) -> None:
+    """Each frame ends in one outcome, and the counters are those outcomes: repeats, gaps, stuck frames, screen off."""
+    rng = np.random.default_rng(seed)
+    pipeline = Pipeline(MODEL.description.acquisition, MODEL, Settings.model_validate({"skip": {"gate": skip_gate}}))
+    finger = 300 * rng.standard_normal(SHAPE)
+    outcomes: Counter[Outcome] = Counter()
+    sequence = lost = 0
+    counts = np.zeros(SHAPE, np.int16)
+    for what, count in [("new", 40), *stream]:
+        if what == "screen":
+            assert pipeline.set_screen(off=not pipeline.screen_off).outcome is not Outcome.TOUCHED
+        touched = bool(rng.integers(2)) and sequence
+        for _ in range(count):
+            step = {"repeated": 0, "late": -int(rng.integers(0, 20)), "gap": 1 + int(rng.integers(1, 9))}.get(what, 1)
+            # Whatever comes first has a new number.
+            number, fresh = (sequence + step, step > 0) if sequence else (1, True)
+            if what != "stuck" or not sequence:
+                counts = np.rint(PLATE + touched * finger + 5 * rng.standard_normal(SHAPE)).astype(np.int16)
+            if fresh:
+                lost, sequence = lost + number - sequence - 1, number
+            outcome = pipeline.process(Frame(counts, number, sequence * 8_000_000, 0)).outcome
+            outcomes[outcome] += 1
+            assert outcome is not Outcome.TOUCHED
+            assert (outcome is Outcome.REPEATED) is (not fresh)
+            assert outcome is not Outcome.SCREEN_OFF or pipeline.screen_off
+    counters = pipeline.counters
+    assert counters.repeated == outcomes[Outcome.REPEATED]
+    assert counters.inferred == outcomes[Outcome.INFERRED]
+    assert counters.skipped == {
+        name: outcomes[outcome] for outcome, name in SKIPPED.items() if outcomes[outcome] or name != "frozen"
+    }
+    assert counters.frames + counters.repeated == outcomes.total()
+    assert counters.lost == lost

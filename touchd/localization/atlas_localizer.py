@@ -95,7 +95,8 @@ class AtlasLocalizer:
             self._classifier.dry()
         if self._found.touches:
             self.reset()
-        elif self._prediction.positions_mm:  # water, or what a finger left as it lifted: water stays known
+        elif self._prediction.positions_mm or self._drift.t_ns is not None:
+            # Water, or what a finger left that was lost as it lifted: water stays known.
             self._prediction.reset()
             self._drift.reset()
         return UNTOUCHED

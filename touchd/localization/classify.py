@@ -120,6 +120,9 @@ class Classifier:
 
     def fingers(self, fit: Fit, confidence: float, t_ns: int) -> list[Finger]:
         """Return the fingers among the contacts of a frame's fit, with their standard errors."""
+        # Frames of a resting finger, which are not fitted, may have outlasted a drop. One without memory, which lasts
+        # for the next fit, has the time of the last one.
+        self._drops = [one for one in self._drops if one.until_ns > t_ns or one.until_ns == self.t_ns]
         self.t_ns = t_ns
         several = len(fit.positions_mm) > 1
         sizes, leads = list(map(abs, fit.amplitudes)), list(map(cmath.phase, fit.amplitudes))

@@ -1,98 +1,108 @@
-"""The baseline: learned from a steady plate, followed as it drifts."""
+"""The baseline is learned from a steady plate and follows it as it drifts."""
+
+from __future__ import annotations
 
 import numpy as np
 import pytest
 
 from touchd.config.schema import BaselineSettings
 from touchd.detection.baseline import Baseline
+from touchd.evaluation.dataset import residual_of
 
 SHAPE = (4, 250)
 SETTINGS = BaselineSettings()
-PERIOD_S = 0.008
+PERIOD_NS = 8_000_000
+MEAN, TOUCH = np.random.default_rng(0).standard_normal((2, *SHAPE)) * [[[5000]], [[150]]]
 
 
-def signal(seed: int = 0) -> np.ndarray:
-    return np.random.default_rng(seed).standard_normal(SHAPE) * 5000
+class Plate:
+    """Shows a baseline noisy frames, 8 ms apart."""
+
+    def __init__(self, seed: int, noise: float = 10.0) -> None:
+        self.baseline, self.t_ns = Baseline(SHAPE, SETTINGS), 0
+        self._rng, self._noise = np.random.default_rng(seed), noise
+
+    def frame(self, mean: np.ndarray) -> np.ndarray:
+        return np.rint(mean + self._noise * self._rng.standard_normal(SHAPE)).astype(np.int16)
+
+    def learn(self, means: list[np.ndarray]) -> tuple[int, np.ndarray] | None:
+        """The number of frames it took, and the energies."""
+        for number, mean in enumerate(means, 1):
+            self.t_ns += PERIOD_NS
+            if (energies := self.baseline.learn(self.frame(mean), self.t_ns)) is not None:
+                return number, energies
+        return None
+
+    def subtract(self, mean: np.ndarray, after_ns: int = PERIOD_NS) -> float:
+        self.t_ns += after_ns
+        return self.baseline.subtract(self.frame(mean), self.t_ns)
 
 
-def noisy(mean: np.ndarray, rng: np.random.Generator, noise: float = 10.0) -> np.ndarray:
-    return np.rint(mean + noise * rng.standard_normal(SHAPE)).astype(np.int16)
+def test_steady_plate() -> None:
+    """A steady plate is learned from its first 32 frames."""
+    plate = Plate(1)
+    learned = plate.learn([MEAN] * 100)
+    assert learned is not None
+    assert learned[0] == 32
+    assert np.sqrt(np.mean((plate.baseline.mean - MEAN) ** 2)) == pytest.approx(10 / np.sqrt(32), rel=0.1)
 
 
-def learn(baseline: Baseline, frames: list[np.ndarray]) -> int | None:
-    """The number of frames it took, or None."""
-    for number, counts in enumerate(frames, 1):
-        if baseline.learn(counts) is not None:
-            return number
-    return None
+def test_energies() -> None:
+    """The energies learned are those of later frames, though the mean holds the frames themselves."""
+    plate = Plate(2)
+    learned = plate.learn([MEAN] * 32)
+    assert learned is not None
+    assert learned[1].mean() == pytest.approx(np.mean([plate.subtract(MEAN) for _ in range(200)]), rel=0.05)
 
 
-def test_a_steady_plate_is_learned_from_its_first_32_frames() -> None:
-    rng = np.random.default_rng(1)
-    baseline = Baseline(SHAPE, SETTINGS)
-    mean = signal()
-    assert learn(baseline, [noisy(mean, rng) for _ in range(100)]) == 32
-    assert np.sqrt(np.mean((baseline.mean - mean) ** 2)) == pytest.approx(10 / np.sqrt(32), rel=0.1)
+def test_touched_while_learning() -> None:
+    """A plate touched meanwhile is learned once it is steady."""
+    plate = Plate(3)
+    learned = plate.learn([MEAN + TOUCH * (10 <= i < 40) for i in range(200)])
+    assert learned is not None
+    assert learned[0] > 40
+    assert np.abs(plate.baseline.mean - MEAN).max() < 10
 
 
-def test_the_energies_learned_are_those_of_later_frames() -> None:
-    """Frames differ less from a mean they were part of; the gate must not be told so."""
-    rng = np.random.default_rng(2)
-    baseline = Baseline(SHAPE, SETTINGS)
-    mean = signal()
-    for _ in range(31):
-        assert baseline.learn(noisy(mean, rng)) is None
-    energies = baseline.learn(noisy(mean, rng))
-    assert energies is not None
-    later = [baseline.subtract(noisy(mean, rng)) for _ in range(200)]
-    assert energies.mean() == pytest.approx(np.mean(later), rel=0.05)
+def test_never_steady() -> None:
+    """A plate that never gets steady is learned all the same."""
+    assert Plate(4).learn([MEAN * (1 + 1e-3 * i) for i in range(2000)]) is not None
 
 
-def test_a_plate_touched_while_it_is_learned_is_learned_once_it_is_still() -> None:
-    rng = np.random.default_rng(3)
-    baseline = Baseline(SHAPE, SETTINGS)
-    mean, touch = signal(), signal(1) * 0.03
-    frames = [noisy(mean + touch * (10 <= i < 40), rng) for i in range(200)]
-    taken = learn(baseline, frames)
-    assert taken is not None
-    assert taken > 40
-    assert np.abs(baseline.mean - mean).max() < 10
+@pytest.mark.parametrize("every", [1, 2, 7])
+def test_time_constant(every: int) -> None:
+    """The baseline follows with its time constant, at any frame rate."""
+    plate = Plate(5)
+    plate.learn([MEAN] * 32)
+    for _ in range(round(SETTINGS.time_constant_s / (every * PERIOD_NS * 1e-9))):
+        plate.subtract(MEAN + 100, every * PERIOD_NS)
+        plate.baseline.follow()
+    # A step of 56 ms is a coarse one for an implicit filter of 0.5 s.
+    assert float((plate.baseline.mean - MEAN).mean()) == pytest.approx(100 * (1 - np.exp(-1)), rel=0.05)
 
 
-def test_a_plate_that_never_gets_still_is_learned_all_the_same() -> None:
-    rng = np.random.default_rng(4)
-    baseline = Baseline(SHAPE, SETTINGS)
-    mean = signal()
-    frames = [noisy(mean * (1 + 1e-3 * i), rng) for i in range(2000)]
-    assert learn(baseline, frames) is not None
+@pytest.mark.parametrize(("gap_ns", "share"), [(3_600_000_000_000, 0.1 / 0.6), (-5_000_000, 0.0), (0, 0.0)])
+def test_gap(gap_ns: int, share: float) -> None:
+    """The first frame after a gap moves the baseline by 0.1 s at most, and a clock that steps back moves nothing."""
+    plate = Plate(6, noise=0.0)
+    plate.learn([np.rint(MEAN)] * 32)
+    plate.subtract(np.rint(MEAN) + 100, gap_ns)
+    plate.baseline.follow()
+    np.testing.assert_allclose(plate.baseline.mean - np.rint(MEAN), 100 * share, atol=1e-3)
 
 
-def test_the_baseline_follows_with_its_time_constant() -> None:
-    rng = np.random.default_rng(5)
-    baseline = Baseline(SHAPE, SETTINGS)
-    mean = signal()
-    learn(baseline, [noisy(mean, rng) for _ in range(32)])
-    step = 100.0
-    for _ in range(round(SETTINGS.time_constant_s / PERIOD_S)):
-        baseline.subtract(noisy(mean + step, rng))
-        baseline.follow(PERIOD_S)
-    assert float((baseline.mean - mean).mean()) == pytest.approx(step * (1 - np.exp(-1)), rel=0.05)
+def test_full_scale() -> None:
+    """The residual of full-scale frames does not wrap."""
+    plate = Plate(7, noise=0.0)
+    plate.learn([np.full(SHAPE, -32768.0)] * 32)
+    assert plate.subtract(np.full(SHAPE, 32767.0)) == pytest.approx(65535.0**2 * 1000, rel=1e-5)
+    assert (plate.baseline.residual == 65535).all()
 
 
-def test_the_residual_of_full_scale_frames_does_not_wrap() -> None:
-    baseline = Baseline(SHAPE, SETTINGS)
-    learn(baseline, [np.full(SHAPE, -32768, np.int16)] * 32)
-    energy = baseline.subtract(np.full(SHAPE, 32767, np.int16))
-    assert (baseline.residual == 65535).all()
-    assert energy == pytest.approx(65535.0**2 * 1000, rel=1e-5)
-
-
-def test_subtracting_is_the_arithmetic_of_training_bit_for_bit() -> None:
-    from touchd.evaluation.dataset import residual_of
-
-    rng = np.random.default_rng(6)
-    baseline = Baseline(SHAPE, SETTINGS)
-    learn(baseline, [noisy(signal(), rng) for _ in range(32)])
-    counts = noisy(signal(), rng)
-    baseline.subtract(counts)
-    assert (baseline.residual == residual_of(counts, baseline.mean)).all()
+def test_arithmetic_of_training() -> None:
+    """The residual is that of the training set, bit for bit."""
+    plate = Plate(8)
+    plate.learn([MEAN] * 32)
+    counts = plate.frame(MEAN)
+    plate.baseline.subtract(counts, plate.t_ns)
+    assert (plate.baseline.residual == residual_of(counts, plate.baseline.mean)).all()

@@ -1,21 +1,29 @@
-"""Each touched frame is shown to the finder as the daemon would show it, beside the fingers that truly touch."""
+"""Each touched frame is shown to the localizer as the daemon would show it, beside the fingers that truly touch."""
 
 from __future__ import annotations
 
+import json
+import shutil
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
+from tests.unit.evaluation.twinatlas import twin_atlas
+from touchd.cli.evaluate import command
 from touchd.errors import RecordingValues
 from touchd.evaluation.dataset import make_dataset
 from touchd.evaluation.matching import match_frames, scores_by_fingers
 from touchd.evaluation.model_scores import judge
-from touchd.evaluation.single_frames import Look, find_with, network_features, see, touched_frames
+from touchd.evaluation.single_frames import Look, TouchedFrames, find_with, network_features, see, touched_frames
 from touchd.evaluation.truth import fingers_only
-from touchd.localization.model import Model
+from touchd.localization.atlas import Atlas, atlas_path, save_atlas
+from touchd.localization.model import Model, default_model_path
 from touchd.recording.data import Recording
+from touchd.recording.format import write
 from touchd.touch import Touch
 from touchd.twin.instrument import Instrument
 from touchd.twin.simulate import simulate_scene, simulate_touches
@@ -31,7 +39,8 @@ def three(instrument: Instrument) -> Recording:
     return simulate_touches(40, seed=8, instrument=instrument, fingers=3, apart_mm=30.0)
 
 
-def test_each_touch_stands_before_the_untouched_plate_beside_it(one: Recording) -> None:
+def test_baseline(one: Recording) -> None:
+    """The baseline of a touch is the mean of the untouched frames beside it."""
     frames = touched_frames(one)
     assert len(frames) == 60
     assert frames.fingers.tolist() == [1] * 60
@@ -41,14 +50,16 @@ def test_each_touch_stands_before_the_untouched_plate_beside_it(one: Recording) 
     np.testing.assert_array_equal(look.residual, look.counts - look.baseline)
 
 
-def test_a_network_is_given_the_features_of_its_training_set_to_the_bit(one: Recording, model: Model) -> None:
+def test_features(one: Recording, model: Model) -> None:
+    """A network gets the features of its training set, bit for bit."""
     data = make_dataset(one, least=1)
     frames = touched_frames(one)
     np.testing.assert_array_equal(network_features(model, frames), data.residual)
     np.testing.assert_array_equal(frames.true_mm[:, 0], data.position_mm)
 
 
-def test_the_network_as_a_finder_says_what_it_says_to_the_daemon(one: Recording, model: Model) -> None:
+def test_network(one: Recording, model: Model) -> None:
+    """The network places what it places for the daemon."""
     frames = touched_frames(one)
     seen = see(find_with(model, None, frames), frames)
     judged = judge(model, network_features(model, frames), frames.true_mm[:, 0], frames.noise_energy())
@@ -62,7 +73,8 @@ def test_the_network_as_a_finder_says_what_it_says_to_the_daemon(one: Recording,
     assert scores["force_rank"] > 0.5, "a larger contact changes the signal more"
 
 
-def test_a_perfect_finder_of_several_fingers_has_perfect_scores(three: Recording) -> None:
+def test_perfect(three: Recording) -> None:
+    """A perfect localizer of several fingers has perfect scores."""
     frames = touched_frames(three)
     answers = {frames.look(i).counts.tobytes(): true for i, true in enumerate(frames.true_mm)}
 
@@ -76,15 +88,16 @@ def test_a_perfect_finder_of_several_fingers_has_perfect_scores(three: Recording
     assert (scores["3"]["n"], scores["3"]["missed"], scores["3"]["ghosts"], scores["3"]["max_mm"]) == (40, 0, 0, 0)
 
 
-def test_a_finder_of_one_misses_the_others(three: Recording, model: Model) -> None:
+def test_one_of_three(three: Recording, model: Model) -> None:
+    """A localizer of one finger misses the others."""
     frames = touched_frames(three)
     scores = scores_by_fingers(match_frames(see(find_with(model, None, frames), frames)))["3"]
     assert scores["count_right"] == scores["all_within_2_mm"] == scores["told_apart"] == 0
     assert scores["missed"] - scores["ghosts"] == 2 * 40
 
 
-def test_what_is_no_finger_is_no_truth_but_no_untouched_plate_either(instrument: Instrument) -> None:
-    """A palm or a drop of the twin has a place without a force."""
+def test_no_finger(instrument: Instrument) -> None:
+    """A palm or a drop of the twin, which has a place without a force, is neither a finger nor an untouched plate."""
     drop = simulate_scene("drop", seed=21, instrument=instrument)
     assert drop.contacts_mm is not None
     frames = touched_frames(drop)
@@ -96,7 +109,8 @@ def test_what_is_no_finger_is_no_truth_but_no_untouched_plate_either(instrument:
     assert fingers_only(replace(drop, force_n=None)).contacts_mm is drop.contacts_mm
 
 
-def test_a_finder_is_asked_of_frames_without_a_finger_too(instrument: Instrument) -> None:
+def test_ghosts(instrument: Instrument) -> None:
+    """Frames without a finger are localized too, and count ghosts."""
     palm = simulate_scene("palm", seed=21, instrument=instrument, frames=200)
     frames = touched_frames(palm)
     scores = scores_by_fingers(match_frames(see(lambda _look: [Touch(100, 100, 1, 1, 1)], frames)))
@@ -104,7 +118,8 @@ def test_a_finder_is_asked_of_frames_without_a_finger_too(instrument: Instrument
 
 
 @pytest.mark.parametrize("case", ["touched", "untouched", "outside"])
-def test_a_recording_that_cannot_be_judged_by_is_refused(one: Recording, case: str) -> None:
+def test_refused(one: Recording, case: str) -> None:
+    """A recording without touched or untouched frames, or with touches beside the plate, is refused."""
     assert one.contacts_mm is not None
     contacts_mm = one.contacts_mm.copy()
     if case == "outside":
@@ -113,3 +128,63 @@ def test_a_recording_that_cannot_be_judged_by_is_refused(one: Recording, case: s
         contacts_mm[:] = 50 if case == "untouched" else np.nan
     with pytest.raises(RecordingValues, match=case):
         touched_frames(replace(one, contacts_mm=contacts_mm))
+
+
+# -- with the field atlas ------------------------------------------------------------------------------
+
+MARGIN_MM = 55.0
+"""The middle of the plate says it as well as all of it."""
+
+
+@pytest.fixture(scope="module")
+def atlas(instrument: Instrument) -> Atlas:
+    return twin_atlas(instrument, MARGIN_MM - 10.0)
+
+
+@pytest.fixture(scope="module")
+def known(instrument: Instrument) -> dict[str, TouchedFrames]:
+    options = {"1": {"fingers": 1}, "2": {"fingers": 2, "apart_mm": 30.0}}
+    return {
+        key: touched_frames(simulate_touches(60, seed=41, instrument=instrument, margin_mm=MARGIN_MM, **more))  # type: ignore[arg-type]  # options
+        for key, more in options.items()
+    }
+
+
+def test_one_finger(atlas: Atlas, model: Model, known: dict[str, TouchedFrames]) -> None:
+    """The atlas places one finger far finer than its network."""
+    fine = scores_by_fingers(match_frames(see(find_with(model, atlas, known["1"]), known["1"])))["1"]
+    rough = scores_by_fingers(match_frames(see(find_with(model, None, known["1"]), known["1"])))["1"]
+    print(f"median {1e3 * fine['median_mm']:.0f} and {1e3 * rough['median_mm']:.0f} um")
+    assert fine["count_right"] == 1
+    assert fine["median_mm"] < 0.05 < 5 * fine["median_mm"] < rough["median_mm"]
+    assert fine["force_rank"] > 0.99
+    assert fine["force_spread_p95"] < 0.1
+
+
+def test_two_fingers(atlas: Atlas, model: Model, known: dict[str, TouchedFrames]) -> None:
+    """The atlas finds two fingers."""
+    fine = scores_by_fingers(match_frames(see(find_with(model, atlas, known["2"]), known["2"])))["2"]
+    assert fine["all_within_1_mm"] > 0.9
+    assert fine["missed"] <= 2
+
+
+def test_any_order(atlas: Atlas, model: Model, known: dict[str, TouchedFrames]) -> None:
+    """Each frame is a touch-down: in any order the same is found."""
+    find = find_with(model, atlas, known["1"])
+    there = [find(known["1"].look(i)) for i in range(20)]
+    back = [find(known["1"].look(i)) for i in reversed(range(20))]
+    assert there == back[::-1]
+
+
+def test_verb(atlas: Atlas, model: Model, instrument: Instrument, tmp_path: Path) -> None:
+    """`touchd evaluate` takes the atlas beside the model."""
+    path = Path(shutil.copy(default_model_path(), tmp_path / "plate.onnx"))
+    about = atlas.description.model_copy(update={"data_sha256": model.description.data_sha256})
+    write(tmp_path / "touches.npz", simulate_touches(40, seed=42, instrument=instrument, margin_mm=MARGIN_MM))
+    medians = []
+    for _ in range(2):
+        done = CliRunner().invoke(command, [str(path), str(tmp_path / "touches.npz"), "--json"])
+        assert done.exception is None, done.output
+        medians.append(json.loads(done.output)["median_mm"])
+        save_atlas(replace(atlas, description=about), atlas_path(path))
+    assert medians[1] < 0.2 * medians[0]

@@ -1,4 +1,4 @@
-"""What warmth, gains and dead channels do to a frame is known from the untouched plate, and taken off."""
+"""Temperature, gains and dead channels are known from the untouched plate, and the bins corrected for them."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.fields import BINS, RIG, Field, make_atlas, untouched
-from touchd.localization.drift import FOLLOW_S, Drift
+from tests.fields import BINS, RIG, Field, in_double, make_atlas, untouched
+from touchd.localization.drift import FOLLOW_EVERY_NS, FOLLOW_S, Drift
 from touchd.localization.features import windowed_dft
 
 ATLAS = make_atlas(Field())
@@ -20,20 +20,20 @@ GAINS = st.lists(st.floats(0.7, 1.4), min_size=4, max_size=4)
 
 def after(baseline: np.ndarray) -> Drift:
     drift = Drift(ATLAS)
-    drift.rebase(baseline.astype(np.float32))
+    drift.set_baseline(baseline.astype(np.float32))
     return drift
 
 
-def features(drift: Drift, residual: np.ndarray) -> np.ndarray:
+def corrected(drift: Drift, residual: np.ndarray) -> np.ndarray:
     out = np.zeros(ATLAS.size, np.float32)
-    drift.features(residual.astype(np.float32), out)
+    drift.correct(residual.astype(np.float32), out)
     return out
 
 
 @given(STRETCH, st.floats(-1e-7, 1e-7), GAINS)
 @settings(deadline=None)
-def test_stretch_and_gains_are_recovered_whatever_the_delay(stretch: float, delay_s: float, gains: list[float]) -> None:
-    """The stretch within a tenth, as the operator is; what it misses of the plate is seen as gain, a little.
+def test_stretch_and_gains(stretch: float, delay_s: float, gains: list[float]) -> None:
+    """Stretch and gains are recovered at any delay, the stretch within a tenth, as the operator is.
 
     The delay is fitted in its first order: the second of a tenth of a microsecond, 1e-3, looks like a stretch of 6e-6.
     """
@@ -43,57 +43,87 @@ def test_stretch_and_gains_are_recovered_whatever_the_delay(stretch: float, dela
     assert not drift.dead.any()
 
 
-def test_the_plate_of_the_training_is_left_as_it_is() -> None:
+def test_plate_of_the_training() -> None:
+    """The plate of the training is left as it is; with a float64 atlas to its rounding."""
     drift = after(untouched())
     assert drift.stretch == pytest.approx(0, abs=1e-9)
     np.testing.assert_allclose(drift.gains, 1, atol=1e-5)
     residual = np.random.default_rng(1).standard_normal(RIG.shape)
-    np.testing.assert_allclose(features(drift, residual), (residual @ PLAIN).ravel(), atol=1e-3)
+    np.testing.assert_allclose(corrected(drift, residual), (residual @ PLAIN).ravel(), atol=1e-3)
+    double, out = Drift(in_double(ATLAS)), np.zeros(ATLAS.size)
+    double.set_baseline(ATLAS.baseline.astype(np.float64))
+    double.correct(residual, out)
+    np.testing.assert_allclose(out, (residual @ PLAIN).ravel(), atol=1e-9)
 
 
 @given(STRETCH, GAINS, st.integers(2, 50))
 @settings(deadline=None)
-def test_of_a_stretched_and_amplified_residual_the_features_are_those_of_the_training(
-    stretch: float, gains: list[float], seed: int
-) -> None:
-    """To first order: a quarter of what the stretch has changed is left, and nothing of the gains."""
+def test_correction(stretch: float, gains: list[float], seed: int) -> None:
+    """A correction leaves a quarter of what the stretch has changed, and nothing of the gains."""
     amplified = np.array(gains)[:, None]
     drift = after(amplified * untouched(stretch))
     original = (untouched(0.0, seed=seed) @ PLAIN).ravel()
     stretched = untouched(stretch, seed=seed)
     changed = np.linalg.norm((stretched @ PLAIN).ravel() - original)
-    left = np.linalg.norm(features(drift, amplified * stretched) - original)
+    left = np.linalg.norm(corrected(drift, amplified * stretched) - original)
     assert left < 0.35 * changed + 0.02 * np.linalg.norm(original)
 
 
-def test_what_the_plate_can_do_by_itself_vanishes_and_the_rest_stays() -> None:
-    """Along stretch, delay and gains a steady change is followed with the time constant; across them nothing is."""
+def test_plate_directions() -> None:
+    """A steady change along stretch, delay and gains is followed; across them nothing is."""
     drift = after(untouched())
-    rng = np.random.default_rng(2)
     gain = np.array([0.01, -0.02, 0.015, 0.005])[:, None]
     drifted = untouched(2e-5, 1e-9) * (1 + gain) - untouched()
-    before = np.linalg.norm(features(drift, drifted))
-    step_s = 0.04
-    for _ in range(round(5 * FOLLOW_S / step_s)):
-        drift.follow(features(drift, drifted), step_s)
-    assert np.linalg.norm(features(drift, drifted)) < 0.1 * before
-    drift.settle()
-    assert np.linalg.norm(features(drift, drifted)) == pytest.approx(before, rel=1e-6)
-    # A residual across all directions: what of noise remains after following for long.
-    noise = rng.standard_normal(RIG.shape) * 10
-    first = features(drift, noise)
-    for _ in range(100):
-        drift.follow(features(drift, noise), step_s)
-    across = features(drift, noise)
+    before = np.linalg.norm(corrected(drift, drifted))
+    for i in range(round(5 * FOLLOW_S / 0.04)):
+        drift.update(corrected(drift, drifted), i * 40_000_000)
+    assert np.linalg.norm(corrected(drift, drifted)) < 0.1 * before
+    drift.reset()
+    assert np.linalg.norm(corrected(drift, drifted)) == pytest.approx(before, rel=1e-6)
+    noise = np.random.default_rng(2).standard_normal(RIG.shape) * 10
+    first = corrected(drift, noise)
+    for i in range(100):
+        drift.update(corrected(drift, noise), i * 40_000_000)
+    across = corrected(drift, noise)
     assert np.linalg.norm(across) > 0.9 * np.linalg.norm(first), "six of 120 directions"
-    drift.settle()
-    drift.follow(across, 10.0)
-    np.testing.assert_allclose(features(drift, noise), first, atol=1e-3 * np.abs(first).max())
+    drift.reset()
+    for t_ns in (0, 10_000_000_000):
+        drift.update(across, t_ns)
+    np.testing.assert_allclose(corrected(drift, noise), first, atol=1e-3 * np.abs(first).max())
+
+
+@given(st.lists(st.integers(1, 2_000_000_000), min_size=1, max_size=20))
+@settings(deadline=None)
+def test_time_constant(steps_ns: list[int]) -> None:
+    """After t seconds of updates at any times, a steady change is followed but for exp(-t / 0.3 s)."""
+    drift, drifted, t_ns = after(untouched()), 0.01 * untouched(), 10**15
+    before = float(np.linalg.norm(corrected(drift, drifted)))
+    drift.update(corrected(drift, drifted), t_ns)
+    for step_ns in steps_ns:
+        t_ns += step_ns
+        drift.update(corrected(drift, drifted), t_ns)
+    share = float(np.linalg.norm(corrected(drift, drifted))) / before
+    assert share == pytest.approx(np.exp(-sum(steps_ns) * 1e-9 / FOLLOW_S), abs=1e-4)
+
+
+def test_due() -> None:
+    """An update is due first, after 40 ms, and when the clock steps back, which moves nothing."""
+    drift, drifted = after(untouched()), 0.01 * untouched()
+    assert drift.is_due(0)
+    drift.update(corrected(drift, drifted), 10**12)
+    assert not drift.is_due(10**12 + FOLLOW_EVERY_NS)
+    assert drift.is_due(10**12 + FOLLOW_EVERY_NS + 1)
+    assert drift.is_due(10**12 - 1)
+    before = corrected(drift, drifted)
+    drift.update(before, 10**12 - 3_600_000_000_000)
+    np.testing.assert_array_equal(corrected(drift, drifted), before)
+    assert not drift.is_due(10**12 - 3_600_000_000_000 + 1), "it goes on at the new time"
 
 
 @given(st.integers(0, 3), STRETCH)
 @settings(deadline=None, max_examples=30)
-def test_a_dead_channel_is_seen_and_the_others_tell_the_stretch(dead: int, stretch: float) -> None:
+def test_dead_channel(dead: int, stretch: float) -> None:
+    """A dead channel is found, and the others show the stretch."""
     gains = np.where(np.arange(4) == dead, 1e-3, 1.0)
     drift = after(gains[:, None] * untouched(stretch))
     np.testing.assert_array_equal(drift.dead, np.arange(4) == dead)
@@ -101,7 +131,8 @@ def test_a_dead_channel_is_seen_and_the_others_tell_the_stretch(dead: int, stret
     assert drift.gains[dead] == 1.0
 
 
-def test_a_channel_that_falls_silent_in_a_frame_is_seen() -> None:
+def test_silent_channel() -> None:
+    """A channel that falls silent in a frame is found."""
     drift, baseline = after(untouched()), untouched().astype(np.float32)
     residual = np.zeros(RIG.shape, np.float32)
     assert not drift.silent(residual, baseline).any()
@@ -114,24 +145,28 @@ def test_a_channel_that_falls_silent_in_a_frame_is_seen() -> None:
     [np.zeros(RIG.shape), np.full(RIG.shape, 32767.0), np.full(RIG.shape, 1e-20), -untouched(), untouched(seed=9)],
     ids=["silence", "constant", "next to nothing", "opposite", "another plate"],
 )
-def test_what_no_warmth_explains_leaves_the_frame_alone(baseline: np.ndarray) -> None:
+def test_no_temperature(baseline: np.ndarray) -> None:
+    """A baseline that no temperature explains leaves the frame alone."""
     drift = after(baseline)
     assert abs(drift.stretch) < 3e-3
     residual = np.random.default_rng(3).standard_normal(RIG.shape)
-    found = features(drift, residual)
-    drift.follow(found, 0.04)
-    assert np.isfinite(features(drift, residual)).all()
+    found = corrected(drift, residual)
+    for t_ns in (0, 40_000_000):
+        drift.update(found, t_ns)
+    assert np.isfinite(corrected(drift, residual)).all()
     if (drift.gains == 1).all():
         np.testing.assert_allclose(found, (residual @ PLAIN).ravel(), atol=1e-3)
 
 
-@given(st.integers(0, 2**32 - 1), st.sampled_from([1e-20, 1e-3, 1.0, 32768.0]), st.floats(0, 1e3))
+@given(st.integers(0, 2**32 - 1), st.sampled_from([1e-20, 1e-3, 1.0, 32768.0]), st.integers(-(10**12), 10**12))
 @settings(deadline=None, max_examples=50)
-def test_nothing_makes_it_say_what_is_no_number(seed: int, size: float, elapsed_s: float) -> None:
+def test_any_numbers(seed: int, size: float, elapsed_ns: int) -> None:
+    """Stretch, gains and bins are finite, for any baseline, residual and time."""
     rng = np.random.default_rng(seed)
     drift = after(size * rng.uniform(-1, 1, RIG.shape) * rng.integers(0, 2, (4, 1)))
     assert np.isfinite(drift.stretch)
     assert np.isfinite(drift.gains).all()
     residual = size * rng.uniform(-1, 1, RIG.shape)
-    drift.follow(features(drift, residual), elapsed_s)
-    assert np.isfinite(features(drift, residual)).all()
+    for t_ns in (0, elapsed_ns):
+        drift.update(corrected(drift, residual), t_ns)
+    assert np.isfinite(corrected(drift, residual)).all()

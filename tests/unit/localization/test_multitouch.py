@@ -1,4 +1,4 @@
-"""How many fingers, asked again: in pieces that no frame waits for long, and never in vain for ever."""
+"""The multi-touch search runs in pieces that no frame waits for long, and ever more seldom while in vain."""
 
 from __future__ import annotations
 
@@ -7,139 +7,153 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from msgspec.structs import replace
 
-from tests.fields import Field, Finger, make_atlas
-from touchd.localization.gauss_newton import NO_FIT, STILL_MM, Fit, Refiner
-from touchd.localization.multitouch import FITS_A_SECOND, FITS_AT_ONCE, Recount
-from touchd.localization.noise import Hearing
-from touchd.localization.pursuit import Search
-from touchd.localization.spline import Place
+from tests.fields import Field, Finger, bins_of, make_atlas
+from touchd.localization.gauss_newton import STILL_MM, Bins, Fit, GaussNewton, no_fit
+from touchd.localization.multitouch import FITS_A_SECOND, FITS_AT_ONCE, MultitouchSearch
+from touchd.localization.noise import NoiseModel
+from touchd.localization.pursuit import Pursuit
+from touchd.localization.spline import Position
 
 FIELD = Field()
 ATLAS = make_atlas(FIELD)
+SOLVER = GaussNewton(ATLAS)
 DEVIATION = 4.0
 FOUR: list[Finger] = [(25.0, 25.0, 1 + 0j), (90.0, 30.0, 0.8 + 0.1j), (60.0, 65.0, 1.1 - 0.1j), (25.0, 70.0, 0.9 + 0j)]
 
 
+class Counted(GaussNewton):
+    """Counts the fits of a search."""
+
+    fits = 0
+
+    def fit_several(
+        self, bins: Bins, positions_mm: Sequence[Position], steps: int, still_mm: float = STILL_MM / 10
+    ) -> Fit:
+        self.fits += 1
+        return super().fit_several(bins, positions_mm, steps, still_mm)
+
+
 class Rig:
-    """A recount that counts the fits of each look."""
+    """A search that is shown frame after frame."""
 
     def __init__(self) -> None:
-        self.refiner, self.hearing = Refiner(ATLAS), Hearing(ATLAS)
+        self.noise, self.solver, self.t_ns = NoiseModel(ATLAS), Counted(ATLAS), 0
         rng = np.random.default_rng(0)
         for _ in range(64):
-            self.hearing.hear((DEVIATION * rng.standard_normal(ATLAS.size)).astype(np.float32))
-        self.hearing.listen_to(np.ones(4, bool), np.zeros((0, ATLAS.size), np.float32))
-        self.search = Search(ATLAS, Refiner(ATLAS))
-        self.recount = Recount(self.refiner, self.search, self.hearing)
-        self.fits = 0
-        several = self.search._refiner.several
+            self.noise.update((DEVIATION * rng.standard_normal(ATLAS.size)).astype(np.float32))
+        self.noise.set_channels(np.ones(4, bool), np.zeros((0, ATLAS.size), np.float32))
+        self.search = MultitouchSearch(SOLVER, Pursuit(ATLAS, self.solver), self.noise)
 
-        def counted(places_mm: Sequence[Place], steps: int, still_mm: float = STILL_MM / 10) -> Fit:
-            self.fits += 1
-            return several(places_mm, steps, still_mm)
+    def see(self, features: np.ndarray, known: Sequence[Finger], after_ns: int, *, limited: bool = True) -> Fit | None:
+        """One frame in which some fingers are tracked; what is found, None if no search was due."""
+        bins = bins_of(features)
+        signal = bins.energy - self.noise.noise_energy
+        fit = SOLVER.fit_several(bins, [finger[:2] for finger in known], 3) if known else no_fit(bins.energy)
+        self.solver.fits, self.t_ns = 0, self.t_ns + after_ns
+        self.search.update(self.t_ns)
+        if not self.search.is_due(self.noise.excess(fit.residual_energy, signal), signal):
+            return None
+        return self.search.search(bins, fit, signal, tracked=bool(known), limited=limited)[0]
 
-        self.search._refiner.several = counted  # type: ignore[method-assign]  # to count
-
-    def show(self, fingers: list[Finger], seed: int = 1) -> float:
-        """Take in a frame, and return the energy of its signal."""
-        self.refiner.frame[:] = FIELD.frame(fingers, DEVIATION, seed)
-        return self.refiner.take() - self.hearing.expected
-
-    def look(self, fingers: list[Finger], known: int, elapsed_s: float, seed: int = 1) -> Fit:
-        """One frame in which some of the fingers are known; what is found."""
-        signal = self.show(fingers, seed)
-        fit = self.refiner.several([place[:2] for place in fingers[:known]], 3) if known else NO_FIT
-        fit = fit if known else replace(fit, left=self.refiner.energy)
-        self.fits = 0
-        if self.recount.is_due(self.hearing.excess(fit.left, signal), signal, elapsed_s):
-            fit, _ = self.recount.look(fit, signal, elapsed_s, followed=known > 0)
-        return fit
+    def look(self, fingers: list[Finger], known: int, after_ns: int, seed: int = 1, *, limited: bool = True) -> Fit:
+        features = FIELD.frame(fingers, DEVIATION, seed)
+        found = self.see(features, fingers[:known], after_ns, limited=limited)
+        assert found is not None
+        return found
 
 
 def found(fit: Fit, fingers: list[Finger]) -> bool:
-    return len(fit.places_mm) == len(fingers) and all(
-        min(math.hypot(x - a, y - b) for a, b in fit.places_mm) < 0.3 for x, y, _ in fingers
+    return len(fit.positions_mm) == len(fingers) and all(
+        min(math.hypot(x - a, y - b) for a, b in fit.positions_mm) < 0.3 for x, y, _ in fingers
     )
 
 
-@pytest.mark.parametrize("elapsed_s", [0.001, 0.002, 0.032])
-def test_while_fingers_are_followed_no_frame_waits_for_more_fits_than_its_time_allows(elapsed_s: float) -> None:
+@pytest.mark.parametrize("frame_ns", [1_000_000, 2_000_000, 32_000_000])
+def test_fits_a_frame(frame_ns: int) -> None:
+    """While fingers are tracked no frame waits for more fits than its time allows, and the search ends all the same."""
     rig = Rig()
     for seed in range(1, 60):
-        fit = rig.look(FOUR, 1, elapsed_s, seed)
-        assert rig.fits <= FITS_A_SECOND * elapsed_s + 2
-        if not rig.recount.pending:
+        fit = rig.look(FOUR, 1, frame_ns, seed)
+        assert rig.solver.fits <= FITS_A_SECOND * frame_ns * 1e-9 + 2
+        if not rig.search.pending:
             break
-    assert (seed > 1) is (elapsed_s < 0.032), "the shorter the frames, the more of them it takes"
+    assert (seed > 1) is (frame_ns < 32_000_000), "the shorter the frames, the more of them it takes"
     assert found(fit, FOUR)
 
 
-def test_fingers_that_come_together_are_found_in_the_frame_in_which_they_come() -> None:
+def test_all_at_once() -> None:
+    """Fingers that come together are found in the frame in which they come."""
     rig = Rig()
-    assert found(rig.look(FOUR, 0, 0.001), FOUR)
-    assert rig.fits <= FITS_AT_ONCE + 2
-    assert not rig.recount.pending
+    assert found(rig.look(FOUR, 0, 1_000_000), FOUR)
+    assert rig.solver.fits <= FITS_AT_ONCE + 2
+    assert not rig.search.pending
 
 
-def test_a_frame_by_itself_is_searched_to_the_end() -> None:
+@pytest.mark.parametrize("after_ns", [8_000_000, 0, -5_000_000_000])
+def test_without_limit(after_ns: int) -> None:
+    """A search without limit ends in its frame, and a clock that stands or steps back makes no search limitless."""
     rig = Rig()
-    assert found(rig.look(FOUR, 1, 0.0), FOUR)
-    assert not rig.recount.pending
+    assert found(rig.look(FOUR, 1, after_ns, limited=False), FOUR)
+    assert not rig.search.pending
+    if after_ns <= 0:
+        rig = Rig()
+        rig.look(FOUR, 1, after_ns)
+        assert rig.search.pending
+        assert rig.solver.fits == 0
 
 
-def test_fingers_that_move_during_a_search_are_found_where_they_are_at_its_end() -> None:
+def test_moving_fingers() -> None:
+    """Fingers that move during a search are found where they are at its end."""
     rig = Rig()
     for i in range(40):
         moved = [(x + 0.05 * i, y - 0.04 * i, z) for x, y, z in FOUR[:2]]
-        fit = rig.look(moved, 1, 0.001, seed=i)
-        if len(fit.places_mm) == 2:
+        fit = rig.look(moved, 1, 1_000_000, seed=i)
+        if len(fit.positions_mm) == 2:
             break
     assert i > 1
     assert found(fit, moved)
 
 
-def test_what_nothing_explains_is_searched_ever_more_seldom_unless_it_grows() -> None:
-    rig, rng = Rig(), np.random.default_rng(3)
-    palm = 300 * rng.standard_normal(ATLAS.size)
-    searches, since = [], 0.0
-
-    def frame(scale: float) -> bool:
-        rig.refiner.frame[:] = scale * palm
-        signal = rig.refiner.take() - rig.hearing.expected
-        fit = replace(NO_FIT, left=rig.refiner.energy)
-        due = rig.recount.is_due(rig.hearing.excess(fit.left, signal), signal, 0.05)
-        if due:
-            rig.recount.look(fit, signal, 0.0, followed=False)
-        return due
-
+def test_in_vain() -> None:
+    """What nothing explains is searched ever more seldom, unless it grows."""
+    rig, palm = Rig(), 300 * np.random.default_rng(3).standard_normal(ATLAS.size)
+    due_ns = []
     for _ in range(200):
-        since += 0.05
-        if frame(1.0):
-            searches.append(since)
-            since = 0.0
-    assert len(searches) < 15
-    assert searches[-1] == pytest.approx(2.0, abs=0.06)
-    assert not frame(1.2)
-    assert frame(2.0), "four times the energy"
+        if rig.see(palm, (), 50_000_000, limited=False) is not None:
+            due_ns.append(rig.t_ns)
+    assert len(due_ns) < 16
+    assert due_ns[-1] - due_ns[-2] == pytest.approx(2_000_000_000, abs=60_000_000)
+    assert rig.see(1.2 * palm, (), 50_000_000) is None
+    assert rig.see(2.0 * palm, (), 50_000_000) is not None, "four times the energy"
 
 
-def test_a_finger_that_explains_next_to_nothing_is_none() -> None:
+def test_clock_steps_back_in_vain() -> None:
+    """A clock that steps back by an hour does not put the next search off by an hour."""
+    rig, palm = Rig(), 300 * np.random.default_rng(3).standard_normal(ATLAS.size)
+    for _ in range(20):
+        rig.see(palm, (), 50_000_000, limited=False)
+    assert rig.see(palm, (), -3_600_000_000_000) is not None
+
+
+def test_prune() -> None:
+    """A finger that explains next to nothing is none."""
     rig = Rig()
-    signal = rig.show(FOUR[:2])
-    fit = rig.refiner.several([(25.0, 25.0), (60.0, 40.0), (90.0, 30.0)], 3)
-    pruned, dropped = rig.recount.prune(fit, signal)
+    bins = bins_of(FIELD.frame(FOUR[:2], DEVIATION, 1))
+    signal = bins.energy - rig.noise.noise_energy
+    fit = SOLVER.fit_several(bins, [(25.0, 25.0), (60.0, 40.0), (90.0, 30.0)], 3)
+    pruned, dropped = rig.search.prune(bins, fit, signal)
     assert dropped == [1]
     assert found(pruned, FOUR[:2])
-    one = rig.refiner.several([(25.0, 25.0)], 3)
-    assert rig.recount.prune(one, signal) == (one, [])
+    one = SOLVER.fit_several(bins, [(25.0, 25.0)], 3)
+    assert rig.search.prune(bins, one, signal) == (one, [])
 
 
-def test_an_abandoned_search_begins_anew() -> None:
+def test_cancel() -> None:
+    """A cancelled search starts from the beginning."""
     rig = Rig()
-    rig.look(FOUR, 1, 0.001)
-    pending = [rig.recount.pending]
-    rig.recount.abandon()
-    assert [*pending, rig.recount.pending] == [True, False]
-    assert found(rig.look(FOUR, 1, 0.0), FOUR)
+    rig.look(FOUR, 1, 1_000_000)
+    pending = [rig.search.pending]
+    rig.search.cancel()
+    assert [*pending, rig.search.pending] == [True, False]
+    assert found(rig.look(FOUR, 1, 1_000_000, limited=False), FOUR)

@@ -1,4 +1,4 @@
-"""A network alone places fingers with a standard error that knows the noise of the untouched plate."""
+"""A network alone places fingers with a standard error that grows with the noise of the untouched plate."""
 
 from __future__ import annotations
 
@@ -9,13 +9,12 @@ import pytest
 import torch
 
 from touchd.config.schema import Settings
-from touchd.detection.baseline import Baseline
-from touchd.detection.gate import Gate
+from touchd.detection.detector import Detection
 from touchd.frame import Acquisition, Plate
 from touchd.localization.features import windowed_dft
 from touchd.localization.model import Description, Model
-from touchd.localization.network_localizer import Finder
-from touchd.outcome import Counters
+from touchd.localization.network_localizer import NetworkLocalizer
+from touchd.outcome import Outcome
 from touchd.training.network.export import make_graph, write_model
 from touchd.training.network.network import PaperNetwork, PositionNetwork
 
@@ -34,15 +33,14 @@ def model_of(network: PositionNetwork | PaperNetwork, folder: Path) -> Model:
 
 
 def placed(model: Model, residual: np.ndarray, deviation: float, settings: Settings = SETTINGS) -> list[float]:
-    """The sigma of what is found in a residual by one who has heard white noise of this deviation."""
-    baseline, gate = Baseline(RIG.shape, settings.baseline), Gate(settings.gate)
-    rng = np.random.default_rng(1)
-    energies = np.square(rng.normal(scale=deviation, size=(400, *RIG.shape))).sum(axis=(1, 2))
-    gate.learn(energies)
-    finder = Finder(RIG, model, settings, None, baseline, gate, Counters())
-    baseline.residual[...] = residual
-    found = finder.find(float(np.square(residual).sum()), 0.01, alive=True)
-    return [touch.sigma_mm for touch in found]
+    """The sigma of the finger in a residual, on a plate with white noise of this deviation."""
+    energy = float(np.square(residual).sum())
+    detection = Detection(
+        Outcome.TOUCHED, 0, energy, deviation**2 * residual.size, 0.0, residual, residual, 0 * residual,
+        np.ones(RIG.channels, bool),
+    )  # fmt: skip
+    found = NetworkLocalizer(model, settings, None).localize(detection, alive=True)
+    return [touch.sigma_mm for touch in found.touches]
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +48,8 @@ def residual() -> np.ndarray:
     return np.random.default_rng(2).normal(scale=200.0, size=RIG.shape).astype(np.float32)
 
 
-def test_sigma_grows_with_the_gates_noise_as_float64_has_it(residual: np.ndarray, tmp_path: Path) -> None:
+def test_sigma(residual: np.ndarray, tmp_path: Path) -> None:
+    """The standard error grows with the noise as in float64."""
     torch.manual_seed(3)
     network = PositionNetwork(392, (200.0, 200.0)).eval()
     model = model_of(network, tmp_path)
@@ -64,7 +63,8 @@ def test_sigma_grows_with_the_gates_noise_as_float64_has_it(residual: np.ndarray
         assert placed(model, residual, deviation) == [pytest.approx(np.hypot(sigma_mm, noise_mm * ratio), rel=5e-3)]
 
 
-def test_a_finger_that_noise_leaves_too_unsure_is_not_placed(residual: np.ndarray, tmp_path: Path) -> None:
+def test_max_sigma(residual: np.ndarray, tmp_path: Path) -> None:
+    """A finger whose standard error is above `max_sigma_mm` is not placed."""
     torch.manual_seed(3)
     model = model_of(PositionNetwork(392, (200.0, 200.0)), tmp_path)
     quiet, *_, loud = (placed(model, residual, deviation)[0] for deviation in LEVELS)
@@ -75,6 +75,7 @@ def test_a_finger_that_noise_leaves_too_unsure_is_not_placed(residual: np.ndarra
     assert placed(model, residual, LEVELS[-1], between) == []
 
 
-def test_a_network_that_knows_nothing_of_noise_says_the_same_in_any(residual: np.ndarray, tmp_path: Path) -> None:
+def test_network_without_noise(residual: np.ndarray, tmp_path: Path) -> None:
+    """A network that does not know the noise has one standard error in any."""
     model = model_of(PaperNetwork(392, (200.0, 200.0)), tmp_path)
     assert {sigma for deviation in LEVELS for sigma in placed(model, residual, deviation)} == {1.0}

@@ -1,4 +1,4 @@
-"""What has not changed is not looked at again, and nobody can tell by the touches."""
+"""A frame that has not changed is skipped, and the touches stay the same."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from touchd.localization.still import Still
 
 from tests.conftest import Scene
 from touchd.config.schema import GateSettings, Settings
 from touchd.detection.gate import Gate
 from touchd.frame import Frame
 from touchd.localization.model import Model
+from touchd.localization.stillness import StillFrame
 from touchd.outcome import Counters
 from touchd.pipeline import Pipeline
 
@@ -37,30 +37,34 @@ def gate_of(rng: np.random.Generator, *, coloured: bool = False) -> Gate:
     return gate
 
 
+def keep(still: StillFrame, frame: np.ndarray, gate: Gate) -> None:
+    still.update(frame, (gate.noise_root + still.quantile * gate.noise_deviation) ** 3)
+
+
 @pytest.mark.parametrize(("coloured", "times"), [(False, 1.5), (True, 4.0)])
 @pytest.mark.parametrize("rate", [0.1, 0.01])
-def test_a_finger_that_rests_is_looked_at_again_as_often_as_was_said(coloured: bool, times: float, rate: float) -> None:
-    """In the very order of the pipeline, where a frame that was looked at becomes the one to compare with."""
+def test_rate(coloured: bool, times: float, rate: float) -> None:
+    """A finger that rests is located again at the stated rate, in white noise; in coloured noise at four times it."""
     rng = np.random.default_rng(1)
-    still, gate = Still(SHAPE, rate), gate_of(rng, coloured=coloured)
+    still, gate = StillFrame(SHAPE, rate), gate_of(rng, coloured=coloured)
     frames = noise(rng, 20_000, coloured) + FINGER.astype(np.float32)
     looks = 0
     for frame in frames:
         if not still.holds(frame):
             looks += 1
-            still.look(frame, gate)
+            keep(still, frame, gate)
     print(f"{looks / len(frames):.4f} of the frames instead of {rate}")
     # Where one shape has most of the noise, the cube root of its energy is no longer normal.
     assert rate / 2 < looks / len(frames) < times * rate
 
 
-def test_a_finger_that_creeps_is_seen_once_it_has_come_farther_than_the_noise() -> None:
-    """Each step is far below the noise; their sum is not, since the frame to compare with stays."""
+def test_creeping_finger() -> None:
+    """A finger that creeps is located again once it has come farther than the noise."""
     rng = np.random.default_rng(2)
-    still, gate = Still(SHAPE, RATE), gate_of(rng)
+    still, gate = StillFrame(SHAPE, RATE), gate_of(rng)
     frames = noise(rng, 400)
     direction = FINGER / np.linalg.norm(FINGER)
-    still.look(frames[0], gate)
+    keep(still, frames[0], gate)
     held = [still.holds((frame + direction * 0.1 * i).astype(np.float32)) for i, frame in enumerate(frames)]
     assert np.mean(held[:30]) > 0.9
     # Two frames differ by 2 x 1000 +- 90; 30 units farther along one direction are 900 more.
@@ -68,45 +72,47 @@ def test_a_finger_that_creeps_is_seen_once_it_has_come_farther_than_the_noise() 
 
 
 @given(st.floats(0.5, 100), st.integers(0, 2**32 - 1))
-def test_the_same_frame_holds_at_any_gain_and_another_does_not(gain: float, seed: int) -> None:
+def test_any_gain(gain: float, seed: int) -> None:
+    """The same frame holds at any gain, and another does not."""
     rng = np.random.default_rng(seed)
     gate = Gate(GateSettings())
     gate.learn(gain**2 * np.sum(noise(rng, 50).astype(np.float64) ** 2, axis=(1, 2)))
-    still = Still(SHAPE, RATE)
+    still = StillFrame(SHAPE, RATE)
     here, there = (
         np.float32(gain) * (noise(rng, 1)[0] + np.float32(sign) * FINGER).astype(np.float32) for sign in (1, -1)
     )
-    assert not still.holds(here), "nothing was looked at yet"
-    still.look(here, gate)
+    assert not still.holds(here), "no frame was kept yet"
+    keep(still, here, gate)
     assert still.holds(here)
     assert not still.holds(there)
-    still.forget()
+    still.reset()
     assert not still.holds(here)
 
 
-def test_what_is_no_number_is_looked_at() -> None:
-    still = Still(SHAPE, RATE)
-    still.look(np.zeros(SHAPE, np.float32), gate_of(np.random.default_rng(3)))
+def test_nan() -> None:
+    """A frame of NaN has changed."""
+    still = StillFrame(SHAPE, RATE)
+    keep(still, np.zeros(SHAPE, np.float32), gate_of(np.random.default_rng(3)))
     assert not still.holds(np.full(SHAPE, np.nan, np.float32))
 
 
 # -- in the pipeline ---------------------------------------------------------------------------------
 
-Places = dict[int, tuple[float, float, float, float]]
+Reports = dict[int, tuple[float, float, float, float]]
 """x_mm, y_mm, sigma_mm and force of each contact."""
 
 
 def played(
     scene: Scene, name: str, model: Model, skip: bool
-) -> tuple[Counters, list[tuple[int, int, str]], list[Places]]:
-    """The counters; when which contact went down or up; where each contact was last said to be, frame by frame."""
+) -> tuple[Counters, list[tuple[int, int, str]], list[Reports]]:
+    """The counters; when which contact went down or up; where each contact was last reported, frame by frame."""
     recording = scene(name)
     # Without a dead band, so that the places themselves are compared and not which side of it they fell on.
     settings = Settings.model_validate({"skip": {"still": skip}, "tracker": {"dead_band_mm": 0.0}})
     pipeline = Pipeline(recording.acquisition, model, settings)
     changes: list[tuple[int, int, str]] = []
-    places: list[Places] = []
-    last: Places = {}
+    places: list[Reports] = []
+    last: Reports = {}
     for i, (counts, sequence) in enumerate(zip(recording.frames, recording.sequence.tolist(), strict=True)):
         contacts = pipeline.process(Frame(counts, sequence, int(recording.timestamp_ns[i]), 0)).contacts
         changes += [(i, c.id, c.phase) for c in contacts if c.phase in ("down", "up")]
@@ -116,9 +122,8 @@ def played(
 
 
 @pytest.mark.parametrize(("name", "most"), [("hold", 0.1), ("tap", 0.3), ("keypad", 0.3), ("circle", 1.0)])
-def test_the_touches_are_the_same_within_sigma_whether_or_not_still_frames_are_skipped(
-    name: str, most: float, scene: Scene, model: Model
-) -> None:
+def test_touches(name: str, most: float, scene: Scene, model: Model) -> None:
+    """The touches are the same within sigma, still frames skipped or not."""
     without, changes, places = played(scene, name, model, skip=False)
     with_, its_changes, its_places = played(scene, name, model, skip=True)
     assert its_changes == changes, "the same contacts go down and up in the same frames"
