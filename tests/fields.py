@@ -111,7 +111,7 @@ def in_double(atlas: Atlas) -> Atlas:
 
 def bins_of(features: np.ndarray, mask: np.ndarray | None = None, dtype: type = np.float32) -> Bins:
     """Features (channels * 2 * bins,) as the solver takes them; those that are masked are zero."""
-    vector = (features if mask is None else features * mask).astype(dtype)
+    vector: np.ndarray = (features if mask is None else features * mask).astype(dtype)
     return Bins(vector, None if mask is None else mask.astype(dtype), float(vector @ vector))
 
 

@@ -20,7 +20,7 @@ RASTER_MM = ATLAS.description.step_mm / PER_CELL
 
 
 def splines(dtype: type = np.float32) -> tuple[Spline, np.ndarray]:
-    into = np.full((3, ATLAS.size), np.nan, dtype)
+    into: np.ndarray = np.full((3, ATLAS.size), np.nan, dtype)
     return Spline(ATLAS if dtype is np.float32 else in_double(ATLAS), into), into
 
 
