@@ -72,9 +72,9 @@ class Rig:
         self.t_ns += self.frame_ns
         residual = residual.astype(np.float32)
         energy = float(residual.ravel() @ residual.ravel())
-        expected = self.noise**2 * residual.size
+        noise_root = (self.noise**2 * residual.size) ** (1 / 3)
         return Detection(
-            outcome, self.t_ns, energy, expected, 0.0, residual + self.baseline, residual, self.baseline, self.live
+            outcome, self.t_ns, energy, noise_root, 0.0, residual + self.baseline, residual, self.baseline, self.live
         )
 
     def see(self, residual: np.ndarray, near_mm: tuple[float, float] = (60.0, 45.0)) -> Localization:

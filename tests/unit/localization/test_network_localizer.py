@@ -36,7 +36,7 @@ def placed(model: Model, residual: np.ndarray, deviation: float, settings: Setti
     """The sigma of the finger in a residual, on a plate with white noise of this deviation."""
     energy = float(np.square(residual).sum())
     detection = Detection(
-        Outcome.TOUCHED, 0, energy, deviation**2 * residual.size, 0.0, residual, residual, 0 * residual,
+        Outcome.TOUCHED, 0, energy, (deviation**2 * residual.size) ** (1 / 3), 0.0, residual, residual, 0 * residual,
         np.ones(RIG.channels, bool),
     )  # fmt: skip
     found = NetworkLocalizer(model, settings, None).localize(detection, alive=True)

@@ -53,10 +53,9 @@ def test_clocks(settings: Settings) -> None:
     assert len(found) >= 4, "prediction, drift, search, classifier"
 
 
-@SKIPPING
-def test_prediction(settings: Settings) -> None:
+def test_prediction() -> None:
     """A finger that starts to move after 10 s is tracked at once, at the speed of its last frames."""
-    rig = Rig(frame_ns=FRAME_NS, settings=settings)
+    rig = Rig(frame_ns=FRAME_NS, settings=Settings())
     rest(rig, REST_S, FINGER)
     for i in range(1, 12):
         x_mm = 50 + 4.0 * i
@@ -65,29 +64,26 @@ def test_prediction(settings: Settings) -> None:
         assert at(found.touches, (x_mm, 40.0)), f"frame {i}"
 
 
-@SKIPPING
 @pytest.mark.parametrize(("seconds", "water"), [(9.0, True), (11.0, False)])
-def test_water(settings: Settings, seconds: float, water: bool) -> None:
+def test_water(seconds: float, water: bool) -> None:
     """A drop is remembered for 10 s while a finger rests elsewhere: then an ambiguous contact there is a finger."""
-    rig, beside = Rig(frame_ns=FRAME_NS, settings=settings), (85.0, 65.0)
+    rig, beside = Rig(frame_ns=FRAME_NS, settings=Settings()), (85.0, 65.0)
     rest(rig, 0.3, FINGER, (*beside, cmath.rect(0.7, 0.6)))
     rest(rig, seconds, FINGER)
     found = [rig.touch(FINGER, (*beside, cmath.rect(0.7, 0.3))) for _ in range(30)][-1]
     assert at(found, FINGER[:2]) if water else at(found, FINGER[:2], beside)
 
 
-@SKIPPING
-def test_multitouch(settings: Settings) -> None:
+def test_multitouch() -> None:
     """A second finger beside one that has rested for 10 s is placed within a tenth of a second."""
-    rig, beside = Rig(frame_ns=FRAME_NS, settings=settings), (85.0, 65.0)
+    rig, beside = Rig(frame_ns=FRAME_NS, settings=Settings()), (85.0, 65.0)
     rest(rig, REST_S, FINGER)
     assert any(at(rig.touch(FINGER, (*beside, 1.0)), FINGER[:2], beside) for _ in range(13))
 
 
-@SKIPPING
-def test_baseline(settings: Settings) -> None:
+def test_baseline() -> None:
     """The baseline is compared once a second: after 10 s of a finger, on the first untouched frame."""
-    rig = Rig(frame_ns=FRAME_NS, settings=settings)
+    rig = Rig(frame_ns=FRAME_NS, settings=Settings())
     gains = np.array([1.0, 1.15, 1.0, 0.9])[:, None]
 
     def confidence() -> float:

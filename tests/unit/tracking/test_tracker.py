@@ -185,7 +185,7 @@ _touches = st.lists(
 
 
 @given(st.lists(_touches, max_size=60))
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 def test_any_touches(frames: list[list[Touch]]) -> None:
     """Each contact goes down once and up once."""
     stroke = Stroke(TrackerSettings(max_contacts=4))
