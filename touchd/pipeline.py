@@ -75,6 +75,7 @@ class Pipeline:
         self._skip = settings.skip
         self.screen_off = False
         """Whether frames only keep the baseline, since nobody sees what is touched."""
+        self._set_unusual()
         self._detection: Detection | None = None
         self._sequence = 0
 
@@ -85,7 +86,9 @@ class Pipeline:
         if outcome <= _LEARNING:  # repeated, stuck, learning: says nothing of fingers
             return self._without_measurement(frame, detection)
         if outcome is _UNTOUCHED:
-            found = self._observe(detection)  # noise and temperature of the untouched plate
+            found = self._localizer.observe(detection)  # noise and temperature of the untouched plate
+            if self._unusual:
+                found = self._without_skips(detection)
         elif self.screen_off:
             found = SCREEN_OFF
         else:
@@ -111,6 +114,7 @@ class Pipeline:
         if off == self.screen_off or not self._skip.screen:
             return Result(t_ns, self._sequence, Outcome.SCREEN_OFF)
         self.screen_off = off
+        self._set_unusual()
         return self.release(t_ns)
 
     def configure(self, settings: Settings, layout: Layout | None) -> None:
@@ -120,6 +124,7 @@ class Pipeline:
         self._tracker.configure(settings.tracker)
         self._skip = settings.skip
         self.screen_off &= settings.skip.screen
+        self._set_unusual()
 
     def reset(self) -> None:
         """Relearn the plate: the device was away, and what it hears may have changed."""
@@ -164,13 +169,14 @@ class Pipeline:
             self._localizer.update(detection.baseline, detection.learned)
         return self._result(frame, detection, Outcome.LEARNING, self._tracker.track(frame.t_ns, ()), 0)
 
-    def _observe(self, detection: Detection) -> Localization:
-        """Follow the untouched plate; with `skip.gate` off localize it too, to measure what that costs."""
-        found = self._localizer.observe(detection)
+    def _set_unusual(self) -> None:
+        """Note whether untouched frames need more than to be observed: one question a frame instead of two."""
+        self._unusual = self.screen_off or not self._skip.gate
+
+    def _without_skips(self, detection: Detection) -> Localization:
+        """Say that the screen is off; with `skip.gate` off localize an untouched frame, to measure what that costs."""
         if self.screen_off:
             return SCREEN_OFF
-        if self._skip.gate:
-            return found
         outcome = self._localizer.localize(detection, alive=False).outcome
         self._localizer.reset()
         return Localization(outcome)

@@ -162,13 +162,15 @@ class Detector:
             if not (self._last_sequence or 0) % TURN_EVERY:
                 self._stuck.turn()
             if not alive:
-                self._follow(detection.t_ns)
+                self._baseline.follow()
+                self.followed_ns = detection.t_ns
             return
         self._stuck.turn()
         finger, energy = found or alive, detection.energy
         if not finger and energy < self._drift_share * self._signal_energy:
             # Less than any finger does: the plate has drifted while it was touched.
-            self._follow(detection.t_ns)
+            self._baseline.follow()
+            self.followed_ns = detection.t_ns
         reason = self._relearn.update(
             detection.t_ns, detection.residual, energy, finger=finger, departure=departure and not finger
         )
@@ -233,10 +235,6 @@ class Detector:
             outcome, frame.t_ns, 0.0, self.gate.noise_root, self.gate.noise_deviation, baseline.signal,
             baseline.residual, baseline.mean, self._live, False, learned, lost,
         )  # fmt: skip
-
-    def _follow(self, t_ns: int) -> None:
-        self._baseline.follow()
-        self.followed_ns = t_ns
 
     def _learn(self) -> None:
         self._baseline.reset()

@@ -128,12 +128,12 @@ def find_with(model: Model, atlas: Atlas | None, frames: TouchedFrames) -> Find:
     noise = [(one - other) * np.float32(sqrt(3) / 2) for one, other in pairs if (one != other).any()]
     if noise:
         localizer.update(frames.baseline(0), np.array(noise))
-    noise_energy, live = frames.noise_energy(), np.ones(frames.acquisition.channels, bool)
+    noise_root, live = float(np.cbrt(frames.noise_energy())), np.ones(frames.acquisition.channels, bool)
 
     def find(look: Look) -> Sequence[Touch]:
         energy = float(np.square(look.residual, dtype=np.float64).sum())
         detection = Detection(
-            Outcome.TOUCHED, 0, energy, noise_energy, 0.0, look.counts.astype(np.float32), look.residual, look.baseline,
+            Outcome.TOUCHED, 0, energy, noise_root, 0.0, look.counts.astype(np.float32), look.residual, look.baseline,
             live,
         )  # fmt: skip
         localizer.update(look.baseline)

@@ -85,13 +85,8 @@ class Drop(NamedTuple):
     """The drop is forgotten at this time unless it is seen."""
 
 
-class Placed(NamedTuple):
-    """A finger among the contacts of a fit."""
-
-    position_mm: Position
-    sigma_mm: float
-    amplitude: float
-    """Modulus."""
+Finger = tuple[Position, float, float]
+"""A finger among the contacts of a fit: position, standard error (mm) and modulus of the amplitude."""
 
 
 class Classifier:
@@ -123,7 +118,7 @@ class Classifier:
         """Forget water: the plate is untouched."""
         self._drops = []
 
-    def fingers(self, fit: Fit, confidence: float, t_ns: int) -> list[Placed]:
+    def fingers(self, fit: Fit, confidence: float, t_ns: int) -> list[Finger]:
         """Return the fingers among the contacts of a frame's fit, with their standard errors."""
         self.t_ns = t_ns
         several = len(fit.positions_mm) > 1
@@ -131,7 +126,7 @@ class Classifier:
         self.departure = min(map(abs, leads)) > DEPARTURE_RAD
         errors_mm = self._errors_mm(fit, sizes)
         cornered = self._cornered(fit.positions_mm) if several else ()
-        fingers: list[Placed] = []
+        fingers: list[Finger] = []
         drops: list[Drop] = []
         judged: list[Position] = []
         for k, position in enumerate(fit.positions_mm):
@@ -144,12 +139,12 @@ class Classifier:
             if substance is not Substance.FINGER:
                 drops.append(self._drop(position, substance, drop))
             elif leads[k] > LAG_RAD and k not in cornered:
-                fingers.append(Placed(position, errors_mm[k], sizes[k]))
+                fingers.append((position, errors_mm[k], sizes[k]))
         for one in self._drops:
             if one.until_ns > t_ns and all(math.dist(one.position_mm, position) >= WATER_MM for position in judged):
                 drops.append(one)
         self._drops = drops[:MOST_WATER]
-        self._fingers = [finger.position_mm for finger in fingers]
+        self._fingers = [position for position, _, _ in fingers]
         return fingers
 
     def _substance(

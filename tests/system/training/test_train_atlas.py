@@ -27,7 +27,7 @@ from touchd.training.report.atlas_report import write_atlas_report
 from touchd.training.train_atlas import AtlasResult, train_atlas
 from touchd.training.train_network import train
 
-QUICK = 30
+QUICK = 6
 """Epochs: enough to tell the parts of the plate apart."""
 
 
