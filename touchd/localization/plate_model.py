@@ -59,10 +59,6 @@ class PlateModel:
         """Follow the plate on an untouched frame; return whether the frame updated the noise model."""
         if detection.noise_changed:
             self.noise.restart()
-        self._untouched_frames += 1
-        if self._untouched_frames % NOISE_EVERY:
-            return False
-        self.hear(detection.residual)
         if not 0 <= detection.t_ns - self._compared_ns <= COMPARE_NS:
             self._compared_ns = detection.t_ns
             np.subtract(detection.baseline, self._baseline, out=self._moved)
@@ -70,6 +66,10 @@ class PlateModel:
             # By less a frame shows no difference, and neither does a position.
             if float(flat.dot(flat)) > DRIFTED * detection.noise_energy:
                 self.set_baseline(detection.baseline)
+        self._untouched_frames += 1
+        if self._untouched_frames % NOISE_EVERY:
+            return False
+        self.hear(detection.residual)
         return True
 
     def hear(self, residual: Signal) -> None:
