@@ -50,7 +50,7 @@ install_all() {
     "$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))' || fail "$python is older than 3.11"
     "$python" -c 'import ensurepip, venv' 2>/dev/null || fail "$python has no venv: apt install python3-venv"
 
-    # Made anew beside the old one, and then put in its place: an installation that fails leaves the old one.
+    # Built beside the old one, then put in its place: an installation that fails leaves the old one.
     local new=$root$prefix.new
     rm -rf "$new"
     "$python" -m venv "$new"

@@ -226,7 +226,7 @@ class Subscriber(Generic[E]):
         if now == last:
             return False
         self._seen[source] = now
-        # The bus never sends an older message again, so a counter that fell belongs to a daemon started anew.
+        # The bus never sends an older message again, so a counter that fell belongs to a restarted daemon.
         if last is not None and event.seq > last[0]:
             self.lost[event.type] += event.seq - last[0] - 1
         return True

@@ -29,11 +29,6 @@ class Outcome(IntEnum):
     INFERRED = 9
     """The network ran."""
 
-    @property
-    def measured(self) -> bool:
-        """Whether the frame says anything of the plate as it is now."""
-        return self > Outcome.LEARNING
-
 
 SKIPPED = {
     Outcome.LEARNING: "learning", Outcome.UNTOUCHED: "gate", Outcome.FAINT: "faint", Outcome.STILL: "still",

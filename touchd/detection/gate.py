@@ -23,7 +23,7 @@ _CHANGED = 1.25
 class Gate:
     """Opens while the residual holds more energy than the noise explains.
 
-    The cube root of an energy (a sum of squares) is very nearly normal, whatever its degrees of
+    The cube root of an energy (a sum of squares) is very nearly normal, for any degrees of
     freedom (Wilson and Hilferty, PNAS 17:684, 1931). So the mean and the deviation of that root over
     untouched frames give the threshold for a stated false-alarm rate a frame, for white noise and for
     coloured noise (trigger jitter, interference) alike.

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from touchd.frame import Counts
 
 LASTING_FRAMES = 3
-"""So many equal frames in a row are no coincidence, even where the noise is a hundredth of a count: some of a channel's
+"""Three equal frames in a row are no coincidence, even where the noise is a hundredth of a count: some of a channel's
 samples change from frame to frame."""
 
 Channels = NDArray[np.bool_]

@@ -56,6 +56,7 @@ class AtlasLocalizer:
         self._plate = PlateModel(atlas)
         self._noise, self._drift = self._plate.noise, self._plate.drift
         self._pursuit = Pursuit(atlas, GaussNewton(atlas))  # of its own: its frame stays while others are fitted
+        self._field_rms = math.sqrt(self._pursuit.mean_energy)
         self._search = MultitouchSearch(self._solver, self._pursuit, self._noise)
         self._classifier = Classifier(atlas, self._noise)
         self._prediction = Prediction()
@@ -180,7 +181,7 @@ class AtlasLocalizer:
         self._departure = self._classifier.departure
         make = self._touch_maker.touch
         # Change of the signal, as a share of its size, by a finger of amplitude 1.
-        change = math.sqrt(self._pursuit.mean_energy / self._drift.signal_energy)
+        change = self._field_rms / self._plate.signal_rms
         return tuple(
             [
                 make(*position_mm, sigma_mm, confidence, amplitude * change)
@@ -215,9 +216,9 @@ class AtlasLocalizer:
 
     def _is_ambiguous(self, bins: Bins, fit: Fit) -> bool:
         """Return whether a finger elsewhere leaves as little as noise: coloured noise resembles one."""
-        noise = (1 + CRITERIA.noise_spread) * self._noise.noise_energy
+        ceiling = self._noise.ceiling
         return any(
-            other.residual_energy < noise and math.dist(other.positions_mm[0], fit.positions_mm[0]) > AMBIGUOUS_MM
+            other.residual_energy < ceiling and math.dist(other.positions_mm[0], fit.positions_mm[0]) > AMBIGUOUS_MM
             for other in self._fit_candidates(bins)
         )
 

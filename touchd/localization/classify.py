@@ -25,7 +25,6 @@ from operator import mul
 from typing import NamedTuple
 
 from touchd.localization.atlas import Atlas
-from touchd.localization.fit_criteria import CRITERIA
 from touchd.localization.gauss_newton import Fit, sigmas_mm
 from touchd.localization.noise import NoiseModel
 from touchd.localization.prediction import LONGEST_STEP_MM
@@ -190,7 +189,7 @@ class Classifier:
         """Return the standard error of each position: by noise, by the field's error, and by what the fit leaves."""
         noise = self._noise
         missed = noise.mean_error * sum(map(mul, sizes, sizes)) / 2
-        left = max(fit.residual_energy - (1 + CRITERIA.noise_spread) * noise.noise_energy, 0.0) / noise.active_bins
+        left = max(fit.residual_energy - noise.ceiling, 0.0) / noise.active_bins
         error = WELL_KNOWN * self._field_scale * missed + UNUSUAL * max(left - TYPICAL * missed, 0.0)
         return sigmas_mm(fit.fisher_information, noise.variance + error)
 

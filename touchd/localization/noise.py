@@ -82,6 +82,8 @@ class NoiseModel:
     """0 for each value left out, 1 for the others, shape (size,); None if all are in use."""
     noise_energy: float
     """Mean noise energy of a frame, counts squared."""
+    ceiling: float
+    """Noise energy that one frame seldom exceeds: the mean and `noise_spread` of it, counts squared."""
     variance: float
     """Noise variance of a value, scaled to how far it moves a position, counts squared."""
     min_signal_energy: float
@@ -128,6 +130,7 @@ class NoiseModel:
         self.mask = None if values.all() else values.astype(dtype)
         self.active_bins = max(int(values.sum()), 1)
         self.noise_energy = float(self._bin_power.power[values].sum())
+        self.ceiling = (1 + CRITERIA.noise_spread) * self.noise_energy
         self.variance = self._noise_scale * self.noise_energy / self.active_bins
         self.min_signal_energy = SIGNIFICANT * self.noise_energy / self.active_bins
         self.mean_error = float(self._error[live].mean())
@@ -149,7 +152,7 @@ class NoiseModel:
 
     def excess(self, residual_energy: float, signal: float) -> float:
         """Return what a fit leaves beyond what noise may have, as a share of the signal's energy."""
-        return (residual_energy - (1 + CRITERIA.noise_spread) * self.noise_energy) / signal
+        return (residual_energy - self.ceiling) / signal
 
     def _compare(self, bins: Array) -> None:
         """Average the squared cosine between successive noise frames: its mean is one over the number of shapes."""

@@ -6,6 +6,8 @@ that the atlas was learned on.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -82,6 +84,8 @@ class PlateModel:
         """Compare the untouched plate, (channels, samples), with the one that the atlas was learned on."""
         np.copyto(self._baseline, baseline)
         self.drift.set_baseline(baseline)
+        self.signal_rms = math.sqrt(self.drift.signal_energy)
+        """Root of the energy of the untouched plate's bins, counts."""
         self._select()
 
     def set_channels(self, live: NDArray[np.bool_]) -> None:

@@ -16,7 +16,7 @@ from touchd.tracking.one_euro import OneEuro
 _NOTHING: list[Contact] = []
 _NEVER = 1e9  # mm: finite, as the assignment asks
 _DEAD_SIGMAS = 1.5
-"""Movement within so many standard errors is none."""
+"""The dead band is at least this many standard errors wide."""
 
 
 class _Track:

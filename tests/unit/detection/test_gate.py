@@ -71,7 +71,7 @@ def test_slow_change() -> None:
 
 
 @given(st.floats(3, 1e4), st.floats(0, 300), st.integers(0, 2**31))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50, deadline=None, derandomize=True)  # a statistic: by chance a few in a thousand fail
 def test_end_of_a_tone(tone: float, decay_frames: float, seed: int) -> None:
     """When a tone ends, at once or slowly, the gate is soon as sensitive as before, and reports the step."""
     energies = np.random.default_rng(seed).chisquare(SAMPLES, 3000)
