@@ -114,12 +114,6 @@ class BaselineSettings(_Section):
     absorb_s: float = Field(
         30.0, gt=0, description="A change that lasts this long becomes part of the baseline, and is reported, s."
     )
-    drift_below_db: float = Field(
-        -50.0, lt=0, description="Without a finger, a change below this share of the signal is drift and followed, dB."
-    )
-    unsteady_s: float = Field(
-        1.0, gt=0, description="A change without a finger that never repeats for this long is noise, and is learned, s."
-    )
 
 
 class GateSettings(_Section):
@@ -246,10 +240,6 @@ class LogSettings(_Section):
 class RealtimeSettings(_Section):
     """What makes latency steadier. docs/integrator.md has the measured benefit, and the settings of systemd's unit."""
 
-    lock_memory: bool = Field(
-        False, description="Keep the daemon's memory from being swapped out; needs LimitMEMLOCK= of the unit."
-    )
-    freeze_gc: bool = Field(True, description="Exempt what is loaded at the start from Python's garbage collection.")
     awake_from_hz: float = Field(
         500.0, ge=0, description="Frame rate from which the processors may not sleep between frames while a finger is "
         "on the plate, Hz, if the system permits it; 0 always lets them sleep.",
@@ -260,6 +250,10 @@ RETIRED = {
     "realtime.cpus": "CPUAffinity= in a drop-in of the systemd unit",
     "realtime.fifo_priority": "CPUSchedulingPolicy=fifo and CPUSchedulingPriority= in a drop-in of the systemd unit",
     "realtime.nice": "Nice= in a drop-in of the systemd unit",
+    "realtime.lock_memory": "MemorySwapMax=0 in a drop-in of the systemd unit",
+    "realtime.freeze_gc": "nothing: the daemon always exempts what it loads at the start",
+    "baseline.drift_below_db": "nothing: -50 dB always",
+    "baseline.unsteady_s": "nothing: 1 s always",
 }
 """Keys that earlier versions had, and what took their place. They are accepted and ignored, with a warning."""
 

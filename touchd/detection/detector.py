@@ -24,6 +24,8 @@ from touchd.outcome import Outcome
 
 LATE_FRAMES = 32
 """A frame numbered at most this much lower than the last one is a repetition; a lower number is a device restart."""
+DRIFT_SHARE = 1e-5
+"""Without a finger, a change below this share of the signal's energy is drift, and the baseline follows it."""
 TURN_EVERY = 16
 """Stuck channels: the detector watches another channel after every 16th untouched frame, and after every touched one,
 since a stuck channel holds a finger."""
@@ -106,7 +108,6 @@ class Detector:
         self._baseline.configure(settings.baseline)
         self._relearn.configure(settings.baseline)
         self.gate.configure(settings.gate)
-        self._drift_share = 10 ** (settings.baseline.drift_below_db / 10)
 
     def reset(self) -> None:
         """Relearn the plate from the next frame on, which may have any number: the device was away."""
@@ -167,8 +168,8 @@ class Detector:
             return
         self._stuck.turn()
         finger, energy = found or alive, detection.energy
-        if not finger and energy < self._drift_share * self._signal_energy:
-            # Less than any finger does: the plate has drifted while it was touched.
+        if not finger and energy < DRIFT_SHARE * self._signal_energy:
+            # The plate has drifted while it was touched.
             self._baseline.follow()
             self.followed_ns = detection.t_ns
         reason = self._relearn.update(

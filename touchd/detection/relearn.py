@@ -28,6 +28,8 @@ _NOISE_ABOVE = 1.5
 """The change is noise while successive frames differ by more than this share; independent frames differ by 2."""
 _LOOK_NS = 50_000_000
 """A tracked finger is compared with its reference this often: what stays does so for seconds."""
+_UNSTEADY_NS = 1_000_000_000
+"""A change without a finger that never repeats for this long is noise."""
 _LIFTED_FRAMES = 3
 """One odd frame during a press must not cost the baseline."""
 
@@ -48,7 +50,6 @@ class Relearn:
     def configure(self, settings: BaselineSettings) -> None:
         """Take other times; a change already on the plate keeps its age."""
         self._absorb_ns = round(settings.absorb_s * 1e9)
-        self._unsteady_ns = round(settings.unsteady_s * 1e9)
 
     def reset(self) -> None:
         """Start with the next frame: the gate has closed."""
@@ -94,7 +95,7 @@ class Relearn:
             return Reason.LIFTED
         if t_ns - self._same_since_ns >= self._absorb_ns:
             return Reason.ABSORBED
-        if t_ns - self._noise_since_ns >= self._unsteady_ns:
+        if t_ns - self._noise_since_ns >= _UNSTEADY_NS:
             return Reason.NOISE
         return None
 

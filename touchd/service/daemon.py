@@ -142,7 +142,6 @@ def run(
         if manager.watchdog_s:
             # The manager kills a daemon that hangs by SIGABRT: the log then has a traceback, of function names alone.
             faulthandler.enable()
-        realtime.apply(settings.realtime)
         model = load_model(settings)
         source = stack.enter_context(closing(open_source(choice, settings, model)))
         with realtime.giving_way() if choice.speed == math.inf else nullcontext():
@@ -163,7 +162,7 @@ def run(
             reload_on_hangup(service)
         if preroll is not None:
             save_on_signal(preroll)
-        realtime.freeze(settings.realtime)
+        realtime.freeze()
         if await_subscriber_s:
             bus.wait_for_subscriber(await_subscriber_s, stopped=lambda: service.stopped)
         service.run()

@@ -1,42 +1,20 @@
-"""Real-time settings that systemd's unit cannot make: memory, the garbage collector, the bus's thread.
+"""What makes latency steady and systemd's unit cannot set: the garbage collector, the bus's thread.
 
 Processors, scheduling and niceness are the unit's: deploy/realtime.conf. docs/integrator.md has what each brings.
 """
 
 from __future__ import annotations
 
-import ctypes
 import gc
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-import structlog
 
-from touchd.config.schema import RealtimeSettings
-
-_MCL_CURRENT, _MCL_FUTURE = 1, 2
-
-log = structlog.get_logger()
-
-
-def apply(settings: RealtimeSettings) -> None:
-    """Lock the memory of this process if the settings ask for it. If the system refuses, log that and run without."""
-    if not settings.lock_memory:
-        return
-    libc = ctypes.CDLL(None, use_errno=True)
-    if libc.mlockall(_MCL_CURRENT | _MCL_FUTURE):
-        log.warning(
-            "a real-time setting is refused", setting="realtime.lock_memory", reason=os.strerror(ctypes.get_errno()),
-            fix="permit it in the unit: LimitMEMLOCK=infinity, see deploy/realtime.conf",
-        )  # fmt: skip
-
-
-def freeze(settings: RealtimeSettings) -> None:
+def freeze() -> None:
     """Exempt all objects made so far from garbage collection. Call it once everything is loaded."""
-    if settings.freeze_gc:
-        gc.collect()
-        gc.freeze()
+    gc.collect()
+    gc.freeze()
 
 
 @contextmanager

@@ -8,7 +8,6 @@ rounds of each one's percentile, and of the ratio to the round without beside it
 
 from __future__ import annotations
 
-import json
 import os
 import subprocess
 import sys
@@ -31,14 +30,12 @@ from touchd.twin.simulate import simulate_scene
 ROUNDS = 3
 PERCENTILES = (50, 99, 99.9)
 ORDINARY = os.sched_getaffinity(0)
-SETTINGS: dict[str, tuple[Callable[[], None], dict[str, object]]] = {
-    "CPUSchedulingPolicy=fifo": (lambda: os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(10)), {}),
-    "Nice=-10": (lambda: os.setpriority(os.PRIO_PROCESS, 0, -10), {}),
-    "CPUAffinity=": (lambda: os.sched_setaffinity(0, {max(ORDINARY)}), {}),
-    "lock_memory = true": (lambda: None, {"lock_memory": True}),
-    "freeze_gc = false": (lambda: None, {"freeze_gc": False}),
+SETTINGS: dict[str, Callable[[], None]] = {
+    "CPUSchedulingPolicy=fifo": lambda: os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(10)),
+    "Nice=-10": lambda: os.setpriority(os.PRIO_PROCESS, 0, -10),
+    "CPUAffinity=": lambda: os.sched_setaffinity(0, {max(ORDINARY)}),
 }
-"""What the unit does before it starts the daemon, and the daemon's own settings."""
+"""What the unit does before it starts the daemon."""
 
 
 @contextmanager
@@ -62,11 +59,8 @@ def as_the_unit(prepare: Callable[[], None]) -> Iterator[None]:
     yield
 
 
-def delays_us(
-    recording: Path, folder: str, prepare: Callable[[], None], settings: dict[str, object]
-) -> NDArray[np.float64]:
+def delays_us(recording: Path, folder: str, prepare: Callable[[], None]) -> NDArray[np.float64]:
     """How long after each frame was due its message was here."""
-    variables = {f"TOUCHD_REALTIME__{key.upper()}": json.dumps(value) for key, value in settings.items()}
     address = f"ipc://{folder}/bus"
     options = ("--replay", recording, "--bind", address, "--await-subscriber", PATIENCE_S)
     delays: list[float] = []
@@ -75,7 +69,7 @@ def delays_us(
     with (
         Subscriber(address, ("touch",), PATIENCE_S) as events,
         as_the_unit(prepare),
-        started(*options, **variables) as daemon,
+        started(*options) as daemon,
     ):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(90))
         os.sched_setaffinity(0, ORDINARY)
@@ -101,10 +95,10 @@ def main() -> None:
             with_us: list[NDArray[np.float64]] = []
             without_us: list[NDArray[np.float64]] = []
             for _ in range(ROUNDS):
-                for found, (prepare, chosen) in ((without_us, (lambda: None, {})), (with_us, setting)):
+                for found, prepare in ((without_us, lambda: None), (with_us, setting)):
                     subscriber = os.fork()
                     if subscriber == 0:
-                        delays = delays_us(recording, folder, prepare, chosen)
+                        delays = delays_us(recording, folder, prepare)
                         np.save(f"{folder}/delays.npy", np.percentile(delays, PERCENTILES))
                         os._exit(0)
                     os.waitpid(subscriber, 0)

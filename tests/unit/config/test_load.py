@@ -205,8 +205,8 @@ class TestRetired:
 
     def test_beside_other_keys(self, tmp_path: Path) -> None:
         """The rest of its table counts, and mistakes there are still mistakes."""
-        path = toml(tmp_path, "[realtime]\nnice = 'any'\nfreeze_gc = false\n")
-        assert not load(path).realtime.freeze_gc
+        path = toml(tmp_path, "[realtime]\nnice = 'any'\nawake_from_hz = 0\n")
+        assert load(path).realtime.awake_from_hz == 0
         assert mistake(toml(tmp_path, "[realtime]\nnice = 5\nnicer = 5\n")).where == f"{path}: realtime.nicer"
 
     def test_overrides_stay_as_they_were(self) -> None:

@@ -130,7 +130,7 @@ def run(task: Task) -> None:
     preroll = PreRoll(source.acquisition, real_hz, lambda: meta, settings.preroll)
     clocked = Clocked(preroll, most_frames)
     service = make_service(source, [bus], settings, model, preroll=clocked)
-    realtime.freeze(settings.realtime)
+    realtime.freeze()
     ready_ns = time.monotonic_ns()
     bus.wait_for_subscriber(task.patience_s)
     service.run()
