@@ -102,7 +102,7 @@ def make_atlas(field: Field) -> Atlas:
 
 
 def in_double(atlas: Atlas) -> Atlas:
-    """The same atlas; whatever is computed with it is computed in float64."""
+    """The same atlas in float64, as is all that is computed with it."""
     return replace(
         atlas, coefficients=atlas.coefficients.astype(np.float64), baseline=atlas.baseline.astype(np.float64),
         error=atlas.error.astype(np.float64),

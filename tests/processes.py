@@ -51,7 +51,7 @@ def touchd(*arguments: object, cwd: Path = ROOT, patience_s: float = PATIENCE_S,
 
 @contextmanager
 def started(*arguments: object, **variables: str) -> Iterator[subprocess.Popen[str]]:
-    """Run touchd beside the test; it is ended with the test whatever happens."""
+    """Run touchd beside the test; it always ends with the test."""
     process = subprocess.Popen(
         command(*arguments), stdout=subprocess.PIPE, stderr=subprocess.PIPE, stdin=subprocess.DEVNULL, text=True,
         cwd=ROOT, env=environment(**variables),

@@ -22,7 +22,7 @@ def touch(seq: int, t_ns: int = 0, device: str = "plate") -> TouchEvent:
 
 
 class Wire:
-    """A publisher that sends whatever it is told to."""
+    """A publisher of given messages."""
 
     def __init__(self) -> None:
         self.context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()

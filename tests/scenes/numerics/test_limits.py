@@ -1,7 +1,7 @@
-"""Inputs at the limits: never a number that is none, never a place outside the plate, never a wrong touch.
+"""Inputs at the limits: never NaN, never a position outside the plate, never a wrong touch.
 
-Wrong is every published contact farther than 5 mm from all fingers, or without any finger, whatever it says of
-its confidence: what is published has passed the threshold.
+A published contact farther than 5 mm from all fingers, or without any finger, is wrong at any confidence: it has passed
+the threshold.
 """
 
 from __future__ import annotations

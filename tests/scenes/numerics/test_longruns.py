@@ -1,4 +1,4 @@
-"""Whatever is carried on from frame to frame stays within bounds for ever: 1e8 updates, 2^32 frames, a year."""
+"""State that is carried from frame to frame stays within bounds: over 1e8 updates, 2^32 frames, a year."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`make ghosts`: hours of what is no finger, through the whole pipeline: every contact that is none is told of.
+"""`make ghosts`: hours of scenes without fingers through the pipeline; each contact found is reported.
 
 Each of five scenes is played for an hour in pieces of a minute, no two alike: noise, trigger jitter, rates of drift,
 tones, drops and palms differ. Frames come block by block and are not kept. What was found in a piece is told as soon as

@@ -109,7 +109,7 @@ class Scenario:
         self._done("unplugged", up_ms=up_ms)
 
     def comes_back(self) -> None:
-        """The device is found again, by itself."""
+        """The device is found again."""
         self._plug()
         self._done("replugged")
 

@@ -1,4 +1,4 @@
-"""A DAQ in memory, and a source on it that is closed whatever happens."""
+"""A DAQ in memory, and a source on it that is always closed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whatever happens to the device, the source says so, and looks for it again; its thread never fails in silence."""
+"""The source reports all that happens to the device, and looks for it again; its thread never fails in silence."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ from touchd.recording.format import write
 
 
 class World:
-    """A folder with whatever is wrong in it."""
+    """A folder with files that are wrong in every way."""
 
     def __init__(self, folder: Path, good: Path) -> None:
         self.folder = folder
@@ -123,7 +123,7 @@ CASES: dict[str, tuple[type[TouchdError], Arguments, tuple[str, ...]]] = {
         replay(lambda w: w.broken(sequence=np.array([{}] * 40, object))),
         ("sequence",),
     ),
-    "a number that is none": (
+    "a word for a number": (
         errors.RecordingValues,
         replay(lambda w: w.broken(temperature_c=np.full(40, np.nan, np.float32))),
         ("temperature_c", "frame 0"),
@@ -134,7 +134,7 @@ CASES: dict[str, tuple[type[TouchdError], Arguments, tuple[str, ...]]] = {
         ("timestamp_ns",),
     ),
     "a missing model": (errors.ModelMissing, bound("--model", "nowhere.onnx"), ("nowhere.onnx",)),
-    "a model that is none": (
+    "no model": (
         errors.ModelInvalid,
         lambda w: ("--replay", w.good, "--model", w.file("bad.onnx", "hello")),
         ("bad.onnx",),
@@ -149,7 +149,7 @@ CASES: dict[str, tuple[type[TouchdError], Arguments, tuple[str, ...]]] = {
         bound("--bind", "tcp://0.0.0.0:5570"),
         ("tcp://0.0.0.0:5570", "keygen"),
     ),
-    "an address that is none": (errors.BusError, bound("--bind", "tcp://127.0.0.1:99999"), ("tcp://127.0.0.1:99999",)),
+    "no address": (errors.BusError, bound("--bind", "tcp://127.0.0.1:99999"), ("tcp://127.0.0.1:99999",)),
     "nobody who listens": (
         errors.BusTimeout,
         lambda w: ("--replay", w.good, "--bind", f"ipc://{w.folder}/bus", "--await-subscriber", "0.01"),

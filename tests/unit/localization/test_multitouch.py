@@ -137,7 +137,7 @@ def test_clock_steps_back_in_vain() -> None:
 
 
 def test_prune() -> None:
-    """A finger that explains next to nothing is none."""
+    """A finger that explains next to nothing is dropped."""
     rig = Rig()
     bins = bins_of(FIELD.frame(FOUR[:2], DEVIATION, 1))
     signal = bins.energy - rig.noise.noise_energy

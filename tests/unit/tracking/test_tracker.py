@@ -76,7 +76,7 @@ def test_least_total_distance(before: list[tuple[float, float]], after: list[tup
 
 
 def test_single_frame() -> None:
-    """A finger seen in a single frame is none."""
+    """A finger seen in a single frame is not reported."""
     stroke = Stroke()
     stroke.feed(at(50, 60))
     stroke.feed(frames=5)

@@ -1,4 +1,4 @@
-"""Where the benchmark's processes run, and the bus by itself."""
+"""Where the benchmark's processes run, and the bare bus."""
 
 from __future__ import annotations
 

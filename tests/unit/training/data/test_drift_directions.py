@@ -1,4 +1,4 @@
-"""In what directions the untouched plate moves by itself."""
+"""The directions in which the untouched plate moves."""
 
 from __future__ import annotations
 
