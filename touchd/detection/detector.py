@@ -136,12 +136,10 @@ class Detector:
         outcome, changed = _TOUCHED, False
         if not gate.decide(energy):
             outcome, changed = _UNTOUCHED, gate.update(energy)
-        views = baseline.signal, baseline.residual, baseline.mean, self._live
-        if changed or lost:
-            return Detection(
-                outcome, frame.t_ns, energy, gate.noise_root, gate.noise_deviation, *views, changed, None, lost
-            )
-        return Detection(outcome, frame.t_ns, energy, gate.noise_root, gate.noise_deviation, *views)
+        return Detection(
+            outcome, frame.t_ns, energy, gate.noise_root, gate.noise_deviation, baseline.signal, baseline.residual,
+            baseline.mean, self._live, changed, None, lost,
+        )  # fmt: skip
 
     def adapt(self, detection: Detection, found: bool, departure: bool, alive: bool) -> None:
         """Follow, freeze or relearn the baseline, by what came of a measured frame.
