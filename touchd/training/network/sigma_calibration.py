@@ -69,8 +69,8 @@ def calibrate_sigma(network: PositionNetwork, augmenter: Augmenter, residual: Te
     # Quantiles of few touches make steps, on which a descent ends: search around the best again, and keep the best.
     for size in SIMPLEX_SIZES:
         simplex = best.x + size * np.array([[-1.0, -1.0], [1.0, 0.0], [0.0, 1.0]])
-        options = {"xatol": 1e-3, "fatol": 1e-7, "initial_simplex": simplex}
-        best = min(best, minimize(cost, best.x, method="Nelder-Mead", options=options), key=lambda found: found.fun)
+        found = minimize(cost, best.x, method="Nelder-Mead", options={"initial_simplex": simplex})
+        best = min(best, found, key=lambda result: result.fun)
     with torch.no_grad():
         network.log_error.bias.add_(torch.from_numpy(np.clip(best.x, -np.log(MOST), np.log(MOST))))
 
