@@ -55,6 +55,8 @@ class Fit(Struct, gc=False, frozen=True):
     the noise variance of a value is the covariance of the positions in mm^2."""
     residual_energy: float
     """Energy that the fingers do not explain, ADC counts squared."""
+    shapes: list[list[complex]] = []
+    """Of each finger the further amplitudes of `contact_model`: slope along the band, u_xx, u_yy, u_xy; [] of points."""
 
 
 def no_fit(energy: float) -> Fit:
