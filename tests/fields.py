@@ -10,7 +10,7 @@ from scipy.ndimage import spline_filter1d
 from touchd.frame import Acquisition, Plate
 from touchd.localization.atlas import Atlas, AtlasDescription
 from touchd.localization.features import windowed_dft
-from touchd.localization.gauss_newton import Bins
+from touchd.localization.fit import Bins
 
 RIG = Acquisition(channels=4, samples=250, sample_rate_hz=250e3)
 PLATE = Plate(width_mm=120, height_mm=90)

@@ -18,8 +18,9 @@ from touchd.keypad import Layout
 from touchd.localization.atlas import Atlas
 from touchd.localization.classify import Classifier
 from touchd.localization.estimator import Estimator, TouchMaker
+from touchd.localization.fit import Bins, Fit, no_fit
 from touchd.localization.fit_criteria import CRITERIA
-from touchd.localization.gauss_newton import STILL_MM, Bins, Fit, GaussNewton, no_fit
+from touchd.localization.gauss_newton import STILL_MM, GaussNewton
 from touchd.localization.localization import UNTOUCHED, Localization
 from touchd.localization.model import Model
 from touchd.localization.multitouch import MultitouchSearch
@@ -143,6 +144,7 @@ class AtlasLocalizer:
         else:
             inferred = True
             fit = self._begin(detection, bins, signal)
+        fit = self._solver.with_shapes(bins, fit, noise.noise_energy)
         excess = noise.excess(fit.residual_energy, signal)
         if search.is_due(excess, signal):
             # Only one well explained finger can wait for what may be beside it; of several, or after a change, one may

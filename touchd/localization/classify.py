@@ -25,7 +25,7 @@ from operator import mul
 from typing import NamedTuple
 
 from touchd.localization.atlas import Atlas
-from touchd.localization.gauss_newton import Fit, sigmas_mm
+from touchd.localization.fit import Fit, sigmas_mm
 from touchd.localization.noise import NoiseModel
 from touchd.localization.prediction import LONGEST_STEP_MM
 from touchd.localization.spline import Position

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.localization.atlas import Array, Atlas
-from touchd.localization.gauss_newton import Bins, Fit
+from touchd.localization.fit import Bins, Fit
 from touchd.localization.spline import Position
 
 LONGEST_STEP_MM = 2.0
@@ -117,6 +117,13 @@ class ContactModel:
         left = (self._complex(bins.vector) - amplitudes @ columns).reshape(self._shape[0], 1, self._shape[2])
         return np.concatenate([left.real, left.imag], axis=1).reshape(-1)
 
+    def size_mm2(self, fit: Fit) -> float:
+        """Return the largest second-order amplitude over z in a fit, mm^2: the moment of a contact's face."""
+        return max(
+            max(map(abs, second)) / max(abs(z), 1e-30)
+            for z, (_, *second) in zip(fit.amplitudes, fit.shapes, strict=True)
+        )
+
     def _columns(self, rows: Sequence[Complex]) -> Complex:
         """Return the fields of the five amplitudes of each contact, shape (5 c, size)."""
         return np.concatenate([[one[_U], one[_U] * self._band, one[_XX], one[_YY], one[_XY]] for one in rows])
@@ -143,8 +150,8 @@ class ContactModel:
         of_x, of_y = (self._weights(part) for part in (across - column, down - row))
         weights = np.array([np.multiply.outer(of_y[j], of_x[i]).ravel() for i, j in _DERIVATIVES])
         near = self._nodes[row - 1 : row + 3, column - 1 : column + 3].reshape(16, -1)
-        found = weights.astype(near.real.dtype) @ near
-        return found if mask is None else found * mask
+        found: Complex = weights.astype(near.real.dtype) @ near
+        return found if mask is None else np.asarray(found * mask)
 
     def _weights(self, t: float) -> NDArray[np.float64]:
         """Return the weights of four nodes for the value and three derivatives, shape (4, 4)."""
@@ -153,8 +160,7 @@ class ContactModel:
 
     def _inside(self, x_mm: float, y_mm: float) -> Position:
         x, y = (
-            min(max(at, low), high)
-            for at, low, high in zip((x_mm, y_mm), self._low_mm, self._high_mm, strict=True)
+            min(max(at, low), high) for at, low, high in zip((x_mm, y_mm), self._low_mm, self._high_mm, strict=True)
         )
         return x, y
 

@@ -36,6 +36,10 @@ class FitCriteria:
     """The same for five standard deviations."""
     faint: float = 6.0
     """Below this multiple of the noise energy the network may see a finger at a wrong position."""
+    most_size_mm2: float = 12.0
+    """A contact with a larger second moment is no finger. Thumbs have up to 7 (twin)."""
+    shape_gain: float = 40.0
+    """A shape has to explain this many times the noise of a value: its eight numbers explain 8 of noise alone."""
     merged_mm: float = 4.0
     """Two fingers closer than this are one."""
 

@@ -12,10 +12,12 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from msgspec import Struct
 from numpy.typing import NDArray
 
 from touchd.localization.atlas import Array, Atlas
+from touchd.localization.contact_model import ContactModel
+from touchd.localization.fit import Bins, Fit, no_fit
+from touchd.localization.fit_criteria import CRITERIA
 from touchd.localization.spline import Position, Spline
 
 LONGEST_STEP_MM = 3.0
@@ -23,45 +25,8 @@ LONGEST_STEP_MM = 3.0
 STILL_MM = 0.2
 """After a shorter step the next one, of second order, would be less than 0.01 mm in 95 of 100 cases (twin)."""
 _DAMPING = 1e-3
+_SHAPE_STEPS = 4
 _I = np.complex64(1j)
-
-Matrix = Sequence[Sequence[float]]
-
-
-class Bins(Struct, gc=False, frozen=True):
-    """The bins of one frame, as the solver takes them."""
-
-    vector: Array
-    """Shape (channels * 2 * bins,), ADC counts; zero where the mask is."""
-    mask: Array | None
-    """0 for each value left out, 1 for the others; None if all are in use."""
-    energy: float
-    """Of the vector, counts squared."""
-
-    def copy(self) -> Bins:
-        """Return bins that stay valid after the frame."""
-        return Bins(self.vector.copy(), self.mask, self.energy)
-
-
-class Fit(Struct, gc=False, frozen=True):
-    """Fingers that explain a frame."""
-
-    positions_mm: list[Position]
-    amplitudes: list[complex]
-    energies: list[float]
-    """|z u|^2 of each finger, ADC counts squared."""
-    fisher_information: Matrix
-    """Re(J^H J) with the amplitudes projected out, for x and y of each finger in turn, 2c rows of 2c: its inverse times
-    the noise variance of a value is the covariance of the positions in mm^2."""
-    residual_energy: float
-    """Energy that the fingers do not explain, ADC counts squared."""
-    shapes: list[list[complex]] = []
-    """Of each finger the further amplitudes of `contact_model`: slope along the band, u_xx, u_yy, u_xy; [] of points."""
-
-
-def no_fit(energy: float) -> Fit:
-    """Return the fit of no fingers, which leaves all energy unexplained."""
-    return Fit([], [], [], (), energy)
 
 
 class GaussNewton:
@@ -85,6 +50,7 @@ class GaussNewton:
         halves = rows.reshape(8, -1)
         self._fields, self._columns, self._value = halves[:6], halves.T, halves[:2]
         self._spline = Spline(atlas, self._field)
+        self._contacts = ContactModel(atlas)
         self._gram = np.zeros((6, 8), dtype)
         self._turn = np.zeros((2, 2), dtype)
         self._left, self._part = np.zeros((2, n // 2), dtype), np.zeros((2, n // 2), dtype)
@@ -166,6 +132,21 @@ class GaussNewton:
         energies = [abs(amplitude) ** 2 * norm for amplitude, norm in zip(z.tolist(), norms, strict=True)]
         return Fit(at, amplitudes.tolist(), energies, information.tolist(), max(float(left), 0.0))
 
+    def with_shapes(self, bins: Bins, fit: Fit, noise_energy: float) -> Fit:
+        """Return a fit of contacts with a size and a shape, where points leave more than the field's own error.
+
+        A shape that no finger has, or that explains no more than noise, is not accepted: the fit then stays as it is.
+        """
+        signal = bins.energy - noise_energy
+        if not fit.positions_mm or fit.residual_energy - noise_energy <= CRITERIA.enough * signal:
+            return fit
+        variance = noise_energy / len(bins.vector)
+        shaped = self._contacts.fit(bins, fit.positions_mm, variance, _SHAPE_STEPS)
+        moved_mm = max(map(math.dist, shaped.positions_mm, fit.positions_mm))
+        gained = fit.residual_energy - shaped.residual_energy
+        is_finger = moved_mm < CRITERIA.merged_mm and self._contacts.size_mm2(shaped) < CRITERIA.most_size_mm2
+        return shaped if is_finger and gained > CRITERIA.shape_gain * variance else fit
+
     def _gram_of(self, positions_mm: Sequence[Position]) -> tuple[list[Position], NDArray[np.complex128]]:
         """Return the raster points, and the complex products of u, then u_x, then u_y of all fingers.
 
@@ -203,6 +184,8 @@ class GaussNewton:
 
     def residual(self, bins: Bins, fit: Fit) -> Array:
         """Return what a fit leaves of the bins, shape (channels * 2 * bins,); valid until the next call."""
+        if fit.shapes:
+            return self._contacts.residual(bins, fit)
         self._load(bins)
         left, turn = self._left, self._turn
         left[...] = self._known.reshape(2, -1)
@@ -257,25 +240,3 @@ class GaussNewton:
         right_y = z * (ryrd + iyid) + z_i * (ryid - iyrd) - power * uy
         along_x, along_y = complex(ux / uu, ux_i / uu), complex(uy / uu, uy_i / uu)
         return complex(z, z_i), a, b, c, right_x, right_y, power * uu, along_x, along_y
-
-
-def sigmas_mm(fisher_information: Matrix, variance: float) -> list[float]:
-    """Return each finger's standard error per axis, mm: the root mean square over both axes.
-
-    Parameters
-    ----------
-    fisher_information : matrix
-        Of a `Fit`.
-    variance : float
-        Of the noise of a value, counts squared.
-    """
-    if len(fisher_information) == 2:
-        (a, b), (_, c) = fisher_information
-        det = a * c - b * b
-        return [math.sqrt(variance * (a + c) / (2 * det))] if det > 0 else [math.inf]
-    try:
-        spread = np.linalg.inv(np.array(fisher_information)).diagonal().tolist()
-    except np.linalg.LinAlgError:
-        return [math.inf] * (len(fisher_information) // 2)
-    pairs = [variance * (x + y) / 2 for x, y in zip(spread[::2], spread[1::2], strict=True)]
-    return [math.sqrt(pair) if pair > 0 else math.inf for pair in pairs]

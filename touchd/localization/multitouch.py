@@ -8,10 +8,12 @@ from collections.abc import Generator
 import numpy as np
 from msgspec.structs import replace
 
+from touchd.localization.fit import Bins, Fit, no_fit
 from touchd.localization.fit_criteria import CRITERIA
-from touchd.localization.gauss_newton import Bins, Fit, GaussNewton, no_fit
+from touchd.localization.gauss_newton import GaussNewton
 from touchd.localization.noise import NoiseModel
 from touchd.localization.pursuit import Pursuit, apart_mm, is_worth
+from touchd.localization.spline import Position
 
 FITS_A_SECOND = 1250.0
 """A search may take this many fits per second of the frames' time: a fit costs about a fifth of a millisecond."""
@@ -121,7 +123,7 @@ class MultitouchSearch:
                 break
             dropped.append(weakest)
             others = [position for k, position in enumerate(fit.positions_mm) if k != weakest]
-            fit = self._solver.fit_several(bins, others, _STEPS)
+            fit = self._fit(bins, others)
         return fit, dropped
 
     def _all(self, bins: Bins, fit: Fit, signal: float, *, tracked: bool) -> Generator[float, None, Found]:
@@ -142,7 +144,7 @@ class MultitouchSearch:
         if known and (known != count or len(found.positions_mm) == count):
             return fit, count  # fingers have come or gone meanwhile, or nothing was found
         positions_mm = [*(fit.positions_mm if known else []), *found.positions_mm[known:]]
-        now = self._solver.fit_several(bins, positions_mm, _STEPS)
+        now = self._fit(bins, positions_mm)
         if apart_mm(now) > CRITERIA.merged_mm and is_worth(now, fit, self._noise.noise_energy):
             return now, known
         return fit, count
@@ -168,10 +170,18 @@ class MultitouchSearch:
                 break
             others = [j for j in range(len(fit.positions_mm)) if j != k]
             rest = replace(
-                fit, positions_mm=[fit.positions_mm[j] for j in others], amplitudes=[fit.amplitudes[j] for j in others]
+                fit,
+                positions_mm=[fit.positions_mm[j] for j in others],
+                amplitudes=[fit.amplitudes[j] for j in others],
+                shapes=[fit.shapes[j] for j in others] if fit.shapes else [],
             )
             left = self._solver.residual(bins, rest)
             remains = float(left @ left) - self._noise.plate_energy(left) - noise_energy
             if remains < max(fit.residual_energy - noise_energy, 0.0) / CRITERIA.worth + noise_energy / 4:
-                fit = self._solver.fit_several(bins, rest.positions_mm, _STEPS)
+                fit = self._fit(bins, rest.positions_mm)
         return fit
+
+    def _fit(self, bins: Bins, positions_mm: list[Position]) -> Fit:
+        """Fit contacts of unknown shape from positions nearby."""
+        fit = self._solver.fit_several(bins, positions_mm, _STEPS)
+        return self._solver.with_shapes(bins, fit, self._noise.noise_energy)

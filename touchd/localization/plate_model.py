@@ -15,7 +15,7 @@ from touchd.detection.baseline import Signal
 from touchd.detection.detector import Detection
 from touchd.localization.atlas import Array, Atlas
 from touchd.localization.drift import Drift
-from touchd.localization.gauss_newton import Bins
+from touchd.localization.fit import Bins
 from touchd.localization.noise import NoiseModel
 
 COMPARE_NS = 1_000_000_000

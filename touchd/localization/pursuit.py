@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.localization.atlas import Array, Atlas
+from touchd.localization.fit import Bins, Fit
 from touchd.localization.fit_criteria import CRITERIA
-from touchd.localization.gauss_newton import Bins, Fit, GaussNewton
+from touchd.localization.gauss_newton import GaussNewton
 from touchd.localization.spline import Position
 
 MOST_FINGERS = 5
@@ -20,6 +21,8 @@ SCAN_MM = 5.0
 _CANDIDATES = 3
 _BLOCKS, _BLOCK_COST = 6, 0.7
 """A scan runs in 6 blocks, each of which takes as long as 0.7 fits."""
+_SHAPED_COST = 4.0
+"""Cost in fits of one of points and one with shapes."""
 _COLD_COST, _REST_COST = 0.3, 0.5
 """Cost in fits of the first block's cache misses, and of the steps before and after a scan."""
 _APART_MM = 7.0
@@ -126,8 +129,9 @@ class Pursuit:
                 more = _different([one for one in more if apart_mm(one) > limit.merged_mm])[:width]
                 beam = []
                 for one in more:
-                    beam.append(solver.fit_several(bins, one.positions_mm, _STEPS))
-                    yield 1.0
+                    points = solver.fit_several(bins, one.positions_mm, _STEPS)
+                    beam.append(solver.with_shapes(bins, points, noise_energy))
+                    yield _SHAPED_COST
                 beam = [one for one in beam if apart_mm(one) > limit.merged_mm]  # some may have merged since
                 beam.sort(key=_residual_energy)
                 if beam and is_worth(beam[0], best, noise_energy):

@@ -10,7 +10,8 @@ from numpy.typing import DTypeLike
 
 from touchd.detection.baseline import Signal
 from touchd.localization.atlas import Array, Atlas
-from touchd.localization.gauss_newton import Bins, Fit, GaussNewton, sigmas_mm
+from touchd.localization.fit import Bins, Fit, sigmas_mm
+from touchd.localization.gauss_newton import GaussNewton
 
 STILL_MM = 0.05
 """A finger that moves less than this from one frame to the next may rest."""

@@ -19,7 +19,8 @@ from tests.scenes.numerics import reference
 from touchd.config.schema import BaselineSettings
 from touchd.detection.baseline import Baseline
 from touchd.localization.atlas import Atlas
-from touchd.localization.gauss_newton import Bins, GaussNewton
+from touchd.localization.fit import Bins
+from touchd.localization.gauss_newton import GaussNewton
 from touchd.localization.model import Model, default_model_path
 from touchd.recording.data import Recording
 from touchd.twin.electronics import Electronics

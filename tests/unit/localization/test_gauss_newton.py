@@ -23,7 +23,8 @@ from tests.fields import (
     look_up,
     make_atlas,
 )
-from touchd.localization.gauss_newton import STILL_MM, Fit, GaussNewton, sigmas_mm
+from touchd.localization.fit import Fit, sigmas_mm
+from touchd.localization.gauss_newton import STILL_MM, GaussNewton
 from touchd.localization.spline import PER_CELL
 
 FIELD = Field()

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from tests.fields import Field, Finger, bins_of, make_atlas
-from touchd.localization.gauss_newton import STILL_MM, Bins, Fit, GaussNewton, no_fit
+from touchd.localization.fit import Bins, Fit, no_fit
+from touchd.localization.gauss_newton import STILL_MM, GaussNewton
 from touchd.localization.multitouch import FITS_A_SECOND, FITS_AT_ONCE, MultitouchSearch
 from touchd.localization.noise import NoiseModel
 from touchd.localization.pursuit import Pursuit

@@ -1,0 +1,72 @@
+"""What the solvers take and return: the bins of a frame, and the fingers that explain them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from msgspec import Struct
+
+from touchd.localization.atlas import Array
+from touchd.localization.spline import Position
+
+Matrix = Sequence[Sequence[float]]
+
+
+class Bins(Struct, gc=False, frozen=True):
+    """The bins of one frame, as the solver takes them."""
+
+    vector: Array
+    """Shape (channels * 2 * bins,), ADC counts; zero where the mask is."""
+    mask: Array | None
+    """0 for each value left out, 1 for the others; None if all are in use."""
+    energy: float
+    """Of the vector, counts squared."""
+
+    def copy(self) -> Bins:
+        """Return bins that stay valid after the frame."""
+        return Bins(self.vector.copy(), self.mask, self.energy)
+
+
+class Fit(Struct, gc=False, frozen=True):
+    """Fingers that explain a frame."""
+
+    positions_mm: list[Position]
+    amplitudes: list[complex]
+    energies: list[float]
+    """|z u|^2 of each finger, ADC counts squared."""
+    fisher_information: Matrix
+    """Re(J^H J) with the amplitudes projected out, for x and y of each finger in turn, 2c rows of 2c: its inverse times
+    the noise variance of a value is the covariance of the positions in mm^2."""
+    residual_energy: float
+    """Energy that the fingers do not explain, ADC counts squared."""
+    shapes: list[list[complex]] = []
+    """Of each finger what `contact_model` adds: slope along the band, u_xx, u_yy, u_xy; [] of points."""
+
+
+def no_fit(energy: float) -> Fit:
+    """Return the fit of no fingers, which leaves all energy unexplained."""
+    return Fit([], [], [], (), energy)
+
+
+def sigmas_mm(fisher_information: Matrix, variance: float) -> list[float]:
+    """Return each finger's standard error per axis, mm: the root mean square over both axes.
+
+    Parameters
+    ----------
+    fisher_information : matrix
+        Of a `Fit`.
+    variance : float
+        Of the noise of a value, counts squared.
+    """
+    if len(fisher_information) == 2:
+        (a, b), (_, c) = fisher_information
+        det = a * c - b * b
+        return [math.sqrt(variance * (a + c) / (2 * det))] if det > 0 else [math.inf]
+    try:
+        spread = np.linalg.inv(np.array(fisher_information)).diagonal().tolist()
+    except np.linalg.LinAlgError:
+        return [math.inf] * (len(fisher_information) // 2)
+    pairs = [variance * (x + y) / 2 for x, y in zip(spread[::2], spread[1::2], strict=True)]
+    return [math.sqrt(pair) if pair > 0 else math.inf for pair in pairs]
