@@ -143,9 +143,9 @@ class GaussNewton:
         variance = noise_energy / len(bins.vector)
         shaped = self._contacts.fit(bins, fit.positions_mm, variance, _SHAPE_STEPS)
         moved_mm = max(map(math.dist, shaped.positions_mm, fit.positions_mm))
-        gained = fit.residual_energy - shaped.residual_energy
         is_finger = moved_mm < CRITERIA.merged_mm and self._contacts.size_mm2(shaped) < CRITERIA.most_size_mm2
-        return shaped if is_finger and gained > CRITERIA.shape_gain * variance else fit
+        limit = CRITERIA.shape_worth * (fit.residual_energy - noise_energy) - CRITERIA.shape_noise * variance
+        return shaped if is_finger and shaped.residual_energy - noise_energy < limit else fit
 
     def _gram_of(self, positions_mm: Sequence[Position]) -> tuple[list[Position], NDArray[np.complex128]]:
         """Return the raster points, and the complex products of u, then u_x, then u_y of all fingers.

@@ -12,7 +12,7 @@ from touchd.localization.fit import Bins, Fit, no_fit
 from touchd.localization.fit_criteria import CRITERIA
 from touchd.localization.gauss_newton import GaussNewton
 from touchd.localization.noise import NoiseModel
-from touchd.localization.pursuit import Pursuit, apart_mm, is_worth
+from touchd.localization.pursuit import Pursuit, are_merged, is_worth
 from touchd.localization.spline import Position
 
 FITS_A_SECOND = 1250.0
@@ -145,7 +145,7 @@ class MultitouchSearch:
             return fit, count  # fingers have come or gone meanwhile, or nothing was found
         positions_mm = [*(fit.positions_mm if known else []), *found.positions_mm[known:]]
         now = self._fit(bins, positions_mm)
-        if apart_mm(now) > CRITERIA.merged_mm and is_worth(now, fit, self._noise.noise_energy):
+        if not are_merged(now) and is_worth(now, fit, self._noise.noise_energy):
             return now, known
         return fit, count
 

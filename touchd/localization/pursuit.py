@@ -126,13 +126,13 @@ class Pursuit:
                         more.append(solver.fit_several(bins, [*one.positions_mm, candidate.position_mm], _FIRST_STEPS))
                         yield 1.0
                 more.sort(key=_residual_energy)
-                more = _different([one for one in more if apart_mm(one) > limit.merged_mm])[:width]
+                more = _different([one for one in more if not are_merged(one)])[:width]
                 beam = []
                 for one in more:
                     points = solver.fit_several(bins, one.positions_mm, _STEPS)
                     beam.append(solver.with_shapes(bins, points, noise_energy))
                     yield _SHAPED_COST
-                beam = [one for one in beam if apart_mm(one) > limit.merged_mm]  # some may have merged since
+                beam = [one for one in beam if not are_merged(one)]  # some may have since
                 beam.sort(key=_residual_energy)
                 if beam and is_worth(beam[0], best, noise_energy):
                     best, in_vain = beam[0], 0
@@ -180,7 +180,14 @@ def is_worth(fit: Fit, other: Fit, noise_energy: float) -> bool:
     more = len(fit.positions_mm) - len(other.positions_mm)
     if not other.positions_mm or more <= 0:
         return fit.residual_energy < other.residual_energy
-    return fit.residual_energy - noise_energy < CRITERIA.worth**more * (other.residual_energy - noise_energy)
+    # Where fewer have no plausible shape the field itself is in doubt, and the shapes of more explain its errors too.
+    power = 2 * more if fit.shapes and not other.shapes else more
+    return fit.residual_energy - noise_energy < CRITERIA.worth**power * (other.residual_energy - noise_energy)
+
+
+def are_merged(fit: Fit) -> bool:
+    """Return whether two contacts of a fit are one."""
+    return apart_mm(fit) <= (CRITERIA.shapes_apart_mm if fit.shapes else CRITERIA.merged_mm)
 
 
 def apart_mm(fit: Fit) -> float:
