@@ -159,8 +159,10 @@ class ContactModel:
         return np.asarray(powers @ _BSPLINE / self._step_mm ** np.arange(4)[:, None])
 
     def _inside(self, x_mm: float, y_mm: float) -> Position:
+        # Written so that NaN becomes a corner instead of an index.
         x, y = (
-            min(max(at, low), high) for at, low, high in zip((x_mm, y_mm), self._low_mm, self._high_mm, strict=True)
+            at if low < at < high else high if at >= high else low
+            for at, low, high in zip((x_mm, y_mm), self._low_mm, self._high_mm, strict=True)
         )
         return x, y
 

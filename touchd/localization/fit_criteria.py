@@ -39,8 +39,8 @@ class FitCriteria:
     most_size_mm2: float = 12.0
     """A contact with a larger second moment is no finger. Thumbs have up to 7 (twin)."""
     shape_worth: float = 0.4
-    """A shape has to leave less than this share of what a point leaves. A finger's leaves 0.02 to 0.15 of it; at an edge,
-    where the field is badly known, a point's own leaves 0.5 to 0.8 (twin)."""
+    """A shape has to leave less than this share of what a point leaves. A finger's leaves 0.02 to 0.15 of it; at an
+    edge, where the field is badly known, a point's own leaves 0.5 to 0.8 (twin)."""
     shape_noise: float = 16.0
     """And as much less, in variances of a value's noise: its eight numbers explain 8 of noise alone."""
     shapes_apart_mm: float = 9.0
