@@ -168,7 +168,8 @@ class Instrument:
         for sizes, equal in alike.items():
             rows = list(equal.values())
             # Limit the group, so that the products of modes stay in cache and memory.
-            for some in np.array_split(np.arange(len(rows)), math.ceil(len(rows) * (sum(sizes) + 5) ** 2 / 2000)):
+            groups = min(len(rows), math.ceil(len(rows) * (sum(sizes) + 5) ** 2 / 2000))
+            for some in np.array_split(np.arange(len(rows)), groups):
                 part = [i for k in some for i in rows[k]]
                 spectrum = self.response.change([split[i] for i in part], scale[part])
                 spectrum *= (chebyshev.weights(scale[part], self._node_scale) @ self._emission)[:, None, :]

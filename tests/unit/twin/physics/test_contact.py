@@ -91,3 +91,11 @@ def test_together(instrument: Instrument) -> None:
     for k, touch in enumerate(touches):
         np.testing.assert_allclose(every[k], instrument.change([touch], warm[k : k + 1])[0], atol=1e-12)
     assert not every[2].any()
+
+
+def test_hand(instrument: Instrument) -> None:
+    """Five thumbs at once, fifty coupled forces, are no more than one by one where they are far apart and light."""
+    hand = [Contact(30.0 + 35.0 * k, 30.0 + 30.0 * k, 120.0, "thumb", 1.2, 0.2 * k) for k in range(5)]
+    every = instrument.change([hand], np.array([22.0]))[0]
+    alone = sum(instrument.change([[contact]], np.array([22.0]))[0] for contact in hand)
+    assert 0.05 < np.linalg.norm(every - alone) / np.linalg.norm(alone) < 1
