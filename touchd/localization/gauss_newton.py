@@ -12,6 +12,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from touchd.localization.atlas import Array, Atlas
@@ -132,10 +133,11 @@ class GaussNewton:
         energies = [abs(amplitude) ** 2 * norm for amplitude, norm in zip(z.tolist(), norms, strict=True)]
         return Fit(at, amplitudes.tolist(), energies, information.tolist(), max(float(left), 0.0))
 
-    def with_shapes(self, bins: Bins, fit: Fit, noise_energy: float) -> Fit:
+    def with_shapes(self, bins: Bins, fit: Fit, noise_energy: float, worth: float = CRITERIA.shape_worth) -> Fit:
         """Return a fit of contacts with a size and a shape, where points leave more than the field's own error.
 
-        A shape that no finger has, or that explains no more than noise, is not accepted: the fit then stays as it is.
+        The fit stays as it is unless its contacts get shapes that fingers have, and these leave less than the share
+        `worth` of what points leave, and explain more than noise.
         """
         signal = bins.energy - noise_energy
         if not fit.positions_mm or fit.residual_energy - noise_energy <= CRITERIA.enough * signal:
@@ -144,8 +146,10 @@ class GaussNewton:
         shaped = self._contacts.fit(bins, fit.positions_mm, variance, _SHAPE_STEPS)
         moved_mm = max(map(math.dist, shaped.positions_mm, fit.positions_mm))
         is_finger = moved_mm < CRITERIA.merged_mm and self._contacts.size_mm2(shaped) < CRITERIA.most_size_mm2
-        limit = CRITERIA.shape_worth * (fit.residual_energy - noise_energy) - CRITERIA.shape_noise * variance
-        return shaped if is_finger and shaped.residual_energy - noise_energy < limit else fit
+        limit = worth * (fit.residual_energy - noise_energy) - CRITERIA.shape_noise * variance
+        if not is_finger or not shaped.residual_energy - noise_energy < limit:
+            return fit
+        return replace(shaped, points_energy=fit.residual_energy)
 
     def _gram_of(self, positions_mm: Sequence[Position]) -> tuple[list[Position], NDArray[np.complex128]]:
         """Return the raster points, and the complex products of u, then u_x, then u_y of all fingers.

@@ -130,7 +130,8 @@ class Pursuit:
                 beam = []
                 for one in more:
                     points = solver.fit_several(bins, one.positions_mm, _STEPS)
-                    beam.append(solver.with_shapes(bins, points, noise_energy))
+                    # While fingers are missing no shape explains all, but each leaves the next finger clearer.
+                    beam.append(solver.with_shapes(bins, points, noise_energy, 1.0))
                     yield _SHAPED_COST
                 beam = [one for one in beam if not are_merged(one)]  # some may have since
                 beam.sort(key=_residual_energy)
@@ -180,9 +181,14 @@ def is_worth(fit: Fit, other: Fit, noise_energy: float) -> bool:
     more = len(fit.positions_mm) - len(other.positions_mm)
     if not other.positions_mm or more <= 0:
         return fit.residual_energy < other.residual_energy
-    # Where fewer have no plausible shape the field itself is in doubt, and the shapes of more explain its errors too.
-    power = 2 * more if fit.shapes and not other.shapes else more
-    return fit.residual_energy - noise_energy < CRITERIA.worth**power * (other.residual_energy - noise_energy)
+    left = other.residual_energy - noise_energy
+    if fit.shapes and not other.shapes:
+        # Fewer have no plausible shape: as points more explain it, or the field is in doubt, and the shapes of more
+        # explain its errors too.
+        if fit.points_energy - noise_energy < CRITERIA.worth**more * left:
+            return True
+        more *= 2
+    return fit.residual_energy - noise_energy < CRITERIA.worth**more * left
 
 
 def are_merged(fit: Fit) -> bool:
