@@ -1,6 +1,6 @@
-"""Write the pages that are made from the code: settings, command line, exit codes and the shipped model's scores.
+"""Write the pages made from code and data: settings, command line, exit codes, scores, tables of the measured pages.
 
-`python docs/generate.py` writes what is stale. With `--check` it only names it, and exits with 1 if there is any.
+`python -m docs.generate` writes what is stale. With `--check` it only names it, and exits with 1 if there is any.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from pathlib import Path
 import onnx
 from click.testing import CliRunner
 
+from docs.tables import BLOCKS
 from touchd import errors
 from touchd.cli import main as cli
 from touchd.config import render as configtext
@@ -38,7 +39,16 @@ def pages() -> dict[Path, str]:
         readme: with_block(readme.read_text(), "results", results()),
         MODELS / "README.md": model_cards((MODELS / "README.md").read_text()),
         troubleshooting: with_block(troubleshooting.read_text(), "exit-codes", exit_codes()),
+        **{page: measured(page) for page in BLOCKS},
     }
+
+
+def measured(page: Path) -> str:
+    """Return a measured page with the tables of its data files filled in."""
+    text = page.read_text()
+    for block in BLOCKS[page]:
+        text = with_block(text, block.__name__, block())
+    return text
 
 
 def command_line() -> str:
@@ -153,7 +163,7 @@ def main(arguments: list[str]) -> int:
             print(f"{path.relative_to(ROOT)} is stale: run make docs", file=sys.stderr)
         return 1 if stale else 0
     if arguments:
-        print("usage: python docs/generate.py [--check]", file=sys.stderr)
+        print("usage: python -m docs.generate [--check]", file=sys.stderr)
         return 2
     for path, text in pages().items():
         if path in stale:

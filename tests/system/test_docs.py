@@ -88,7 +88,7 @@ def subclasses(cls: type[TouchdError]) -> Iterator[type[TouchdError]]:
 
 
 def test_generated_pages_are_current() -> None:
-    check = subprocess.run([sys.executable, DOCS / "generate.py", "--check"], capture_output=True, text=True)
+    check = subprocess.run([sys.executable, "-m", "docs.generate", "--check"], cwd=ROOT, capture_output=True, text=True)
     assert check.returncode == 0, check.stderr
 
 
