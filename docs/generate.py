@@ -62,10 +62,27 @@ def command_line() -> str:
         "[configuration](configuration.md). `--help` prints these texts. Each failure has an",
         "[exit status](troubleshooting.md#exit-status) of its own.",
     ]
+    daemon, _ = help_of("").split("\nVerbs:\n")  # each verb has a section
+    shared = set(options(daemon))
     for verb in ("", *sorted(cli.VERBS)):
-        title = f"touchd {verb}".rstrip()
-        lines += ["", f"## {title}", "", "```text", help_of(verb), "```"]
+        text = shortened(help_of(verb), shared) if verb else daemon.rstrip()
+        lines += ["", f"## touchd {verb}".rstrip(), "", "```text", text, "```"]
     return "\n".join(lines) + "\n"
+
+
+def options(text: str) -> list[str]:
+    """Return the entries of a help text's options, each with its continued lines."""
+    return re.findall(r"^ {2}-.*\n(?: {5,}.*\n)*", text + "\n", re.MULTILINE)
+
+
+def shortened(text: str, shared: set[str]) -> str:
+    """Return a verb's help with the options that mean the same for the daemon named only."""
+    meanings = {" ".join(entry.split()) for entry in shared}
+    same = [entry for entry in options(text) if " ".join(entry.split()) in meanings]
+    for entry in same:
+        text = text.replace(entry, "")
+    names = ", ".join(entry.split()[0] for entry in same)
+    return text.rstrip() + (f"\n  As above: {names}" if same else "")
 
 
 def help_of(verb: str) -> str:
@@ -75,7 +92,7 @@ def help_of(verb: str) -> str:
     if result.exit_code:
         raise SystemExit(f"touchd {verb} --help fails: {result.exception!r}")
     lines = (line.rstrip() for line in result.output.rstrip().splitlines())
-    return "\n".join(line for line in lines if not line.lstrip().startswith("-h, --help"))
+    return "\n".join(line for line in lines if not line.lstrip().startswith("-h, --help")) + "\n"
 
 
 def exit_codes() -> str:

@@ -42,8 +42,7 @@ def command(
 ) -> None:
     """Repeat the source paper's experiments on the digital twin, or on RECORDING, and write a report.
 
-    The report compares regression and grids in both domains, the keypad, kNN, GCC and the shipped models with the
-    paper's figures. It takes about an hour on two cores. A repeated command resumes a stopped run.
+    It takes about an hour on two cores. A repeated command resumes a stopped run.
     """
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
