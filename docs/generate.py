@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 import sys
@@ -32,12 +33,14 @@ SCORES = {"rmse_mm": "RMSE", "median_mm": "median", "p95_mm": "95th percentile"}
 def pages() -> dict[Path, str]:
     """Return every generated file with the text it shall have."""
     readme, troubleshooting = ROOT / "README.md", ROOT / "docs" / "troubleshooting.md"
+    protocol = ROOT / "docs" / "usb-protocol.md"
     return {
         ROOT / "docs" / "configuration.md": configtext.markdown(),
         ROOT / "docs" / "cli.md": command_line(),
         ROOT / "deploy" / "touchd.toml": configtext.render(Settings()),
         readme: with_block(readme.read_text(), "results", results()),
         MODELS / "README.md": model_cards((MODELS / "README.md").read_text()),
+        protocol: with_block(protocol.read_text(), "vectors", vectors()),
         troubleshooting: with_block(troubleshooting.read_text(), "exit-codes", exit_codes()),
         **{page: measured(page) for page in BLOCKS},
     }
@@ -93,6 +96,21 @@ def help_of(verb: str) -> str:
         raise SystemExit(f"touchd {verb} --help fails: {result.exception!r}")
     lines = (line.rstrip() for line in result.output.rstrip().splitlines())
     return "\n".join(line for line in lines if not line.lstrip().startswith("-h, --help")) + "\n"
+
+
+def vectors() -> str:
+    """Return the test vectors of the USB protocol: each short one whole, of the long one the header."""
+    kinds = json.loads((ROOT / "tests" / "vectors.json").read_text())
+    titles = {"info": "GET_INFO", "status": "GET_STATUS", "frames": "Frames", "corrupt": "What must not pass"}
+    lines = []
+    for kind, title in titles.items():
+        lines += ["", f"{title}{': each is the frame ramp with one mistake' if kind == 'corrupt' else ''}"]
+        for vector in kinds[kind]:
+            shown = vector["hex"] if len(vector["hex"]) <= 200 else vector["hex"][:64]
+            says = [vector.get("name") or vector.get("geometry"), vector.get("says"), vector.get("crc32")]
+            lines += [f"  {': '.join(filter(None, says))}"] * any(says)
+            lines += [f"    {shown[at : at + 96]}" for at in range(0, len(shown), 96)]
+    return "\n".join(["```text", *lines[1:], "```"])
 
 
 def exit_codes() -> str:

@@ -12,16 +12,19 @@ from touchd.training.report import template
 
 TEMPLATE = Path(__file__).with_name("page.md.j2")
 ESTIMATOR = ("estimator", "p50 us", "p99.9 us", "x bare", "median mm", "p95 mm", "missed")
-DAEMON = ("scene", "frames/s", "ends at", "p50 us", "p99.9 us", "CPU", "frames/CPU s", "MB")
+DAEMON = ("scene", "frames/s", "ends at", "p50 us", "p99.9 us", "CPU", "frames/CPU s")
+VARIANTS = ("regression, rfft", "regression, DFT in the graph", "regression, float64", "grid10", "keypad", "time")
+"""Estimators that only the terminal and the stored run show."""
 
 
 def page(run: Run, pictures: str) -> str:
     """Return the page of a run, with its plots in the folder `pictures` beside it."""
-    shown = run.model_copy(update={"daemon": _decisive(run)})
+    estimators = tuple(one for one in run.estimators if one.name not in VARIANTS)
+    shown = run.model_copy(update={"daemon": _decisive(run), "estimators": estimators})
     return template.render(
-        TEMPLATE, run=run, pictures=pictures, times=_times, awake_from_hz=RealtimeSettings().awake_from_hz,
+        TEMPLATE, run=run, shown=shown, pictures=pictures, times=_times, awake_from_hz=RealtimeSettings().awake_from_hz,
         has_latency=any(cell.rate_hz for cell in run.daemon),
-        budgets=_markdown(tables.budget_table(run)), estimators=_markdown(tables.estimator_table(run), ESTIMATOR),
+        budgets=_markdown(tables.budget_table(run)), estimators=_markdown(tables.estimator_table(shown), ESTIMATOR),
         daemon=_markdown(tables.daemon_table(shown), DAEMON), skips=_markdown(tables.skip_table(run)),
     )  # fmt: skip
 
