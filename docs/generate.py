@@ -27,6 +27,8 @@ MODEL = MODELS / "regression.onnx"
 CARD = ("n", "rmse_mm", "mean_mm", "sd_mm", "median_mm", "p95_mm", "max_mm", "within_sigma", "confident", "accuracy",
         "key_to_key_errors")  # fmt: skip
 WIDTH = 100
+SHOWN, WHOLE = ("full", "status", "ramp", "wrap"), 200
+"""Test vectors on the page, and the hex digits up to which one is whole there."""
 SCORES = {"rmse_mm": "RMSE", "median_mm": "median", "p95_mm": "95th percentile"}
 
 
@@ -85,6 +87,7 @@ def shortened(text: str, shared: set[str]) -> str:
     for entry in same:
         text = text.replace(entry, "")
     names = ", ".join(entry.split()[0] for entry in same)
+    text = text.replace(", from the list below.", ".").split("\n  Recipes:\n")[0]  # the plate maker's page lists them
     return text.rstrip() + (f"\n  As above: {names}" if same else "")
 
 
@@ -95,22 +98,24 @@ def help_of(verb: str) -> str:
     if result.exit_code:
         raise SystemExit(f"touchd {verb} --help fails: {result.exception!r}")
     lines = (line.rstrip() for line in result.output.rstrip().splitlines())
-    return "\n".join(line for line in lines if not line.lstrip().startswith("-h, --help")) + "\n"
+    text = "\n".join(line for line in lines if not line.lstrip().startswith("-h, --help")) + "\n"
+    return text.removeprefix(f"Usage: touchd {verb} [OPTIONS]\n\n")  # says nothing
 
 
 def vectors() -> str:
-    """Return the test vectors of the USB protocol: each short one whole, of the long one the header."""
+    """Return the test vectors that the protocol's checklist names, and what the others test."""
     kinds = json.loads((ROOT / "tests" / "vectors.json").read_text())
-    titles = {"info": "GET_INFO", "status": "GET_STATUS", "frames": "Frames", "corrupt": "What must not pass"}
     lines = []
-    for kind, title in titles.items():
-        lines += ["", f"{title}{': each is the frame ramp with one mistake' if kind == 'corrupt' else ''}"]
+    for kind in ("info", "status", "frames"):
         for vector in kinds[kind]:
-            shown = vector["hex"] if len(vector["hex"]) <= 200 else vector["hex"][:64]
-            says = [vector.get("name") or vector.get("geometry"), vector.get("says"), vector.get("crc32")]
-            lines += [f"  {': '.join(filter(None, says))}"] * any(says)
-            lines += [f"    {shown[at : at + 96]}" for at in range(0, len(shown), 96)]
-    return "\n".join(["```text", *lines[1:], "```"])
+            name = vector.get("name", vector.get("geometry", kind))
+            if name in SHOWN:
+                shown = vector["hex"] if len(vector["hex"]) <= WHOLE else vector["hex"][:64]
+                says = [vector.get("says"), f"CRC {vector['crc32']}" if "crc32" in vector else None]
+                lines.append(": ".join([f"{kind}, {name}", *filter(None, says)]))
+                lines += [f"    {shown[at : at + 96]}" for at in range(0, len(shown), 96)]
+    wrong = ", ".join(f"`{vector['name']}`" for vector in kinds["corrupt"])
+    return "\n".join(["```text", *lines, "```", "", f"What must not pass, each `ramp` with one mistake: {wrong}."])
 
 
 def exit_codes() -> str:

@@ -274,7 +274,7 @@ def test_the_readme_s_subscriber_prints_touches(tmp_path: Path) -> None:
 
 
 RIG = Acquisition(channels=4, samples=250, sample_rate_hz=250e3)
-EXAMPLE = DOCS / "adding-a-source.md"
+EXAMPLE = DOCS / "examples" / "pipe_daemon.py"
 
 
 def frame_bytes(sequence: int) -> bytes:
@@ -286,7 +286,7 @@ def frame_bytes(sequence: int) -> bytes:
 def pipe_source() -> Iterator[tuple[Any, Any]]:
     """The example's source on a pipe, and the pipe's other end."""
     names: dict[str, Any] = {"__name__": "pipe_daemon"}
-    exec(compile(python_block(EXAMPLE), "pipe_daemon.py", "exec"), names)
+    exec(compile(EXAMPLE.read_text(), "pipe_daemon.py", "exec"), names)
     read_end, write_end = os.pipe()
     with open(read_end, "rb", buffering=0) as pipe, open(write_end, "wb", buffering=0) as device:
         yield names["PipeSource"](pipe, RIG), device
@@ -346,7 +346,7 @@ def write_blind_model(path: Path) -> None:
 
 def test_the_example_is_a_whole_daemon(tmp_path: Path) -> None:
     program, model = tmp_path / "pipe_daemon.py", tmp_path / "blind.onnx"
-    program.write_text(python_block(EXAMPLE))
+    program.write_text(EXAMPLE.read_text())
     write_blind_model(model)
     settings = {name: value for name, value in os.environ.items() if not name.upper().startswith("TOUCHD_")}
     with tempfile.TemporaryDirectory(prefix="touchd-") as folder:

@@ -106,8 +106,8 @@ touchd reads the file that `--config` names, or else `/etc/touchd/touchd.toml` i
 over the environment, the environment over the file, the file over the defaults.
 
 The variable of a key is `TOUCHD_TABLE__KEY` in capitals: `TOUCHD_DEVICE__RATE_HZ=500`. A list has commas between its
-items, or is JSON. An empty text unsets a path. A key, table or variable that touchd does not know is an error; a key of
-an earlier version is ignored, with a warning.
+items, or is JSON. A default without a point is a whole number; an empty text unsets a path. A key, table or variable
+that touchd does not know is an error; a key of an earlier version is ignored, with a warning.
 """
 
 
@@ -132,9 +132,17 @@ def markdown() -> str:
         text += f"\n## `[{table}]`\n\n{_summary(table)}\n\n"
         text += "| key | takes | default | meaning |\n|---|---|---|---|\n"
         for key, field in keys:
-            cells = (f"`{key}`", expected(field), f"`{toml_value(field.default, key)}`", field.description or "")
+            cells = (f"`{key}`", _limits(field), f"`{toml_value(field.default, key)}`", field.description or "")
             text += f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |\n"
     return text
+
+
+def _limits(field: FieldInfo) -> str:
+    """Return what a key takes without the kinds that its default shows."""
+    words = expected(field)
+    for kind in ("a whole number", "a number", "a text", "a path or empty", "true or false"):
+        words = words.removeprefix(kind)
+    return words.removeprefix(", ")
 
 
 def _tables() -> Iterator[tuple[str, Iterable[tuple[str, FieldInfo]]]]:
