@@ -130,9 +130,10 @@ def markdown() -> str:
     text = _PAGE_HEAD
     for table, keys in _tables():
         text += f"\n## `[{table}]`\n\n{_summary(table)}\n\n"
-        text += "| key | takes | default | meaning |\n|---|---|---|---|\n"
+        text += "| key | default, range | meaning |\n|---|---|---|\n"
         for key, field in keys:
-            cells = (f"`{key}`", _limits(field), f"`{toml_value(field.default, key)}`", field.description or "")
+            default = ", ".join(filter(None, (f"`{toml_value(field.default, key)}`", _limits(field))))
+            cells = (f"`{key}`", default, field.description or "")
             text += f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |\n"
     return text
 

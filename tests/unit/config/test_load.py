@@ -283,7 +283,7 @@ class TestRender:
             assert len(rows) == 1
             assert str(field.description).replace("|", r"\|") in rows[0]
         assert f"`{variable('device', 'rate_hz')}=500`" in reference
-        assert "| `rate_hz` | 1 to 65535 | `125` |" in reference
+        assert "| `rate_hz` | `125`, 1 to 65535 |" in reference
 
 
 def assert_settings_or_config_error(path: Path) -> None:
