@@ -63,16 +63,23 @@ def command_line() -> str:
         "",
         "<!-- Generated from the commands' own help by docs/generate.py: do not edit. -->",
         "",
-        "To look an option up. `touchd` without a verb is the daemon; its options win over the",
-        "[configuration](configuration.md). `--help` prints these texts. Each failure has an",
+        "To look an option up; `--help` says more. `touchd` without a verb is the daemon, which reads the DAQ unless an",
+        "option names another source; its options win over the [configuration](configuration.md). Each failure has an",
         "[exit status](troubleshooting.md#exit-status) of its own.",
     ]
-    daemon, _ = help_of("").split("\nVerbs:\n")  # each verb has a section
+    daemon = summarised(help_of("").split("\nVerbs:\n")[0])  # each verb has a section
     shared = set(options(daemon))
     for verb in ("", *sorted(cli.VERBS)):
-        text = shortened(help_of(verb), shared) if verb else daemon.rstrip()
+        text = shortened(summarised(help_of(verb)), shared) if verb else daemon.rstrip()
         lines += ["", f"## touchd {verb}".rstrip(), "", "```text", text, "```"]
     return "\n".join(lines) + "\n"
+
+
+def summarised(text: str) -> str:
+    """Return a help text without the paragraphs between its first and the options."""
+    before, rest = text.split("\nOptions:\n")
+    kept = before.split("\n\n")[: 2 if before.startswith("Usage:") else 1]
+    return "\n\n".join(kept).rstrip() + f"\n\nOptions:\n{rest}"
 
 
 def options(text: str) -> list[str]:
