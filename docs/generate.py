@@ -63,9 +63,9 @@ def command_line() -> str:
         "",
         "<!-- Generated from the commands' own help by docs/generate.py: do not edit. -->",
         "",
-        "To look an option up; `--help` says more. `touchd` without a verb is the daemon, which reads the DAQ unless an",
-        "option names another source; its options win over the [configuration](configuration.md). Each failure has an",
-        "[exit status](troubleshooting.md#exit-status) of its own.",
+        "To look an option up; `--help` says more. `touchd` without a verb is the daemon, which reads the DAQ unless",
+        "an option names another source; its options win over the [configuration](configuration.md). Each failure has",
+        "an [exit status](troubleshooting.md#exit-status) of its own.",
     ]
     daemon = summarised(help_of("").split("\nVerbs:\n")[0])  # each verb has a section
     shared = set(options(daemon))
