@@ -18,7 +18,8 @@ from touchd.config.schema import Settings
 def command(ctx: click.Context, path: Path | None, default: bool) -> None:
     """Print the effective configuration as TOML: every key with its value, default, range and meaning.
 
-    An invalid file is reported with all its errors.
+    Environment variables override the configuration file, which overrides the defaults. An invalid file is reported
+    with all its errors.
     """
     settings = Settings() if default else load(path or (ctx.obj or {}).get("config"))
     click.echo(render(settings), nl=False)
