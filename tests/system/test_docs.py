@@ -137,7 +137,8 @@ def test_every_picture_is_shown() -> None:
 
 
 PER_READER = ("integrator", "developer", "plate-maker", "lab")
-WORDS_OF_A_PAGE = 1600
+MEASURED = ("accuracy", "robustness", "benchmarks", "reproduction")
+WORDS_OF_A_PAGE = 1200
 
 
 @pytest.mark.parametrize("reader", PER_READER)
@@ -145,6 +146,14 @@ def test_page_of_a_reader(reader: str) -> None:
     """Each reader's page is linked from the README, and short enough to be read to its end."""
     assert f"(docs/{reader}.md)" in (ROOT / "README.md").read_text()
     assert len((DOCS / f"{reader}.md").read_text().split()) <= WORDS_OF_A_PAGE
+
+
+@pytest.mark.parametrize("name", MEASURED)
+def test_measured_page(name: str) -> None:
+    """A measured page says that no finger on a real plate was measured, and shows only what one decides by."""
+    page = (DOCS / f"{name}.md").read_text()
+    assert re.search(r"\*\*(no|none of a) finger\s+on a\s+real plate", page, re.IGNORECASE)
+    assert len(page.split()) <= WORDS_OF_A_PAGE
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
