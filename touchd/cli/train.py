@@ -69,8 +69,7 @@ def command(
     from touchd.keypad import PHONE, load_layout
     from touchd.recording.format import read
     from touchd.training.data.join import join
-    from touchd.training.report.atlas_report import write_atlas_report
-    from touchd.training.report.network_report import PAGE, remove_report, write_report
+    from touchd.training.report.report import PAGE, remove_report, write_atlas_report, write_report
     from touchd.training.train_atlas import train_atlas
     from touchd.training.train_network import train
 

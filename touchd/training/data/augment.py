@@ -40,13 +40,13 @@ class Bank:
     """Features of tones asynchronous to the chirp, unit norm, shape (m, inputs)."""
     channels: int
     bins: int
-    """Bins per channel; 0 in the time domain, which has no phase."""
+    """Bins per channel."""
     neighbours: Tensor
     """Indices of the nearest touches of each touch, shape (n, k)."""
 
 
 def make_bank(dataset: Dataset, indices: Tensor, generator: torch.Generator, pool: int = 8192) -> Bank:
-    """Build the bank of a dataset's touches with these indices."""
+    """Build the bank of a dataset's touches with these indices, in the frequency domain."""
     a = dataset.acquisition
     features = make_features(dataset.domain, a)
     white = torch.randn((pool, a.channels, a.samples), generator=generator) * dataset.noise
@@ -63,7 +63,7 @@ def make_bank(dataset: Dataset, indices: Tensor, generator: torch.Generator, poo
         noise=_features_of(features, white),
         tones=tones / tones.norm(dim=1, keepdim=True).clamp_min(1e-6),
         channels=a.channels,
-        bins=features.size // a.channels // 2 if dataset.domain == "frequency" else 0,
+        bins=features.size // a.channels // 2,
         neighbours=nearest,
     )
 
@@ -89,11 +89,11 @@ def _tones(count: int, dataset: Dataset, generator: torch.Generator) -> Tensor:
 
 
 class Augmenter:
-    """Draws batches of fingers and non-fingers from a bank and, if given, a synthesiser."""
+    """Draws batches of fingers and non-fingers from a bank and a synthesiser."""
 
-    def __init__(self, bank: Bank, synthesiser: Synthesiser | None, generator: torch.Generator) -> None:
-        self._bank = bank
-        self._synthesiser = synthesiser
+    def __init__(self, bank: Bank, synthesiser: Synthesiser, generator: torch.Generator) -> None:
+        self.bank = bank
+        self.synthesiser = synthesiser
         self._generator = generator
         self._power = bank.noise.square().sum(dim=1).mean()
 
@@ -189,9 +189,9 @@ class Augmenter:
 
     def _palm(self, n: int) -> Tensor:
         """Many adjacent contacts."""
-        centre = self._bank.neighbours[self._draw(n)]
+        centre = self.bank.neighbours[self._draw(n)]
         weight = torch.rand((n, centre.shape[1], 1), generator=self._generator)
-        return (self._bank.residual[centre] * weight).sum(dim=1) * self._log_uniform(n, 0.3, 1.5)
+        return (self.bank.residual[centre] * weight).sum(dim=1) * self._log_uniform(n, 0.3, 1.5)
 
     def _drift(self, n: int) -> Tensor:
         """Temperature, trigger jitter and gains that changed since the baseline was learned."""
@@ -201,7 +201,7 @@ class Augmenter:
 
     def _instrument(self, indices: Tensor, share: float) -> Tensor:
         """Return `share` times a random stretch (deviation 5e-7), delay (0.5 ns) and gain error (5e-4)."""
-        n, bank = len(indices), self._bank
+        n, bank = len(indices), self.bank
         gains = torch.randn((n, bank.channels), generator=self._generator) * 5e-4 * self._uniform(n, 0.0, 1.0)
         gains = gains.repeat_interleave(bank.untouched.shape[1] // bank.channels, dim=1)
         return share * (
@@ -212,18 +212,14 @@ class Augmenter:
 
     def _touches(self, n: int) -> Tensor:
         """Draw recorded and synthetic touches, shape (n, inputs)."""
-        if self._synthesiser is None:
-            return self._bank.residual[self._draw(n)]
         recorded = n // 3
-        drawn, _ = self._synthesiser.draw(n - recorded)
-        mixed = torch.cat([self._bank.residual[self._draw(recorded)], drawn])
+        drawn, _ = self.synthesiser.draw(n - recorded)
+        mixed = torch.cat([self.bank.residual[self._draw(recorded)], drawn])
         return mixed[torch.randperm(n, generator=self._generator)]
 
     def _amplitude(self, residual: Tensor, phase: Tensor, turn: float) -> Tensor:
         """Multiply by a complex amplitude of phase (n, 1), which varies randomly along the band in phase and size."""
-        bank = self._bank
-        if not bank.bins:
-            return residual * torch.where(phase.abs() > torch.pi / 2, -1.0, 1.0)
+        bank = self.bank
         n = len(residual)
         along = torch.linspace(-0.5, 0.5, bank.bins)
         angle = phase + turn * self._symmetric(n) * along
@@ -235,7 +231,7 @@ class Augmenter:
 
     def _channel_mask(self, n: int, share: float) -> Tensor:
         """Return a mask of shape (n, inputs) that silences one channel in this share of the rows."""
-        channels, inputs = self._bank.channels, self._bank.noise.shape[1]
+        channels, inputs = self.bank.channels, self.bank.noise.shape[1]
         if channels < 3:
             return torch.ones((n, inputs))
         dead = torch.randint(channels, (n, 1), generator=self._generator) == torch.arange(channels)
@@ -243,17 +239,17 @@ class Augmenter:
         return mask.repeat_interleave(inputs // channels, dim=1)
 
     def _tone(self, n: int) -> Tensor:
-        return self._bank.tones[torch.randint(len(self._bank.tones), (n,), generator=self._generator)]
+        return self.bank.tones[torch.randint(len(self.bank.tones), (n,), generator=self._generator)]
 
     def _chance(self, n: int, share: float) -> Tensor:
         return (self._uniform(n, 0.0, 1.0) < share).float()
 
     def _noise(self, n: int, level: Tensor) -> Tensor:
-        rows = torch.randint(len(self._bank.noise), (n,), generator=self._generator)
-        return self._bank.noise[rows] * level * torch.where(self._symmetric(n) < 0, -1.0, 1.0)
+        rows = torch.randint(len(self.bank.noise), (n,), generator=self._generator)
+        return self.bank.noise[rows] * level * torch.where(self._symmetric(n) < 0, -1.0, 1.0)
 
     def _draw(self, n: int) -> Tensor:
-        return torch.randint(len(self._bank.residual), (n,), generator=self._generator)
+        return torch.randint(len(self.bank.residual), (n,), generator=self._generator)
 
     def _uniform(self, n: int, low: float, high: float) -> Tensor:
         return low + (high - low) * torch.rand((n, 1), generator=self._generator)

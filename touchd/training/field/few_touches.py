@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 
 from touchd.evaluation.dataset import Dataset
 from touchd.training.data.inspection import degrees_of_freedom
-from touchd.training.field.amplitude import along_band, fit_amplitudes
 from touchd.training.field.dispersion import dispersion_of
-from touchd.training.field.learn import OUTER_ROUNDS, Field, Learner
+from touchd.training.field.learn import OUTER_ROUNDS, Field, Learner, along_band, fit_amplitudes
 from touchd.training.field.regression import Complex, Prior, Touches, each, touches_of
 from touchd.training.field.wave_product import Product, basis_of, product_of
 

@@ -14,7 +14,7 @@ from touchd.evaluation.model_scores import Judgement
 from touchd.keypad import PHONE, load_layout
 from touchd.recording.data import Recording
 from touchd.training.network.recipe import RECIPES
-from touchd.training.report.network_report import findings, page, report_folder, write_folder, write_report
+from touchd.training.report.report import findings, page, report_folder, write_folder, write_report
 from touchd.training.train_network import Result, train
 
 
