@@ -61,9 +61,10 @@ async def connected_here(workers: int) -> AsyncIterator[Client]:
             Client(scheduler.address, asynchronous=True, security=plain, set_as_default=False) as client,
         ):  # fmt: skip
             with ExitStack() as stack:
-                processes = [stack.enter_context(_worker(scheduler.address, folder)) for _ in range(workers)]
-                for process in processes:
-                    stack.callback(process.kill)
+                processes = []
+                for _ in range(workers):
+                    processes.append(stack.enter_context(_worker(scheduler.address, folder)))
+                    stack.callback(processes[-1].kill)
                 while not await client.nthreads():
                     if any(process.poll() is not None for process in processes):
                         raise JobError("a worker process ended as it began", "", "see above, or run with --jobs 1")

@@ -98,19 +98,10 @@ class Augmenter:
         self._power = bank.noise.square().sum(dim=1).mean()
 
     def fingers(self, residual: Tensor, own_noise: Tensor) -> tuple[Tensor, Tensor]:
-        """Vary finger, temperature, noise and channels of touches; return the residuals and their noise.
+        """Vary finger, temperature, noise and channels of touches (n, inputs).
 
-        Parameters
-        ----------
-        residual : tensor of shape (n, inputs)
-        own_noise : tensor of shape (n, 1)
-            Noise deviation of each residual, relative to a recorded frame's.
-
-        Returns
-        -------
-        tensor of shape (n, inputs)
-        tensor of shape (n, 1)
-            Expected noise-to-signal ratio, tones included, by norms.
+        `own_noise`, of shape (n, 1), is the noise deviation of each residual, relative to a recorded frame's. Return
+        residuals and their expected noise-to-signal ratio, tones included, by norms, shape (n, 1).
         """
         n = len(residual)
         phase = FINGER_PHASE * self._symmetric(n)
@@ -135,11 +126,7 @@ class Augmenter:
     def held_out(self, residual: Tensor, level: float) -> tuple[Tensor, Tensor]:
         """Add noise to held-out residuals, half of them with another finger's amplitude; return as `fingers`.
 
-        Parameters
-        ----------
-        residual : tensor of shape (n, inputs)
-        level : float
-            Noise deviation relative to the recording's, at least 1.
+        `level` is the noise deviation relative to the recording's, at least 1.
         """
         n = len(residual)
         another = self._amplitude(residual, FINGER_PHASE * self._symmetric(n), FINGER_TURN)
@@ -162,8 +149,9 @@ class Augmenter:
     def _nothing(self, n: int) -> Tensor:
         """Noise, and tones asynchronous to the chirp."""
         level = self._power.sqrt()
-        several = self._tone(n) + self._tone(n) * self._uniform(n, 0.0, 1.0) * self._chance(n, 0.6)
-        several = several + self._tone(n) * self._uniform(n, 0.0, 1.0) * self._chance(n, 0.3)
+        several = self._tone(n)
+        for share in (0.6, 0.3):
+            several = several + self._tone(n) * self._uniform(n, 0.0, 1.0) * self._chance(n, share)
         tones = several * self._log_uniform(n, 0.1, 100.0) * level
         return self._noise(n, self._uniform(n, 0.5, 2.0)) + tones * self._chance(n, 0.8)
 

@@ -107,15 +107,7 @@ def learn_thoroughly(touches: Touches, wavenumber_per_mm: Floats, progress: Step
 
 
 class Learner:
-    """Learns amplitudes and fields together.
-
-    Parameters
-    ----------
-    touches : Touches
-    prior : Prior
-    progress : callable
-        Receives the steps done and the steps in all.
-    """
+    """Learns amplitudes and fields together; `progress` receives the steps done and the steps in all."""
 
     def __init__(self, touches: Touches, prior: Prior, progress: Step = lambda _done, _all: None) -> None:
         self.take(touches, prior)

@@ -36,15 +36,8 @@ class Placed:
     fisher_information: Floats
     """Re(J^H J) with the amplitude projected out, shape (n, 2, 2), counts squared per mm^2. Its inverse times the noise
     variance of a real feature is the covariance of the position."""
-    residual_energy: Floats
-    """Unexplained energy, counts squared, shape (n,)."""
-    energy: Floats
-    """Energy of the touches, counts squared, shape (n,)."""
-
-    @property
-    def misfit(self) -> Floats:
-        """Share of the energy that is unexplained, shape (n,)."""
-        return self.residual_energy / np.maximum(self.energy, 1e-30)
+    misfit: Floats
+    """Share of the energy that is unexplained, shape (n,)."""
 
 
 class Linearised(NamedTuple):
@@ -112,9 +105,7 @@ def place(atlas: Atlas, values: NDArray[np.complexfloating], start_mm: Floats, s
     return Placed(*(np.concatenate(parts) for parts in zip(*done, strict=True)))
 
 
-def _place(
-    field: FieldMap, values: Complex, position_mm: Floats, steps: int
-) -> tuple[Floats, Complex, Floats, Floats, Floats]:
+def _place(field: FieldMap, values: Complex, position_mm: Floats, steps: int) -> tuple[Floats, Complex, Floats, Floats]:
     for _ in range(steps):
         _, _, gradient, fisher_information = linearise(values, *field.look_up(position_mm))
         damped = fisher_information * (1 + _DAMPING * np.eye(2)) + 1e-30 * np.eye(2)
@@ -123,4 +114,5 @@ def _place(
         move_mm *= np.minimum(1.0, LONGEST_STEP_MM / np.maximum(length_mm, 1e-12))
         position_mm = np.clip(position_mm + move_mm, field.low_mm, field.high_mm)
     amplitude, residual_energy, _, fisher_information = linearise(values, *field.look_up(position_mm))
-    return position_mm, amplitude, fisher_information, residual_energy, np.square(np.abs(values)).sum(axis=1)
+    energy = np.maximum(np.square(np.abs(values)).sum(axis=1), 1e-30)
+    return position_mm, amplitude, fisher_information, residual_energy / energy

@@ -97,18 +97,10 @@ def basis_of(position_mm: Floats, wavenumber_per_mm: float) -> Basis:
 def product_of(
     basis: Basis, values: Complex, amplitude: Complex, noise: float, start: Product | None = None
 ) -> Product:
-    """Fit the product of two waves to the touches of a bin.
+    """Fit the product of two waves to the touches (n, channels) of a bin, ADC counts.
 
-    Parameters
-    ----------
-    basis : Basis
-    values : array, shape (n, channels)
-        Touches in the bin, ADC counts.
-    amplitude : array, shape (n,)
-    noise : float
-        Noise variance of each value.
-    start : Product, optional
-        Product to start from; by default the best of several random starts.
+    `amplitude`, of shape (n,), is that of each touch, `noise` the variance of each value. The fit begins at `start`, by
+    default at the best of several random starts.
     """
     weight = np.maximum(np.square(np.abs(amplitude)), 1e-2)
     unit = values.astype(np.complex128) / amplitude[:, None]

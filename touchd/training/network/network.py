@@ -61,6 +61,7 @@ class Normalise(nn.Module):
 class Network(nn.Module, ABC):
     """The paper's stages, batch normalisation, linear, ReLU, and dropout while training; heads follow `last`."""
 
+    head: nn.Linear
     outputs: tuple[str, ...]
     """Names of what `forward` returns."""
     wants_others = False
@@ -77,9 +78,9 @@ class Network(nn.Module, ABC):
         self.trunk = nn.Sequential(*stages)
         self.last: nn.Module = nn.BatchNorm1d(inputs + more)
 
-    @abstractmethod
     def heads(self) -> tuple[nn.Linear, ...]:
         """Return the layers that `last` feeds."""
+        return (self.head,)
 
     @abstractmethod
     def loss(self, batch: Batch) -> Tensor:
@@ -255,10 +256,6 @@ class PaperNetwork(Network):
         self.head = nn.Linear(widths[-1], 2)
         self.register_buffer("size_mm", torch.tensor(size_mm))
         self.register_buffer("sigma_mm", torch.ones(1, 1))
-
-    def heads(self) -> tuple[nn.Linear, ...]:
-        """Return the layer that `last` feeds."""
-        return (self.head,)
 
     def raw(self, features: Tensor) -> Tensor:
         """Return the position relative to the plate's centre, in units of its size, shape (n, 2)."""

@@ -20,18 +20,8 @@ def calibrate_sigma(network: PositionNetwork, augmenter: Augmenter, residual: Te
     """Scale a network's two sigma outputs so that 68 % of the errors per axis lie within sigma.
 
     Training shows the network more disturbances than most plates have, so its sigma is too large. The two scales are
-    fitted on held-out touches, at their own noise and at higher noise, half of them with another finger's amplitude.
-
-    Parameters
-    ----------
-    network : PositionNetwork
-        Network with a separate noise output.
-    augmenter : Augmenter
-        Source of the recording's noise.
-    residual : tensor of shape (n, inputs)
-        Recorded touches.
-    position : tensor of shape (n, 2)
-        True positions, relative to the plate's centre, in units of its size.
+    fitted on held-out touches, at their own noise and at higher noise, half of them with another finger's amplitude:
+    residuals (n, inputs) at positions (n, 2) relative to the plate's centre, in units of its size.
     """
     own = augmenter.own_noise(residual)
     levels = [1.0, *(louder / own for louder in LOUDER if 0 < own < louder / 1.1)]

@@ -57,10 +57,6 @@ class Classifier(Network):
         self.normalise = Normalise(drift) if normalised else None
         self.head = nn.Linear(widths[-1], len(centres_mm))
 
-    def heads(self) -> tuple[nn.Linear, ...]:
-        """Return the layer that `last` feeds."""
-        return (self.head,)
-
     def raw(self, features: Tensor) -> Tensor:
         """Return logits of shape (n, classes)."""
         if self.normalise is not None:

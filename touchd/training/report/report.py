@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -63,7 +63,7 @@ def write_report(result: Result, meta: Meta, names: list[str]) -> Path:
         pictures["confusion.png"] = draw_confusion(judged, d)
     else:
         pictures |= {"error-map.png": draw_error_map(judged, meta), "sigma.png": draw_sigma(judged)}
-    return write_folder(result.model.path, pictures, lambda: page(result, meta, names, list(pictures)))
+    return write_folder(result.model.path, pictures, page(result, meta, names, list(pictures)))
 
 
 def write_atlas_report(result: AtlasResult, meta: Meta, names: list[str]) -> Path:
@@ -71,17 +71,15 @@ def write_atlas_report(result: AtlasResult, meta: Meta, names: list[str]) -> Pat
     pictures = {"maps.png": draw_maps(result.judged, meta), "sigma.png": draw_sigma(result.judged)}
     d = result.atlas.description
     start_mm = np.linalg.norm(result.start_mm - result.judged.true_mm, axis=1)
-    return write_folder(
-        result.path, pictures,
-        lambda: _page(
-            result, names, list(pictures), name=result.path.name, d=d, atlas=result.atlas,
-            findings=findings_of(result.judged, d.plate), band=len(band_bins(d.acquisition)),
-            start_mm=np.percentile(start_mm, (50, 95)).tolist(),
-        ),
+    text = _page(
+        result, names, list(pictures), name=result.path.name, d=d, atlas=result.atlas,
+        findings=findings_of(result.judged, d.plate), band=len(band_bins(d.acquisition)),
+        start_mm=np.percentile(start_mm, (50, 95)).tolist(),
     )  # fmt: skip
+    return write_folder(result.path, pictures, text)
 
 
-def write_folder(model: Path, pictures: dict[str, Figure], text: Callable[[], str]) -> Path:
+def write_folder(model: Path, pictures: dict[str, Figure], text: str) -> Path:
     """Write plots and a page into a model's report folder, replacing an older report, and return the folder.
 
     Raises
@@ -96,7 +94,7 @@ def write_folder(model: Path, pictures: dict[str, Figure], text: Callable[[], st
             fresh.mkdir()
             for name, figure in pictures.items():
                 save(figure, fresh / name)
-            (fresh / PAGE).write_text(text(), encoding="utf-8")
+            (fresh / PAGE).write_text(text, encoding="utf-8")
             if folder.exists():
                 os.replace(folder, Path(scratch) / "old")
             os.replace(fresh, folder)
@@ -143,47 +141,32 @@ def findings(result: Result, plate: Plate) -> list[str]:
 
 def findings_of(judged: Judgement, plate: Plate) -> list[str]:
     """Interpret the estimates for the test touches, one sentence per finding."""
-    found = [_about_scores(judged)]
-    if judged.true_class is None:
-        found.append(_about_edges(judged))
-        found.append(_about_sigma(judged))
-        far = int((judged.distance_mm > 10 * np.median(judged.distance_mm)).sum())
-        if far:
-            worst = judged.true_mm[judged.distance_mm.argmax()]
-            how_many = "1 touch is" if far == 1 else f"{far} touches are"
-            found.append(
-                f"{how_many} off by more than ten times the median, the farthest at "
-                f"({worst[0]:.0f}, {worst[1]:.0f}) mm of {plate.width_mm:g} x {plate.height_mm:g}."
-            )
-    return found
-
-
-def _about_scores(judged: Judgement) -> str:
     if judged.true_class is not None and judged.found_class is not None:
-        right = 100 * (judged.found_class == judged.true_class).mean()
-        return f"{right:.1f} % of the test touches are in the right class."
+        right = (judged.found_class == judged.true_class).mean()
+        return [f"{100 * right:.1f} % of the test touches are in the right class."]
     distance_mm = judged.distance_mm
-    return (
-        f"Half of the test touches are within {np.median(distance_mm):.2f} mm, 95 % within "
-        f"{np.percentile(distance_mm, 95):.2f} mm."
-    )
-
-
-def _about_edges(judged: Judgement) -> str:
+    median_mm, p95_mm = np.percentile(distance_mm, (50, 95))
+    found = [f"Half of the test touches are within {median_mm:.2f} mm, 95 % within {p95_mm:.2f} mm."]
     low, high = judged.true_mm.min(axis=0), judged.true_mm.max(axis=0)
     inset = EDGE_SHARE * (high - low)
     near = ((judged.true_mm < low + inset) | (judged.true_mm > high - inset)).any(axis=1)
     if near.all() or not near.any():
-        return "Too few touches to compare the edges with the middle."
-    edge_mm, middle_mm = (float(np.median(judged.distance_mm[part])) for part in (near, ~near))
-    how = "Worse near the edges" if edge_mm > 1.25 * middle_mm else "Similar near the edges and in the middle"
-    return f"{how}: median {edge_mm:.2f} mm in the outer tenth on each side, {middle_mm:.2f} mm within."
-
-
-def _about_sigma(judged: Judgement) -> str:
+        found.append("Too few touches to compare the edges with the middle.")
+    else:
+        edge_mm, middle_mm = (float(np.median(distance_mm[part])) for part in (near, ~near))
+        how = "Worse near the edges" if edge_mm > 1.25 * middle_mm else "Similar near the edges and in the middle"
+        found.append(f"{how}: median {edge_mm:.2f} mm in the outer tenth on each side, {middle_mm:.2f} mm within.")
     share = 100 * float((np.abs(judged.error_mm) <= judged.sigma_mm[:, None]).mean())
     how = "about right" if 62 <= share <= 75 else "too large" if share > 75 else "too small"
-    return f"The predicted standard error is {how}: {share:.0f} % of the errors are within it (68 % if exact)."
+    found.append(f"The predicted standard error is {how}: {share:.0f} % of the errors are within it (68 % if exact).")
+    far = int((distance_mm > 10 * median_mm).sum())
+    if far:
+        x_mm, y_mm = judged.true_mm[distance_mm.argmax()]
+        found.append(
+            f"{'1 touch is' if far == 1 else f'{far} touches are'} off by more than ten times the median, the farthest "
+            f"at ({x_mm:.0f}, {y_mm:.0f}) mm of {plate.width_mm:g} x {plate.height_mm:g}."
+        )
+    return found
 
 
 def score_row(name: str, value: float) -> str:
