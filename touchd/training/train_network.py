@@ -19,7 +19,7 @@ from touchd.evaluation.model_scores import Judgement, judge, scores
 from touchd.keypad import Layout
 from touchd.localization.model import Description, Model
 from touchd.recording.data import Recording
-from touchd.training.data.augment import Augmenter, make_bank
+from touchd.training.data.augment import Augmenter
 from touchd.training.data.drift_directions import drift_directions
 from touchd.training.data.inspection import inspect
 from touchd.training.data.synthetic import Synthesiser
@@ -150,7 +150,7 @@ def train(
         if field is None:
             field = learn_field(data, parts.train, lambda done, all_: progress("field", done, all_, float("nan")))
         synthesiser = Synthesiser(field, (plate.width_mm, plate.height_mm), generator, description.layout)
-        augmenter = Augmenter(make_bank(data, torch.from_numpy(parts.train), generator), synthesiser, generator)
+        augmenter = Augmenter(data, torch.from_numpy(parts.train), synthesiser, generator)
         batches = _augmented_batches(augmenter, generator, others=network.wants_others)
         optimiser = torch.optim.AdamW(network.parameters(), lr=LEARNING_RATE, weight_decay=WEIGHT_DECAY)
         curve = fit(
@@ -201,8 +201,7 @@ def _positions(data: Dataset, indices: NDArray[np.int64]) -> Tensor:
 
 def _augmented_batches(augmenter: Augmenter, generator: torch.Generator, *, others: bool) -> Batches:
     """Return batches of synthetic and recorded touches with all disturbances, and of non-fingers if `others`."""
-    bank = augmenter.bank
-    count = len(bank.residual)
+    count = len(augmenter.residual)
     recorded = round(BATCH * (1 - SYNTHETIC))
     steps = max(STEPS, 2 * -(-count // BATCH))
     own_noise = torch.zeros((BATCH, 1))  # synthetic touches have no noise of their own
@@ -212,9 +211,9 @@ def _augmented_batches(augmenter: Augmenter, generator: torch.Generator, *, othe
         for _ in range(steps):
             some = torch.randint(count, (recorded,), generator=generator)
             drawn, place = augmenter.synthesiser.draw(BATCH - recorded)
-            fingers, noise = augmenter.fingers(torch.cat([bank.residual[some], drawn]), own_noise)
+            fingers, noise = augmenter.fingers(torch.cat([augmenter.residual[some], drawn]), own_noise)
             features = torch.cat([fingers, augmenter.others(OTHERS)]) if others else fingers
-            yield Batch(features, torch.cat([bank.position[some], place]), noise)
+            yield Batch(features, torch.cat([augmenter.position[some], place]), noise)
 
     return Batches(steps, epoch)
 

@@ -88,7 +88,9 @@ class Learned:
 
 def learn_thoroughly(touches: Touches, wavenumber_per_mm: Floats, progress: Step = lambda _done, _all: None) -> Learned:
     """Learn the field, choose its prior, and correct label errors."""
-    learner = Learner(touches, Prior(wavenumber_per_mm), progress)
+    steps = Steps(progress)
+    learner = Learner(touches, Prior(wavenumber_per_mm), steps)
+    steps.all = OUTER_ROUNDS * len(learner.chosen) + touches.values.shape[2]
     amplitude = learner.converge(OUTER_ROUNDS - 1)
     learner.take(touches, choose(touches, learner.prior, amplitude, learner.chosen))
     amplitude = learner.converge(1, amplitude)
@@ -96,7 +98,7 @@ def learn_thoroughly(touches: Touches, wavenumber_per_mm: Floats, progress: Step
     noise_mm = label_noise_mm(displaced)
     if noise_mm < LEAST_LABEL_NOISE_MM:
         return learner.result(amplitude, 0.0)
-    learner.more(RELABEL_ROUNDS)
+    steps.all += RELABEL_ROUNDS * len(learner.chosen)
     for _ in range(RELABEL_ROUNDS):
         position_mm = replaced(touches.position_mm, learner.touches.position_mm, displaced, noise_mm)
         better = replace(touches, position_mm=position_mm)
@@ -106,24 +108,32 @@ def learn_thoroughly(touches: Touches, wavenumber_per_mm: Floats, progress: Step
     return learner.result(amplitude, noise_mm)
 
 
-class Learner:
-    """Learns amplitudes and fields together; `progress` receives the steps done and the steps in all."""
+class Steps:
+    """Counts the steps of a learner up to `all`; `progress` receives the steps done and the steps in all."""
 
-    def __init__(self, touches: Touches, prior: Prior, progress: Step = lambda _done, _all: None) -> None:
+    def __init__(self, progress: Step) -> None:
+        self._progress = progress
+        self._done = self.all = 0
+
+    def __call__(self) -> None:
+        """Count a step."""
+        self._done += 1
+        self._progress(self._done, self.all)
+
+
+class Learner:
+    """Learns amplitudes and fields together; calls `advance` after each bin of a round, and of `draw`."""
+
+    def __init__(self, touches: Touches, prior: Prior, advance: Callable[[], None] = lambda: None) -> None:
         self.take(touches, prior)
         self.chosen = self._informative()
         self._hats: list[Hat] = []
-        self._progress = progress
-        self._done, self._all = 0, OUTER_ROUNDS * len(self.chosen) + touches.values.shape[2]
+        self._advance = advance
 
     def take(self, touches: Touches, prior: Prior) -> None:
         """Replace positions or prior."""
         self.touches, self.prior = touches, prior
         self._regression = Regression(touches, prior)
-
-    def more(self, rounds: int) -> None:
-        """Add rounds to the progress total."""
-        self._all += rounds * len(self.chosen)
 
     def converge(self, rounds: int, amplitude: Complex | None = None) -> Complex:
         """Return the touches' amplitudes along the band after `rounds` rounds, shape (n, bins)."""
@@ -185,10 +195,6 @@ class Learner:
             return smooth(inverse, penalty, targets).view(np.complex64)
 
         return np.stack(each(one, range(len(self._hats))), axis=-1)
-
-    def _advance(self) -> None:
-        self._done += 1
-        self._progress(self._done, self._all)
 
     def _informative(self) -> NDArray[np.int64]:
         """Return bins spread over the part of the band with little noise."""

@@ -33,15 +33,10 @@ def make_graph(network: Network, description: Description) -> onnx.ModelProto:
         warnings.simplefilter("ignore", DeprecationWarning)
         file = Path(folder) / "model.onnx"
         torch.onnx.export(
-            fold(network),
-            (torch.ones(1, description.inputs),),
-            file,
-            dynamo=False,
-            opset_version=OPSET,
-            input_names=["features"],
-            output_names=names,
+            fold(network), (torch.ones(1, description.inputs),), file, dynamo=False, opset_version=OPSET,
+            input_names=["features"], output_names=names,
             dynamic_axes={name: {0: "n"} for name in ["features", *names]},
-        )
+        )  # fmt: skip
         graph: onnx.ModelProto = onnx.load(file)
     describe(graph, description)
     return graph

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +10,7 @@ import torch
 
 from tests.conftest import KNOWN, TOUCHES
 from touchd.evaluation.dataset import Dataset
-from touchd.training.data.augment import Augmenter, make_bank
+from touchd.training.data.augment import Augmenter
 from touchd.training.data.synthetic import Synthesiser
 from touchd.training.field.learn import Field
 from touchd.training.network.network import PositionNetwork
@@ -25,9 +24,11 @@ def augmenter(dataset: Dataset, field: Field) -> Augmenter:
 
 def made(dataset: Dataset, field: Field, noise: float = 1.0) -> Augmenter:
     generator = torch.Generator().manual_seed(1)
-    bank = make_bank(dataset, torch.arange(KNOWN), generator, pool=512)
     synthesiser = Synthesiser(field, (200.0, 200.0), generator)
-    return Augmenter(replace(bank, noise=noise * bank.noise), synthesiser, generator)
+    augmenter = Augmenter(dataset, torch.arange(KNOWN), synthesiser, generator, pool=512)
+    augmenter.noise *= noise
+    augmenter.power *= noise**2
+    return augmenter
 
 
 @pytest.fixture(scope="module")
