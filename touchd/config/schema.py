@@ -196,6 +196,7 @@ class BusSettings(_Section):
     high_water_mark: int = Field(
         1000, ge=1, description="Most messages that wait for a slow subscriber; then it loses some."
     )
+    max_subscribers: int = Field(64, ge=1, le=10000, description="Most connections at once.")
 
 
 class ControlSettings(_Section):
