@@ -54,6 +54,7 @@ class ZeromqSink:
     """
 
     def __init__(self, settings: BusSettings, clock: Callable[[], int] = time.monotonic_ns) -> None:
+        settings = endpoint.effective(settings)
         self._clock = clock
         self._open = True
         self._last: dict[str, Event | bytes] = {}
