@@ -103,7 +103,7 @@ def attack(daemon: Daemon, name: str, number: int, strangers: int = 1) -> Iterat
     """Have strangers do their worst; they keep their connections until the end."""
     script = Path(__file__).parent / "stranger.py"
     with ExitStack() as stack:
-        line = [sys.executable, script, name, daemon.address, str(number)]
+        line: list[str] = [sys.executable, str(script), name, daemon.address, str(number)]
         attackers = [
             stack.enter_context(subprocess.Popen(line, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True))
             for _ in range(strangers)
