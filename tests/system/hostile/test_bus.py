@@ -29,6 +29,13 @@ MOST_GROWTH_KB = 20_000
 DESCRIPTORS = 1024
 
 
+def free_address() -> str:
+    """A port of loopback that nobody uses."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return f"tcp://127.0.0.1:{free.getsockname()[1]}"
+
+
 class Daemon:
     """A daemon in a process of its own, which replays the demo session for ever."""
 
@@ -164,8 +171,9 @@ def full(request: pytest.FixtureRequest) -> bool:
 
 
 @pytest.fixture
-def daemon(tmp_path: Path) -> Iterator[Daemon]:
-    daemon = Daemon(tmp_path, f"ipc://{tmp_path}/bus")
+def daemon(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Daemon]:
+    """A daemon that publishes at a file, or at a port if a test asks for one."""
+    daemon = Daemon(tmp_path, free_address() if getattr(request, "param", "") == "tcp" else f"ipc://{tmp_path}/bus")
     yield daemon
     daemon.process.kill()
     daemon.process.wait()
@@ -195,6 +203,7 @@ def test_topics(daemon: Daemon, honest: Honest, full: bool, name: str, number: i
     assert daemon.end() < PATIENCE_S / 2
 
 
+@pytest.mark.parametrize("daemon", ["ipc", "tcp"], indirect=True)
 def test_connections(daemon: Daemon, honest: Honest, full: bool) -> None:
     """More connections than descriptors keep no subscriber out, nor reload and pre-roll from working."""
     with bounded(daemon, honest, "idle connections"), attack(daemon, "idle", 1100 if full else 300, 1):
@@ -240,9 +249,7 @@ def test_keys(tmp_path: Path, full: bool) -> None:
     clients = tmp_path / "clients"
     clients.mkdir()
     shutil.copy(tmp_path / "keys/friend.key", clients)
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
+    address = free_address()
     daemon = Daemon(
         tmp_path, address, descriptors=256,
         TOUCHD_BUS__CURVE_SECRET_KEY=str(tmp_path / "keys/server.key_secret"), TOUCHD_BUS__CURVE_CLIENTS=str(clients),

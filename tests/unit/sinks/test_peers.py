@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import socket
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -13,6 +15,7 @@ import pytest
 import zmq
 from structlog.testing import capture_logs
 
+from tests.system.hostile import stranger
 from tests.system.hostile.stranger import PATIENCE_S, connect, greeted, message, topics
 from touchd.config.schema import BusSettings
 from touchd.event import TOPICS, Contact, SpectrumEvent, TouchEvent
@@ -141,11 +144,11 @@ def test_what_was_cut_off_leaves_nothing(sink: ZeromqSink) -> None:
 @pytest.mark.parametrize("topic", ["touch", "spectrum"])
 def test_nobody_ends_another_s_subscription(sink: ZeromqSink, honest: zmq.Socket[bytes], topic: str) -> None:
     """The end of a subscription that never was, or was the sender's own, silences nobody."""
-    with greeted(sink.addresses[0]) as stranger:
-        stranger.sendall(message(b"\0" + topic.encode()) + message(b"\x01key"))
+    with greeted(sink.addresses[0]) as forger:
+        forger.sendall(message(b"\0" + topic.encode()) + message(b"\x01key"))
         until(sink, lambda: sink.wants("key"))
         assert sink.wants(topic)
-        stranger.sendall(message(b"\1" + topic.encode()) + message(b"\0" + topic.encode()) + message(b"\0key"))
+        forger.sendall(message(b"\1" + topic.encode()) + message(b"\0" + topic.encode()) + message(b"\0key"))
         until(sink, lambda: not sink.wants("key"))
         assert sink.wants(topic)
     sink.publish(SpectrumEvent("plate", 7, 0, "2025-01-01T00:00:00.000000Z", 1, [1.0]), 0)
@@ -184,6 +187,24 @@ def test_subscribers_do_not_give_way(sink: ZeromqSink, honest: zmq.Socket[bytes]
     assert is_heard(sink, honest)
     for other in others:
         other.close()
+
+
+@pytest.mark.parametrize("sink", ["ipc"], indirect=True)
+def test_a_process_that_holds_all_places_gives_way(sink: ZeromqSink, log: Log) -> None:
+    """Even subscribers give way to another's, if one process has several more of them."""
+    line = [sys.executable, stranger.__file__, "silent", sink.addresses[0], "4"]
+    with subprocess.Popen(line, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as greedy:
+        assert greedy.stdout is not None
+        greedy.stdout.readline()
+        end_s = time.monotonic() + 0.5
+        until(sink, lambda: time.monotonic() > end_s)
+        with zmq.Context() as context, context.socket(zmq.SUB) as honest:
+            honest.setsockopt(zmq.LINGER, 0)
+            honest.setsockopt(zmq.SUBSCRIBE, b"touch")
+            honest.connect(sink.addresses[0])
+            assert is_heard(sink, honest)
+        greedy.kill()
+    assert [f"process {greedy.pid} " in line["peer"] for line in log] == [True]
 
 
 def test_who_stops_reading_is_cut_off(
