@@ -182,9 +182,14 @@ class BusSettings(_Section):
     """Where events are published."""
 
     bind: tuple[Endpoint, ...] = Field(
-        ("tcp://127.0.0.1:5570",), min_length=1, description="Addresses of the publisher: tcp:// or ipc://."
+        (),
+        description="Addresses of the publisher: tcp:// or ipc://. Unset is `bus` in the service's runtime folder, or "
+        "tcp://127.0.0.1:5570 without a service.",
     )
-    ipc_group: str = Field("", description="Group that may use ipc:// sockets (mode 0660); empty keeps them private.")
+    ipc_group: str = Field(
+        "", description="Group that may use ipc:// sockets (mode 0660); empty keeps them private, "
+        "but for the service's own, which is for `touchd-bus`.",
+    )  # fmt: skip
     curve_secret_key: Annotated[OptionalPath, AfterValidator(_is_no_key)] = Field(
         None, description="Server key file made by `touchd keygen`; needed for any address beyond loopback."
     )
@@ -196,6 +201,7 @@ class BusSettings(_Section):
     high_water_mark: int = Field(
         1000, ge=1, description="Most messages that wait for a slow subscriber; then it loses some."
     )
+    max_subscribers: int = Field(64, ge=1, le=10000, description="Most connections at once.")
 
 
 class ControlSettings(_Section):

@@ -51,8 +51,12 @@ def judge_clock(state: int, now_s: float) -> Finding:
 
 def check_addresses(settings: BusSettings) -> Iterator[Finding]:
     """Bind and release each address."""
+    from touchd.sinks.endpoint import SERVICE, effective
     from touchd.sinks.zeromq import ZeromqSink
 
+    if not settings.bind and Path(SERVICE.removeprefix("ipc://")).exists():  # the service runs, with its own default
+        settings = settings.model_copy(update={"bind": (SERVICE,)})
+    settings = effective(settings)
     for address in settings.bind:
         try:
             ZeromqSink(settings.model_copy(update={"bind": (address,)})).close()
