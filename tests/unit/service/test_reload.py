@@ -113,7 +113,7 @@ def test_confidence(run: Callable[[str], Run]) -> None:
     """A confidence that nothing reaches ends the contact."""
     circle = run("circle")
     circle.feed(260)
-    circle.configure({"model": {"min_confidence": 1.0, "keep_confidence": 1.0}, "tracker": {"release_frames": 1}})
+    circle.configure({"model": {"min_confidence": 1.0, "keep_confidence": 1.0}})
     assert [c.phase for contacts in circle.feed(270) for c in contacts] == ["up"]
 
 

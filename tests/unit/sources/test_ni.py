@@ -265,12 +265,6 @@ def test_no_driver() -> None:
             NiDaq(SETTINGS, ACQUISITION)
 
 
-def test_amplitude() -> None:
-    """An amplitude above the output's limit is refused."""
-    with pytest.raises(ConfigError, match=r"ni\.amplitude_v"):
-        NiDaq(NiSettings(amplitude_v=9.0, output_limit_v=5.0), ACQUISITION)
-
-
 def test_reset(rig: Rig) -> None:
     """`reset` ends the tasks, then resets the device."""
     daq = started()
