@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
 
-import annotated_types
 from hypothesis import strategies as st
 from pydantic.fields import FieldInfo
 
@@ -28,13 +27,10 @@ def ends(field: FieldInfo) -> list[float]:
     """Return the lowest and the highest number that a key takes, as far as it has limits."""
     found = []
     for limit in field.metadata:
-        match limit:
-            case annotated_types.Ge(ge=end) | annotated_types.Le(le=end):
-                found.append(end)
-            case annotated_types.Gt(gt=end):
-                found.append(math.nextafter(end, math.inf))
-            case annotated_types.Lt(lt=end):
-                found.append(math.nextafter(end, -math.inf))
+        for name, inward in (("ge", 0.0), ("gt", math.inf), ("le", 0.0), ("lt", -math.inf)):
+            end = getattr(limit, name, None)
+            if end is not None:
+                found.append(math.nextafter(end, inward) if inward else end)
     return found
 
 

@@ -124,7 +124,7 @@ def command(
                 output,
                 chosen,
                 grid=grid,
-                layout=load_layout(layout or PHONE) if chosen.head == "keypad" else None,
+                layout=load_layout(layout or PHONE, touches.meta.plate) if chosen.head == "keypad" else None,
                 seed=seed,
                 epochs=epochs,
                 patience=patience,

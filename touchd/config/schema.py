@@ -5,58 +5,14 @@ Each default is written here alone. docs/configuration.md and deploy/touchd.toml
 
 from __future__ import annotations
 
-import re
-from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo, field_validator
-from pydantic_core import PydanticCustomError
+from pydantic import AfterValidator, Field, ValidationInfo, field_validator
 
-
-class _Section(BaseModel):
-    """One table of the file. An unknown key is an error; values never change after loading."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, validate_default=True)
-
-    @field_validator("*", mode="before")
-    @classmethod
-    def _refuse_bool_for_number(cls, value: Any, info: ValidationInfo) -> Any:
-        # Pydantic would take `rate_hz = true` for 1.
-        if isinstance(value, bool) and cls.model_fields[str(info.field_name)].annotation in (int, float):
-            raise PydanticCustomError("number_type", "must be a number")
-        return value
+from touchd.config.kinds import LEAST_RATE, Endpoint, Group, OptionalPath, Section, refuse_key
 
 
-_LEAST_RATE = 1e-15
-"""Least probability per frame: 1 less a smaller one is 1 in double precision, whose normal quantile is infinite."""
-
-
-def _empty_is_unset(value: Any) -> Any:
-    # TOML has no null: an empty text unsets a path, also one that a lower layer sets.
-    return None if value == "" else value
-
-
-def _is_nameable(name: Any) -> Any:
-    text = str(name)
-    if "\0" in text or any("\ud800" <= character <= "\udfff" for character in text):
-        raise ValueError("holds characters that no name can have")
-    return name
-
-
-def _is_no_key(path: Path | None) -> Path | None:
-    text = str(path)
-    if re.fullmatch(r"[^/\s,;'\"\\|`~_][^\s,;'\"\\|`~_]{39}", text) and not text.endswith(".key"):
-        raise ValueError("looks like a key itself, must be the path of the file that holds it")
-    return path
-
-
-OptionalPath = Annotated[Path | None, BeforeValidator(_empty_is_unset), AfterValidator(_is_nameable)]
-"""A path, or None; an empty text means None."""
-Group = Annotated[str, AfterValidator(_is_nameable)]
-"""A group of this computer's users."""
-
-
-class DeviceSettings(_Section):
+class DeviceSettings(Section):
     """The DAQ, and the name under which its events are published."""
 
     name: str = Field("touchd", description="`device` in every message; tells several plates apart.", min_length=1)
@@ -75,7 +31,7 @@ class DeviceSettings(_Section):
     )
 
 
-class NiSettings(_Section):
+class NiSettings(Section):
     """A rig of NI hardware, which --ni takes instead of a DAQ on USB. Not tried on hardware."""
 
     inputs: str = Field("cDAQ1Mod1/ai0:3", description="Analog inputs, one for each receiver.", min_length=1)
@@ -97,7 +53,7 @@ class NiSettings(_Section):
         return limit_v
 
 
-class ModelSettings(_Section):
+class ModelSettings(Section):
     """The network that places touches."""
 
     path: OptionalPath = Field(None, description="ONNX file with touchd's description; unset uses the shipped model.")
@@ -120,7 +76,7 @@ class ModelSettings(_Section):
     )  # fmt: skip
 
 
-class BaselineSettings(_Section):
+class BaselineSettings(Section):
     """The untouched plate, followed as it drifts."""
 
     learn_frames: int = Field(
@@ -137,11 +93,11 @@ class BaselineSettings(_Section):
     )  # fmt: skip
 
 
-class GateSettings(_Section):
+class GateSettings(Section):
     """Detection: whether the plate is touched."""
 
     false_alarm_rate: float = Field(
-        1e-7, ge=_LEAST_RATE, lt=0.1, description="Probability per frame that noise alone opens the gate; a float "
+        1e-7, ge=LEAST_RATE, lt=0.1, description="Probability per frame that noise alone opens the gate; a float "
         "cannot hold 1 less a smaller one.",
     )  # fmt: skip
     noise_frames: int = Field(
@@ -150,7 +106,7 @@ class GateSettings(_Section):
     )  # fmt: skip
 
 
-class SkipSettings(_Section):
+class SkipSettings(Section):
     """Work that the scene does not need is skipped. Each skip can be switched off, to measure what it saves."""
 
     gate: bool = Field(
@@ -162,14 +118,14 @@ class SkipSettings(_Section):
         description="No features and no network on a frame that differs from the last one examined by noise alone.",
     )
     still_false_alarm_rate: float = Field(
-        0.01, ge=_LEAST_RATE, lt=0.5, description="Probability per frame that noise alone has the network examine a "
+        0.01, ge=LEAST_RATE, lt=0.5, description="Probability per frame that noise alone has the network examine a "
         "still finger again.",
     )  # fmt: skip
     unheard: bool = Field(True, description="No messages of a topic without subscribers.")
     screen: bool = Field(True, description="No touches while the screen is off (`touchd screen off`).")
 
 
-class TrackerSettings(_Section):
+class TrackerSettings(Section):
     """From positions to contacts."""
 
     confirm_frames: int = Field(
@@ -197,23 +153,20 @@ class TrackerSettings(_Section):
     )  # fmt: skip
 
 
-class KeypadSettings(_Section):
+class KeypadSettings(Section):
     """Keypad mode."""
 
     layout: OptionalPath = Field(None, description="TOML file of keys, rectangles in mm; it turns keypad mode on.")
 
 
-Endpoint = Annotated[str, Field(pattern=r"^(tcp|ipc)://.+$"), AfterValidator(_is_nameable)]
-
-
-class BusSettings(_Section):
+class BusSettings(Section):
     """Where events are published."""
 
     bind: tuple[Endpoint, ...] = Field(
         ("tcp://127.0.0.1:5570",), min_length=1, description="Addresses of the publisher: tcp:// or ipc://."
     )
     ipc_group: Group = Field("", description="Group that may use ipc:// sockets (mode 0660); empty keeps them private.")
-    curve_secret_key: Annotated[OptionalPath, AfterValidator(_is_no_key)] = Field(
+    curve_secret_key: Annotated[OptionalPath, AfterValidator(refuse_key)] = Field(
         None, description="Server key file made by `touchd keygen`; needed for any address beyond loopback."
     )
     curve_clients: OptionalPath = Field(
@@ -227,7 +180,7 @@ class BusSettings(_Section):
     )  # fmt: skip
 
 
-class ControlSettings(_Section):
+class ControlSettings(Section):
     """The socket of `touchd screen`, which says whether the screen is on."""
 
     socket: OptionalPath = Field(
@@ -237,7 +190,7 @@ class ControlSettings(_Section):
     group: Group = Field("", description="Group that may use it (mode 0660); empty keeps it private.")
 
 
-class HealthSettings(_Section):
+class HealthSettings(Section):
     """The `health` topic."""
 
     period_s: float = Field(
@@ -245,7 +198,7 @@ class HealthSettings(_Section):
     )
 
 
-class PreRollSettings(_Section):
+class PreRollSettings(Section):
     """The last seconds of frames, saved on SIGUSR1 so that a ghost touch can be replayed. They can reveal a PIN."""
 
     seconds: float = Field(10.0, ge=0, le=600, description="Time kept in memory, s; 0 keeps nothing.")
@@ -255,11 +208,11 @@ class PreRollSettings(_Section):
     min_confidence: float = Field(
         0.0, ge=0, le=1, description="A touch that goes down with a lower confidence saves them too; 0 never does."
     )
-    interval_s: float = Field(10.0, ge=0, description="Least time between two files, s.")
+    interval_s: float = Field(10.0, ge=0, le=86400, description="Least time between two files, s.")
     keep: int = Field(20, ge=1, le=10_000, description="Most files in the folder; older ones are deleted.")
 
 
-class LogSettings(_Section):
+class LogSettings(Section):
     """The log."""
 
     level: Literal["debug", "info", "warning", "error"] = Field(
@@ -268,12 +221,12 @@ class LogSettings(_Section):
     format: Literal["auto", "console", "json"] = Field("auto", description="auto: console on a terminal, else JSON.")
 
 
-class RealtimeSettings(_Section):
+class RealtimeSettings(Section):
     """What makes latency steadier. docs/integrator.md has the measured benefit, and the settings of systemd's unit."""
 
     awake_from_hz: float = Field(
-        500.0, ge=0, le=65535, description="Frame rate from which the processors may not sleep between frames while a finger is "
-        "on the plate, Hz, if the system permits it; 0 always lets them sleep.",
+        500.0, ge=0, le=65535, description="Frame rate from which the processors may not sleep between frames while a "
+        "finger is on the plate, Hz, if the system permits it; 0 always lets them sleep.",
     )  # fmt: skip
 
 
@@ -293,7 +246,7 @@ RETIRED = {
 """Keys that earlier versions had, and what took their place. They are accepted and ignored, with a warning."""
 
 
-class Settings(_Section):
+class Settings(Section):
     """The whole configuration."""
 
     device: DeviceSettings = DeviceSettings()

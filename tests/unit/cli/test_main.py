@@ -165,7 +165,7 @@ CASES: dict[str, tuple[type[TouchdError], Arguments, tuple[str, ...]]] = {
         configured("[tracker]\nconfirm_frame = 3"),
         ("touchd.toml", "did you mean tracker.confirm_frames?"),
     ),
-    "a key out of range": (errors.ConfigError, configured("[gate]\nfalse_alarm_rate = 2"), ("gate.false_alarm_rate", "2")),
+    "a key out of range": (errors.ConfigError, configured("[health]\nperiod_s = -2"), ("health.period_s", "-2")),
     "invalid TOML": (errors.ConfigError, configured("[gate\n"), ("not valid TOML", "line 1")),
     "a missing configuration": (errors.ConfigError, bound("--config", "nowhere.toml"), ("nowhere.toml",)),
     "a bind that is no address": (errors.ConfigError, bound("--bind", "loopback"), ("'loopback'", "tcp://")),

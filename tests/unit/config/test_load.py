@@ -246,8 +246,8 @@ def configurations(draw: st.DrawFn) -> Settings:
         {
             "device": {"name": draw(text.filter(bool)), "serial": draw(text), "rate_hz": draw(st.integers(1, 65535))},
             "model": {"path": draw(path_text), "min_confidence": draw(st.floats(0, 1))},
-            "gate": {"false_alarm_rate": draw(st.floats(1e-300, 0.09))},
-            "tracker": {"reach_mm": draw(st.floats(1e-300, 1e300))},
+            "gate": {"false_alarm_rate": draw(st.floats(1e-15, 0.09))},
+            "tracker": {"reach_mm": draw(st.floats(0.1, 1000))},
             "bus": {
                 "bind": draw(st.lists(st.builds("ipc://{}".format, st.text("ab /\"'\\é", min_size=1)), min_size=1)),
                 "insecure": draw(st.booleans()),

@@ -7,19 +7,23 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from structlog.testing import capture_logs
 
 from tests.conftest import Scene
+from touchd.config.kinds import Section
 from touchd.config.load import load
-from touchd.config.render import fields
+from touchd.config.render import fields, section
 from touchd.config.schema import HealthSettings, Settings
 from touchd.event import Contact
 from touchd.frame import Frame
+from touchd.keypad import Layout
 from touchd.localization.model import Model
 from touchd.pipeline import Pipeline
-from touchd.service.daemon import layout_of
+from touchd.service import reload
+from touchd.service.daemon import make_reloader
 from touchd.service.health import Health
 from touchd.service.messages import Messages, all_but_spectra
-from touchd.service.reload import RESTART_ONLY, Reloader, compare
+from touchd.service.reload import RESTART_ONLY, Changes, Reloader, compare
 from touchd.sources.replay import ReplaySource
 
 PERIOD_NS = 8_000_000
@@ -153,7 +157,7 @@ def test_wrong_file(run: Callable[[str], Run], model: Model, scene_file: Callabl
     messages = Messages(Settings(), all_but_spectra)
     source = ReplaySource(scene_file("idle"))
     health = Health(source, pipeline, messages, HealthSettings(), "the model")
-    reloader = Reloader(Settings(), lambda: load(path), lambda new: layout_of(new, model), pipeline, messages, health)
+    reloader = make_reloader(Settings(), lambda: load(path), model, pipeline, messages, health)
     reloader.reload()
     assert health.period_ns == 500_000_000
     good = reloader.settings
@@ -168,3 +172,54 @@ def test_wrong_file(run: Callable[[str], Run], model: Model, scene_file: Callabl
     path.write_text("[health]\nperiod_s = 0.25\n[keypad]\nlayout = ''\n")
     reloader.reload()
     assert health.period_ns == 250_000_000
+
+
+def test_part_that_fails() -> None:
+    """A part that cannot take a value ends nothing: every part gets the old settings again, and the log says so."""
+    applied: list[tuple[str, Settings]] = []
+
+    def apply(new: Settings, _layout: Layout | None) -> None:
+        applied.append(("first", new))
+        if new != Settings():
+            raise OverflowError("too large")
+        applied.append(("second", new))
+
+    new = settings({"tracker": {"reach_mm": 5.0}})
+    reloader = Reloader(Settings(), None, lambda: new, lambda _: None, apply)
+    with capture_logs() as entries:
+        reloader.reload()
+    assert applied == [("first", new), ("first", Settings()), ("second", Settings())]
+    assert reloader.settings == Settings()
+    assert [(entry["log_level"], entry["error"]) for entry in entries] == [("error", "OverflowError('too large')")]
+
+
+def test_taken_is_true(
+    scene: Scene, model: Model, atlas_model: Model, scene_file: Callable[[str], Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A key that a reload can take reaches the part that uses it, and one that waits for a restart reaches none."""
+    names = {section(table): table for table, _, _ in fields()}
+    read: set[str] = set()
+
+    def get(self: Section, name: str) -> object:
+        if name in type(self).model_fields and type(self) in names:
+            read.add(f"{names[type(self)]}.{name}")
+        return object.__getattribute__(self, name)
+
+    def compare_only(running: Settings, new: Settings) -> Changes:
+        changes = compare(running, new)
+        read.clear()
+        return changes
+
+    reached: set[str] = set()
+    monkeypatch.setattr(Section, "__getattribute__", get, raising=False)
+    monkeypatch.setattr(reload, "compare", compare_only)
+    for each in (model, atlas_model):
+        run = Run(scene, each, "circle")
+        run.feed(160)
+        messages = Messages(Settings(), all_but_spectra)
+        health = Health(ReplaySource(scene_file("circle")), run.pipeline, messages, HealthSettings(), "the model")
+        make_reloader(Settings(), Settings, each, run.pipeline, messages, health).reload()
+        assert run.feed(300)
+        reached |= read
+    changeable = {f"{table}.{key}" for table, key, _ in fields() if not {table, f"{table}.{key}"} & RESTART_ONLY}
+    assert reached == changeable
