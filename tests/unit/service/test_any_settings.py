@@ -55,7 +55,7 @@ class Daemon:
     def restart(self, settings: Settings) -> None:
         """Begin with a new pipeline."""
         self.pipeline = Pipeline(self._model.description.acquisition, self._model, settings)
-        self.run(100, 160)
+        self.run(0, 60)
 
     def run(self, begin: int, end: int) -> None:
         """Process a part of the scene, and look at each number that comes of it."""
@@ -79,7 +79,7 @@ def daemon_of(
     @cache
     def make(name: str) -> Daemon:
         daemon = Daemon(scene_file("circle"), scene, {"network": model, "atlas": atlas_model}[name])
-        daemon.run(60, 160)
+        daemon.run(0, 90)
         return daemon
 
     return make
@@ -101,20 +101,21 @@ def test_each_key(daemon_of: Callable[[str], Daemon], table: str, key: str, fiel
         daemon = daemon_of(name)
         for settings in accepted(table, key, field):
             daemon.reload(settings)
-            daemon.run(252, 256)
+            daemon.run(94, 106)
         if table in IN_THE_PIPELINE:
             daemon.restart(settings)
+            daemon.run(94, 112)
 
 
 @pytest.mark.filterwarnings("error")
 @given(settings=any_settings())
-@hypothesis_settings(max_examples=20)
+@hypothesis_settings(max_examples=10)
 def test_all_keys(daemon_of: Callable[[str], Daemon], settings: Settings) -> None:
     """The same holds for values of all keys together."""
     for name in ("network", "atlas"):
         daemon = daemon_of(name)
         daemon.reload(settings)
-        daemon.run(240, 260)
+        daemon.run(80, 130)
         daemon.restart(settings)
-        daemon.run(240, 260)
+        daemon.run(80, 130)
         daemon.restart(Settings())

@@ -215,11 +215,11 @@ def test_taken_is_true(
     monkeypatch.setattr(reload, "compare", compare_only)
     for each in (model, atlas_model):
         run = Run(scene, each, "circle")
-        run.feed(160)
+        run.feed(90)
         messages = Messages(Settings(), all_but_spectra)
         health = Health(ReplaySource(scene_file("circle")), run.pipeline, messages, HealthSettings(), "the model")
         make_reloader(Settings(), Settings, each, run.pipeline, messages, health).reload()
-        assert run.feed(300)
+        assert run.feed(140)
         reached |= read
     changeable = {f"{table}.{key}" for table, key, _ in fields() if not {table, f"{table}.{key}"} & RESTART_ONLY}
     assert reached == changeable
