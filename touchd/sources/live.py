@@ -26,7 +26,7 @@ from touchd.errors import ConfigError, DeviceLost, ReaderFailed, SourceError, To
 from touchd.event import State
 from touchd.frame import Acquisition, Frame
 from touchd.recording.data import Device
-from touchd.sources.daq import Daq, DaqAbsent, DaqFrame, DaqGone
+from touchd.sources.daq import Candidates, Daq, DaqAbsent, DaqFrame, DaqGone, DaqUnfit
 from touchd.sources.device_clock import DeviceClock
 from touchd.sources.frame_ring import FrameRing
 from touchd.sources.numbering import Numbering
@@ -61,13 +61,13 @@ class DaqSource:
 
     Parameters
     ----------
-    find : callable
-        Returns an open device, or raises DaqAbsent.
+    candidates : callable
+        Lists the devices to choose from; the first that can be used is.
     settings : DeviceSettings
     acquisition : Acquisition
         What the frames must look like.
     check : callable
-        Raises a TouchdError if a device with another acquisition must not be used; `read` raises it again.
+        Raises a TouchdError if a device with another acquisition must not be used: it is skipped.
     device : Device, optional
         Serial number and firmware, if the device was open before.
     waits : Waits
@@ -77,7 +77,7 @@ class DaqSource:
 
     def __init__(
         self,
-        find: Callable[[], Daq],
+        candidates: Candidates,
         settings: DeviceSettings,
         acquisition: Acquisition,
         check: Callable[[Acquisition], None],
@@ -90,7 +90,8 @@ class DaqSource:
         self.tally = Tally()
         self.device = device or Device()
         """The device that was opened last."""
-        self._find, self._settings, self._check, self._waits, self._clock = find, settings, check, waits, clock
+        self._settings, self._check, self._waits, self._clock = settings, check, waits, clock
+        self._candidates = candidates
         self._stall_ns = round(settings.stall_s * 1e9)
         self._ring: FrameRing[Change] = FrameRing(settings.queue_frames, acquisition.shape)
         self._numbering = Numbering()
@@ -98,6 +99,9 @@ class DaqSource:
         self._reason = ""
         self._alive_ns = clock()
         self._fruitless = 0  # connections in a row that brought no frame
+        self._turn = 0  # of the candidates: another one gets a chance after a connection without a frame
+        self._skipped = ""  # what is wrong although frames arrive: this, and
+        self._clock_fault: str | None = None
         self._error: TouchdError | None = None
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name="touchd-daq", daemon=True)
@@ -111,7 +115,7 @@ class DaqSource:
         EndOfStream
             After `close`.
         TouchdError
-            The thread has failed: the device does not fit (ModelMismatch, SourceError), or it died (ReaderFailed).
+            The thread has died (ReaderFailed), or no device will ever be found (SourceError).
         """
         if self._closing.is_set():
             raise EndOfStream
@@ -162,30 +166,51 @@ class DaqSource:
         while not self._closing.wait(delay_s):
             self._alive_ns = self._clock()
             try:
-                daq = self._find()
+                return self._find()
             except (DaqAbsent, DaqGone) as absent:
                 self._enter("lost", str(absent))
                 delay_s = min(max(retry_s, 1.5 * delay_s), max_retry_s)
-                continue
-            try:
-                self._accept(daq)
-            except BaseException:
-                daq.close()
-                raise
-            return daq
         return None
 
+    def _find(self) -> Daq:
+        """Open the first candidate that fits; raises DaqAbsent with what is wrong with each."""
+        openers = list(self._candidates())
+        first = self._turn % max(len(openers), 1)
+        unfit, absent = [], []
+        for opener in openers[first:] + openers[:first]:
+            try:
+                daq = opener()
+                self._accept(daq)
+            except DaqUnfit as why:
+                unfit.append(str(why))
+            except (DaqAbsent, DaqGone) as why:
+                absent.append(str(why))
+            else:
+                self._note_skipped("; ".join(unfit))
+                self._turn += 1  # until a frame comes
+                return daq
+        self._note_skipped("; ".join(unfit))
+        raise DaqAbsent("; ".join(unfit + absent))
+
     def _accept(self, daq: Daq) -> None:
-        """Refuse a device that the model does not fit, or that does not have the frame rate."""
-        rate_hz = self._settings.rate_hz
-        self._check(daq.acquisition)
-        if not daq.min_rate_hz <= rate_hz <= daq.max_rate_hz:
-            raise ConfigError(
-                f"is {rate_hz}, but the DAQ takes {daq.min_rate_hz} to {daq.max_rate_hz} frames a second",
-                "device.rate_hz", "set it within this range",
-            )  # fmt: skip
+        """Close and refuse a device that the model does not fit, or that does not have the frame rate."""
+        try:
+            self._check(daq.acquisition)
+            check_rate(daq, self._settings)
+        except TouchdError as error:
+            daq.close()
+            raise DaqUnfit(f"device {daq.device.serial!r} is skipped: {error}") from error
+        except BaseException:
+            daq.close()
+            raise
         self.device = daq.device
+        rate_hz = self._settings.rate_hz
         log.info("device opened", serial=self.device.serial, firmware=self.device.firmware, rate_hz=rate_hz)
+
+    def _note_skipped(self, why: str) -> None:
+        if why and why != self._skipped:
+            log.warning("device skipped", why=why)
+        self._skipped = why
 
     def _stream(self, daq: Daq) -> None:
         """Queue frames until the source is closed or the device is gone; restart, then reset a device that stalls."""
@@ -202,7 +227,9 @@ class DaqSource:
             now_ns = self._alive_ns = self._clock()
             if frame is not None:
                 self._take(frame, device_clock, now_ns)
-                seen_ns, restarted, self._fruitless = now_ns, False, 0
+                seen_ns, restarted = now_ns, False
+                if self._fruitless:
+                    self._fruitless, self._turn = 0, self._turn - 1
             elif now_ns - seen_ns > self._stall_ns:
                 self._enter("stalled", f"no frame for {self._settings.stall_s:g} s")
                 if restarted:
@@ -222,7 +249,7 @@ class DaqSource:
     def _take(self, frame: DaqFrame, clock: DeviceClock, received_ns: int) -> None:
         """Number, date, count and queue a frame."""
         if self._state != "streaming":
-            self._enter("streaming", "frames arrive")
+            self._enter_streaming(clock)
         tally = self.tally
         number, lost = self._numbering.number(frame.sequence, tally.corrupt)
         tally.lost += lost
@@ -230,10 +257,18 @@ class DaqSource:
             tally.withheld[frame.withheld] = tally.withheld.get(frame.withheld, 0) + 1
             return
         t_ns = clock.map(frame.timestamp_us, received_ns)
+        if clock.fault != self._clock_fault:
+            self._enter_streaming(clock)
         tally.clipped += frame.clipped
         tally.late += clock.delay_ns * self._settings.rate_hz > 1_000_000_000
         self._ring.put(frame.counts, number, t_ns, received_ns)
         tally.behind = self._ring.dropped
+
+    def _enter_streaming(self, clock: DeviceClock) -> None:
+        if clock.fault and clock.fault != self._clock_fault:
+            log.warning("device clock not used", why=clock.fault)
+        self._clock_fault = clock.fault
+        self._enter("streaming", "; ".join(filter(None, (clock.fault, self._skipped))))
 
     def _enter(self, state: State, reason: str) -> None:
         """Queue a change of state, or of its reason."""
@@ -242,20 +277,42 @@ class DaqSource:
             self._ring.mark(Change(state, reason))
 
 
-def open_live(find: Callable[[], Daq], settings: DeviceSettings, waits: Waits = WAITS) -> DaqSource:
+def _open_first(candidates: Candidates) -> Daq:
+    absent = []
+    try:
+        for opener in candidates():
+            try:
+                return opener()
+            except (DaqAbsent, DaqGone) as why:
+                absent.append(str(why))
+    except DaqAbsent as why:  # devices cannot be listed
+        absent.append(str(why))
+    raise DeviceLost("; ".join(absent), "device", "plug it in, or add --replay FILE or --simulate SCENE")
+
+
+def check_rate(daq: Daq, settings: DeviceSettings) -> None:
+    """Raise ConfigError unless a device has the frame rate that is set."""
+    if not daq.min_rate_hz <= settings.rate_hz <= daq.max_rate_hz:
+        raise ConfigError(
+            f"is {settings.rate_hz}, but the DAQ takes {daq.min_rate_hz} to {daq.max_rate_hz} frames a second",
+            "device.rate_hz", "set it within this range",
+        )  # fmt: skip
+
+
+def open_live(candidates: Candidates, settings: DeviceSettings, waits: Waits = WAITS) -> DaqSource:
     """Return the source of a device that is plugged in now, and whose acquisition decides.
 
     Raises
     ------
     DeviceLost
         No device is there.
+    ConfigError
+        It does not have the frame rate.
     """
-    try:
-        daq = find()
-    except (DaqAbsent, DaqGone) as absent:
-        raise DeviceLost(str(absent), "device", "plug it in, or add --replay FILE or --simulate SCENE") from absent
+    daq = _open_first(candidates)
     acquisition, device = daq.acquisition, daq.device
     daq.close()
+    check_rate(daq, settings)
 
     def check(found: Acquisition) -> None:
         if found != acquisition:
@@ -263,4 +320,4 @@ def open_live(find: Callable[[], Daq], settings: DeviceSettings, waits: Waits = 
                 f"another DAQ, whose frames are {found}, not {acquisition}", "device", "plug in the first one"
             )
 
-    return DaqSource(find, settings, acquisition, check, device, waits=waits)
+    return DaqSource(candidates, settings, acquisition, check, device, waits=waits)
