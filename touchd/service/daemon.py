@@ -22,9 +22,9 @@ from touchd.service.cpu_latency import Awake
 from touchd.service.health import Health
 from touchd.service.loop import FrameKeeper, Service
 from touchd.service.messages import Messages, wants_of
-from touchd.service.preroll import PreRoll, save_on_signal
+from touchd.service.preroll import PreRoll
 from touchd.service.reload import Reloader
-from touchd.service.signals import reload_on_hangup, stop_on_signals
+from touchd.service.signals import deliver, reload_on_hangup, save_on_signal, stop_on_signals
 from touchd.service.systemd import Notifier
 from touchd.sinks.sink import Sink
 from touchd.sources.open import SourceChoice, open_source
@@ -92,7 +92,10 @@ def make_service(
     health = Health(source, pipeline, messages, settings.health, model.description.name)
     reloader = None
     if read_settings is not None:
-        reloader = Reloader(settings, read_settings, lambda new: layout_of(new, model), pipeline, messages, health)
+        kept = preroll if isinstance(preroll, PreRoll) else None
+        reloader = Reloader(
+            settings, read_settings, lambda new: layout_of(new, model), pipeline, messages, health, kept
+        )
     return Service(
         source, pipeline, messages, sinks, health, clock=clock, manager=manager,
         awake=Awake(settings.realtime.awake_from_hz), preroll=preroll, control=control, reloader=reloader,
@@ -137,6 +140,7 @@ def run(
     from touchd.sinks.jsonl import JsonlSink
     from touchd.sinks.zeromq import ZeromqSink
 
+    realtime.raise_file_limit()
     with ExitStack() as stack:
         manager = stack.enter_context(closing(Notifier.from_environment()))
         if manager.watchdog_s:
@@ -147,9 +151,8 @@ def run(
         with realtime.giving_way() if choice.speed == math.inf else nullcontext():
             bus = stack.enter_context(closing(ZeromqSink(settings.bus)))
         sinks: list[Sink] = [bus, JsonlSink(sys.stdout)] if echo else [bus]
-        preroll = control = None
-        if settings.preroll.seconds:
-            preroll = stack.enter_context(closing(make_preroll(source, settings, model, choice)))
+        preroll = stack.enter_context(closing(make_preroll(source, settings, model, choice)))
+        control = None
         where = path_of(settings.control)
         if where is not None:
             control = stack.enter_context(closing(Control(where, settings.control.group)))
@@ -160,8 +163,8 @@ def run(
         stop_on_signals(service)
         if read_settings is not None:
             reload_on_hangup(service)
-        if preroll is not None:
-            save_on_signal(preroll)
+        save_on_signal(preroll)
+        deliver()
         realtime.freeze()
         if await_subscriber_s:
             bus.wait_for_subscriber(await_subscriber_s, stopped=lambda: service.stopped)

@@ -15,9 +15,10 @@ from touchd.pipeline import Pipeline
 from touchd.service import log as logging
 from touchd.service.health import Health
 from touchd.service.messages import Messages
+from touchd.service.preroll import PreRoll
 
 RESTART_ONLY = frozenset(
-    {"device", "ni", "bus", "control", "realtime", "preroll", "model.path", "model.atlas", "baseline.learn_frames"}
+    {"device", "ni", "bus", "control", "realtime", "model.path", "model.atlas", "baseline.learn_frames"}
 )
 """Tables and keys that a running daemon cannot change: what is open, bound, loaded or learned."""
 
@@ -66,6 +67,7 @@ class Reloader:
         Returns the keys that settings name; raises ConfigError if there is a mistake in them.
     pipeline, messages, health
         The parts that are configured.
+    preroll : PreRoll, optional
     """
 
     def __init__(
@@ -76,12 +78,13 @@ class Reloader:
         pipeline: Pipeline,
         messages: Messages,
         health: Health,
+        preroll: PreRoll | None = None,
     ) -> None:
         self.settings = settings
         """Those in use."""
         self._read = read
         self._layout_of = layout_of
-        self._pipeline, self._messages, self._health = pipeline, messages, health
+        self._pipeline, self._messages, self._health, self._preroll = pipeline, messages, health, preroll
 
     def reload(self) -> None:
         """Read the configuration and apply what can change while the daemon runs; a wrong one changes nothing.
@@ -98,6 +101,8 @@ class Reloader:
         self._pipeline.configure(new, layout)
         self._messages.configure(new)
         self._health.configure(new.health)
+        if self._preroll is not None:
+            self._preroll.configure(new.preroll)
         logging.configure(new.log)
         log.info("configuration read again", taken=changes.taken)
         if changes.waiting:

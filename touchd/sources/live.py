@@ -22,12 +22,13 @@ from dataclasses import dataclass
 import structlog
 
 from touchd.config.schema import DeviceSettings
-from touchd.errors import ConfigError, DeviceLost, ReaderFailed, SourceError, TouchdError
+from touchd.errors import ReaderFailed, SourceError, TouchdError
 from touchd.event import State
 from touchd.frame import Acquisition, Frame
 from touchd.recording.data import Device
-from touchd.sources.daq import Candidates, Daq, DaqAbsent, DaqFrame, DaqGone, DaqUnfit
+from touchd.sources.daq import Candidates, Daq, DaqAbsent, DaqFrame, DaqGone
 from touchd.sources.device_clock import DeviceClock
+from touchd.sources.device_search import DeviceSearch, check_rate, open_first
 from touchd.sources.frame_ring import FrameRing
 from touchd.sources.numbering import Numbering
 from touchd.sources.source import Change, EndOfStream, Tally
@@ -90,8 +91,8 @@ class DaqSource:
         self.tally = Tally()
         self.device = device or Device()
         """The device that was opened last."""
-        self._settings, self._check, self._waits, self._clock = settings, check, waits, clock
-        self._candidates = candidates
+        self._settings, self._waits, self._clock = settings, waits, clock
+        self._search = DeviceSearch(candidates, settings, check)
         self._stall_ns = round(settings.stall_s * 1e9)
         self._ring: FrameRing[Change] = FrameRing(settings.queue_frames, acquisition.shape)
         self._numbering = Numbering()
@@ -99,8 +100,6 @@ class DaqSource:
         self._reason = ""
         self._alive_ns = clock()
         self._fruitless = 0  # connections in a row that brought no frame
-        self._turn = 0  # of the candidates: another one gets a chance after a connection without a frame
-        self._skipped = ""  # what is wrong although frames arrive: this, and
         self._clock_fault: str | None = None
         self._error: TouchdError | None = None
         self._closing = threading.Event()
@@ -166,51 +165,15 @@ class DaqSource:
         while not self._closing.wait(delay_s):
             self._alive_ns = self._clock()
             try:
-                return self._find()
+                daq = self._search.find()
             except (DaqAbsent, DaqGone) as absent:
                 self._enter("lost", str(absent))
                 delay_s = min(max(retry_s, 1.5 * delay_s), max_retry_s)
+                continue
+            self.device, rate_hz = daq.device, self._settings.rate_hz
+            log.info("device opened", serial=self.device.serial, firmware=self.device.firmware, rate_hz=rate_hz)
+            return daq
         return None
-
-    def _find(self) -> Daq:
-        """Open the first candidate that fits; raises DaqAbsent with what is wrong with each."""
-        openers = list(self._candidates())
-        first = self._turn % max(len(openers), 1)
-        unfit, absent = [], []
-        for opener in openers[first:] + openers[:first]:
-            try:
-                daq = opener()
-                self._accept(daq)
-            except DaqUnfit as why:
-                unfit.append(str(why))
-            except (DaqAbsent, DaqGone) as why:
-                absent.append(str(why))
-            else:
-                self._note_skipped("; ".join(unfit))
-                self._turn += 1  # until a frame comes
-                return daq
-        self._note_skipped("; ".join(unfit))
-        raise DaqAbsent("; ".join(unfit + absent))
-
-    def _accept(self, daq: Daq) -> None:
-        """Close and refuse a device that the model does not fit, or that does not have the frame rate."""
-        try:
-            self._check(daq.acquisition)
-            check_rate(daq, self._settings)
-        except TouchdError as error:
-            daq.close()
-            raise DaqUnfit(f"device {daq.device.serial!r} is skipped: {error}") from error
-        except BaseException:
-            daq.close()
-            raise
-        self.device = daq.device
-        rate_hz = self._settings.rate_hz
-        log.info("device opened", serial=self.device.serial, firmware=self.device.firmware, rate_hz=rate_hz)
-
-    def _note_skipped(self, why: str) -> None:
-        if why and why != self._skipped:
-            log.warning("device skipped", why=why)
-        self._skipped = why
 
     def _stream(self, daq: Daq) -> None:
         """Queue frames until the source is closed or the device is gone; restart, then reset a device that stalls."""
@@ -229,7 +192,8 @@ class DaqSource:
                 self._take(frame, device_clock, now_ns)
                 seen_ns, restarted = now_ns, False
                 if self._fruitless:
-                    self._fruitless, self._turn = 0, self._turn - 1
+                    self._fruitless = 0
+                    self._search.keep()
             elif now_ns - seen_ns > self._stall_ns:
                 self._enter("stalled", f"no frame for {self._settings.stall_s:g} s")
                 if restarted:
@@ -268,35 +232,13 @@ class DaqSource:
         if clock.fault and clock.fault != self._clock_fault:
             log.warning("device clock not used", why=clock.fault)
         self._clock_fault = clock.fault
-        self._enter("streaming", "; ".join(filter(None, (clock.fault, self._skipped))))
+        self._enter("streaming", "; ".join(filter(None, (clock.fault, self._search.skipped))))
 
     def _enter(self, state: State, reason: str) -> None:
         """Queue a change of state, or of its reason."""
         if (state, reason) != (self._state, self._reason):
             self._state, self._reason = state, reason
             self._ring.mark(Change(state, reason))
-
-
-def _open_first(candidates: Candidates) -> Daq:
-    absent = []
-    try:
-        for opener in candidates():
-            try:
-                return opener()
-            except (DaqAbsent, DaqGone) as why:
-                absent.append(str(why))
-    except DaqAbsent as why:  # devices cannot be listed
-        absent.append(str(why))
-    raise DeviceLost("; ".join(absent), "device", "plug it in, or add --replay FILE or --simulate SCENE")
-
-
-def check_rate(daq: Daq, settings: DeviceSettings) -> None:
-    """Raise ConfigError unless a device has the frame rate that is set."""
-    if not daq.min_rate_hz <= settings.rate_hz <= daq.max_rate_hz:
-        raise ConfigError(
-            f"is {settings.rate_hz}, but the DAQ takes {daq.min_rate_hz} to {daq.max_rate_hz} frames a second",
-            "device.rate_hz", "set it within this range",
-        )  # fmt: skip
 
 
 def open_live(candidates: Candidates, settings: DeviceSettings, waits: Waits = WAITS) -> DaqSource:
@@ -309,7 +251,7 @@ def open_live(candidates: Candidates, settings: DeviceSettings, waits: Waits = W
     ConfigError
         It does not have the frame rate.
     """
-    daq = _open_first(candidates)
+    daq = open_first(candidates)
     acquisition, device = daq.acquisition, daq.device
     daq.close()
     check_rate(daq, settings)

@@ -43,7 +43,7 @@ def test_no_change() -> None:
 
 
 def test_compare() -> None:
-    """Thresholds and the log change at once; what is open, bound, loaded or learned waits for a restart."""
+    """Thresholds, pre-roll and log change at once; what is open, bound, loaded or learned waits for a restart."""
     new = settings(
         {
             "tracker": {"dead_band_mm": 2.0},
@@ -51,20 +51,23 @@ def test_compare() -> None:
             "bus": {"bind": ["tcp://127.0.0.1:1"]},
             "device": {"rate_hz": 250},
             "model": {"path": "another.onnx", "atlas": False, "min_confidence": 0.9},
-            "preroll": {"seconds": 7.0},
+            "preroll": {"seconds": 0.0},
             "baseline": {"learn_frames": 8, "absorb_s": 5.0},
         }
     )
     changes = compare(Settings(), new)
-    assert set(changes.taken) == {"tracker.dead_band_mm", "log.level", "model.min_confidence", "baseline.absorb_s"}
+    assert set(changes.taken) == {
+        "tracker.dead_band_mm", "log.level", "model.min_confidence", "preroll.seconds", "baseline.absorb_s",
+    }  # fmt: skip
     assert set(changes.waiting) == {
-        "bus.bind", "device.rate_hz", "model.path", "model.atlas", "preroll.seconds", "baseline.learn_frames",
+        "bus.bind", "device.rate_hz", "model.path", "model.atlas", "baseline.learn_frames",
     }  # fmt: skip
     expected = settings(
         {
             "tracker": {"dead_band_mm": 2.0},
             "log": {"level": "error"},
             "model": {"min_confidence": 0.9},
+            "preroll": {"seconds": 0.0},
             "baseline": {"absorb_s": 5.0},
         }
     )
