@@ -109,6 +109,9 @@ def touchd(
     ctx.obj = {"debug": debug, "config": config}
     if ctx.invoked_subcommand is not None:
         return
+    from touchd.service.signals import held
+
+    ctx.with_resource(held())  # before all that takes its time to import
     from touchd.config.load import Retired, load
     from touchd.service.daemon import run
     from touchd.service.log import configure, warn_retired

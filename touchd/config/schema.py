@@ -208,7 +208,6 @@ class PreRollSettings(Section):
     min_confidence: float = Field(
         0.0, ge=0, le=1, description="A touch that goes down with a lower confidence saves them too; 0 never does."
     )
-    interval_s: float = Field(10.0, ge=0, le=86400, description="Least time between two files, s.")
     keep: int = Field(20, ge=1, le=10_000, description="Most files in the folder; older ones are deleted.")
 
 
@@ -242,6 +241,7 @@ RETIRED = {
     "tracker.release_frames": "nothing: 2 frames always",
     "tracker.max_contacts": "nothing: 10 contacts always",
     "tracker.refresh_s": "nothing: 0.1 s always",
+    "preroll.interval_s": "nothing: 10 s always",
 }
 """Keys that earlier versions had, and what took their place. They are accepted and ignored, with a warning."""
 

@@ -25,9 +25,9 @@ from touchd.service.cpu_latency import Awake
 from touchd.service.health import Health
 from touchd.service.loop import FrameKeeper, Service
 from touchd.service.messages import Messages, wants_of
-from touchd.service.preroll import PreRoll, save_on_signal
+from touchd.service.preroll import PreRoll
 from touchd.service.reload import Reloader
-from touchd.service.signals import reload_on_hangup, stop_on_signals
+from touchd.service.signals import deliver, reload_on_hangup, save_on_signal, stop_on_signals
 from touchd.service.systemd import Notifier
 from touchd.sinks.sink import Sink
 from touchd.sources.open import SourceChoice, open_source
@@ -124,7 +124,6 @@ def make_service(
     preroll: FrameKeeper | None = None,
     control: Control | None = None,
     read_settings: Callable[[], Settings] | None = None,
-    reload_also: Callable[[Settings], object] = lambda _: None,
 ) -> Service:
     """Return the service between a source and sinks, which it closes at the end of `run`.
 
@@ -139,8 +138,6 @@ def make_service(
         Optional parts of the service.
     read_settings : callable, optional
         Reads the configuration, for `Service.reload`.
-    reload_also : callable
-        Takes the settings of a reload, beside the parts that are made here.
     """
     model = model or load_model(settings)
     pipeline = make_pipeline(source, settings, model)
@@ -148,7 +145,8 @@ def make_service(
     health = Health(source, pipeline, messages, settings.health, model.description.name)
     reloader = None
     if read_settings is not None:
-        reloader = make_reloader(settings, read_settings, model, pipeline, messages, health, reload_also)
+        kept = preroll if isinstance(preroll, PreRoll) else None
+        reloader = make_reloader(settings, read_settings, model, pipeline, messages, health, kept)
     return Service(
         source, pipeline, messages, sinks, health, clock=clock, manager=manager,
         awake=Awake(settings.realtime.awake_from_hz), preroll=preroll, control=control, reloader=reloader,
@@ -162,15 +160,16 @@ def make_reloader(
     pipeline: Pipeline,
     messages: Messages,
     health: Health,
-    also: Callable[[Settings], object] = lambda _: None,
+    preroll: PreRoll | None = None,
 ) -> Reloader:
-    """Return what reloads the configuration of these parts; `also` takes the settings for others."""
+    """Return what reloads the configuration of these parts."""
 
     def apply(new: Settings, layout: Layout | None) -> None:
         pipeline.configure(new, layout)
         messages.configure(new)
         health.configure(new.health)
-        also(new)
+        if preroll is not None:
+            preroll.configure(new.preroll)
         logging.configure(new.log)
 
     return Reloader(settings, layout_of(settings, model), read, lambda new: layout_of(new, model), apply)
@@ -213,6 +212,7 @@ def run(
     """
     from touchd.sinks.jsonl import JsonlSink
 
+    realtime.raise_file_limit()
     with ExitStack() as stack:
         manager = stack.enter_context(closing(Notifier.from_environment()))
         if manager.watchdog_s:
@@ -226,9 +226,7 @@ def run(
         # Last: the twin computes its plate for many seconds.
         source = stack.enter_context(closing(open_source(choice, settings, model)))
         sinks: list[Sink] = [bus, JsonlSink(sys.stdout)] if echo else [bus]
-        preroll = None
-        if settings.preroll.seconds:
-            preroll = stack.enter_context(closing(make_preroll(source, settings, model, choice)))
+        preroll = stack.enter_context(closing(make_preroll(source, settings, model, choice)))
         service = make_service(
             source, sinks, settings, model,
             manager=manager, preroll=preroll, control=parts.control, read_settings=read_settings,
@@ -236,8 +234,8 @@ def run(
         stop_on_signals(service)
         if read_settings is not None:
             reload_on_hangup(service)
-        if preroll is not None:
-            save_on_signal(preroll)
+        save_on_signal(preroll)
+        deliver()
         realtime.freeze()
         if await_subscriber_s:
             bus.wait_for_subscriber(await_subscriber_s, stopped=lambda: service.stopped)

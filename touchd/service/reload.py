@@ -13,7 +13,7 @@ from touchd.errors import TouchdError
 from touchd.keypad import Layout
 
 RESTART_ONLY = frozenset(
-    {"device", "ni", "bus", "control", "realtime", "preroll", "model.path", "model.atlas", "baseline.learn_frames"}
+    {"device", "ni", "bus", "control", "realtime", "model.path", "model.atlas", "baseline.learn_frames"}
 )
 """Tables and keys that a running daemon cannot change: what is open, bound, loaded or learned."""
 

@@ -23,6 +23,7 @@ from touchd.service import reload
 from touchd.service.daemon import make_reloader
 from touchd.service.health import Health
 from touchd.service.messages import Messages, all_but_spectra
+from touchd.service.preroll import PreRoll
 from touchd.service.reload import RESTART_ONLY, Changes, Reloader, compare
 from touchd.sources.replay import ReplaySource
 
@@ -47,7 +48,7 @@ def test_no_change() -> None:
 
 
 def test_compare() -> None:
-    """Thresholds and the log change at once; what is open, bound, loaded or learned waits for a restart."""
+    """Thresholds, pre-roll and log change at once; what is open, bound, loaded or learned waits for a restart."""
     new = settings(
         {
             "tracker": {"dead_band_mm": 2.0},
@@ -55,20 +56,23 @@ def test_compare() -> None:
             "bus": {"bind": ["tcp://127.0.0.1:1"]},
             "device": {"rate_hz": 250},
             "model": {"path": "another.onnx", "atlas": False, "min_confidence": 0.9},
-            "preroll": {"seconds": 7.0},
+            "preroll": {"seconds": 0.0},
             "baseline": {"learn_frames": 8, "absorb_s": 5.0},
         }
     )
     changes = compare(Settings(), new)
-    assert set(changes.taken) == {"tracker.dead_band_mm", "log.level", "model.min_confidence", "baseline.absorb_s"}
+    assert set(changes.taken) == {
+        "tracker.dead_band_mm", "log.level", "model.min_confidence", "preroll.seconds", "baseline.absorb_s",
+    }  # fmt: skip
     assert set(changes.waiting) == {
-        "bus.bind", "device.rate_hz", "model.path", "model.atlas", "preroll.seconds", "baseline.learn_frames",
+        "bus.bind", "device.rate_hz", "model.path", "model.atlas", "baseline.learn_frames",
     }  # fmt: skip
     expected = settings(
         {
             "tracker": {"dead_band_mm": 2.0},
             "log": {"level": "error"},
             "model": {"min_confidence": 0.9},
+            "preroll": {"seconds": 0.0},
             "baseline": {"absorb_s": 5.0},
         }
     )
@@ -194,7 +198,12 @@ def test_part_that_fails() -> None:
 
 
 def test_taken_is_true(
-    scene: Scene, model: Model, atlas_model: Model, scene_file: Callable[[str], Path], monkeypatch: pytest.MonkeyPatch
+    scene: Scene,
+    model: Model,
+    atlas_model: Model,
+    scene_file: Callable[[str], Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """A key that a reload can take reaches the part that uses it, and one that waits for a restart reaches none."""
     names = {section(table): table for table, _, _ in fields()}
@@ -210,6 +219,7 @@ def test_taken_is_true(
         read.clear()
         return changes
 
+    new = settings({"preroll": {"folder": tmp_path}})
     reached: set[str] = set()
     monkeypatch.setattr(Section, "__getattribute__", get, raising=False)
     monkeypatch.setattr(reload, "compare", compare_only)
@@ -218,8 +228,14 @@ def test_taken_is_true(
         run.feed(90)
         messages = Messages(Settings(), all_but_spectra)
         health = Health(ReplaySource(scene_file("circle")), run.pipeline, messages, HealthSettings(), "the model")
-        make_reloader(Settings(), Settings, each, run.pipeline, messages, health).reload()
-        assert run.feed(140)
+        preroll = PreRoll(scene("circle").acquisition, 125.0, lambda: scene("circle").meta, new.preroll)
+        make_reloader(Settings(), lambda: new, each, run.pipeline, messages, health, preroll).reload()
+        contacts = [run.feed(until) for until in range(91, 140)]
+        for i, found in enumerate(contacts):
+            preroll.keep(Frame(run.frames[i], i + 1, i * PERIOD_NS, 0), found[0] if found else [])
+        assert any(contacts)
+        preroll.request("test")
+        preroll.close()
         reached |= read
     changeable = {f"{table}.{key}" for table, key, _ in fields() if not {table, f"{table}.{key}"} & RESTART_ONLY}
     assert reached == changeable

@@ -50,7 +50,7 @@ class Stubborn:
 def test_a_device_is_tried_again_for_ever() -> None:
     """After more failures than a float has powers of two the thread still lives, and reads the first frame."""
     daq = Stubborn(1100)
-    source = DaqSource(lambda: daq, DeviceSettings(), ACQUISITION, lambda _: None, waits=AT_ONCE)
+    source = DaqSource(lambda: iter([lambda: daq]), DeviceSettings(), ACQUISITION, lambda _: None, waits=AT_ONCE)
     until, frame, states = time.monotonic() + PATIENCE_S, None, []
     while frame is None and time.monotonic() < until:
         frame = source.read(0.1)

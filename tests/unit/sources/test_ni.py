@@ -194,7 +194,7 @@ def test_clipped(rig: Rig, first: int, clipped: bool) -> None:
 def test_source(rig: Rig) -> None:
     """`DaqSource` reads it like any DAQ."""
     device = DeviceSettings(queue_frames=1000)
-    source = DaqSource(lambda: NiDaq(SETTINGS, ACQUISITION), device, ACQUISITION, lambda _: None)
+    source = DaqSource(lambda: iter([lambda: NiDaq(SETTINGS, ACQUISITION)]), device, ACQUISITION, lambda _: None)
     numbers: list[int] = []
     while len(numbers) < 10:
         frame = source.read(1.0)
