@@ -199,6 +199,8 @@ class PreRoll:
         for path in ours[: -self._settings.keep]:
             path.unlink(missing_ok=True)
             self._written.pop(path, None)
+        for path in self._folder.glob(".preroll-*.tmp"):
+            path.unlink(missing_ok=True)  # half a file of a daemon that was killed
 
 
 def default_folder() -> Path:
