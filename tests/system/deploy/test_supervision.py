@@ -183,17 +183,6 @@ def test_file_limit(tmp_path: Path) -> None:
         resource.setrlimit(resource.RLIMIT_NOFILE, before)
 
 
-def test_sighup_flood(tmp_path: Path) -> None:
-    """A flood of SIGHUP is survived."""
-    with managed(tmp_path, "--replay", SESSION, "--loop") as daemon:
-        daemon.hear_until("READY=1")
-        for _ in range(20):
-            daemon.process.send_signal(signal.SIGHUP)
-        daemon.hear_until("RELOADING=1")
-        daemon.hear_until("READY=1")
-        assert daemon.process.poll() is None
-
-
 def test_sigterm(tmp_path: Path) -> None:
     """SIGTERM during a touch lifts it and ends the daemon within a second: at one of five times, if others compute."""
     for attempt in range(5):

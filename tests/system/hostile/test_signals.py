@@ -26,7 +26,7 @@ MOST_GROWTH_KB = 6000
 def count(request: pytest.FixtureRequest) -> dict[str, int]:
     """How often each thing is done."""
     full = request.config.getoption("--hostile") == "full"
-    return {"hangups": 1500, "kills": 40} if full else {"hangups": 100, "kills": 4}
+    return {"hangups": 1500, "kills": 15} if full else {"hangups": 100, "kills": 4}
 
 
 def whole(daemon: Victim) -> None:
