@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -158,7 +159,7 @@ class Model:
 
     def _load_atlas(self) -> Atlas | None:
         path = atlas_path(self.path)
-        if not path.exists():
+        if not os.path.exists(path):
             return None
         atlas, d = load_atlas(path, self.dtype), self.description
         if atlas.description.data_sha256 != d.data_sha256 or atlas.description.acquisition != d.acquisition:
@@ -242,7 +243,7 @@ _READERS = {"regression": _read_regression, "grid": _read_grid, "keypad": _read_
 
 def _load(path: Path) -> Any:
     """Return an inference session on one thread that does not spin."""
-    if not path.is_file():
+    if not os.path.isfile(path):  # unlike Path.is_file it is false also where nobody may look
         raise ModelMissing("no such model", str(path), "check the path, or leave model.path unset for the shipped one")
     options = ort.SessionOptions()
     options.intra_op_num_threads = 1

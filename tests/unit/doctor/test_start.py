@@ -10,9 +10,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from pydantic.fields import FieldInfo
 
 from tests.command_line import touchd
+from tests.extremes import accepted
 from touchd.cli.demo import SESSION
+from touchd.config.render import fields
 from touchd.config.schema import Settings
 from touchd.doctor.start import check_start
 from touchd.errors import CheckFailed, TouchdError
@@ -123,3 +126,19 @@ def test_no_driver(folder: Path) -> None:
     assert ended.code == CheckFailed.exit_code
     assert "failure  frames" in ended.out
     assert "Traceback" not in ended.err
+
+
+OPENED = [
+    pytest.param(table, key, field, id=f"{table}.{key}")
+    for table, key, field in fields()
+    if table in ("bus", "control", "keypad") or (table, key) == ("model", "path")
+]
+
+
+@pytest.mark.parametrize(("table", "key", "field"), OPENED)
+def test_any_value(folder: Path, table: str, key: str, field: FieldInfo) -> None:
+    """Any value that the configuration takes is opened, or refused with an error that says what to do."""
+    for settings in accepted(table, key, field):
+        bus = settings.bus.model_copy(update={"bind": (f"ipc://{folder}/bus",)} if key != "bind" else {})
+        _, findings = check_start(settings.model_copy(update={"bus": bus}), listen_s=0.01)
+        assert all(finding.fix for finding in findings if finding.level != "ok")
