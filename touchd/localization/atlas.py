@@ -23,6 +23,7 @@ from touchd.recording import npz
 
 FORMAT = "touchd-atlas"
 MAX_BYTES = 8_000_000
+_MAX_LOADED_BYTES = 8 * MAX_BYTES  # a field compresses by less than 2
 _KEYS = ("format", "version", "description", "coefficients", "scale", "baseline", "error")
 _MARGIN_NODES = 2
 """Nodes beyond the touched part on each side: every point of it has its four neighbours."""
@@ -136,7 +137,7 @@ def load_atlas(path: Path, dtype: DTypeLike = np.float32) -> Atlas:
         If the file is no atlas, or its parts do not fit each other.
     """
     try:
-        found = npz.load(path, _KEYS)
+        found = npz.load(path, _KEYS, _MAX_LOADED_BYTES)
     except RecordingError as error:
         raise _invalid(path, str(error)) from error
     missing = [key for key in _KEYS if key not in found]

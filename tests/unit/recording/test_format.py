@@ -340,9 +340,55 @@ class TestRead:
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         write(tmp_path / "a.npz", make(200))
-        monkeypatch.setattr(npz, "_MEMORY_BYTES", 3000)
+        monkeypatch.setattr(npz, "MEMORY_BYTES", 3000)
         with pytest.raises(RecordingShape, match="larger than this machine's memory"):
             read(tmp_path / "a.npz")
+
+    def test_a_bomb(self, tmp_path: Path) -> None:
+        """Arrays that are far larger than their file are refused before any of them is read."""
+        zeros = bytes(1 << 20)
+        with zipfile.ZipFile(tmp_path / "a.npz", "w", zipfile.ZIP_DEFLATED) as archive:
+            for key in ("format", "version", "meta", "sequence", "timestamp_ns", "frames"):
+                with archive.open(f"{key}.npy", "w") as member:
+                    for _ in range(64):
+                        member.write(zeros)
+        tracemalloc.start()
+        try:
+            with pytest.raises(RecordingShape, match="claims 402653184 bytes of arrays, in a file of") as caught:
+                read(tmp_path / "a.npz")
+            _, peak_bytes = tracemalloc.get_traced_memory()
+        finally:
+            tracemalloc.stop()
+        assert peak_bytes < 1 << 20
+        assert caught.value.fix
+
+    def test_zeros_of_a_dead_device_are_read(self, tmp_path: Path) -> None:
+        """They compress by a thousand, and are a recording."""
+        recording = dataclasses.replace(make(4000), frames=np.zeros((4000, 2, 500), np.int16))
+        write(tmp_path / "a.npz", recording)
+        assert recording.frames.nbytes > 100 * (tmp_path / "a.npz").stat().st_size
+        assert_same(read(tmp_path / "a.npz"), recording)
+
+    def test_a_directory_of_any_size_costs_no_memory(self, tmp_path: Path) -> None:
+        with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:
+            for number in range(20):
+                archive.writestr(f"{number:060000d}", b"")
+        tracemalloc.start()
+        try:
+            with pytest.raises(RecordingTruncated, match="directory"):
+                read(tmp_path / "a.npz")
+            _, peak_bytes = tracemalloc.get_traced_memory()
+        finally:
+            tracemalloc.stop()
+        assert peak_bytes < 1 << 20
+
+    def test_chunks_beyond_memory_are_refused(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        """A folder may be larger than memory, but is then not read as a whole."""
+        for number in range(3):
+            write(tmp_path / f"{number}.npz", make(200, first=200 * number))
+        monkeypatch.setattr(npz, "MEMORY_BYTES", 2 * 200 * 2 * 5 * 2 + 9000)
+        with pytest.raises(RecordingShape, match="larger than this machine's memory"):
+            read(tmp_path)
 
     def test_a_member_that_claims_more_than_deflate_can_hold_is_refused(self, tmp_path: Path) -> None:
         data = bytearray(save(tmp_path / "a.npz", **content(make())).read_bytes())
