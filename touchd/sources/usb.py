@@ -13,6 +13,7 @@ from typing import Any, NoReturn
 import usb.backend.libusb1
 import usb.core
 import usb.util
+from pydantic import ValidationError
 
 from touchd.config.schema import DeviceSettings
 from touchd.errors import SourceError
@@ -20,7 +21,7 @@ from touchd.frame import Acquisition
 from touchd.sources.daq import Candidates, Daq, DaqAbsent, DaqGone, DaqUnfit
 from touchd.sources.live import WAITS, DaqSource, Waits, open_live
 from touchd.sources.usb_protocol import INFO_BYTES, INTERFACE_CLASS, Info, ProtocolFault, Request, parse_info
-from touchd.sources.usb_stream import EndpointHalted, RequestRefused, TransferOverflow, UsbDaq
+from touchd.sources.usb_stream import EndpointHalted, RequestRefused, TransferOverflow, UsbDaq, acquisition_of
 
 CONTROL_TIMEOUT_MS = 500
 _VENDOR_IN, _VENDOR_OUT = 0xC0, 0x40  # recipient device
@@ -121,12 +122,14 @@ class UsbDevice:
 
     def _ask_info(self) -> Info:
         try:
-            return parse_info(bytes(self._control(_VENDOR_IN, Request.GET_INFO, 0, INFO_BYTES)))
-        except (RequestRefused, ProtocolFault) as error:
+            info = parse_info(bytes(self._control(_VENDOR_IN, Request.GET_INFO, 0, INFO_BYTES)))
+            acquisition_of(info)
+        except (RequestRefused, ProtocolFault, ValidationError) as error:
             raise DaqUnfit(
-                f"{self._where}: {error} -> give the DAQ firmware for protocol 1, or set another id in "
+                f"{self._where}: {_first_line(error)} -> give the DAQ firmware for protocol 1, or set another id in "
                 "device.vendor_id and product_id"
             ) from error
+        return info
 
     def _control(self, kind: int, request: Request, value: int, size: int = 0) -> Any:
         try:
@@ -291,6 +294,13 @@ def _where(device: Any) -> str:
 def _gone(error: usb.core.USBError) -> DaqGone:
     # A pulled cable shows as EIO, ENODEV, EPROTO or ESHUTDOWN. After any other error, too, only a new connection helps.
     return DaqGone(f"it is gone ({_name(error)})")
+
+
+def _first_line(error: Exception) -> str:
+    if isinstance(error, ValidationError):
+        first = error.errors()[0]
+        return f"GET_INFO says {'.'.join(map(str, first['loc']))} = {first['input']}: {first['msg']}"
+    return str(error)
 
 
 def _name(error: usb.core.USBError) -> str:
