@@ -13,7 +13,6 @@ from typing import Any, NoReturn
 import usb.backend.libusb1
 import usb.core
 import usb.util
-from pydantic import ValidationError
 
 from touchd.config.schema import DeviceSettings
 from touchd.errors import SourceError
@@ -123,10 +122,10 @@ class UsbDevice:
     def _ask_info(self) -> Info:
         try:
             info = parse_info(bytes(self._control(_VENDOR_IN, Request.GET_INFO, 0, INFO_BYTES)))
-            acquisition_of(info)
-        except (RequestRefused, ProtocolFault, ValidationError) as error:
+            acquisition_of(info)  # refuses what no rig has
+        except (RequestRefused, ProtocolFault) as error:
             raise DaqUnfit(
-                f"{self._where}: {_first_line(error)} -> give the DAQ firmware for protocol 1, or set another id in "
+                f"{self._where}: {error} -> give the DAQ firmware for protocol 1, or set another id in "
                 "device.vendor_id and product_id"
             ) from error
         return info
@@ -294,13 +293,6 @@ def _where(device: Any) -> str:
 def _gone(error: usb.core.USBError) -> DaqGone:
     # A pulled cable shows as EIO, ENODEV, EPROTO or ESHUTDOWN. After any other error, too, only a new connection helps.
     return DaqGone(f"it is gone ({_name(error)})")
-
-
-def _first_line(error: Exception) -> str:
-    if isinstance(error, ValidationError):
-        first = error.errors()[0]
-        return f"GET_INFO says {'.'.join(map(str, first['loc']))} = {first['input']}: {first['msg']}"
-    return str(error)
 
 
 def _name(error: usb.core.USBError) -> str:
