@@ -122,7 +122,7 @@ def simulate_scene(
         Replaces the default instrument on `plate`; `plate` is then ignored.
     electronics : Electronics, optional
     finger : str, optional
-        "silicone" or "human"; by default the scene's.
+        A kind of `touchd.twin.physics.finger.TISSUES`; by default the scene's.
     keys : sequence of (name, x_mm, y_mm), optional
         Keys of the scene `keypad` with their centres; by default 3 x 4 around the plate's centre.
     code : str, optional
@@ -172,7 +172,8 @@ def simulate_touches(
     instrument : Instrument, optional
         Replaces the default instrument on `plate`; `plate` is then ignored.
     electronics : Electronics, optional
-    finger : "silicone" (12-28 mm^2) or "human" (40-100 mm^2)
+    finger : a kind of `touchd.twin.physics.finger.TISSUES`
+        Areas and ratios of the axes are drawn from `touchd.twin.scenes.robot.AREAS_MM2` and `timeline.RATIOS`.
     margin_mm : float, optional
         Least distance of a touch's centre from the edge; by default such that the contact fits.
     stale_k : float
