@@ -48,9 +48,11 @@ class DeviceClock:
     ----------
     complete_ns : int
         Time from the start of a chirp to its last sample, the least delay of a frame.
+    last_t_ns : int
+        Time of the last frame of an earlier connection: later frames are later.
     """
 
-    def __init__(self, complete_ns: int) -> None:
+    def __init__(self, complete_ns: int, last_t_ns: int = -1) -> None:
         self.delay_ns = 0
         """How much later than the quickest frames the last frame arrived."""
         self.fault: str | None = None
@@ -60,7 +62,7 @@ class DeviceClock:
         self._restarts, self._restarted_ns = 0, -_RESTART_GAP_NS - 1
         self._series = _Point(0, 0)  # device time and arrival at the first of the restarts
         self._last_ns = self._last_x_ns = 0
-        self._last_t_ns = -1
+        self._last_t_ns = last_t_ns
         self._last_received_ns = 0
 
     def map(self, timestamp_us: int, received_ns: int) -> int:

@@ -100,6 +100,7 @@ class DaqSource:
         self._reason = ""
         self._alive_ns = clock()
         self._fruitless = 0  # connections in a row that brought no frame
+        self._last_t_ns = -1
         self._clock_fault: str | None = None
         self._error: TouchdError | None = None
         self._closing = threading.Event()
@@ -178,7 +179,8 @@ class DaqSource:
     def _stream(self, daq: Daq) -> None:
         """Queue frames until the source is closed or the device is gone; restart, then reset a device that stalls."""
         self._start(daq)
-        device_clock = DeviceClock(round(1e9 * daq.acquisition.samples / daq.acquisition.sample_rate_hz))
+        complete_ns = round(1e9 * daq.acquisition.samples / daq.acquisition.sample_rate_hz)
+        device_clock = DeviceClock(complete_ns, self._last_t_ns)
         corrupt = self.tally.corrupt
         restarted = False
         seen_ns = self._clock()
@@ -220,7 +222,7 @@ class DaqSource:
         if frame.withheld:
             tally.withheld[frame.withheld] = tally.withheld.get(frame.withheld, 0) + 1
             return
-        t_ns = clock.map(frame.timestamp_us, received_ns)
+        t_ns = self._last_t_ns = clock.map(frame.timestamp_us, received_ns)
         if clock.fault != self._clock_fault:
             self._enter_streaming(clock)
         tally.clipped += frame.clipped

@@ -20,7 +20,7 @@ from touchd.frame import Acquisition
 from touchd.sources.daq import Candidates, Daq, DaqAbsent, DaqGone, DaqUnfit
 from touchd.sources.live import WAITS, DaqSource, Waits, open_live
 from touchd.sources.usb_protocol import INFO_BYTES, INTERFACE_CLASS, Info, ProtocolFault, Request, parse_info
-from touchd.sources.usb_stream import EndpointHalted, RequestRefused, TransferOverflow, UsbDaq
+from touchd.sources.usb_stream import EndpointHalted, RequestRefused, TransferOverflow, UsbDaq, acquisition_of
 
 CONTROL_TIMEOUT_MS = 500
 _VENDOR_IN, _VENDOR_OUT = 0xC0, 0x40  # recipient device
@@ -121,12 +121,14 @@ class UsbDevice:
 
     def _ask_info(self) -> Info:
         try:
-            return parse_info(bytes(self._control(_VENDOR_IN, Request.GET_INFO, 0, INFO_BYTES)))
+            info = parse_info(bytes(self._control(_VENDOR_IN, Request.GET_INFO, 0, INFO_BYTES)))
+            acquisition_of(info)  # refuses what no rig has
         except (RequestRefused, ProtocolFault) as error:
             raise DaqUnfit(
                 f"{self._where}: {error} -> give the DAQ firmware for protocol 1, or set another id in "
                 "device.vendor_id and product_id"
             ) from error
+        return info
 
     def _control(self, kind: int, request: Request, value: int, size: int = 0) -> Any:
         try:

@@ -13,11 +13,12 @@ from typing import Protocol
 
 import numpy as np
 import structlog
+from pydantic import ValidationError
 
 from touchd.frame import Acquisition, Chirp
 from touchd.recording.data import Device
 from touchd.sources.daq import DaqFrame, DaqGone
-from touchd.sources.usb_protocol import SEQUENCE_SPAN, Flag, FrameReader, Header, Info, Request
+from touchd.sources.usb_protocol import SEQUENCE_SPAN, Flag, FrameReader, Header, Info, ProtocolFault, Request
 
 HALT_PAUSE_S = 0.01
 """Pause after a halt is cleared, so that an endpoint that stays halted does not keep a processor busy."""
@@ -182,12 +183,17 @@ class UsbDaq:
 
 
 def acquisition_of(info: Info) -> Acquisition:
-    """Return the geometry of a device's frames, in touchd's units."""
-    chirp = Chirp(
-        start_hz=info.chirp_start_hz, stop_hz=info.chirp_stop_hz, duration_s=info.chirp_us / 1e6,
-        dac_rate_hz=info.dac_rate_hz,
-    )  # fmt: skip
-    return Acquisition(
-        channels=info.channels, samples=info.samples, sample_rate_hz=info.sample_rate_hz, bits=info.bits,
-        full_scale_v=info.full_scale_mv / 1e3, chirp=chirp,
-    )  # fmt: skip
+    """Return the geometry of a device's frames, in touchd's units; raises ProtocolFault if no rig has it."""
+    try:
+        chirp = Chirp(
+            start_hz=info.chirp_start_hz, stop_hz=info.chirp_stop_hz, duration_s=info.chirp_us / 1e6,
+            dac_rate_hz=info.dac_rate_hz,
+        )  # fmt: skip
+        return Acquisition(
+            channels=info.channels, samples=info.samples, sample_rate_hz=info.sample_rate_hz, bits=info.bits,
+            full_scale_v=info.full_scale_mv / 1e3, chirp=chirp,
+        )  # fmt: skip
+    except ValidationError as error:
+        first = error.errors()[0]
+        name = ".".join(map(str, first["loc"]))
+        raise ProtocolFault(f"GET_INFO means {name} = {first['input']}: {first['msg']}") from error
