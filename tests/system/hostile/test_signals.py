@@ -18,7 +18,7 @@ from touchd.recording.format import read
 
 GOOD = '[tracker]\ndead_band_mm = {}\n[health]\nperiod_s = 0.1\n[log]\nlevel = "info"\n'
 WRONG = ("not TOML", "[tracker]\nreach_mm = 1e300\n", '[keypad]\nlayout = "/nowhere.toml"\n', "[gate]\nclose = 1\n")
-MOST_GROWTH_KB = 6000
+MOST_GROWTH_KB = 2000
 """Of a thousand reloads and more: an entry of the log that is kept would be more."""
 
 

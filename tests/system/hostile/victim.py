@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from tests.processes import PATIENCE_S, command, environment
+from tests.system.hostile.usage import memory_kb, open_files
 from touchd.cli.demo import SESSION
 from touchd.client import Subscriber
 from touchd.errors import BusTimeout
@@ -78,9 +79,8 @@ class Victim:
 
     def footprint(self) -> Footprint:
         """Return what the process holds now."""
-        proc = Path(f"/proc/{self.process.pid}")
-        status = dict(line.split(":\t", 1) for line in (proc / "status").read_text().splitlines())
-        return Footprint(int(status["VmRSS"].split()[0]), len(os.listdir(proc / "fd")), int(status["Threads"]))
+        number = self.process.pid
+        return Footprint(memory_kb(number), open_files(number), len(os.listdir(f"/proc/{number}/task")))
 
     def wait(self, done: Callable[[], object], what: str) -> None:
         """Wait until something is done."""
