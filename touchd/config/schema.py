@@ -163,9 +163,14 @@ class BusSettings(Section):
     """Where events are published."""
 
     bind: tuple[Endpoint, ...] = Field(
-        ("tcp://127.0.0.1:5570",), min_length=1, description="Addresses of the publisher: tcp:// or ipc://."
+        (),
+        description="Addresses of the publisher: tcp:// or ipc://. Unset is `bus` in the service's runtime folder, or "
+        "tcp://127.0.0.1:5570 without a service.",
     )
-    ipc_group: Group = Field("", description="Group that may use ipc:// sockets (mode 0660); empty keeps them private.")
+    ipc_group: Group = Field(
+        "", description="Group that may use ipc:// sockets (mode 0660); empty keeps them private, "
+        "but for the service's own, which is for `touchd-bus`.",
+    )  # fmt: skip
     curve_secret_key: Annotated[OptionalPath, AfterValidator(refuse_key)] = Field(
         None, description="Server key file made by `touchd keygen`; needed for any address beyond loopback."
     )
@@ -178,6 +183,7 @@ class BusSettings(Section):
         1000, ge=1, le=100_000, description="Most messages that wait for a slow subscriber, some 500 bytes each; then "
         "it loses some.",
     )  # fmt: skip
+    max_subscribers: int = Field(64, ge=1, le=10000, description="Most connections at once.")
 
 
 class ControlSettings(Section):

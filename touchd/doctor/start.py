@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from pathlib import Path
 
 from touchd.config.schema import Settings
 from touchd.doctor.checks import Finding
 from touchd.errors import AddressInUse, BusTimeout, TouchdError
 from touchd.event import HealthEvent
 from touchd.service.daemon import Parts, open_parts
+from touchd.sinks.endpoint import SERVICE
 
 
 def failure(check: str, error: TouchdError) -> Finding:
@@ -33,6 +35,9 @@ def check_start(settings: Settings, listen_s: float = 2.5) -> tuple[Parts, list[
     list of Finding
         One for each part that the settings ask for, in the order in which the daemon opens them.
     """
+    service = Path(SERVICE.removeprefix("ipc://"))
+    if not settings.bus.bind and service.exists():  # the service runs, with a default of its own
+        settings = settings.model_copy(update={"bus": settings.bus.model_copy(update={"bind": (SERVICE,)})})
     refused: dict[str, TouchdError] = {}
 
     @contextmanager

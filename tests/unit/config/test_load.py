@@ -95,7 +95,6 @@ FILE_MISTAKES = [
     ("[gate]\nfalse_alarm_rate = nan", "gate.false_alarm_rate", r"is nan, must be a number, .* below 0\.1"),
     ("[bus]\ninsecure = 'maybe'", "bus.insecure", r"is 'maybe', must be true or false"),
     ("[bus]\nbind = 'tcp://a:1'", "bus.bind", r"is 'tcp://a:1', must be a list of addresses"),
-    ("[bus]\nbind = []", "bus.bind", r"is empty, must be a list of addresses"),
     ("[bus]\nbind = ['tcp://a:1', 'udp://b']", "bus.bind[1]", r"is 'udp://b', must be an address"),
     ("[log]\nlevel = 'trace'", "log.level", r"is 'trace', must be one of debug, info, warning, error"),
     ("[model]\npath = 3", "model.path", r"is 3, must be a path or empty"),
