@@ -56,6 +56,13 @@ class Plate(_Description):
     material: str = "glass"
 
 
+def parse_plate(text: str) -> Plate:
+    """Return the plate of `400x300` or `400x300x5`, mm; raises ValueError."""
+    names = ("width_mm", "height_mm", "thickness_mm")
+    sizes_mm = [float(size) for size in text.lower().split("x")]
+    return Plate.model_validate(dict(zip(names[: max(2, len(sizes_mm))], sizes_mm, strict=True)))
+
+
 class Acquisition(_Description):
     """How frames were acquired: everything a model must agree with."""
 

@@ -117,7 +117,7 @@ def make_service(
     source: Source,
     sinks: Sequence[Sink],
     settings: Settings,
-    model: Model | None = None,
+    model: Model,
     *,
     clock: Callable[[], int] = time.monotonic_ns,
     manager: Notifier | None = None,
@@ -129,9 +129,7 @@ def make_service(
 
     Parameters
     ----------
-    source, sinks, settings
-    model : Model, optional
-        By default the one that the settings name.
+    source, sinks, settings, model
     clock : callable
         CLOCK_MONOTONIC, ns.
     manager, preroll, control
@@ -139,7 +137,6 @@ def make_service(
     read_settings : callable, optional
         Reads the configuration, for `Service.reload`.
     """
-    model = model or load_model(settings)
     pipeline = make_pipeline(source, settings, model)
     messages = Messages(settings, wants_of(sinks))
     health = Health(source, pipeline, messages, settings.health, model.description.name)

@@ -9,6 +9,7 @@ import contextlib
 import time
 from array import array
 from collections.abc import Iterator
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -84,11 +85,18 @@ class UsbDaq:
         self._sequence: int | None = None  # of the last frame, unwrapped
         self._started = False
         self._halts = 0
+
+    @cached_property
+    def _buffer(self) -> array[int]:
+        """Made when it is read into: a device may claim frames of 33 MB, and be skipped for it."""
         # Whole packets, so that no device can overflow it, and room for a frame that fills its last packet: the empty
         # packet behind it then belongs to the same transfer.
-        packets = info.frame_bytes // connection.packet_bytes + 1
-        self._buffer = array("B", bytes(packets * connection.packet_bytes))
-        self._view = memoryview(self._buffer)
+        packets = self._connection.info.frame_bytes // self._connection.packet_bytes + 1
+        return array("B", bytes(packets * self._connection.packet_bytes))
+
+    @cached_property
+    def _view(self) -> memoryview:
+        return memoryview(self._buffer)
 
     @property
     def corrupt(self) -> int:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import errno
+import logging
 import random
 import time
 from collections import Counter
 
 import pytest
-from structlog.testing import capture_logs
+import structlog
 
 from tests.processes import PATIENCE_S
 from tests.system.hostile.usage import bounded
@@ -28,6 +29,12 @@ from touchd.sources.usb_stream import acquisition_of
 INFO = Info(channels=4, samples=250, sample_rate_hz=250_000, min_frame_rate_hz=10)
 MOST_GROWTH_KB = 16_000
 AT_ONCE = Waits(read_s=0.01, retry_s=1e-4, max_retry_s=1e-3)
+
+
+@pytest.fixture(autouse=True)
+def no_log() -> None:
+    """Nothing is printed, or kept, of thousands of lines."""
+    structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.CRITICAL))
 
 
 @pytest.fixture
@@ -84,7 +91,7 @@ def test_transfers(monkeypatch: pytest.MonkeyPatch, count: int) -> None:
         return made if sent.total() <= count else daq.frame(bytes(2000), sequence=daq.sequence % 2**32)
 
     daq.source = next_transfer
-    with capture_logs(), bounded("transfers", MOST_GROWTH_KB):
+    with bounded("transfers", MOST_GROWTH_KB):
         source = open_usb(DeviceSettings(stall_s=10.0), acquisition_of(INFO), backend=FakeBus(daq), waits=AT_ONCE)
         frames, last_ns, until = 0, 0, time.monotonic() + PATIENCE_S
         while sent.total() < count + 100:
@@ -134,7 +141,7 @@ def test_descriptions(model: Model, count: int) -> None:
             return open_first(lambda: candidates(DeviceSettings(), bus))
         return DeviceSearch(lambda: candidates(DeviceSettings(), bus), DeviceSettings(), model.check).find()
 
-    with capture_logs(), bounded("descriptions", MOST_GROWTH_KB):
+    with bounded("descriptions", MOST_GROWTH_KB):
         for _ in range(count):
             daq, good = FakeDaq(INFO), FakeDaq(INFO, "GOOD")
             spoil(rng, daq)

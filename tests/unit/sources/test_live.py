@@ -12,6 +12,7 @@ from touchd.frame import Acquisition
 from touchd.recording.data import Device
 from touchd.sources.daq import DaqFrame, DaqGone
 from touchd.sources.live import DaqSource, Waits
+from touchd.sources.source import Change
 
 ACQUISITION = Acquisition(channels=2, samples=30, sample_rate_hz=250e3)
 AT_ONCE = Waits(read_s=0.01, retry_s=1e-6, max_retry_s=1e-6)
@@ -83,7 +84,8 @@ def test_a_wrong_clock_is_named() -> None:
     source = DaqSource(
         lambda: iter([lambda: daq]), DeviceSettings(), ACQUISITION, lambda _: None, clock=lambda: daq.now_ns
     )
-    until, changes = time.monotonic() + PATIENCE_S, []
+    until = time.monotonic() + PATIENCE_S
+    changes: list[Change] = []
     while not (changes and "clock" in changes[-1].reason) and time.monotonic() < until:
         source.read(0.1)
         changes += source.changes()
