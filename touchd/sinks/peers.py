@@ -29,9 +29,9 @@ MOST_MESSAGES = 256
 """Messages of one connection at once; further ones at `MESSAGES_HZ`."""
 MESSAGES_HZ = 16.0
 STALLED_S = 10.0
-"""A connection that has had unsent messages for this time is cut off: all that it would still get is stale."""
+"""A connection whose peer has read nothing for this time is cut off: what waits for it is stale, and takes memory."""
 _LOOK_S = 1.0
-_MOST_EVENTS = 256  # read at once: a flood of connections must not delay a frame
+_MOST_EVENTS = 64  # read at once: a flood of connections must not delay a frame
 _MONITORED = int(
     zmq.EVENT_ACCEPTED | zmq.EVENT_DISCONNECTED | zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL | zmq.EVENT_HANDSHAKE_FAILED_AUTH
 )
@@ -60,8 +60,10 @@ class _Peer:
     credit_s: float = 0.0
     subscribed: bool = False
     """Whether it ever subscribed."""
-    behind_s: float = 0.0
-    """Since when there have been unsent messages; 0 if there are none."""
+    unsent: bytes = b""
+    """How much waits to be sent, as the kernel says it."""
+    unsent_s: float = 0.0
+    """Since when it has been so much."""
 
 
 class Peers:
@@ -220,12 +222,10 @@ class Peers:
             unsent = fcntl.ioctl(peer.descriptor, _SIOCOUTQNSD if peer.stream else _SIOCOUTQ, bytes(4))
         except OSError:
             return
-        if not any(unsent):
-            peer.behind_s = 0.0
-        elif not peer.behind_s:
-            peer.behind_s = now_s
-        elif now_s - peer.behind_s >= STALLED_S:
-            self._cut(peer, f"it has not kept up for {STALLED_S:g} s")
+        if unsent != peer.unsent or not any(unsent):
+            peer.unsent, peer.unsent_s = unsent, now_s
+        elif now_s - peer.unsent_s >= STALLED_S:
+            self._cut(peer, f"it has read nothing for {STALLED_S:g} s")
 
     def _cut(self, peer: _Peer, reason: str) -> None:
         self._cut_off.warn(peer=peer.name, reason=reason)

@@ -140,7 +140,7 @@ def replayed(found: dict[str, Any]) -> None:
     found["bus as other users"] = as_other_users()
     found["sandbox"] = json.loads(Path("/run/touchd/probe.json").read_text())
 
-    with Subscriber(timeout_s=PATIENCE_S) as events:  # without an address it finds the service
+    with Subscriber(timeout_s=PATIENCE_S, max_age_s=None) as events:  # without an address it finds the service
         found["touched"] = touches(events)
 
         say("-- killed")
@@ -262,7 +262,7 @@ def mocked(found: dict[str, Any]) -> None:
             steps.append(json.loads(line))
     found["mocked client"] = client.wait(PATIENCE_S)
     found["mocked steps"] = steps
-    with Subscriber(BUS, timeout_s=PATIENCE_S) as events:
+    with Subscriber(BUS, timeout_s=PATIENCE_S, max_age_s=None) as events:
         os.kill(int(show("MainPID")["MainPID"]), 9)
         wait("restarted", lambda: show("NRestarts", "ActiveState") == {"NRestarts": "1", "ActiveState": "active"})
         wait("streaming", lambda: show("StatusText")["StatusText"].startswith("streaming: "))

@@ -196,7 +196,7 @@ def test_sigterm(tmp_path: Path) -> None:
 
 def seconds_to_stop(folder: Path) -> float:
     with managed(folder, "--replay", SESSION, "--loop") as daemon:
-        with Subscriber(daemon.bus, timeout_s=PATIENCE_S) as events:
+        with Subscriber(daemon.bus, timeout_s=PATIENCE_S, max_age_s=None) as events:
             next(event for event in events if isinstance(event, TouchEvent))
             started_s = time.monotonic()
             daemon.process.terminate()

@@ -340,7 +340,7 @@ def test_a_running_daemon_saves_on_sigusr1_and_what_it_saved_replays_to_the_same
     address, folder = f"ipc://{tmp_path}/bus", tmp_path / "rolls"
     options = ("--replay", SESSION, "--bind", address, "--await-subscriber", PATIENCE_S)
     with started(*options, TOUCHD_PREROLL__FOLDER=str(folder), TOUCHD_LOG__FORMAT="json") as daemon:
-        with Subscriber(address, timeout_s=PATIENCE_S) as events:
+        with Subscriber(address, timeout_s=PATIENCE_S, max_age_s=None) as events:
             lifted = next(e for e in events if any(c.phase == "up" for c in e.contacts))
         daemon.send_signal(signal.SIGUSR1)
         wait_until(lambda: folder.is_dir() and list(folder.glob("preroll-*.npz")))

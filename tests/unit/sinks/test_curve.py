@@ -304,3 +304,24 @@ def test_keygen_says_why_it_cannot_write(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(OutputError, match="cannot be written"):
         curve.make_files(tmp_path / "file/folder", "kiosk")
+
+
+@pytest.mark.parametrize("call", ["fsync", "link"])
+def test_keygen_on_a_full_disk_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: str) -> None:
+    """When the disk is full at any moment no half of a pair stays, and the next attempt works."""
+    really, calls = getattr(os, call), 0
+
+    def full(*arguments: object) -> object:
+        nonlocal calls
+        calls += 1
+        if calls == 2:  # the second file
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return really(*arguments)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(os, call, full)
+        with pytest.raises(OutputError, match="No space left"):
+            curve.make_files(tmp_path, "kiosk")
+    assert list(tmp_path.iterdir()) == []
+    curve.make_files(tmp_path, "kiosk")
+    assert curve.load_public(tmp_path / "kiosk.key")
