@@ -1,5 +1,6 @@
 """Models: one file that says what it is, and is refused where it does not fit."""
 
+import json
 from pathlib import Path
 from typing import TypeVar
 
@@ -14,6 +15,7 @@ from hypothesis.extra import numpy as hnp
 from touchd.errors import ModelInvalid, ModelMismatch, ModelMissing, TrainingError
 from touchd.frame import Acquisition, Chirp, Plate
 from touchd.keypad import PHONE, load_layout
+from touchd.localization.atlas import atlas_path
 from touchd.localization.model import METADATA_KEY, Description, Model
 from touchd.training.network.export import TOLERANCE, check_export, fold, make_graph, write_model
 from touchd.training.network.network import PaperNetwork, PositionNetwork
@@ -221,6 +223,41 @@ def test_a_model_whose_description_is_wrong_is_refused(
     path = tmp_path / "changed.onnx"
     path.write_bytes(proto.SerializeToString())
     with pytest.raises(ModelInvalid, match=says):
+        Model(path)
+
+
+@pytest.mark.parametrize("value", [0, -1, 1e-300, 1e18, 1e300, 10**400])
+@pytest.mark.parametrize(
+    "key", ["acquisition.samples", "acquisition.channels", "acquisition.sample_rate_hz", "acquisition.chirp.stop_hz",
+            "acquisition.chirp.duration_s", "plate.width_mm", "plate.height_mm"],
+)  # fmt: skip
+def test_an_impossible_number_is_refused(regression: Model, tmp_path: Path, key: str, value: float) -> None:
+    """Of the description, before it takes memory."""
+    about = json.loads(description().model_dump_json())
+    *parents, last = key.split(".")
+    part = about
+    for parent in parents:
+        part = part[parent]
+    part[last] = value
+    proto = onnx.load(regression.path)
+    del proto.metadata_props[:]
+    proto.metadata_props.add(key=METADATA_KEY, value=json.dumps(about))
+    path = tmp_path / "changed.onnx"
+    path.write_bytes(proto.SerializeToString())
+    with pytest.raises(ModelInvalid, match=key.replace(".", r"\.")):
+        Model(path)
+
+
+def test_another_atlas_is_refused(atlas_model: Model, tmp_path: Path) -> None:
+    """An atlas of another plate is refused, though its other parts fit."""
+    path = tmp_path / "a.onnx"
+    path.write_bytes(atlas_model.path.read_bytes())
+    with np.load(atlas_path(atlas_model.path)) as archive:
+        parts = dict(archive)
+    about = json.loads(str(parts["description"]))
+    about["plate"]["width_mm"] += 100
+    np.savez(atlas_path(path), **parts | {"description": np.array(json.dumps(about))})
+    with pytest.raises(ModelInvalid, match="another recording"):
         Model(path)
 
 
