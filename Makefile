@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: setup demo test unit lint bench soak ghosts golden docs lock packages test-packages deb vm-packages vm-test clean
+.PHONY: setup demo test unit lint bench soak ghosts hostile golden docs lock packages test-packages deb vm-packages vm-test clean
 
 setup: .venv/.ready
 
@@ -61,6 +61,10 @@ soak: setup
 # Hours of scenes without fingers: prints every contact. Some ten minutes.
 ghosts: setup
 	$(BIN)/python -m tests.system.soak.ghosts $(ARGS)
+
+# Strangers on every interface, in full: some minutes. Prints memory, descriptors and counts.
+hostile: setup
+	$(BIN)/python -m pytest tests/system/hostile --hostile=full -s $(ARGS)
 
 # Rebuild the checked-in results and pages.
 golden: setup

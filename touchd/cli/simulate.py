@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import sys
 from contextlib import ExitStack
 from dataclasses import replace
@@ -12,7 +11,7 @@ import click
 
 from touchd.config.schema import LogSettings
 from touchd.errors import OutputError, SimulationError
-from touchd.frame import Plate
+from touchd.frame import Plate, parse_plate
 from touchd.keypad import load_layout
 from touchd.recording import format as recording
 from touchd.service.log import configure
@@ -29,15 +28,14 @@ TOUCHES = "touches"
 _SCENE_LINES = "\n".join(f"  {name:13} {scene.what}" for name, scene in SCENES.items())
 
 
-def parse_plate(_ctx: click.Context, _param: click.Parameter, value: str) -> tuple[float, float, float]:
-    """Parse WIDTHxHEIGHTxTHICKNESS into three lengths in mm."""
+def _plate(_ctx: click.Context, _param: click.Parameter, value: str) -> Plate:
+    """Parse WIDTHxHEIGHTxTHICKNESS."""
     try:
-        width, height, thickness = (float(part) for part in value.lower().split("x"))
+        if value.lower().count("x") != 2:
+            raise ValueError
+        return parse_plate(value)
     except ValueError:
         raise click.BadParameter("three lengths in mm such as 200x200x5") from None
-    if not all(0 < length < math.inf for length in (width, height, thickness)):
-        raise click.BadParameter("lengths above 0")
-    return width, height, thickness
 
 
 @click.command(
@@ -52,7 +50,7 @@ def parse_plate(_ctx: click.Context, _param: click.Parameter, value: str) -> tup
 @click.option("--finger", type=click.Choice(list(TISSUES)), help="Tissue of the finger.  [default: the scene's]")
 @click.option("--keypad", type=click.Path(path_type=Path), help="Layout of the keys (TOML).  [default: 3 x 4 keys]")
 @click.option("--code", help="Code to type on the keypad.")
-@click.option("--plate", default="200x200x5", show_default=True, callback=parse_plate, metavar="WxHxT", help="In mm.")
+@click.option("--plate", default="200x200x5", show_default=True, callback=_plate, metavar="WxHxT", help="In mm.")
 @click.option("--material", default="glass", show_default=True, type=click.Choice(list(MATERIALS)))
 @click.option("--loss", default=5e-3, show_default=True, help="Loss factor of the plate.")
 @click.option("--noise-db", default=60.0, show_default=True, help="Signal-to-noise ratio of the untouched plate, dB.")
@@ -90,7 +88,7 @@ def command(
     finger: str | None,
     keypad: Path | None,
     code: str | None,
-    plate: tuple[float, float, float],
+    plate: Plate,
     material: str,
     loss: float,
     noise_db: float,
@@ -123,9 +121,8 @@ def command(
         raise click.UsageError("--jobs counts processes of this computer; --dask uses the cluster's workers")
     if output.exists() and not force:
         raise OutputError("already there", str(output), "choose another name, or add --force")
-    width, height, thickness = plate
     keys = [(key.name, *key.centre_mm) for key in load_layout(keypad).key] if keypad else None
-    described = Plate(width_mm=width, height_mm=height, thickness_mm=thickness, material=material)
+    described = plate.model_copy(update={"material": material})
     electronics = Electronics(noise_db=noise_db, jitter_s=jitter_ns * 1e-9)
     if scene == TOUCHES:
         total = 2 * touches.count

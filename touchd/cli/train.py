@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import os
+import time
+from collections.abc import Callable
 from pathlib import Path
 
 import click
@@ -12,9 +14,41 @@ from touchd.errors import OutputError
 from touchd.localization.atlas import atlas_path
 from touchd.training.network.recipe import RECIPES
 
-PACE_S = 600.0
-"""Window of steps that estimate the time left; an epoch may last a minute."""
+_KNOWN_SHARE = 0.05
+"""No time left is estimated from a smaller share of the steps."""
 _RECIPES = "\n".join(["\b", "Recipes:", *(f"  {recipe.name:16}  {recipe.what}" for recipe in RECIPES.values())])
+
+
+class TimeLeft:
+    """Estimates the time left of a job in steps, from the mean of the steps but the slowest: a cold cache strikes once.
+
+    `rich` has one slow step stand for all that follow while few are done.
+
+    Parameters
+    ----------
+    clock : callable
+        Monotonic time, s.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._begin_s = self._last_s = clock()
+        self._begun = 0
+        self._slowest_s = 0.0
+
+    def update(self, done: int, steps: int) -> str:
+        """Return the time left once `done` of `steps` are done, for a person; empty while nobody can know."""
+        now_s = self._clock()
+        if not self._begun:
+            self._begin_s, self._begun = now_s, done
+        else:
+            self._slowest_s = max(self._slowest_s, now_s - self._last_s)
+        self._last_s = now_s
+        counted = done - self._begun - 1
+        if counted < max(2, _KNOWN_SHARE * steps) or done == steps:
+            return ""
+        left_s = round((now_s - self._begin_s - self._slowest_s) / counted * (steps - done))
+        return f"{left_s // 3600}:{left_s // 60 % 60:02}:{left_s % 60:02} left"
 
 
 @click.command(epilog=_RECIPES)
@@ -60,13 +94,12 @@ def command(
     in the model. Beside it lies a folder named .report, and with the recipe atlas the field atlas, .atlas.npz.
     """
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
     from touchd.keypad import PHONE, load_layout
     from touchd.recording.format import read
     from touchd.training.data.join import join
-    from touchd.training.report.atlas_report import write_atlas_report
-    from touchd.training.report.network_report import PAGE, remove_report, write_report
+    from touchd.training.report.report import PAGE, remove_report, write_atlas_report, write_report
     from touchd.training.train_atlas import train_atlas
     from touchd.training.train_network import train
 
@@ -87,19 +120,20 @@ def command(
         BarColumn(),
         MofNCompleteColumn(),
         TextColumn("{task.fields[note]}"),
-        TimeRemainingColumn(compact=True, elapsed_when_finished=True),
+        TimeElapsedColumn(),
+        TextColumn("{task.fields[left]}"),
         console=Console(stderr=True),
-        speed_estimate_period=PACE_S,
     )
-    tasks: dict[str, TaskID] = {}
+    tasks: dict[str, tuple[TaskID, TimeLeft]] = {}
 
     def progress(what: str, done: int, steps: int, rmse_mm: float) -> None:
         # The bar starts with the first step, so that an earlier error prints one line.
         bar.start()
         if what not in tasks:
-            tasks[what] = bar.add_task(what, note="")
+            tasks[what] = bar.add_task(what, note="", left=""), TimeLeft()
+        task, left = tasks[what]
         note = "" if math.isnan(rmse_mm) else f"validation {rmse_mm:.2f} mm"
-        bar.update(tasks[what], completed=done, total=steps, note=note)
+        bar.update(task, completed=done, total=steps, note=note, left=left.update(done, steps))
 
     def warn(note: str) -> None:
         # Warn before training; the bar's console keeps the line clear of the bar.
@@ -120,7 +154,7 @@ def command(
                 output,
                 chosen,
                 grid=grid,
-                layout=load_layout(layout or PHONE) if chosen.head == "keypad" else None,
+                layout=load_layout(layout or PHONE, touches.meta.plate) if chosen.head == "keypad" else None,
                 seed=seed,
                 epochs=epochs,
                 patience=patience,

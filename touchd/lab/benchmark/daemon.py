@@ -81,7 +81,7 @@ def measure(
     begun_ns = time.monotonic_ns()
     with (
         subscribing(apart=apart or rate_hz is None),
-        Subscriber(address, ("touch", "health"), PATIENCE_S) as events,
+        Subscriber(address, ("touch", "health"), PATIENCE_S, max_age_s=None) as events,
         _running(task) as process,
     ):
         arrivals = dict(_arrivals(events, process))

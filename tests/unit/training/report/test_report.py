@@ -14,7 +14,7 @@ from touchd.evaluation.model_scores import Judgement
 from touchd.keypad import PHONE, load_layout
 from touchd.recording.data import Recording
 from touchd.training.network.recipe import RECIPES
-from touchd.training.report.network_report import findings, page, report_folder, write_folder, write_report
+from touchd.training.report.report import findings, page, report_folder, write_folder, write_report
 from touchd.training.train_network import Result, train
 
 
@@ -64,9 +64,9 @@ def test_a_classifier_has_a_picture_of_its_classes(recipe: str, picture: str, fe
 
 def test_replaced(tmp_path: Path) -> None:
     """A newer report takes the place of the older one whole."""
-    folder = write_folder(tmp_path / "plate.onnx", {"old.png": Figure(), "both.png": Figure()}, lambda: "one")
+    folder = write_folder(tmp_path / "plate.onnx", {"old.png": Figure(), "both.png": Figure()}, "one")
     assert folder == report_folder(tmp_path / "plate.onnx")
-    write_folder(tmp_path / "plate.onnx", {"both.png": Figure()}, lambda: "two")
+    write_folder(tmp_path / "plate.onnx", {"both.png": Figure()}, "two")
     assert sorted(path.name for path in folder.iterdir()) == ["both.png", "report.md"]
     assert (folder / "report.md").read_text() == "two"
     assert list(tmp_path.iterdir()) == [folder], "and nothing else"
@@ -74,14 +74,15 @@ def test_replaced(tmp_path: Path) -> None:
 
 def test_unwritable(tmp_path: Path) -> None:
     """A report that cannot be written leaves the older one."""
-    folder = write_folder(tmp_path / "plate.onnx", {"one.png": Figure()}, lambda: "one")
+    folder = write_folder(tmp_path / "plate.onnx", {"one.png": Figure()}, "one")
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
 
-    def full() -> str:
-        raise OSError(28, "No space left on device")
+    class Full(Figure):
+        def savefig(self, *_arguments: object, **_options: object) -> None:
+            raise OSError(28, "No space left on device")
 
     with pytest.raises(OutputError, match="No space left"):
-        write_folder(tmp_path / "plate.onnx", {"two.png": Figure()}, full)
+        write_folder(tmp_path / "plate.onnx", {"two.png": Full()}, "two")
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
     assert list(tmp_path.iterdir()) == [folder]
 

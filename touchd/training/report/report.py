@@ -1,11 +1,11 @@
-"""Write the report beside a model: a folder with a page and plots, replaced as a whole."""
+"""Write the report beside a model or an atlas: a folder with a page and plots, replaced as a whole."""
 
 from __future__ import annotations
 
 import os
 import shutil
 import tempfile
-from collections.abc import Callable
+from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,18 +16,20 @@ from matplotlib.figure import Figure
 from touchd import __version__
 from touchd.errors import OutputError
 from touchd.evaluation.model_scores import Judgement
-from touchd.evaluation.plots.maps import draw_error_map, draw_zones
+from touchd.evaluation.plots.maps import draw_error_map, draw_maps, draw_zones
 from touchd.evaluation.plots.model import draw_confusion, draw_learning_curve, draw_sigma
 from touchd.evaluation.plots.session import save
 from touchd.frame import Plate
+from touchd.localization.features import band_bins
 from touchd.recording.data import Meta
 from touchd.training.report.template import render
 
 if TYPE_CHECKING:  # a report needs no torch
+    from touchd.training.train_atlas import AtlasResult
     from touchd.training.train_network import Result
 
 PAGE = "report.md"
-TEMPLATE = Path(__file__).with_name("network_report.md.j2")
+TEMPLATE = Path(__file__).with_name("report.md.j2")
 EDGE_SHARE = 0.1
 """Share of the touched rectangle's sides that counts as near the edge."""
 UNITS = {"n": "touches", "accuracy": "%", "within_sigma": "%", "confident": "%", "key_to_key_errors": "touches"}
@@ -53,11 +55,31 @@ def report_folder(model: Path) -> Path:
 
 def write_report(result: Result, meta: Meta, names: list[str]) -> Path:
     """Write the report of a trained model into its folder, and return the folder; see `write_folder`."""
-    pictures = {name: draw() for name, draw in _pictures(result, meta).items()}
-    return write_folder(result.model.path, pictures, lambda: page(result, meta, names, list(pictures)))
+    judged, d, curve = result.judged, result.model.description, result.curve
+    pictures = {"learning-curve.png": draw_learning_curve(curve.loss, curve.validation_mm, curve.kept)}
+    if d.head == "grid":
+        pictures["zones.png"] = draw_zones(judged, d, meta)
+    elif d.head == "keypad":
+        pictures["confusion.png"] = draw_confusion(judged, d)
+    else:
+        pictures |= {"error-map.png": draw_error_map(judged, meta), "sigma.png": draw_sigma(judged)}
+    return write_folder(result.model.path, pictures, page(result, meta, names, list(pictures)))
 
 
-def write_folder(model: Path, pictures: dict[str, Figure], text: Callable[[], str]) -> Path:
+def write_atlas_report(result: AtlasResult, meta: Meta, names: list[str]) -> Path:
+    """Write the report of an atlas into its folder, and return the folder; see `write_folder`."""
+    pictures = {"maps.png": draw_maps(result.judged, meta), "sigma.png": draw_sigma(result.judged)}
+    d = result.atlas.description
+    start_mm = np.linalg.norm(result.start_mm - result.judged.true_mm, axis=1)
+    text = _page(
+        result, names, list(pictures), name=result.path.name, d=d, atlas=result.atlas,
+        findings=findings_of(result.judged, d.plate), band=len(band_bins(d.acquisition)),
+        start_mm=np.percentile(start_mm, (50, 95)).tolist(),
+    )  # fmt: skip
+    return write_folder(result.path, pictures, text)
+
+
+def write_folder(model: Path, pictures: dict[str, Figure], text: str) -> Path:
     """Write plots and a page into a model's report folder, replacing an older report, and return the folder.
 
     Raises
@@ -72,7 +94,7 @@ def write_folder(model: Path, pictures: dict[str, Figure], text: Callable[[], st
             fresh.mkdir()
             for name, figure in pictures.items():
                 save(figure, fresh / name)
-            (fresh / PAGE).write_text(text(), encoding="utf-8")
+            (fresh / PAGE).write_text(text, encoding="utf-8")
             if folder.exists():
                 os.replace(folder, Path(scratch) / "old")
             os.replace(fresh, folder)
@@ -91,13 +113,19 @@ def remove_report(model: Path) -> None:
 
 
 def page(result: Result, meta: Meta, names: list[str], pictures: list[str]) -> str:
-    """Return the report's text, in Markdown."""
-    d = result.model.description
+    """Return the text of a model's report, in Markdown."""
+    return _page(
+        result, names, pictures, name=result.model.path.name, d=result.model.description,
+        findings=findings(result, meta.plate), atlas=None,
+    )  # fmt: skip
+
+
+def _page(result: Result | AtlasResult, names: Sequence[str], plots: Sequence[str], **values: object) -> str:
     versions = {"touchd": __version__, "torch": version("torch"), "onnxruntime": version("onnxruntime")}
+    scores = [score_row(*score) for score in result.scores.items()]
     return render(
-        TEMPLATE, name=result.model.path.name, d=d, a=d.acquisition, result=result, parts=result.parts, names=names,
-        findings=findings(result, meta.plate), scores=[score_row(*score) for score in result.scores.items()],
-        plots=pictures, duration=duration(result.duration_s), versions=versions,
+        TEMPLATE, result=result, names=names, plots=plots, scores=scores, duration=duration(result.duration_s),
+        versions=versions, **values,
     )  # fmt: skip
 
 
@@ -113,61 +141,32 @@ def findings(result: Result, plate: Plate) -> list[str]:
 
 def findings_of(judged: Judgement, plate: Plate) -> list[str]:
     """Interpret the estimates for the test touches, one sentence per finding."""
-    found = [_about_scores(judged)]
-    if judged.true_class is None:
-        found.append(_about_edges(judged))
-        found.append(_about_sigma(judged))
-        far = int((judged.distance_mm > 10 * np.median(judged.distance_mm)).sum())
-        if far:
-            worst = judged.true_mm[judged.distance_mm.argmax()]
-            how_many = "1 touch is" if far == 1 else f"{far} touches are"
-            found.append(
-                f"{how_many} off by more than ten times the median, the farthest at "
-                f"({worst[0]:.0f}, {worst[1]:.0f}) mm of {plate.width_mm:g} x {plate.height_mm:g}."
-            )
-    return found
-
-
-def _about_scores(judged: Judgement) -> str:
     if judged.true_class is not None and judged.found_class is not None:
-        right = 100 * (judged.found_class == judged.true_class).mean()
-        return f"{right:.1f} % of the test touches are in the right class."
+        right = (judged.found_class == judged.true_class).mean()
+        return [f"{100 * right:.1f} % of the test touches are in the right class."]
     distance_mm = judged.distance_mm
-    return (
-        f"Half of the test touches are within {np.median(distance_mm):.2f} mm, 95 % within "
-        f"{np.percentile(distance_mm, 95):.2f} mm."
-    )
-
-
-def _about_edges(judged: Judgement) -> str:
+    median_mm, p95_mm = np.percentile(distance_mm, (50, 95))
+    found = [f"Half of the test touches are within {median_mm:.2f} mm, 95 % within {p95_mm:.2f} mm."]
     low, high = judged.true_mm.min(axis=0), judged.true_mm.max(axis=0)
     inset = EDGE_SHARE * (high - low)
     near = ((judged.true_mm < low + inset) | (judged.true_mm > high - inset)).any(axis=1)
     if near.all() or not near.any():
-        return "Too few touches to compare the edges with the middle."
-    edge_mm, middle_mm = (float(np.median(judged.distance_mm[part])) for part in (near, ~near))
-    how = "Worse near the edges" if edge_mm > 1.25 * middle_mm else "Similar near the edges and in the middle"
-    return f"{how}: median {edge_mm:.2f} mm in the outer tenth on each side, {middle_mm:.2f} mm within."
-
-
-def _about_sigma(judged: Judgement) -> str:
+        found.append("Too few touches to compare the edges with the middle.")
+    else:
+        edge_mm, middle_mm = (float(np.median(distance_mm[part])) for part in (near, ~near))
+        how = "Worse near the edges" if edge_mm > 1.25 * middle_mm else "Similar near the edges and in the middle"
+        found.append(f"{how}: median {edge_mm:.2f} mm in the outer tenth on each side, {middle_mm:.2f} mm within.")
     share = 100 * float((np.abs(judged.error_mm) <= judged.sigma_mm[:, None]).mean())
     how = "about right" if 62 <= share <= 75 else "too large" if share > 75 else "too small"
-    return f"The predicted standard error is {how}: {share:.0f} % of the errors are within it (68 % if exact)."
-
-
-def _pictures(result: Result, meta: Meta) -> dict[str, Callable[[], Figure]]:
-    """Return the function that draws each plot, by file name."""
-    judged, d, curve = result.judged, result.model.description, result.curve
-    pictures = {"learning-curve.png": lambda: draw_learning_curve(curve.loss, curve.validation_mm, curve.kept)}
-    if d.head == "grid":
-        return pictures | {"zones.png": lambda: draw_zones(judged, d, meta)}
-    if d.head == "keypad":
-        return pictures | {"confusion.png": lambda: draw_confusion(judged, d)}
-    return pictures | {
-        "error-map.png": lambda: draw_error_map(judged, meta),
-        "sigma.png": lambda: draw_sigma(judged),
-    }
+    found.append(f"The predicted standard error is {how}: {share:.0f} % of the errors are within it (68 % if exact).")
+    far = int((distance_mm > 10 * median_mm).sum())
+    if far:
+        x_mm, y_mm = judged.true_mm[distance_mm.argmax()]
+        found.append(
+            f"{'1 touch is' if far == 1 else f'{far} touches are'} off by more than ten times the median, the farthest "
+            f"at ({x_mm:.0f}, {y_mm:.0f}) mm of {plate.width_mm:g} x {plate.height_mm:g}."
+        )
+    return found
 
 
 def score_row(name: str, value: float) -> str:

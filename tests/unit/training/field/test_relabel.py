@@ -7,8 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from touchd.training.data.relabel import MOST_MM, label_noise_mm, replaced
-from touchd.training.field.leave_one_out import Displaced
+from touchd.training.field.leave_one_out import MOST_MM, Displaced, label_noise_mm, replaced
 
 
 @given(st.floats(0.02, 0.5), st.floats(0.01, 0.2), st.integers(0, 2**31))
