@@ -11,8 +11,8 @@ import numpy as np
 from touchd.evaluation.metrics import position_scores
 from touchd.lab.benchmark.estimators import Estimator, Place
 from touchd.lab.benchmark.results import BareTimes, EstimatorResult, rounded
+from touchd.lab.benchmark.scenes import BLOCK, Block
 from touchd.lab.benchmark.stopwatch import Floor, Stopwatch, ratio, spread
-from touchd.lab.benchmark.touches import BLOCK, Block
 
 Tick = Callable[[], object]
 
@@ -34,7 +34,7 @@ def race(
     limit_s: float,
     tick: Tick = lambda: None,
 ) -> tuple[BareTimes, list[EstimatorResult]]:
-    """Time and score every estimator.
+    """Time and score every estimator: each takes a block of touches, in turns with a batch of the bare network.
 
     Parameters
     ----------
@@ -42,9 +42,8 @@ def race(
     bare : callable
         Runs the bare network once.
     blocks : sequence of Block
-        Batches: each estimator takes a block, in turns with a batch of the bare network.
     passes : int
-        Number of passes over the blocks; slow estimators take one.
+        Number of passes over the blocks.
     limit_s : float
         No pass starts after this time.
     tick : callable
@@ -57,8 +56,6 @@ def race(
             break
         for block in blocks:
             for entry in entries:
-                if number and entry.estimator.slow:
-                    continue
                 entry.beside.time(bare, BLOCK)
                 places = _batch(entry, block)
                 if not number:
@@ -66,9 +63,8 @@ def race(
             tick()
     true_mm = np.concatenate([block.true_mm for block in blocks])
     floor = Floor()
-    bare_times = spread(np.concatenate([entry.beside.times_us for entry in entries]))
-    times = BareTimes(p50=rounded(bare_times.p50), p99=rounded(bare_times.p99), p999=rounded(bare_times.p999))
-    return times, [_result(entry, true_mm, floor) for entry in entries]
+    bare_us = spread(np.concatenate([entry.beside.times_us for entry in entries]))
+    return BareTimes.of(bare_us), [_result(entry, true_mm, floor) for entry in entries]
 
 
 def _batch(entry: _Entry, block: Block) -> list[Place]:

@@ -9,6 +9,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from touchd.errors import ConfigError, OutputError
 from touchd.lab.benchmark.machine import Machine
+from touchd.lab.benchmark.stopwatch import Spread
 
 BUS_RATE_HZ = 1000.0
 
@@ -23,6 +24,11 @@ class BareTimes(_Part):
     p50: float
     p99: float
     p999: float
+
+    @classmethod
+    def of(cls, times: Spread) -> BareTimes:
+        """Return the percentiles of measured times, rounded."""
+        return cls(p50=rounded(times.p50), p99=rounded(times.p99), p999=rounded(times.p999))
 
 
 class EstimatorResult(_Part):
