@@ -8,10 +8,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from touchd.evaluation.model_scores import Judgement
+from touchd.evaluation.plots.model import draw_confusion
 from touchd.evaluation.plots.session import COLOURS, TRUTH, save
 from touchd.lab.reproduction import paper, plan
+from touchd.lab.reproduction.experiments import loaded
 from touchd.lab.reproduction.run import CIRCLE_HEADS, Results
-from touchd.lab.reproduction.scores import confusion, distance_mm, error_scores, keypad_scores
+from touchd.lab.reproduction.scores import distance_mm, error_scores, keypad_scores, keys
 
 DOMAIN_STYLE = {"frequency": (COLOURS[0], "o"), "time": (COLOURS[3], "s")}
 PAPER = "black"
@@ -62,21 +65,11 @@ def _heads(results: Results) -> Figure:
 
 
 def _keypad(results: Results) -> Figure:
-    matrix = confusion(results.full[plan.keypad_name(1.0, plan.KEYPAD_SEEDS[0])], results.layout)
-    names = [*(key.name for key in results.layout.key), "L"]
-    figure = Figure(figsize=(6.2, 5.6), layout="constrained")
-    axes = figure.add_subplot()
-    shares = matrix / np.maximum(matrix.sum(axis=1, keepdims=True), 1)
-    image = axes.imshow(shares, cmap="Blues", vmin=0, vmax=1)
-    for row, column in np.argwhere(matrix):
-        colour = "white" if shares[row, column] > 0.5 else "black"
-        axes.text(column, row, str(matrix[row, column]), ha="center", va="center", color=colour, fontsize=8)
-    ticks = range(len(names))
-    axes.set(xlabel="key found", ylabel="key touched", xticks=ticks, yticks=ticks)
-    axes.set_xticklabels(names)
-    axes.set_yticklabels(names)
-    figure.colorbar(image, label="share of the touches of a key", shrink=0.8)
-    return figure
+    data = results.full[plan.keypad_name(1.0, plan.KEYPAD_SEEDS[0])]
+    found, truth = keys(data, results.layout)
+    unknown = np.full(len(found), np.nan)
+    judged = Judgement(data["truth_mm"], data["place_mm"], unknown, unknown, truth, found, len(results.layout.key))
+    return draw_confusion(judged, loaded(data["model"]).description)
 
 
 def _learning(results: Results) -> Figure:

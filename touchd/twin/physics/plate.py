@@ -36,11 +36,6 @@ class Modes(NamedTuple):
     psi_y: Floats
     """Rotation along y, same shape."""
 
-    @property
-    def frequency_hz(self) -> Floats:
-        """Frequencies, shape (n,)."""
-        return self.omega_rad_s / (2 * np.pi)
-
 
 def size_m(plate: Plate) -> tuple[float, float]:
     """Width and height of a plate in metres."""
