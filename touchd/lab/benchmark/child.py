@@ -13,14 +13,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchd.config.schema import LogSettings, Settings
+from touchd.errors import JobError
 from touchd.event import Contact
 from touchd.frame import Frame
 from touchd.lab.benchmark.bare import BareNetwork
 from touchd.lab.benchmark.loop import BURST, Loop, LoopSource
-from touchd.lab.benchmark.stopwatch import Stopwatch
+from touchd.lab.benchmark.results import DaemonResult, percentiles, rounded
+from touchd.lab.benchmark.stopwatch import Stopwatch, spread
 from touchd.outcome import Counters
 from touchd.service import realtime
 from touchd.service.daemon import load_model, make_service
@@ -30,12 +31,15 @@ from touchd.sinks.zeromq import ZeromqSink
 from touchd.sources.recorder import describe
 
 WARM_UP_RUNS, BARE_RUNS = 50, 400
+BURN_IN_S = 0.3
+"""Frames of this time at the start are discarded."""
 
 
 @dataclass(frozen=True, slots=True)
 class Task:
     """Parameters of a run."""
 
+    scene: str
     loop: Loop
     rate_hz: float | None
     """None for full speed."""
@@ -45,24 +49,8 @@ class Task:
     cpus: tuple[int, ...]
     """Processors to run on; empty leaves it to the kernel."""
     patience_s: float
-
-
-@dataclass(frozen=True, slots=True)
-class Measured:
-    """What a run took, without the lead-in."""
-
-    lead: int
-    received_ns: NDArray[np.int64]
-    done_ns: NDArray[np.int64]
-    """Time when the messages of each frame were handed over."""
-    bare_us: NDArray[np.float64]
-    pauses_us: list[float]
-    cpu_s: float
-    wall_s: float
-    rss_bytes: int
-    ready_ns: int
-    counts: dict[str, float]
-    """Frames in all, `lost`, `inferred`, and skipped by reason."""
+    begun_ns: int
+    """When the process was started."""
 
 
 class Clocked(PreRoll):
@@ -107,8 +95,11 @@ def main(task: Task, connection: Connection) -> None:
         connection.send(str(error) or repr(error))
 
 
-def run(task: Task) -> Measured:
-    """Run the daemon through a scene."""
+def run(task: Task) -> tuple[DaemonResult, dict[int, int]]:
+    """Run the daemon through a scene.
+
+    Returns the result, timed to the decision, and when each counted frame was complete, ns, by its number.
+    """
     full_speed = task.rate_hz is None
     # At full speed bare runs alternate with frames; at a steady rate their memory would distort the result.
     bare = _warm(task.bare) if full_speed else None
@@ -150,12 +141,26 @@ def run(task: Task) -> Measured:
     preroll.close()
     if bare is None:
         watch.time(_warm(task.bare), BARE_RUNS)
-    taken = slice(source.lead, preroll.count)
-    return Measured(
-        source.lead, preroll.received_ns[taken], preroll.done_ns[taken], watch.times_us, pauses.us,
-        cpu_s - bare_cpu_s, wall_s - source.apart_ns * 1e-9, rss_bytes, ready_ns,
-        {name: count - at_start.get(name, 0) for name, count in _counted(service.pipeline.counters).items()},
+    first_ns = preroll.received_ns[source.lead] + BURN_IN_S * 1e9
+    counted = source.lead + np.flatnonzero(preroll.received_ns[source.lead : preroll.count] >= first_ns)
+    if not len(counted):
+        raise JobError("the daemon took no frames", "benchmark", "allow it more time")
+    handed = spread((preroll.done_ns[counted] - preroll.received_ns[counted]) * 1e-3)
+    # Without the lead-in, and without the bare runs.
+    frames, cpu_s, wall_s = preroll.count - source.lead, cpu_s - bare_cpu_s, wall_s - source.apart_ns * 1e-9
+    counts = {name: count - at_start[name] for name, count in _counted(service.pipeline.counters).items()}
+    taken, lost, inferred = (counts.pop(name) for name in ("frames", "lost", "inferred"))
+    result = DaemonResult(
+        scene=task.scene, rate_hz=task.rate_hz, to="decision", frames=len(counted), **percentiles(handed),
+        handed_p50_us=rounded(handed.p50), handed_p99_us=rounded(handed.p99), handed_p999_us=rounded(handed.p999),
+        ratio=rounded(handed.p50 / float(np.median(watch.times_us))), frames_per_s=rounded(frames / wall_s),
+        frames_per_cpu_s=rounded(frames / cpu_s), cpu_share=rounded(cpu_s / wall_s, 4),
+        rss_mb=rounded(rss_bytes / 2**20, 4), gc_pauses=len(pauses.us),
+        gc_longest_us=rounded(max(pauses.us, default=0.0)), messages=0, lost=int(lost),
+        skipped={why: rounded(count / taken, 4) for why, count in counts.items() if count},
+        inferred=rounded(inferred / taken, 4), start_s=rounded((ready_ns - task.begun_ns) * 1e-9, 3),
     )  # fmt: skip
+    return result, dict(zip(counted.tolist(), preroll.received_ns[counted].tolist(), strict=True))
 
 
 def _counted(counters: Counters) -> dict[str, float]:

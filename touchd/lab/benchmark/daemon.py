@@ -12,19 +12,15 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from touchd.client import Subscriber
 from touchd.errors import BusError, JobError
 from touchd.event import Event, HealthEvent, TouchEvent
-from touchd.lab.benchmark.child import Measured, Task, main
+from touchd.lab.benchmark.child import Task, main
 from touchd.lab.benchmark.loop import Loop
-from touchd.lab.benchmark.results import DaemonResult, Day, rounded
+from touchd.lab.benchmark.results import DaemonResult, Day, percentiles, rounded
 from touchd.lab.benchmark.stopwatch import spread
 
 PATIENCE_S = 30.0
-BURN_IN_S = 0.3
-"""Frames of this time at the start are discarded."""
 DAY = {"idle": 0.98, "still": 0.01, "moving": 0.01}
 """Share of each scene in a typical day."""
 FOREVER_S = 1e6
@@ -68,8 +64,7 @@ def measure(
         "bus": bus, "model": {"path": str(model)}, "baseline": {"absorb_s": FOREVER_S},
         "preroll": {"folder": str(folder)}, "realtime": {} if awake else {"awake_from_hz": 0},
     }  # fmt: skip
-    task = Task(loop, rate_hz, seconds, bare, settings, daemon_cpus(), PATIENCE_S)
-    begun_ns = time.monotonic_ns()
+    task = Task(scene, loop, rate_hz, seconds, bare, settings, daemon_cpus(), PATIENCE_S, time.monotonic_ns())
     with (
         subscribing(apart=apart or rate_hz is None),
         Subscriber(address, ("touch", "health"), PATIENCE_S) as events,
@@ -79,10 +74,17 @@ def measure(
         lost = events.lost.total()
         if not connection.poll(PATIENCE_S):
             raise JobError("the daemon did not end", "benchmark", "run it alone, and see its log")
-        found = connection.recv()
-    if not isinstance(found, Measured):
+        found: tuple[DaemonResult, dict[int, int]] | str = connection.recv()
+    if isinstance(found, str):
         raise JobError(f"the daemon failed: {found}", "benchmark", "see the cause")
-    return _result(scene, rate_hz, arrivals, lost, begun_ns, found)
+    result, received_ns = found
+    more: dict[str, Any] = {"messages": len(arrivals), "lost": result.lost + lost}
+    arrived = [(arrivals[frame] - at_ns) * 1e-3 for frame, at_ns in received_ns.items() if frame in arrivals]
+    if rate_hz is not None and arrived:
+        more |= {"to": "subscriber", **percentiles(spread(arrived))}
+    elif arrivals:
+        more["to"] = "socket"
+    return result.model_copy(update=more)
 
 
 def day(cells: Iterable[DaemonResult]) -> Day | None:
@@ -149,33 +151,3 @@ def _arrivals(events: Subscriber[Event], connection: Connection) -> Iterator[tup
             yield event.frame, now_ns
         elif isinstance(event, HealthEvent) and event.state == "stopping":
             return
-
-
-def _result(
-    scene: str, rate_hz: float | None, arrivals: dict[int, int], lost: int, begun_ns: int, found: Measured
-) -> DaemonResult:
-    received_ns, frames = found.received_ns, len(found.received_ns)
-    counted = received_ns >= received_ns[0] + BURN_IN_S * 1e9 if frames else np.zeros(0, bool)
-    if not counted.any():
-        raise JobError("the daemon took no frames", "benchmark", "allow it more time")
-    handed = spread((found.done_ns - received_ns)[counted] * 1e-3)
-    arrived = [
-        (arrivals[found.lead + i] - received_ns[i]) * 1e-3
-        for i in np.flatnonzero(counted).tolist() if found.lead + i in arrivals
-    ]  # fmt: skip
-    to_subscriber = rate_hz is not None and len(arrived) > 0
-    took = spread(arrived) if to_subscriber else handed
-    counts = dict(found.counts)
-    all_frames, lost_frames, inferred = max(counts.pop("frames"), 1), int(counts.pop("lost")), counts.pop("inferred")
-    return DaemonResult(
-        scene=scene, rate_hz=rate_hz, to="subscriber" if to_subscriber else "socket" if arrivals else "decision",
-        frames=int(counted.sum()), p50_us=rounded(took.p50), p99_us=rounded(took.p99), p999_us=rounded(took.p999),
-        max_us=rounded(took.most), handed_p50_us=rounded(handed.p50), handed_p99_us=rounded(handed.p99),
-        handed_p999_us=rounded(handed.p999), ratio=rounded(handed.p50 / float(np.median(found.bare_us))),
-        frames_per_s=rounded(frames / found.wall_s), frames_per_cpu_s=rounded(frames / found.cpu_s),
-        cpu_share=rounded(found.cpu_s / found.wall_s, 4), rss_mb=rounded(found.rss_bytes / 2**20, 4),
-        gc_pauses=len(found.pauses_us), gc_longest_us=rounded(max(found.pauses_us, default=0.0)),
-        messages=len(arrivals), lost=lost + lost_frames,
-        skipped={why: rounded(count / all_frames, 4) for why, count in counts.items() if count},
-        inferred=rounded(inferred / all_frames, 4), start_s=rounded((found.ready_ns - begun_ns) * 1e-9, 3),
-    )  # fmt: skip

@@ -11,7 +11,8 @@ from pathlib import Path
 import zmq
 
 from touchd.errors import JobError
-from touchd.lab.benchmark.daemon import BURN_IN_S, SPAWN, daemon_cpus, subscribing
+from touchd.lab.benchmark.child import BURN_IN_S
+from touchd.lab.benchmark.daemon import SPAWN, daemon_cpus, subscribing
 from touchd.lab.benchmark.results import BUS_RATE_HZ, BareTimes, DaemonResult, Otherwise
 from touchd.lab.benchmark.stopwatch import Spread, held_up, middle, spread
 from touchd.service.cpu_latency import Awake, permitted

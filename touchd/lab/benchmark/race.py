@@ -10,7 +10,7 @@ import numpy as np
 
 from touchd.evaluation.metrics import position_scores
 from touchd.lab.benchmark.estimators import Estimator, Place
-from touchd.lab.benchmark.results import BareTimes, EstimatorResult, rounded
+from touchd.lab.benchmark.results import BareTimes, EstimatorResult, percentiles, rounded
 from touchd.lab.benchmark.scenes import BLOCK, Block
 from touchd.lab.benchmark.stopwatch import Floor, Stopwatch, ratio, spread
 
@@ -88,10 +88,9 @@ def _result(entry: _Entry, true_mm: np.ndarray, floor: Floor) -> EstimatorResult
     found = np.array([place is not None for place in entry.places])
     error_mm = np.array([place for place in entry.places if place is not None]).reshape(-1, 2) - true_mm[found]
     scores = position_scores(error_mm)
-    took = spread(times_us)
     return EstimatorResult(
         name=estimator.name, group=estimator.group, remark=estimator.remark,
-        p50_us=rounded(took.p50), p99_us=rounded(took.p99), p999_us=rounded(took.p999), max_us=rounded(took.most),
+        **percentiles(spread(times_us)),
         ratio=rounded(ratio(entry.watch, entry.beside)), floor_us=rounded(floor.us(estimator.bytes)),
         calls=len(times_us), macs=estimator.macs, bytes=estimator.bytes,
         touches=len(found), missed=int((~found).sum()),

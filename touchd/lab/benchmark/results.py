@@ -199,6 +199,12 @@ def store(run: Run, path: Path) -> None:
         ) from error
 
 
+def percentiles(times: Spread) -> dict[str, float]:
+    """Return the fields `p50_us` to `max_us` of a result."""
+    names = ("p50_us", "p99_us", "p999_us", "max_us")
+    return {name: rounded(us) for name, us in zip(names, times, strict=True)}
+
+
 def rounded(value: float, digits: int = 5) -> float:
     """Round a value to `digits` significant digits; further digits are noise."""
     return float(f"{value:.{digits}g}")
