@@ -118,18 +118,7 @@ class Instrument:
         return np.asarray(1 + self.temperature_per_k * off)
 
     def untouched(self, temperature_c: ArrayLike, late_s: ArrayLike = 0.0) -> Floats:
-        """Return the signals of the untouched plate.
-
-        Parameters
-        ----------
-        temperature_c : array_like of shape (n,)
-        late_s : array_like of shape (n,) or ()
-            Trigger delay.
-
-        Returns
-        -------
-        Array of shape (n, R, S).
-        """
+        """Return the signals (n, R, S) of the untouched plate at temperatures (n,) and trigger delays (n,) or ()."""
         weights = chebyshev.weights(self.scale(temperature_c), self._node_scale)
         late = _late(late_s, len(weights))
         orders = np.arange(self._orders(float(np.abs(late).max(initial=0.0))))
@@ -139,17 +128,9 @@ class Instrument:
         return np.asarray(combined @ self._untouched[: len(orders)].reshape(-1, R * S)).reshape(-1, R, S)
 
     def change(self, touches: Sequence[Sequence[Contact]], temperature_c: ArrayLike, late_s: ArrayLike = 0.0) -> Floats:
-        """Return the change of the signals due to contacts.
+        """Return the change (n, R, S) of the signals due to n sequences of contacts, each possibly empty.
 
-        Parameters
-        ----------
-        touches : n sequences of contacts, each possibly empty
-        temperature_c : array_like of shape (n,)
-        late_s : array_like of shape (n,) or ()
-
-        Returns
-        -------
-        Array of shape (n, R, S), to add to the untouched plate's signals.
+        It is to be added to the untouched plate's signals; temperatures and delays as in `untouched`.
 
         Raises
         ------

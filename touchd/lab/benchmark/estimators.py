@@ -14,7 +14,8 @@ from onnx import numpy_helper
 
 from touchd.config.schema import Settings
 from touchd.detection.detector import Detection
-from touchd.lab.benchmark.scenes import RATE_HZ, Block
+from touchd.lab.benchmark.loop import PERIOD_NS
+from touchd.lab.benchmark.scenes import Block
 from touchd.localization.atlas import Atlas
 from touchd.localization.atlas_localizer import FIRST_STEPS, FOLLOW_STEPS, AtlasLocalizer
 from touchd.localization.features import make_features, windowed_dft
@@ -93,7 +94,7 @@ def atlases(model: Model, atlas: Atlas) -> Iterator[Estimator]:
     localizer = AtlasLocalizer(model, atlas, settings, None)
     live = np.ones(a.channels, bool)
     baseline = np.zeros(a.shape, np.float32)
-    time_ns = itertools.count(0, round(1e9 / RATE_HZ)).__next__
+    time_ns = itertools.count(0, PERIOD_NS).__next__
 
     def find(residual: Array) -> Place:
         detection = Detection(Outcome.TOUCHED, time_ns(), 0.0, 0.0, 0.0, residual, residual, baseline, live)

@@ -9,9 +9,10 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+import numpy as np
+
 from touchd.errors import ModelMissing
-from touchd.evaluation.cramer_rao import median_bound_mm
-from touchd.evaluation.dataset import noise_of
+from touchd.evaluation.cramer_rao import MOST_TOUCHES, median_distance_mm, position_covariance, twin_field
 from touchd.lab.benchmark import daemon, latency, skips
 from touchd.lab.benchmark.bare import BareNetwork, write_bare
 from touchd.lab.benchmark.estimators import NETWORKS, Estimator, atlases, network
@@ -19,7 +20,7 @@ from touchd.lab.benchmark.loop import Loop
 from touchd.lab.benchmark.machine import this_machine
 from touchd.lab.benchmark.race import race
 from touchd.lab.benchmark.results import DaemonResult, Run, Touches, rounded
-from touchd.lab.benchmark.scenes import FINGER, SEED, UNTOUCHED, WANTED, HeldOut, held_out, make_loop
+from touchd.lab.benchmark.scenes import FINGER, SEED, UNTOUCHED, WANTED, Block, held_out, make_loop
 from touchd.lab.benchmark.stopwatch import middle, undisturbed
 from touchd.localization.model import Model
 from touchd.twin.instrument import Instrument
@@ -82,7 +83,7 @@ def benchmark(models: Path, *, quick: bool, progress: Progress, also: Sequence[P
     machine = this_machine()
     progress("simulating touches", 0.0)
     instrument = Instrument(DEFAULT_PLATE)
-    held = held_out(scale.touches, instrument)
+    blocks = held_out(scale.touches, instrument)
     with tempfile.TemporaryDirectory(prefix="touchd-benchmark-") as name:
         folder = Path(name)
         bare = write_bare(folder / "bare.onnx")
@@ -90,7 +91,7 @@ def benchmark(models: Path, *, quick: bool, progress: Progress, also: Sequence[P
         progress("estimators", 0.1)
         with undisturbed():
             bare_us, found = race(
-                estimators, BareNetwork(bare), held.blocks, scale.passes, scale.race_s,
+                estimators, BareNetwork(bare), blocks, scale.passes, scale.race_s,
                 lambda: progress("estimators", 0.2),
             )  # fmt: skip
         progress("simulating scenes", 0.4)
@@ -105,7 +106,7 @@ def benchmark(models: Path, *, quick: bool, progress: Progress, also: Sequence[P
         quick=quick, seconds=rounded(time.monotonic() - begun_s, 3), machine=machine,
         touches=Touches(
             count=scale.touches, seed=SEED, finger=FINGER,
-            bound_mm=rounded(_bound_mm(held, instrument), 3) if scale.bound else None,
+            bound_mm=rounded(_bound_mm(blocks, instrument), 3) if scale.bound else None,
         ),
         bare_us=bare_us, estimators=tuple(found), left_out=left_out,
         daemon=tuple(cells), bus_us=tails.bus_us if tails else None, held_up_us=tails.held_up_us if tails else None,
@@ -157,12 +158,13 @@ def _cells(
     return cells, tails
 
 
-def _bound_mm(held: HeldOut, instrument: Instrument) -> float:
+def _bound_mm(blocks: Sequence[Block], instrument: Instrument) -> float:
     """Return the Cramer-Rao bound of the median error, with the noise of these residuals."""
-    truth, frames = held.recording.contacts_mm, held.recording.frames
-    assert truth is not None  # the twin labels its scenes
-    untouched = frames[(truth[:, :, 0] != truth[:, :, 0]).all(axis=1)]
-    return median_bound_mm(held.recording, instrument, noise_of(untouched) * (1 + 1 / UNTOUCHED) ** 0.5)
+    # The mean of n frames contains a share of their noise; another frame differs from it by more.
+    deviation = float(np.concatenate([block.untouched for block in blocks]).std())
+    noise = deviation * ((UNTOUCHED + 1) / (UNTOUCHED - 1)) ** 0.5
+    some = [contact for block in blocks for contact in block.contacts][:MOST_TOUCHES]
+    return median_distance_mm(position_covariance(twin_field(instrument, some), instrument.acquisition, noise))
 
 
 def _path(models: Path, name: str) -> Path:

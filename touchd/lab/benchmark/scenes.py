@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -11,13 +10,11 @@ from numpy.typing import NDArray
 from touchd.errors import SimulationError
 from touchd.evaluation.dataset import residual_of
 from touchd.lab.benchmark.loop import Loop
-from touchd.recording.data import Recording
-from touchd.twin.electronics import Electronics
+from touchd.twin.electronics import Digitiser, Electronics
 from touchd.twin.instrument import REFERENCE_C, Instrument
-from touchd.twin.physics.finger import force_of
+from touchd.twin.physics.finger import Contact
 from touchd.twin.scenes.robot import AREAS_MM2, MARGIN_MM
-from touchd.twin.scenes.timeline import Stage
-from touchd.twin.simulate import recording_of, simulate_scene, stream
+from touchd.twin.simulate import simulate_scene
 
 SEED, SCENE_SEED = 210, 211
 """Unseen in training."""
@@ -29,7 +26,6 @@ UNTOUCHED = 16
 STEP_MM = 0.8
 """Distance from the finger's position one frame before: 100 mm/s at 125 frames/s."""
 WALK_K = 1.0
-RATE_HZ = 125.0
 LEARN_FRAMES = 60
 """Least number of untouched frames before a scene's first touch, from which the baseline is learned."""
 RAMP_FRAMES = 10
@@ -65,66 +61,49 @@ class Block(NamedTuple):
     """Residuals of the preceding frames, with each finger `STEP_MM` away, shape (BLOCK, channels, samples)."""
     residual: Array
     """Residuals of the touches, shape (BLOCK, channels, samples)."""
-    true_mm: Array
-    """True positions, shape (BLOCK, 2)."""
+    contacts: list[Contact]
+    """The touches."""
+
+    @property
+    def true_mm(self) -> NDArray[np.float64]:
+        """Positions of the touches, shape (BLOCK, 2)."""
+        return np.array([contact[:2] for contact in self.contacts])
 
 
-@dataclass(frozen=True, slots=True)
-class HeldOut:
-    """All blocks, and their recording."""
-
-    blocks: list[Block]
-    recording: Recording
-    """Untouched and touched frames, without the preceding ones."""
-
-
-def held_out(count: int, instrument: Instrument) -> HeldOut:
+def held_out(count: int, instrument: Instrument) -> list[Block]:
     """Simulate `count` touches, a multiple of `BLOCK`, anywhere on the plate except its margin."""
-    blocks, size = count // BLOCK, UNTOUCHED + 2 * BLOCK
-    number = np.arange(blocks * size)
-    stage = _stage(number, count, instrument)
-    whole = recording_of(stage, instrument, np.concatenate(list(stream(stage, instrument, SEED))))
-    assert whole.contacts_mm is not None
-    made = []
-    for start in range(0, len(number), size):
-        untouched, touched = whole.frames[start : start + UNTOUCHED], slice(start + UNTOUCHED, start + size)
-        baseline = untouched.mean(axis=0, dtype=np.float32)
-        residual = residual_of(whole.frames[touched], baseline)
-        true_mm = whole.contacts_mm[touched, 0][1::2]
-        before, last = residual[0::2].copy(), residual[1::2].copy()
-        made.append(Block(baseline, residual_of(untouched, baseline), before, last, true_mm))
-    kept = (number % size < UNTOUCHED) | ((number % size - UNTOUCHED) % 2 == 1)
-    recording = Recording(
-        meta=whole.meta, frames=whole.frames[kept], sequence=whole.sequence[kept],
-        timestamp_ns=whole.timestamp_ns[kept], contacts_mm=whole.contacts_mm[kept],
-    )  # fmt: skip
-    return HeldOut(made, recording)
-
-
-def _stage(number: NDArray[np.int64], count: int, instrument: Instrument) -> Stage:
-    """Write the timeline: each block has untouched frames first, then touches."""
     rng = np.random.default_rng([SEED, 0xBE7C])
-    size, plate = UNTOUCHED + 2 * BLOCK, instrument.plate
     walk_k = np.cumsum(rng.standard_normal(count // BLOCK))
     walk_k *= WALK_K / max(np.abs(walk_k).max(), 1e-9)
-    stage = Stage(plate, RATE_HZ, number, REFERENCE_C + np.repeat(walk_k, size), rng, Electronics())
     low_mm = MARGIN_MM[FINGER]
-    high_mm = np.array([plate.width_mm, plate.height_mm]) - low_mm
+    high_mm = np.array([instrument.plate.width_mm, instrument.plate.height_mm]) - low_mm
     place_mm = rng.uniform(low_mm, high_mm, (count, 2))
     angle = rng.uniform(0, 2 * np.pi, count)
     before_mm = np.clip(place_mm + STEP_MM * np.stack([np.cos(angle), np.sin(angle)], axis=1), low_mm, high_mm)
-    both_mm = np.stack([before_mm, place_mm], axis=1).reshape(-1, 2)
-    area_mm2 = np.repeat(rng.uniform(*AREAS_MM2[FINGER], count), 2)
-    force_n = np.asarray(force_of(FINGER, area_mm2))
-    stage.kinds.append(FINGER)
-    stage.columns.append([0])
-    for rows, values in (
-        (stage.x_mm, both_mm[:, 0]), (stage.y_mm, both_mm[:, 1]), (stage.area_mm2, area_mm2), (stage.force_n, force_n),
-    ):  # fmt: skip
-        row = np.full(len(number), np.nan)
-        row[number % size >= UNTOUCHED] = values
-        rows.append(row)
-    return stage
+    area_mm2 = rng.uniform(*AREAS_MM2[FINGER], count).tolist()
+    before, last = (
+        [Contact(x, y, area, FINGER) for (x, y), area in zip(places.tolist(), area_mm2, strict=True)]
+        for places in (before_mm, place_mm)
+    )
+    reference = instrument.untouched([REFERENCE_C])[0]
+    digitiser = Digitiser(Electronics(), instrument.acquisition, reference, np.random.SeedSequence(SEED))
+    parts = [slice(start, start + BLOCK) for start in range(0, count, BLOCK)]
+    return [
+        _block(instrument, digitiser, REFERENCE_C + warmer_k, before[part], last[part])
+        for part, warmer_k in zip(parts, walk_k, strict=True)
+    ]
+
+
+def _block(
+    instrument: Instrument, digitiser: Digitiser, temperature_c: float, before: list[Contact], last: list[Contact]
+) -> Block:
+    at_c = np.full(UNTOUCHED + 2 * BLOCK, temperature_c)
+    signal = instrument.untouched(at_c)
+    signal[UNTOUCHED:] += instrument.change([[contact] for contact in (*before, *last)], at_c[UNTOUCHED:])
+    counts = digitiser.counts(signal, np.zeros(len(at_c)))
+    baseline = counts[:UNTOUCHED].mean(axis=0, dtype=np.float32)
+    untouched, preceding, touched = np.split(residual_of(counts, baseline), [UNTOUCHED, UNTOUCHED + BLOCK])
+    return Block(baseline, untouched, preceding, touched, last)
 
 
 def make_loop(name: str, instrument: Instrument) -> Loop:

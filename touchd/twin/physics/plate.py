@@ -65,13 +65,7 @@ def polynomials_for(plate: Plate, frequency_hz: float) -> tuple[int, int]:
 
 
 def solve(plate: Plate, counts: tuple[int, int], below_hz: float = np.inf) -> Modes:
-    """Solve for the modes of a plate with free edges.
-
-    Parameters
-    ----------
-    plate : Plate
-    counts : polynomials along x and y
-    below_hz : keep the modes under this frequency
+    """Solve for the modes of a plate with free edges under a frequency, with `counts` polynomials along x and y.
 
     Raises
     ------

@@ -44,7 +44,7 @@ def test_a_network_sees_what_it_was_trained_on(domain: Domain, kind: Kind, tmp_p
     rng = np.random.default_rng(0)
     baseline, residual = rng.normal(0, 50, (2, *RIG.shape)).astype(np.float32)
     nothing = np.zeros((0, *RIG.shape), np.float32)
-    estimator.rebase(Block(baseline, nothing, nothing, nothing, nothing))
+    estimator.rebase(Block(baseline, nothing, nothing, nothing, []))
     seen = residual + baseline if kind == "signal" else residual
     spectrum = np.fft.rfft(seen.astype(float) * np.hanning(250))[:, 51:100]
     bins = np.stack([spectrum.real, spectrum.imag], axis=1)

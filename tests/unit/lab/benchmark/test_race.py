@@ -8,6 +8,7 @@ import pytest
 from touchd.lab.benchmark.estimators import Estimator, Place
 from touchd.lab.benchmark.race import race
 from touchd.lab.benchmark.scenes import BLOCK, Array, Block
+from touchd.twin.physics.finger import Contact
 
 SHAPE = (1, 2)
 
@@ -16,7 +17,8 @@ def block(first: int) -> Block:
     """Touches whose residual is their place."""
     true_mm = np.stack([np.arange(first, first + BLOCK), np.zeros(BLOCK)], axis=1).astype(np.float32)
     residual = true_mm.reshape(BLOCK, *SHAPE)
-    return Block(np.zeros(SHAPE, np.float32), np.zeros((2, *SHAPE), np.float32), residual + 1, residual, true_mm)
+    contacts = [Contact(x, y, 20.0, "silicone") for x, y in true_mm.tolist()]
+    return Block(np.zeros(SHAPE, np.float32), np.zeros((2, *SHAPE), np.float32), residual + 1, residual, contacts)
 
 
 BLOCKS = [block(0), block(BLOCK), block(2 * BLOCK)]
