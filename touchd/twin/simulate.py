@@ -126,7 +126,7 @@ def simulate_scene(
         name, instrument.plate, seed=seed, frames=frames, rate_hz=rate_hz, electronics=electronics,
         finger=finger, keys=keys, code=code,
     )  # fmt: skip
-    return _record(stage, instrument, seed, progress)
+    return simulate_stage(stage, instrument, seed, progress)
 
 
 def simulate_touches(
@@ -180,7 +180,7 @@ def simulate_touches(
     """
     asked = TouchSet(count, finger, margin_mm, stale_k, fingers, apart_mm, edge_gap_mm, warmer_k, label_noise_mm)
     instrument = instrument or Instrument(plate)
-    return _record(stage_touches(asked, instrument.plate, seed, electronics), instrument, seed, progress)
+    return simulate_stage(stage_touches(asked, instrument.plate, seed, electronics), instrument, seed, progress)
 
 
 def stage_touches(asked: TouchSet, plate: Plate, seed: int, electronics: Electronics | None = None) -> Stage:
@@ -200,7 +200,7 @@ def meta_of(instrument: Instrument, rate_hz: float, notes: str) -> Meta:
     )  # fmt: skip
 
 
-def _record(stage: Stage, instrument: Instrument, seed: int, progress: Progress | None) -> Recording:
+def simulate_stage(stage: Stage, instrument: Instrument, seed: int, progress: Progress | None = None) -> Recording:
     """Simulate all frames of a scene."""
     frames = no_frames(len(stage.sequence), instrument.acquisition)
     done = 0
