@@ -21,6 +21,7 @@ from touchd import chirp
 from touchd.errors import SimulationError
 from touchd.frame import Acquisition, Plate
 from touchd.twin.physics import chebyshev
+from touchd.twin.physics.contact import size_of
 from touchd.twin.physics.finger import Contact, patches
 from touchd.twin.physics.response import Response
 from touchd.twin.physics.transducer import Layout, default_layout, loaded_modes
@@ -136,15 +137,15 @@ class Instrument:
         scale = self.scale(temperature_c)
         late = _late(late_s, len(scale))
         split = [tuple(patch for contact in touch for patch in patches(contact)) for touch in touches]
-        counts = np.array([len(touch) for touch in split])
+        alike: dict[tuple[int, ...], dict[tuple[Contact, ...], list[int]]] = {}
+        for i, touch in enumerate(split):
+            if touch:
+                alike.setdefault(tuple(map(size_of, touch)), {}).setdefault(touch, []).append(i)
         result = np.zeros((len(split), self.acquisition.channels, self.acquisition.samples))
-        for count in np.unique(counts[counts > 0]):
-            alike: dict[tuple[Contact, ...], list[int]] = {}
-            for i in np.flatnonzero(counts == count).tolist():
-                alike.setdefault(split[i], []).append(i)
-            rows = list(alike.values())
+        for sizes, equal in alike.items():
+            rows = list(equal.values())
             # Limit the group, so that the products of modes stay in cache and memory.
-            for some in np.array_split(np.arange(len(rows)), math.ceil(len(rows) * (count + 5) ** 2 / 2000)):
+            for some in np.array_split(np.arange(len(rows)), math.ceil(len(rows) * (sum(sizes) + 5) ** 2 / 2000)):
                 part = [i for k in some for i in rows[k]]
                 spectrum = self.response.change([split[i] for i in part], scale[part])
                 spectrum *= (chebyshev.weights(scale[part], self._node_scale) @ self._emission)[:, None, :]

@@ -103,7 +103,7 @@ def simulate_scene(
     seed : int
         Equal seeds give equal recordings, bit for bit.
     frames, finger : optional
-        Number of frames, and "silicone" or "human"; by default the scene's.
+        Number of frames, and a kind of `touchd.twin.physics.finger.TISSUES`; by default the scene's.
     rate_hz : float, optional
         Frames per second; by default 125, for the demo 100.
     plate : Plate
@@ -156,7 +156,8 @@ def simulate_touches(
         Equal seeds give equal recordings, bit for bit.
     plate, instrument, electronics
         As for `simulate_scene`.
-    finger : "silicone" (12-28 mm^2) or "human" (40-100 mm^2)
+    finger : a kind of `touchd.twin.physics.finger.TISSUES`
+        Areas and ratios of the axes are drawn from `touchd.twin.scenes.robot.AREAS_MM2` and `timeline.RATIOS`.
     margin_mm : float, optional
         Least distance of a touch's centre from the edge; by default such that the contact fits.
     stale_k : float

@@ -197,7 +197,7 @@ def test_source(rig: Rig) -> None:
     source = DaqSource(lambda: NiDaq(SETTINGS, ACQUISITION), device, ACQUISITION, lambda _: None)
     numbers: list[int] = []
     while len(numbers) < 10:
-        frame = source.read(1.0)
+        frame = source.read(60.0)
         if frame is None:
             assert source.changes()
         else:

@@ -18,6 +18,8 @@ from touchd.training.network.network import PositionNetwork
 LOUDER = (0.2, 0.6)
 """Noise relative to the median touch, by feature norms, at which sigma is calibrated beside the touches' own noise. On
 the reference plate this is 50 and 40 dB below the untouched signal."""
+SIMPLEX_SIZES = (1.0, 0.3, 0.1)
+"""Of the searches for the two scales, in their logarithms."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,9 +65,14 @@ def calibrate_sigma(network: PositionNetwork, augmenter: Augmenter, residual: Te
         scales = np.exp(np.clip(logs, -np.log(MOST), np.log(MOST)))
         return float(np.square(np.log([said.quantile(*scales) for said in predictions])).sum())
 
-    found = minimize(cost, np.zeros(2), method="Nelder-Mead", options={"xatol": 1e-3, "fatol": 1e-7})
+    best = minimize(cost, np.zeros(2), method="Nelder-Mead")
+    # Quantiles of few touches make steps, on which a descent ends: search around the best again, and keep the best.
+    for size in SIMPLEX_SIZES:
+        simplex = best.x + size * np.array([[-1.0, -1.0], [1.0, 0.0], [0.0, 1.0]])
+        found = minimize(cost, best.x, method="Nelder-Mead", options={"initial_simplex": simplex})
+        best = min(best, found, key=lambda result: result.fun)
     with torch.no_grad():
-        network.log_error.bias.add_(torch.from_numpy(np.clip(found.x, -np.log(MOST), np.log(MOST))))
+        network.log_error.bias.add_(torch.from_numpy(np.clip(best.x, -np.log(MOST), np.log(MOST))))
 
 
 def _predict(network: PositionNetwork, features: Tensor, noise: Tensor, position: Tensor) -> Predictions:

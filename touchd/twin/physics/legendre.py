@@ -48,16 +48,20 @@ def _disc_rule(radial: int, angular: int) -> tuple[Floats, Floats, Floats]:
 
 
 def disc_average(
-    centre_m: ArrayLike, radius_m: ArrayLike, size_m: tuple[float, float], counts: tuple[int, int]
+    centre_m: ArrayLike,
+    radius_m: ArrayLike,
+    size_m: tuple[float, float],
+    counts: tuple[int, int],
+    rule: tuple[int, int] = (3, 8),
 ) -> Floats:
     """Averages of the products of polynomials over discs of centres (n, 2) and radii (n,); shape (n, *counts), 1/m.
 
-    `size_m` is width and height of the plate, `counts` are the polynomials along x and y.
+    `size_m` is width and height of the plate, `counts` are the polynomials along x and y, `rule` is the number of rings
+    and of points of each: 3 rings of 8 are exact to 1e-8 while the disc is under a third of a wavelength.
     """
     centre = np.asarray(centre_m, dtype=float)
     radius = np.asarray(radius_m, dtype=float)
-    # 3 rings of 8 are exact to 1e-8 while the disc is under a third of a wavelength.
-    x, y, w = _disc_rule(3, 8)
+    x, y, w = _disc_rule(*rule)
     px = values(centre[:, 0, None] + radius[:, None] * x, size_m[0], counts[0])
     py = values(centre[:, 1, None] + radius[:, None] * y, size_m[1], counts[1])
     return np.asarray((px * w[:, None]).transpose(0, 2, 1) @ py)
