@@ -48,10 +48,9 @@ def command(
 ) -> None:
     """Measure run time, latency and position error.
 
-    The benchmark times every estimator and scores it on the same simulated touches, measures the daemon's latency from
-    a frame to a subscriber in another process, and measures what each skip saves. Each time is also given relative to
-    the source paper's network, timed in the same process, so that runs on different computers compare. It takes less
-    than three minutes; leave the computer idle meanwhile.
+    The same simulated touches for every estimator; the daemon from a frame to a subscriber in another process; what
+    each skip saves. Times are also relative to the source paper's network, so that runs on different computers compare.
+    Leave the computer idle for three minutes.
     """
     # Set before numpy is imported; child processes inherit it. Thread pools would add waiting times to the results.
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):

@@ -39,21 +39,9 @@ STREAM_HZ = 20.0
 def command(model: Path, recording: Path, as_json: bool, plot: Path | None) -> None:
     """Score MODEL on RECORDING, which must be labelled with true contacts.
 
-    A recording of 20 frames/s or more is replayed through the pipeline. Of its touches the scores count those found,
-    missed and split, ghosts (contacts without a touch), and switches (contacts whose id jumps to another finger).
-    down_latency_ms is the median time from a touch's first frame to its first message; jitter_mm is the scatter of the
-    positions of a still finger.
-
-    A slower recording is scored frame by frame: each touched frame is compared with the untouched frames beside it.
-    The field atlas beside the model is used if there is one. A grid or keypad model is also scored by zones or keys.
-
-    Position errors come from a replay's messages, or from frames with one finger. by_fingers groups frames by their
-    number of fingers and assigns contacts to fingers by the least total distance, within 25 mm. It lists the share of
-    frames with the right number of contacts, missed fingers, ghosts, distances, the share with every finger within 1
-    and 2 mm, the share of errors within 1 and 2 sigma, and how well the force follows the true force.
-
-    With a field atlas, bound_mm is the Cramer-Rao bound of the median error of single fingers, and times_bound the
-    ratio of the measured median to it.
+    A recording of 20 frames/s or more is replayed through the pipeline. A slower one is scored frame by frame: each
+    touched frame is compared with the untouched frames beside it. The field atlas beside the model is used if there is
+    one. docs/plate-maker.md explains each score.
     """
     truth = read(recording)
     if truth.contacts_mm is None:

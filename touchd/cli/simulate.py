@@ -60,14 +60,14 @@ def parse_plate(_ctx: click.Context, _param: click.Parameter, value: str) -> tup
 @click.option("--jitter-ns", default=0.0, show_default=True, help="Standard deviation of the trigger's jitter, ns.")
 @click.option(
     "--stale-k", default=0.0, show_default=True,
-    help="Touches: warming of the plate between the untouched frame and the touch, K.",
+    help="Touches: warming since the untouched frame, K.",
 )  # fmt: skip
 @click.option(
     "--temperature-k",
     "warmer_k",
     default=0.0,
     show_default=True,
-    help="Touches: temperature of the plate above the reference, for touched and untouched frames, K.",
+    help="Touches: temperature above the reference, K.",
 )
 @click.option(
     "--fingers", default=1, show_default=True, type=click.IntRange(1, MOST_FINGERS), help="Fingers of each touch."

@@ -1,9 +1,10 @@
-"""Write a run as docs/benchmarks.md, with its plot of error against run time."""
+"""Write a run as docs/benchmarks.md: the columns and rows that decide, and a plot of error against run time."""
 
 from __future__ import annotations
 
 import shutil
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
 from matplotlib.figure import Figure
@@ -12,10 +13,9 @@ from touchd.config.schema import RealtimeSettings
 from touchd.errors import OutputError
 from touchd.evaluation.plots.session import COLOURS, save
 from touchd.lab.benchmark import results, tables
-from touchd.lab.benchmark.results import BareTimes, Run
-from touchd.lab.benchmark.tables import Table
+from touchd.lab.benchmark.results import BareTimes, DaemonResult, Run
 from touchd.lab.reproduction.paper import HEADS, KEYPAD_MS, REGRESSION_MS
-from touchd.training.report.template import render, table
+from touchd.training.report import template
 
 TEMPLATE = Path(__file__).with_name("page.md.j2")
 PICTURES = "benchmarks"
@@ -25,6 +25,10 @@ GROUPS = {
     "given": ("other models", COLOURS[5], "^"),
 }
 PAPER = "#555555"
+ESTIMATOR = ("estimator", "p50 us", "p99.9 us", "x bare", "median mm", "p95 mm", "missed")
+DAEMON = ("scene", "frames/s", "ends at", "p50 us", "p99.9 us", "CPU", "frames/CPU s")
+VARIANTS = ("grid10", "keypad", "time")
+"""Estimators that only the terminal and the stored run show."""
 
 
 def write(run: Run, folder: Path) -> None:
@@ -51,23 +55,27 @@ def write(run: Run, folder: Path) -> None:
 
 def page(run: Run) -> str:
     """Return the page of a run, with its plot in the folder `PICTURES` beside it."""
-    calls = [one.calls for one in run.estimators]
-    rss_mb = [cell.rss_mb for cell in run.daemon]
-    return render(
-        TEMPLATE, run=run, pictures=PICTURES, times=_times, awake_from_hz=RealtimeSettings().awake_from_hz,
-        calls=(min(calls), max(calls)), rss_mb=(min(rss_mb, default=0.0), max(rss_mb, default=0.0)),
-        budgets=_markdown(tables.budget_table(run)), estimators=_markdown(tables.estimator_table(run)),
-        daemon=_markdown(tables.daemon_table(run)), shares=_markdown(tables.share_table(run)),
-        skips=_markdown(tables.skip_table(run)),
+    estimators = tuple(one for one in run.estimators if one.group in GROUPS and one.name not in VARIANTS)
+    shown = run.model_copy(update={"daemon": _decisive(run), "estimators": estimators})
+    return template.render(
+        TEMPLATE, run=run, shown=shown, pictures=PICTURES, times=_times, awake_from_hz=RealtimeSettings().awake_from_hz,
+        budgets=_markdown(tables.budget_table(run)), estimators=_markdown(tables.estimator_table(shown), ESTIMATOR),
+        daemon=_markdown(tables.daemon_table(shown), DAEMON), skips=_markdown(tables.skip_table(run)),
     )  # fmt: skip
+
+
+def _decisive(run: Run) -> tuple[DaemonResult, ...]:
+    """Return of each scene the first rate and full speed."""
+    first = {cell.scene: cell for cell in reversed(run.daemon)}
+    return tuple(cell for cell in run.daemon if cell.rate_hz is None or cell is first[cell.scene])
 
 
 def _times(one: BareTimes) -> str:
     return f"p50 {one.p50:,.0f}, p99 {one.p99:,.0f}, p99.9 {one.p999:,.0f}"
 
 
-def _markdown(found: Table) -> str:
-    return table(found.headings, found.rows)
+def _markdown(found: tables.Table, columns: Sequence[str] = ()) -> str:
+    return template.Table(found.headings, found.rows).pick(columns=columns).markdown()
 
 
 def draw_errors(run: Run) -> Figure:

@@ -140,6 +140,8 @@ class Run(_Part):
     """All results of a run."""
 
     version: Literal[1] = 1
+    note: str = ""
+    """A sentence for the page, about a run that is kept although the code has changed since."""
     quick: bool
     seconds: float
     machine: Machine

@@ -15,7 +15,7 @@ from touchd.cli.benchmark import command
 from touchd.errors import ConfigError, OutputError
 from touchd.lab.benchmark import results, tables
 from touchd.lab.benchmark.machine import this_machine
-from touchd.lab.benchmark.page import PICTURES, draw_errors, page
+from touchd.lab.benchmark.page import PICTURES, VARIANTS, draw_errors, page
 from touchd.lab.benchmark.results import BareTimes, Otherwise, Run
 from touchd.lab.benchmark.tables import BUDGETS
 
@@ -60,10 +60,12 @@ def test_the_machine_is_described_without_its_name() -> None:
     assert machine.cores >= 1
 
 
-def test_every_estimator_scene_and_picture_is_on_the_page(run: Run) -> None:
+def test_every_estimator_scene_and_picture_is_shown(run: Run) -> None:
+    """Variants of an estimator stand in the terminal's table; all others, each scene and picture are on the page."""
     text = page(run)
+    assert [row[0] for row in tables.estimator_table(run).rows[1:-2]] == [one.name for one in run.estimators]
     for one in run.estimators:
-        assert f"| {one.name} |" in text
+        assert (f"| {one.name} |" in text) is (one.name not in VARIANTS)
     for one_cell in run.daemon:
         assert f"| {one_cell.scene} |" in text
     assert f"({PICTURES}/errors.png)" in text
