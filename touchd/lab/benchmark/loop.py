@@ -85,7 +85,7 @@ class LoopSource:
                 self._begun()
                 now_ns = time.monotonic_ns()
                 self._end_ns = now_ns + round(self._seconds * 1e9)
-                self._next_burst = number + BURST_EVERY
+                self._next_burst = number  # so that a run of few frames has one, too
             self._start_ns = now_ns - max(number, self.lead) * self._period_ns
         if number >= self.lead:
             if now_ns >= self._end_ns:
