@@ -12,7 +12,7 @@ from touchd.evaluation.metrics import position_scores
 from touchd.lab.benchmark.estimators import Estimator, Place
 from touchd.lab.benchmark.results import BareTimes, EstimatorResult, percentiles, rounded
 from touchd.lab.benchmark.scenes import BLOCK, Block
-from touchd.lab.benchmark.stopwatch import Floor, Stopwatch, ratio, spread
+from touchd.lab.benchmark.stopwatch import Stopwatch, floor_us, ratio, spread
 
 Tick = Callable[[], object]
 
@@ -62,9 +62,8 @@ def race(
                     entry.places += places
             tick()
     true_mm = np.concatenate([block.true_mm for block in blocks])
-    floor = Floor()
     bare_us = spread(np.concatenate([entry.beside.times_us for entry in entries]))
-    return BareTimes.of(bare_us), [_result(entry, true_mm, floor) for entry in entries]
+    return BareTimes.of(bare_us), [_result(entry, true_mm) for entry in entries]
 
 
 def _batch(entry: _Entry, block: Block) -> list[Place]:
@@ -83,7 +82,7 @@ def _batch(entry: _Entry, block: Block) -> list[Place]:
     return places
 
 
-def _result(entry: _Entry, true_mm: np.ndarray, floor: Floor) -> EstimatorResult:
+def _result(entry: _Entry, true_mm: np.ndarray) -> EstimatorResult:
     estimator, times_us = entry.estimator, entry.watch.times_us
     found = np.array([place is not None for place in entry.places])
     error_mm = np.array([place for place in entry.places if place is not None]).reshape(-1, 2) - true_mm[found]
@@ -91,7 +90,7 @@ def _result(entry: _Entry, true_mm: np.ndarray, floor: Floor) -> EstimatorResult
     return EstimatorResult(
         name=estimator.name, group=estimator.group, remark=estimator.remark,
         **percentiles(spread(times_us)),
-        ratio=rounded(ratio(entry.watch, entry.beside)), floor_us=rounded(floor.us(estimator.bytes)),
+        ratio=rounded(ratio(entry.watch, entry.beside)), floor_us=rounded(floor_us(estimator.bytes)),
         calls=len(times_us), macs=estimator.macs, bytes=estimator.bytes,
         touches=len(found), missed=int((~found).sum()),
         rmse_mm=rounded(scores["rmse_mm"]), median_mm=rounded(scores["median_mm"]), p95_mm=rounded(scores["p95_mm"]),

@@ -178,11 +178,9 @@ def load(path: Path) -> Run:
     """
     try:
         return Run.model_validate_json(path.read_text("utf-8"))
-    except OSError as error:
-        raise ConfigError(f"cannot be read ({error.strerror})", str(path), "name a file written by --json") from error
-    except (ValidationError, UnicodeDecodeError) as error:
-        first = error.errors()[0]["msg"] if isinstance(error, ValidationError) else str(error)
-        raise ConfigError(f"not a stored run ({first})", str(path), "name a file written by --json") from error
+    except (OSError, ValueError) as error:
+        reason = error.errors()[0]["msg"] if isinstance(error, ValidationError) else str(error)
+        raise ConfigError(f"not a stored run ({reason})", str(path), "name a file written by --json") from error
 
 
 def store(run: Run, path: Path) -> None:
