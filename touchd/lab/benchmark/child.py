@@ -148,7 +148,7 @@ def run(task: Task) -> tuple[DaemonResult, dict[int, int]]:
     handed = spread((preroll.done_ns[counted] - preroll.received_ns[counted]) * 1e-3)
     # Without the lead-in, and without the bare runs.
     frames, cpu_s, wall_s = preroll.count - source.lead, cpu_s - bare_cpu_s, wall_s - source.apart_ns * 1e-9
-    counts = {name: count - at_start[name] for name, count in _counted(service.pipeline.counters).items()}
+    counts = {name: count - at_start.get(name, 0) for name, count in _counted(service.pipeline.counters).items()}
     taken, lost, inferred = (counts.pop(name) for name in ("frames", "lost", "inferred"))
     result = DaemonResult(
         scene=task.scene, rate_hz=task.rate_hz, to="decision", frames=len(counted), **percentiles(handed),

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from touchd.evaluation.model_scores import Judgement
@@ -126,26 +125,22 @@ def _errors(results: Results) -> Figure:
         "the paper's R on the twin": results.full[plan.head_name("R", "frequency")],
     }
     for number, (name, data) in enumerate(contenders.items()):
-        _cumulative(models, distance_mm(data), name, COLOURS[number])
-    models.set(title="silicone finger", ylabel="share of touches (%)")
+        models.ecdf(distance_mm(data), color=COLOURS[number], lw=1.6, label=name)
+    models.set(title="silicone finger", ylabel="share of touches")
     kinds = figure.add_subplot(1, 2, 2)
     labels = {
         "silicone": "silicone finger", "human": "human finger", "stale": "baseline stale by 1 K",
         "noise": "noise 20 dB worse",
     }  # fmt: skip
     for number, (kind, label) in enumerate(labels.items()):
-        _cumulative(kinds, distance_mm(results.held_out["regression", kind]), label, COLOURS[number])
+        found = distance_mm(results.held_out["regression", kind])
+        kinds.ecdf(found, color=COLOURS[number], lw=1.6, label=label)
     kinds.set(title="the shipped network")
     for axes in (models, kinds):
-        axes.set(xlabel="error (mm)", xscale="log", xlim=(0.01, 50), ylim=(0, 100))
+        axes.set(xlabel="error (mm)", xscale="log", xlim=(0.01, 50), ylim=(0, 1))
         axes.axvline(4.4, color=PAPER, ls="--", lw=1)
-        axes.annotate("the paper's\nmean, 4.4 mm", (4.8, 6), fontsize=8)
+        axes.annotate("the paper's\nmean, 4.4 mm", (4.8, 0.06), fontsize=8)
         axes.xaxis.set_major_formatter("{x:g}")
         axes.grid(alpha=0.25, which="both")
         axes.legend(fontsize=8, framealpha=1, edgecolor="none", loc="upper left")
     return figure
-
-
-def _cumulative(axes: Axes, distance_mm: np.ndarray, label: str, colour: str) -> None:
-    ordered = np.sort(distance_mm)
-    axes.plot(ordered, 100 * np.arange(1, len(ordered) + 1) / len(ordered), color=colour, lw=1.6, label=label)
