@@ -71,7 +71,7 @@ golden: setup
 	$(BIN)/python -m tests.scenes.golden.rebuild
 
 docs: setup
-	$(BIN)/python docs/generate.py
+	$(BIN)/python -m docs.generate
 	$(BIN)/touchd draw touchd/demo/session.npz -o docs/session.png
 
 lock: setup

@@ -29,7 +29,7 @@ _COLOURS = {"ok": "green", "warning": "yellow", "failure": "red"}
 @click.option("--seconds", type=click.FloatRange(0.5), default=3.0, show_default=True, metavar="S",
               help="How many seconds of frames to take.")  # fmt: skip
 @click.option("--reference", type=click.Path(path_type=Path), metavar="PATH",
-              help="The training recording, or a recording of the untouched plate made with it.  "
+              help="The training recording, or one of the untouched plate.  "
               "[default: MODEL.untouched.npz beside the model]")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 @click.option("--config", "config", type=click.Path(path_type=Path), help="Configuration file (TOML).")
@@ -47,8 +47,8 @@ def command(
 ) -> None:
     """Check all that the daemon opens, the DAQ, its frames and the computer; print one line for each check.
 
-    Stop the daemon first: only one program at a time can read the DAQ. Do not touch the plate meanwhile. Each line
-    says ok, warning or failure; a warning and a failure name a remedy. The exit status is 0 without a failure.
+    Stop the daemon first: only one program at a time can read the DAQ. Do not touch the plate meanwhile. A warning and
+    a failure name a remedy.
     """
     from touchd.config.load import load
     from touchd.service.log import configure

@@ -48,8 +48,8 @@ def command(
     The default is the installed service, ipc:///run/touchd/bus, or else a touchd on this computer,
     tcp://127.0.0.1:5570.
 
-    A touch prints a line when it goes down, moves and goes up, with the time in UTC. The bus keeps the last message of
-    each topic, so the first line can be older than the command. Ctrl-C ends the command.
+    A touch prints a line when it goes down, moves and goes up. The bus keeps the last message of each topic, so the
+    first line can be older than the command.
     """
     wanted = (*topics, "health") if until_stopped and "health" not in topics else topics
     with (

@@ -72,8 +72,8 @@ def command(
 ) -> None:
     """Write the frames of the DAQ, or of another source, to a file.
 
-    A recording can reveal a PIN: every touch can be located from it. The file is readable by you only. Ctrl-C and
-    SIGTERM stop the recording and save the frames so far. It stores frames alone, without true contacts.
+    A recording can reveal a PIN: it is readable by you only. Ctrl-C and SIGTERM save the frames so far. It stores
+    frames alone, without true contacts.
     """
     from touchd.config.load import load
     from touchd.sources.open import SourceChoice, open_source

@@ -64,17 +64,16 @@ class TimeLeft:
 )
 @click.option(
     "--network", type=click.Path(path_type=Path),
-    help="Recipe atlas: use this network, trained on RECORDING, instead of training one.",
+    help="Recipe atlas: use this network, trained on RECORDING.",
 )  # fmt: skip
 @click.option("--seed", default=0, show_default=True, help="Seed of the split, the weights and the augmentation.")
 @click.option("--epochs", type=click.IntRange(min=1), help="Passes over the touches.  [default: the recipe's]")
 @click.option(
     "--patience", type=click.IntRange(min=1),
-    help="Stop after this many epochs without a better validation RMSE. Paper recipes only, whose learning rate is "
-    "constant.  [default: 30]",
+    help="Paper recipes: stop after this many epochs without a better validation RMSE.  [default: 30]",
 )  # fmt: skip
 @click.option("--no-report", is_flag=True, help="Write no report.")
-@click.option("--force", is_flag=True, help="Replace the model, its atlas and its report if they exist.")
+@click.option("--force", is_flag=True, help="Replace what exists.")
 def command(
     recording: tuple[Path, ...],
     output: Path,
@@ -91,11 +90,8 @@ def command(
     """Train a model on RECORDING, a labelled recording of single touches.
 
     Several recordings of one plate and one acquisition train one model. Warnings, such as a dead channel or too few
-    touches, appear before training starts. The touches are split at random: 70 % for training, 20 % for validation,
-    10 % for the test. The test scores are printed and stored in the model. A folder named .report beside the model
-    holds them with plots: learning curve, errors over the plate, and calibration of the predicted standard error.
-
-    The recipe atlas also writes a field atlas, named .atlas.npz, beside the network, and scores both together.
+    touches, appear first. 70 % of the touches train, 20 % validate, 10 % test; the test scores are printed and stored
+    in the model. Beside it lies a folder named .report, and with the recipe atlas the field atlas, .atlas.npz.
     """
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn

@@ -1,41 +1,39 @@
-"""Measure and draw what docs/numerics.md and docs/robustness.md show: some minutes in all, and the extra `train`.
+"""Measure and draw what docs/robustness.md shows: twenty minutes in all, and the extra `train`.
 
-    python -m docs.numerics [--keep FOLDER] [PART ...]
+    python -m docs.robustness [--keep FOLDER] [PART ...]
 
-What is measured, and how, is in tests/scenes/numerics, which runs short versions of it. The training recording and the
+Data and pictures go to docs/robustness/; `make docs` then puts the decisive rows on the page. What is measured, and
+how, is in tests/scenes/numerics, which runs short versions of it. The training recording and the
 networks of the paper's recipe are made in a temporary folder, or in one that is kept and used again.
 """
 
 from __future__ import annotations
 
 import importlib
-import re
 import tempfile
-import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from docs import measured
 from tests.scenes.numerics import agreement, curves, degenerate, independence, limits, longruns
-from tests.scenes.numerics.curvepage import ATLAS, NETWORK, PAPER, answer_table, draw, small, table
+from tests.scenes.numerics.curvepage import ATLAS, HEADINGS, NETWORK, PAPER, answer_rows, draw, small
 from tests.scenes.numerics.watch import frames_of, run
 from touchd.evaluation.dataset import Dataset, digest, make_dataset, split, thin
-from touchd.lab.benchmark.machine import this_machine
 from touchd.localization.model import Model, default_model_path
 from touchd.recording.data import Recording
 from touchd.recording.format import read, write
 from touchd.training.network.recipe import RECIPES
+from touchd.training.report.template import read_csv
 from touchd.twin.instrument import Instrument
 from touchd.twin.scenes.catalogue import SCENES
 from touchd.twin.simulate import DEFAULT_PLATE, simulate_scene, simulate_touches
 
 ROOT = Path(__file__).resolve().parent.parent
-PAGE, CURVES = ROOT / "docs" / "numerics.md", ROOT / "docs" / "robustness.md"
+PAGE = ROOT / "docs" / "robustness.md"
 
 TRAINING_TOUCHES, TRAINING_SEED, PAPER_SEED = 6404, 1, 1
 TOUCHES = 400
@@ -112,37 +110,42 @@ class Bench:
         return ours | quick
 
 
-def float64(bench: Bench) -> str:
+def float64(bench: Bench) -> None:
     """Compare every scene with float64."""
     assert bench.model.atlas is not None
-    rows, rounding, early = [], [], []
-    placed = elsewhere = 0
+    rows: list[tuple[object, ...]] = []
+    found: list[agreement.Agreement] = []
     for name in SCENES:
         scene = simulate_scene(name, seed=SCENE_SEED, instrument=bench.instrument)
         a = agreement.compared(scene, bench.model.atlas)
-        rounding += a.rounding_mm
-        early += a.truncation_mm
-        placed, elsewhere = placed + a.contacts, elsewhere + len(a.begun_elsewhere_mm)
-        median, p95, most = np.percentile(a.truncation_mm or [0.0], [50, 95, 100]).tolist()
+        found.append(a)
         rows.append((
             name, a.frames, a.located, a.contacts, small(a.features), small(max(a.rounding_mm, default=0.0)),
             small(max(a.begun_elsewhere_mm, default=0.0)) if a.begun_elsewhere_mm else "", a.other,
-            "yes" if a.same_events else "no", small(median), small(p95), small(most), f"{a.truncation_sigmas:.2f}",
+            "yes" if a.same_events else "no", *_spread(a.truncation_mm), f"{a.truncation_sigmas:.2f}",
         ))  # fmt: skip
-    median, p95, most = np.percentile(early, [50, 95, 100]).tolist()
-    summary = (
-        f"\n\nIn all {placed:,} places: rounding {small(float(np.median(rounding)))} mm in the median and "
-        f"{small(max(rounding))} mm at most; {elsewhere} of them begun elsewhere; truncation {small(median)} mm in the "
-        f"median, {small(p95)} mm at the 95th percentile, {small(most)} mm at most."
-    )
-    heads = (
-        "scene", "frames", "located", "places", "features, relative", "rounding mm, most", "begun elsewhere mm",
-        "decided otherwise", "same events", "truncation mm, median", "p95", "most", "of sigma, most",
+    elsewhere = [mm for a in found for mm in a.begun_elsewhere_mm]
+    rows.append((
+        "all", *(sum(getattr(a, name) for a in found) for name in ("frames", "located", "contacts")),
+        small(max(a.features for a in found)), small(max(mm for a in found for mm in a.rounding_mm)),
+        small(max(elsewhere)) if elsewhere else "", sum(a.other for a in found),
+        "yes" if all(a.same_events for a in found) else "no",
+        *_spread([mm for a in found for mm in a.truncation_mm]), f"{max(a.truncation_sigmas for a in found):.2f}",
+    ))  # fmt: skip
+    headings = (
+        "scene", "frames", "located", "places", "features_relative", "rounding_most_mm", "begun_elsewhere_mm",
+        "decided_otherwise", "same_events", "truncation_median_mm", "truncation_p95_mm", "truncation_most_mm",
+        "truncation_most_sigma",
     )  # fmt: skip
-    return table(heads, rows) + summary
+    measured.data(PAGE, "float64", headings, rows)
 
 
-def cut_up(bench: Bench) -> str:
+def _spread(lengths_mm: Sequence[float]) -> tuple[str, str, str]:
+    median, p95, most = np.percentile(lengths_mm or [0.0], [50, 95, 100]).tolist()
+    return small(median), small(p95), small(most)
+
+
+def cut_up(bench: Bench) -> None:
     """Measure what precision, batch, threads and chunks change."""
     assert bench.model.atlas is not None
     recording = simulate_touches(NETWORK_TOUCHES, seed=NETWORK_SEED, instrument=bench.instrument)
@@ -165,19 +168,19 @@ def cut_up(bench: Bench) -> str:
     for what, contacts in pieces:
         same = "0, to the bit" if contacts == entire else small(independence.farthest_mm(contacts, entire))
         rows.append((f"all events of `two`, {what}", "", "", same))
-    return table((f"{NETWORK_TOUCHES} touches", "shift mm, median", "p95", "most"), rows)
+    measured.data(PAGE, "cut_up", (f"{NETWORK_TOUCHES} touches", "median_mm", "p95_mm", "most_mm"), rows)
 
 
 def _cells(verdict: limits.Verdict) -> tuple[object, ...]:
     v = verdict
     assert v.not_finite == 0
-    return (v.published, v.wrong + v.outside, v.unsure, f"{v.found} of {v.fingers}")
+    return (v.published, v.wrong + v.outside, v.unsure, v.found, v.fingers)
 
 
-LIMIT_HEADS = ("published", "wrong", "beyond 5 sigma", "found")
+VERDICT = ("published", "wrong", "beyond_5_sigma", "found", "fingers")
 
 
-def limit(bench: Bench) -> str:
+def limit(bench: Bench) -> None:
     """Do what an ADC and a plate can do at most to taps, and count wrong touches."""
     scenes = [simulate_scene("tap", seed=seed, instrument=bench.instrument) for seed in TAP_SEEDS]
     groups: dict[tuple[str, str], limits.Verdict] = {}
@@ -190,21 +193,15 @@ def limit(bench: Bench) -> str:
     for level_db in IMAGE_LEVELS_DB:
         found = sum((limits.image(level_db, seed, bench.instrument) for seed in TAP_SEEDS), limits.Verdict())
         groups[f"the chirp's image: {level_db:g} dB", "from the start"] = found
-    moments = list(limits.moments(scenes[0]))
-    names = list(dict.fromkeys(name for name, _ in groups))
-    rows = [
-        (name, *(f"{v.published} / {v.wrong + v.outside} / {v.unsure} / {v.found} of {v.fingers}"
-                 if (v := groups.get((name, moment))) else "" for moment in moments))
-        for name in names
-    ]  # fmt: skip
-    return table(("what is done: published / wrong / beyond 5 sigma / found", *moments), rows)
+    rows = [(*key, *_cells(verdict)) for key, verdict in groups.items()]
+    measured.data(PAGE, "limit", ("input", "since", *VERDICT), rows)
 
 
 def _is_alone(case: limits.Case) -> bool:
     return not case.group.startswith(("one channel", "two channels", "bursts"))
 
 
-def tones(bench: Bench) -> str:
+def tones(bench: Bench) -> None:
     """Add a tone at every frequency to taps."""
     scene = simulate_scene("tap", seed=TAP_SEEDS[0], instrument=bench.instrument)
     rows = []
@@ -220,10 +217,10 @@ def tones(bench: Bench) -> str:
             (f"{level_db:g} dB, within the band", *_cells(inside)),
             (f"{level_db:g} dB, outside", *_cells(outside)),
         ]
-    return table(("tones, each 1 kHz from 0.5 to 124.5", *LIMIT_HEADS), rows)
+    measured.data(PAGE, "tones", ("each 1 kHz from 0.5 to 124.5", *VERDICT), rows)
 
 
-def conditioning(bench: Bench) -> str:
+def conditioning(bench: Bench) -> None:
     """Touch the plate where a fit is badly conditioned."""
     assert bench.model.atlas is not None
     edge = degenerate.on_the_edge(bench.instrument)
@@ -245,18 +242,16 @@ def conditioning(bench: Bench) -> str:
             verdict = limits.judge(taps, run(frames_of(taps), model=bench.model))
             worst = f"{verdict.worst_mm:.2f}" if verdict.published else ""
             rows.append((f"{name}, {kind}", *_cells(verdict), worst))
-    return table(("where", *LIMIT_HEADS, "worst mm"), rows)
+    measured.data(PAGE, "conditioning", ("where", *VERDICT, "worst_mm"), rows)
 
 
-def denormals(_bench: Bench) -> str:
+def denormals(_bench: Bench) -> None:
     """Time denormals in alternation with ordinary numbers."""
-    return table(
-        ("what", "time, ratio to ordinary numbers"),
-        [(slow.what, f"{slow.ratio:.2f}") for slow in degenerate.slowdowns(turns=1000)],
-    )
+    rows = [(slow.what, f"{slow.ratio:.2f}") for slow in degenerate.slowdowns(turns=1000)]
+    measured.data(PAGE, "denormals", ("what", "time_ratio"), rows)
 
 
-def long(_bench: Bench) -> str:
+def long(_bench: Bench) -> None:
     """Run long what is carried on from frame to frame."""
     rng = np.random.default_rng(3)
     rows: list[tuple[object, ...]] = []
@@ -286,70 +281,56 @@ def long(_bench: Bench) -> str:
             f"device's clock, {skew * 1e6:+.0f} ppm: mean error in the last month beside the first, us",
             "a year, a frame every 2 minutes", small(drift), "20",
         ))  # fmt: skip
-    return table(("what", "how long", "measured", "bound"), rows)
+    measured.data(PAGE, "long", ("what", "how_long", "measured", "bound"), rows)
 
 
-def curve(axis: curves.Axis) -> Callable[[Bench], str]:
+def curve(axis: curves.Axis) -> Callable[[Bench], None]:
     """Return the part that measures one curve."""
 
-    def part(bench: Bench) -> str:
+    def part(bench: Bench) -> None:
         answers = curves.measured(axis, bench.contenders(), TOUCHES, bench.instrument)
         figure = draw([str(v) if isinstance(v, str) else v for v in axis.values], answers, axis.label, axis.title,
                       logarithmic=axis.logarithmic, reverse=axis.name == "noise")  # fmt: skip
-        return picture(figure, axis.name, axis.title) + "\n\n" + answer_table(axis.label, axis.values, answers)
+        measured.picture(PAGE, figure, axis.name)
+        measured.data(PAGE, axis.name, (axis.label, *HEADINGS), answer_rows(axis.values, answers))
 
     return part
 
 
-def learning(bench: Bench) -> str:
-    """Measure the error by training touches; what the atlas makes of as many is taken from docs/accuracy.md."""
+def learning(bench: Bench) -> None:
+    """Measure the error by training touches; the atlas' errors are those that `python -m docs.accuracy` measured."""
     other = importlib.import_module("docs.accuracy")  # by name: beside it lies a folder of that name
     test = simulate_touches(other.TOUCHES, seed=other.SEED, instrument=bench.instrument)
     data = make_dataset(test)
-    atlas = atlas_learning((ROOT / "docs" / "accuracy.md").read_text())
+    atlas = {
+        int(count): (float(median), float(p95))
+        for count, _, median, p95 in read_csv(ROOT / "docs" / "accuracy" / "learning.csv").rows
+    }
     counts = [*(n for n in FEWEST if n < min(atlas)), *atlas]
     answers: list[dict[str, curves.Answer]] = []
     for count in counts:
-        found = {name: ask(test, data) for name, ask in bench.contenders(count).items()}
-        answers.append(found)
+        answers.append({name: ask(test, data) for name, ask in bench.contenders(count).items()})
     known = {ATLAS: [atlas.get(count) for count in counts]}
-    figure = draw(counts, answers, "training touches", "error by training touches", logarithmic=True, known=known)
-    return picture(figure, "learning", "error by training touches") + "\n\n" + answer_table(
-        "training touches", counts, answers, known
-    )  # fmt: skip
+    label = "training touches"
+    figure = draw(counts, answers, label, "error by training touches", logarithmic=True, known=known)
+    measured.picture(PAGE, figure, "learning")
+    measured.data(PAGE, "learning", (label, *HEADINGS), answer_rows(counts, answers, known))
 
 
-def atlas_learning(page: str) -> dict[int, tuple[float, float]]:
-    """Return median and 95th percentile by training touches, as `python -m docs.accuracy learning` wrote them."""
-    block = page.split("<!-- learning:begin -->")[1].split("<!-- learning:end -->")[0]
-    rows = re.findall(r"^\| (\d+) \| [\d.]+ \| ([\d.]+) \| ([\d.]+) \|", block, re.MULTILINE)
-    return {int(count): (float(median), float(p95)) for count, median, p95 in rows}
-
-
-def picture(figure: Figure, name: str, caption: str) -> str:
-    """Save a picture, and return what the page says of it."""
-    return measured.picture(CURVES, figure, name, caption[0].upper() + caption[1:])
-
-
-PARTS: dict[str, Callable[[Bench], str]] = {
+PARTS: dict[str, Callable[[Bench], None]] = {
     part.__name__: part for part in (float64, cut_up, limit, tones, conditioning, denormals, long)
 }
-CURVE_PARTS: dict[str, Callable[[Bench], str]] = {axis.name: curve(axis) for axis in curves.AXES}
-CURVE_PARTS["learning"] = learning
+PARTS |= {axis.name: curve(axis) for axis in curves.AXES}
+PARTS["learning"] = learning
 
 
 def main() -> None:
     """Make the parts that are asked for, by default all."""
-    parts = PARTS | CURVE_PARTS
-    with measured.asked(PAGE, __doc__ or "", parts, "the training recording and networks") as (folder, wanted):
+    with measured.asked(PAGE, __doc__ or "", PARTS, "the training recording and networks") as (folder, wanted):
         bench = Bench(folder)
         for name, part in wanted.items():
-            started_s = time.monotonic()
-            content = part(bench)
-            took = f"\n\n`python -m docs.numerics {name}`, {time.monotonic() - started_s:.0f} s."
-            measured.fill(CURVES if name in CURVE_PARTS else PAGE, name, content + took)
-            print(f"{name}: {took.strip()}", flush=True)
-        measured.fill(PAGE, "machine", f"Made on: {this_machine().line()}.")
+            part(bench)
+            print(f"{name}: done", flush=True)
 
 
 if __name__ == "__main__":
