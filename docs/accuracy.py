@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from docs import measured
+from docs.accuracy_plots import FieldImage, NoiseLevel, draw_field, draw_fingers, draw_learning, draw_noise
 from touchd.config.schema import ModelSettings, Settings
 from touchd.evaluation.cramer_rao import (
     atlas_field,
@@ -31,7 +32,6 @@ from touchd.evaluation.dataset import Split, make_dataset, split
 from touchd.evaluation.matching import match_frames, scores_by_fingers
 from touchd.evaluation.metrics import position_scores
 from touchd.evaluation.model_scores import Judgement
-from touchd.evaluation.plots.atlas import FieldImage, NoiseLevel, draw_field, draw_fingers, draw_learning, draw_noise
 from touchd.evaluation.plots.maps import draw_maps
 from touchd.evaluation.single_frames import find_with, see, touched_frames
 from touchd.localization.atlas import Atlas

@@ -11,7 +11,7 @@ import numpy as np
 
 from touchd.config.load import load
 from touchd.frame import Acquisition, Frame
-from touchd.service.daemon import make_service
+from touchd.service.daemon import load_model, make_service
 from touchd.service.log import configure
 from touchd.service.signals import stop_on_signals
 from touchd.sinks.zeromq import ZeromqSink
@@ -59,7 +59,7 @@ def main() -> None:
     configure(settings.log)
     source = PipeSource(sys.stdin.buffer, Acquisition(channels=4, samples=250, sample_rate_hz=250e3))
     sinks = [ZeromqSink(settings.bus)]
-    service = make_service(source, sinks, settings)
+    service = make_service(source, sinks, settings, load_model(settings))
     stop_on_signals(service)
     service.run()  # closes source and sinks
 

@@ -59,18 +59,11 @@ def command(model: Path, recording: Path, as_json: bool, plot: Path | None) -> N
 
 def _score_replay(path: Path, truth: Recording, settings: Settings) -> dict[str, Any]:
     result = score_stream(truth, replay(path, settings).touches)
-    return _positions(result.error_mm) | {
-        "touches": result.touches,
-        "found": result.found,
-        "missed": result.missed,
-        "ghosts": result.ghosts,
-        "split": result.split,
-        "switches": result.switches,
-        "down_latency_ms": result.down_latency_ms,
-        "jitter_mm": result.jitter_mm,
+    names = ("touches", "found", "missed", "ghosts", "split", "switches", "down_latency_ms", "jitter_mm")
+    return _positions(result.error_mm) | {name: getattr(result, name) for name in names} | {
         "moving_rmse_mm": _positions(result.error_mm[result.moving])["rmse_mm"],
         "by_fingers": scores_by_fingers(result.settled),
-    }
+    }  # fmt: skip
 
 
 def _score_frames(truth: Recording, model: Model, plot: Path | None) -> dict[str, Any]:
@@ -148,5 +141,4 @@ def _number(value: float | None) -> str:
 def _positions(error_mm: np.ndarray) -> dict[str, Any]:
     if not len(error_mm):
         return {"n": 0, "rmse_mm": None}
-    scores: dict[str, Any] = dict(position_scores(error_mm))
-    return scores | {"n": int(scores["n"])}
+    return position_scores(error_mm) | {"n": len(error_mm)}

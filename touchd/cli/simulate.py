@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import click
@@ -22,7 +23,7 @@ from touchd.twin.physics.material import MATERIALS
 from touchd.twin.robot_session import Session, parts_kept, simulate_session
 from touchd.twin.scenes.catalogue import SCENES
 from touchd.twin.scenes.robot import COUNT, MOST_FINGERS, TouchSet
-from touchd.twin.simulate import simulate_scene, stage_scene
+from touchd.twin.simulate import simulate_stage, stage_scene
 
 TOUCHES = "touches"
 _SCENE_LINES = "\n".join(f"  {name:13} {scene.what}" for name, scene in SCENES.items())
@@ -128,7 +129,10 @@ def command(
         total = 2 * touches.count
         period_s = 0.5
     else:
-        stage = stage_scene(scene, described, seed=seed, frames=frames, rate_hz=rate_hz, keys=keys, code=code)
+        stage = stage_scene(
+            scene, described, seed=seed, frames=frames, rate_hz=rate_hz, electronics=electronics, finger=finger,
+            keys=keys, code=code,
+        )  # fmt: skip
         total = len(stage.sequence)
         period_s = 1 / stage.rate_hz
     if tail and period_s > MOST_TAIL_S:
@@ -141,15 +145,13 @@ def command(
         if scene == TOUCHES:
             session = Session(touches, seed, described, loss, tail_period_s, electronics)
             kept = stack.enter_context(parts_kept(session))
-            with click.progressbar(length=total, label=scene, file=sys.stderr) as bar:
-                made = simulate_session(session, workers=jobs, dask=dask, kept=kept, progress=bar.update)
+            simulate = partial(simulate_session, session, workers=jobs, dask=dask, kept=kept)
         else:
-            instrument = Instrument(described, loss=loss, tail_period_s=tail_period_s)
-            with click.progressbar(length=total, label=scene, file=sys.stderr) as bar:
-                made = simulate_scene(
-                    scene, seed=seed, frames=frames, rate_hz=rate_hz, instrument=instrument, electronics=electronics,
-                    finger=finger, keys=keys, code=code, progress=bar.update,
-                )  # fmt: skip
+            simulate = partial(
+                simulate_stage, stage, Instrument(described, loss=loss, tail_period_s=tail_period_s), seed
+            )
+        with click.progressbar(length=total, label=scene, file=sys.stderr) as bar:
+            made = simulate(progress=bar.update)
         recording.write(output, made)
     click.echo(f"{output}: {len(made.frames)} frames, {output.stat().st_size / 1e6:.1f} MB")
 

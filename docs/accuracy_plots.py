@@ -1,4 +1,4 @@
-"""Plots of the field atlas: learned field, error by noise and by training touches, tracked fingers."""
+"""Pictures of docs/accuracy.md: learned field, error by noise and by training touches, tracked fingers."""
 
 from __future__ import annotations
 

@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 from matplotlib.axes import Axes
 
-from tests.unit.evaluation.test_replay_scores import META, message, truth
-from touchd.evaluation.model_scores import Judgement
-from touchd.evaluation.plots.atlas import (
+from docs.accuracy_plots import (
     FieldImage,
     NoiseLevel,
     draw_field,
@@ -17,6 +15,8 @@ from touchd.evaluation.plots.atlas import (
     draw_noise,
     followed,
 )
+from tests.unit.evaluation.test_replay_scores import META, message, truth
+from touchd.evaluation.model_scores import Judgement
 
 TWO = truth([(0, 20, 50.0, 60.0)], [(0, 20, 150.0, 100.0)], frames=20)
 MESSAGES = [message(i, (1, "hold", 50.1, 60.0), (2, "hold", 150.0, 99.8)) for i in range(0, 20, 4)]
