@@ -1,4 +1,4 @@
-"""The examples of docs/developer.md run as printed there."""
+"""The examples of docs/developer.md run as they stand in docs/examples."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NoReturn
@@ -16,7 +17,8 @@ import pytest
 
 from touchd.client import Subscriber
 from touchd.config.schema import BusSettings
-from touchd.event import Contact, TouchEvent, encode
+from touchd.errors import BusTimeout
+from touchd.event import Contact, Event, TouchEvent, encode
 from touchd.sinks.zeromq import ZeromqSink
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
@@ -44,6 +46,18 @@ def sink() -> Iterator[ZeromqSink]:
     sink.close()
 
 
+def repeated(sink: ZeromqSink, another: Subscriber[Event]) -> Event:
+    """Return what the bus sends once more for another subscriber's sake, once it has taken in its subscription."""
+    deadline_s = time.monotonic() + PATIENCE_S
+    while True:
+        sink.poll()
+        try:
+            return another.receive(0.1)
+        except BusTimeout:
+            if time.monotonic() > deadline_s:
+                raise
+
+
 def check(sink: ZeromqSink, command: list[str], line_of: Callable[[TouchEvent], str]) -> None:
     """Run an example, and see that it prints each touch once although the bus repeats one."""
     with subprocess.Popen([*command, sink.addresses[0]], stdout=subprocess.PIPE, text=True) as example:
@@ -55,8 +69,7 @@ def check(sink: ZeromqSink, command: list[str], line_of: Callable[[TouchEvent], 
             sink.publish(touch(1), 0)
             assert example.stdout.readline().strip() == line_of(touch(1))
             with Subscriber(sink.addresses[0], ("touch", "key")) as another:
-                sink.wait_for_subscriber(PATIENCE_S, "key")  # it has joined, so touch 1 has gone out again
-                assert another.receive(PATIENCE_S).seq == 1
+                assert repeated(sink, another).seq == 1
             sink.publish(touch(2), 0)
             assert example.stdout.readline().strip() == line_of(touch(2))
         finally:
@@ -69,10 +82,12 @@ def contact_line(event: TouchEvent) -> str:
     return f"{c.id} {c.phase} {c.x_mm:.1f} {c.y_mm:.1f}"
 
 
-@pytest.mark.parametrize(("name", "language"), [("listen.py", "python"), ("listen.c", "c"), ("listen.mjs", "js")])
-def test_the_page_prints_the_examples_word_for_word(name: str, language: str) -> None:
-    blocks = re.findall(rf"^```{language}\n(.*?)^```$", (DOCS / "developer.md").read_text(), re.DOTALL | re.MULTILINE)
-    assert (EXAMPLES / name).read_text() in blocks
+def test_the_page_has_the_examples() -> None:
+    """The page prints the one in Python word for word, and links the others."""
+    page = (DOCS / "developer.md").read_text()
+    assert (EXAMPLES / "listen.py").read_text() in re.findall(r"^```python\n(.*?)^```$", page, re.DOTALL | re.MULTILINE)
+    for name in ("listen.c", "listen.mjs"):
+        assert f"(examples/{name})" in page
 
 
 def test_the_python_example_runs(sink: ZeromqSink) -> None:

@@ -57,12 +57,7 @@ TISSUES = {
 def piston(omega_rad_s: ArrayLike, area_mm2: ArrayLike, tissue: Tissue) -> Complex:
     """Impedance of a baffled piston, rho c A (R1(2ka) + i X1(2ka)), N s/m (Kinsler & Frey, Fundamentals of Acoustics).
 
-    Parameters
-    ----------
-    omega_rad_s : array_like
-        Angular frequency, real or complex; time goes as exp(i omega t).
-    area_mm2 : array_like, broadcast against `omega_rad_s`
-    tissue : Tissue
+    `omega_rad_s` is real or complex, time goes as exp(i omega t); `area_mm2` is broadcast against it.
     """
     area_m2 = np.asarray(area_mm2, dtype=float) * 1e-6
     x = 2 * np.asarray(omega_rad_s) / tissue.c_m_s * np.sqrt(area_m2 / np.pi)
@@ -76,13 +71,7 @@ def drop_mass_mg(area_mm2: ArrayLike) -> Floats:
 
 
 def impedance(kind: str, omega_rad_s: ArrayLike, area_mm2: ArrayLike) -> Complex:
-    """Impedance of a contact in N s/m: a piston on tissue, or a mass i omega m for a drop.
-
-    Parameters
-    ----------
-    kind : "silicone", "human" or "drop"
-    omega_rad_s, area_mm2 : array_like
-        Broadcast against each other.
+    """Impedance of a "silicone" or "human" finger or a "drop", N s/m: a piston on tissue, or a mass i omega m.
 
     Raises
     ------

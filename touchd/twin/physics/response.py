@@ -98,17 +98,8 @@ class Response:
         """Change of the response by contacts, for n touches with the same numbers of coupled forces, c in all.
 
         Exact, multiple scattering included: -g_rc (1 + z g_cc)^-1 z g_ce with z = i omega Z (Woodbury's identity).
-        Equal touches share their receptances.
-
-        Parameters
-        ----------
-        touches : n sequences of contacts
-        scale : array of shape (n,)
-            Factor s of all the modes' frequencies. The response at omega = s nu is that at nu, divided by s^2.
-
-        Returns
-        -------
-        Complex array of shape (n, R, F): the change at the angular frequencies s nu.
+        Equal touches share their receptances. `scale` (n,) is the factor s of all the modes' frequencies: the response
+        at omega = s nu is that at nu, divided by s^2. The result (n, R, F) is at the angular frequencies s nu.
         """
         which = {touch: k for k, touch in enumerate(dict.fromkeys(tuple(touch) for touch in touches))}
         distinct, rows = list(which), np.array([which[tuple(touch)] for touch in touches])
