@@ -33,7 +33,7 @@ from touchd.touch import Touch
 
 AMBIGUOUS_MM = 7.0
 """A faint finger is not placed if a position farther away than this explains the frame as well."""
-FIRST_STEPS, FOLLOW_STEPS = 5, 3
+FIRST_STEPS, FOLLOW_STEPS, SHAPED_STEPS = 5, 3, 2
 _STILL_TOGETHER_MM = STILL_MM / 4
 """After a shorter step of several fingers the next one would be less than 1e-3 mm; few tracked ones step farther."""
 
@@ -144,7 +144,8 @@ class AtlasLocalizer:
         else:
             inferred = True
             fit = self._begin(detection, bins, signal)
-        fit = self._solver.with_shapes(bins, fit, noise.noise_energy)
+        if not fit.shapes:
+            fit = self._solver.with_shapes(bins, fit, noise.noise_energy)
         excess = noise.excess(fit.residual_energy, signal)
         if search.is_due(excess, signal):
             # Only one well explained finger can wait for what may be beside it; of several, or after a change, one may
@@ -177,6 +178,7 @@ class AtlasLocalizer:
         if excess < CRITERIA.good and self._drift.is_due(t_ns):
             self._drift.update(self._solver.residual(bins, fit), t_ns)
         self._prediction.update(fit.positions_mm, t_ns)
+        self._shaped = bool(fit.shapes)
         moved_mm = self._prediction.moved_mm if self._skips_still else math.inf
         self._still.update(bins, fit, moved_mm, self._noise.variance)
         fingers = self._classifier.fingers(fit, confidence, t_ns)
@@ -227,6 +229,11 @@ class AtlasLocalizer:
     def _follow(self, bins: Bins, t_ns: int, signal: float) -> Fit:
         """Fit the fingers of the last frame from where they were going, less those that have lifted."""
         positions = self._prediction.ahead(t_ns)
+        if self._shaped:
+            noise_energy = self._noise.noise_energy
+            fit = self._solver.fit_shapes(bins, positions, noise_energy, SHAPED_STEPS)
+            if fit.positions_mm and self._noise.excess(fit.residual_energy, signal) < CRITERIA.good:
+                return fit
         if len(positions) == 1:
             fit = self._solver.fit_one(bins, *positions[0], FOLLOW_STEPS)
             if self._noise.excess(fit.residual_energy, signal) < CRITERIA.fair:
@@ -247,4 +254,5 @@ class AtlasLocalizer:
 
     def _lose(self) -> tuple[Touch, ...]:
         self._prediction.reset()
+        self._shaped = False
         return ()

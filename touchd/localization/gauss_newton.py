@@ -143,13 +143,18 @@ class GaussNewton:
         if not fit.positions_mm or fit.residual_energy - noise_energy <= CRITERIA.enough * signal:
             return fit
         variance = noise_energy / len(bins.vector)
-        shaped = self._contacts.fit(bins, fit.positions_mm, variance, _SHAPE_STEPS)
-        moved_mm = max(map(math.dist, shaped.positions_mm, fit.positions_mm))
-        is_finger = moved_mm < CRITERIA.merged_mm and self._contacts.size_mm2(shaped) < CRITERIA.most_size_mm2
+        shaped = self.fit_shapes(bins, fit.positions_mm, noise_energy, _SHAPE_STEPS)
         limit = worth * (fit.residual_energy - noise_energy) - CRITERIA.shape_noise * variance
-        if not is_finger or not shaped.residual_energy - noise_energy < limit:
+        if not shaped.positions_mm or not shaped.residual_energy - noise_energy < limit:
             return fit
         return replace(shaped, points_energy=fit.residual_energy)
+
+    def fit_shapes(self, bins: Bins, positions_mm: Sequence[Position], noise_energy: float, steps: int) -> Fit:
+        """Fit contacts with a size and a shape from positions nearby; no fit if a shape is none that a finger has."""
+        fit = self._contacts.fit(bins, positions_mm, noise_energy / len(bins.vector), steps)
+        moved_mm = max(map(math.dist, fit.positions_mm, positions_mm))
+        is_finger = moved_mm < CRITERIA.merged_mm and self._contacts.size_mm2(fit) < CRITERIA.most_size_mm2
+        return fit if is_finger else no_fit(bins.energy)
 
     def _gram_of(self, positions_mm: Sequence[Position]) -> tuple[list[Position], NDArray[np.complex128]]:
         """Return the raster points, and the complex products of u, then u_x, then u_y of all fingers.
