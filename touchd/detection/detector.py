@@ -17,8 +17,9 @@ from numpy.typing import DTypeLike, NDArray
 from touchd.config.schema import Settings
 from touchd.detection.baseline import Baseline, Signal
 from touchd.detection.gate import Gate
+from touchd.detection.liveness import Liveness
 from touchd.detection.relearn import Relearn
-from touchd.detection.stuck import LASTING_FRAMES, Stuck
+from touchd.detection.stuck import Stuck
 from touchd.frame import Frame
 from touchd.outcome import Outcome
 
@@ -26,9 +27,6 @@ LATE_FRAMES = 32
 """A frame numbered at most this much lower than the last one is a repetition; a lower number is a device restart."""
 DRIFT_SHARE = 1e-5
 """Without a finger, a change below this share of the signal's energy is drift, and the baseline follows it."""
-TURN_EVERY = 16
-"""Stuck channels: the detector watches another channel after every 16th untouched frame, and after every touched one,
-since a stuck channel holds a finger."""
 
 _TOUCHED, _UNTOUCHED = Outcome.TOUCHED, Outcome.UNTOUCHED  # bound once: they are asked for in every frame
 
@@ -89,6 +87,7 @@ class Detector:
         self, shape: tuple[int, int], settings: Settings, notify: Notify, dtype: DTypeLike = np.float32
     ) -> None:
         self.gate = Gate(settings.gate)
+        self.liveness = Liveness()
         self._baseline = Baseline(shape, settings.baseline, dtype)
         self._relearn = Relearn(shape, settings.baseline, dtype)
         self._stuck = Stuck(shape)
@@ -117,20 +116,25 @@ class Detector:
 
     def detect(self, frame: Frame) -> Detection:
         """Return what a frame is."""
-        lost = self._number(frame)
-        if lost < 0:
-            return self._without_measurement(Outcome.REPEATED, frame, 0)
-        baseline = self._baseline
-        if self._stuck.repeats(frame.counts, baseline.signal):
-            if self.hangs:
-                self._relearn.reset()
+        lost, last = 0, self._last_sequence
+        if last is None or frame.sequence != last + 1:
+            lost = self._number(frame)
+            if lost < 0:
+                self.miss(frame.t_ns, "the DAQ's frame number stands still or runs back")
+                return self._without_measurement(Outcome.REPEATED, frame, 0)
+        self._last_sequence, self._last_ns = frame.sequence, frame.t_ns
+        baseline, stuck = self._baseline, self._stuck
+        if stuck.repeats(frame.counts, baseline.signal):
+            self.miss(frame.t_ns, stuck.fault)
             return self._without_measurement(Outcome.STUCK, frame, lost)
-        if self._stuck.channels is not self._stuck_channels:
-            self._stuck_channels = self._stuck.channels
+        if stuck.channels is not self._stuck_channels:
+            self._stuck_channels = stuck.channels
             self._live = ~self._stuck_channels
             baseline.set_channels(self._live)
         if self._learning:
             return self._learning_frame(frame, lost)
+        if not stuck.doubtful:
+            self.liveness.measured_ns = frame.t_ns
         energy = baseline.subtract(frame.counts, frame.t_ns)
         gate = self.gate
         outcome, changed = _TOUCHED, False
@@ -158,24 +162,20 @@ class Detector:
         if detection.outcome is _UNTOUCHED:
             if self._relearn.active:
                 self._relearn.reset()
-            if not (self._last_sequence or 0) % TURN_EVERY:
-                self._stuck.turn()
             if not alive:
                 self._baseline.follow()
                 self.followed_ns = detection.t_ns
             return
-        self._stuck.turn()
+        self._stuck.turn(detection.signal)  # at once, since a stuck channel holds a finger
         finger, energy = found or alive, detection.energy
         if not finger and energy < DRIFT_SHARE * self._signal_energy:
             # The plate has drifted while it was touched.
             self._baseline.follow()
             self.followed_ns = detection.t_ns
-        reason = self._relearn.update(
-            detection.t_ns, detection.residual, energy, finger=finger, departure=departure and not finger
-        )
+        reason = self._relearn.update(detection.t_ns, detection.residual, energy, finger, departure and not finger)
         if reason is not None:
             level_db = 10 * math.log10(energy / self._signal_energy)
-            self._notify(reason.value, {"frame": self._last_sequence or 0, "level_db": round(level_db, 1)})
+            self._notify(reason.value, {"frame": self.sequence, "level_db": round(level_db, 1)})
             self._learn()
 
     def noise_counts(self) -> float:
@@ -183,15 +183,20 @@ class Detector:
         return math.sqrt(self.gate.noise_energy / self._baseline.residual.size)
 
     @property
-    def hangs(self) -> bool:
-        """Whether the DAQ has repeated a frame so often that nobody can know where the fingers are."""
-        return self._stuck.frames >= LASTING_FRAMES
+    def sequence(self) -> int:
+        """Number of the last frame that was not repeated; 0 before the first one."""
+        return self._last_sequence or 0
+
+    def miss(self, t_ns: int, fault: str) -> None:
+        """Take the time of a frame that is no measurement; `fault` says what it is, for a person."""
+        if self.liveness.is_silent(t_ns, fault):
+            self._relearn.reset()  # a change on the plate is timed from the next measurement on
 
     @property
     def fault(self) -> str | None:
         """What is wrong with the frames, for a person; None if nothing is known."""
-        if self.hangs:
-            return "the DAQ repeats one frame"
+        if self.liveness.fault:
+            return self.liveness.fault
         channels = np.flatnonzero(self._stuck.channels).tolist()
         return f"the DAQ repeats what it heard on channels {channels}" if channels else None
 
@@ -209,7 +214,6 @@ class Detector:
                 self._notify("restarted", {"frame": frame.sequence, "after": last})
                 self._learn()
                 lost = 0
-        self._last_sequence, self._last_ns = frame.sequence, frame.t_ns
         return lost
 
     def _learning_frame(self, frame: Frame, lost: int) -> Detection:
@@ -222,7 +226,7 @@ class Detector:
             self._relearn.reset()
             self._signal_energy = baseline.energy()
             self._learning = False
-            self.followed_ns = frame.t_ns
+            self.followed_ns = self.liveness.measured_ns = frame.t_ns
             learned = baseline.learned()
         return self._without_measurement(Outcome.LEARNING, frame, lost, learned)
 

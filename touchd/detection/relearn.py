@@ -61,7 +61,7 @@ class Relearn:
         self._unlike = 0.0
         self._lifted = 0
 
-    def update(self, t_ns: int, residual: Signal, energy: float, *, finger: bool, departure: bool) -> Reason | None:
+    def update(self, t_ns: int, residual: Signal, energy: float, finger: bool, departure: bool) -> Reason | None:
         """Add a frame seen with the gate open, and return the reason to relearn the baseline, if there is one.
 
         Parameters

@@ -12,15 +12,19 @@ from touchd.frame import Counts
 LASTING_FRAMES = 3
 """Three equal frames in a row are no coincidence, even where the noise is a hundredth of a count: some of a channel's
 samples change from frame to frame."""
+LONGEST_CYCLE = 8
+"""Frames that come again in a cycle are found if it is no longer than this."""
 
 Channels = NDArray[np.bool_]
+_Samples = NDArray[np.floating] | Counts
 
 
 class Stuck:
-    """Compares each frame with its predecessor, bit for bit.
+    """Compares each frame with its predecessor, and with one that is kept for 8 frames, bit for bit.
 
-    One sample of most frames is compared, which is seldom equal twice; then five more of its channel, which never are.
-    Only then are all samples compared.
+    In a cycle of up to 8 frames the kept one comes again and again (R. Brent, BIT 20:176, 1980). One sample of most
+    frames is compared, which is seldom equal twice; then five more of its channel, which never are. Only then are all
+    samples compared.
 
     Parameters
     ----------
@@ -30,44 +34,74 @@ class Stuck:
 
     def __init__(self, shape: tuple[int, int]) -> None:
         channels, samples = shape
-        self._others = [step * samples // 8 for step in range(1, 6)]
+        self._steps = [step * samples // 8 for step in range(6)]
         self._next = cycle([channel * samples + samples // 4 for channel in range(channels)]).__next__
         self._at = self._next()
-        self._sample: float | None = None  # of the predecessor; None after a turn
+        self._sample: float | None = None  # of the predecessor
+        self._kept: Counts = np.zeros(shape, np.int16)
+        self._kept_sample: float | None = None
+        self._age = LONGEST_CYCLE  # of the kept frame
+        self._compare_from = 0  # the age from which all samples are compared
+        self._cycle = 0  # frames after which the kept one came again, 0 if it did not
+        self._returns = 0  # how often it did so in a row
         self._same = np.zeros(shape, bool)
         self._repeats = np.zeros(channels, np.int64)
         self._suspect = False  # whether any channel was equal last time
-        self.frames = 0
-        """Frames in a row, the last one included, that equalled their predecessor."""
+        self.doubtful = False
+        """Whether a frame has come again lately: it may have been sent late, or begin a cycle."""
+        self.period = 0
+        """Frames after which the last one came again, 1 if it equalled its predecessor; 0 if it did not."""
         self.channels: Channels = np.zeros(channels, bool)
         """Channels that are stuck while others are not. Replaced, never written to, when it changes."""
 
-    def turn(self) -> None:
-        """Watch the next channel: a channel that is stuck alone is found while it is watched."""
-        self._at = self._next()
-        self._sample = None
+    def turn(self, frame: _Samples) -> None:
+        """Watch the next channel after this frame: a channel that is stuck alone is found while it is watched."""
+        at = self._at = self._next()
+        self._sample, self._kept_sample = frame.item(at), self._kept.item(at)
 
     def repeats(self, counts: Counts, previous: NDArray[np.floating]) -> bool:
-        """Return whether a frame equals the previous one; both of shape (channels, samples)."""
-        sample = counts.item(self._at)
-        before = previous.item(self._at) if self._sample is None else self._sample
+        """Return whether a frame equals the previous one, or comes again in a cycle; shapes (channels, samples)."""
+        sample, before = counts.item(self._at), self._sample
         self._sample = sample
-        if sample != before and not self._suspect:
+        self._age += 1
+        if sample != before and sample != self._kept_sample and self._age < self._compare_from:
             return False
-        return (self._suspect or self._is_same_elsewhere(counts, previous)) and self._compare(counts, previous)
+        equal = (self._suspect or self._is_alike(counts, previous)) and self._compare(counts, previous)
+        self._follow_cycle(counts)
+        self.doubtful = self._cycle > 0
+        self._compare_from = 0 if self._suspect or self.doubtful else LONGEST_CYCLE
+        self.period = self._cycle if self._returns > 1 else int(equal)
+        return self.period > 0
 
-    def _is_same_elsewhere(self, counts: Counts, previous: NDArray[np.floating]) -> bool:
-        return all(counts.item(self._at + other) == previous.item(self._at + other) for other in self._others)
+    @property
+    def fault(self) -> str:
+        """What is wrong with a frame that repeats an earlier one, for a person."""
+        return "the DAQ repeats one frame" if self.period == 1 else f"the DAQ repeats its last {self.period} frames"
+
+    def _is_alike(self, counts: Counts, other: _Samples) -> bool:
+        """Return whether six samples of the watched channel are equal."""
+        for step in self._steps:  # noqa: SIM110 - runs for one frame in eight: `all` takes twice as long
+            if counts.item(self._at + step) != other.item(self._at + step):
+                return False
+        return True
+
+    def _follow_cycle(self, counts: Counts) -> None:
+        """Find the kept frame again, or keep this one once no cycle can bring the other."""
+        if self._is_alike(counts, self._kept) and np.array_equal(counts, self._kept):
+            self._returns = self._returns + 1 if self._age == self._cycle else 1
+            self._cycle, self._age = self._age, 0
+        elif self._age >= (self._cycle or LONGEST_CYCLE):
+            np.copyto(self._kept, counts)
+            self._cycle = self._returns = self._age = 0
+            self.turn(counts)
 
     def _compare(self, counts: Counts, previous: NDArray[np.floating]) -> bool:
-        """Compare all samples."""
+        """Compare all samples with the predecessor's."""
         np.equal(counts, previous, out=self._same)
         same = self._same.all(axis=1)
         self._suspect = bool(same.any())
         if same.all():
-            self.frames += 1
             return True
-        self.frames = 0
         self._repeats = np.where(same, self._repeats + 1, 0)
         stuck = self._repeats >= LASTING_FRAMES
         if (stuck != self.channels).any():

@@ -62,6 +62,7 @@ class AtlasLocalizer:
         self._prediction = Prediction()
         self._still = StillFinger(atlas, self._solver)
         self._found = UNTOUCHED
+        self._touched = False  # whether a frame was fitted since the last untouched one
         self._departure = False
         self._live: NDArray[np.bool_] | None = None
         self.configure(settings, layout)
@@ -92,14 +93,15 @@ class AtlasLocalizer:
         """Follow noise and temperature on an untouched frame, and forget fingers and water."""
         if detection.live is not self._live:
             self._set_channels(detection.live)
+        if self._touched:
+            self._touched = False
+            if self._found.touches:
+                self.reset()
+            else:  # water, or what a finger left that was lost as it lifted: water stays known
+                self._prediction.reset()
+                self._drift.reset()
         if self._plate.observe(detection):
             self._classifier.dry()
-        if self._found.touches:
-            self.reset()
-        elif self._prediction.positions_mm or self._drift.t_ns is not None:
-            # Water, or what a finger left that was lost as it lifted: water stays known.
-            self._prediction.reset()
-            self._drift.reset()
         return UNTOUCHED
 
     def localize(self, detection: Detection, *, alive: bool, complete: bool = False) -> Localization:
@@ -128,7 +130,7 @@ class AtlasLocalizer:
         noise, search = self._noise, self._search
         tracked = bool(self._prediction.positions_mm)
         inferred = False
-        self._departure = False
+        self._touched, self._departure = True, False
         bins = self._plate.bins(detection.residual)
         signal = bins.energy - noise.noise_energy
         # A trigger that comes early or late delays all channels alike, which looks like a faint finger on the emitter.

@@ -89,7 +89,8 @@ class Service:
         self._awake = awake or Awake(0.0)
         self._preroll, self._control, self._reloader = preroll, control, reloader
         # A device reports its states; of any other source only the silence is known.
-        self._reports_state = isinstance(source, LiveSource)
+        self._live = source if isinstance(source, LiveSource) else None
+        self._withheld: dict[str, int] = {}
         self._state: State = "starting"
         self._reason: str | None = None
         self._away = False
@@ -165,12 +166,23 @@ class Service:
         if self._preroll is not None:
             self._preroll.poll()
         now_ns = self._clock()
-        if not self._reports_state and self._state == "streaming" and now_ns - self._seen_ns > STALL_NS:
+        if self._live is not None:
+            self._count_withheld(self._live, now_ns)
+        elif self._state == "streaming" and now_ns - self._seen_ns > STALL_NS:
             self._release(now_ns)
             self._enter("stalled")
         self._tick(now_ns)
         if not self.pipeline.touched:
             self._awake.close()
+
+    def _count_withheld(self, source: LiveSource, now_ns: int) -> None:
+        """Tell the pipeline of frames that the source has withheld since the last wait: they measure nothing."""
+        withheld, before = dict(source.tally.withheld), self._withheld
+        self._withheld = withheld
+        for name, count in withheld.items():
+            if count != before.get(name, 0):
+                result = self.pipeline.withheld(now_ns, f"the DAQ measures nothing: {name.replace('_', ' ')}")
+                self._publish(self._messages.make(result, self.pipeline.spectrum), now_ns)
 
     def _tick(self, now_ns: int) -> None:
         self._tick_ns = now_ns
