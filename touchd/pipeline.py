@@ -100,7 +100,8 @@ class Pipeline:
             self.detector.adapt(detection, bool(touches), found.departure, tracker.alive)
         counters, outcome = self.counters, found.outcome
         counters.by_outcome[outcome] += 1
-        counters.lost += detection.lost
+        if detection.lost:
+            counters.lost += detection.lost
         keys = self._keys.update(contacts) if contacts else _NO_KEYS
         return Result(frame.t_ns, frame.sequence, outcome, contacts, keys, len(found.touches))
 

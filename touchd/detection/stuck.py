@@ -34,7 +34,7 @@ class Stuck:
 
     def __init__(self, shape: tuple[int, int]) -> None:
         channels, samples = shape
-        self._steps = [step * samples // 8 for step in range(6)]
+        self._steps = [step * samples // 8 for step in range(1, 6)]
         self._next = cycle([channel * samples + samples // 4 for channel in range(channels)]).__next__
         self._at = self._next()
         self._sample: float | None = None  # of the predecessor
@@ -55,7 +55,7 @@ class Stuck:
         """Channels that are stuck while others are not. Replaced, never written to, when it changes."""
 
     def turn(self, frame: _Samples) -> None:
-        """Watch the next channel after this frame: a channel that is stuck alone is found while it is watched."""
+        """Watch the next channel after this frame, to find one that is stuck alone; done for every 8th frame anyway."""
         at = self._at = self._next()
         self._sample, self._kept_sample = frame.item(at), self._kept.item(at)
 
@@ -64,10 +64,18 @@ class Stuck:
         sample, before = counts.item(self._at), self._sample
         self._sample = sample
         self._age += 1
-        if sample != before and sample != self._kept_sample and self._age < self._compare_from:
+        if sample != before and self._age < self._compare_from and sample != self._kept_sample:
             return False
-        equal = (self._suspect or self._is_alike(counts, previous)) and self._compare(counts, previous)
-        self._follow_cycle(counts)
+        equal = self._suspect or (sample == before and self._is_alike(counts, previous))
+        equal = equal and self._compare(counts, previous)
+        if sample == self._kept_sample and self._is_alike(counts, self._kept) and np.array_equal(counts, self._kept):
+            self._returns = self._returns + 1 if self._age == self._cycle else 1
+            self._cycle, self._age = self._age, 0
+        elif self._age >= (self._cycle or LONGEST_CYCLE):  # no cycle brings the kept frame again
+            np.copyto(self._kept, counts)
+            self._cycle = self._returns = self._age = 0
+            self._at = self._next()
+            self._sample = self._kept_sample = counts.item(self._at)
         self.doubtful = self._cycle > 0
         self._compare_from = 0 if self._suspect or self.doubtful else LONGEST_CYCLE
         self.period = self._cycle if self._returns > 1 else int(equal)
@@ -79,21 +87,12 @@ class Stuck:
         return "the DAQ repeats one frame" if self.period == 1 else f"the DAQ repeats its last {self.period} frames"
 
     def _is_alike(self, counts: Counts, other: _Samples) -> bool:
-        """Return whether six samples of the watched channel are equal."""
-        for step in self._steps:  # noqa: SIM110 - runs for one frame in eight: `all` takes twice as long
-            if counts.item(self._at + step) != other.item(self._at + step):
+        """Return whether five more samples of the watched channel are equal."""
+        at, item, other_item = self._at, counts.item, other.item
+        for step in self._steps:  # noqa: SIM110 - runs for every fourth frame: `all` takes twice as long
+            if item(at + step) != other_item(at + step):
                 return False
         return True
-
-    def _follow_cycle(self, counts: Counts) -> None:
-        """Find the kept frame again, or keep this one once no cycle can bring the other."""
-        if self._is_alike(counts, self._kept) and np.array_equal(counts, self._kept):
-            self._returns = self._returns + 1 if self._age == self._cycle else 1
-            self._cycle, self._age = self._age, 0
-        elif self._age >= (self._cycle or LONGEST_CYCLE):
-            np.copyto(self._kept, counts)
-            self._cycle = self._returns = self._age = 0
-            self.turn(counts)
 
     def _compare(self, counts: Counts, previous: NDArray[np.floating]) -> bool:
         """Compare all samples with the predecessor's."""

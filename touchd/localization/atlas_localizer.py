@@ -23,7 +23,7 @@ from touchd.localization.gauss_newton import STILL_MM, Bins, Fit, GaussNewton, n
 from touchd.localization.localization import UNTOUCHED, Localization
 from touchd.localization.model import Model
 from touchd.localization.multitouch import MultitouchSearch
-from touchd.localization.plate_model import PlateModel
+from touchd.localization.plate_model import COMPARE_NS, PlateModel
 from touchd.localization.prediction import Prediction
 from touchd.localization.pursuit import Pursuit
 from touchd.localization.stillness import StillFinger
@@ -32,6 +32,8 @@ from touchd.touch import Touch
 
 AMBIGUOUS_MM = 7.0
 """A faint finger is not placed if a position farther away than this explains the frame as well."""
+NOISE_EVERY = 16
+"""One of 16 untouched frames updates the noise model."""
 FIRST_STEPS, FOLLOW_STEPS = 5, 3
 _STILL_TOGETHER_MM = STILL_MM / 4
 """After a shorter step of several fingers the next one would be less than 1e-3 mm; few tracked ones step farther."""
@@ -64,6 +66,7 @@ class AtlasLocalizer:
         self._found = UNTOUCHED
         self._touched = False  # whether a frame was fitted since the last untouched one
         self._departure = False
+        self._untouched_frames = 0
         self._live: NDArray[np.bool_] | None = None
         self.configure(settings, layout)
 
@@ -100,8 +103,15 @@ class AtlasLocalizer:
             else:  # water, or what a finger left that was lost as it lifted: water stays known
                 self._prediction.reset()
                 self._drift.reset()
-        if self._plate.observe(detection):
+        if detection.noise_changed:
+            self._noise.restart()
+        self._untouched_frames += 1
+        if not self._untouched_frames % NOISE_EVERY:
+            self._plate.follow(detection)
+            self._plate.hear(detection.residual)
             self._classifier.dry()
+        elif detection.t_ns - self._plate.compared_ns > COMPARE_NS:
+            self._plate.follow(detection)
         return UNTOUCHED
 
     def localize(self, detection: Detection, *, alive: bool, complete: bool = False) -> Localization:

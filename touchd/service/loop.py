@@ -132,32 +132,31 @@ class Service:
                 sink.close()
 
     def _run_frames(self) -> None:
+        pipeline, preroll = self.pipeline, self._preroll
         for frame in frames_of(self._source, on_change=self._follow):
             if frame is None:
                 self._wait()
             else:
-                self._take(frame)
+                if self._state != "streaming":
+                    self._enter("streaming")
+                result = pipeline.process(frame)
+                if (result.contacts or result.touches) and (events := self._messages.make(result, pipeline.spectrum)):
+                    self._publish(events, frame.received_ns)
+                if preroll is not None:
+                    preroll.keep(frame, result.contacts)
+                self._finish(frame)
             if self._stop:
                 return
-        log.info("end of stream", frames=self.pipeline.counters.frames)
+        log.info("end of stream", frames=pipeline.counters.frames)
 
-    def _take(self, frame: Frame) -> None:
-        """Process a frame, publish its messages, and do what is due."""
+    def _finish(self, frame: Frame) -> None:
+        """Do what is due after a frame, which never waits: a new subscriber gets the next one."""
         period_ns = frame.t_ns - self._stream_ns
         self._stream_ns = frame.t_ns
         self._seen_ns = now_ns = frame.received_ns
-        if self._state != "streaming":
-            self._enter("streaming")
-        pipeline = self.pipeline
-        result = pipeline.process(frame)
-        if result.contacts or result.touches:
-            self._publish(self._messages.make(result, pipeline.spectrum), now_ns)
-        if self._preroll is not None:
-            self._preroll.keep(frame, result.contacts)
-        # After the frame, which never waits: a new subscriber gets the next one.
         if now_ns - self._tick_ns >= _TICK_NS:
             self._tick(now_ns)
-        touched = pipeline.touched
+        touched = self.pipeline.touched
         if touched is not self._awake.held:
             self._awake.update(touched, period_ns)
 
