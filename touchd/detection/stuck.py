@@ -77,7 +77,7 @@ class Stuck:
             self._at = self._next()
             self._sample = self._kept_sample = counts.item(self._at)
         self.doubtful = self._cycle > 0
-        self._compare_from = 0 if self._suspect or self.doubtful else LONGEST_CYCLE
+        self._compare_from = 0 if self._suspect or self._returns > 1 else self._cycle or LONGEST_CYCLE
         self.period = self._cycle if self._returns > 1 else int(equal)
         return self.period > 0
 
