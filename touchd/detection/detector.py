@@ -198,7 +198,9 @@ class Detector:
         if self.liveness.fault:
             return self.liveness.fault
         channels = np.flatnonzero(self._stuck.channels).tolist()
-        return f"the DAQ repeats what it heard on channels {channels}" if channels else None
+        if channels:
+            return f"the DAQ repeats what it heard on channels {channels}"
+        return "the signal changes and no finger explains it: interference or water" if self._relearn.restless else None
 
     def _number(self, frame: Frame) -> int:
         """Return how many frames are missing before a frame; -1 for one whose number is not new."""
