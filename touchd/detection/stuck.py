@@ -72,7 +72,7 @@ class Stuck:
             self._returns = self._returns + 1 if self._age == self._cycle else 1
             self._cycle, self._age = self._age, 0
         elif self._age >= (self._cycle or LONGEST_CYCLE):  # no cycle brings the kept frame again
-            np.copyto(self._kept, counts)
+            self._kept[...] = counts
             self._cycle = self._returns = self._age = 0
             self._at = self._next()
             self._sample = self._kept_sample = counts.item(self._at)
