@@ -222,7 +222,7 @@ def test_liveness(
 
 
 def test_taps_in_a_cycle(scene: Scene, make: Callable[..., Pipeline]) -> None:
-    """A cycle that holds the moment when a finger comes down taps once more at most."""
+    """A cycle that holds the moment when a finger comes down taps twice more at most."""
     recording, frames = scene("tap"), frames_of(scene("tap"))
     assert recording.contacts_mm is not None
     down = int(np.flatnonzero(np.isfinite(recording.contacts_mm[:, 0, 0]))[0])
@@ -232,7 +232,7 @@ def test_taps_in_a_cycle(scene: Scene, make: Callable[..., Pipeline]) -> None:
         structs.replace(frames[down - 4 + n % 8], sequence=down + 4 + n, t_ns=frames[down + 4].t_ns + n * PERIOD_NS)
         for n in range(1000)
     ]
-    assert len(phases(run(pipeline, again))) <= 3
+    assert len(phases(run(pipeline, again))) <= 5
     assert not is_touched(pipeline)
 
 

@@ -19,7 +19,7 @@ from touchd.detection.baseline import Baseline, Signal
 from touchd.detection.gate import Gate
 from touchd.detection.liveness import Liveness
 from touchd.detection.relearn import Relearn
-from touchd.detection.stuck import Stuck
+from touchd.detection.stuck import LONGEST_CYCLE, Stuck
 from touchd.frame import Frame
 from touchd.outcome import Outcome
 
@@ -27,7 +27,11 @@ LATE_FRAMES = 32
 """A frame numbered at most this much lower than the last one is a repetition; a lower number is a device restart."""
 DRIFT_SHARE = 1e-5
 """Without a finger, a change below this share of the signal's energy is drift, and the baseline follows it."""
+KEEP_EVERY = 16
+"""Stuck channels and cycles: the detector watches another channel and keeps another frame after every 16th untouched
+frame; another channel after every touched frame, and another frame after every 8th."""
 
+_NO_FRAME = -(2**62)
 _TOUCHED, _UNTOUCHED = Outcome.TOUCHED, Outcome.UNTOUCHED  # bound once: they are asked for in every frame
 
 Notify = Callable[[str, dict[str, float]], None]
@@ -96,7 +100,8 @@ class Detector:
         self._notify = notify
         self._learning = True
         self._signal_energy = 1.0
-        self._last_sequence: int | None = None
+        self.sequence = _NO_FRAME
+        """Number of the last frame that was not repeated; before the first one, which may have any, far below 0."""
         self._last_ns = 0
         self.followed_ns = 0
         """Time of the last frame that moved the baseline."""
@@ -111,29 +116,32 @@ class Detector:
     def reset(self) -> None:
         """Relearn the plate from the next frame on, which may have any number: the device was away."""
         self._notify("reconnected", {})
-        self._last_sequence = None
+        self.sequence = _NO_FRAME
         self._learn()
 
     def detect(self, frame: Frame) -> Detection:
         """Return what a frame is."""
-        lost, last = 0, self._last_sequence
-        if last is None or frame.sequence != last + 1:
+        lost = 0
+        if frame.sequence != self.sequence + 1:
             lost = self._number(frame)
             if lost < 0:
                 self.miss(frame.t_ns, "the DAQ's frame number stands still or runs back")
                 return self._without_measurement(Outcome.REPEATED, frame, 0)
-        self._last_sequence, self._last_ns = frame.sequence, frame.t_ns
+        self.sequence, self._last_ns = frame.sequence, frame.t_ns
         baseline, stuck = self._baseline, self._stuck
-        if stuck.repeats(frame.counts, baseline.signal):
+        repeats = stuck.repeats(frame.counts, baseline.signal)
+        doubtful = repeats or stuck.doubtful
+        if doubtful:
             self.miss(frame.t_ns, stuck.fault)
-            return self._without_measurement(Outcome.STUCK, frame, lost)
+            if repeats or self.liveness.fault:
+                return self._without_measurement(Outcome.STUCK, frame, lost)
         if stuck.channels is not self._stuck_channels:
             self._stuck_channels = stuck.channels
             self._live = ~self._stuck_channels
             baseline.set_channels(self._live)
         if self._learning:
             return self._learning_frame(frame, lost)
-        if not stuck.doubtful:
+        if not doubtful:
             self.liveness.measured_ns = frame.t_ns
         energy = baseline.subtract(frame.counts, frame.t_ns)
         gate = self.gate
@@ -162,11 +170,14 @@ class Detector:
         if detection.outcome is _UNTOUCHED:
             if self._relearn.active:
                 self._relearn.reset()
+            if not self.sequence % KEEP_EVERY:
+                self._stuck.keep(detection.signal)
             if not alive:
                 self._baseline.follow()
                 self.followed_ns = detection.t_ns
             return
-        self._stuck.turn(detection.signal)  # at once, since a stuck channel holds a finger
+        # Quicker than where there is no finger to hold.
+        (self._stuck.turn if self.sequence % LONGEST_CYCLE else self._stuck.keep)(detection.signal)
         finger, energy = found or alive, detection.energy
         if not finger and energy < DRIFT_SHARE * self._signal_energy:
             # The plate has drifted while it was touched.
@@ -181,11 +192,6 @@ class Detector:
     def noise_counts(self) -> float:
         """Return the RMS of an untouched frame against the baseline, ADC counts; 0 before it is known."""
         return math.sqrt(self.gate.noise_energy / self._baseline.residual.size)
-
-    @property
-    def sequence(self) -> int:
-        """Number of the last frame that was not repeated; 0 before the first one."""
-        return self._last_sequence or 0
 
     def miss(self, t_ns: int, fault: str) -> None:
         """Take the time of a frame that is no measurement; `fault` says what it is, for a person."""
@@ -204,18 +210,18 @@ class Detector:
 
     def _number(self, frame: Frame) -> int:
         """Return how many frames are missing before a frame; -1 for one whose number is not new."""
-        last = self._last_sequence
-        lost = 0
-        if last is not None:
-            lost = frame.sequence - last - 1
-            if lost < 0:
-                if frame.sequence >= last - LATE_FRAMES or frame.t_ns <= self._last_ns:
-                    return -1
-                # A low number in a later frame: the device has restarted, and what it hears may have changed. A number
-                # only a little lower is a frame sent twice or late; a device that restarts so early soon overtakes it.
-                self._notify("restarted", {"frame": frame.sequence, "after": last})
-                self._learn()
-                lost = 0
+        last = self.sequence
+        lost = frame.sequence - last - 1
+        if last == _NO_FRAME:
+            return 0
+        if lost < 0:
+            if frame.sequence >= last - LATE_FRAMES or frame.t_ns <= self._last_ns:
+                return -1
+            # A low number in a later frame: the device has restarted, and what it hears may have changed. A number only
+            # a little lower is a frame sent twice or late; a device that restarts so early soon overtakes it.
+            self._notify("restarted", {"frame": frame.sequence, "after": last})
+            self._learn()
+            return 0
         return lost
 
     def _learning_frame(self, frame: Frame, lost: int) -> Detection:

@@ -20,11 +20,10 @@ _Samples = NDArray[np.floating] | Counts
 
 
 class Stuck:
-    """Compares each frame with its predecessor, and with one that is kept for 8 frames, bit for bit.
+    """Compares each frame with its predecessor, and with one that is kept for a while, bit for bit.
 
-    In a cycle of up to 8 frames the kept one comes again and again (R. Brent, BIT 20:176, 1980). One sample of most
-    frames is compared, which is seldom equal twice; then five more of its channel, which never are. Only then are all
-    samples compared.
+    In a cycle the kept frame comes again and again (R. Brent, BIT 20:176, 1980). One sample of most frames is compared,
+    which is seldom equal twice; then five more of its channel, which never are. Only then are all samples compared.
 
     Parameters
     ----------
@@ -38,24 +37,23 @@ class Stuck:
         self._next = cycle([channel * samples + samples // 4 for channel in range(channels)]).__next__
         self._at = self._next()
         self._sample: float | None = None  # of the predecessor
-        self._kept: Counts = np.zeros(shape, np.int16)
+        self._kept: NDArray[np.float32] = np.full(shape, np.nan, np.float32)
         self._kept_sample: float | None = None
-        self._age = LONGEST_CYCLE  # of the kept frame
-        self._compare_from = 0  # the age from which all samples are compared
-        self._cycle = 0  # frames after which the kept one came again, 0 if it did not
-        self._returns = 0  # how often it did so in a row
+        self._age = 0  # frames since the kept one came again, while `doubtful`
+        self._cycle = 0  # frames between its last two returns
+        self._closely = False  # whether more than one sample of the next frame is compared
         self._same = np.zeros(shape, bool)
         self._repeats = np.zeros(channels, np.int64)
         self._suspect = False  # whether any channel was equal last time
         self.doubtful = False
         """Whether a frame has come again lately: it may have been sent late, or begin a cycle."""
         self.period = 0
-        """Frames after which the last one came again, 1 if it equalled its predecessor; 0 if it did not."""
+        """Length of the cycle in which frames come again; 0 without one."""
         self.channels: Channels = np.zeros(channels, bool)
         """Channels that are stuck while others are not. Replaced, never written to, when it changes."""
 
     def turn(self, frame: _Samples) -> None:
-        """Watch the next channel after this frame, to find one that is stuck alone; done for every 8th frame anyway."""
+        """Watch the next channel after this frame: a channel that is stuck alone is found while it is watched."""
         at = self._at = self._next()
         self._sample, self._kept_sample = frame.item(at), self._kept.item(at)
 
@@ -63,28 +61,35 @@ class Stuck:
         """Return whether a frame equals the previous one, or comes again in a cycle; shapes (channels, samples)."""
         sample, before = counts.item(self._at), self._sample
         self._sample = sample
-        self._age += 1
-        if sample != before and self._age < self._compare_from and sample != self._kept_sample:
+        if sample != before and sample != self._kept_sample and not self._closely:
             return False
         equal = self._suspect or (sample == before and self._is_alike(counts, previous))
         equal = equal and self._compare(counts, previous)
-        if sample == self._kept_sample and self._is_alike(counts, self._kept) and np.array_equal(counts, self._kept):
-            self._returns = self._returns + 1 if self._age == self._cycle else 1
-            self._cycle, self._age = self._age, 0
-        elif self._age >= (self._cycle or LONGEST_CYCLE):  # no cycle brings the kept frame again
-            self._kept[...] = counts
-            self._cycle = self._returns = self._age = 0
-            self._at = self._next()
-            self._sample = self._kept_sample = counts.item(self._at)
-        self.doubtful = self._cycle > 0
-        self._compare_from = 0 if self._suspect or self._returns > 1 else self._cycle or LONGEST_CYCLE
-        self.period = self._cycle if self._returns > 1 else int(equal)
-        return self.period > 0
+        self._follow_cycle(counts, returned=sample == self._kept_sample and self._is_alike(counts, self._kept))
+        self._closely = self._suspect or self.doubtful
+        return self.period > 0 or equal
+
+    def keep(self, frame: NDArray[np.floating]) -> None:
+        """Keep this frame to compare later ones with, and watch the next channel."""
+        if not self.doubtful:
+            self._kept[...] = frame
+        self.turn(frame)
+
+    def _follow_cycle(self, counts: Counts, *, returned: bool) -> None:
+        """Count the frames from one return of the kept frame to the next; twice the same number is a cycle."""
+        self._age += 1
+        if returned and bool((counts == self._kept).all()):
+            self.period = self._age if self._age == self._cycle else 0
+            self._cycle = self._age if self.doubtful else 0
+            self.doubtful, self._age = True, 0
+        elif self._age >= (self.period or LONGEST_CYCLE):
+            self.doubtful, self.period, self._cycle = False, 0, 0
 
     @property
     def fault(self) -> str:
         """What is wrong with a frame that repeats an earlier one, for a person."""
-        return "the DAQ repeats one frame" if self.period == 1 else f"the DAQ repeats its last {self.period} frames"
+        length = self.period or self._cycle
+        return f"the DAQ repeats its last {length} frames" if length > 1 else "the DAQ repeats one frame"
 
     def _is_alike(self, counts: Counts, other: _Samples) -> bool:
         """Return whether five more samples of the watched channel are equal."""
