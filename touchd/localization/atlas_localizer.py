@@ -23,7 +23,7 @@ from touchd.localization.gauss_newton import STILL_MM, Bins, Fit, GaussNewton, n
 from touchd.localization.localization import UNTOUCHED, Localization
 from touchd.localization.model import Model
 from touchd.localization.multitouch import MultitouchSearch
-from touchd.localization.plate_model import PlateModel
+from touchd.localization.plate_model import COMPARE_NS, PlateModel
 from touchd.localization.prediction import Prediction
 from touchd.localization.pursuit import Pursuit
 from touchd.localization.stillness import StillFinger
@@ -32,6 +32,8 @@ from touchd.touch import Touch
 
 AMBIGUOUS_MM = 7.0
 """A faint finger is not placed if a position farther away than this explains the frame as well."""
+NOISE_EVERY = 16
+"""One of 16 untouched frames updates the noise model."""
 FIRST_STEPS, FOLLOW_STEPS = 5, 3
 _STILL_TOGETHER_MM = STILL_MM / 4
 """After a shorter step of several fingers the next one would be less than 1e-3 mm; few tracked ones step farther."""
@@ -62,7 +64,9 @@ class AtlasLocalizer:
         self._prediction = Prediction()
         self._still = StillFinger(atlas, self._solver)
         self._found = UNTOUCHED
+        self._touched = False  # whether a frame was fitted since the last untouched one
         self._departure = False
+        self._untouched_frames = 0
         self._live: NDArray[np.bool_] | None = None
         self.configure(settings, layout)
 
@@ -92,14 +96,22 @@ class AtlasLocalizer:
         """Follow noise and temperature on an untouched frame, and forget fingers and water."""
         if detection.live is not self._live:
             self._set_channels(detection.live)
-        if self._plate.observe(detection):
+        if self._touched:
+            self._touched = False
+            if self._found.touches:
+                self.reset()
+            else:  # water, or what a finger left that was lost as it lifted: water stays known
+                self._prediction.reset()
+                self._drift.reset()
+        if detection.noise_changed:
+            self._noise.restart()
+        self._untouched_frames += 1
+        if not self._untouched_frames % NOISE_EVERY:
+            self._plate.follow(detection)
+            self._plate.hear(detection.residual)
             self._classifier.dry()
-        if self._found.touches:
-            self.reset()
-        elif self._prediction.positions_mm or self._drift.t_ns is not None:
-            # Water, or what a finger left that was lost as it lifted: water stays known.
-            self._prediction.reset()
-            self._drift.reset()
+        elif detection.t_ns - self._plate.compared_ns > COMPARE_NS:
+            self._plate.follow(detection)
         return UNTOUCHED
 
     def localize(self, detection: Detection, *, alive: bool, complete: bool = False) -> Localization:
@@ -128,7 +140,7 @@ class AtlasLocalizer:
         noise, search = self._noise, self._search
         tracked = bool(self._prediction.positions_mm)
         inferred = False
-        self._departure = False
+        self._touched, self._departure = True, False
         bins = self._plate.bins(detection.residual)
         signal = bins.energy - noise.noise_energy
         # A trigger that comes early or late delays all channels alike, which looks like a faint finger on the emitter.
