@@ -11,7 +11,7 @@ class Outcome(IntEnum):
     REPEATED = 0
     """Its number is not new: dropped."""
     STUCK = 1
-    """Equal to its predecessor, bit for bit: the DAQ hangs."""
+    """Equal to an earlier frame, bit for bit: the DAQ hangs."""
     LEARNING = 2
     """The detector learns the untouched plate from it."""
     SCREEN_OFF = 3

@@ -24,6 +24,7 @@ from touchd.tracking.tracker import Tracker
 
 SCREEN_OFF = Localization(Outcome.SCREEN_OFF)
 _LEARNING, _UNTOUCHED = Outcome.LEARNING, Outcome.UNTOUCHED  # bound once: they are asked for in every frame
+_NO_CONTACTS: list[Contact] = []
 _NO_KEYS: list[KeyPress] = []
 
 
@@ -77,33 +78,44 @@ class Pipeline:
         """Whether frames only keep the baseline, since nobody sees what is touched."""
         self._set_unusual()
         self._detection: Detection | None = None
-        self._sequence = 0
 
     def process(self, frame: Frame) -> Result:
-        """Take one frame through every stage."""
+        """Take one frame through every stage, and count it, the only place where that is done."""
         detection = self._detection = self.detector.detect(frame)  # is it a measurement, and is the plate touched?
-        tracker, outcome = self._tracker, detection.outcome
-        if outcome <= _LEARNING:  # repeated, stuck, learning: says nothing of fingers
-            return self._without_measurement(frame, detection)
-        if outcome is _UNTOUCHED:
-            found = self._localizer.observe(detection)  # noise and temperature of the untouched plate
-            if self._unusual:
-                found = self._without_skips(detection)
-        elif self.screen_off:
-            found = SCREEN_OFF
+        tracker = self._tracker
+        if detection.outcome <= _LEARNING:  # repeated, stuck, learning: says nothing of fingers
+            found, contacts = Localization(detection.outcome), self._without_measurement(detection)
         else:
-            found = self._localizer.localize(detection, alive=tracker.alive)
-        touches = found.touches
-        contacts = tracker.track(frame.t_ns, touches)
-        # Follow, freeze or relearn the baseline: the one feedback.
-        self.detector.adapt(detection, bool(touches), found.departure, tracker.alive)
-        return self._result(frame, detection, found.outcome, contacts, len(touches))
+            if detection.outcome is _UNTOUCHED:
+                found = self._localizer.observe(detection)  # noise and temperature of the untouched plate
+                if self._unusual:
+                    found = self._without_skips(detection)
+            elif self.screen_off:
+                found = SCREEN_OFF
+            else:
+                found = self._localizer.localize(detection, alive=tracker.alive)
+            touches = found.touches
+            contacts = tracker.track(frame.t_ns, touches) if touches or tracker.tracks else _NO_CONTACTS
+            # Follow, freeze or relearn the baseline: the one feedback.
+            self.detector.adapt(detection, bool(touches), found.departure, tracker.alive)
+        counters, outcome = self.counters, found.outcome
+        counters.by_outcome[outcome._value_] += 1  # to index by an enum takes four times as long
+        if detection.lost:
+            counters.lost += detection.lost
+        keys = self._keys.update(contacts) if contacts else _NO_KEYS
+        return Result(frame.t_ns, frame.sequence, outcome, contacts, keys, len(found.touches))
 
     def release(self, t_ns: int) -> Result:
         """End all contacts because no further frame comes."""
         self._localizer.reset()
         contacts = self._tracker.release_all(t_ns)
-        return Result(t_ns, self._sequence, Outcome.REPEATED, contacts, self._keys.update(contacts))
+        return Result(t_ns, self.detector.sequence, Outcome.REPEATED, contacts, self._keys.update(contacts))
+
+    def withheld(self, t_ns: int, fault: str) -> Result:
+        """Take a frame that the source withholds because it is no measurement; `fault` says why, for a person."""
+        self.detector.miss(t_ns, fault)
+        contacts = self._lift_in_silence(t_ns)
+        return Result(t_ns, self.detector.sequence, Outcome.REPEATED, contacts, self._keys.update(contacts))
 
     def set_screen(self, *, off: bool) -> Result:
         """Switch touches off or on with the screen, and return what ends their contacts.
@@ -112,7 +124,7 @@ class Pipeline:
         """
         t_ns = self._detection.t_ns if self._detection else 0
         if off == self.screen_off or not self._skip.screen:
-            return Result(t_ns, self._sequence, Outcome.SCREEN_OFF)
+            return Result(t_ns, self.detector.sequence, Outcome.SCREEN_OFF)
         self.screen_off = off
         self._set_unusual()
         return self.release(t_ns)
@@ -154,20 +166,20 @@ class Pipeline:
         """Return the RMS of an untouched frame against the baseline, ADC counts; 0 before it is known."""
         return self.detector.noise_counts()
 
-    def _without_measurement(self, frame: Frame, detection: Detection) -> Result:
-        """Only liveness may lift contacts: a DAQ that hangs ends them, and so does learning, by missing touches."""
-        if detection.outcome is Outcome.REPEATED:
-            self.counters.by_outcome[Outcome.REPEATED] += 1  # its number stays that of the frame before
-            return Result(frame.t_ns, frame.sequence, Outcome.REPEATED)
-        if detection.outcome is Outcome.STUCK:
-            contacts: list[Contact] = []
-            if self.detector.hangs:
-                self._localizer.reset()
-                contacts = self._tracker.release_all(frame.t_ns)
-            return self._result(frame, detection, Outcome.STUCK, contacts, 0)
+    def _without_measurement(self, detection: Detection) -> list[Contact]:
+        """Lift contacts by liveness if the DAQ measures nothing, and by missing touches while the plate is learned."""
+        if detection.outcome is not Outcome.LEARNING:
+            return self._lift_in_silence(detection.t_ns)
         if detection.learned is not None:
             self._localizer.update(detection.baseline, detection.learned)
-        return self._result(frame, detection, Outcome.LEARNING, self._tracker.track(frame.t_ns, ()), 0)
+        return self._tracker.track(detection.t_ns, ())
+
+    def _lift_in_silence(self, t_ns: int) -> list[Contact]:
+        """End all contacts if no frame has been a measurement for so long that nobody knows where the fingers are."""
+        if not self.detector.liveness.fault:
+            return _NO_CONTACTS
+        self._localizer.reset()
+        return self._tracker.release_all(t_ns)
 
     def _set_unusual(self) -> None:
         """Note whether untouched frames need more than to be observed: one question a frame instead of two."""
@@ -180,14 +192,3 @@ class Pipeline:
         outcome = self._localizer.localize(detection, alive=False).outcome
         self._localizer.reset()
         return Localization(outcome)
-
-    def _result(
-        self, frame: Frame, detection: Detection, outcome: Outcome, contacts: list[Contact], touches: int
-    ) -> Result:
-        """Count the frame, the only place where that is done, and return what came of it."""
-        counters = self.counters
-        counters.by_outcome[outcome] += 1
-        counters.lost += detection.lost
-        self._sequence = frame.sequence
-        keys = self._keys.update(contacts) if contacts else _NO_KEYS
-        return Result(frame.t_ns, frame.sequence, outcome, contacts, keys, touches)

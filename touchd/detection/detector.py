@@ -17,8 +17,9 @@ from numpy.typing import DTypeLike, NDArray
 from touchd.config.schema import Settings
 from touchd.detection.baseline import Baseline, Signal
 from touchd.detection.gate import Gate
+from touchd.detection.liveness import Liveness
 from touchd.detection.relearn import Relearn
-from touchd.detection.stuck import LASTING_FRAMES, Stuck
+from touchd.detection.stuck import LONGEST_CYCLE, Stuck
 from touchd.frame import Frame
 from touchd.outcome import Outcome
 
@@ -26,10 +27,11 @@ LATE_FRAMES = 32
 """A frame numbered at most this much lower than the last one is a repetition; a lower number is a device restart."""
 DRIFT_SHARE = 1e-5
 """Without a finger, a change below this share of the signal's energy is drift, and the baseline follows it."""
-TURN_EVERY = 16
-"""Stuck channels: the detector watches another channel after every 16th untouched frame, and after every touched one,
-since a stuck channel holds a finger."""
+KEEP_EVERY = 16
+"""Stuck channels and cycles: the detector watches another channel and keeps another frame after every 16th untouched
+frame; another channel after every touched frame, and another frame after every 8th."""
 
+_NO_FRAME = -(2**62)
 _TOUCHED, _UNTOUCHED = Outcome.TOUCHED, Outcome.UNTOUCHED  # bound once: they are asked for in every frame
 
 Notify = Callable[[str, dict[str, float]], None]
@@ -89,6 +91,7 @@ class Detector:
         self, shape: tuple[int, int], settings: Settings, notify: Notify, dtype: DTypeLike = np.float32
     ) -> None:
         self.gate = Gate(settings.gate)
+        self.liveness = Liveness()
         self._baseline = Baseline(shape, settings.baseline, dtype)
         self._relearn = Relearn(shape, settings.baseline, dtype)
         self._stuck = Stuck(shape)
@@ -97,7 +100,8 @@ class Detector:
         self._notify = notify
         self._learning = True
         self._signal_energy = 1.0
-        self._last_sequence: int | None = None
+        self.sequence = _NO_FRAME
+        """Number of the last frame that was not repeated; before the first one, which may have any, far below 0."""
         self._last_ns = 0
         self.followed_ns = 0
         """Time of the last frame that moved the baseline."""
@@ -112,25 +116,33 @@ class Detector:
     def reset(self) -> None:
         """Relearn the plate from the next frame on, which may have any number: the device was away."""
         self._notify("reconnected", {})
-        self._last_sequence = None
+        self.sequence = _NO_FRAME
         self._learn()
 
     def detect(self, frame: Frame) -> Detection:
         """Return what a frame is."""
-        lost = self._number(frame)
-        if lost < 0:
-            return self._without_measurement(Outcome.REPEATED, frame, 0)
-        baseline = self._baseline
-        if self._stuck.repeats(frame.counts, baseline.signal):
-            if self.hangs:
-                self._relearn.reset()
-            return self._without_measurement(Outcome.STUCK, frame, lost)
-        if self._stuck.channels is not self._stuck_channels:
-            self._stuck_channels = self._stuck.channels
+        lost = 0
+        if frame.sequence != self.sequence + 1:
+            lost = self._number(frame)
+            if lost < 0:
+                self.miss(frame.t_ns, "the DAQ's frame number stands still or runs back")
+                return self._without_measurement(Outcome.REPEATED, frame, 0)
+        self.sequence, self._last_ns = frame.sequence, frame.t_ns
+        baseline, stuck = self._baseline, self._stuck
+        repeats = stuck.repeats(frame.counts, baseline.signal)
+        doubtful = repeats or stuck.doubtful
+        if doubtful:
+            self.miss(frame.t_ns, stuck.fault)
+            if repeats or self.liveness.fault:
+                return self._without_measurement(Outcome.STUCK, frame, lost)
+        if stuck.channels is not self._stuck_channels:
+            self._stuck_channels = stuck.channels
             self._live = ~self._stuck_channels
             baseline.set_channels(self._live)
         if self._learning:
             return self._learning_frame(frame, lost)
+        if not doubtful:
+            self.liveness.measured_ns = frame.t_ns
         energy = baseline.subtract(frame.counts, frame.t_ns)
         gate = self.gate
         outcome, changed = _TOUCHED, False
@@ -158,58 +170,58 @@ class Detector:
         if detection.outcome is _UNTOUCHED:
             if self._relearn.active:
                 self._relearn.reset()
-            if not (self._last_sequence or 0) % TURN_EVERY:
-                self._stuck.turn()
+            if not self.sequence % KEEP_EVERY:
+                self._stuck.keep(detection.signal)
             if not alive:
                 self._baseline.follow()
                 self.followed_ns = detection.t_ns
             return
-        self._stuck.turn()
+        # Quicker than where there is no finger to hold.
+        (self._stuck.turn if self.sequence % LONGEST_CYCLE else self._stuck.keep)(detection.signal)
         finger, energy = found or alive, detection.energy
         if not finger and energy < DRIFT_SHARE * self._signal_energy:
             # The plate has drifted while it was touched.
             self._baseline.follow()
             self.followed_ns = detection.t_ns
-        reason = self._relearn.update(
-            detection.t_ns, detection.residual, energy, finger=finger, departure=departure and not finger
-        )
+        reason = self._relearn.update(detection.t_ns, detection.residual, energy, finger, departure and not finger)
         if reason is not None:
             level_db = 10 * math.log10(energy / self._signal_energy)
-            self._notify(reason.value, {"frame": self._last_sequence or 0, "level_db": round(level_db, 1)})
+            self._notify(reason.value, {"frame": self.sequence, "level_db": round(level_db, 1)})
             self._learn()
 
     def noise_counts(self) -> float:
         """Return the RMS of an untouched frame against the baseline, ADC counts; 0 before it is known."""
         return math.sqrt(self.gate.noise_energy / self._baseline.residual.size)
 
-    @property
-    def hangs(self) -> bool:
-        """Whether the DAQ has repeated a frame so often that nobody can know where the fingers are."""
-        return self._stuck.frames >= LASTING_FRAMES
+    def miss(self, t_ns: int, fault: str) -> None:
+        """Take the time of a frame that is no measurement; `fault` says what it is, for a person."""
+        if self.liveness.is_silent(t_ns, fault):
+            self._relearn.reset()  # a change on the plate is timed from the next measurement on
 
     @property
     def fault(self) -> str | None:
         """What is wrong with the frames, for a person; None if nothing is known."""
-        if self.hangs:
-            return "the DAQ repeats one frame"
+        if self.liveness.fault:
+            return self.liveness.fault
         channels = np.flatnonzero(self._stuck.channels).tolist()
-        return f"the DAQ repeats what it heard on channels {channels}" if channels else None
+        if channels:
+            return f"the DAQ repeats what it heard on channels {channels}"
+        return "the signal changes and no finger explains it: interference or water" if self._relearn.restless else None
 
     def _number(self, frame: Frame) -> int:
         """Return how many frames are missing before a frame; -1 for one whose number is not new."""
-        last = self._last_sequence
-        lost = 0
-        if last is not None:
-            lost = frame.sequence - last - 1
-            if lost < 0:
-                if frame.sequence >= last - LATE_FRAMES or frame.t_ns <= self._last_ns:
-                    return -1
-                # A low number in a later frame: the device has restarted, and what it hears may have changed. A number
-                # only a little lower is a frame sent twice or late; a device that restarts so early soon overtakes it.
-                self._notify("restarted", {"frame": frame.sequence, "after": last})
-                self._learn()
-                lost = 0
-        self._last_sequence, self._last_ns = frame.sequence, frame.t_ns
+        last = self.sequence
+        lost = frame.sequence - last - 1
+        if last == _NO_FRAME:
+            return 0
+        if lost < 0:
+            if frame.sequence >= last - LATE_FRAMES or frame.t_ns <= self._last_ns:
+                return -1
+            # A low number in a later frame: the device has restarted, and what it hears may have changed. A number only
+            # a little lower is a frame sent twice or late; a device that restarts so early soon overtakes it.
+            self._notify("restarted", {"frame": frame.sequence, "after": last})
+            self._learn()
+            return 0
         return lost
 
     def _learning_frame(self, frame: Frame, lost: int) -> Detection:
@@ -222,7 +234,7 @@ class Detector:
             self._relearn.reset()
             self._signal_energy = baseline.energy()
             self._learning = False
-            self.followed_ns = frame.t_ns
+            self.followed_ns = self.liveness.measured_ns = frame.t_ns
             learned = baseline.learned()
         return self._without_measurement(Outcome.LEARNING, frame, lost, learned)
 

@@ -30,6 +30,8 @@ _LOOK_NS = 50_000_000
 """A tracked finger is compared with its reference this often: what stays does so for seconds."""
 _UNSTEADY_NS = 1_000_000_000
 """A change without a finger that never repeats for this long is noise."""
+_RESTLESS_NS = 2_000_000_000
+"""A change without a finger that goes on for this long, and has not stayed the same, is interference or water."""
 _LIFTED_FRAMES = 3
 """One odd frame during a press must not cost the baseline."""
 
@@ -56,12 +58,12 @@ class Relearn:
         self.active = False
         """Whether the gate has been open since the last reset."""
         self._same_since_ns: int | None = None
-        self._noise_since_ns = self._looked_ns = 0
+        self._noise_since_ns = self._looked_ns = self._fingerless_since_ns = 0
         self._follows = False  # whether `_previous` is the predecessor
         self._unlike = 0.0
         self._lifted = 0
 
-    def update(self, t_ns: int, residual: Signal, energy: float, *, finger: bool, departure: bool) -> Reason | None:
+    def update(self, t_ns: int, residual: Signal, energy: float, finger: bool, departure: bool) -> Reason | None:
         """Add a frame seen with the gate open, and return the reason to relearn the baseline, if there is one.
 
         Parameters
@@ -77,10 +79,11 @@ class Relearn:
         self.active = True
         if self._same_since_ns is None:
             self._begin(t_ns, residual.reshape(-1), energy)
-            self._noise_since_ns = self._looked_ns = t_ns
+            self._noise_since_ns = self._looked_ns = self._fingerless_since_ns = t_ns
             return None
         if finger:  # neither noise nor a departure: what the frame differs by is seldom needed
-            self._noise_since_ns, self._follows, self._lifted = t_ns, False, 0
+            self._noise_since_ns = self._fingerless_since_ns = t_ns
+            self._follows, self._lifted = False, 0
             if 0 <= t_ns - self._looked_ns < _LOOK_NS and t_ns - self._same_since_ns < self._absorb_ns:
                 return None
         self._looked_ns = t_ns
@@ -98,6 +101,16 @@ class Relearn:
         if t_ns - self._noise_since_ns >= _UNSTEADY_NS:
             return Reason.NOISE
         return None
+
+    @property
+    def restless(self) -> bool:
+        """Whether a change without a finger has gone on for 2 s, and was another one a second after it began."""
+        since_ns = self._fingerless_since_ns
+        return (
+            self._same_since_ns is not None
+            and self._looked_ns - since_ns >= _RESTLESS_NS
+            and self._same_since_ns - since_ns >= _UNSTEADY_NS
+        )
 
     def _begin(self, t_ns: int, flat: Signal, energy: float) -> None:
         self._same_since_ns = t_ns

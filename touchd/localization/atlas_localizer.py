@@ -24,15 +24,18 @@ from touchd.localization.gauss_newton import STILL_MM, GaussNewton
 from touchd.localization.localization import UNTOUCHED, Localization
 from touchd.localization.model import Model
 from touchd.localization.multitouch import MultitouchSearch
-from touchd.localization.plate_model import PlateModel
+from touchd.localization.plate_model import COMPARE_NS, PlateModel
 from touchd.localization.prediction import Prediction
 from touchd.localization.pursuit import Pursuit
+from touchd.localization.spline import Position
 from touchd.localization.stillness import StillFinger
 from touchd.outcome import Outcome
 from touchd.touch import Touch
 
 AMBIGUOUS_MM = 7.0
 """A faint finger is not placed if a position farther away than this explains the frame as well."""
+NOISE_EVERY = 16
+"""One of 16 untouched frames updates the noise model."""
 FIRST_STEPS, FOLLOW_STEPS, SHAPED_STEPS = 5, 3, 2
 _STILL_TOGETHER_MM = STILL_MM / 4
 """After a shorter step of several fingers the next one would be less than 1e-3 mm; few tracked ones step farther."""
@@ -63,7 +66,9 @@ class AtlasLocalizer:
         self._prediction = Prediction()
         self._still = StillFinger(atlas, self._solver)
         self._found = UNTOUCHED
+        self._touched = False  # whether a frame was fitted since the last untouched one
         self._departure = False
+        self._untouched_frames = 0
         self._live: NDArray[np.bool_] | None = None
         self.configure(settings, layout)
 
@@ -93,14 +98,22 @@ class AtlasLocalizer:
         """Follow noise and temperature on an untouched frame, and forget fingers and water."""
         if detection.live is not self._live:
             self._set_channels(detection.live)
-        if self._plate.observe(detection):
+        if self._touched:
+            self._touched = False
+            if self._found.touches:
+                self.reset()
+            else:  # water, or what a finger left that was lost as it lifted: water stays known
+                self._prediction.reset()
+                self._drift.reset()
+        if detection.noise_changed:
+            self._noise.restart()
+        self._untouched_frames += 1
+        if not self._untouched_frames % NOISE_EVERY:
+            self._plate.follow(detection)
+            self._plate.hear(detection.residual)
             self._classifier.dry()
-        if self._found.touches:
-            self.reset()
-        elif self._prediction.positions_mm or self._drift.t_ns is not None:
-            # Water, or what a finger left that was lost as it lifted: water stays known.
-            self._prediction.reset()
-            self._drift.reset()
+        elif detection.t_ns - self._plate.compared_ns > COMPARE_NS:
+            self._plate.follow(detection)
         return UNTOUCHED
 
     def localize(self, detection: Detection, *, alive: bool, complete: bool = False) -> Localization:
@@ -129,7 +142,7 @@ class AtlasLocalizer:
         noise, search = self._noise, self._search
         tracked = bool(self._prediction.positions_mm)
         inferred = False
-        self._departure = False
+        self._touched, self._departure = True, False
         bins = self._plate.bins(detection.residual)
         signal = bins.energy - noise.noise_energy
         # A trigger that comes early or late delays all channels alike, which looks like a faint finger on the emitter.
@@ -229,23 +242,27 @@ class AtlasLocalizer:
     def _follow(self, bins: Bins, t_ns: int, signal: float) -> Fit:
         """Fit the fingers of the last frame from where they were going, less those that have lifted."""
         positions = self._prediction.ahead(t_ns)
+        fit = no_fit(bins.energy)
         if self._shaped:
-            noise_energy = self._noise.noise_energy
-            fit = self._solver.fit_shapes(bins, positions, noise_energy, SHAPED_STEPS)
-            if fit.positions_mm and self._noise.excess(fit.residual_energy, signal) < CRITERIA.good:
-                return fit
+            fit = self._solver.fit_shapes(bins, positions, self._noise.noise_energy, SHAPED_STEPS)
+        known = self._noise.excess(fit.residual_energy, signal) < CRITERIA.good
         if len(positions) == 1:
-            fit = self._solver.fit_one(bins, *positions[0], FOLLOW_STEPS)
-            if self._noise.excess(fit.residual_energy, signal) < CRITERIA.fair:
-                return fit
-            # It may have turned sharply, or stopped: then it is nearer to where it was.
-            other = self._solver.fit_one(bins, *self._prediction.positions_mm[0], FIRST_STEPS)
-            return min(fit, other, key=lambda one: one.residual_energy)
-        fit = self._solver.fit_several(bins, positions, FOLLOW_STEPS - 1, _STILL_TOGETHER_MM)
+            return fit if known else self._follow_one(bins, positions[0], signal)
+        if not known:
+            fit = self._solver.fit_several(bins, positions, FOLLOW_STEPS - 1, _STILL_TOGETHER_MM)
         fit, dropped = self._search.prune(bins, fit, signal)
         for count, k in enumerate(dropped):
             self._prediction.remove(k, len(positions) - count)
         return fit
+
+    def _follow_one(self, bins: Bins, position_mm: Position, signal: float) -> Fit:
+        """Fit one finger from where it was going, or from where it was."""
+        fit = self._solver.fit_one(bins, *position_mm, FOLLOW_STEPS)
+        if self._noise.excess(fit.residual_energy, signal) < CRITERIA.fair:
+            return fit
+        # It may have turned sharply, or stopped: then it is nearer to where it was.
+        other = self._solver.fit_one(bins, *self._prediction.positions_mm[0], FIRST_STEPS)
+        return min(fit, other, key=lambda one: one.residual_energy)
 
     def _set_channels(self, live: NDArray[np.bool_]) -> None:
         self._live = live

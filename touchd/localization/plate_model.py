@@ -22,8 +22,6 @@ COMPARE_NS = 1_000_000_000
 """The baseline is compared at this interval: temperature and gains change far more slowly."""
 DRIFTED = 0.1
 """The baseline has moved if by this share of the noise energy: on glass 0.05 K at 60 dB."""
-NOISE_EVERY = 16
-"""One of 16 untouched frames updates the noise model."""
 
 
 class PlateModel:
@@ -43,7 +41,8 @@ class PlateModel:
         self._baseline = atlas.baseline.copy()
         self._moved = np.zeros_like(self._baseline)
         self._live: NDArray[np.bool_] = np.ones(atlas.description.acquisition.channels, bool)
-        self._untouched_frames, self._compared_ns = 0, 0
+        self.compared_ns = 0
+        """When the baseline was compared last."""
         self.set_baseline(atlas.baseline)
 
     def update(self, baseline: Signal, residuals: Signal | None = None) -> None:
@@ -57,22 +56,16 @@ class PlateModel:
             self.hear(residual)
         self._select()
 
-    def observe(self, detection: Detection) -> bool:
-        """Follow the plate on an untouched frame; return whether the frame updated the noise model."""
-        if detection.noise_changed:
-            self.noise.restart()
-        if not 0 <= detection.t_ns - self._compared_ns <= COMPARE_NS:
-            self._compared_ns = detection.t_ns
-            np.subtract(detection.baseline, self._baseline, out=self._moved)
-            flat = self._moved.reshape(-1)
-            # By less a frame shows no difference, and neither does a position.
-            if float(flat.dot(flat)) > DRIFTED * detection.noise_energy:
-                self.set_baseline(detection.baseline)
-        self._untouched_frames += 1
-        if self._untouched_frames % NOISE_EVERY:
-            return False
-        self.hear(detection.residual)
-        return True
+    def follow(self, detection: Detection) -> None:
+        """Compare the baseline with the one that the bins are corrected for, once a second."""
+        if 0 <= detection.t_ns - self.compared_ns <= COMPARE_NS:
+            return
+        self.compared_ns = detection.t_ns
+        np.subtract(detection.baseline, self._baseline, out=self._moved)
+        flat = self._moved.reshape(-1)
+        # By less a frame shows no difference, and neither does a position.
+        if float(flat.dot(flat)) > DRIFTED * detection.noise_energy:
+            self.set_baseline(detection.baseline)
 
     def hear(self, residual: Signal) -> None:
         """Update the noise model with an untouched frame's residual, shape (channels, samples)."""

@@ -21,6 +21,7 @@ class Prediction:
         self.positions_mm: list[Position] = []
         """Of the fingers in the last frame."""
         self._velocities_mm_s: list[Position] = []
+        self._rests = False  # whether all velocities are zero since the last frame rested
         self.t_ns = 0
         """Time of the last frame."""
         self.moved_mm = math.inf
@@ -42,7 +43,9 @@ class Prediction:
     def rest(self, t_ns: int) -> None:
         """Keep all fingers where they are: they rest in the frame of this time."""
         self.t_ns = t_ns
-        self._velocities_mm_s = [(0.0, 0.0)] * len(self.positions_mm)
+        if not self._rests:
+            self._rests = True
+            self._velocities_mm_s = [(0.0, 0.0)] * len(self.positions_mm)
 
     def ahead(self, t_ns: int) -> list[Position]:
         """Return where the fingers will be at a time."""
@@ -55,6 +58,7 @@ class Prediction:
     def update(self, positions_mm: list[Position], t_ns: int) -> None:
         """Take the fingers' positions in the frame of this time."""
         before, self.positions_mm = self.positions_mm, positions_mm
+        self._rests = False
         elapsed_s = (t_ns - self.t_ns) * 1e-9
         self.t_ns = t_ns
         count = len(positions_mm)

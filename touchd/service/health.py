@@ -14,7 +14,7 @@ from touchd.sources.source import LiveSource, Source, Tally
 
 _LATENCIES = 8192
 """Kept for one health period; of more messages than that the last ones count."""
-_LOGGED = ("lost", "corrupt", "clipped", "frozen", "behind", "emitter_fault", "test_pattern")
+_LOGGED = ("lost", "corrupt", "clipped", "repeated", "frozen", "behind", "emitter_fault", "test_pattern")
 """Counts that are logged when they have grown."""
 
 log = structlog.get_logger()

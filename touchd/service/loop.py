@@ -89,7 +89,8 @@ class Service:
         self._awake = awake or Awake(0.0)
         self._preroll, self._control, self._reloader = preroll, control, reloader
         # A device reports its states; of any other source only the silence is known.
-        self._reports_state = isinstance(source, LiveSource)
+        self._live = source if isinstance(source, LiveSource) else None
+        self._withheld: dict[str, int] = {}
         self._state: State = "starting"
         self._reason: str | None = None
         self._away = False
@@ -131,32 +132,31 @@ class Service:
                 sink.close()
 
     def _run_frames(self) -> None:
+        pipeline, preroll = self.pipeline, self._preroll
         for frame in frames_of(self._source, on_change=self._follow):
             if frame is None:
                 self._wait()
             else:
-                self._take(frame)
+                if self._state != "streaming":
+                    self._enter("streaming")
+                result = pipeline.process(frame)
+                if (result.contacts or result.touches) and (events := self._messages.make(result, pipeline.spectrum)):
+                    self._publish(events, frame.received_ns)
+                if preroll is not None:
+                    preroll.keep(frame, result.contacts)
+                self._finish(frame)
             if self._stop:
                 return
-        log.info("end of stream", frames=self.pipeline.counters.frames)
+        log.info("end of stream", frames=pipeline.counters.frames)
 
-    def _take(self, frame: Frame) -> None:
-        """Process a frame, publish its messages, and do what is due."""
+    def _finish(self, frame: Frame) -> None:
+        """Do what is due after a frame, which never waits: a new subscriber gets the next one."""
         period_ns = frame.t_ns - self._stream_ns
         self._stream_ns = frame.t_ns
         self._seen_ns = now_ns = frame.received_ns
-        if self._state != "streaming":
-            self._enter("streaming")
-        pipeline = self.pipeline
-        result = pipeline.process(frame)
-        if result.contacts or result.touches:
-            self._publish(self._messages.make(result, pipeline.spectrum), now_ns)
-        if self._preroll is not None:
-            self._preroll.keep(frame, result.contacts)
-        # After the frame, which never waits: a new subscriber gets the next one.
         if now_ns - self._tick_ns >= _TICK_NS:
             self._tick(now_ns)
-        touched = pipeline.touched
+        touched = self.pipeline.touched
         if touched is not self._awake.held:
             self._awake.update(touched, period_ns)
 
@@ -165,12 +165,23 @@ class Service:
         if self._preroll is not None:
             self._preroll.poll()
         now_ns = self._clock()
-        if not self._reports_state and self._state == "streaming" and now_ns - self._seen_ns > STALL_NS:
+        if self._live is not None:
+            self._count_withheld(self._live, now_ns)
+        elif self._state == "streaming" and now_ns - self._seen_ns > STALL_NS:
             self._release(now_ns)
             self._enter("stalled")
         self._tick(now_ns)
         if not self.pipeline.touched:
             self._awake.close()
+
+    def _count_withheld(self, source: LiveSource, now_ns: int) -> None:
+        """Tell the pipeline of frames that the source has withheld since the last wait: they measure nothing."""
+        withheld, before = dict(source.tally.withheld), self._withheld
+        self._withheld = withheld
+        for name, count in withheld.items():
+            if count != before.get(name, 0):
+                result = self.pipeline.withheld(now_ns, f"the DAQ measures nothing: {name.replace('_', ' ')}")
+                self._publish(self._messages.make(result, self.pipeline.spectrum), now_ns)
 
     def _tick(self, now_ns: int) -> None:
         self._tick_ns = now_ns

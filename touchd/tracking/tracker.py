@@ -13,7 +13,6 @@ from touchd.touch import Touch
 from touchd.tracking.assignment import assign
 from touchd.tracking.one_euro import OneEuro
 
-_NOTHING: list[Contact] = []
 _NEVER = 1e9  # mm: finite, as the assignment asks
 _RELEASE_FRAMES = 2
 _MOST_CONTACTS = 10
@@ -22,7 +21,7 @@ _DEAD_SIGMAS = 1.5
 """The dead band is at least this many standard errors wide."""
 
 
-class _Track:
+class Track:
     """One finger from its first frame to its last."""
 
     __slots__ = ("contact", "filter", "missing", "seen")
@@ -44,7 +43,8 @@ class Tracker:
 
     def __init__(self, settings: TrackerSettings) -> None:
         self.configure(settings)
-        self._tracks: list[_Track] = []
+        self.tracks: list[Track] = []
+        """Fingers that are followed, confirmed or not."""
         self._missed = False  # whether a track may have ended
         self.alive = False
         """Whether any contact is down."""
@@ -67,35 +67,32 @@ class Tracker:
             beyond the dead band or went up, or the next frame would come later than 0.1 s after the last message.
             Else empty.
         """
-        if not touches and not self._tracks:
-            self._last_ns = t_ns
-            return _NOTHING
         elapsed_s = max(t_ns - self._last_ns, 1) * 1e-9
         self._last_ns = t_ns
-        if len(self._tracks) == len(touches) == 1 and self._cost(self._tracks[0], touches[0]) < _NEVER:
+        if len(self.tracks) == len(touches) == 1 and self._cost(self.tracks[0], touches[0]) < _NEVER:
             # One finger and one touch within its reach: there is nothing to choose.
-            return self._report(t_ns, self._advance(self._tracks[0], touches[0], elapsed_s), elapsed_s)
+            return self._report(t_ns, self._advance(self.tracks[0], touches[0], elapsed_s), elapsed_s)
         due = False
         matched = self._match(touches)
-        for track, touch in zip(self._tracks, matched, strict=True):
+        for track, touch in zip(self.tracks, matched, strict=True):
             due |= self._miss(track) if touch is None else self._advance(track, touch, elapsed_s)
         for touch in touches:
-            if touch not in matched and len(self._tracks) < _MOST_CONTACTS:
-                self._tracks.append(_Track(touch, self._settings))
-                due |= self._confirm(self._tracks[-1], touch)
+            if touch not in matched and len(self.tracks) < _MOST_CONTACTS:
+                self.tracks.append(Track(touch, self._settings))
+                due |= self._confirm(self.tracks[-1], touch)
         return self._report(t_ns, due, elapsed_s)
 
     def release_all(self, t_ns: int) -> list[Contact]:
         """End every contact, as when the frames stop; return the same as `track`."""
         self._last_ns = t_ns
-        for track in self._tracks:
+        for track in self.tracks:
             track.missing = _RELEASE_FRAMES - 1
-        ends = [self._miss(track) for track in self._tracks]
+        ends = [self._miss(track) for track in self.tracks]
         return self._report(t_ns, any(ends), 0.0)
 
     def _match(self, touches: Sequence[Touch]) -> list[Touch | None]:
         """Return, for each track, the touch that continues it."""
-        tracks = self._tracks
+        tracks = self.tracks
         if not tracks or not touches:
             return [None] * len(tracks)
         costs = [[self._cost(track, touch) for touch in touches] for track in tracks]
@@ -108,11 +105,11 @@ class Tracker:
         columns = assign([row + alone for row in costs])
         return [touches[j] if j < len(touches) else None for j in columns]
 
-    def _cost(self, track: _Track, touch: Touch) -> float:
+    def _cost(self, track: Track, touch: Touch) -> float:
         distance_mm = hypot(track.filter.x_mm - touch.x_mm, track.filter.y_mm - touch.y_mm)
         return distance_mm if distance_mm <= self._reach_mm else _NEVER
 
-    def _advance(self, track: _Track, touch: Touch, elapsed_s: float) -> bool:
+    def _advance(self, track: Track, touch: Touch, elapsed_s: float) -> bool:
         track.missing = 0
         track.filter.update(touch.x_mm, touch.y_mm, elapsed_s, touch.sigma_mm)
         contact = track.contact
@@ -134,7 +131,7 @@ class Tracker:
         contact.x_mm, contact.y_mm, contact.key = at.x_mm, at.y_mm, touch.key
         return True
 
-    def _confirm(self, track: _Track, touch: Touch) -> bool:
+    def _confirm(self, track: Track, touch: Touch) -> bool:
         if track.seen < self._settings.confirm_frames:
             return False
         at = track.filter
@@ -146,7 +143,7 @@ class Tracker:
         self.alive = True
         return True
 
-    def _miss(self, track: _Track) -> bool:
+    def _miss(self, track: Track) -> bool:
         track.missing += 1
         self._missed = True
         contact = track.contact
@@ -165,11 +162,11 @@ class Tracker:
         # Below 0 the clock stepped back: it may never catch up.
         due = due or quiet_ns < 0 or quiet_ns + round(elapsed_s * 1e9) > _REFRESH_NS
         # Copies: a message must not change once it is made.
-        contacts = [replace(track.contact) for track in self._tracks if track.contact is not None] if due else []
+        contacts = [replace(track.contact) for track in self.tracks if track.contact is not None] if due else []
         if self._missed:
             self._missed = False
-            self._tracks = [track for track in self._tracks if _lives(track)]
-            self.alive = any(track.contact is not None for track in self._tracks)
+            self.tracks = [track for track in self.tracks if _lives(track)]
+            self.alive = any(track.contact is not None for track in self.tracks)
         if contacts:
             self._reported_ns = t_ns
         return contacts
@@ -179,7 +176,7 @@ def _is_within_reach(costs: list[float]) -> bool:
     return min(costs) < _NEVER
 
 
-def _lives(track: _Track) -> bool:
+def _lives(track: Track) -> bool:
     if track.contact is None:
         # An unconfirmed finger that misses one frame was not one.
         return track.missing == 0

@@ -49,6 +49,22 @@ def test_moving() -> None:
     assert first_reason(moving, finger=True) is None
 
 
+def test_restless() -> None:
+    """A change that goes on for 2 s without a finger, and has not stayed the same, is told; a thing that lies not."""
+    a, b = changing(2)
+    creeping = [(a * np.cos(i * 0.003) + b * np.sin(i * 0.003)).astype(np.float32) for i in range(1000)]
+    for residuals, finger, expected in ((creeping, False, True), (creeping, True, False), (still(1000), False, False)):
+        relearn, told = Relearn(SHAPE, BaselineSettings()), []
+        for number, residual in enumerate(residuals):
+            energy = float(np.sum(residual.astype(float) ** 2))
+            relearn.update(number * PERIOD_NS, residual, energy, finger, False)
+            told.append(relearn.restless)
+        assert told[-1] is expected
+        assert not any(told[:250])
+        relearn.reset()
+        assert not relearn.restless
+
+
 def test_finger_comes_to_rest() -> None:
     """A finger that moves and then rests is absorbed 30 s after it came to rest, to 50 ms."""
     reason = first_reason([*changing(1003), *still(5000)], finger=True)

@@ -1,4 +1,4 @@
-"""A frame that equals its predecessor is found, and so is a channel; noise never repeats."""
+"""A frame that equals an earlier one is found, and so is a channel that repeats itself; noise never does."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from touchd.detection.stuck import LASTING_FRAMES, Stuck
+from touchd.detection.detector import KEEP_EVERY
+from touchd.detection.stuck import LASTING_FRAMES, LONGEST_CYCLE, Stuck
 
 SHAPE = (4, 250)
 PLATE = 5000 * np.random.default_rng(0).standard_normal(SHAPE)
@@ -16,14 +17,19 @@ PLATE = 5000 * np.random.default_rng(0).standard_normal(SHAPE)
 class Bench:
     """Shows frames one after the other, and keeps each change of the stuck channels."""
 
-    def __init__(self, shape: tuple[int, int] = SHAPE) -> None:
+    def __init__(self, shape: tuple[int, int] = SHAPE, *, touched: bool = True) -> None:
+        self.touched, self.number = touched, 0
         self.seen = np.zeros(shape, np.float32)
         self.changes: list[list[int]] = []
         self.stuck = Stuck(shape)
 
     def see(self, counts: np.ndarray) -> bool:
         before = self.stuck.channels
-        self.stuck.turn()
+        self.number += 1
+        if not self.number % (LONGEST_CYCLE if self.touched else KEEP_EVERY):
+            self.stuck.keep(self.seen)
+        elif self.touched:
+            self.stuck.turn(self.seen)
         repeats = self.stuck.repeats(counts.astype(np.int16), self.seen)
         if not repeats:
             self.seen[:] = counts.astype(np.int16)
@@ -53,12 +59,30 @@ def test_repetition(first: int, count: int, seed: int) -> None:
     for _ in range(first):
         last = noisy(rng)
         assert not bench.see(last)
-    for repeated in range(1, count + 1):
+    for _ in range(count):
         assert bench.see(last)
-        assert bench.stuck.frames == repeated
+        assert bench.stuck.period in (0, 1)
     assert not bench.see(noisy(rng))
-    assert bench.stuck.frames == 0
+    assert bench.stuck.period == 0
     assert bench.changes == [], "what all channels do no channel does alone"
+
+
+@given(length=st.integers(2, 8), first=st.integers(0, 20), noise=st.floats(0.3, 30), seed=st.integers(0, 2**32 - 1))
+@settings(deadline=None, max_examples=30)
+def test_cycle(length: int, first: int, noise: float, seed: int) -> None:
+    """Frames that come again in a cycle are doubted within 8 frames, 16 if untouched, and found two rounds later."""
+    for touched, within in ((True, LONGEST_CYCLE), (False, KEEP_EVERY)):
+        bench, rng = Bench(touched=touched), np.random.default_rng(seed)
+        assert not any(bench.see(noisy(rng, noise)) for _ in range(first))
+        frames = [noisy(rng, noise) for _ in range(length)]
+        assert not any(bench.see(frame) for frame in frames)
+        found = [bench.see(frame) or bench.stuck.doubtful for frame in frames * 12]
+        assert all(found[within:])
+        assert all(bench.see(frame) for frame in frames)
+        assert bench.stuck.period == length
+        after = [bench.see(noisy(rng, noise)) for _ in range(20)]
+        assert not any(after[length:])
+        assert bench.stuck.period == 0
 
 
 def test_one_sample() -> None:

@@ -269,6 +269,8 @@ class Live(Script):
     def __init__(self, recording: Recording, steps: Sequence[Step], clock: Clock) -> None:
         super().__init__(recording, steps, clock)
         self.tally = Tally()
+        self.withholds = ""
+        """Why the frames that would come in a timeout are withheld; empty if none comes."""
         self._changes: list[Change] = []
 
     def read(self, timeout_s: float) -> Frame | None:
@@ -276,7 +278,10 @@ class Live(Script):
         if self._steps and isinstance(self._steps[0], Change):
             self._changes.append(self._steps.pop(0))  # type: ignore[arg-type]  # it was just looked at
             return None
-        return super().read(timeout_s)
+        frame = super().read(timeout_s)
+        if frame is None and self.withholds:
+            self.tally.withheld[self.withholds] = self.tally.withheld.get(self.withholds, 0) + 6
+        return frame
 
     def changes(self) -> list[Change]:
         taken, self._changes = self._changes, []
@@ -317,6 +322,35 @@ def test_relearn(live: Callable[[Sequence[Step]], Bench], circle: list[Frame]) -
     assert [e.reason for e in lost.sink.health if e.state == "lost"] == ["gone", "still"]
 
 
+@pytest.mark.parametrize("why", ["emitter_fault", "test_pattern"])
+def test_withheld(why: str, live: Callable[[Sequence[Step]], Bench], circle: list[Frame]) -> None:
+    """Contacts lift 100 ms after the last measurement while a device sends frames that are none; health says why."""
+    bench = live([Change("streaming", "frames arrive"), *circle, *[None] * 80])
+    assert isinstance(bench.source, Live)
+    bench.source.withholds = why
+    bench.service.run()
+    assert bench.sink.phases() == [(1, "down"), (1, "up")]
+    ends_ns = [
+        t_ns
+        for t_ns, event in zip(bench.sink.times_ns, bench.sink.events, strict=True)
+        if isinstance(event, TouchEvent) and event.contacts[0].phase == "up"
+    ]
+    assert ends_ns == [START_NS + len(circle) * PERIOD_NS + 100_000_000]
+    assert bench.sink.states() == ["starting", "streaming", "stopping"]
+    assert bench.sink.health[-1].reason == f"the DAQ measures nothing: {why.replace('_', ' ')}"
+
+
+def test_silent_device(live: Callable[[Sequence[Step]], Bench], circle: list[Frame]) -> None:
+    """While a device sends nothing its contacts stay until it reports that it has stalled."""
+    bench = live([Change("streaming", "frames arrive"), *circle, *[None] * 19, Change("stalled", "no frame for 1 s")])
+    bench.service.run()
+    up, stalled = bench.sink.events[-3:-1]
+    assert isinstance(up, TouchEvent)
+    assert isinstance(stalled, HealthEvent)
+    assert bench.sink.times_ns[-3] == START_NS + len(circle) * PERIOD_NS + 19 * TIMEOUT_NS
+    assert (stalled.state, stalled.reason) == ("stalled", "no frame for 1 s")
+
+
 def test_tally(live: Callable[[Sequence[Step]], Bench], circle: list[Frame]) -> None:
     """Health takes a device's own counts for what never reached the pipeline."""
     bench = live([Change("streaming", "frames arrive"), *circle[:40], *circle[60:80]])
@@ -338,7 +372,7 @@ def test_fault(make: Callable[..., Bench], circle: list[Frame]) -> None:
     with capture_logs() as logs:
         bench.service.run()
     told = [(event.reason, event.skipped.get("frozen", 0)) for event in bench.sink.health]
-    assert [reason for reason, _ in told if reason] == ["the DAQ repeats one frame"] * 4
+    assert [reason for reason, _ in told if reason] == ["the DAQ repeats one frame"] * 3, "not in the first 100 ms"
     assert told[0] == (None, 0)
     assert told[-1] == (None, 250)
     warned = [entry["frozen"] for entry in logs if entry["event"] == "frames frozen"]
