@@ -96,7 +96,7 @@ class Pipeline:
         touches = found.touches
         contacts = tracker.track(frame.t_ns, touches)
         # Follow, freeze or relearn the baseline: the one feedback.
-        self.detector.adapt(detection, bool(touches), found.departure, tracker.alive)
+        self.detector.adapt(detection, bool(touches), found.departure, tracker.alive, found.plate_moved)
         return self._result(frame, detection, found.outcome, contacts, len(touches))
 
     def release(self, t_ns: int) -> Result:

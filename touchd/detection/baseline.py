@@ -57,7 +57,7 @@ class Baseline:
     def configure(self, settings: BaselineSettings) -> None:
         """Follow the plate with another time constant."""
         self._time_constant_s = settings.time_constant_s
-        self._weighed_ns = -1  # the step for which `_weight` holds
+        self._weighed_ns = -1.0  # the step for which `_weight` holds
 
     def reset(self) -> None:
         """Begin to learn with the next frame; until the end of learning `mean` stays as it is."""
@@ -119,11 +119,12 @@ class Baseline:
         flat = self.mean.reshape(-1)
         return max(float(flat.dot(flat)), 1.0)
 
-    def follow(self) -> None:
-        """Move the mean towards the last frame, by the time since the frame before it."""
-        if self._elapsed_ns != self._weighed_ns:
-            self._weighed_ns = self._elapsed_ns
-            elapsed_s = min(max(self._elapsed_ns * 1e-9, 0.0), _LONGEST_STEP_S)
+    def follow(self, speed: float = 1.0) -> None:
+        """Move the mean towards the last frame, by `speed` times the time since the frame before it."""
+        elapsed_ns = self._elapsed_ns * speed
+        if elapsed_ns != self._weighed_ns:
+            self._weighed_ns = elapsed_ns
+            elapsed_s = min(max(elapsed_ns * 1e-9, 0.0), _LONGEST_STEP_S)
             self._weight.fill(elapsed_s / (self._time_constant_s + elapsed_s))
         _multiply(self.residual, self._weight, self._step)
         _add(self.mean, self._step, self.mean)

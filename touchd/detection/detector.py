@@ -26,6 +26,8 @@ LATE_FRAMES = 32
 """A frame numbered at most this much lower than the last one is a repetition; a lower number is a device restart."""
 DRIFT_SHARE = 1e-5
 """Without a finger, a change below this share of the signal's energy is drift, and the baseline follows it."""
+MOVED_SPEED = 8.0
+"""The baseline follows the plate's own movement, of any size, this many times as fast: the next touch may come soon."""
 TURN_EVERY = 16
 """Stuck channels: the detector watches another channel after every 16th untouched frame, and after every touched one,
 since a stuck channel holds a finger."""
@@ -141,7 +143,7 @@ class Detector:
             baseline.mean, self._live, changed, None, lost,
         )  # fmt: skip
 
-    def adapt(self, detection: Detection, found: bool, departure: bool, alive: bool) -> None:
+    def adapt(self, detection: Detection, found: bool, departure: bool, alive: bool, moved: bool = False) -> None:
         """Follow, freeze or relearn the baseline, by what came of a measured frame.
 
         Parameters
@@ -154,6 +156,8 @@ class Detector:
             Whether the negative of its residual is a finger: one that the baseline held has lifted.
         alive : bool
             Whether a contact is down.
+        moved : bool
+            Whether its residual is the plate's own movement, which the baseline follows quickly.
         """
         if detection.outcome is _UNTOUCHED:
             if self._relearn.active:
@@ -166,9 +170,9 @@ class Detector:
             return
         self._stuck.turn()
         finger, energy = found or alive, detection.energy
-        if not finger and energy < DRIFT_SHARE * self._signal_energy:
+        if not finger and (moved or energy < DRIFT_SHARE * self._signal_energy):
             # The plate has drifted while it was touched.
-            self._baseline.follow()
+            self._baseline.follow(MOVED_SPEED if moved else 1.0)
             self.followed_ns = detection.t_ns
         reason = self._relearn.update(
             detection.t_ns, detection.residual, energy, finger=finger, departure=departure and not finger
