@@ -26,8 +26,6 @@ LATE_FRAMES = 32
 """A frame numbered at most this much lower than the last one is a repetition; a lower number is a device restart."""
 DRIFT_SHARE = 1e-5
 """Without a finger, a change below this share of the signal's energy is drift, and the baseline follows it."""
-MOVED_SPEED = 8.0
-"""The baseline follows the plate's own movement, of any size, this many times as fast: the next touch may come soon."""
 TURN_EVERY = 16
 """Stuck channels: the detector watches another channel after every 16th untouched frame, and after every touched one,
 since a stuck channel holds a finger."""
@@ -172,7 +170,7 @@ class Detector:
         finger, energy = found or alive, detection.energy
         if not finger and (moved or energy < DRIFT_SHARE * self._signal_energy):
             # The plate has drifted while it was touched.
-            self._baseline.follow(MOVED_SPEED if moved else 1.0)
+            self._baseline.follow(quickly=moved)
             self.followed_ns = detection.t_ns
         reason = self._relearn.update(
             detection.t_ns, detection.residual, energy, finger=finger, departure=departure and not finger

@@ -131,20 +131,25 @@ class AtlasLocalizer:
         self._departure = self._plate_moved = False
         bins = self._plate.bins(detection.residual)
         signal = bins.energy - noise.noise_energy
-        if self._is_untouched(bins, signal, 0.0 if tracked else noise.plate_energy(bins.vector), detection.t_ns):
+        # Most tracked fingers are far above noise and drift: that is quickly asked.
+        if not (tracked and signal > noise.noise_energy + self._drift.energy) and self._is_untouched(
+            bins, signal, 0.0 if tracked else noise.plate_energy(bins.vector), detection.t_ns
+        ):
             return self._lose(), inferred
         if tracked:
             fit = self._follow(bins, detection.t_ns, signal)
-            if noise.excess(fit.residual_energy, signal) > CRITERIA.fair and self._is_untouched(
-                bins, signal, noise.plate_energy(bins.vector), detection.t_ns
-            ):
-                return self._lose(), inferred
         elif search.pending:
             fit = no_fit(bins.energy)  # the search that goes on finds where to begin
         else:
             inferred = True
             fit = self._begin(detection, bins, signal)
         excess = noise.excess(fit.residual_energy, signal)
+        if (
+            tracked
+            and excess > CRITERIA.fair
+            and self._is_untouched(bins, signal, noise.plate_energy(bins.vector), detection.t_ns)
+        ):
+            return self._lose(), inferred
         if search.is_due(excess, signal):
             # Only one well explained finger can wait for what may be beside it; of several, or after a change, one may
             # be lost while the search takes its time.
