@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: setup demo test unit lint bench soak ghosts golden docs lock packages test-packages deb vm-packages vm-test clean
+.PHONY: setup demo test unit lint bench soak ghosts hostile golden docs lock packages test-packages deb vm-packages vm-test clean
 
 setup: .venv/.ready
 
@@ -62,12 +62,16 @@ soak: setup
 ghosts: setup
 	$(BIN)/python -m tests.system.soak.ghosts $(ARGS)
 
+# Strangers on every interface, in full: some minutes. Prints memory, descriptors and counts.
+hostile: setup
+	$(BIN)/python -m pytest tests/system/hostile --hostile=full -s $(ARGS)
+
 # Rebuild the checked-in results and pages.
 golden: setup
 	$(BIN)/python -m tests.scenes.golden.rebuild
 
 docs: setup
-	$(BIN)/python docs/generate.py
+	$(BIN)/python -m docs.generate
 	$(BIN)/touchd draw touchd/demo/session.npz -o docs/session.png
 
 lock: setup

@@ -38,7 +38,7 @@ install -D -m 644 deploy/touchd.toml "$stage/etc/touchd/touchd.toml"
 doc=$stage/usr/share/doc/touchd
 install -d "$doc/examples" "$stage/usr/share/lintian/overrides" "$stage/usr/share/man/man1"
 install -m 644 docs/*.md "$doc"
-install -m 644 deploy/realtime.conf "$doc/examples"
+install -m 644 deploy/realtime.conf docs/examples/listen.* docs/examples/pipe_daemon.py "$doc/examples"
 version=$(sed -n 's/^__version__ = "\(.*\)"/\1/p' touchd/__init__.py)
 maintainer=$(sed -n 's/^Maintainer: //p' deploy/debian/control.in)
 gzip -9n > "$doc/changelog.gz" <<CHANGES

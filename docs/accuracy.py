@@ -2,6 +2,8 @@
 
     python -m docs.accuracy [--keep FOLDER] [PART ...]
 
+Data and pictures go to docs/accuracy/; `make docs` then puts the decisive rows on the page.
+
 Recordings are simulated into a temporary folder, or into one that is kept and used again.
 """
 
@@ -13,9 +15,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from docs import measured
+from docs.accuracy_plots import FieldImage, NoiseLevel, draw_field, draw_fingers, draw_learning, draw_noise
 from touchd.config.schema import ModelSettings, Settings
 from touchd.evaluation.cramer_rao import (
     atlas_field,
@@ -30,7 +32,6 @@ from touchd.evaluation.dataset import Split, make_dataset, split
 from touchd.evaluation.matching import match_frames, scores_by_fingers
 from touchd.evaluation.metrics import position_scores
 from touchd.evaluation.model_scores import Judgement
-from touchd.evaluation.plots.atlas import FieldImage, NoiseLevel, draw_field, draw_fingers, draw_learning, draw_noise
 from touchd.evaluation.plots.maps import draw_maps
 from touchd.evaluation.single_frames import find_with, see, touched_frames
 from touchd.localization.atlas import Atlas
@@ -95,7 +96,7 @@ class Bench:
         return match_frames(see(find, frames), reach_mm=float("inf")).judged
 
 
-def field(bench: Bench) -> str:
+def field(bench: Bench) -> None:
     """Draw the field of one bin as it is and as it was learned."""
     d = bench.atlas.description
     plate = d.plate
@@ -118,17 +119,17 @@ def field(bench: Bench) -> str:
         x_mm, y_mm, true.reshape(shape), learned.reshape(shape), frequency_hz,
         float(mindlin_wavenumber(plate, frequency_hz)) * 1e-3, FIELD_CHANNEL,
     )  # fmt: skip
-    return picture(draw_field(image, meta_of(bench.instrument, 125, "")), "field", "Field of one bin over the plate")
+    measured.picture(PAGE, draw_field(image, meta_of(bench.instrument, 125, "")), "field")
 
 
-def maps(bench: Bench) -> str:
+def maps(bench: Bench) -> None:
     """Draw where on the plate the atlas errs, and which way."""
     recording = bench.touches(MAP_TOUCHES, 60.0, SEED + 1)
     judged = bench.judge(recording)
-    return picture(draw_maps(judged, recording.meta), "maps", "Error and bias over the plate")
+    measured.picture(PAGE, draw_maps(judged, recording.meta), "maps")
 
 
-def noise(bench: Bench) -> str:
+def noise(bench: Bench) -> None:
     """Measure error, bound and standard error by noise."""
     levels, rows = [], []
     for noise_db in LEVELS_DB:
@@ -139,18 +140,17 @@ def noise(bench: Bench) -> str:
         levels.append(NoiseLevel(noise_db, judged, bound, plain))
         scores = position_scores(judged.error_mm)
         within = [float((np.abs(judged.error_mm) <= k * judged.sigma_mm[:, None]).mean()) for k in (1, 2)]
-        rows.append(
-            f"| {noise_db:g} dB | {scores['rmse_mm']:.3f} | {scores['median_mm']:.3f} | {scores['p95_mm']:.3f} "
-            f"| {bound:.4f} | {scores['median_mm'] / bound:.1f} | {plain:.4f} | {within[0]:.0%} | {within[1]:.0%} "
-            f"| {len(judged.error_mm)} of {TOUCHES} |"
-        )
-    table = [
-        "| noise | RMSE | median | p95 | bound | median / bound | were the field known | within 1 sigma "
-        "| within 2 sigma | placed |",
-        "|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|",
-        *rows,
-    ]
-    return "\n".join([*table, "", picture(draw_noise(levels), "noise", "Error, bound and standard error by noise")])
+        rows.append((
+            f"{noise_db:g}", f"{scores['rmse_mm']:.3f}", f"{scores['median_mm']:.3f}", f"{scores['p95_mm']:.3f}",
+            f"{bound:.4f}", f"{scores['median_mm'] / bound:.1f}", f"{plain:.4f}", f"{within[0]:.0%}",
+            f"{within[1]:.0%}", f"{len(judged.error_mm)} of {TOUCHES}",
+        ))  # fmt: skip
+    headings = (
+        "noise_db", "rmse_mm", "median_mm", "p95_mm", "bound_mm", "median_by_bound", "field_known_mm",
+        "within_1_sigma", "within_2_sigma", "placed",
+    )  # fmt: skip
+    measured.data(PAGE, "noise", headings, rows)
+    measured.picture(PAGE, draw_noise(levels), "noise")
 
 
 CONDITIONS: dict[str, tuple[int, dict[str, Any]]] = {
@@ -166,7 +166,7 @@ CONDITIONS: dict[str, tuple[int, dict[str, Any]]] = {
 """By name: how many touches, and what of `simulate_touches` differs from the reference."""
 
 
-def conditions(bench: Bench) -> str:
+def conditions(bench: Bench) -> None:
     """Measure what touches, plates and fingers of other kinds bring."""
     rows = []
     for number, (name, (count, options)) in enumerate(CONDITIONS.items()):
@@ -178,28 +178,27 @@ def conditions(bench: Bench) -> str:
         seen = match_frames(see(find_with(bench.model, bench.atlas, frames), frames))
         ((_, s),) = scores_by_fingers(seen).items()
         several = f"{s['told_apart']:.1%}" if "told_apart" in s else ""
-        rows.append(
-            f"| {name} | {s['n']} | {s['rmse_mm']:.3f} | {s['median_mm']:.3f} | {s['p95_mm']:.3f} "
-            f"| {s['count_right']:.1%} | {s['all_within_1_mm']:.1%} | {s['all_within_2_mm']:.1%} | {several} "
-            f"| {s['within_1_sigma']:.0%} | {s['within_2_sigma']:.0%} |"
-        )
-    table = [
-        "| touches at 60 dB | frames | RMSE | median | p95 | count right | all within 1 mm | all within 2 mm "
-        "| told apart | within 1 sigma | within 2 sigma |",
-        "|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|",
-    ]
-    return "\n".join([*table, *rows])
+        rows.append((
+            name, s["n"], f"{s['rmse_mm']:.3f}", f"{s['median_mm']:.3f}", f"{s['p95_mm']:.3f}",
+            f"{s['count_right']:.1%}", f"{s['all_within_1_mm']:.1%}", f"{s['all_within_2_mm']:.1%}", several,
+            f"{s['within_1_sigma']:.0%}", f"{s['within_2_sigma']:.0%}",
+        ))  # fmt: skip
+    headings = (
+        "touches", "frames", "rmse_mm", "median_mm", "p95_mm", "count_right", "all_within_1_mm", "all_within_2_mm",
+        "told_apart", "within_1_sigma", "within_2_sigma",
+    )  # fmt: skip
+    measured.data(PAGE, "conditions", headings, rows)
 
 
-def session(bench: Bench) -> str:
+def session(bench: Bench) -> None:
     """Draw two fingers, followed by the whole pipeline."""
     path = bench.folder / f"{SESSION}-{SESSION_SEED}.npz"
     bench.recording(path.stem, lambda: simulate_scene(SESSION, seed=SESSION_SEED, instrument=bench.instrument))
     outcome = replay(path, Settings(model=ModelSettings(path=MODEL)))
-    return picture(draw_fingers(read(path), outcome.touches), "session", "Two fingers in time")
+    measured.picture(PAGE, draw_fingers(read(path), outcome.touches), "session")
 
 
-def learning(bench: Bench) -> str:
+def learning(bench: Bench) -> None:
     """Measure the error by the number of training touches; `touchd train` learned the shipped atlas from the most."""
     recording = bench.touches(6404, 60.0, 1)
     plain = make_dataset(recording)
@@ -217,24 +216,15 @@ def learning(bench: Bench) -> str:
     d = bench.atlas.description
     width_mm, height_mm = np.subtract(d.high_mm, d.low_mm)
     freedom = width_mm * height_mm * float(mindlin_wavenumber(d.plate, d.acquisition.chirp.stop_hz)) ** 2 * 1e-6 / np.pi
-    figure = draw_learning(list(atlases), scores, freedom)
-    table = [
-        "| training touches | RMSE | median | p95 |",
-        "|---|---:|---:|---:|",
-        *(f"| {n} | {s['rmse_mm']:.3f} | {s['median_mm']:.3f} | {s['p95_mm']:.3f} |"
-          for n, s in zip(atlases, scores, strict=True)),
-        "",
-        picture(figure, "learning", "Error by the number of training touches"),
-    ]  # fmt: skip
-    return "\n".join(table)
+    rows = [
+        (n, f"{s['rmse_mm']:.3f}", f"{s['median_mm']:.3f}", f"{s['p95_mm']:.3f}")
+        for n, s in zip(atlases, scores, strict=True)
+    ]
+    measured.data(PAGE, "learning", ("training_touches", "rmse_mm", "median_mm", "p95_mm"), rows)
+    measured.picture(PAGE, draw_learning(list(atlases), scores, freedom), "learning")
 
 
 PARTS = {part.__name__: part for part in (field, maps, noise, conditions, session, learning)}
-
-
-def picture(figure: Figure, name: str, caption: str) -> str:
-    """Save a picture, and return what the page says of it."""
-    return measured.picture(PAGE, figure, name, caption)
 
 
 def main() -> None:
@@ -244,7 +234,7 @@ def main() -> None:
         assert model.atlas is not None
         bench = Bench(folder, Instrument(DEFAULT_PLATE), model, model.atlas)
         for name, part in wanted.items():
-            measured.fill(PAGE, name, part(bench))
+            part(bench)
             print(f"{name}: done")
 
 

@@ -1,10 +1,11 @@
-"""Write the pages that are made from the code: settings, command line, exit codes and the shipped model's scores.
+"""Write the pages made from code and data: settings, command line, exit codes, scores, tables of the measured pages.
 
-`python docs/generate.py` writes what is stale. With `--check` it only names it, and exits with 1 if there is any.
+`python -m docs.generate` writes what is stale. With `--check` it only names it, and exits with 1 if there is any.
 """
 
 from __future__ import annotations
 
+import json
 import math
 import re
 import sys
@@ -13,6 +14,7 @@ from pathlib import Path
 import onnx
 from click.testing import CliRunner
 
+from docs.tables import BLOCKS
 from touchd import errors
 from touchd.cli import main as cli
 from touchd.config import render as configtext
@@ -25,20 +27,33 @@ MODEL = MODELS / "regression.onnx"
 CARD = ("n", "rmse_mm", "mean_mm", "sd_mm", "median_mm", "p95_mm", "max_mm", "within_sigma", "confident", "accuracy",
         "key_to_key_errors")  # fmt: skip
 WIDTH = 100
+SHOWN, WHOLE = ("full", "status", "ramp", "wrap"), 200
+"""Test vectors on the page, and the hex digits up to which one is whole there."""
 SCORES = {"rmse_mm": "RMSE", "median_mm": "median", "p95_mm": "95th percentile"}
 
 
 def pages() -> dict[Path, str]:
     """Return every generated file with the text it shall have."""
     readme, troubleshooting = ROOT / "README.md", ROOT / "docs" / "troubleshooting.md"
+    protocol = ROOT / "docs" / "usb-protocol.md"
     return {
         ROOT / "docs" / "configuration.md": configtext.markdown(),
         ROOT / "docs" / "cli.md": command_line(),
         ROOT / "deploy" / "touchd.toml": configtext.render(Settings()),
         readme: with_block(readme.read_text(), "results", results()),
         MODELS / "README.md": model_cards((MODELS / "README.md").read_text()),
+        protocol: with_block(protocol.read_text(), "vectors", vectors()),
         troubleshooting: with_block(troubleshooting.read_text(), "exit-codes", exit_codes()),
+        **{page: measured(page) for page in BLOCKS},
     }
+
+
+def measured(page: Path) -> str:
+    """Return a measured page with the tables of its data files filled in."""
+    text = page.read_text()
+    for block in BLOCKS[page]:
+        text = with_block(text, block.__name__, block())
+    return text
 
 
 def command_line() -> str:
@@ -48,14 +63,39 @@ def command_line() -> str:
         "",
         "<!-- Generated from the commands' own help by docs/generate.py: do not edit. -->",
         "",
-        "To look an option up. `touchd` without a verb is the daemon; its options win over the",
-        "[configuration](configuration.md). `--help` prints these texts. Each failure has an",
-        "[exit status](troubleshooting.md#exit-status) of its own.",
+        "To look an option up; `--help` says more. `touchd` without a verb is the daemon, which reads the DAQ unless",
+        "an option names another source; its options win over the [configuration](configuration.md). Each failure has",
+        "an [exit status](troubleshooting.md#exit-status) of its own.",
     ]
+    daemon = summarised(help_of("").split("\nVerbs:\n")[0])  # each verb has a section
+    shared = set(options(daemon))
     for verb in ("", *sorted(cli.VERBS)):
-        title = f"touchd {verb}".rstrip()
-        lines += ["", f"## {title}", "", "```text", help_of(verb), "```"]
+        text = shortened(summarised(help_of(verb)), shared) if verb else daemon.rstrip()
+        lines += ["", f"## touchd {verb}".rstrip(), "", "```text", text, "```"]
     return "\n".join(lines) + "\n"
+
+
+def summarised(text: str) -> str:
+    """Return a help text without the paragraphs between its first and the options."""
+    before, rest = text.split("\nOptions:\n")
+    kept = before.split("\n\n")[: 2 if before.startswith("Usage:") else 1]
+    return "\n\n".join(kept).rstrip() + f"\n\nOptions:\n{rest}"
+
+
+def options(text: str) -> list[str]:
+    """Return the entries of a help text's options, each with its continued lines."""
+    return re.findall(r"^ {2}-.*\n(?: {5,}.*\n)*", text + "\n", re.MULTILINE)
+
+
+def shortened(text: str, shared: set[str]) -> str:
+    """Return a verb's help with the options that mean the same for the daemon named only."""
+    meanings = {" ".join(entry.split()) for entry in shared}
+    same = [entry for entry in options(text) if " ".join(entry.split()) in meanings]
+    for entry in same:
+        text = text.replace(entry, "")
+    names = ", ".join(entry.split()[0] for entry in same)
+    text = text.replace(", from the list below.", ".").split("\n  Recipes:\n")[0]  # the plate maker's page lists them
+    return text.rstrip() + (f"\n  As above: {names}" if same else "")
 
 
 def help_of(verb: str) -> str:
@@ -65,7 +105,24 @@ def help_of(verb: str) -> str:
     if result.exit_code:
         raise SystemExit(f"touchd {verb} --help fails: {result.exception!r}")
     lines = (line.rstrip() for line in result.output.rstrip().splitlines())
-    return "\n".join(line for line in lines if not line.lstrip().startswith("-h, --help"))
+    text = "\n".join(line for line in lines if not line.lstrip().startswith("-h, --help")) + "\n"
+    return text.removeprefix(f"Usage: touchd {verb} [OPTIONS]\n\n")  # says nothing
+
+
+def vectors() -> str:
+    """Return the test vectors that the protocol's checklist names, and what the others test."""
+    kinds = json.loads((ROOT / "tests" / "vectors.json").read_text())
+    lines = []
+    for kind in ("info", "status", "frames"):
+        for vector in kinds[kind]:
+            name = vector.get("name", vector.get("geometry", kind))
+            if name in SHOWN:
+                shown = vector["hex"] if len(vector["hex"]) <= WHOLE else vector["hex"][:64]
+                says = [vector.get("says"), f"CRC {vector['crc32']}" if "crc32" in vector else None]
+                lines.append(": ".join([f"{kind}, {name}", *filter(None, says)]))
+                lines += [f"    {shown[at : at + 96]}" for at in range(0, len(shown), 96)]
+    wrong = ", ".join(f"`{vector['name']}`" for vector in kinds["corrupt"])
+    return "\n".join(["```text", *lines, "```", "", f"What must not pass, each `ramp` with one mistake: {wrong}."])
 
 
 def exit_codes() -> str:
@@ -153,7 +210,7 @@ def main(arguments: list[str]) -> int:
             print(f"{path.relative_to(ROOT)} is stale: run make docs", file=sys.stderr)
         return 1 if stale else 0
     if arguments:
-        print("usage: python docs/generate.py [--check]", file=sys.stderr)
+        print("usage: python -m docs.generate [--check]", file=sys.stderr)
         return 2
     for path, text in pages().items():
         if path in stale:

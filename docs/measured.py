@@ -1,33 +1,36 @@
-"""Pages that are measured part by part: which parts are asked for, and where what they say is put."""
+"""Pages that are measured part by part: which parts are asked for, and where their data and pictures are put."""
 
 from __future__ import annotations
 
 import argparse
 import tempfile
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TypeVar
 
 from matplotlib.figure import Figure
 
-from docs.generate import with_block
 from touchd.evaluation.plots.session import save
+from touchd.training.report.template import Table, write_csv
 
-Part = TypeVar("Part", bound=Callable[..., str])
+Part = TypeVar("Part", bound=Callable[..., None])
 
 
-def picture(page: Path, figure: Figure, name: str, caption: str) -> str:
-    """Save a picture in the folder beside a page that has its name, and return what the page says of it."""
+def picture(page: Path, figure: Figure, name: str) -> None:
+    """Save a picture in the folder beside a page that has its name."""
+    save(figure, _folder(page) / f"{name}.png")
+
+
+def data(page: Path, name: str, headings: Sequence[str], rows: Sequence[Sequence[object]]) -> None:
+    """Save a table in the same folder, as CSV."""
+    write_csv(_folder(page) / f"{name}.csv", Table(headings, [[str(cell) for cell in row] for row in rows]))
+
+
+def _folder(page: Path) -> Path:
     folder = page.with_suffix("")
     folder.mkdir(exist_ok=True)
-    save(figure, folder / f"{name}.png")
-    return f"![{caption}]({folder.name}/{name}.png)"
-
-
-def fill(page: Path, name: str, content: str) -> None:
-    """Put what a part says into its place on the page."""
-    page.write_text(with_block(page.read_text(), name, content))
+    return folder
 
 
 @contextmanager

@@ -42,6 +42,12 @@ if TYPE_CHECKING:
 settings.register_profile("touchd", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("touchd")
 
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add how long the hostile tests go on: seconds for each change, or minutes before a release."""
+    parser.addoption("--hostile", choices=["short", "full"], default="short")
+
+
 Scene = Callable[[str], Recording]
 TOUCHES = 400
 KNOWN = 300

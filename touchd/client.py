@@ -12,9 +12,8 @@
 
 from __future__ import annotations
 
-import json
 import math
-import re
+import os
 import time
 from collections import Counter
 from collections.abc import Iterable
@@ -23,15 +22,25 @@ from pathlib import Path
 from types import TracebackType
 from typing import Generic, Self, TypeVar, cast, overload
 
-import msgspec
 import zmq
 
 from touchd.errors import BusError, BusTimeout
-from touchd.event import TOPICS, VERSION, Event, TouchEvent, decode
+from touchd.event import TOPICS, Event, KeyEvent, TouchEvent
 from touchd.sinks import curve, endpoint
+from touchd.sinks.decoding import decode_message
+from touchd.sinks.stream import Stream
 
-DEFAULT_ADDRESS = "tcp://127.0.0.1:5570"
+DEFAULT_ADDRESS = endpoint.LOOPBACK
+"""Of a `touchd` that runs without a service manager."""
+SERVICE_ADDRESS = endpoint.SERVICE
+"""Of the installed service."""
+MAX_AGE_S = 0.5
+"""Older touches are dropped unless a subscriber asks for another age, s."""
 _FOR_EVER = -1  # to ZeroMQ
+_LONGEST_WAIT_S = 2_000_000.0  # that ZeroMQ can count in milliseconds
+_MOST_BYTES = 1 << 24  # of a message: libzmq ends a connection that brings more, for good
+_MOST_DEVICES = 256  # that share an address
+_MOST_DRAINED = 1000  # messages read for one event
 
 
 # Unless other topics are asked for, a type checker sees an iterator of touches.
@@ -42,13 +51,14 @@ _Key = str | PathLike[str] | None
 class Subscriber(Generic[E]):
     """A subscription to the event bus: an iterator of events, and a context manager that ends it.
 
-    It may be made before the daemon runs, and outlives a restart of it. The first event of a topic can be an old one:
-    the last before the subscription. Messages that the bus repeats, for another subscriber's sake, are left out.
+    It may be made before the daemon runs, and outlives a restart of it. Messages that the bus repeats, for another
+    subscriber's sake, are left out. So are stale ones, which waited while this program or the connection stood still.
+    A finger that was down by then is lifted first: an event without contacts, and without an `up`.
 
     Parameters
     ----------
-    address : str
-        `tcp://HOST:PORT` or `ipc:///PATH`.
+    address : str, optional
+        `tcp://HOST:PORT` or `ipc:///PATH`; by default the installed service, or else a `touchd` on this computer.
     topics : Iterable[str]
         Of `touchd.event.TOPICS`; an empty string stands for all.
     timeout_s : float or None
@@ -57,6 +67,12 @@ class Subscriber(Generic[E]):
         The daemon's public key file, if it has keys.
     client_key_file : path or None
         This client's secret key file; without it a key is made up, which a daemon without `curve_clients` accepts.
+    max_age_s : float or None
+        Touches, keys and spectra older than this are dropped; None drops none, for programs that want everything in
+        order. Of another computer's daemon the age is the delay beyond the least one seen, so the first is never old.
+    newest_only : bool
+        Of the messages that wait, return each topic's newest alone, and every key. A tap may begin and end between two
+        reads, and is then not seen.
 
     Raises
     ------
@@ -68,45 +84,58 @@ class Subscriber(Generic[E]):
 
     @overload
     def __init__(
-        self: Subscriber[TouchEvent], address: str = ..., *, timeout_s: float | None = ...,
-        server_key: _Key = ..., client_key_file: _Key = ...,
+        self: Subscriber[TouchEvent], address: str | None = ..., *, timeout_s: float | None = ...,
+        server_key: _Key = ..., client_key_file: _Key = ..., max_age_s: float | None = ..., newest_only: bool = ...,
     ) -> None: ...  # fmt: skip
 
     @overload
     def __init__(
-        self: Subscriber[Event], address: str = ..., topics: Iterable[str] = ..., timeout_s: float | None = ...,
-        server_key: _Key = ..., client_key_file: _Key = ...,
+        self: Subscriber[Event], address: str | None = ..., topics: Iterable[str] = ..., timeout_s: float | None = ...,
+        server_key: _Key = ..., client_key_file: _Key = ..., max_age_s: float | None = ..., newest_only: bool = ...,
     ) -> None: ...  # fmt: skip
 
     def __init__(
         self,
-        address: str = DEFAULT_ADDRESS,
+        address: str | None = None,
         topics: Iterable[str] = ("touch",),
         timeout_s: float | None = None,
         server_key: _Key = None,
         client_key_file: _Key = None,
+        max_age_s: float | None = MAX_AGE_S,
+        newest_only: bool = False,
     ) -> None:
-        self.address = address
+        addresses = _default_addresses() if address is None else (address,)
+        self.address = " or ".join(addresses)
         self.topics = tuple(topics)
         self.timeout_s = timeout_s
         self.lost: Counter[str] = Counter()
         """Messages that never arrived, by topic: those skipped by `seq`."""
-        self._seen: dict[tuple[str, str], tuple[int, int]] = {}
+        self.dropped: Counter[str] = Counter()
+        """Messages that arrived but were stale, or not the newest, by topic."""
+        self._max_age_s = math.inf if max_age_s is None else max_age_s
+        self._newest_only = newest_only
+        self._waiting: dict[object, Event] = {}
+        self._streams: dict[str, Stream] = {}
         for topic in self.topics:
             if topic and topic not in TOPICS:
-                raise BusError(f"there is no topic {topic!r}", address, f"choose from {', '.join(TOPICS)}")
+                raise BusError(f"there is no topic {topic!r}", self.address, f"choose from {', '.join(TOPICS)}")
+        if not self._max_age_s >= 0:
+            raise BusError("the largest age must be 0 s or more", self.address, "give seconds, or None")
         server, pair = None, None
         if server_key is not None:
             server = curve.load_public(Path(server_key))
             pair = curve.load_secret(Path(client_key_file)) if client_key_file is not None else curve.new_pair()
         elif client_key_file is not None:
-            raise BusError("a client key is of no use without the server's", address, "name the server's key as well")
+            raise BusError(
+                "a client key is of no use without the server's", self.address, "name the server's key as well"
+            )
         self._keyed = pair is not None
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self._socket = self._context.socket(zmq.SUB)
         self._wait_ms = _FOR_EVER
         try:
             self._socket.setsockopt(zmq.LINGER, 0)
+            self._socket.setsockopt(zmq.MAXMSGSIZE, _MOST_BYTES)
             # A daemon whose computer lost power is noticed after half a minute, and looked for again.
             for option, value in ((zmq.TCP_KEEPALIVE, 1), (zmq.TCP_KEEPALIVE_IDLE, 15), (zmq.TCP_KEEPALIVE_INTVL, 5),
                                   (zmq.TCP_KEEPALIVE_CNT, 3)):  # fmt: skip
@@ -117,8 +146,8 @@ class Subscriber(Generic[E]):
                 self._socket.setsockopt(zmq.CURVE_SECRETKEY, pair.secret)
             for topic in self.topics:
                 self._socket.setsockopt(zmq.SUBSCRIBE, topic.encode())
-            self._socket.setsockopt(zmq.IPV6, int("[" in address))
-            self._connect()
+            for one in addresses:
+                self._connect(one)
         except BaseException:
             self.close()
             raise
@@ -149,13 +178,21 @@ class Subscriber(Generic[E]):
         BusError
             If a message is not one of the bus.
         """
-        deadline_s = None if timeout_s is None else time.monotonic() + timeout_s
-        left_s = timeout_s
-        while (parts := self._received(left_s)) is not None:
-            event = self._decoded(parts)
-            if event is not None and self._is_new(event):
-                return cast(E, event)  # the topics asked for decide what E is
-            left_s = None if deadline_s is None else deadline_s - time.monotonic()
+        if timeout_s is not None and math.isnan(timeout_s):
+            raise BusError("the time to wait is not a number", self.address, "give seconds, or None")
+        left_s = math.inf if timeout_s is None else timeout_s
+        deadline_s = time.monotonic() + left_s
+        drained = len(self._waiting)
+        while drained < _MOST_DRAINED and (parts := self._received(0.0 if self._waiting else left_s)) is not None:
+            event = decode_message(parts, self.address)
+            if event is not None and (new := self._stream(event.device).take(event)) is not None:
+                if not self._newest_only:
+                    return cast(E, new)  # the topics asked for decide what E is
+                self._keep(new)
+                drained += 1
+            left_s = deadline_s - time.monotonic()
+        if self._waiting:
+            return cast(E, self._waiting.pop(next(iter(self._waiting))))
         raise BusTimeout(
             f"no {' or '.join(repr(topic) for topic in self.topics) or 'topic'} message within {timeout_s:g} s",
             self.address,
@@ -168,21 +205,40 @@ class Subscriber(Generic[E]):
         self._socket.close()
         self._context.term()
 
-    def _connect(self) -> None:
-        if self.address.startswith("tcp://"):
-            endpoint.split(self.address)  # libzmq would try an impossible port for ever
+    def _connect(self, address: str) -> None:
+        if address.startswith("tcp://"):
+            endpoint.split(address)  # libzmq would try an impossible port for ever
+        path = address.removeprefix("ipc://")
+        if endpoint.is_file(address) and os.path.exists(path) and not os.access(path, os.W_OK):
+            raise BusError("this user may not use the socket", address, "join its group: see ls -l, and adduser")
         try:
-            self._socket.connect(self.address)
+            self._socket.setsockopt(zmq.IPV6, int("[" in address))
+            self._socket.connect(address)
         except zmq.ZMQError as error:
             raise BusError(
                 f"not an address ({error.strerror})",
-                self.address,
+                address,
                 f"write tcp://HOST:PORT or ipc:///PATH, for example {DEFAULT_ADDRESS}",
             ) from error
 
-    def _received(self, timeout_s: float | None) -> list[bytes] | None:
+    def _keep(self, event: Event) -> None:
+        """Let the event wait in place of an older one of its topic."""
+        source = (event.device, event.type, event.seq if isinstance(event, KeyEvent) else 0)
+        if self._waiting.pop(source, None) is not None:
+            self.dropped[event.type] += 1
+        self._waiting[source] = event
+
+    def _stream(self, device: str) -> Stream:
+        stream = self._streams.get(device)
+        if stream is None:
+            if len(self._streams) == _MOST_DEVICES:
+                del self._streams[next(iter(self._streams))]
+            stream = self._streams[device] = Stream(self._max_age_s, self.lost, self.dropped)
+        return stream
+
+    def _received(self, timeout_s: float) -> list[bytes] | None:
         """Return the parts of the next message, None if none comes in time."""
-        wait_ms = _FOR_EVER if timeout_s is None else max(0, math.ceil(timeout_s * 1000))
+        wait_ms = _FOR_EVER if timeout_s > _LONGEST_WAIT_S else max(0, math.ceil(timeout_s * 1000))
         # To wait in the call that receives is 7 us quicker than to poll first, of 70 from the socket to here.
         if wait_ms != self._wait_ms:
             self._socket.setsockopt(zmq.RCVTIMEO, wait_ms)
@@ -192,62 +248,9 @@ class Subscriber(Generic[E]):
         except zmq.Again:
             return None
 
-    def _decoded(self, parts: list[bytes]) -> Event | None:
-        """Return the event of a message, or None if its topic is newer than this program."""
-        if parts[0] not in _KNOWN:
-            return None
-        topic = parts[0].decode()
-        if len(parts) != 2:
-            raise BusError(
-                f"a {topic} message of {len(parts)} parts instead of 2", self.address, "is it a touchd that publishes?"
-            )
-        try:
-            event = decode(topic, parts[1])
-        except msgspec.DecodeError as error:
-            problem = _problem(error)
-            version = _version(parts[1])
-        else:
-            if event.v == VERSION:
-                return event
-            problem, version = "", event.v
-        if version != VERSION:
-            raise BusError(
-                f"a {topic} message of version {version}, and this program knows {VERSION}",
-                self.address,
-                "upgrade touchd here",
-            )
-        raise BusError(f"not a {topic} message ({problem})", self.address, "is it a touchd that publishes?")
 
-    def _is_new(self, event: Event) -> bool:
-        """Return whether the event is no repeat, and count those skipped before it."""
-        source = (event.device, event.type)
-        last = self._seen.get(source)
-        now = (event.seq, event.t_ns)
-        if now == last:
-            return False
-        self._seen[source] = now
-        # The bus never sends an older message again, so a counter that fell belongs to a restarted daemon.
-        if last is not None and event.seq > last[0]:
-            self.lost[event.type] += event.seq - last[0] - 1
-        return True
-
-
-def _problem(error: msgspec.DecodeError) -> str:
-    """Return which field is wrong; neither its value nor the error itself, which quotes it: a key press is secret."""
-    if not isinstance(error, msgspec.ValidationError):
-        return "payload: no JSON"
-    said, _, where = str(error).rpartition(" - at `")
-    expected = re.fullmatch(r"Expected `[a-z |]+`, got `[a-z]+`|Object missing required field `[a-z_]+`", said or where)
-    return f"{where.rstrip('`').removeprefix('$.') or 'payload'}: {expected[0] if expected else 'not as agreed'}"
-
-
-_KNOWN = frozenset(topic.encode() for topic in TOPICS)
-
-
-def _version(payload: bytes) -> object:
-    """Return the version that an undecodable payload claims, or the known one if it claims none."""
-    try:
-        content = json.loads(payload)
-    except ValueError:
-        return VERSION
-    return content.get("v", VERSION) if isinstance(content, dict) else VERSION
+def _default_addresses() -> tuple[str, ...]:
+    """Return the service's address if the service runs; else both defaults, whichever comes up."""
+    if os.path.exists(SERVICE_ADDRESS.removeprefix("ipc://")):
+        return (SERVICE_ADDRESS,)
+    return SERVICE_ADDRESS, DEFAULT_ADDRESS

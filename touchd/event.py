@@ -55,7 +55,7 @@ class TouchEvent(Struct, gc=False):
     v: int = VERSION
     type: Literal["touch"] = "touch"
     latency_us: float = 0.0
-    """From the frame complete on the host to the message handed to the socket; last, see `encode_at`."""
+    """Until encoded: from the frame complete on the host to the message about to be sent; last, see `encode_at`."""
 
 
 class KeyEvent(Struct, gc=False):
@@ -73,7 +73,10 @@ class KeyEvent(Struct, gc=False):
 
 
 class Latency(Struct, gc=False):
-    """Latency over the last health period, in microseconds; zeros when no message was sent."""
+    """Until sent: from the frame complete on the host to its messages taken by every sink, in microseconds.
+
+    Of the last health period; zeros when no message was sent.
+    """
 
     p50: float = 0.0
     p99: float = 0.0
@@ -180,4 +183,6 @@ def decode(topic: str, payload: bytes) -> Event:
         event: Event = decoder.decode(payload)
     except UnicodeDecodeError:
         raise msgspec.DecodeError("not UTF-8") from None
+    except RecursionError:
+        raise msgspec.DecodeError("nested too deep") from None
     return event

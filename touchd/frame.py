@@ -9,6 +9,10 @@ from pydantic import BaseModel, ConfigDict, Field
 
 Counts = NDArray[np.int16]
 
+# Beyond these a number is a mistake, and would take memory or overflow somewhere else.
+MAX_CHANNELS, MAX_SAMPLES = 1024, 65_536
+MAX_RATE_HZ = 1e10
+
 
 class Frame(Struct, gc=False, frozen=True):
     """What the receivers heard during one chirp.
@@ -35,31 +39,38 @@ class _Description(BaseModel):
 class Chirp(_Description):
     """The emitted linear chirp."""
 
-    start_hz: float = Field(default=50e3, gt=0)
-    stop_hz: float = Field(default=100e3, gt=0)
-    duration_s: float = Field(default=1e-3, gt=0)
-    dac_rate_hz: float = Field(default=500e3, gt=0)
+    start_hz: float = Field(default=50e3, ge=1, le=1e9)
+    stop_hz: float = Field(default=100e3, ge=1, le=1e9)
+    duration_s: float = Field(default=1e-3, ge=1e-6, le=10)
+    dac_rate_hz: float = Field(default=500e3, ge=1, le=1e10)
 
 
 class Plate(_Description):
     """The touched plate."""
 
-    width_mm: float = Field(gt=0)
+    width_mm: float = Field(ge=1, le=1e5)
     """Along x, to the right."""
-    height_mm: float = Field(gt=0)
+    height_mm: float = Field(ge=1, le=1e5)
     """Along y, down."""
-    thickness_mm: float = Field(default=5.0, gt=0)
+    thickness_mm: float = Field(default=5.0, ge=1e-3, le=1e4)
     material: str = "glass"
+
+
+def parse_plate(text: str) -> Plate:
+    """Return the plate of `400x300` or `400x300x5`, mm; raises ValueError."""
+    names = ("width_mm", "height_mm", "thickness_mm")
+    sizes_mm = [float(size) for size in text.lower().split("x")]
+    return Plate.model_validate(dict(zip(names[: max(2, len(sizes_mm))], sizes_mm, strict=True)))
 
 
 class Acquisition(_Description):
     """How frames were acquired: everything a model must agree with."""
 
-    channels: int = Field(gt=0)
-    samples: int = Field(gt=0)
-    sample_rate_hz: float = Field(gt=0)
+    channels: int = Field(gt=0, le=MAX_CHANNELS)
+    samples: int = Field(gt=0, le=MAX_SAMPLES)
+    sample_rate_hz: float = Field(ge=1, le=MAX_RATE_HZ)
     bits: int = Field(default=16, ge=2, le=16)
-    full_scale_v: float = Field(default=10.0, gt=0)
+    full_scale_v: float = Field(default=10.0, ge=1e-9, le=1e6)
     chirp: Chirp = Chirp()
 
     @property

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import tomllib
+from itertools import combinations
 from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from touchd.errors import ConfigError
+from touchd.frame import Plate
 
 PHONE = Path(__file__).resolve().parent / "keypads" / "phone.toml"
 """The layout that ships with touchd: 1-9 * 0 # in the middle of a plate of 200 x 200 mm."""
+_ROUNDING_MM = 1e-6
+"""Edges that are the same to a person may differ by this much in floating point."""
 
 
 class Key(BaseModel):
@@ -35,6 +39,22 @@ class Key(BaseModel):
         """Return whether the point lies on the key."""
         return 0 <= x_mm - self.x_mm < self.width_mm and 0 <= y_mm - self.y_mm < self.height_mm
 
+    def overlaps(self, other: Key) -> bool:
+        """Return whether the two rectangles share more than an edge."""
+        return (
+            min(self.x_mm + self.width_mm, other.x_mm + other.width_mm) - max(self.x_mm, other.x_mm) > _ROUNDING_MM
+            and min(self.y_mm + self.height_mm, other.y_mm + other.height_mm) - max(self.y_mm, other.y_mm)
+            > _ROUNDING_MM
+        )
+
+    def lies_on(self, plate: Plate) -> bool:
+        """Return whether the whole key lies on the plate."""
+        return (
+            min(self.x_mm, self.y_mm) >= -_ROUNDING_MM
+            and self.x_mm + self.width_mm <= plate.width_mm + _ROUNDING_MM
+            and self.y_mm + self.height_mm <= plate.height_mm + _ROUNDING_MM
+        )
+
 
 class Layout(BaseModel):
     """The keys of a keypad; everything beside them is the zone that the paper calls L."""
@@ -51,26 +71,43 @@ class Layout(BaseModel):
         return None
 
 
-def load_layout(path: Path) -> Layout:
+def load_layout(path: Path, plate: Plate | None = None) -> Layout:
     """Return the layout of a TOML file with one `[[key]]` table a key.
+
+    Parameters
+    ----------
+    path : Path
+    plate : Plate, optional
+        The plate on which the keys must lie.
 
     Raises
     ------
     ConfigError
-        If the file cannot be read or is no such layout; keys must have different names.
+        If the file cannot be read or is no such layout: keys have different names, do not overlap, and lie on the
+        plate.
     """
     try:
         layout = Layout.model_validate(tomllib.loads(path.read_text("utf-8")))
     except OSError as error:
         raise ConfigError(f"cannot be read ({error.strerror})", str(path), "check keypad.layout") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ConfigError(f"not TOML ({error})", str(path), "correct the file at the place named") from error
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"])
         raise ConfigError(f"{key}: {first['msg']}", str(path), f"compare with {PHONE.name}") from error
-    names = [key.name for key in layout.key]
-    twice = {name for name in names if names.count(name) > 1}
-    if twice:
-        raise ConfigError(f"two keys are named {min(twice)!r}", str(path), "give each key its own name")
+    except (ValueError, RecursionError) as error:
+        raise ConfigError(f"not TOML ({error})", str(path), "correct the file at the place named") from error
+    for first_key, second in combinations(layout.key, 2):
+        if first_key.name == second.name:
+            raise ConfigError(f"two keys are named {second.name!r}", str(path), "give each key its own name")
+        if first_key.overlaps(second):
+            raise ConfigError(
+                f"the keys {first_key.name!r} and {second.name!r} overlap", str(path), "move or shrink one of them"
+            )
+    beyond = [key.name for key in layout.key if plate and not key.lies_on(plate)]
+    if plate and beyond:
+        raise ConfigError(
+            f"beyond the plate of {plate.width_mm:g} x {plate.height_mm:g} mm: {', '.join(map(repr, beyond))}",
+            str(path),
+            "keep each key on the plate that the model was trained on; x_mm and y_mm are its top-left corner",
+        )
     return layout

@@ -1,4 +1,5 @@
-/* Print every touch message. Build: cc -o listen listen.c -lzmq */
+/* Print every touch message. Build: cc -o listen listen.c -lzmq
+   The default address is the service's; a touchd started by hand publishes at tcp://127.0.0.1:5570. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -15,7 +16,7 @@ static int receive(void *socket, char *text, size_t size)
 
 int main(int argc, char **argv)
 {
-    const char *address = argc > 1 ? argv[1] : "tcp://127.0.0.1:5570";
+    const char *address = argc > 1 ? argv[1] : "ipc:///run/touchd/bus";
     char topic[32], payload[65536];
     long long last_seq = -1;
     void *context = zmq_ctx_new();

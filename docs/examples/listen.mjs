@@ -1,8 +1,9 @@
 // Print every contact that touchd sees. Once: npm install zeromq
+// The default address is the service's; a touchd started by hand publishes at tcp://127.0.0.1:5570.
 import { Subscriber } from "zeromq";
 
 const socket = new Subscriber();
-socket.connect(process.argv[2] ?? "tcp://127.0.0.1:5570");
+socket.connect(process.argv[2] ?? "ipc:///run/touchd/bus");
 socket.subscribe("touch");
 
 let lastSeq;

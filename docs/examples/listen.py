@@ -2,9 +2,9 @@
 
 import sys
 
-from touchd.client import DEFAULT_ADDRESS, Subscriber
+from touchd.client import Subscriber
 
-with Subscriber(sys.argv[1] if sys.argv[1:] else DEFAULT_ADDRESS) as events:
+with Subscriber(*sys.argv[1:2]) as events:
     for event in events:
         for c in event.contacts:
             print(c.id, c.phase, f"{c.x_mm:.1f} {c.y_mm:.1f}", flush=True)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -12,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import spline_filter1d
 from scipy.stats import chi2
 
-from touchd.errors import RecordingValues, SimulationError
+from touchd.errors import SimulationError
 from touchd.evaluation.cramer_rao import (
     TouchField,
     atlas_field,
@@ -200,14 +198,6 @@ def test_the_reference_plate_s_bound_is_known(instrument: Instrument) -> None:
     true = twin_field(instrument, [Contact(x_mm, y_mm, 14.0 * force_n**0.5, "silicone")])
     exact = position_covariance(true, instrument.acquisition, NOISE)
     assert rms_mm(found)[0] == pytest.approx(rms_mm(exact)[0], rel=0.03)
-
-
-def test_without_the_discs_places_the_twin_is_unknown(instrument: Instrument) -> None:
-    """And said so, as a fault of the recording."""
-    recording = simulate_touches(5, seed=7, instrument=instrument)
-    blind = replace(recording, meta=recording.meta.model_copy(update={"receivers_mm": None}))
-    with pytest.raises(RecordingValues, match="receivers_mm"):
-        median_bound_mm(blind)
 
 
 def test_a_contact_over_the_edge_has_no_bound(instrument: Instrument) -> None:

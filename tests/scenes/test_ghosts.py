@@ -46,8 +46,8 @@ def test_neither_drops_nor_palms_are_fingers(name: str, seed: int, instrument: I
 
 
 def test_a_plate_that_warms_while_it_is_pressed_hides_no_tap_after(instrument: Instrument) -> None:
-    """With twice the twin's answer to temperature nine touches of twelve were once missed."""
-    found = judge("warming", 3, Instrument(instrument.plate, temperature_per_k=-1e-4), 30.0)
+    """Six touches of this minute were once missed: the baseline did not follow what had changed by more than -50 dB."""
+    found = judge("warming", 3, instrument)
     assert (found.missed, found.strays) == (0, [])
 
 

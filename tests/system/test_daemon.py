@@ -55,7 +55,7 @@ def test_signal(tmp_path: Path, number: signal.Signals) -> None:
     address = f"ipc://{tmp_path}/bus"
     options = ("--replay", SESSION, "--loop", "--bind", address)
     with (
-        Subscriber(address, ("touch", "health"), timeout_s=PATIENCE_S) as events,
+        Subscriber(address, ("touch", "health"), timeout_s=PATIENCE_S, max_age_s=None) as events,
         started(*options, "--await-subscriber", PATIENCE_S) as daemon,
     ):
         # At its own speed a touch lasts long enough for the signal to come while it is down.
@@ -105,7 +105,7 @@ def test_loop(tmp_path: Path, session: Recording) -> None:
     """A loop goes on beyond the end until it is stopped."""
     address = f"ipc://{tmp_path}/bus"
     with started("--replay", SESSION, "--speed", "20", "--loop", "--bind", address) as daemon:
-        with Subscriber(address, timeout_s=PATIENCE_S) as events:
+        with Subscriber(address, timeout_s=PATIENCE_S, max_age_s=None) as events:
             while next(events).frame <= 2 * len(session.frames):
                 assert daemon.poll() is None
         daemon.terminate()

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import json
+import math
+import socket
 import time
 from collections.abc import Iterator
+from datetime import UTC, datetime
+from pathlib import Path
 
 import pytest
 import zmq
 
+from touchd import client
 from touchd.client import Subscriber
 from touchd.config.schema import BusSettings
 from touchd.errors import BusError, BusTimeout
-from touchd.event import Contact, Event, KeyEvent, TouchEvent, encode
+from touchd.event import Contact, Event, HealthEvent, KeyEvent, Latency, Phase, TouchEvent, encode
 from touchd.sinks.zeromq import ZeromqSink
 
 
@@ -165,6 +170,8 @@ PRESS = encode(KeyEvent("plate", 1, 0, "", "7", "press", 1.0))
         ([b"touch", b"{}", b"{}"], "3 parts instead of 2"),
         ([b"touch", encode(touch(1)).replace(b'"v":1', b'"v":2')], "of version 2.*upgrade"),
         ([b"touch", b'{"v":2}'], "of version 2.*upgrade"),
+        ([b"touch", b'{"more":' + b"[" * 100_000 + b"]" * 100_000 + b"}"], "not a touch message"),
+        ([b"touch", b'{"v":[2]}'], "not a touch message"),
     ],
 )
 def test_a_malformed_message_is_explained_without_quoting_it(wire: Wire, parts: list[bytes], problem: str) -> None:
@@ -220,3 +227,122 @@ def test_what_is_no_address_is_refused_at_once(address: str) -> None:
 def test_a_misspelt_topic_is_refused_rather_than_waited_for() -> None:
     with pytest.raises(BusError, match=r"no topic 'tuoch'.*touch, key, health, spectrum"):
         Subscriber(topics=("tuoch",))
+
+
+def stamped(seq: int, age_s: float, phase: Phase = "move", device: str = "plate") -> TouchEvent:
+    """A touch of a daemon on this computer."""
+    t_ns = time.monotonic_ns() - round(age_s * 1e9)
+    wall = datetime.fromtimestamp(time.time() - age_s, UTC).isoformat()
+    return TouchEvent(device, seq, t_ns, wall, seq, [Contact(1, phase, 12.5, 50.0, 0.5, 1.5, 0.99, 0.0, 0.0)])
+
+
+def test_stale_touches_are_dropped(wire: Wire) -> None:
+    """After a standstill a program gets no touch older than half a second; the finger that was down is lifted."""
+    with Subscriber(wire.address, timeout_s=60) as events:
+        wire.wait()
+        wire.send(stamped(1, 0, "down"))
+        assert next(events).seq == 1
+        wire.send(*(stamped(seq, 9 - seq / 100) for seq in range(2, 500)), stamped(500, 4, "up"))
+        wire.send(stamped(501, 4, "down"), stamped(502, 3.9, "up"), stamped(503, 0, "down"))
+        lifted, fresh = next(events), next(events)
+        assert (lifted.seq, lifted.contacts) == (2, [])
+        assert (fresh.seq, fresh.contacts[0].phase) == (503, "down")
+        assert events.dropped == {"touch": 501}
+        assert events.lost.total() == 0
+
+
+@pytest.mark.parametrize("max_age_s", [None, math.inf, 100.0])
+def test_a_bridge_gets_everything(wire: Wire, max_age_s: float | None) -> None:
+    """Without a largest age every message comes, in order."""
+    with Subscriber(wire.address, timeout_s=60, max_age_s=max_age_s) as events:
+        wire.wait()
+        wire.send(*(stamped(seq, 10 - seq) for seq in range(1, 10)))
+        assert [next(events).seq for _ in range(9)] == list(range(1, 10))
+
+
+def test_health_is_never_stale(wire: Wire) -> None:
+    """The state of a daemon that says nothing new is returned, however old the message is."""
+    old = stamped(1, 100)
+    health = HealthEvent("plate", 1, old.t_ns, old.wall, "lost", 1, 0, 0, {}, 0, Latency(), 1.0, 0.1, "m", "0")
+    with Subscriber(wire.address, ("health",), timeout_s=60) as events:
+        wire.wait()
+        wire.send(health)
+        assert next(events) == health
+
+
+def test_newest_only(wire: Wire) -> None:
+    """Who wants the newest alone gets it, and every key."""
+    with Subscriber(wire.address, ("touch", "key"), timeout_s=60, newest_only=True, max_age_s=None) as events:
+        wire.wait()
+        wire.wait()
+        wire.send(stamped(1, 0))
+        assert next(events).seq == 1
+        keys = [KeyEvent("plate", seq, 0, "", "7", "press", 1.0) for seq in (1, 2)]
+        wire.send(stamped(2, 0), keys[0], stamped(3, 0), keys[1], stamped(4, 0))
+        give_up_s = time.monotonic() + 60
+        while not events._socket.poll(100):
+            assert time.monotonic() < give_up_s
+        time.sleep(0.2)  # until all have arrived
+        assert [(event.type, event.seq) for event in (next(events) for _ in range(3))] == [
+            ("key", 1), ("key", 2), ("touch", 4),
+        ]  # fmt: skip
+        assert events.dropped == {"touch": 2}
+
+
+def test_devices_without_end(wire: Wire) -> None:
+    """Names of devices without end cost no memory without end."""
+    with Subscriber(wire.address, timeout_s=60) as events:
+        wire.wait()
+        for n in range(2000):
+            wire.send(touch(1, device=f"plate {n}"))
+            next(events)
+        assert len(events._streams) <= 256
+
+
+def test_a_huge_message(wire: Wire) -> None:
+    """A message beyond all reason is not decoded."""
+    with Subscriber(wire.address, timeout_s=60) as events:
+        wire.wait()
+        wire.socket.send_multipart([b"touch", b" " * (8 << 20)])
+        wire.send(touch(2))
+        with pytest.raises(BusError, match="8388608 bytes"):
+            next(events)
+        assert next(events).seq == 2
+
+
+@pytest.mark.parametrize("timeout_s", [math.inf, 1e18])
+def test_for_ever(wire: Wire, timeout_s: float) -> None:
+    """To wait without end can be said as a number, too."""
+    with Subscriber(wire.address, timeout_s=timeout_s) as events:
+        wire.wait()
+        wire.send(touch(1))
+        assert next(events).seq == 1
+
+
+def test_nonsense(wire: Wire) -> None:
+    """What is no time is refused."""
+    with pytest.raises(BusError, match="age"):
+        Subscriber(wire.address, max_age_s=math.nan)
+    with Subscriber(wire.address) as events, pytest.raises(BusError, match="not a number"):
+        events.receive(math.nan)
+
+
+def test_the_default_is_the_service(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without an address a program finds the service, and a daemon on loopback as well while there is no service."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        loopback = f"tcp://127.0.0.1:{free.getsockname()[1]}"
+    service = f"ipc://{tmp_path}/bus"
+    monkeypatch.setattr(client, "SERVICE_ADDRESS", service)
+    monkeypatch.setattr(client, "DEFAULT_ADDRESS", loopback)
+    for address in (service, loopback):  # each comes up later than the program
+        with Subscriber() as events:
+            sink = ZeromqSink(BusSettings(bind=(address,)))
+            sink.publish(touch(1), 0)
+            assert heard(sink, events).seq == 1
+            sink.close()
+        (tmp_path / "bus").unlink(missing_ok=True)  # as systemd does with the folder
+    sink = ZeromqSink(BusSettings(bind=(service,)))
+    with Subscriber() as events:
+        assert events.address == service
+    sink.close()

@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import os
-import shutil
-import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
-
-from touchd.errors import OutputError
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -18,7 +14,6 @@ if TYPE_CHECKING:
     from touchd.lab.benchmark.results import Run
     from touchd.lab.benchmark.tables import Table
 
-PICTURES = "benchmarks"
 WIDTH = 150
 """Columns that the widest table needs."""
 
@@ -53,10 +48,9 @@ def command(
 ) -> None:
     """Measure run time, latency and position error.
 
-    The benchmark times every estimator and scores it on the same simulated touches, measures the daemon's latency from
-    a frame to a subscriber in another process, and measures what each skip saves. Each time is also given relative to
-    the source paper's network, timed in the same process, so that runs on different computers compare. It takes less
-    than three minutes; leave the computer idle meanwhile.
+    The same simulated touches for every estimator; the daemon from a frame to a subscriber in another process; what
+    each skip saves. Times are also relative to the source paper's network, so that runs on different computers compare.
+    Leave the computer idle for three minutes.
     """
     # Set before numpy is imported; child processes inherit it. Thread pools would add waiting times to the results.
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
@@ -73,7 +67,9 @@ def command(
     console = Console(width=max(Console().width, WIDTH))
     _show(console, run, stored_run)
     if docs:
-        _write(run, docs)
+        from touchd.lab.benchmark.page import write
+
+        write(run, docs)
         click.echo(f"{docs / 'benchmarks.md'}: written, with its plots and results")
 
 
@@ -126,26 +122,3 @@ def _print(console: Console, table: Table) -> None:
     for row in table.rows:
         shown.add_row(*row)
     console.print(shown, highlight=False)
-
-
-def _write(run: Run, folder: Path) -> None:
-    """Create page, plots and results in a temporary folder, then move them into `folder`."""
-    from touchd.lab.benchmark import results
-    from touchd.lab.benchmark.page import page
-    from touchd.lab.benchmark.plots import draw
-
-    pictures = folder / PICTURES
-    try:
-        with tempfile.TemporaryDirectory(dir=folder, prefix=".benchmarks.") as made:
-            names = draw(run, Path(made))
-            results.store(run, Path(made) / "benchmarks.json")
-            (Path(made) / "benchmarks.md").write_text(page(run, PICTURES), "utf-8")
-            pictures.mkdir(exist_ok=True)
-            for name in names:
-                shutil.move(Path(made) / name, pictures / name)
-            for name in ("benchmarks.json", "benchmarks.md"):
-                shutil.move(Path(made) / name, folder / name)
-    except OSError as error:
-        raise OutputError(
-            f"cannot be written ({error.strerror})", str(folder), "check the folder and its space"
-        ) from error

@@ -19,7 +19,12 @@ def command(ctx: click.Context, path: Path | None, default: bool) -> None:
     """Print the effective configuration as TOML: every key with its value, default, range and meaning.
 
     Environment variables override the configuration file, which overrides the defaults. An invalid file is reported
-    with all its errors.
+    with all its errors, and so is a layout of keys that does not fit the model's plate.
     """
     settings = Settings() if default else load(path or (ctx.obj or {}).get("config"))
+    if settings.keypad.layout is not None:
+        # Late: the keys must lie on the plate that the model knows, and a model takes a moment to load.
+        from touchd.service.daemon import layout_of, load_model
+
+        layout_of(settings, load_model(settings))
     click.echo(render(settings), nl=False)

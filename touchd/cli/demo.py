@@ -44,8 +44,8 @@ def _speed(ctx: click.Context, param: click.Parameter, value: str) -> str:
 def command(recording: Path, as_json: bool, speed: str, model: Path | None) -> None:
     """Replay RECORDING through the daemon, print the events that a subscriber receives, and summarise them.
 
-    RECORDING (default: the shipped one) must be labelled with true contacts (`contacts_mm`). Daemon and subscriber are
-    separate processes, connected over ZeroMQ.
+    RECORDING (default: the shipped one) must be labelled with true contacts. Daemon and subscriber are separate
+    processes.
     """
     truth = read(recording)
     if truth.contacts_mm is None:

@@ -24,11 +24,12 @@ _COLOURS = {"ok": "green", "warning": "yellow", "failure": "red"}
 @click.command(name="doctor", short_help="Check the whole set-up.")
 @click.option("--replay", type=click.Path(path_type=Path), help="Check the frames of a recording, not of the DAQ.")
 @click.option("--simulate", metavar="SCENE", help="Check the frames of a twin's scene, not of the DAQ.")
+@click.option("--ni", is_flag=True, help="Check the frames of NI hardware, not of the DAQ on USB.")
 @click.option("--seed", default=0, help="Seed of a simulated scene.", show_default=True)
 @click.option("--seconds", type=click.FloatRange(0.5), default=3.0, show_default=True, metavar="S",
               help="How many seconds of frames to take.")  # fmt: skip
 @click.option("--reference", type=click.Path(path_type=Path), metavar="PATH",
-              help="The training recording, or a recording of the untouched plate made with it.  "
+              help="The training recording, or one of the untouched plate.  "
               "[default: MODEL.untouched.npz beside the model]")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 @click.option("--config", "config", type=click.Path(path_type=Path), help="Configuration file (TOML).")
@@ -37,16 +38,17 @@ def command(
     ctx: click.Context,
     replay: Path | None,
     simulate: str | None,
+    ni: bool,
     seed: int,
     seconds: float,
     reference: Path | None,
     as_json: bool,
     config: Path | None,
 ) -> None:
-    """Check the DAQ, its frames, the model, the computer and the bus; print one line for each check.
+    """Check all that the daemon opens, the DAQ, its frames and the computer; print one line for each check.
 
-    Stop the daemon first: only one program at a time can read the DAQ. Do not touch the plate meanwhile. Each line
-    says ok, warning or failure; a warning and a failure name a remedy. The exit status is 0 without a failure.
+    Stop the daemon first: only one program at a time can read the DAQ. Do not touch the plate meanwhile. A warning and
+    a failure name a remedy.
     """
     from touchd.config.load import load
     from touchd.service.log import configure
@@ -54,7 +56,7 @@ def command(
 
     settings = load(config or (ctx.obj or {}).get("config"))
     configure(settings.log.model_copy(update={"level": "error"}))
-    choice = SourceChoice(replay, simulate, float("inf"), seed=seed)
+    choice = SourceChoice(replay, simulate, float("inf"), seed=seed, ni=ni)
     findings = []
     for finding in _examine(settings, choice, seconds, reference):
         findings.append(finding)
@@ -76,28 +78,27 @@ def _print(finding: Finding) -> None:
 
 def _examine(settings: Settings, choice: SourceChoice, seconds: float, reference: Path | None) -> Iterator[Finding]:
     """Run the checks and yield each finding; a failure omits the checks that depend on it."""
+    from touchd.cli.main import missing_extra
     from touchd.doctor import host as doctorhost
     from touchd.doctor import usb as doctorusb
-    from touchd.service.daemon import load_model
+    from touchd.doctor.start import check_start, failure
 
     yield doctorhost.check_clock()
-    yield from doctorhost.check_addresses(settings.bus)
-    try:
-        model = load_model(settings)
-    except TouchdError as error:
-        yield Finding("model", "failure", error.what, error.fix)
+    parts, findings = check_start(settings)
+    yield from findings
+    if parts.model is None or any(finding.check == "keypad" and finding.level == "failure" for finding in findings):
         return
-    yield Finding("model", "ok", f"{model.description.name}, {model.description.head} head, {model.path}")
-    if choice.replay is None and choice.simulate is None:
+    if choice.replay is None and choice.simulate is None and not choice.ni:
         device = doctorusb.examine(settings.device)
         yield from device
         if any(finding.level == "failure" for finding in device):
             return
     try:
-        yield from _examine_frames(settings, choice, seconds, reference, model)
+        yield from _examine_frames(settings, choice, seconds, reference, parts.model)
     except TouchdError as error:
-        where = f"{error.where}: " if error.where else ""
-        yield Finding("frames", "failure", f"{where}{error.what}", error.fix)
+        yield failure("frames", error)
+    except ModuleNotFoundError as error:
+        yield failure("frames", missing_extra(error))
 
 
 def _examine_frames(
@@ -105,12 +106,13 @@ def _examine_frames(
 ) -> Iterator[Finding]:
     from touchd.doctor import checks as doctor
     from touchd.doctor import host as doctorhost
+    from touchd.service.daemon import make_pipeline
     from touchd.sources.open import open_source
 
     source = open_source(choice, settings, model)
     with closing(source):
         rate_hz = doctorhost.expected_rate_hz(source, settings.device)
-        model.check(source.acquisition)
+        make_pipeline(source, settings, model)  # refuses what the daemon would refuse
         sample = doctorhost.take(source, seconds)
     yield doctor.check_rate(sample, rate_hz)
     yield doctor.check_lost(sample)

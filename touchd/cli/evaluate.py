@@ -39,21 +39,9 @@ STREAM_HZ = 20.0
 def command(model: Path, recording: Path, as_json: bool, plot: Path | None) -> None:
     """Score MODEL on RECORDING, which must be labelled with true contacts.
 
-    A recording of 20 frames/s or more is replayed through the pipeline. Of its touches the scores count those found,
-    missed and split, ghosts (contacts without a touch), and switches (contacts whose id jumps to another finger).
-    down_latency_ms is the median time from a touch's first frame to its first message; jitter_mm is the scatter of the
-    positions of a still finger.
-
-    A slower recording is scored frame by frame: each touched frame is compared with the untouched frames beside it.
-    The field atlas beside the model is used if there is one. A grid or keypad model is also scored by zones or keys.
-
-    Position errors come from a replay's messages, or from frames with one finger. by_fingers groups frames by their
-    number of fingers and assigns contacts to fingers by the least total distance, within 25 mm. It lists the share of
-    frames with the right number of contacts, missed fingers, ghosts, distances, the share with every finger within 1
-    and 2 mm, the share of errors within 1 and 2 sigma, and how well the force follows the true force.
-
-    With a field atlas, bound_mm is the Cramer-Rao bound of the median error of single fingers, and times_bound the
-    ratio of the measured median to it.
+    A recording of 20 frames/s or more is replayed through the pipeline. A slower one is scored frame by frame: each
+    touched frame is compared with the untouched frames beside it. The field atlas beside the model is used if there is
+    one. docs/plate-maker.md explains each score.
     """
     truth = read(recording)
     if truth.contacts_mm is None:
@@ -71,18 +59,11 @@ def command(model: Path, recording: Path, as_json: bool, plot: Path | None) -> N
 
 def _score_replay(path: Path, truth: Recording, settings: Settings) -> dict[str, Any]:
     result = score_stream(truth, replay(path, settings).touches)
-    return _positions(result.error_mm) | {
-        "touches": result.touches,
-        "found": result.found,
-        "missed": result.missed,
-        "ghosts": result.ghosts,
-        "split": result.split,
-        "switches": result.switches,
-        "down_latency_ms": result.down_latency_ms,
-        "jitter_mm": result.jitter_mm,
+    names = ("touches", "found", "missed", "ghosts", "split", "switches", "down_latency_ms", "jitter_mm")
+    return _positions(result.error_mm) | {name: getattr(result, name) for name in names} | {
         "moving_rmse_mm": _positions(result.error_mm[result.moving])["rmse_mm"],
         "by_fingers": scores_by_fingers(result.settled),
-    }
+    }  # fmt: skip
 
 
 def _score_frames(truth: Recording, model: Model, plot: Path | None) -> dict[str, Any]:
@@ -160,5 +141,4 @@ def _number(value: float | None) -> str:
 def _positions(error_mm: np.ndarray) -> dict[str, Any]:
     if not len(error_mm):
         return {"n": 0, "rmse_mm": None}
-    scores: dict[str, Any] = dict(position_scores(error_mm))
-    return scores | {"n": int(scores["n"])}
+    return position_scores(error_mm) | {"n": len(error_mm)}

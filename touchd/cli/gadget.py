@@ -48,9 +48,7 @@ def command(
 ) -> None:
     """Stream the digital twin or a recording over a USB cable, as a DAQ does.
 
-    This needs a Linux board with a USB device port, and root. The gadget speaks the protocol of docs/usb-protocol.md,
-    so touchd on the host reads it as a DAQ; the host sets the frame rate. The port's set-up is removed at the end.
-    --commands unplugs the gadget and injects faults, to test hosts.
+    This needs a Linux board with a USB device port, and root. The host sets the frame rate.
     """
     from touchd.config.load import load
     from touchd.gadget.device import Gadget

@@ -16,8 +16,8 @@ from touchd.sinks.curve import make_files
 def command(folder: Path, name: str) -> None:
     """Make a CURVE key pair in DIR.
 
-    The verb writes NAME.key, the public key, and NAME.key_secret, which only you can read. The daemon and each client
-    need a pair of their own. Existing keys are never overwritten.
+    It writes NAME.key, the public key, and NAME.key_secret, which only you can read. The daemon and each client need a
+    pair of their own. Existing keys are never overwritten.
     """
     public_path, secret_path = (path.absolute() for path in make_files(folder, name))
     click.echo(f"""\

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import os
 import sys
 from collections.abc import Iterator
@@ -11,12 +12,12 @@ from pathlib import Path
 
 import click
 
-from touchd.client import DEFAULT_ADDRESS, Subscriber
+from touchd.client import Subscriber
 from touchd.event import TOPICS, Event, HealthEvent, KeyEvent, TouchEvent, encode
 
 
 @click.command(name="listen", short_help="Print the events of a running touchd.")
-@click.argument("address", default=DEFAULT_ADDRESS)
+@click.argument("address", required=False)
 @click.option(
     "--topic", "topics", type=click.Choice(TOPICS), multiple=True, default=("touch",), show_default=True,
     help="Topic to print; repeatable.",
@@ -33,7 +34,7 @@ from touchd.event import TOPICS, Event, HealthEvent, KeyEvent, TouchEvent, encod
 )
 @click.option("--client-key", type=click.Path(dir_okay=False, path_type=Path), metavar="FILE", help="Your secret key.")
 def command(
-    address: str,
+    address: str | None,
     topics: tuple[str, ...],
     as_json: bool,
     count: int | None,
@@ -42,13 +43,19 @@ def command(
     server_key: Path | None,
     client_key: Path | None,
 ) -> None:
-    """Print the events that the daemon publishes at ADDRESS (default: tcp://127.0.0.1:5570).
+    """Print the events that the daemon publishes at ADDRESS.
 
-    A touch prints a line when it goes down, moves and goes up, with the time in UTC. The bus keeps the last message of
-    each topic, so the first line can be older than the command. Ctrl-C ends the command.
+    The default is the installed service, ipc:///run/touchd/bus, or else a touchd on this computer,
+    tcp://127.0.0.1:5570.
+
+    A touch prints a line when it goes down, moves and goes up. The bus keeps the last message of each topic, so the
+    first line can be older than the command.
     """
     wanted = (*topics, "health") if until_stopped and "health" not in topics else topics
-    with Subscriber(address, wanted, timeout_s, server_key, client_key) as events, _ending_quietly():
+    with (
+        Subscriber(address, wanted, timeout_s, server_key, client_key, max_age_s=None) as events,
+        _ending_quietly(),
+    ):
         try:
             _print_all(events, topics, as_json, count, until_stopped)
         finally:
@@ -62,7 +69,7 @@ def _print_all(
     printed = 0
     for event in events:
         if event.type in topics:
-            for line in [encode(event).decode()] if as_json else describe(event):
+            for line in [_ascii(encode(event).decode())] if as_json else map(_printable, describe(event)):
                 click.echo(line)  # flushes
             printed += 1
         if printed == count:
@@ -100,12 +107,22 @@ def describe(event: Event) -> Iterator[str]:
         skipped = sum(event.skipped.values())
         yield (
             f"{at} {event.state:9} {event.frames} frames, {event.inferred} inferred, {skipped} skipped,"
-            f" {event.lost} lost, {event.corrupt} corrupt  latency p99 {event.latency_us.p99:.0f} us"
-            f"  noise {event.noise:.2f}"
+            f" {event.lost} lost, {event.corrupt} corrupt  until sent p99 {event.latency_us.p99:.0f} us"
+            f"  noise {event.noise:.2f}" + (f"  reason: {event.reason}" if event.reason else "")
         )
     else:
         peak = max((abs(value) for value in event.features), default=0.0)
         yield f"{at} frame {event.frame}  {len(event.features)} features  largest {peak:.1f}"
+
+
+def _printable(line: str) -> str:
+    """Return the line with each character escaped that a terminal could obey."""
+    return line if line.isprintable() else "".join(c if c.isprintable() else ascii(c)[1:-1] for c in line)
+
+
+def _ascii(line: str) -> str:
+    """Return the same JSON without such characters."""
+    return line if line.isprintable() else json.dumps(json.loads(line), separators=(",", ":"))
 
 
 def _time_of_day(wall: str) -> str:

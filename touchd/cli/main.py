@@ -109,6 +109,9 @@ def touchd(
     ctx.obj = {"debug": debug, "config": config}
     if ctx.invoked_subcommand is not None:
         return
+    from touchd.service.signals import held
+
+    ctx.with_resource(held())  # before all that takes its time to import
     from touchd.config.load import Retired, load
     from touchd.service.daemon import run
     from touchd.service.log import configure, warn_retired
@@ -156,14 +159,24 @@ def main(arguments: list[str] | None = None) -> int:
     except TouchdError as error:
         return _explain(error, debug)
     except ModuleNotFoundError as error:
-        extra = EXTRAS.get((error.name or "").partition(".")[0])
-        if extra is None:
+        try:
+            return _explain(missing_extra(error), debug)
+        except ModuleNotFoundError:
             return _explain(error, debug)
-        return _explain(
-            MissingExtra(f"this verb needs {error.name}", fix=f"install it with: pip install 'touchd[{extra}]'"), debug
-        )
     except Exception as error:
         return _explain(error, debug)
+
+
+def missing_extra(error: ModuleNotFoundError) -> MissingExtra:
+    """Return what to do about a package that is missing; raise the error if it belongs to no extra."""
+    extra = EXTRAS.get((error.name or "").partition(".")[0])
+    if extra is None:
+        raise error
+    # Only from a clone: the name on the public index is not this project's. Debian's own Python refuses packages.
+    fix = f"in a clone of touchd: {sys.executable} -m pip install '.[{extra}]'"
+    if sys.prefix == sys.base_prefix:
+        fix = "the Debian package cannot hold it: run `make setup` in a clone of touchd, and use its .venv/bin/touchd"
+    return MissingExtra(f"this needs {error.name}, of the extra {extra}", fix=fix)
 
 
 def _explain(error: Exception, debug: bool) -> int:

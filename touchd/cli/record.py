@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import signal
 import time
 from contextlib import ExitStack
@@ -13,7 +12,7 @@ from typing import TYPE_CHECKING
 import click
 
 from touchd.errors import ConfigError, SourceError
-from touchd.frame import Plate
+from touchd.frame import Plate, parse_plate
 
 if TYPE_CHECKING:
     from touchd.recording.data import Meta
@@ -32,14 +31,10 @@ def _speed(_ctx: click.Context, _param: click.Parameter, value: str) -> float:
 
 def _plate(_ctx: click.Context, _param: click.Parameter, value: str | None) -> Plate | None:
     """Parse `400x300` or `400x300x5` into a plate."""
-    if value is None:
-        return None
-    sizes = re.fullmatch(r"(\d+(?:\.\d+)?)x(\d+(?:\.\d+)?)(?:x(\d+(?:\.\d+)?))?", value.lower())
-    sizes_mm = [float(size) for size in sizes.groups() if size] if sizes else []
-    if not sizes_mm or min(sizes_mm) <= 0 or max(sizes_mm) > 1e6:
-        raise click.BadParameter("write WIDTHxHEIGHT or WIDTHxHEIGHTxTHICKNESS in mm, for example 400x300x5")
-    names = ("width_mm", "height_mm", "thickness_mm")
-    return Plate.model_validate(dict(zip(names, sizes_mm, strict=False)))
+    try:
+        return None if value is None else parse_plate(value)
+    except ValueError:
+        raise click.BadParameter("write WIDTHxHEIGHT or WIDTHxHEIGHTxTHICKNESS in mm, for example 400x300x5") from None
 
 
 @click.command(name="record", short_help="Write frames to a file.")
@@ -77,8 +72,8 @@ def command(
 ) -> None:
     """Write the frames of the DAQ, or of another source, to a file.
 
-    A recording can reveal a PIN: every touch can be located from it. The file is readable by you only. Ctrl-C and
-    SIGTERM stop the recording and save the frames so far. It stores frames alone, without true contacts.
+    A recording can reveal a PIN: it is readable by you only. Ctrl-C and SIGTERM save the frames so far. It stores
+    frames alone, without true contacts.
     """
     from touchd.config.load import load
     from touchd.sources.open import SourceChoice, open_source

@@ -16,7 +16,7 @@ from touchd.errors import OutputError, RecordingValues
 @click.argument("recording", type=click.Path(path_type=Path), required=False)
 @click.option(
     "-o", "--output", type=click.Path(path_type=Path), default=Path("reproduction.md"), show_default=True,
-    help="Report to write (Markdown); its plots go to a folder of the same name.",
+    help="Report to write (Markdown); plots and tables go to a folder of the same name.",
 )  # fmt: skip
 @click.option("--layout", type=click.Path(path_type=Path), help="Keys of the keypad (TOML).  [default: 3 x 4]")
 @click.option("--seed", default=0, show_default=True, help="Seed of the splits and of all trainings.")
@@ -42,16 +42,16 @@ def command(
 ) -> None:
     """Repeat the source paper's experiments on the digital twin, or on RECORDING, and write a report.
 
-    The report compares regression and grids in both domains, the keypad, kNN, GCC and the shipped models with the
-    paper's figures. It takes about an hour on two cores. A repeated command resumes a stopped run.
+    It takes about an hour on two cores. A repeated command resumes a stopped run.
     """
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
     from touchd.keypad import PHONE, load_layout
     from touchd.lab.reproduction.figures import draw
-    from touchd.lab.reproduction.report import report
+    from touchd.lab.reproduction.report import page, store
     from touchd.lab.reproduction.run import Scale, reproduce
+    from touchd.lab.reproduction.tables import figures
     from touchd.recording.format import read
     from touchd.twin import cache as kept
 
@@ -85,20 +85,26 @@ def command(
     stated = {"--layout": layout and layout.name, "--seed": seed or None, "--epochs": epochs}
     stated |= {"--touches": None if given or touches == Scale().touches else touches}
     made_by += "".join(f" {option} {value}" for option, value in stated.items() if value is not None)
-    _write(output, report(results, output.stem, made_by), lambda folder: draw(results, folder))
-    click.echo(f"{output}: written, with its pictures in {output.with_suffix('')}")
+    found = figures(results, made_by)
+
+    def beside(folder: Path) -> None:
+        draw(results, folder)
+        store(found, folder)
+
+    _write(output, page(found, output.stem), beside)
+    click.echo(f"{output}: written, with its plots and figures in {output.with_suffix('')}")
 
 
-def _write(page: Path, text: str, draw: Callable[[Path], None]) -> None:
-    """Create report and plots in a temporary folder, then replace the old ones."""
-    pictures = page.with_suffix("")
+def _write(page: Path, text: str, beside: Callable[[Path], None]) -> None:
+    """Create the report and what lies beside it in a temporary folder, then replace the old ones."""
+    folder = page.with_suffix("")
     try:
         with tempfile.TemporaryDirectory(dir=page.parent, prefix=f".{page.stem}.") as made:
-            draw(Path(made))
+            beside(Path(made))
+            folder.mkdir(exist_ok=True)
+            for file in sorted(Path(made).iterdir()):
+                shutil.move(file, folder / file.name)
             (Path(made) / page.name).write_text(text, "utf-8")
-            pictures.mkdir(exist_ok=True)
-            for file in sorted(Path(made).glob("*.png")):
-                shutil.move(file, pictures / file.name)
             shutil.move(Path(made) / page.name, page)
     except OSError as error:
         raise OutputError(

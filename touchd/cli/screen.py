@@ -20,7 +20,6 @@ from touchd.service.control import SERVICE_PATH, path_of, send
 def command(settings: dict[str, Path | None] | None, state: str, path: Path | None) -> None:
     """Tell the running daemon that the screen went off or on.
 
-    While the screen is off, the daemon ends all contacts, locates no touches, and only updates the baseline. A daemon
-    starts with the screen on.
+    While it is off, the daemon locates no touches and only updates the baseline. A daemon starts with the screen on.
     """
     send(path or path_of(load((settings or {}).get("config")).control) or SERVICE_PATH, f"screen {state}")

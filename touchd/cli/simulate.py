@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import math
 import sys
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import click
 
 from touchd.config.schema import LogSettings
 from touchd.errors import OutputError, SimulationError
-from touchd.frame import Plate
+from touchd.frame import Plate, parse_plate
 from touchd.keypad import load_layout
 from touchd.recording import format as recording
 from touchd.service.log import configure
@@ -23,21 +23,20 @@ from touchd.twin.physics.material import MATERIALS
 from touchd.twin.robot_session import Session, parts_kept, simulate_session
 from touchd.twin.scenes.catalogue import SCENES
 from touchd.twin.scenes.robot import COUNT, MOST_FINGERS, TouchSet
-from touchd.twin.simulate import simulate_scene, stage_scene
+from touchd.twin.simulate import simulate_stage, stage_scene
 
 TOUCHES = "touches"
 _SCENE_LINES = "\n".join(f"  {name:13} {scene.what}" for name, scene in SCENES.items())
 
 
-def parse_plate(_ctx: click.Context, _param: click.Parameter, value: str) -> tuple[float, float, float]:
-    """Parse WIDTHxHEIGHTxTHICKNESS into three lengths in mm."""
+def _plate(_ctx: click.Context, _param: click.Parameter, value: str) -> Plate:
+    """Parse WIDTHxHEIGHTxTHICKNESS."""
     try:
-        width, height, thickness = (float(part) for part in value.lower().split("x"))
+        if value.lower().count("x") != 2:
+            raise ValueError
+        return parse_plate(value)
     except ValueError:
         raise click.BadParameter("three lengths in mm such as 200x200x5") from None
-    if not all(0 < length < math.inf for length in (width, height, thickness)):
-        raise click.BadParameter("lengths above 0")
-    return width, height, thickness
 
 
 @click.command(
@@ -52,21 +51,21 @@ def parse_plate(_ctx: click.Context, _param: click.Parameter, value: str) -> tup
 @click.option("--finger", type=click.Choice(list(TISSUES)), help="Tissue of the finger.  [default: the scene's]")
 @click.option("--keypad", type=click.Path(path_type=Path), help="Layout of the keys (TOML).  [default: 3 x 4 keys]")
 @click.option("--code", help="Code to type on the keypad.")
-@click.option("--plate", default="200x200x5", show_default=True, callback=parse_plate, metavar="WxHxT", help="In mm.")
+@click.option("--plate", default="200x200x5", show_default=True, callback=_plate, metavar="WxHxT", help="In mm.")
 @click.option("--material", default="glass", show_default=True, type=click.Choice(list(MATERIALS)))
 @click.option("--loss", default=5e-3, show_default=True, help="Loss factor of the plate.")
 @click.option("--noise-db", default=60.0, show_default=True, help="Signal-to-noise ratio of the untouched plate, dB.")
 @click.option("--jitter-ns", default=0.0, show_default=True, help="Standard deviation of the trigger's jitter, ns.")
 @click.option(
     "--stale-k", default=0.0, show_default=True,
-    help="Touches: warming of the plate between the untouched frame and the touch, K.",
+    help="Touches: warming since the untouched frame, K.",
 )  # fmt: skip
 @click.option(
     "--temperature-k",
     "warmer_k",
     default=0.0,
     show_default=True,
-    help="Touches: temperature of the plate above the reference, for touched and untouched frames, K.",
+    help="Touches: temperature above the reference, K.",
 )
 @click.option(
     "--fingers", default=1, show_default=True, type=click.IntRange(1, MOST_FINGERS), help="Fingers of each touch."
@@ -90,7 +89,7 @@ def command(
     finger: str | None,
     keypad: Path | None,
     code: str | None,
-    plate: tuple[float, float, float],
+    plate: Plate,
     material: str,
     loss: float,
     noise_db: float,
@@ -123,15 +122,17 @@ def command(
         raise click.UsageError("--jobs counts processes of this computer; --dask uses the cluster's workers")
     if output.exists() and not force:
         raise OutputError("already there", str(output), "choose another name, or add --force")
-    width, height, thickness = plate
     keys = [(key.name, *key.centre_mm) for key in load_layout(keypad).key] if keypad else None
-    described = Plate(width_mm=width, height_mm=height, thickness_mm=thickness, material=material)
+    described = plate.model_copy(update={"material": material})
     electronics = Electronics(noise_db=noise_db, jitter_s=jitter_ns * 1e-9)
     if scene == TOUCHES:
         total = 2 * touches.count
         period_s = 0.5
     else:
-        stage = stage_scene(scene, described, seed=seed, frames=frames, rate_hz=rate_hz, keys=keys, code=code)
+        stage = stage_scene(
+            scene, described, seed=seed, frames=frames, rate_hz=rate_hz, electronics=electronics, finger=finger,
+            keys=keys, code=code,
+        )  # fmt: skip
         total = len(stage.sequence)
         period_s = 1 / stage.rate_hz
     if tail and period_s > MOST_TAIL_S:
@@ -144,15 +145,13 @@ def command(
         if scene == TOUCHES:
             session = Session(touches, seed, described, loss, tail_period_s, electronics)
             kept = stack.enter_context(parts_kept(session))
-            with click.progressbar(length=total, label=scene, file=sys.stderr) as bar:
-                made = simulate_session(session, workers=jobs, dask=dask, kept=kept, progress=bar.update)
+            simulate = partial(simulate_session, session, workers=jobs, dask=dask, kept=kept)
         else:
-            instrument = Instrument(described, loss=loss, tail_period_s=tail_period_s)
-            with click.progressbar(length=total, label=scene, file=sys.stderr) as bar:
-                made = simulate_scene(
-                    scene, seed=seed, frames=frames, rate_hz=rate_hz, instrument=instrument, electronics=electronics,
-                    finger=finger, keys=keys, code=code, progress=bar.update,
-                )  # fmt: skip
+            simulate = partial(
+                simulate_stage, stage, Instrument(described, loss=loss, tail_period_s=tail_period_s), seed
+            )
+        with click.progressbar(length=total, label=scene, file=sys.stderr) as bar:
+            made = simulate(progress=bar.update)
         recording.write(output, made)
     click.echo(f"{output}: {len(made.frames)} frames, {output.stat().st_size / 1e6:.1f} MB")
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import os
+import time
+from collections.abc import Callable
 from pathlib import Path
 
 import click
@@ -12,9 +14,41 @@ from touchd.errors import OutputError
 from touchd.localization.atlas import atlas_path
 from touchd.training.network.recipe import RECIPES
 
-PACE_S = 600.0
-"""Window of steps that estimate the time left; an epoch may last a minute."""
+_KNOWN_SHARE = 0.05
+"""No time left is estimated from a smaller share of the steps."""
 _RECIPES = "\n".join(["\b", "Recipes:", *(f"  {recipe.name:16}  {recipe.what}" for recipe in RECIPES.values())])
+
+
+class TimeLeft:
+    """Estimates the time left of a job in steps, from the mean of the steps but the slowest: a cold cache strikes once.
+
+    `rich` has one slow step stand for all that follow while few are done.
+
+    Parameters
+    ----------
+    clock : callable
+        Monotonic time, s.
+    """
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        self._clock = clock
+        self._begin_s = self._last_s = clock()
+        self._begun = 0
+        self._slowest_s = 0.0
+
+    def update(self, done: int, steps: int) -> str:
+        """Return the time left once `done` of `steps` are done, for a person; empty while nobody can know."""
+        now_s = self._clock()
+        if not self._begun:
+            self._begin_s, self._begun = now_s, done
+        else:
+            self._slowest_s = max(self._slowest_s, now_s - self._last_s)
+        self._last_s = now_s
+        counted = done - self._begun - 1
+        if counted < max(2, _KNOWN_SHARE * steps) or done == steps:
+            return ""
+        left_s = round((now_s - self._begin_s - self._slowest_s) / counted * (steps - done))
+        return f"{left_s // 3600}:{left_s // 60 % 60:02}:{left_s % 60:02} left"
 
 
 @click.command(epilog=_RECIPES)
@@ -30,17 +64,16 @@ _RECIPES = "\n".join(["\b", "Recipes:", *(f"  {recipe.name:16}  {recipe.what}" f
 )
 @click.option(
     "--network", type=click.Path(path_type=Path),
-    help="Recipe atlas: use this network, trained on RECORDING, instead of training one.",
+    help="Recipe atlas: use this network, trained on RECORDING.",
 )  # fmt: skip
 @click.option("--seed", default=0, show_default=True, help="Seed of the split, the weights and the augmentation.")
 @click.option("--epochs", type=click.IntRange(min=1), help="Passes over the touches.  [default: the recipe's]")
 @click.option(
     "--patience", type=click.IntRange(min=1),
-    help="Stop after this many epochs without a better validation RMSE. Paper recipes only, whose learning rate is "
-    "constant.  [default: 30]",
+    help="Paper recipes: stop after this many epochs without a better validation RMSE.  [default: 30]",
 )  # fmt: skip
 @click.option("--no-report", is_flag=True, help="Write no report.")
-@click.option("--force", is_flag=True, help="Replace the model, its atlas and its report if they exist.")
+@click.option("--force", is_flag=True, help="Replace what exists.")
 def command(
     recording: tuple[Path, ...],
     output: Path,
@@ -57,20 +90,16 @@ def command(
     """Train a model on RECORDING, a labelled recording of single touches.
 
     Several recordings of one plate and one acquisition train one model. Warnings, such as a dead channel or too few
-    touches, appear before training starts. The touches are split at random: 70 % for training, 20 % for validation,
-    10 % for the test. The test scores are printed and stored in the model. A folder named .report beside the model
-    holds them with plots: learning curve, errors over the plate, and calibration of the predicted standard error.
-
-    The recipe atlas also writes a field atlas, named .atlas.npz, beside the network, and scores both together.
+    touches, appear first. 70 % of the touches train, 20 % validate, 10 % test; the test scores are printed and stored
+    in the model. Beside it lies a folder named .report, and with the recipe atlas the field atlas, .atlas.npz.
     """
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
     from touchd.keypad import PHONE, load_layout
     from touchd.recording.format import read
     from touchd.training.data.join import join
-    from touchd.training.report.atlas_report import write_atlas_report
-    from touchd.training.report.network_report import PAGE, remove_report, write_report
+    from touchd.training.report.report import PAGE, remove_report, write_atlas_report, write_report
     from touchd.training.train_atlas import train_atlas
     from touchd.training.train_network import train
 
@@ -91,19 +120,20 @@ def command(
         BarColumn(),
         MofNCompleteColumn(),
         TextColumn("{task.fields[note]}"),
-        TimeRemainingColumn(compact=True, elapsed_when_finished=True),
+        TimeElapsedColumn(),
+        TextColumn("{task.fields[left]}"),
         console=Console(stderr=True),
-        speed_estimate_period=PACE_S,
     )
-    tasks: dict[str, TaskID] = {}
+    tasks: dict[str, tuple[TaskID, TimeLeft]] = {}
 
     def progress(what: str, done: int, steps: int, rmse_mm: float) -> None:
         # The bar starts with the first step, so that an earlier error prints one line.
         bar.start()
         if what not in tasks:
-            tasks[what] = bar.add_task(what, note="")
+            tasks[what] = bar.add_task(what, note="", left=""), TimeLeft()
+        task, left = tasks[what]
         note = "" if math.isnan(rmse_mm) else f"validation {rmse_mm:.2f} mm"
-        bar.update(tasks[what], completed=done, total=steps, note=note)
+        bar.update(task, completed=done, total=steps, note=note, left=left.update(done, steps))
 
     def warn(note: str) -> None:
         # Warn before training; the bar's console keeps the line clear of the bar.
@@ -124,7 +154,7 @@ def command(
                 output,
                 chosen,
                 grid=grid,
-                layout=load_layout(layout or PHONE) if chosen.head == "keypad" else None,
+                layout=load_layout(layout or PHONE, touches.meta.plate) if chosen.head == "keypad" else None,
                 seed=seed,
                 epochs=epochs,
                 patience=patience,

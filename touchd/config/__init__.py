@@ -1,1 +1,1 @@
-"""The configuration: `schema` declares every key, `load` reads them, `mistakes` explains, `render` writes."""
+"""The configuration: `schema` declares the keys, `kinds` their values; `load`, `render` and `mistakes` (explained)."""

@@ -101,11 +101,13 @@ _PAGE_HEAD = """\
 
 <!-- Generated from touchd/config/schema.py: do not edit. -->
 
-The command line wins over the environment, the environment over the file, the file over the defaults.
-`touchd` reads the file that `--config` names, or else `/etc/touchd/touchd.toml` if there is one.
-`touchd config` prints what is in effect; `touchd config --default` prints a file to start from.
-An empty text unsets a path. A list is given in a variable with commas between its items, or as JSON.
-A key, table or variable that touchd does not know is an error. A key of an earlier version is ignored, with a warning.
+To look a setting up. `touchd config` prints what is in effect; `touchd config --default` prints a file to start from.
+touchd reads the file that `--config` names, or else `/etc/touchd/touchd.toml` if there is one. The command line wins
+over the environment, the environment over the file, the file over the defaults.
+
+The variable of a key is `TOUCHD_TABLE__KEY` in capitals: `TOUCHD_DEVICE__RATE_HZ=500`. A list has commas between its
+items, or is JSON. A default without a point is a whole number; an empty text unsets a path. A key, table or variable
+that touchd does not know is an error; a key of an earlier version is ignored, with a warning.
 """
 
 
@@ -128,12 +130,20 @@ def markdown() -> str:
     text = _PAGE_HEAD
     for table, keys in _tables():
         text += f"\n## `[{table}]`\n\n{_summary(table)}\n\n"
-        text += "| key | takes | default | meaning | variable |\n|---|---|---|---|---|\n"
+        text += "| key | default, range | meaning |\n|---|---|---|\n"
         for key, field in keys:
-            default, name = f"`{toml_value(field.default, key)}`", f"`{variable(table, key)}`"
-            cells = (f"`{key}`", expected(field), default, field.description or "", name)
+            default = ", ".join(filter(None, (f"`{toml_value(field.default, key)}`", _limits(field))))
+            cells = (f"`{key}`", default, field.description or "")
             text += f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |\n"
     return text
+
+
+def _limits(field: FieldInfo) -> str:
+    """Return what a key takes without the kinds that its default shows."""
+    words = expected(field)
+    for kind in ("a whole number", "a number", "a text", "a path or empty", "true or false"):
+        words = words.removeprefix(kind)
+    return words.removeprefix(", ")
 
 
 def _tables() -> Iterator[tuple[str, Iterable[tuple[str, FieldInfo]]]]:

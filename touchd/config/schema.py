@@ -5,52 +5,14 @@ Each default is written here alone. docs/configuration.md and deploy/touchd.toml
 
 from __future__ import annotations
 
-import re
-from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo, field_validator
-from pydantic_core import PydanticCustomError
+from pydantic import AfterValidator, Field, ValidationInfo, field_validator
 
-
-class _Section(BaseModel):
-    """One table of the file. An unknown key is an error; values never change after loading."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, validate_default=True)
-
-    @field_validator("*", mode="before")
-    @classmethod
-    def _refuse_bool_for_number(cls, value: Any, info: ValidationInfo) -> Any:
-        # Pydantic would take `rate_hz = true` for 1.
-        if isinstance(value, bool) and cls.model_fields[str(info.field_name)].annotation in (int, float):
-            raise PydanticCustomError("number_type", "must be a number")
-        return value
+from touchd.config.kinds import LEAST_RATE, Endpoint, Group, OptionalPath, Section, refuse_key
 
 
-def _empty_is_unset(value: Any) -> Any:
-    # TOML has no null: an empty text unsets a path, also one that a lower layer sets.
-    return None if value == "" else value
-
-
-def _is_nameable(path: Path | None) -> Path | None:
-    text = str(path)
-    if "\0" in text or any("\ud800" <= character <= "\udfff" for character in text):
-        raise ValueError("holds characters that no file name can have")
-    return path
-
-
-def _is_no_key(path: Path | None) -> Path | None:
-    text = str(path)
-    if re.fullmatch(r"[^/\s,;'\"\\|`~_][^\s,;'\"\\|`~_]{39}", text) and not text.endswith(".key"):
-        raise ValueError("looks like a key itself, must be the path of the file that holds it")
-    return path
-
-
-OptionalPath = Annotated[Path | None, BeforeValidator(_empty_is_unset), AfterValidator(_is_nameable)]
-"""A path, or None; an empty text means None."""
-
-
-class DeviceSettings(_Section):
+class DeviceSettings(Section):
     """The DAQ, and the name under which its events are published."""
 
     name: str = Field("touchd", description="`device` in every message; tells several plates apart.", min_length=1)
@@ -69,7 +31,7 @@ class DeviceSettings(_Section):
     )
 
 
-class NiSettings(_Section):
+class NiSettings(Section):
     """A rig of NI hardware, which --ni takes instead of a DAQ on USB. Not tried on hardware."""
 
     inputs: str = Field("cDAQ1Mod1/ai0:3", description="Analog inputs, one for each receiver.", min_length=1)
@@ -78,10 +40,20 @@ class NiSettings(_Section):
         "", description="Terminal that starts the inputs; empty is the start trigger of the output's chassis."
     )
     amplitude_v: float = Field(5.0, gt=0, le=10, description="Amplitude of the chirp, V.")
-    output_limit_v: float = Field(10.0, gt=0, le=100, description="Highest voltage of the output, V.")
+    output_limit_v: float = Field(
+        10.0, gt=0, le=100, description="Highest voltage of the output, V, not below `amplitude_v`."
+    )
+
+    @field_validator("output_limit_v")
+    @classmethod
+    def _admits_the_amplitude(cls, limit_v: float, info: ValidationInfo) -> float:
+        amplitude_v = info.data.get("amplitude_v", 0.0)
+        if amplitude_v > limit_v:
+            raise ValueError(f"is {limit_v:g} V, below ni.amplitude_v, {amplitude_v:g} V")
+        return limit_v
 
 
-class ModelSettings(_Section):
+class ModelSettings(Section):
     """The network that places touches."""
 
     path: OptionalPath = Field(None, description="ONNX file with touchd's description; unset uses the shipped model.")
@@ -95,40 +67,46 @@ class ModelSettings(_Section):
         0.2, ge=0, le=1, description="The same while a contact is down: the hysteresis keeps it from splitting."
     )
     min_snr_db: float = Field(
-        3.0, ge=0, description="Least ratio of signal to noise of a located touch, dB. A weaker change is not located."
-    )
+        3.0, ge=0, le=100, description="Least ratio of signal to noise of a touch that the network alone locates, dB. "
+        "16 bits resolve 98 dB.",
+    )  # fmt: skip
     max_sigma_mm: float = Field(
-        5.0, gt=0, description="Largest predicted standard error of a reported position, mm. Regression models only."
-    )
+        5.0, ge=0.001, le=1e9, description="Largest predicted standard error of a reported position, mm; 1e9 admits "
+        "any. Regression models only.",
+    )  # fmt: skip
 
 
-class BaselineSettings(_Section):
+class BaselineSettings(Section):
     """The untouched plate, followed as it drifts."""
 
     learn_frames: int = Field(
-        32, ge=2, description="Frames averaged into the first baseline. Until then touchd detects nothing."
-    )
+        32, ge=2, le=1000, description="Frames averaged into the first baseline, all kept in memory. Until then touchd "
+        "detects nothing.",
+    )  # fmt: skip
     time_constant_s: float = Field(
-        0.5, gt=0, description="Time constant with which the baseline follows the untouched plate, s."
-    )
+        0.5, ge=0.01, le=3600, description="Time constant with which the baseline follows the untouched plate, s; a "
+        "longer one misses the day's temperature.",
+    )  # fmt: skip
     absorb_s: float = Field(
-        30.0, gt=0, description="A change that lasts this long becomes part of the baseline, and is reported, s."
-    )
+        30.0, ge=0.1, le=86400, description="A change that lasts this long becomes part of the baseline, and is "
+        "reported, s; sooner would absorb a tap.",
+    )  # fmt: skip
 
 
-class GateSettings(_Section):
+class GateSettings(Section):
     """Detection: whether the plate is touched."""
 
     false_alarm_rate: float = Field(
-        1e-7, gt=0, lt=0.1, description="Probability per frame that noise alone opens the gate."
-    )
-    close_ratio: float = Field(
-        0.5, gt=0, lt=1, description="The gate closes at this fraction of the excess that opens it (hysteresis)."
-    )
-    noise_frames: int = Field(1000, ge=10, description="Untouched frames over which the noise is averaged.")
+        1e-7, ge=LEAST_RATE, lt=0.1, description="Probability per frame that noise alone opens the gate; a float "
+        "cannot hold 1 less a smaller one.",
+    )  # fmt: skip
+    noise_frames: int = Field(
+        1000, ge=10, le=1_000_000, description="Untouched frames over which the noise is averaged; 1000000 are two "
+        "hours at 125 Hz.",
+    )  # fmt: skip
 
 
-class SkipSettings(_Section):
+class SkipSettings(Section):
     """Work that the scene does not need is skipped. Each skip can be switched off, to measure what it saves."""
 
     gate: bool = Field(
@@ -140,52 +118,60 @@ class SkipSettings(_Section):
         description="No features and no network on a frame that differs from the last one examined by noise alone.",
     )
     still_false_alarm_rate: float = Field(
-        0.01, gt=0, lt=0.5, description="Probability per frame that noise alone has a still finger examined again."
-    )
+        0.01, ge=LEAST_RATE, lt=0.5, description="Probability per frame that noise alone has the network examine a "
+        "still finger again.",
+    )  # fmt: skip
     unheard: bool = Field(True, description="No messages of a topic without subscribers.")
     screen: bool = Field(True, description="No touches while the screen is off (`touchd screen off`).")
 
 
-class TrackerSettings(_Section):
+class TrackerSettings(Section):
     """From positions to contacts."""
 
-    confirm_frames: int = Field(2, ge=1, description="Consecutive frames before a contact is reported down.")
-    release_frames: int = Field(2, ge=1, description="Consecutive frames without the finger before it is reported up.")
-    max_contacts: int = Field(10, ge=1, description="Most contacts at once; further fingers are ignored.")
-    reach_mm: float = Field(25.0, gt=0, description="Farthest a contact moves from one frame to the next, mm.")
+    confirm_frames: int = Field(
+        2, ge=1, le=100, description="Consecutive frames before a contact is reported down: its delay."
+    )
+    reach_mm: float = Field(
+        25.0, ge=0.1, le=1000, description="Farthest a contact moves from one frame to the next, mm; 1000 is any "
+        "distance on a plate.",
+    )  # fmt: skip
     dead_band_mm: float = Field(
-        0.1, ge=0, description="Movement within this, or within 1.5 `sigma_mm` if that is more, is `hold`, mm."
+        0.1, ge=0, le=1000, description="Movement within this, or within 1.5 `sigma_mm` if that is more, is `hold`, mm."
     )
     min_cutoff_hz: float = Field(
-        4.0, gt=0, description="One-Euro filter: cut-off for a still finger with a `sigma_mm` of 0.5, Hz; a smaller "
-        "`sigma_mm` raises it in proportion.",
+        4.0, ge=0.001, le=1e6, description="One-Euro filter: cut-off for a still finger with a `sigma_mm` of 0.5, Hz; "
+        "a smaller `sigma_mm` raises it in proportion. Far above the frame rate it filters nothing. Holds from the "
+        "next contact on.",
     )  # fmt: skip
     beta: float = Field(
-        0.6, ge=0, description="One-Euro filter: how the cut-off rises with speed, at the same `sigma_mm`, Hz per mm/s."
-    )
+        0.6, ge=0, le=1000, description="One-Euro filter: how the cut-off rises with speed, at the same `sigma_mm`, Hz "
+        "per mm/s. Holds from the next contact on.",
+    )  # fmt: skip
     force_full_scale: float = Field(
-        0.1, gt=0, description="Change of the signal, as a share of its size, that is reported as `force` 1."
-    )
-    refresh_s: float = Field(0.1, gt=0, description="Longest time between messages while a contact is down, s.")
+        0.1, ge=1e-6, le=10, description="Change of the signal, as a share of its size, that is reported as `force` 1; "
+        "a 16-bit converter resolves 1e-5.",
+    )  # fmt: skip
 
 
-class KeypadSettings(_Section):
+class KeypadSettings(Section):
     """Keypad mode."""
 
     layout: OptionalPath = Field(None, description="TOML file of keys, rectangles in mm; it turns keypad mode on.")
 
 
-Endpoint = Annotated[str, Field(pattern=r"^(tcp|ipc)://.+$")]
-
-
-class BusSettings(_Section):
+class BusSettings(Section):
     """Where events are published."""
 
     bind: tuple[Endpoint, ...] = Field(
-        ("tcp://127.0.0.1:5570",), min_length=1, description="Addresses of the publisher: tcp:// or ipc://."
+        (),
+        description="Addresses of the publisher: tcp:// or ipc://. Unset is `bus` in the service's runtime folder, or "
+        "tcp://127.0.0.1:5570 without a service.",
     )
-    ipc_group: str = Field("", description="Group that may use ipc:// sockets (mode 0660); empty keeps them private.")
-    curve_secret_key: Annotated[OptionalPath, AfterValidator(_is_no_key)] = Field(
+    ipc_group: Group = Field(
+        "", description="Group that may use ipc:// sockets (mode 0660); empty keeps them private, "
+        "but for the service's own, which is for `touchd-bus`.",
+    )  # fmt: skip
+    curve_secret_key: Annotated[OptionalPath, AfterValidator(refuse_key)] = Field(
         None, description="Server key file made by `touchd keygen`; needed for any address beyond loopback."
     )
     curve_clients: OptionalPath = Field(
@@ -194,27 +180,31 @@ class BusSettings(_Section):
     )
     insecure: bool = Field(False, description="Allow an address beyond loopback without keys.")
     high_water_mark: int = Field(
-        1000, ge=1, description="Most messages that wait for a slow subscriber; then it loses some."
-    )
+        1000, ge=1, le=100_000, description="Most messages that wait for a slow subscriber, some 500 bytes each; then "
+        "it loses some.",
+    )  # fmt: skip
+    max_subscribers: int = Field(64, ge=1, le=10000, description="Most connections at once.")
 
 
-class ControlSettings(_Section):
+class ControlSettings(Section):
     """The socket of `touchd screen`, which says whether the screen is on."""
 
     socket: OptionalPath = Field(
         None,
         description="Socket file; unset is `control` in the service's runtime folder, or no socket without a service.",
     )
-    group: str = Field("", description="Group that may use it (mode 0660); empty keeps it private.")
+    group: Group = Field("", description="Group that may use it (mode 0660); empty keeps it private.")
 
 
-class HealthSettings(_Section):
+class HealthSettings(Section):
     """The `health` topic."""
 
-    period_s: float = Field(1.0, gt=0, description="Longest time between health messages, s.")
+    period_s: float = Field(
+        1.0, ge=0.01, le=3600, description="Longest time between health messages, s; later ones say nothing of now."
+    )
 
 
-class PreRollSettings(_Section):
+class PreRollSettings(Section):
     """The last seconds of frames, saved on SIGUSR1 so that a ghost touch can be replayed. They can reveal a PIN."""
 
     seconds: float = Field(10.0, ge=0, le=600, description="Time kept in memory, s; 0 keeps nothing.")
@@ -224,11 +214,10 @@ class PreRollSettings(_Section):
     min_confidence: float = Field(
         0.0, ge=0, le=1, description="A touch that goes down with a lower confidence saves them too; 0 never does."
     )
-    interval_s: float = Field(10.0, ge=0, description="Least time between two files, s.")
-    keep: int = Field(20, ge=1, description="Most files in the folder; older ones are deleted.")
+    keep: int = Field(20, ge=1, le=10_000, description="Most files in the folder; older ones are deleted.")
 
 
-class LogSettings(_Section):
+class LogSettings(Section):
     """The log."""
 
     level: Literal["debug", "info", "warning", "error"] = Field(
@@ -237,12 +226,12 @@ class LogSettings(_Section):
     format: Literal["auto", "console", "json"] = Field("auto", description="auto: console on a terminal, else JSON.")
 
 
-class RealtimeSettings(_Section):
+class RealtimeSettings(Section):
     """What makes latency steadier. docs/integrator.md has the measured benefit, and the settings of systemd's unit."""
 
     awake_from_hz: float = Field(
-        500.0, ge=0, description="Frame rate from which the processors may not sleep between frames while a finger is "
-        "on the plate, Hz, if the system permits it; 0 always lets them sleep.",
+        500.0, ge=0, le=65535, description="Frame rate from which the processors may not sleep between frames while a "
+        "finger is on the plate, Hz, if the system permits it; 0 always lets them sleep.",
     )  # fmt: skip
 
 
@@ -254,11 +243,16 @@ RETIRED = {
     "realtime.freeze_gc": "nothing: the daemon always exempts what it loads at the start",
     "baseline.drift_below_db": "nothing: -50 dB always",
     "baseline.unsteady_s": "nothing: 1 s always",
+    "gate.close_ratio": "nothing: the gate closes at half of the excess that opens it, always",
+    "tracker.release_frames": "nothing: 2 frames always",
+    "tracker.max_contacts": "nothing: 10 contacts always",
+    "tracker.refresh_s": "nothing: 0.1 s always",
+    "preroll.interval_s": "nothing: 10 s always",
 }
 """Keys that earlier versions had, and what took their place. They are accepted and ignored, with a warning."""
 
 
-class Settings(_Section):
+class Settings(Section):
     """The whole configuration."""
 
     device: DeviceSettings = DeviceSettings()

@@ -16,6 +16,8 @@ _CHANGED_FRAMES, _LEARN_FRAMES = 48, 32
 relearns it from the last 32 of them, since the first may have seen it change."""
 _SET_SHARE = 128
 """The gate sets its thresholds after every 128th part of the frames that the noise is known from."""
+_CLOSE_RATIO = 0.5
+"""Hysteresis: the gate closes at this share of the excess that opens it."""
 _CHANGED = 1.25
 """`update` reports a step of the noise energy by this factor or more."""
 
@@ -46,7 +48,7 @@ class Gate:
         self._set_parameters(settings)
 
     def configure(self, settings: GateSettings) -> None:
-        """Take another false-alarm rate, hysteresis and memory; the noise estimate stays."""
+        """Take another false-alarm rate and memory; the noise estimate stays."""
         self._set_parameters(settings)
         if self._count:
             self._set_thresholds()
@@ -108,7 +110,6 @@ class Gate:
 
     def _set_parameters(self, settings: GateSettings) -> None:
         self._quantile = NormalDist().inv_cdf(1.0 - settings.false_alarm_rate)
-        self._close_ratio = settings.close_ratio
         self._memory = settings.noise_frames
 
     def _know(self, frames: int) -> None:
@@ -123,6 +124,6 @@ class Gate:
         mean = self.noise_root
         self.noise_deviation = deviation = math.sqrt(self._variance) * self._margin
         excess = self._quantile * deviation
-        opens, closes = mean + excess, mean + self._close_ratio * excess
+        opens, closes = mean + excess, mean + _CLOSE_RATIO * excess
         self._open_above = opens * opens * opens
         self._close_below = closes * closes * closes

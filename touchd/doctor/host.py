@@ -1,19 +1,17 @@
-"""Checks of `touchd doctor` on this computer: clock, bus addresses, frames of the source, computing time."""
+"""Checks of `touchd doctor` on this computer: clock, frames of the source, computing time."""
 
 from __future__ import annotations
 
 import ctypes
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.config.schema import BusSettings, DeviceSettings
+from touchd.config.schema import DeviceSettings
 from touchd.doctor.checks import Finding, Sample
-from touchd.errors import AddressInUse, BusError, BusTimeout, RecordingValues, SourceError
-from touchd.event import HealthEvent
+from touchd.errors import RecordingValues, SourceError
 from touchd.frame import Acquisition, Counts
 from touchd.localization.features import make_features
 from touchd.localization.model import Model
@@ -24,8 +22,6 @@ from touchd.sources.source import Change, LiveSource, Source
 
 _SILENCE_S = 5.0
 """Longest wait for a device's next frame."""
-_LISTEN_S = 2.5
-"""Time to wait for a `health` message; a daemon sends one each second."""
 _REFERENCE_FRAMES = 256
 _TIMED_FRAMES = 500
 _UNSYNCHRONISED = 5  # adjtimex(2): TIME_ERROR
@@ -47,37 +43,6 @@ def judge_clock(state: int, now_s: float) -> Finding:
         text = "this computer's clock follows no time server: `wall` in messages may be off"
         return Finding("clock", "warning", text, "timedatectl set-ntp true; touches do not depend on it")
     return Finding("clock", "ok", "this computer's clock follows a time server")
-
-
-def check_addresses(settings: BusSettings) -> Iterator[Finding]:
-    """Bind and release each address."""
-    from touchd.sinks.zeromq import ZeromqSink
-
-    for address in settings.bind:
-        try:
-            ZeromqSink(settings.model_copy(update={"bind": (address,)})).close()
-        except AddressInUse as error:
-            yield _occupied(address, error, settings)
-        except BusError as error:
-            yield Finding("bus", "failure", f"{error.where}: {error.what}", error.fix)
-        else:
-            yield Finding("bus", "ok", f"{address} is free")
-
-
-def _occupied(address: str, error: AddressInUse, settings: BusSettings) -> Finding:
-    """Report who has bound the address; a touchd daemon publishes its health there."""
-    from touchd.client import Subscriber
-
-    if settings.curve_secret_key is None:
-        try:
-            with Subscriber(address, ("health",), timeout_s=_LISTEN_S) as events:
-                event = next(events)
-            assert isinstance(event, HealthEvent)
-            return Finding("bus", "warning", f"{address}: a daemon publishes there, in state {event.state}",
-                           "stop it before the checks: systemctl stop touchd")  # fmt: skip
-        except BusTimeout:
-            pass
-    return Finding("bus", "failure", f"{address}: {error.what}", error.fix)
 
 
 def expected_rate_hz(source: Source, settings: DeviceSettings) -> float:

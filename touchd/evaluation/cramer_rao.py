@@ -20,8 +20,8 @@ from math import sqrt
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
+from scipy.optimize import brentq
 
-from touchd.errors import RecordingValues
 from touchd.evaluation.dataset import baseline_frames, labels, noise_of, residual_of
 from touchd.frame import Acquisition
 from touchd.localization.atlas import Atlas
@@ -30,7 +30,6 @@ from touchd.recording.data import Recording
 from touchd.twin.electronics import Electronics
 from touchd.twin.instrument import REFERENCE_C, Instrument
 from touchd.twin.physics.finger import Contact
-from touchd.twin.physics.transducer import Layout
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -62,33 +61,24 @@ class TouchField:
         return TouchField(z * self.value, z * self.by_x, z * self.by_y, self.bins)
 
 
-def twin_field(instrument: Instrument, contacts: Sequence[Contact], peak_counts: float | None = None) -> TouchField:
+def twin_field(instrument: Instrument, contacts: Sequence[Contact]) -> TouchField:
     """Simulate the true field of single contacts, without noise, at the twin's reference temperature.
-
-    Parameters
-    ----------
-    instrument : Instrument
-    contacts : n contacts
-        Contacts at least `STEP_MM` inside the edge.
-    peak_counts : float, optional
-        Largest value of the untouched signal, ADC counts; the twin's own gain by default.
 
     Raises
     ------
     SimulationError
-        A contact reaches over the edge.
+        A contact, moved by `STEP_MM`, reaches over the edge.
     """
     moved = [c._replace(x_mm=c.x_mm + dx, y_mm=c.y_mm + dy) for dx, dy in _MOVES_MM.tolist() for c in contacts]
-    return _with_slopes(twin_values(instrument, moved, peak_counts), band_bins(instrument.acquisition))
+    return _with_slopes(twin_values(instrument, moved), band_bins(instrument.acquisition))
 
 
-def twin_values(instrument: Instrument, contacts: Sequence[Contact], peak_counts: float | None = None) -> Complex:
-    """Simulate the bins of single contacts, shape (n, channels, bins); see `twin_field`."""
+def twin_values(instrument: Instrument, contacts: Sequence[Contact]) -> Complex:
+    """Simulate the bins of single contacts, shape (n, channels, bins), ADC counts; see `twin_field`."""
     a = instrument.acquisition
-    scale = Electronics().peak * 2 ** (a.bits - 1) if peak_counts is None else peak_counts
+    peak_counts = Electronics().peak * 2 ** (a.bits - 1)
     signal = instrument.change([[contact] for contact in contacts], np.full(len(contacts), REFERENCE_C))
-    parts = (scale * signal @ windowed_dft(a)).reshape(len(contacts), a.channels, 2, -1)
-    return np.asarray(parts[:, :, 0] + 1j * parts[:, :, 1])
+    return _complex(peak_counts * signal @ windowed_dft(a), a)
 
 
 def atlas_field(atlas: Atlas, position_mm: Floats) -> TouchField:
@@ -98,8 +88,13 @@ def atlas_field(atlas: Atlas, position_mm: Floats) -> TouchField:
     at = ((moved - d.origin_mm) / d.step_mm).T[::-1]  # rows run along y
     nodes = atlas.coefficients.astype(np.float64)
     values = [map_coordinates(nodes[..., i], at, order=3, prefilter=False, mode="mirror") for i in range(atlas.size)]
-    parts = np.stack(values, axis=-1).reshape(len(moved), d.acquisition.channels, 2, -1)
-    return _with_slopes(parts[:, :, 0] + 1j * parts[:, :, 1], np.array(d.bins))
+    return _with_slopes(_complex(np.stack(values, axis=-1), d.acquisition), np.array(d.bins))
+
+
+def _complex(features: Floats, acquisition: Acquisition) -> Complex:
+    """Join the real and imaginary parts of n touches' features, shape (n, channels, bins)."""
+    parts = features.reshape(len(features), acquisition.channels, 2, -1)
+    return np.asarray(parts[:, :, 0] + 1j * parts[:, :, 1])
 
 
 def _with_slopes(values: Complex, bins: NDArray[np.int64]) -> TouchField:
@@ -171,15 +166,10 @@ def median_distance_mm(covariance: Floats) -> float:
     direction = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     q = np.einsum("ai,nij,aj->na", direction, np.linalg.inv(covariance), direction)
     weight = 1 / (q * np.sqrt(np.linalg.det(covariance))[:, None])
-    low, high = 0.0, float(rms_mm(covariance).max()) * 2
-    for _ in range(60):
-        middle = (low + high) / 2
-        within = float((weight * -np.expm1(-q * middle**2 / 2)).mean())
-        low, high = (middle, high) if within < 0.5 else (low, middle)
-    return (low + high) / 2
+    return float(brentq(lambda mm: (weight * -np.expm1(-q * mm**2 / 2)).mean() - 0.5, 0, 2 * rms_mm(covariance).max()))
 
 
-def recorded_field(recording: Recording, field: Atlas | Instrument | None = None) -> TouchField:
+def recorded_field(recording: Recording, field: Atlas | Instrument) -> TouchField:
     """Return the field of up to `MOST_TOUCHES` touches, spread evenly over a labelled recording.
 
     Each touch gets the amplitude that fits its frame best.
@@ -187,17 +177,15 @@ def recorded_field(recording: Recording, field: Atlas | Instrument | None = None
     Parameters
     ----------
     recording : Recording
-    field : Atlas or Instrument, optional
-        Source of the field; by default the twin of the recording's rig, at the twin's default loss.
+    field : Atlas or Instrument
+        Source of the field.
 
     Raises
     ------
     TrainingError
         The recording lacks labels, touches or untouched frames.
-    RecordingValues
-        `field` is None and the recording does not state the transducers' positions.
     SimulationError
-        The twin cannot simulate the rig, or a touch reaches over the edge.
+        A touch reaches over the edge.
     """
     position_mm, touched, untouched = labels(recording, least=1)
     some = np.unique(np.linspace(0, len(touched) - 1, min(MOST_TOUCHES, len(touched))).round().astype(int))
@@ -205,14 +193,11 @@ def recorded_field(recording: Recording, field: Atlas | Instrument | None = None
     if isinstance(field, Atlas):
         u = atlas_field(field, position_mm)
     else:
-        rig = twin_of(recording) if field is None else field
-        u = twin_field(rig, [Contact(x, y, USUAL_AREA_MM2, "silicone") for x, y in position_mm.tolist()])
+        u = twin_field(field, [Contact(x, y, USUAL_AREA_MM2, "silicone") for x, y in position_mm.tolist()])
     pairs = baseline_frames(recording.timestamp_ns, touched, untouched)
     baseline = recording.frames[pairs].mean(axis=1, dtype=np.float32)
     residual = residual_of(recording.frames[touched], baseline)
-    a = recording.acquisition
-    parts = (residual @ windowed_dft(a, u.bins)).reshape(len(touched), a.channels, 2, -1)
-    values = parts[:, :, 0] + 1j * parts[:, :, 1]
+    values = _complex(residual @ windowed_dft(recording.acquisition, u.bins), recording.acquisition)
     return u.times((u.value.conj() * values).sum(axis=(1, 2)) / np.square(np.abs(u.value)).sum(axis=(1, 2)))
 
 
@@ -227,27 +212,10 @@ def residual_noise(recording: Recording) -> float:
     return sqrt(1 + 1 / 2) * noise_of(recording.frames[labels(recording, least=1)[2]])
 
 
-def median_bound_mm(recording: Recording, field: Atlas | Instrument | None = None, noise: float | None = None) -> float:
+def median_bound_mm(recording: Recording, field: Atlas | Instrument, noise: float | None = None) -> float:
     """Return the least median error, mm, that an unbiased estimator can reach on a recording's touches.
 
     Parameters and errors as in `recorded_field`; `noise` defaults to `residual_noise`.
     """
     deviation = residual_noise(recording) if noise is None else noise
     return median_distance_mm(position_covariance(recorded_field(recording, field), recording.acquisition, deviation))
-
-
-def twin_of(recording: Recording) -> Instrument:
-    """Return the twin of a recording's rig.
-
-    Raises
-    ------
-    RecordingValues
-        The recording does not state the transducers' positions.
-    SimulationError
-        The twin cannot simulate the rig.
-    """
-    meta = recording.meta
-    if meta.emitter_mm is None or meta.receivers_mm is None:
-        raise RecordingValues("no transducer positions", "meta", "give emitter_mm and receivers_mm")
-    layout = Layout(emitter_mm=meta.emitter_mm, receivers_mm=meta.receivers_mm)
-    return Instrument(meta.plate, layout=layout, acquisition=recording.acquisition)

@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Floats = NDArray[np.float64]
-
 FEWEST = 20
 """Least number of contacts of known force for a score."""
 
@@ -19,6 +17,8 @@ def force_scores(force: ArrayLike, force_n: ArrayLike) -> dict[str, float | None
     of the true force: it measures how far the estimate depends on anything else, such as position. `force_spread_p95`
     is the 95th percentile of |force / f - 1|. With fewer than `FEWEST` contacts each score is None.
     """
+    from scipy.stats import spearmanr  # with the extra `train`, as all of `touchd evaluate`; a replay needs none
+
     found, true = np.asarray(force, float), np.asarray(force_n, float)
     known = np.isfinite(found) & np.isfinite(true)
     found, true = found[known], true[known]
@@ -27,42 +27,19 @@ def force_scores(force: ArrayLike, force_n: ArrayLike) -> dict[str, float | None
     fitted = monotone(true, found)
     off = np.abs(found[fitted > 0] / fitted[fitted > 0] - 1)
     return {
-        "force_rank": rank_correlation(true, found),
+        "force_rank": float(spearmanr(true, found).statistic) if np.ptp(true) and np.ptp(found) else None,
         "force_spread": float(np.sqrt(np.mean(off**2))) if len(off) else None,
         "force_spread_p95": float(np.percentile(off, 95)) if len(off) else None,
     }
 
 
-def rank_correlation(one: Floats, other: Floats) -> float | None:
-    """Return Spearman's correlation of arrays of shape (m,), with mean ranks for ties; None for a constant."""
-    ranks = [_ranks(one), _ranks(other)]
-    a, b = (rank - rank.mean() for rank in ranks)
-    scale = float(np.sqrt((a @ a) * (b @ b)))
-    return float(a @ b) / scale if scale else None
-
-
-def _ranks(value: Floats) -> Floats:
-    _, place, count = np.unique(value, return_inverse=True, return_counts=True)
-    return np.asarray((np.cumsum(count) - (count - 1) / 2)[place])
-
-
-def monotone(x: Floats, y: Floats) -> Floats:
+def monotone(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the non-decreasing function of x nearest to y in least squares, at each x, shape (m,).
 
-    Pool adjacent violators (Ayer et al., Ann. Math. Stat. 26:641, 1955): neighbours in the wrong order take their
-    weighted mean. Equal x count as one.
+    Equal x count as one.
     """
+    from scipy.optimize import isotonic_regression
+
     _, place, count = np.unique(x, return_inverse=True, return_counts=True)
     means = np.bincount(place, weights=y) / count
-    level: list[float] = []
-    weight: list[int] = []
-    width: list[int] = []
-    for value, many in zip(means.tolist(), count.tolist(), strict=True):
-        level.append(value)
-        weight.append(many)
-        width.append(1)
-        while len(level) > 1 and level[-2] >= level[-1]:
-            total = weight[-2] + weight[-1]
-            level[-2:] = [(level[-2] * weight[-2] + level[-1] * weight[-1]) / total]
-            weight[-2:], width[-2:] = [total], [width[-2] + width[-1]]
-    return np.asarray(np.repeat(level, width)[place])
+    return np.asarray(isotonic_regression(means, weights=count).x[place])

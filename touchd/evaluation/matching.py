@@ -43,6 +43,8 @@ def match(
     """
     if not len(true_mm) or not len(position_mm):
         return []
+    if len(position_mm) < len(true_mm):  # the assignment's cost grows with the square of its rows
+        return sorted((i, j) for j, i in match(position_mm, true_mm, reach_mm))
     reach_mm = min(reach_mm, _NEVER / 2)
     alone = [reach_mm] * len(true_mm)
     cost = []

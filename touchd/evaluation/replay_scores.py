@@ -86,12 +86,12 @@ def score_stream(recording: Recording, events: Sequence[TouchEvent]) -> StreamSc
     recording = fingers_only(recording)
     touches, contacts = true_touches(recording), found_contacts(events)
     seconds = dict(zip(recording.sequence.tolist(), (recording.timestamp_ns * 1e-9).tolist(), strict=True))
-    rows = _rows(touches)
-    _follow(contacts, touches, rows)
+    down = _down(touches)
+    _follow(contacts, down)
     for contact in contacts:
-        contact.touch = _touch_of(contact, touches, rows)
+        contact.touch = _touch_of(contact, touches, down)
     owned = [[contact for contact in contacts if contact.touch == i] for i in range(len(touches))]
-    errors = _errors(contacts, touches, rows)
+    errors = _errors(contacts, down)
     parts = list(errors.values())
     error_mm = np.concatenate([error for error, _ in parts]) if parts else np.empty((0, 2))
     latency_ms = [
@@ -143,20 +143,21 @@ def settled_frames(recording: Recording, events: Iterable[TouchEvent]) -> Iterat
             yield Seen(places, alive, force_n)
 
 
-Rows = dict[int, dict[int, int]]
-"""By frame: index of each touch that is down, and the frame's row in that touch."""
+Down = dict[int, dict[int, tuple[float, float, bool]]]
+"""By frame and index of each touch that is down: its x and y, mm, and whether it moves."""
 Errors = dict[tuple[int, int], tuple[NDArray[np.float64], NDArray[np.bool_]]]
 
 
-def _rows(touches: list[TrueTouch]) -> Rows:
-    rows: Rows = {}
+def _down(touches: list[TrueTouch]) -> Down:
+    down: Down = {}
     for index, touch in enumerate(touches):
-        for row, number in enumerate(touch.frames.tolist()):
-            rows.setdefault(number, {})[index] = row
-    return rows
+        rows = zip(touch.frames.tolist(), touch.position_mm.tolist(), touch.moving.tolist(), strict=True)
+        for number, (x_mm, y_mm), moving in rows:
+            down.setdefault(number, {})[index] = (x_mm, y_mm, moving)
+    return down
 
 
-def _follow(contacts: list[FoundContact], touches: list[TrueTouch], rows: Rows) -> None:
+def _follow(contacts: list[FoundContact], down: Down) -> None:
     """Match each contact with a touch, message by message."""
     messages: dict[int, list[tuple[FoundContact, int]]] = {}
     for contact in contacts:
@@ -164,15 +165,15 @@ def _follow(contacts: list[FoundContact], touches: list[TrueTouch], rows: Rows) 
         for k, number in enumerate(contact.frames):
             messages.setdefault(number, []).append((contact, k))
     for number, alive in messages.items():
-        down = list(rows.get(number, {}).items())
-        true_mm = [_place(touches[index], row) for index, row in down]
+        fingers = down.get(number, {})
+        true_mm = [(x_mm, y_mm) for x_mm, y_mm, _ in fingers.values()]
         for i, j in match(true_mm, [contact.position_mm[k] for contact, k in alive]):
             contact, k = alive[j]
-            contact.followed[k] = down[i][0]
+            contact.followed[k] = list(fingers)[i]
 
 
-def _touch_of(contact: FoundContact, touches: list[TrueTouch], rows: Rows) -> int | None:
-    together = sum(number in rows for number in contact.frames)
+def _touch_of(contact: FoundContact, touches: list[TrueTouch], down: Down) -> int | None:
+    together = sum(number in down for number in contact.frames)
     count = Counter(index for index in contact.followed if index is not None)
     if not count or 2 * count.total() < together:
         return None
@@ -188,34 +189,22 @@ def _switches(contact: FoundContact) -> int:
     return sum(before != after for before, after in pairwise(seen))
 
 
-def _errors(contacts: list[FoundContact], touches: list[TrueTouch], rows: Rows) -> Errors:
+def _errors(contacts: list[FoundContact], down: Down) -> Errors:
     """Return estimated less true position (n, 2) and whether the finger moves (n,), by contact and touch.
 
     A contact too far from every finger is compared with its own touch, unless another contact matches that touch:
     large errors count.
     """
-    taken = {
-        (number, index)
-        for contact in contacts
-        for number, index in zip(contact.frames, contact.followed, strict=True)
-    }  # fmt: skip
+    taken = {pair for contact in contacts for pair in zip(contact.frames, contact.followed, strict=True)}
     found: dict[tuple[int, int], list[tuple[float, float, bool]]] = {}
     for name, contact in enumerate(contacts):
         if contact.touch is None:
             continue
-        for number, place, index in zip(contact.frames, contact.position_mm, contact.followed, strict=True):
+        for number, (x_mm, y_mm), index in zip(contact.frames, contact.position_mm, contact.followed, strict=True):
             if index is None and (number, contact.touch) not in taken:
                 index = contact.touch
-            row = rows.get(number, {}).get(index) if index is not None else None
-            if index is None or row is None:
-                continue
-            x_mm, y_mm = _place(touches[index], row)
-            moving = bool(touches[index].moving[row])
-            found.setdefault((name, index), []).append((place[0] - x_mm, place[1] - y_mm, moving))
+            if index is not None and index in down.get(number, {}):
+                true_x_mm, true_y_mm, moving = down[number][index]
+                found.setdefault((name, index), []).append((x_mm - true_x_mm, y_mm - true_y_mm, moving))
     tables = {key: np.array(values) for key, values in found.items()}
     return {key: (table[:, :2], table[:, 2] > 0) for key, table in tables.items()}
-
-
-def _place(touch: TrueTouch, row: int) -> Position:
-    x_mm, y_mm = touch.position_mm[row].tolist()
-    return x_mm, y_mm

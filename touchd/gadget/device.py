@@ -6,9 +6,11 @@
 from __future__ import annotations
 
 import errno
+import struct
 import time
 from collections.abc import Callable, Iterator
 
+from touchd.errors import GadgetError
 from touchd.sources.usb_protocol import Flag, Header, Info, Request, Status, build_frame, build_info, build_status
 
 BACKLOG = 8
@@ -30,10 +32,22 @@ class Gadget:
         The interleaved samples of one frame after the other; the stream ends with them.
     clock : callable
         Monotonic time, ns.
+
+    Raises
+    ------
+    GadgetError
+        A number of `info` has no room in GET_INFO.
     """
 
     def __init__(self, info: Info, samples: Iterator[bytes], clock: Callable[[], int] = time.monotonic_ns) -> None:
         self.info = info
+        try:
+            self._answer = build_info(info)
+        except struct.error as error:
+            raise GadgetError(
+                f"the frames do not fit the protocol ({error})", str(info), "serve a recording with fewer channels and "
+                "lower rates",
+            ) from error  # fmt: skip
         self.running = False
         self.rate_hz = 0
         self.frames_sent = 0
@@ -55,7 +69,7 @@ class Gadget:
             bmRequestType, bRequest, wValue and wLength.
         """
         if kind == _VENDOR_IN and request == Request.GET_INFO:
-            return build_info(self.info)[:length]
+            return self._answer[:length]
         if kind == _VENDOR_IN and request == Request.GET_STATUS:
             status = Status(self.frames_sent, self.overruns, running=self.running)
             return build_status(status)[:length]

@@ -2,22 +2,22 @@
 
 A job is a function, its arguments, and the names of large objects that many jobs share. Its result depends on these,
 the source code and the libraries only: not on other jobs, the order, the place or the number of workers. Every job runs
-on one thread, and its arguments and result are pickled even in this process; so results agree to the bit on processors
-of one kind.
+on one thread, and what it gets and gives is pickled even in this process; so results agree to the bit on processors of
+one kind.
 """
 
 from __future__ import annotations
 
 import pickle
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from touchd.jobs.engine import on_dask
+from touchd.errors import TouchdError
 from touchd.jobs.identity import code_digest, digest
-from touchd.jobs.job import Failure, Job, Outcome, Outcomes, Parcel, Shared, Task, key_of, perform
+from touchd.jobs.job import Ended, Job, Shared, Task, perform
 from touchd.jobs.store import Store
 
 Progress = Callable[[str, int, int], object]
@@ -48,7 +48,6 @@ def run(
         objects, source code and libraries are the same.
     shared : mapping
         Large objects by name, sent to each worker once. A `Shared` brings its own digest; of others it is computed.
-        Jobs must not change them.
     progress : callable, optional
 
     Raises
@@ -64,9 +63,10 @@ def run(
     """
     if len({job.name for job in jobs}) < len(jobs):
         raise ValueError("two jobs have the same name")
-    if workers is not None and workers < 1:
-        raise ValueError(f"{workers} workers")
-    objects = {name: value if isinstance(value, Shared) else Shared.of(value) for name, value in shared.items()}
+    objects = {
+        name: value if isinstance(value, Shared) else Shared(value, digest(value)) for name, value in shared.items()
+    }
+    digests = {name: each.sha256 for name, each in objects.items()}
     store = Store(cache) if cache is not None else None
     results: dict[str, Any] = {}
 
@@ -78,7 +78,7 @@ def run(
     tasks: dict[str, Task] = {}
     for job in jobs:
         code = code_digest(job.function.__module__)
-        key = key_of(job, code, {name: objects[name].sha256 for name in job.shared})
+        key = job.key(code, digests)
         data = store.load(key) if store else None
         if data is None:
             tasks[job.name] = Task(job, code, key)
@@ -86,28 +86,36 @@ def run(
             take(job.name, data)
 
     used = {name for task in tasks.values() for name in task.job.shared}
-    parcels = {name: Parcel.of(objects[name].value) for name in used}
-    failures: list[Failure] = []
-    with closing(_outcomes(list(tasks.values()), parcels, workers, dask)) as outcomes:
-        for name, result in outcomes:
-            if isinstance(result, Failure):
+    pickled = {name: pickle.dumps(objects[name].value, protocol=pickle.HIGHEST_PROTOCOL) for name in used}
+    failures: list[TouchdError] = []
+    with closing(_ended(list(tasks.values()), pickled, workers, dask)) as ended:
+        for name, result in ended:
+            if isinstance(result, TouchdError):
                 failures.append(result)
                 continue
             if store:
                 store.save(tasks[name].key, result)
             take(name, result)
     for failure in failures[:1]:
-        failure.error.add_note(failure.note)
-        raise failure.error
+        raise failure
     return {job.name: results[job.name] for job in jobs}
 
 
-def _outcomes(tasks: Sequence[Task], parcels: Mapping[str, Parcel], workers: int | None, dask: str | None) -> Outcomes:
-    """Run tasks here, on worker processes or on a cluster."""
+def _ended(
+    tasks: Sequence[Task], shared: Mapping[str, bytes], workers: int | None, dask: str | None
+) -> Generator[Ended]:
+    """Run tasks here, on worker processes or on a cluster; yield each that has ended. After a failure none begins."""
     workers = min(workers or _cores(), len(tasks))
-    if not tasks or (dask is None and workers == 1):
-        return _here(tasks, parcels)
-    return on_dask(tasks, parcels, dask or workers)
+    if workers > 1 or (tasks and dask is not None):
+        from touchd.jobs.engine import on_dask
+
+        yield from on_dask(tasks, shared, dask or workers)
+        return
+    for task in tasks:
+        result = perform(task, [shared[name] for name in task.job.shared])
+        yield task.job.name, result
+        if isinstance(result, TouchdError):
+            return
 
 
 def _cores() -> int:
@@ -117,15 +125,6 @@ def _cores() -> int:
     except ModuleNotFoundError:
         return 1
     return CPU_COUNT
-
-
-def _here(tasks: Sequence[Task], parcels: Mapping[str, Parcel]) -> Outcomes:
-    """Run tasks in this process, one after the other, until one fails."""
-    for task in tasks:
-        result = perform(task, [parcels[name] for name in task.job.shared])
-        yield Outcome(task.job.name, result)
-        if isinstance(result, Failure):
-            return
 
 
 __all__ = ["Job", "Progress", "Shared", "digest", "run"]

@@ -18,16 +18,18 @@ import tempfile
 import threading
 from collections.abc import AsyncIterator
 from contextlib import ExitStack, asynccontextmanager
-from functools import cache
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import dask
+from distributed import Client, Scheduler, Worker
+from distributed.comm.registry import backends
+from distributed.comm.tcp import TCPBackend, TCPConnector, TCPListener
+from distributed.security import Security
+from tornado.iostream import IOStream
+from tornado.tcpclient import TCPClient
 
 from touchd.errors import JobError
 from touchd.jobs.job import ONE_THREAD
-
-if TYPE_CHECKING:
-    from distributed import Client
-    from distributed.security import Security
-    from tornado.iostream import IOStream
 
 SCHEME, HOST = "touchd", "127.0.0.1"
 SECRET_BYTES = 32
@@ -44,28 +46,25 @@ WORKER = "from touchd.jobs.local import work; work()"
 @asynccontextmanager
 async def connected_here(workers: int) -> AsyncIterator[Client]:
     """Start a scheduler and workers, connect to it, and kill them at the end."""
-    import dask
-    from distributed import Client, Scheduler
-
-    secret = _secret()
-    _require(secret)
     quiet()
+    # No TLS here, even if Dask's configuration demands it for the user's clusters.
+    plain = Security(require_encryption=False)
     with (
         tempfile.TemporaryDirectory(prefix="touchd-jobs-", ignore_cleanup_errors=True) as folder,
         dask.config.set(CONFIG | {"temporary-directory": folder}),
     ):
         async with (
             Scheduler(
-                protocol=SCHEME, host=HOST, port=0, dashboard=False, dashboard_address=f"{HOST}:0",
-                security=_security(), allowed_failures=0,
+                protocol=SCHEME, host=HOST, port=0, dashboard=False, dashboard_address=f"{HOST}:0", security=plain,
+                allowed_failures=0,
             ) as scheduler,
-            Client(scheduler.address, asynchronous=True, security=_security(), set_as_default=False) as client,
+            Client(scheduler.address, asynchronous=True, security=plain, set_as_default=False) as client,
         ):  # fmt: skip
             with ExitStack() as stack:
                 processes = []
                 for _ in range(workers):
-                    processes.append(_started(scheduler.address, folder, secret))
-                    stack.callback(_end, processes[-1])
+                    processes.append(stack.enter_context(_worker(scheduler.address, folder)))
+                    stack.callback(processes[-1].kill)
                 while not await client.nthreads():
                     if any(process.poll() is not None for process in processes):
                         raise JobError("a worker process ended as it began", "", "see above, or run with --jobs 1")
@@ -73,13 +72,7 @@ async def connected_here(workers: int) -> AsyncIterator[Client]:
                 yield client
 
 
-@cache
-def _secret() -> bytes:
-    """Return this process's secret: one for all its runs, since Dask has one transport for each scheme."""
-    return secrets.token_bytes(SECRET_BYTES)
-
-
-def _started(scheduler: str, folder: str, secret: bytes) -> subprocess.Popen[bytes]:
+def _worker(scheduler: str, folder: str) -> subprocess.Popen[bytes]:
     """Start a worker process beyond the reach of Ctrl-C, with the modules that this process can import."""
     path = os.pathsep.join(part or os.getcwd() for part in sys.path)
     process = subprocess.Popen(  # noqa: S603 - this very Python
@@ -87,81 +80,66 @@ def _started(scheduler: str, folder: str, secret: bytes) -> subprocess.Popen[byt
         stdin=subprocess.PIPE, start_new_session=True,
     )  # fmt: skip
     assert process.stdin is not None
-    process.stdin.write(secret)
+    process.stdin.write(_Backend.secret)
     process.stdin.flush()
     return process
-
-
-def _end(process: subprocess.Popen[bytes]) -> None:
-    with process:
-        process.kill()
 
 
 def work() -> None:
     """Be a worker process, until standard input ends."""
     _, scheduler, folder = sys.argv
-    _require(sys.stdin.buffer.read(SECRET_BYTES))
-    threading.Thread(target=_end_with_parent, args=(folder,), daemon=True).start()
-    asyncio.run(_serve(scheduler, folder))
+    _Backend.secret = sys.stdin.buffer.read(SECRET_BYTES)
 
+    def end_with_parent() -> None:
+        sys.stdin.buffer.read()
+        shutil.rmtree(folder, ignore_errors=True)
+        os._exit(1)
 
-def _end_with_parent(folder: str) -> None:
-    sys.stdin.buffer.read()
-    shutil.rmtree(folder, ignore_errors=True)
-    os._exit(1)
+    async def serve() -> None:
+        plain = Security(require_encryption=False)
+        async with Worker(scheduler, host=HOST, nthreads=1, memory_limit=0, security=plain) as worker:
+            await worker.finished()
 
-
-async def _serve(scheduler: str, folder: str) -> None:
-    import dask
-    from distributed import Worker
-
+    threading.Thread(target=end_with_parent, daemon=True).start()
     quiet()
     dask.config.set(CONFIG | {"temporary-directory": folder})
-    async with Worker(scheduler, host=HOST, nthreads=1, memory_limit=0, security=_security()) as worker:
-        await worker.finished()
+    asyncio.run(serve())
 
 
 def quiet() -> None:
     """Silence Dask's log: what it would say, with tracebacks, is said by the errors of `touchd.jobs`."""
-    import distributed  # noqa: F401 - which sets the level when it is imported
-
     for name in ("distributed", "distributed.client"):
         logging.getLogger(name).setLevel(logging.CRITICAL)
 
 
-def _security() -> Security:
-    """Demand no TLS here, even if Dask's configuration demands it for the user's clusters."""
-    from distributed.security import Security
+class _Client(TCPClient):
+    async def connect(self, *args: Any, **kwargs: Any) -> IOStream:
+        stream = await super().connect(*args, **kwargs)
+        await stream.write(_Backend.secret)
+        return stream
 
-    return Security(require_encryption=False)
+
+class _Connector(TCPConnector):
+    prefix = f"{SCHEME}://"
+    client = _Client()
 
 
-def _require(secret: bytes) -> None:
-    """Have all connections at addresses of `SCHEME` begin with a secret, in this process."""
-    from distributed.comm.registry import backends
-    from distributed.comm.tcp import TCPBackend, TCPConnector, TCPListener
-    from tornado.tcpclient import TCPClient
+class _Listener(TCPListener):
+    prefix = f"{SCHEME}://"
 
-    class _Client(TCPClient):
-        async def connect(self, *args: Any, **kwargs: Any) -> IOStream:
-            stream = await super().connect(*args, **kwargs)
-            await stream.write(secret)
+    async def _prepare_stream(self, stream: IOStream, _address: str) -> IOStream | None:
+        if secrets.compare_digest(await stream.read_bytes(SECRET_BYTES), _Backend.secret):
             return stream
+        stream.close()
+        return None
 
-    class _Connector(TCPConnector):
-        prefix = f"{SCHEME}://"
-        client = _Client()
 
-    class _Listener(TCPListener):
-        prefix = f"{SCHEME}://"
+class _Backend(TCPBackend):
+    """Dask's TCP, where all connections begin with a secret."""
 
-        async def _prepare_stream(self, stream: IOStream, _address: str) -> IOStream | None:
-            if secrets.compare_digest(await stream.read_bytes(SECRET_BYTES), secret):
-                return stream
-            stream.close()
-            return None
+    _connector_class, _listener_class = _Connector, _Listener
+    secret = secrets.token_bytes(SECRET_BYTES)
+    """One for all runs of a process, since Dask has one transport for each scheme; a worker gets its parent's."""
 
-    class _Backend(TCPBackend):
-        _connector_class, _listener_class = _Connector, _Listener
 
-    backends[SCHEME] = _Backend()
+backends[SCHEME] = _Backend()

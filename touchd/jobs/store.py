@@ -58,8 +58,7 @@ class Store:
         except (FileNotFoundError, NotADirectoryError):
             return None
         except OSError as error:
-            self._complain("a stored result cannot be read, and is computed again", path, error)
-            return None
+            reason, content = str(error.strerror), b""
         data = content[_HEAD:]
         if not reason and content[:_HEAD] != MAGIC + hashlib.sha256(data).digest():
             reason = "it is damaged"
@@ -86,15 +85,13 @@ class Store:
                     os.unlink(temporary)
                 raise
         except OSError as error:
-            self._complain("results cannot be kept: a run that is stopped starts over", self.folder, error)
+            if not self._complained:
+                what = "results cannot be kept: a run that is stopped starts over"
+                log.warning(what, path=self.folder, error=error.strerror)
+            self._complained = True
 
     def _path(self, key: str) -> Path:
         return self.folder / f"{key}.result"
-
-    def _complain(self, what: str, path: Path, error: OSError) -> None:
-        if not self._complained:
-            log.warning(what, path=path, error=error.strerror)
-        self._complained = True
 
 
 def _unsafe_folder(status: os.stat_result, *, is_parent: bool) -> str:

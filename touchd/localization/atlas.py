@@ -23,7 +23,10 @@ from touchd.recording import npz
 
 FORMAT = "touchd-atlas"
 MAX_BYTES = 8_000_000
+_MAX_LOADED_BYTES = 8 * MAX_BYTES  # a field compresses by less than 2
 _KEYS = ("format", "version", "description", "coefficients", "scale", "baseline", "error")
+_MAX_COUNTS = 1e9
+"""Of a field at strength 1, and of its mean square error; squares of more overflow float32."""
 _MARGIN_NODES = 2
 """Nodes beyond the touched part on each side: every point of it has its four neighbours."""
 
@@ -41,14 +44,14 @@ class AtlasDescription(BaseModel):
     plate: Plate
     bins: tuple[int, ...] = Field(min_length=1)
     """Indices of the DFT bins it holds: those that tell something of a finger."""
-    step_mm: float = Field(gt=0)
+    step_mm: float = Field(ge=1e-2, le=1e4)
     origin_mm: tuple[float, float]
     """x and y of the first node."""
     low_mm: tuple[float, float]
     high_mm: tuple[float, float]
     """Corners of the part that was touched: beyond it the field is not known."""
-    noise_scale: float = Field(default=1.0, gt=0)
-    field_scale: float = Field(default=1.0, gt=0)
+    noise_scale: float = Field(default=1.0, ge=1e-6, le=1e6)
+    field_scale: float = Field(default=1.0, ge=1e-6, le=1e6)
     """How much larger the errors of held-out touches are than white noise, and the field's own error, explain."""
     touches: int = Field(default=0, ge=0)
     """How many it was learned from."""
@@ -136,7 +139,7 @@ def load_atlas(path: Path, dtype: DTypeLike = np.float32) -> Atlas:
         If the file is no atlas, or its parts do not fit each other.
     """
     try:
-        found = npz.load(path, _KEYS)
+        found = npz.load(path, _KEYS, _MAX_LOADED_BYTES)
     except RecordingError as error:
         raise _invalid(path, str(error)) from error
     missing = [key for key in _KEYS if key not in found]
@@ -150,13 +153,14 @@ def load_atlas(path: Path, dtype: DTypeLike = np.float32) -> Atlas:
     numbers = ("coefficients", "scale", "baseline", "error")
     if found["scale"].shape != () or any(found[key].dtype.kind != "f" for key in numbers):
         raise _invalid(path, f"{', '.join(f'{key} {found[key].dtype}{found[key].shape}' for key in numbers)}")
-    coefficients = found["coefficients"].astype(dtype) * found["scale"].astype(dtype)
-    atlas = Atlas(
-        description,
-        np.ascontiguousarray(coefficients),
-        found["baseline"].astype(dtype),
-        found["error"].astype(dtype),
-    )
+    with np.errstate(all="ignore"):  # what overflows is infinite, and refused
+        coefficients = found["coefficients"].astype(dtype) * found["scale"].astype(dtype)
+        atlas = Atlas(
+            description,
+            np.ascontiguousarray(coefficients),
+            found["baseline"].astype(dtype),
+            found["error"].astype(dtype),
+        )
     _check(atlas, path)
     return atlas
 
@@ -177,8 +181,16 @@ def _check(atlas: Atlas, path: Path) -> None:
     )  # fmt: skip
     if any(d.low_mm[i] < d.origin_mm[i] + d.step_mm or not d.low_mm[i] < d.high_mm[i] < reach_mm[i] for i in (0, 1)):
         raise _invalid(path, f"the touched part {d.low_mm} to {d.high_mm} mm is not on the grid")
-    if not all(np.isfinite(array).all() for array in (atlas.coefficients, atlas.baseline, atlas.error)):
-        raise _invalid(path, "numbers that are none")
+    size_mm = d.plate.width_mm, d.plate.height_mm
+    if any(d.low_mm[i] < 0 or d.high_mm[i] > size_mm[i] for i in (0, 1)):
+        raise _invalid(path, f"the touched part {d.low_mm} to {d.high_mm} mm is not on the plate of {size_mm} mm")
+    if list(d.bins) != sorted({*d.bins}) or d.bins[0] < 0 or d.bins[-1] > d.acquisition.samples // 2:
+        raise _invalid(path, f"bins from {d.bins[0]} to {d.bins[-1]} of {d.acquisition.samples} samples")
+    largest = [float(np.abs(array).max()) for array in (atlas.coefficients, atlas.baseline, atlas.error)]
+    if not all(value <= _MAX_COUNTS for value in largest):  # NaN too
+        raise _invalid(path, "numbers that are none, or too large")
+    if not largest[0] or float(atlas.error.min()) < 0:
+        raise _invalid(path, "a field of zeros, or a negative error")
 
 
 def _invalid(path: Path, what: str) -> ModelInvalid:

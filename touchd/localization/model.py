@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -18,6 +19,7 @@ from touchd.localization.atlas import Atlas, atlas_path, load_atlas
 from touchd.localization.features import Domain, band_bins
 
 METADATA_KEY = "touchd"
+_FLOAT, _DOUBLE = "tensor(float)", "tensor(double)"
 Head = Literal["regression", "grid", "keypad"]
 Outputs = dict[str, NDArray[np.floating]]
 
@@ -36,7 +38,7 @@ class Description(BaseModel):
     """Whether the baseline is subtracted before the features are taken."""
     acquisition: Acquisition
     plate: Plate
-    grid: int = Field(default=0, ge=0)
+    grid: int = Field(default=0, ge=0, le=1000)
     """Grid head: zones along each side."""
     layout: Layout | None = None
     """Keypad head: the keys, in the order of the classes; the last class is the zone around them."""
@@ -95,27 +97,30 @@ class Model:
         self.path = path
         self._session = _load(path)
         self.description = _describe(self._session, path)
-        d = self.description
-        wide = self._session.get_inputs()[0].type == "tensor(double)"
-        self.dtype: np.dtype[np.floating] = np.dtype(np.float64 if wide else np.float32)
-        """Of the network's input, and of all arrays from the frame to it."""
-        self.features = np.zeros((1, d.inputs), self.dtype)
-        self._input_name = self._session.get_inputs()[0].name
         self._check_input()
-        self.outputs: Outputs = {}
+        network_input = self._session.get_inputs()[0]
+        self.dtype: np.dtype[np.floating] = np.dtype(np.float64 if network_input.type == _DOUBLE else np.float32)
+        """Of the network's input, and of all arrays from the frame to it."""
+        self._check_outputs()
+        self.features = np.zeros((1, self.description.inputs), self.dtype)
+        self.outputs: Outputs = {
+            output.name: np.zeros((1, output.shape[1]), self.dtype) for output in self._session.get_outputs()
+        }
         self._binding = self._session.io_binding()
         self._binding.bind_input(
-            self._input_name, "cpu", 0, self.dtype.type, self.features.shape, self.features.ctypes.data
+            network_input.name, "cpu", 0, self.dtype.type, self.features.shape, self.features.ctypes.data
         )
-        for output in self._session.get_outputs():
-            buffer = np.zeros((1, *output.shape[1:]), self.dtype)
-            self._binding.bind_output(output.name, "cpu", 0, self.dtype.type, buffer.shape, buffer.ctypes.data)
-            self.outputs[output.name] = buffer
-        self._read = _READERS[d.head]
-        self._check_outputs()
+        for name, buffer in self.outputs.items():
+            self._binding.bind_output(name, "cpu", 0, self.dtype.type, buffer.shape, buffer.ctypes.data)
+        self._read = _READERS[self.description.head]
         self.atlas = self._load_atlas() if atlas else None
         """The field atlas beside it, if there is one."""
-        self.estimate()  # the first run allocates: have it done before the first touch
+        try:
+            self.estimate()  # the first run allocates: have it done before the first touch
+        except Exception as error:  # ONNX Runtime's are of no common class
+            raise ModelInvalid(
+                f"the network does not run ({_first_line(error)})", str(path), "export the model again"
+            ) from error
 
     def check(self, acquisition: Acquisition) -> None:
         """Raise ModelMismatch unless frames of this acquisition are what the model was trained on."""
@@ -158,10 +163,11 @@ class Model:
 
     def _load_atlas(self) -> Atlas | None:
         path = atlas_path(self.path)
-        if not path.exists():
+        if not os.path.exists(path):
             return None
         atlas, d = load_atlas(path, self.dtype), self.description
-        if atlas.description.data_sha256 != d.data_sha256 or atlas.description.acquisition != d.acquisition:
+        a = atlas.description
+        if (a.data_sha256, a.acquisition, a.plate) != (d.data_sha256, d.acquisition, d.plate):
             raise ModelInvalid(
                 f"the atlas was learned from another recording than {self.path.name}",
                 str(path),
@@ -170,13 +176,12 @@ class Model:
         return atlas
 
     def _check_input(self) -> None:
-        shape = self._session.get_inputs()[0].shape
-        if len(shape) != 2 or shape[1] != self.description.inputs:
+        inputs, wanted = self._session.get_inputs(), self.description.inputs
+        if [(len(i.shape), i.shape[-1:], i.type in (_FLOAT, _DOUBLE)) for i in inputs] != [(2, [wanted], True)]:
             raise ModelInvalid(
-                f"the network takes inputs of shape {shape}, but its description means (n, {self.description.inputs})",
-                str(self.path),
-                "export the model again",
-            )
+                f"the network takes inputs of shape {[i.shape for i in inputs]}, but its description means "
+                f"(n, {wanted})", str(self.path), "export the model again",
+            )  # fmt: skip
 
     def _check_outputs(self) -> None:
         d = self.description
@@ -185,10 +190,10 @@ class Model:
             "grid": {"probability": d.grid**2},
             "keypad": {"probability": len(d.layout.key) + 1 if d.layout else 0},
         }[d.head]
-        found = {name: buffer.shape[1] for name, buffer in self.outputs.items()}
+        found = {output.name: output.shape[1] for output in self._session.get_outputs() if len(output.shape) == 2}
         # A network that does not tell the error of noise apart has it in its sigma.
         optional = {"noise_mm": 1} if d.head == "regression" and "noise_mm" in found else {}
-        if found != expected | optional:
+        if found != expected | optional or len(found) != len(self._session.get_outputs()):
             raise ModelInvalid(
                 f"the network's outputs are {found}, but its {d.head} head means {expected}",
                 str(self.path),
@@ -242,7 +247,7 @@ _READERS = {"regression": _read_regression, "grid": _read_grid, "keypad": _read_
 
 def _load(path: Path) -> Any:
     """Return an inference session on one thread that does not spin."""
-    if not path.is_file():
+    if not os.path.isfile(path):  # unlike Path.is_file it is false also where nobody may look
         raise ModelMissing("no such model", str(path), "check the path, or leave model.path unset for the shipped one")
     options = ort.SessionOptions()
     options.intra_op_num_threads = 1
@@ -256,8 +261,12 @@ def _load(path: Path) -> Any:
         return ort.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
     except Exception as error:
         raise ModelInvalid(
-            f"not a usable ONNX model ({str(error).splitlines()[0][:120]})", str(path), "export the model again"
+            f"not a usable ONNX model ({_first_line(error)})", str(path), "export the model again"
         ) from error
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).partition("\n")[0][:120]
 
 
 def _describe(session: Any, path: Path) -> Description:

@@ -22,6 +22,8 @@ from touchd.localization.thermal import plate_directions, stretch_matrix
 from touchd.outcome import Outcome
 from touchd.touch import Touch
 
+EDGE_SIGMAS = 3.0
+"""A position beyond the plate by less is moved to its edge, one farther away is none."""
 _FAINT = Localization(Outcome.FAINT)
 _PLATE_MOVED = Localization(Outcome.FAINT, plate_moved=True)
 
@@ -89,6 +91,7 @@ class NetworkLocalizer:
         self._movement = PlateMovement(model.description.acquisition, model.dtype)
         self._found = UNTOUCHED
         self._signal_energy = 1.0
+        self._size_mm = model.description.plate.width_mm, model.description.plate.height_mm
         # The other heads' sigma is the size of a zone or a key, in any frame.
         self._has_sigma = model.description.head == "regression"
         self.configure(settings, layout)
@@ -160,13 +163,15 @@ class NetworkLocalizer:
         estimate = self._estimator.estimate(detection)
         sigma_mm = self._estimator.sigma_mm(estimate, detection.noise_energy)
         # Asked this way round, so that a network that says NaN places nothing.
-        if not (estimate.confidence >= min_confidence and sigma_mm <= self._max_sigma_mm):
+        if not (min_confidence <= estimate.confidence < math.inf and 0 <= sigma_mm <= self._max_sigma_mm):
+            return ()
+        x_mm, y_mm = (min(max(at, 0.0), size) for at, size in zip(estimate[:2], self._size_mm, strict=True))
+        # A finger at the edge may be placed beyond it, by little more than its standard error.
+        if not math.dist((x_mm, y_mm), estimate[:2]) <= EDGE_SIGMAS * sigma_mm:
             return ()
         change = (detection.energy / self._signal_energy) ** 0.5
         return (
-            self._touch_maker.touch(
-                estimate.x_mm, estimate.y_mm, sigma_mm, estimate.confidence, change, estimate.key
-            ),
+            self._touch_maker.touch(x_mm, y_mm, sigma_mm, min(estimate.confidence, 1.0), change, estimate.key),
         )  # fmt: skip
 
     def _departs(self) -> bool:

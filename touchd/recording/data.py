@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from touchd.frame import Acquisition, Chirp, Plate
+from touchd.frame import MAX_RATE_HZ, Acquisition, Chirp, Plate
 
 
 class Device(BaseModel):
@@ -24,10 +24,10 @@ class Meta(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
-    sample_rate_hz: float = Field(gt=0)
+    sample_rate_hz: float = Field(ge=1, le=MAX_RATE_HZ)
     bits: int = Field(ge=2, le=16)
-    full_scale_v: float = Field(gt=0)
-    frame_rate_hz: float = Field(gt=0)
+    full_scale_v: float = Field(ge=1e-9, le=1e6)
+    frame_rate_hz: float = Field(ge=1e-6, le=1e6)
     plate: Plate
     chirp: Chirp = Chirp()
     emitter_mm: tuple[float, float] | None = None

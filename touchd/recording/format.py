@@ -76,7 +76,12 @@ def read(path: Path) -> Recording:
     RecordingError
         A subclass, see `touchd.errors`.
     """
-    chunks = list(Reader(path))
+    chunks, size_bytes = [], 0
+    for chunk in Reader(path):
+        chunks.append(chunk)
+        size_bytes += chunk.frames.nbytes
+        if len(chunks) > 1 and 2 * size_bytes > npz.MEMORY_BYTES:  # they are copied into one array
+            raise npz.too_large(path)
     if len(chunks) == 1:
         return chunks[0]
     arrays = {

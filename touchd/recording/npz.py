@@ -26,9 +26,10 @@ from touchd.errors import RecordingMissing, RecordingShape, RecordingTruncated, 
 _HEADER_BYTES = 4096
 """The most that is read in search of an array's header. Those of plain arrays take 128."""
 _READ_BYTES = 1 << 20
-_MAX_DEFLATE_RATIO = 1032
-"""The most that Deflate compresses, https://zlib.net/zlib_tech.html. An archive that claims more is hostile."""
-_MEMORY_BYTES = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+_MAX_RATIO, _MIN_BUDGET_BYTES = 64, 256 << 20
+"""All arrays together may take this many times the file's size, or the 256 MiB of a file of frames that are all alike.
+Frames of a plate compress by a factor of 5; Deflate, by 1032."""
+MEMORY_BYTES = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
 """A system that overcommits grants more, and kills the process when it uses the memory."""
 _KINDS = "biufcUS"
 _DAMAGE = (
@@ -38,8 +39,22 @@ _DAMAGE = (
 """What zipfile and zlib raise on damaged input; NotImplementedError is a RuntimeError."""
 
 
-def load(path: Path, keys: Iterable[str]) -> dict[str, NDArray[Any]]:
+class _File(io.BufferedReader):
+    """A file that is read in pieces: zipfile would read a directory of any size at once."""
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        """Read up to `size` bytes, or to the end; raises BadZipFile for more than 1 MiB."""
+        wanted = os.fstat(self.fileno()).st_size - self.tell() if size is None or size < 0 else size
+        if wanted > _READ_BYTES:
+            raise zipfile.BadZipFile(f"its directory takes {wanted} bytes")
+        return super().read(size)
+
+
+def load(path: Path, keys: Iterable[str], max_bytes: int | None = None) -> dict[str, NDArray[Any]]:
     """Read those of `keys` that the archive holds, in native byte order and C order. Other keys are not read.
+
+    The sizes in the archive's directory are compared with `max_bytes`, by default a multiple of the file's size, before
+    any array is read.
 
     Raises
     ------
@@ -58,7 +73,7 @@ def load(path: Path, keys: Iterable[str]) -> dict[str, NDArray[Any]]:
             problem = "is not a file" if path.exists() else "no such file or folder"
             raise RecordingMissing(problem, str(path), "check the path")
         size_bytes = path.stat().st_size
-        file = path.open("rb")
+        file = _File(io.FileIO(path))
     except (OSError, ValueError) as error:
         raise RecordingMissing(
             f"cannot be opened ({_reason(error)})", str(path), "check the path and its permissions"
@@ -70,17 +85,36 @@ def load(path: Path, keys: Iterable[str]) -> dict[str, NDArray[Any]]:
             _truncated(path, "is not a whole .npz archive", error)
         with archive:
             names = set(archive.namelist())
-            return {key: _load(archive, key, path, size_bytes) for key in keys if f"{key}.npy" in names}
+            members = {key: archive.getinfo(f"{key}.npy") for key in keys if f"{key}.npy" in names}
+            _check_sizes(members, path, size_bytes, max_bytes)
+            return {key: _load(archive, key, info, path) for key, info in members.items()}
 
 
-def _load(archive: zipfile.ZipFile, key: str, path: Path, size_bytes: int) -> NDArray[Any]:
+def _check_sizes(members: dict[str, zipfile.ZipInfo], path: Path, size_bytes: int, max_bytes: int | None) -> None:
+    """Refuse an archive whose directory claims more than it can hold, or more than such a file may hold."""
+    for key, info in members.items():
+        if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            _truncated(path, f"'{key}' is compressed in a way that numpy does not write")
+        stored = info.compress_type == zipfile.ZIP_STORED
+        if info.compress_size > size_bytes or (stored and info.file_size > info.compress_size):
+            _truncated(path, f"'{key}' claims {info.file_size} bytes, more than the file can hold")
+    claimed_bytes = sum(info.file_size for info in members.values())
+    if claimed_bytes > MEMORY_BYTES:
+        raise too_large(path)
+    if claimed_bytes > (max_bytes or max(_MAX_RATIO * size_bytes, _MIN_BUDGET_BYTES)):
+        raise RecordingShape(
+            f"claims {claimed_bytes} bytes of arrays, in a file of {size_bytes}", str(path),
+            "do not load this file; a recording of nothing but zeros must be split into chunks",
+        )  # fmt: skip
+
+
+def too_large(path: Path) -> RecordingShape:
+    """Return the error of a recording that memory does not hold."""
+    return RecordingShape("is larger than this machine's memory", str(path), "record into a folder of chunks")
+
+
+def _load(archive: zipfile.ZipFile, key: str, info: zipfile.ZipInfo, path: Path) -> NDArray[Any]:
     where = f"{path}: {key}"
-    info = archive.getinfo(f"{key}.npy")
-    if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-        _truncated(path, f"'{key}' is compressed in a way that numpy does not write")
-    ratio = _MAX_DEFLATE_RATIO if info.compress_type == zipfile.ZIP_DEFLATED else 1
-    if info.compress_size > size_bytes or info.file_size > ratio * info.compress_size:
-        _truncated(path, f"'{key}' claims {info.file_size} bytes, more than the file can hold")
     try:
         with archive.open(info) as member:
             # numpy reads a header of any length into memory: it gets the first bytes alone.
@@ -90,8 +124,6 @@ def _load(archive: zipfile.ZipFile, key: str, path: Path, size_bytes: int) -> ND
             if claimed_bytes != held_bytes:
                 problem = f"claims {dtype} of shape {shape}, {claimed_bytes} bytes, but holds {held_bytes}"
                 raise RecordingShape(problem, where, "write the recording again")
-            if claimed_bytes > _MEMORY_BYTES:
-                raise MemoryError
             array = np.empty(shape[::-1] if fortran else shape, dtype)
             data = array.reshape(-1).view(np.uint8).data if claimed_bytes else memoryview(b"")
             part, done = head.read(), 0
@@ -102,7 +134,7 @@ def _load(archive: zipfile.ZipFile, key: str, path: Path, size_bytes: int) -> ND
             if done < claimed_bytes:
                 _truncated(path, f"'{key}' ends early")
     except MemoryError as error:
-        raise RecordingShape("is larger than this machine's memory", where, "record into a folder of chunks") from error
+        raise too_large(path) from error
     except _DAMAGE as error:
         _truncated(path, f"'{key}' is damaged", error)
     if fortran:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.errors import RecordingShape, RecordingValues
+from touchd.frame import MAX_CHANNELS, MAX_SAMPLES
 from touchd.recording.data import Recording
 
 ARRAYS: dict[str, tuple[type[np.generic], str]] = {
@@ -23,6 +24,10 @@ ARRAYS: dict[str, tuple[type[np.generic], str]] = {
 }
 """Type and shape of each key: n frames of (channels, samples), k contacts."""
 REQUIRED = ("frames", "sequence", "timestamp_ns")
+MAX_COUNT = 1 << 62
+"""Of a counter or a time: what is added to it in a replay does not overflow."""
+MAX_VALUE = 1e6
+"""Of a position, force or temperature; a larger one is a mistake, and overflows when it is squared."""
 _SEE = "see docs/formats.md"
 
 
@@ -47,6 +52,9 @@ def check(recording: Recording, where: str = "recording") -> None:
                 f"must increase from frame to frame, but frame {i + 1} has {values[i + 1]} after {values[i]}",
                 f"{where}: {name}", "drop the repeated frames, or sort them",
             )  # fmt: skip
+        for value in (values[0], values[-1]):
+            if abs(int(value)) > MAX_COUNT:
+                raise RecordingValues(f"is {value}, beyond 2^62", f"{where}: {name}", "count from the first frame")
     if recording.timestamp_ns[0] < 0:
         raise RecordingValues(
             f"is negative: {recording.timestamp_ns[0]}", f"{where}: timestamp_ns", "count from the first frame"
@@ -59,6 +67,8 @@ def check(recording: Recording, where: str = "recording") -> None:
             kind = "infinite" if allow_nan else "not a finite number"
             fix = "write NaN where the truth is unknown" if allow_nan else "leave the key out where it is unknown"
             raise RecordingValues(f"is {kind} in frame {i}", f"{where}: {name}", fix)
+        if values is not None and values.size and (largest := np.nanmax(np.abs(values), initial=0.0)) > MAX_VALUE:
+            raise RecordingValues(f"is {largest:g} in a frame", f"{where}: {name}", "write it in the unit of its name")
     if recording.contacts_mm is not None:
         nan = np.isnan(recording.contacts_mm)
         half = np.argwhere(nan[..., 0] != nan[..., 1])
@@ -90,6 +100,9 @@ def _check_shapes(recording: Recording, where: str) -> None:
                 raise RecordingShape(f"has shape {array.shape}, must be {shape}, but {first}", at, _SEE)
         if name == "frames" and array.size == 0:
             raise RecordingShape(f"has shape {array.shape}: no frames", at, "record again, for longer")
+        if name == "frames" and not (array.shape[1] <= MAX_CHANNELS and array.shape[2] <= MAX_SAMPLES):
+            most = f"{MAX_CHANNELS} channels of {MAX_SAMPLES} samples"
+            raise RecordingShape(f"has shape {array.shape}: more than {most}", at, _SEE)
     receivers = recording.meta.receivers_mm
     if receivers is not None and len(receivers) != sizes["channels"]:
         raise RecordingShape(

@@ -81,7 +81,9 @@ class Control:
         try:
             self._socket.bind(str(path))
             if group:
-                os.chown(path, -1, grp.getgrnam(group).gr_gid)
+                gid = grp.getgrnam(group).gr_gid
+                if path.stat().st_gid != gid:  # the service's sandbox forbids to ask, and its files have its group
+                    os.chown(path, -1, gid)
                 path.chmod(0o660)
         except (OSError, KeyError) as error:
             self.close()

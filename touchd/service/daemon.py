@@ -7,7 +7,9 @@ import math
 import sys
 import time
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack, closing, nullcontext
+from contextlib import AbstractContextManager, ExitStack, closing, nullcontext
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import structlog
 
@@ -16,20 +18,26 @@ from touchd.keypad import Layout, load_layout
 from touchd.localization.model import Model, default_model_path
 from touchd.pipeline import Pipeline
 from touchd.recording.data import Meta
+from touchd.service import log as logging
 from touchd.service import realtime
 from touchd.service.control import Control, path_of
 from touchd.service.cpu_latency import Awake
 from touchd.service.health import Health
 from touchd.service.loop import FrameKeeper, Service
 from touchd.service.messages import Messages, wants_of
-from touchd.service.preroll import PreRoll, save_on_signal
+from touchd.service.preroll import PreRoll
 from touchd.service.reload import Reloader
-from touchd.service.signals import reload_on_hangup, stop_on_signals
+from touchd.service.signals import deliver, reload_on_hangup, save_on_signal, stop_on_signals
 from touchd.service.systemd import Notifier
 from touchd.sinks.sink import Sink
 from touchd.sources.open import SourceChoice, open_source
 from touchd.sources.recorder import describe
 from touchd.sources.source import Source
+
+if TYPE_CHECKING:
+    from touchd.sinks.zeromq import ZeromqSink
+
+Step = Callable[[str], AbstractContextManager[object]]
 
 log = structlog.get_logger()
 
@@ -46,7 +54,52 @@ def load_model(settings: Settings) -> Model:
 
 def layout_of(settings: Settings, model: Model) -> Layout | None:
     """Return the keys, in keypad mode: those that the settings name, or else the model's own."""
-    return load_layout(settings.keypad.layout) if settings.keypad.layout else model.description.layout
+    if settings.keypad.layout is None:
+        return model.description.layout
+    return load_layout(settings.keypad.layout, model.description.plate)
+
+
+@dataclass(slots=True)
+class Parts:
+    """What a daemon opens before its source. A part that was refused, or is not wanted, is None."""
+
+    bus: ZeromqSink | None = None
+    control: Control | None = None
+    model: Model | None = None
+    layout: Layout | None = None
+
+
+def open_parts(settings: Settings, stack: ExitStack, step: Step = nullcontext) -> Parts:
+    """Open what needs no plate: what is refused soonest first. `touchd doctor` opens the same.
+
+    Parameters
+    ----------
+    settings : Settings
+    stack : ExitStack
+        Closes the parts.
+    step : callable
+        Returns the context in which the part of that name is opened. A context that suppresses an error has the other
+        parts opened nevertheless.
+
+    Raises
+    ------
+    TouchdError
+        A part cannot be opened.
+    """
+    from touchd.sinks.zeromq import ZeromqSink
+
+    parts = Parts()
+    with step("bus"):
+        parts.bus = stack.enter_context(closing(ZeromqSink(settings.bus)))
+    with step("control"):
+        if (where := path_of(settings.control)) is not None:
+            parts.control = stack.enter_context(closing(Control(where, settings.control.group)))
+    with step("model"):
+        parts.model = load_model(settings)
+    if parts.model is not None:
+        with step("keypad"):
+            parts.layout = layout_of(settings, parts.model)
+    return parts
 
 
 def make_pipeline(
@@ -64,7 +117,7 @@ def make_service(
     source: Source,
     sinks: Sequence[Sink],
     settings: Settings,
-    model: Model | None = None,
+    model: Model,
     *,
     clock: Callable[[], int] = time.monotonic_ns,
     manager: Notifier | None = None,
@@ -76,9 +129,7 @@ def make_service(
 
     Parameters
     ----------
-    source, sinks, settings
-    model : Model, optional
-        By default the one that the settings name.
+    source, sinks, settings, model
     clock : callable
         CLOCK_MONOTONIC, ns.
     manager, preroll, control
@@ -86,17 +137,39 @@ def make_service(
     read_settings : callable, optional
         Reads the configuration, for `Service.reload`.
     """
-    model = model or load_model(settings)
     pipeline = make_pipeline(source, settings, model)
     messages = Messages(settings, wants_of(sinks))
     health = Health(source, pipeline, messages, settings.health, model.description.name)
     reloader = None
     if read_settings is not None:
-        reloader = Reloader(settings, read_settings, lambda new: layout_of(new, model), pipeline, messages, health)
+        kept = preroll if isinstance(preroll, PreRoll) else None
+        reloader = make_reloader(settings, read_settings, model, pipeline, messages, health, kept)
     return Service(
         source, pipeline, messages, sinks, health, clock=clock, manager=manager,
         awake=Awake(settings.realtime.awake_from_hz), preroll=preroll, control=control, reloader=reloader,
     )  # fmt: skip
+
+
+def make_reloader(
+    settings: Settings,
+    read: Callable[[], Settings],
+    model: Model,
+    pipeline: Pipeline,
+    messages: Messages,
+    health: Health,
+    preroll: PreRoll | None = None,
+) -> Reloader:
+    """Return what reloads the configuration of these parts."""
+
+    def apply(new: Settings, layout: Layout | None) -> None:
+        pipeline.configure(new, layout)
+        messages.configure(new)
+        health.configure(new.health)
+        if preroll is not None:
+            preroll.configure(new.preroll)
+        logging.configure(new.log)
+
+    return Reloader(settings, layout_of(settings, model), read, lambda new: layout_of(new, model), apply)
 
 
 def make_preroll(source: Source, settings: Settings, model: Model, choice: SourceChoice) -> PreRoll:
@@ -135,33 +208,31 @@ def run(
         Reads the configuration again on SIGHUP.
     """
     from touchd.sinks.jsonl import JsonlSink
-    from touchd.sinks.zeromq import ZeromqSink
 
+    realtime.raise_file_limit()
     with ExitStack() as stack:
         manager = stack.enter_context(closing(Notifier.from_environment()))
         if manager.watchdog_s:
             # The manager kills a daemon that hangs by SIGABRT: the log then has a traceback, of function names alone.
             faulthandler.enable()
-        model = load_model(settings)
-        source = stack.enter_context(closing(open_source(choice, settings, model)))
         with realtime.giving_way() if choice.speed == math.inf else nullcontext():
-            bus = stack.enter_context(closing(ZeromqSink(settings.bus)))
+            parts = open_parts(settings, stack)
+        bus, model = parts.bus, parts.model
+        assert bus is not None
+        assert model is not None
+        # Last: the twin computes its plate for many seconds.
+        source = stack.enter_context(closing(open_source(choice, settings, model)))
         sinks: list[Sink] = [bus, JsonlSink(sys.stdout)] if echo else [bus]
-        preroll = control = None
-        if settings.preroll.seconds:
-            preroll = stack.enter_context(closing(make_preroll(source, settings, model, choice)))
-        where = path_of(settings.control)
-        if where is not None:
-            control = stack.enter_context(closing(Control(where, settings.control.group)))
+        preroll = stack.enter_context(closing(make_preroll(source, settings, model, choice)))
         service = make_service(
             source, sinks, settings, model,
-            manager=manager, preroll=preroll, control=control, read_settings=read_settings,
+            manager=manager, preroll=preroll, control=parts.control, read_settings=read_settings,
         )  # fmt: skip
         stop_on_signals(service)
         if read_settings is not None:
             reload_on_hangup(service)
-        if preroll is not None:
-            save_on_signal(preroll)
+        save_on_signal(preroll)
+        deliver()
         realtime.freeze()
         if await_subscriber_s:
             bus.wait_for_subscriber(await_subscriber_s, stopped=lambda: service.stopped)

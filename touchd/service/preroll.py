@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
-import signal
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from datetime import UTC, datetime
 from pathlib import Path
-from types import FrameType
 
 import structlog
 
@@ -24,6 +23,7 @@ from touchd.sources.recorder import Block, write_blocks
 AFTER_NS = 1_000_000_000
 """From a doubtful touch until it is saved, ns: the recording shows how the touch went on."""
 _OURS = re.compile(r"preroll-\d{8}T\d{6}Z-[a-z0-9]+(-\d+)?\.npz")
+_MAX_BLOCK_FRAMES = 1000
 
 log = structlog.get_logger()
 
@@ -31,7 +31,8 @@ log = structlog.get_logger()
 class PreRoll:
     """Keeps a copy of each frame for some seconds, and writes them as a recording on request.
 
-    Frames lie in blocks of a second, which are used again. A thread of its own writes them, and logs what goes wrong.
+    Frames lie in blocks of up to a second, which are used again; they are dropped by age and, in case the frames' times
+    are wrong, by number. A thread of its own writes them, and logs what goes wrong.
 
     Parameters
     ----------
@@ -44,6 +45,8 @@ class PreRoll:
     settings : PreRollSettings
     clock : callable
         Monotonic time, ns.
+    interval_s : float
+        Least time between two files: a plate full of doubtful touches must not fill the disk.
     """
 
     def __init__(
@@ -53,16 +56,16 @@ class PreRoll:
         meta: Callable[[], Meta],
         settings: PreRollSettings,
         clock: Callable[[], int] = time.monotonic_ns,
+        interval_s: float = 10.0,
     ) -> None:
         self._acquisition = acquisition
         self._meta = meta
-        self._settings = settings
-        self._folder = settings.folder or default_folder()
+        self._rate_hz = rate_hz
         self._clock = clock
-        self._block_frames = max(1, round(rate_hz))
-        self._span_ns = round(settings.seconds * 1e9)
+        self._interval_ns = round(interval_s * 1e9)
+        self._block_frames = max(1, min(round(rate_hz), _MAX_BLOCK_FRAMES))
         self._blocks: deque[Block] = deque()
-        self._current = Block(self._block_frames, acquisition)
+        self._current: Block | None = None
         self._free: list[Block] = []
         self._lent: list[Block] = []
         self._last: Frame | None = None
@@ -70,23 +73,41 @@ class PreRoll:
         self._due_ns: int | None = None
         self._saved_ns: int | None = None
         self._writing: Future[None] | None = None
+        self._written: dict[Path, int] = {}  # by this process, in order
         self._writer = ThreadPoolExecutor(1, "touchd-preroll")
+        self.configure(settings)
+
+    def configure(self, settings: PreRollSettings) -> None:
+        """Take other settings; with `seconds` 0 drop all frames, and write none that was asked for before."""
+        self._settings = settings
+        self._folder = settings.folder or default_folder()
+        self._span_ns = round(settings.seconds * 1e9)
+        self._max_blocks = math.ceil(settings.seconds * self._rate_hz / self._block_frames) + 1
+        if not settings.seconds:
+            self._blocks.clear()
+            self._free.clear()
+            self._current = self._due_ns = self._last = None
+            if self._writing is not None:
+                self._writing.cancel()
 
     def keep(self, frame: Frame, contacts: Sequence[Contact]) -> None:
         """Copy a frame, and schedule a save if one of its contacts goes down with little confidence."""
+        if not self._span_ns:
+            self.poll()
+            return
         last = self._last
         if last is not None and (frame.sequence <= last.sequence or frame.t_ns <= last.t_ns):
             if frame.sequence == last.sequence:
                 return  # seen already
             self._reset()  # the device counts from its start again: no recording holds both
         self._last = frame
-        current = self._current
+        current = self._current = self._current or self._new_block()
         current.append(frame, frame.t_ns)
         if current.size == self._block_frames:
             self._blocks.append(current)
-            while len(self._blocks) > 1 and frame.t_ns - int(self._blocks[1].timestamp_ns[0]) >= self._span_ns:
+            while len(self._blocks) > 1 and self._is_old(frame.t_ns):
                 self._recycle(self._blocks.popleft())
-            self._current = self._free.pop() if self._free else Block(self._block_frames, self._acquisition)
+            self._current = self._new_block()
         if contacts and self._due_ns is None and self._is_doubtful(contacts):
             self._due_ns = self._clock() + AFTER_NS
         if self._asked or self._due_ns is not None:
@@ -112,22 +133,30 @@ class PreRoll:
         self.poll()
         self._writer.shutdown()
 
+    def _new_block(self) -> Block:
+        return self._free.pop() if self._free else Block(self._block_frames, self._acquisition)
+
+    def _is_old(self, now_ns: int) -> bool:
+        """Return whether the span is full without the oldest block."""
+        return len(self._blocks) > self._max_blocks or now_ns - int(self._blocks[1].timestamp_ns[0]) >= self._span_ns
+
     def _is_doubtful(self, contacts: Sequence[Contact]) -> bool:
         least = self._settings.min_confidence
         return any(contact.phase == "down" and contact.confidence < least for contact in contacts)
 
     def _save(self, reason: str) -> None:
         now_ns = self._clock()
-        blocks = [block for block in (*self._blocks, self._current) if block.size]
-        too_soon = self._saved_ns is not None and now_ns - self._saved_ns < self._settings.interval_s * 1e9
+        blocks = [block for block in (*self._blocks, self._current) if block is not None and block.size]
+        too_soon = self._saved_ns is not None and now_ns - self._saved_ns < self._interval_ns
         if not blocks or too_soon or (self._writing is not None and not self._writing.done()):
-            why = "no frames yet" if not blocks else "the last one was saved just now"
+            empty = "no frames yet" if self._span_ns else "preroll.seconds is 0"
+            why = "the last one was saved just now" if blocks else empty
             log.warning("pre-roll not saved", reason=reason, why=why)
             return
         self._saved_ns = now_ns
         # The writer borrows full blocks, and gets a copy of the current one, which is being filled.
-        self._lent = blocks[:-1] if blocks[-1] is self._current else blocks
-        handed = [*self._lent, *([self._current.copy()] if self._current.size else [])]
+        self._lent = [block for block in blocks if block is not self._current]
+        handed = [block if block is not self._current else block.copy() for block in blocks]
         self._writing = self._writer.submit(self._write, reason, handed)
 
     def _recycle(self, block: Block) -> None:
@@ -139,17 +168,21 @@ class PreRoll:
     def _reset(self) -> None:
         while self._blocks:
             self._recycle(self._blocks.popleft())
-        self._current.size = 0
+        if self._current is not None:
+            self._current.size = 0
 
     def _write(self, reason: str, blocks: list[Block]) -> None:
         try:
             self._folder.mkdir(mode=0o700, parents=True, exist_ok=True)
             stamp = datetime.now(UTC).strftime("%Y%m%dT%H%M%SZ")
-            name = f"preroll-{stamp}-{reason}"
-            taken = len(list(self._folder.glob(f"{name}*.npz")))
-            path = self._folder / (f"{name}-{taken}.npz" if taken else f"{name}.npz")
+            names = (f"preroll-{stamp}-{reason}{suffix}.npz" for suffix in ("", *(f"-{n}" for n in range(1, 10_000))))
+            path = next(path for name in names if not (path := self._folder / name).exists())
             epoch_ns = int(blocks[0].timestamp_ns[0])
             frames = write_blocks(path, self._meta(), blocks, epoch_ns=epoch_ns, compress=False)
+            if not self._span_ns:  # switched off meanwhile
+                path.unlink()
+                return
+            self._written[path] = max(self._written.values(), default=0) + 1
             log.info("pre-roll saved: it can reveal a PIN", path=path, frames=frames, reason=reason)
             self._prune()
         except Exception as error:
@@ -157,10 +190,17 @@ class PreRoll:
             log.warning("pre-roll not saved", reason=reason, why=str(error))
 
     def _prune(self) -> None:
-        """Delete the oldest of the pre-roll's own files, all but the last `keep`."""
-        ours = sorted(path for path in self._folder.iterdir() if _OURS.fullmatch(path.name))
+        """Delete the oldest of the pre-roll's own files, all but the last `keep`.
+
+        A file that this process wrote is newer than all others: the clock in their names may have been set back.
+        """
+        ours = [path for path in self._folder.iterdir() if _OURS.fullmatch(path.name)]
+        ours.sort(key=lambda path: (self._written.get(path, -1), path.name))
         for path in ours[: -self._settings.keep]:
             path.unlink(missing_ok=True)
+            self._written.pop(path, None)
+        for path in self._folder.glob(".preroll-*.tmp"):
+            path.unlink(missing_ok=True)  # half a file of a daemon that was killed
 
 
 def default_folder() -> Path:
@@ -169,12 +209,3 @@ def default_folder() -> Path:
         return Path(managed.partition(":")[0]) / "preroll"
     home = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
     return Path(home) / "touchd" / "preroll"
-
-
-def save_on_signal(preroll: PreRoll) -> None:
-    """Save the pre-roll on SIGUSR1."""
-
-    def handle(_number: int, _frame: FrameType | None) -> None:
-        preroll.request("sigusr1")
-
-    signal.signal(signal.SIGUSR1, handle)

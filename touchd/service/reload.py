@@ -11,13 +11,9 @@ from touchd.config.render import fields
 from touchd.config.schema import Settings
 from touchd.errors import TouchdError
 from touchd.keypad import Layout
-from touchd.pipeline import Pipeline
-from touchd.service import log as logging
-from touchd.service.health import Health
-from touchd.service.messages import Messages
 
 RESTART_ONLY = frozenset(
-    {"device", "ni", "bus", "control", "realtime", "preroll", "model.path", "model.atlas", "baseline.learn_frames"}
+    {"device", "ni", "bus", "control", "realtime", "model.path", "model.atlas", "baseline.learn_frames"}
 )
 """Tables and keys that a running daemon cannot change: what is open, bound, loaded or learned."""
 
@@ -58,47 +54,52 @@ class Reloader:
 
     Parameters
     ----------
-    settings : Settings
+    settings, layout
         Those in use.
     read : callable
         Returns the settings as they now are; raises ConfigError if they are wrong.
     layout_of : callable
         Returns the keys that settings name; raises ConfigError if there is a mistake in them.
-    pipeline, messages, health
-        The parts that are configured.
+    apply : callable
+        Configures every part of the daemon with settings and keys.
     """
 
     def __init__(
         self,
         settings: Settings,
+        layout: Layout | None,
         read: Callable[[], Settings],
         layout_of: Callable[[Settings], Layout | None],
-        pipeline: Pipeline,
-        messages: Messages,
-        health: Health,
+        apply: Callable[[Settings, Layout | None], None],
     ) -> None:
         self.settings = settings
         """Those in use."""
-        self._read = read
-        self._layout_of = layout_of
-        self._pipeline, self._messages, self._health = pipeline, messages, health
+        self._layout = layout
+        self._read, self._layout_of, self._apply = read, layout_of, apply
 
     def reload(self) -> None:
         """Read the configuration and apply what can change while the daemon runs; a wrong one changes nothing.
 
-        Nothing is raised: a mistake in a file must not end a daemon that works.
+        Nothing is raised: neither a mistake in a file nor a part that cannot take a value must end a daemon that works.
         """
         try:
             changes = compare(self.settings, self._read())
-            layout = self._layout_of(changes.settings)
-        except TouchdError as error:
-            log.error("the configuration is wrong, the old one stays in use", error=str(error))
+            self._take(changes.settings, self._layout_of(changes.settings))
+        except Exception as error:
+            expected = isinstance(error, TouchdError)
+            log.error(
+                "the configuration is wrong, the old one stays in use",
+                error=str(error) if expected else repr(error), exc_info=not expected,
+            )  # fmt: skip
             return
-        new = self.settings = changes.settings
-        self._pipeline.configure(new, layout)
-        self._messages.configure(new)
-        self._health.configure(new.health)
-        logging.configure(new.log)
         log.info("configuration read again", taken=changes.taken)
         if changes.waiting:
             log.warning("settings that wait for a restart", waiting=changes.waiting)
+
+    def _take(self, settings: Settings, layout: Layout | None) -> None:
+        try:
+            self._apply(settings, layout)
+        except Exception:
+            self._apply(self.settings, self._layout)  # no part keeps what another one refused
+            raise
+        self.settings, self._layout = settings, layout

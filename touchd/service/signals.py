@@ -1,12 +1,34 @@
-"""SIGTERM and SIGINT stop a daemon, SIGHUP reloads its configuration."""
+"""SIGTERM and SIGINT stop a daemon, SIGHUP reloads its configuration, SIGUSR1 saves its pre-roll."""
 
 from __future__ import annotations
 
 import signal
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from types import FrameType
+from typing import TYPE_CHECKING
 
-from touchd.service.loop import Service
+if TYPE_CHECKING:  # `held` comes before all that takes its time to import
+    from touchd.service.loop import Service
+    from touchd.service.preroll import PreRoll
+
+_HELD = (signal.SIGHUP, signal.SIGUSR1)
+
+
+@contextmanager
+def held() -> Iterator[None]:
+    """Let SIGHUP and SIGUSR1 wait, within this context, until `deliver`: a daemon that starts would end of them."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, _HELD)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def deliver() -> None:
+    """Let SIGHUP and SIGUSR1 come, those that wait first; call it once they have handlers."""
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, _HELD)
 
 
 def stop_on_signals(service: Service) -> None:
@@ -25,3 +47,8 @@ def reload_on_hangup(service: Service) -> None:
     if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN or (sys.stdin is not None and sys.stdin.isatty()):
         return
     signal.signal(signal.SIGHUP, lambda _number, _frame: service.reload())
+
+
+def save_on_signal(preroll: PreRoll) -> None:
+    """Save the pre-roll on SIGUSR1."""
+    signal.signal(signal.SIGUSR1, lambda _number, _frame: preroll.request("sigusr1"))

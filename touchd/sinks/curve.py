@@ -13,14 +13,19 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
+import structlog
 import zmq
-from zmq.auth import create_certificates, load_certificate
+from zmq.auth import create_certificates
 
 from touchd.errors import BusError, ConfigError, OutputError
 
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]*")
-_KEY = re.compile(rb"[0-9a-zA-Z.\-:+=^!/*?&<>()\[\]{}@%$#]{40}")
-"""32 bytes in Z85, https://rfc.zeromq.org/spec/32/."""
+_KEY = re.compile(rb"""^\s*(public|secret)-key\s*=\s*"([0-9a-zA-Z.\-:+=^!/*?&<>()\[\]{}@%$#]{40})"\s*$""", re.MULTILINE)
+"""A key's name, and 32 bytes in Z85, https://rfc.zeromq.org/spec/32/."""
+_LONGEST_BYTES = 65536
+"""No key file is longer."""
+
+log = structlog.get_logger()
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,15 +61,23 @@ def make_files(folder: Path, name: str) -> tuple[Path, Path]:
             raise OutputError(
                 "the key exists already and is never overwritten", str(path), "take another --name, or move it away"
             )
+    made: list[Path] = []
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         # zmq.auth writes with the process's umask, over any file of the name: let it do so in a private folder.
         with tempfile.TemporaryDirectory(prefix=".touchd-", dir=folder) as private:
             public, secret = create_certificates(private, name)
-            for source, path, mode in ((secret, secret_path, 0o600), (public, public_path, 0o644)):
+            files = ((secret, secret_path, 0o600), (public, public_path, 0o644))
+            for source, _, mode in files:
                 os.chmod(source, mode)
+                _flush(source)  # a full disk may refuse only now what it has accepted
+            for source, path, _ in files:
                 os.link(source, path)  # unlike a rename it replaces nothing
+                made.append(path)
+        _flush(folder)
     except OSError as error:
+        for path in made:  # half a pair would block the next attempt
+            path.unlink(missing_ok=True)
         raise OutputError(
             f"the key cannot be written ({error.strerror})",
             str(error.filename2 or error.filename or folder),
@@ -101,37 +114,106 @@ def load_public(path: Path) -> bytes:
     return public
 
 
-def load_folder(folder: Path) -> frozenset[bytes]:
-    """Return the public keys of all `.key` files in a folder.
+class ClientKeys:
+    """The public keys in a folder of `.key` files: who may subscribe.
+
+    A file is read when it is new or has changed. One that holds no key is skipped, and logged once. While the folder
+    cannot be looked at, for want of descriptors or permission, the keys known stay in force.
+
+    Parameters
+    ----------
+    folder : Path
 
     Raises
     ------
     BusError
-        If the folder or a file cannot be read, or there is no file: nobody could subscribe.
+        If the folder cannot be read, or holds no key: nobody could subscribe.
     """
-    if not folder.is_dir():
-        raise BusError("no such folder of client keys", str(folder), "create it, and copy the clients' .key files in")
-    keys = frozenset(load_public(path) for path in sorted(folder.glob("*.key")))
-    if not keys:
-        raise BusError("holds no .key file, so nobody could subscribe", str(folder), "copy the clients' .key files in")
-    return keys
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._files: dict[str, tuple[tuple[int, ...], bytes | None]] = {}
+        self._keys: frozenset[bytes] = frozenset()
+        self.current = False
+        """Whether the last `refresh` could look at the folder."""
+        if not folder.is_dir():
+            raise BusError(
+                "no such folder of client keys", str(folder), "create it, and copy the clients' .key files in"
+            )
+        self.refresh()
+        if not self._keys:
+            raise BusError("holds no client's key, so nobody could subscribe", str(folder),
+                           "copy the clients' .key files in; the log names those that are unusable")  # fmt: skip
+
+    def __contains__(self, key: bytes) -> bool:
+        return key in self._keys
+
+    def refresh(self) -> None:
+        """Read the files that are new or have changed, and forget the keys of those that are gone. Never raises."""
+        try:
+            with os.scandir(self._folder) as entries:
+                found = {entry.name: _signature(entry) for entry in entries if entry.name.endswith(".key")}
+        except (FileNotFoundError, NotADirectoryError):
+            found = {}
+        except OSError as error:
+            if self.current:
+                log.error("the clients' keys cannot be looked at, those known stay in force",
+                          folder=str(self._folder), error=error.strerror)  # fmt: skip
+            self.current = False
+            return
+        self.current = True
+        files: dict[str, tuple[tuple[int, ...], bytes | None]] = {}
+        for name, signature in found.items():
+            before, key = self._files.get(name, ((-1,), None))
+            if before != signature or key is None:  # want of descriptors passes without a change of the file
+                key = self._load(name, log_failure=before != signature)
+            files[name] = signature, key
+        self._files = files
+        self._keys = frozenset(key for _, key in files.values() if key)
+
+    def _load(self, name: str, *, log_failure: bool) -> bytes | None:
+        try:
+            return load_public(self._folder / name)
+        except BusError as error:
+            if log_failure:
+                log.error("a client's key is skipped", error=str(error))
+            return None
+
+
+def _signature(entry: os.DirEntry[str]) -> tuple[int, ...]:
+    """Return what changes when a file is written or replaced; nothing for a link that leads nowhere."""
+    try:
+        status = entry.stat()
+    except OSError:
+        return ()
+    return status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns
+
+
+def _flush(path: str | Path) -> None:
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
 
 
 def _load(path: Path, *, private: bool = False) -> tuple[bytes | None, bytes | None]:
     """Return the public and the secret key of a file, None for one that is missing or malformed."""
     try:
-        mode = stat.S_IMODE(path.stat().st_mode)
-        if private and mode & 0o077:
-            raise BusError(
-                f"the secret key is open to other users (mode {mode:04o})", str(path),
-                f"make it yours: chmod 600 {path}",
-            )  # fmt: skip
-        keys = load_certificate(path)
+        # Without waiting: a pipe of that name would hold the daemon up for ever.
+        with open(os.open(path, os.O_RDONLY | os.O_NONBLOCK), "rb") as file:
+            status = os.fstat(file.fileno())
+            if not stat.S_ISREG(status.st_mode):
+                return None, None
+            mode = stat.S_IMODE(status.st_mode)
+            if private and mode & 0o077:
+                raise BusError(
+                    f"the secret key is open to other users (mode {mode:04o})", str(path),
+                    f"make it yours: chmod 600 {path}",
+                )  # fmt: skip
+            keys = dict(_KEY.findall(file.read(_LONGEST_BYTES)))
     except OSError as error:
         raise BusError(
             f"the key cannot be read ({error.strerror})", str(path), "check the path and who may read it"
         ) from error
-    except (ValueError, IndexError):
-        return None, None
-    public, secret = (key if key and _KEY.fullmatch(key) else None for key in keys)
-    return public, secret
+    return keys.get(b"public"), keys.get(b"secret")

@@ -11,7 +11,26 @@ import stat
 from collections.abc import Iterator
 from pathlib import Path
 
+from touchd.config.schema import BusSettings
 from touchd.errors import AddressInUse, BusError, InsecureBind
+
+LOOPBACK = "tcp://127.0.0.1:5570"
+"""Where a daemon publishes that nobody told where, without a service manager."""
+SERVICE = "ipc:///run/touchd/bus"
+"""Where the installed service does."""
+SERVICE_GROUP = "touchd-bus"
+"""Who may subscribe there; the package makes the group."""
+
+
+def effective(settings: BusSettings) -> BusSettings:
+    """Return the settings with an unset address filled in: the service's file if there is a runtime folder."""
+    if settings.bind:
+        return settings
+    folder = os.environ.get("RUNTIME_DIRECTORY", "").partition(":")[0]
+    if not folder:
+        return settings.model_copy(update={"bind": (LOOPBACK,)})
+    group = settings.ipc_group or SERVICE_GROUP
+    return settings.model_copy(update={"bind": (f"ipc://{folder}/bus",), "ipc_group": group})
 
 
 def is_file(address: str) -> bool:
@@ -97,7 +116,8 @@ def private_file(address: str, group: str) -> Iterator[None]:
     if gid is None:
         return
     try:
-        os.chown(path, -1, gid)
+        if path.stat().st_gid != gid:  # the service's sandbox forbids to ask, and its files have its group
+            os.chown(path, -1, gid)
         path.chmod(0o660)
     except OSError as error:
         raise BusError(

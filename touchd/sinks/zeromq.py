@@ -9,25 +9,24 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-import structlog
 import zmq
-from zmq.auth.thread import ThreadAuthenticator
 
 from touchd.config.schema import BusSettings
 from touchd.errors import AddressInUse, BusError, BusTimeout
 from touchd.event import TOPICS, Event, TouchEvent, encode, encode_at
 from touchd.sinks import curve, endpoint
-
-log = structlog.get_logger()
+from touchd.sinks.authenticator import DOMAIN, Authenticator
+from touchd.sinks.peers import Peers
 
 _LINGER_MS = 500  # the daemon ends within a second of SIGTERM
 _MOST_PER_POLL = 64  # subscription messages read at once: a flood must not delay a frame
-_MOST_RECEIVED_BYTES = 4096  # subscriptions and handshakes
-_LOOK_S = 0.1  # a wait ends at most this late
+_MOST_RECEIVED_BYTES = 512  # a subscription or a handshake; libzmq closes a connection that sends a longer message
+_HANDSHAKE_MS = 5000  # a connection that takes longer is ended; a client whose key could not be looked up tries again
+_SEND_BUFFER_BYTES = 65536  # of the kernel, for each connection: by default it grows to megabytes of stale messages
+_LOOK_S = 0.02  # a wait ends at most this late
 # Plain integers: an operation on zmq's flags makes an object, and takes longer than the call.
 _EVENTS, _POLLIN = int(zmq.EVENTS), int(zmq.POLLIN)
 _MORE, _NOBLOCK = int(zmq.SNDMORE | zmq.NOBLOCK), int(zmq.NOBLOCK)
-_SUBSCRIBE, _UNSUBSCRIBE = b"\x01", b"\x00"
 
 
 class ZeromqSink:
@@ -55,23 +54,25 @@ class ZeromqSink:
     """
 
     def __init__(self, settings: BusSettings, clock: Callable[[], int] = time.monotonic_ns) -> None:
+        settings = endpoint.effective(settings)
         self._clock = clock
         self._open = True
         self._last: dict[str, Event | bytes] = {}
-        # The prefixes subscribed to, and their topics. A topic is dropped with its last prefix.
-        self._prefixes: set[bytes] = set()
-        self._wanted: frozenset[str] = frozenset()
         self._topic_frames = {topic: topic.encode() for topic in TOPICS}
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self._socket = self._context.socket(zmq.XPUB)
-        self._authenticator: ThreadAuthenticator | None = None
+        self._authenticator: Authenticator | None = None
+        # Verbose: each subscription needs the last value, and each connection's are counted.
+        self._socket.setsockopt(zmq.XPUB_VERBOSER, 1)
+        self._peers = Peers(self._socket, TOPICS, settings.max_subscribers)
         try:
-            # Verbose for subscriptions: each one needs the last value. Not for unsubscriptions: libzmq then reports
-            # the last one of a prefix alone, also where a client subscribed twice.
-            self._socket.setsockopt(zmq.XPUB_VERBOSE, 1)
             self._socket.setsockopt(zmq.SNDHWM, settings.high_water_mark)
+            self._socket.setsockopt(zmq.SNDBUF, _SEND_BUFFER_BYTES)
             self._socket.setsockopt(zmq.LINGER, _LINGER_MS)
+            self._socket.setsockopt(zmq.HANDSHAKE_IVL, _HANDSHAKE_MS)
             self._socket.setsockopt(zmq.MAXMSGSIZE, _MOST_RECEIVED_BYTES)
+            # libzmq takes in all that waits whenever it is asked anything: a flood may not wait here.
+            self._socket.setsockopt(zmq.RCVHWM, 1)
             # Half a minute finds a subscriber whose cable was pulled.
             for option, value in ((zmq.TCP_KEEPALIVE, 1), (zmq.TCP_KEEPALIVE_IDLE, 15), (zmq.TCP_KEEPALIVE_INTVL, 5),
                                   (zmq.TCP_KEEPALIVE_CNT, 3)):  # fmt: skip
@@ -86,12 +87,12 @@ class ZeromqSink:
 
     def wants(self, topic: str) -> bool:
         """Return whether somebody is subscribed to the topic, as of the last `poll`."""
-        return topic in self._wanted
+        return topic in self._peers.wanted
 
     def publish(self, event: Event, received_ns: int) -> None:
         """Send the event to the subscribers of its topic, and keep it for later ones. It must not change afterwards."""
         topic = event.type
-        if topic not in self._wanted:
+        if topic not in self._peers.wanted:
             self._last[topic] = event
             return
         body = encode_at(event, received_ns, self._clock) if isinstance(event, TouchEvent) else encode(event)
@@ -99,29 +100,22 @@ class ZeromqSink:
         self._last[topic] = body
 
     def poll(self) -> None:
-        """Read subscriptions and unsubscriptions. Send the last message of each topic that has new subscribers."""
+        """Take in connections and subscriptions. Send the last message of each topic that has new subscribers."""
+        if not self._open:
+            return
+        self._peers.poll()
+        if self._authenticator is not None:
+            self._authenticator.poll()
         # The state costs a microsecond, a failed attempt to receive several.
-        if not self._open or not int(self._socket.getsockopt(_EVENTS)) & _POLLIN:
+        if not int(self._socket.getsockopt(_EVENTS)) & _POLLIN:
             return
         new: set[str] = set()
         for _ in range(_MOST_PER_POLL):
             try:
-                message = self._socket.recv(_NOBLOCK, copy=False)
+                new |= self._peers.take(self._socket.recv(_NOBLOCK, copy=False))
             except zmq.Again:
                 break
-            kind, prefix = message.bytes[:1], message.bytes[1:]
-            topics = {topic for topic, frame in self._topic_frames.items() if frame.startswith(prefix)}
-            if not topics:
-                continue
-            if kind == _SUBSCRIBE:
-                self._prefixes.add(prefix)
-                new |= topics
-            elif kind == _UNSUBSCRIBE and (topics == {"spectrum"} or not _is_from_peer(message)):
-                self._prefixes.discard(prefix)
-        self._wanted = frozenset(
-            topic for topic, frame in self._topic_frames.items() if frame.startswith(tuple(self._prefixes))
-        )
-        for topic in sorted(new & self._last.keys() & self._wanted):
+        for topic in sorted(new & self._last.keys() & self._peers.wanted):
             self._send_last(topic)
 
     def wait_for_subscriber(
@@ -154,10 +148,10 @@ class ZeromqSink:
         if not self._open:
             return
         self._open = False
-        self._wanted = frozenset()
         self._last.clear()
         if self._authenticator is not None:
-            self._authenticator.stop()
+            self._authenticator.close()
+        self._peers.close()
         self._socket.close()
         self._context.term()
 
@@ -219,34 +213,5 @@ class ZeromqSink:
         self._socket.setsockopt(zmq.CURVE_SECRETKEY, pair.secret)
         if clients is None:
             return
-        curve.load_folder(clients)  # a mistake in it ends the start
-        self._socket.setsockopt_string(zmq.ZAP_DOMAIN, "touchd")
-        self._authenticator = ThreadAuthenticator(self._context)
-        self._authenticator.start()
-        self._authenticator.configure_curve_callback("touchd", _Clients(clients))
-
-
-def _is_from_peer(message: zmq.Frame) -> bool:
-    """Return whether a peer sent the message; otherwise libzmq made it when the last subscriber went.
-
-    libzmq also forwards the unsubscription of a peer that never subscribed, by which one client could silence all
-    others. An honest one that is ignored costs the encoding of messages for nobody; only a spectrum is too expensive.
-    """
-    try:
-        return bool(message.get("Socket-Type"))
-    except zmq.ZMQError:
-        return False
-
-
-class _Clients:
-    """Decides at each handshake who may subscribe: keys come and go without a restart."""
-
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-
-    def callback(self, _domain: str, key: bytes) -> bool:
-        try:
-            return key in curve.load_folder(self._folder)
-        except BusError as error:
-            log.error("subscriber refused: the clients' keys cannot be read", error=str(error))
-            return False
+        self._authenticator = Authenticator(self._context, curve.ClientKeys(clients))
+        self._socket.setsockopt_string(zmq.ZAP_DOMAIN, DOMAIN)

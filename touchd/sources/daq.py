@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from typing import Protocol
 
 from msgspec import Struct
@@ -12,6 +13,10 @@ from touchd.recording.data import Device
 
 class DaqAbsent(Exception):
     """No device can be used at present; the text says why."""
+
+
+class DaqUnfit(DaqAbsent):
+    """A device of the protocol that cannot be used, and why."""
 
 
 class DaqGone(Exception):
@@ -62,3 +67,7 @@ class Daq(Protocol):
 
     def close(self) -> None:
         """Release the device; never fails."""
+
+
+Candidates = Callable[[], Iterator[Callable[[], Daq]]]
+"""Lists the devices that may be used at present, as calls that open one; opening raises DaqAbsent or DaqGone."""

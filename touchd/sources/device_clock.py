@@ -11,10 +11,17 @@ BUCKETS = 60
 """Buckets of the fit: 30 s, over which a crystal's rate hardly changes."""
 MAX_SKEW = 1e-3
 """Limit of the fitted rate; crystals are within 1e-4."""
+MAX_DELAY_SPREAD_NS = 50_000_000
+"""The least delays of two buckets differ by less; a line that rises or falls by more is a wrong rate."""
 _FIT_BUCKETS = 8  # with fewer the fitted rate is noise, so the device's is taken as exact
+_JUDGE_BUCKETS = 4  # with fewer one late bucket is an edge of the hull
 _SETTLE_NS = 1_000_000_000
 _MAX_SLEW = 0.1
-_JUMP_NS = 1_000_000_000  # if the clocks part by more between two frames, the device's clock was set
+# If the clocks part by more between two frames, or a frame has arrived so long before its time, the device's clock was
+# set.
+_JUMP_NS = 1_000_000_000
+# A clock that is set so often, at such intervals and for so long, is none. A computer that stalls is slower.
+_RESTARTS, _RESTART_GAP_NS, _RESTARTING_NS = 6, 2_500_000_000, 2_000_000_000
 
 
 class _Point(NamedTuple):
@@ -34,19 +41,28 @@ class DeviceClock:
     "Estimation and removal of clock skew from network delay measurements", INFOCOM 1999). The output follows that line
     without steps.
 
+    A clock whose rate no crystal has (another unit, or no clock at all) is given up: times are then those of arrival,
+    and `fault` says why, until the rate is right for 30 s.
+
     Parameters
     ----------
     complete_ns : int
         Time from the start of a chirp to its last sample, the least delay of a frame.
+    last_t_ns : int
+        Time of the last frame of an earlier connection: later frames are later.
     """
 
-    def __init__(self, complete_ns: int) -> None:
+    def __init__(self, complete_ns: int, last_t_ns: int = -1) -> None:
         self.delay_ns = 0
         """How much later than the quickest frames the last frame arrived."""
+        self.fault: str | None = None
+        """Why times are those of arrival, for a person; None while the device's clock is used."""
         self._complete_ns = complete_ns
         self._epoch_ns: int | None = None
-        self._last_ns = 0
-        self._last_t_ns = -1
+        self._restarts, self._restarted_ns = 0, -_RESTART_GAP_NS - 1
+        self._series = _Point(0, 0)  # device time and arrival at the first of the restarts
+        self._last_ns = self._last_x_ns = 0
+        self._last_t_ns = last_t_ns
         self._last_received_ns = 0
 
     def map(self, timestamp_us: int, received_ns: int) -> int:
@@ -61,19 +77,46 @@ class DeviceClock:
         """
         device_ns = timestamp_us * 1000
         step_ns = device_ns - self._last_ns
-        if self._epoch_ns is None or step_ns <= 0 or abs(received_ns - self._last_received_ns - step_ns) > _JUMP_NS:
+        if self._epoch_ns is None:
             self._begin(device_ns, received_ns)
-            step_ns = 0
-        assert self._epoch_ns is not None
+        elif step_ns <= 0 or abs(received_ns - self._last_received_ns - step_ns) > _JUMP_NS:
+            self._restart(device_ns, received_ns)
+        t_ns = self._fitted_ns(device_ns, received_ns)
+        if t_ns > received_ns - self._complete_ns + _JUMP_NS:
+            self._restart(device_ns, received_ns)
+            t_ns = self._fitted_ns(device_ns, received_ns)
         self._last_ns, self._last_received_ns = device_ns, received_ns
-        x_ns = device_ns - self._epoch_ns
-        y_ns = received_ns - self._complete_ns - self._first_ns - x_ns
-        self._add(_Point(x_ns, y_ns))
-        self._follow(x_ns, step_ns)
-        t_ns = self._first_ns + x_ns + round(self._offset_ns)
+        if self.fault:
+            t_ns = received_ns - self._complete_ns
         self.delay_ns = received_ns - self._complete_ns - t_ns
         self._last_t_ns = max(t_ns, self._last_t_ns + 1)
         return self._last_t_ns
+
+    def _fitted_ns(self, device_ns: int, received_ns: int) -> int:
+        """Add a frame to the fit, and return its time by it."""
+        assert self._epoch_ns is not None
+        x_ns = device_ns - self._epoch_ns
+        arrived_ns = received_ns - self._complete_ns - self._first_ns
+        self._add(_Point(x_ns, arrived_ns - x_ns), arrived_ns // BUCKET_NS)
+        self._follow(x_ns, x_ns - self._last_x_ns)
+        self._last_x_ns = x_ns
+        return self._first_ns + x_ns + round(self._offset_ns)
+
+    def _restart(self, device_ns: int, received_ns: int) -> None:
+        """Begin again, since the device's clock was set; give up a clock that is set again and again."""
+        if received_ns - self._restarted_ns > _RESTART_GAP_NS:
+            self._restarts, self._series = 0, _Point(device_ns, received_ns)
+        self._restarts += 1
+        self._restarted_ns = received_ns
+        elapsed_ns = received_ns - self._series.y_ns
+        if self._restarts >= _RESTARTS and elapsed_ns >= _RESTARTING_NS:
+            self._give_up((device_ns - self._series.x_ns) / elapsed_ns)
+        self._begin(device_ns, received_ns)
+
+    def _give_up(self, rate: float) -> None:
+        if self.fault is None:
+            runs = f"runs at {rate:.4g} times the right rate" if rate > 0 else "stands still, or goes back"
+            self.fault = f"the device's clock {runs}: times are those of arrival"
 
     def _begin(self, device_ns: int, received_ns: int) -> None:
         self._epoch_ns = device_ns
@@ -84,9 +127,9 @@ class DeviceClock:
         self._first_ns = received_ns - self._complete_ns
         # Height of the line at x = 0; and what is added to device time, which follows the line.
         self._intercept_ns = self._offset_ns = 0.0
+        self._last_x_ns = 0
 
-    def _add(self, point: _Point) -> None:
-        bucket = point.x_ns // BUCKET_NS
+    def _add(self, point: _Point, bucket: int) -> None:
         if bucket != self._bucket or not self._minima:
             if self._minima:
                 self._fit()
@@ -100,13 +143,21 @@ class DeviceClock:
     def _fit(self) -> None:
         """Fit the line under the points."""
         points = list(self._minima)
-        if len(points) < _FIT_BUCKETS:
-            self._skew = 0.0
-        else:
+        self._skew = 0.0
+        if len(points) >= _JUDGE_BUCKETS:
             low, high = _edge_above_mean(points)
-            skew = (high.y_ns - low.y_ns) / (high.x_ns - low.x_ns)
-            self._skew = min(max(skew, -MAX_SKEW), MAX_SKEW)
+            self._judge(high.x_ns - low.x_ns, high.y_ns - low.y_ns)
+            if len(points) >= _FIT_BUCKETS:
+                skew = (high.y_ns - low.y_ns) / (high.x_ns - low.x_ns)
+                self._skew = min(max(skew, -MAX_SKEW), MAX_SKEW)
         self._intercept_ns = min(y - self._skew * x for x, y in points)
+
+    def _judge(self, device_ns: int, parted_ns: int) -> None:
+        """Give the clock up if it is no crystal's by how far it parts in a time; trust it again if it is for 30 s."""
+        if abs(parted_ns) > MAX_SKEW * device_ns + MAX_DELAY_SPREAD_NS:
+            self._give_up(device_ns / (device_ns + parted_ns))
+        elif len(self._minima) == BUCKETS:
+            self.fault = None
 
     def _follow(self, x_ns: int, step_ns: int) -> None:
         """Move the offset towards the line, slowly enough that time neither jumps nor runs backwards."""

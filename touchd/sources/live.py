@@ -22,12 +22,13 @@ from dataclasses import dataclass
 import structlog
 
 from touchd.config.schema import DeviceSettings
-from touchd.errors import ConfigError, DeviceLost, ReaderFailed, SourceError, TouchdError
+from touchd.errors import ReaderFailed, SourceError, TouchdError
 from touchd.event import State
 from touchd.frame import Acquisition, Frame
 from touchd.recording.data import Device
-from touchd.sources.daq import Daq, DaqAbsent, DaqFrame, DaqGone
+from touchd.sources.daq import Candidates, Daq, DaqAbsent, DaqFrame, DaqGone
 from touchd.sources.device_clock import DeviceClock
+from touchd.sources.device_search import DeviceSearch, check_rate, open_first
 from touchd.sources.frame_ring import FrameRing
 from touchd.sources.numbering import Numbering
 from touchd.sources.source import Change, EndOfStream, Tally
@@ -61,13 +62,13 @@ class DaqSource:
 
     Parameters
     ----------
-    find : callable
-        Returns an open device, or raises DaqAbsent.
+    candidates : callable
+        Lists the devices to choose from; the first that can be used is.
     settings : DeviceSettings
     acquisition : Acquisition
         What the frames must look like.
     check : callable
-        Raises a TouchdError if a device with another acquisition must not be used; `read` raises it again.
+        Raises a TouchdError if a device with another acquisition must not be used: it is skipped.
     device : Device, optional
         Serial number and firmware, if the device was open before.
     waits : Waits
@@ -77,7 +78,7 @@ class DaqSource:
 
     def __init__(
         self,
-        find: Callable[[], Daq],
+        candidates: Candidates,
         settings: DeviceSettings,
         acquisition: Acquisition,
         check: Callable[[Acquisition], None],
@@ -90,7 +91,8 @@ class DaqSource:
         self.tally = Tally()
         self.device = device or Device()
         """The device that was opened last."""
-        self._find, self._settings, self._check, self._waits, self._clock = find, settings, check, waits, clock
+        self._settings, self._waits, self._clock = settings, waits, clock
+        self._search = DeviceSearch(candidates, settings, check)
         self._stall_ns = round(settings.stall_s * 1e9)
         self._ring: FrameRing[Change] = FrameRing(settings.queue_frames, acquisition.shape)
         self._numbering = Numbering()
@@ -98,6 +100,8 @@ class DaqSource:
         self._reason = ""
         self._alive_ns = clock()
         self._fruitless = 0  # connections in a row that brought no frame
+        self._last_t_ns = -1
+        self._clock_fault: str | None = None
         self._error: TouchdError | None = None
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name="touchd-daq", daemon=True)
@@ -111,7 +115,7 @@ class DaqSource:
         EndOfStream
             After `close`.
         TouchdError
-            The thread has failed: the device does not fit (ModelMismatch, SourceError), or it died (ReaderFailed).
+            The thread has died (ReaderFailed), or no device will ever be found (SourceError).
         """
         if self._closing.is_set():
             raise EndOfStream
@@ -162,35 +166,21 @@ class DaqSource:
         while not self._closing.wait(delay_s):
             self._alive_ns = self._clock()
             try:
-                daq = self._find()
+                daq = self._search.find()
             except (DaqAbsent, DaqGone) as absent:
                 self._enter("lost", str(absent))
                 delay_s = min(max(retry_s, 1.5 * delay_s), max_retry_s)
                 continue
-            try:
-                self._accept(daq)
-            except BaseException:
-                daq.close()
-                raise
+            self.device, rate_hz = daq.device, self._settings.rate_hz
+            log.info("device opened", serial=self.device.serial, firmware=self.device.firmware, rate_hz=rate_hz)
             return daq
         return None
-
-    def _accept(self, daq: Daq) -> None:
-        """Refuse a device that the model does not fit, or that does not have the frame rate."""
-        rate_hz = self._settings.rate_hz
-        self._check(daq.acquisition)
-        if not daq.min_rate_hz <= rate_hz <= daq.max_rate_hz:
-            raise ConfigError(
-                f"is {rate_hz}, but the DAQ takes {daq.min_rate_hz} to {daq.max_rate_hz} frames a second",
-                "device.rate_hz", "set it within this range",
-            )  # fmt: skip
-        self.device = daq.device
-        log.info("device opened", serial=self.device.serial, firmware=self.device.firmware, rate_hz=rate_hz)
 
     def _stream(self, daq: Daq) -> None:
         """Queue frames until the source is closed or the device is gone; restart, then reset a device that stalls."""
         self._start(daq)
-        device_clock = DeviceClock(round(1e9 * daq.acquisition.samples / daq.acquisition.sample_rate_hz))
+        complete_ns = round(1e9 * daq.acquisition.samples / daq.acquisition.sample_rate_hz)
+        device_clock = DeviceClock(complete_ns, self._last_t_ns)
         corrupt = self.tally.corrupt
         restarted = False
         seen_ns = self._clock()
@@ -202,7 +192,10 @@ class DaqSource:
             now_ns = self._alive_ns = self._clock()
             if frame is not None:
                 self._take(frame, device_clock, now_ns)
-                seen_ns, restarted, self._fruitless = now_ns, False, 0
+                seen_ns, restarted = now_ns, False
+                if self._fruitless:
+                    self._fruitless = 0
+                    self._search.keep()
             elif now_ns - seen_ns > self._stall_ns:
                 self._enter("stalled", f"no frame for {self._settings.stall_s:g} s")
                 if restarted:
@@ -222,18 +215,26 @@ class DaqSource:
     def _take(self, frame: DaqFrame, clock: DeviceClock, received_ns: int) -> None:
         """Number, date, count and queue a frame."""
         if self._state != "streaming":
-            self._enter("streaming", "frames arrive")
+            self._enter_streaming(clock)
         tally = self.tally
         number, lost = self._numbering.number(frame.sequence, tally.corrupt)
         tally.lost += lost
         if frame.withheld:
             tally.withheld[frame.withheld] = tally.withheld.get(frame.withheld, 0) + 1
             return
-        t_ns = clock.map(frame.timestamp_us, received_ns)
+        t_ns = self._last_t_ns = clock.map(frame.timestamp_us, received_ns)
+        if clock.fault != self._clock_fault:
+            self._enter_streaming(clock)
         tally.clipped += frame.clipped
         tally.late += clock.delay_ns * self._settings.rate_hz > 1_000_000_000
         self._ring.put(frame.counts, number, t_ns, received_ns)
         tally.behind = self._ring.dropped
+
+    def _enter_streaming(self, clock: DeviceClock) -> None:
+        if clock.fault and clock.fault != self._clock_fault:
+            log.warning("device clock not used", why=clock.fault)
+        self._clock_fault = clock.fault
+        self._enter("streaming", "; ".join(filter(None, (clock.fault, self._search.skipped))))
 
     def _enter(self, state: State, reason: str) -> None:
         """Queue a change of state, or of its reason."""
@@ -242,20 +243,20 @@ class DaqSource:
             self._ring.mark(Change(state, reason))
 
 
-def open_live(find: Callable[[], Daq], settings: DeviceSettings, waits: Waits = WAITS) -> DaqSource:
+def open_live(candidates: Candidates, settings: DeviceSettings, waits: Waits = WAITS) -> DaqSource:
     """Return the source of a device that is plugged in now, and whose acquisition decides.
 
     Raises
     ------
     DeviceLost
         No device is there.
+    ConfigError
+        It does not have the frame rate.
     """
-    try:
-        daq = find()
-    except (DaqAbsent, DaqGone) as absent:
-        raise DeviceLost(str(absent), "device", "plug it in, or add --replay FILE or --simulate SCENE") from absent
+    daq = open_first(candidates)
     acquisition, device = daq.acquisition, daq.device
     daq.close()
+    check_rate(daq, settings)
 
     def check(found: Acquisition) -> None:
         if found != acquisition:
@@ -263,4 +264,4 @@ def open_live(find: Callable[[], Daq], settings: DeviceSettings, waits: Waits = 
                 f"another DAQ, whose frames are {found}, not {acquisition}", "device", "plug in the first one"
             )
 
-    return DaqSource(find, settings, acquisition, check, device, waits=waits)
+    return DaqSource(candidates, settings, acquisition, check, device, waits=waits)

@@ -78,7 +78,7 @@ def _open_ni(settings: Settings, model: Model | None) -> Source:
 
     acquisition = model.description.acquisition if model else PAPER
     check = model.check if model else lambda _: None
-    return DaqSource(lambda: NiDaq(settings.ni, acquisition), settings.device, acquisition, check)
+    return DaqSource(lambda: iter([lambda: NiDaq(settings.ni, acquisition)]), settings.device, acquisition, check)
 
 
 def _open_usb(settings: Settings, model: Model | None) -> Source:

@@ -11,6 +11,7 @@ from touchd.errors import ConfigError
 from touchd.frame import Counts, Frame
 from touchd.recording.data import Recording
 from touchd.recording.format import Reader
+from touchd.recording.validate import MAX_COUNT
 from touchd.sources.source import EndOfStream
 
 MIN_SPEED = 0.001
@@ -83,7 +84,7 @@ class ReplaySource:
         Raises
         ------
         EndOfStream
-            After the last frame, unless the replay loops; or after `close`.
+            After the last frame, unless the replay loops; before numbers or times overflow; or after `close`.
         """
         i = self._next
         if i == len(self._sequence):
@@ -121,7 +122,7 @@ class ReplaySource:
         chunk = next(self._chunks, None)
         if chunk is not None:
             self._take(chunk)
-        elif self._loop:
+        elif self._loop and max(self._sequence[-1], self._elapsed_ns[-1]) < MAX_COUNT // 4:  # the next lap has room
             self._sequence_shift = self._sequence[-1] + 1 - self._first_sequence
             self._time_shift_ns = self._elapsed_ns[-1] + self._period_ns()
             self._chunks = iter(self._reader)

@@ -8,7 +8,7 @@ import errno
 from array import array
 from collections.abc import Callable, Iterator
 from functools import cache, partial
-from typing import Any
+from typing import Any, NoReturn
 
 import usb.backend.libusb1
 import usb.core
@@ -17,10 +17,10 @@ import usb.util
 from touchd.config.schema import DeviceSettings
 from touchd.errors import SourceError
 from touchd.frame import Acquisition
-from touchd.sources.daq import DaqAbsent, DaqGone
+from touchd.sources.daq import Candidates, Daq, DaqAbsent, DaqGone, DaqUnfit
 from touchd.sources.live import WAITS, DaqSource, Waits, open_live
 from touchd.sources.usb_protocol import INFO_BYTES, INTERFACE_CLASS, Info, ProtocolFault, Request, parse_info
-from touchd.sources.usb_stream import EndpointHalted, RequestRefused, TransferOverflow, UsbDaq
+from touchd.sources.usb_stream import EndpointHalted, RequestRefused, TransferOverflow, UsbDaq, acquisition_of
 
 CONTROL_TIMEOUT_MS = 500
 _VENDOR_IN, _VENDOR_OUT = 0xC0, 0x40  # recipient device
@@ -42,7 +42,7 @@ class UsbDevice:
     ------
     DaqAbsent
         The device cannot be opened.
-    SourceError
+    DaqUnfit
         It does not speak protocol 1.
     """
 
@@ -54,6 +54,8 @@ class UsbDevice:
         self.packet_bytes: int = endpoint.wMaxPacketSize
         self._where = _where(device)
         try:
+            if not self.packet_bytes:
+                raise DaqUnfit(f"{self._where}: its endpoint has packets of 0 bytes -> correct its descriptors")
             self._open(configuration)
             self.serial = serial_of(device)
             self.info = self._ask_info()
@@ -119,12 +121,14 @@ class UsbDevice:
 
     def _ask_info(self) -> Info:
         try:
-            return parse_info(bytes(self._control(_VENDOR_IN, Request.GET_INFO, 0, INFO_BYTES)))
+            info = parse_info(bytes(self._control(_VENDOR_IN, Request.GET_INFO, 0, INFO_BYTES)))
+            acquisition_of(info)  # refuses what no rig has
         except (RequestRefused, ProtocolFault) as error:
-            raise SourceError(
-                str(error), f"device {self._where}",
-                "give the DAQ firmware for protocol 1, or another id in device.vendor_id and product_id",
-            ) from error  # fmt: skip
+            raise DaqUnfit(
+                f"{self._where}: {error} -> give the DAQ firmware for protocol 1, or set another id in "
+                "device.vendor_id and product_id"
+            ) from error
+        return info
 
     def _control(self, kind: int, request: Request, value: int, size: int = 0) -> Any:
         try:
@@ -137,8 +141,8 @@ class UsbDevice:
             raise _gone(error) from error
 
 
-def find_daq(settings: DeviceSettings, backend: Any = None) -> UsbDaq:
-    """Return the first DAQ with the ids, and the serial number if one is set.
+def candidates(settings: DeviceSettings, backend: Any = None) -> Iterator[Callable[[], Daq]]:
+    """Yield calls that open a device with the ids, one for each device; see `Candidates`.
 
     Parameters
     ----------
@@ -148,23 +152,29 @@ def find_daq(settings: DeviceSettings, backend: Any = None) -> UsbDaq:
 
     Raises
     ------
-    DaqAbsent
-        No device can be used; the text says why.
     SourceError
-        The device does not speak protocol 1, or libusb is not installed.
+        libusb is not installed.
     """
-    ids = f"{settings.vendor_id:04x}:{settings.product_id:04x}"
-    others = []
+    found = False
     for device in _devices(settings, backend or libusb()):
-        found = _interface(device)
-        if found is None:
-            others.append(f"{_where(device)} has the ids {ids}, but no interface of touchd's protocol")
-        elif settings.serial and (serial := serial_of(device)) != settings.serial:
-            usb.util.dispose_resources(device)
-            others.append(f"{_where(device)} has the serial number {serial!r}, not {settings.serial!r}")
-        else:
-            return UsbDaq(UsbDevice(device, *found))
-    raise DaqAbsent("; ".join(others) or f"no DAQ with the ids {ids} is plugged in")
+        found = True
+        yield partial(_open_daq, device, settings)
+    if not found:
+        yield partial(_refuse, f"no DAQ with the ids {_ids(settings)} is plugged in")
+
+
+def _open_daq(device: Any, settings: DeviceSettings) -> Daq:
+    found = _interface(device)
+    if found is None:
+        _refuse(f"{_where(device)} has the ids {_ids(settings)}, but no interface of touchd's protocol")
+    elif settings.serial and (serial := serial_of(device)) != settings.serial:
+        usb.util.dispose_resources(device)
+        _refuse(f"{_where(device)} has the serial number {serial!r}, not {settings.serial!r}")
+    return UsbDaq(UsbDevice(device, *found))
+
+
+def _refuse(why: str) -> NoReturn:
+    raise DaqAbsent(why)
 
 
 def open_usb(
@@ -191,12 +201,12 @@ def open_usb(
     DeviceLost
         No acquisition is given, and no device is plugged in.
     SourceError
-        libusb is not installed, or the device does not speak protocol 1.
+        libusb is not installed.
     """
-    find = partial(find_daq, settings, backend or libusb())  # without libusb this fails now, not in the thread
+    found: Candidates = partial(candidates, settings, backend or libusb())  # without libusb this fails now
     if acquisition is None:
-        return open_live(find, settings, waits)
-    return DaqSource(find, settings, acquisition, check, waits=waits)
+        return open_live(found, settings, waits)
+    return DaqSource(found, settings, acquisition, check, waits=waits)
 
 
 @cache
@@ -270,6 +280,10 @@ def _active_configuration(device: Any) -> int | None:
         if error.errno in (errno.EACCES, errno.ENODEV):
             raise
         return None
+
+
+def _ids(settings: DeviceSettings) -> str:
+    return f"{settings.vendor_id:04x}:{settings.product_id:04x}"
 
 
 def _where(device: Any) -> str:

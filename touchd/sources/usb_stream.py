@@ -9,15 +9,17 @@ import contextlib
 import time
 from array import array
 from collections.abc import Iterator
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
 import structlog
+from pydantic import ValidationError
 
 from touchd.frame import Acquisition, Chirp
 from touchd.recording.data import Device
 from touchd.sources.daq import DaqFrame, DaqGone
-from touchd.sources.usb_protocol import SEQUENCE_SPAN, Flag, FrameReader, Header, Info, Request
+from touchd.sources.usb_protocol import SEQUENCE_SPAN, Flag, FrameReader, Header, Info, ProtocolFault, Request
 
 HALT_PAUSE_S = 0.01
 """Pause after a halt is cleared, so that an endpoint that stays halted does not keep a processor busy."""
@@ -83,11 +85,18 @@ class UsbDaq:
         self._sequence: int | None = None  # of the last frame, unwrapped
         self._started = False
         self._halts = 0
+
+    @cached_property
+    def _buffer(self) -> array[int]:
+        """Made when it is read into: a device may claim frames of 33 MB, and be skipped for it."""
         # Whole packets, so that no device can overflow it, and room for a frame that fills its last packet: the empty
         # packet behind it then belongs to the same transfer.
-        packets = info.frame_bytes // connection.packet_bytes + 1
-        self._buffer = array("B", bytes(packets * connection.packet_bytes))
-        self._view = memoryview(self._buffer)
+        packets = self._connection.info.frame_bytes // self._connection.packet_bytes + 1
+        return array("B", bytes(packets * self._connection.packet_bytes))
+
+    @cached_property
+    def _view(self) -> memoryview:
+        return memoryview(self._buffer)
 
     @property
     def corrupt(self) -> int:
@@ -182,12 +191,17 @@ class UsbDaq:
 
 
 def acquisition_of(info: Info) -> Acquisition:
-    """Return the geometry of a device's frames, in touchd's units."""
-    chirp = Chirp(
-        start_hz=info.chirp_start_hz, stop_hz=info.chirp_stop_hz, duration_s=info.chirp_us / 1e6,
-        dac_rate_hz=info.dac_rate_hz,
-    )  # fmt: skip
-    return Acquisition(
-        channels=info.channels, samples=info.samples, sample_rate_hz=info.sample_rate_hz, bits=info.bits,
-        full_scale_v=info.full_scale_mv / 1e3, chirp=chirp,
-    )  # fmt: skip
+    """Return the geometry of a device's frames, in touchd's units; raises ProtocolFault if no rig has it."""
+    try:
+        chirp = Chirp(
+            start_hz=info.chirp_start_hz, stop_hz=info.chirp_stop_hz, duration_s=info.chirp_us / 1e6,
+            dac_rate_hz=info.dac_rate_hz,
+        )  # fmt: skip
+        return Acquisition(
+            channels=info.channels, samples=info.samples, sample_rate_hz=info.sample_rate_hz, bits=info.bits,
+            full_scale_v=info.full_scale_mv / 1e3, chirp=chirp,
+        )  # fmt: skip
+    except ValidationError as error:
+        first = error.errors()[0]
+        name = ".".join(map(str, first["loc"]))
+        raise ProtocolFault(f"GET_INFO means {name} = {first['input']}: {first['msg']}") from error

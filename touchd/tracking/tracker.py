@@ -15,6 +15,9 @@ from touchd.tracking.one_euro import OneEuro
 
 _NOTHING: list[Contact] = []
 _NEVER = 1e9  # mm: finite, as the assignment asks
+_RELEASE_FRAMES = 2
+_MOST_CONTACTS = 10
+_REFRESH_NS = 100_000_000
 _DEAD_SIGMAS = 1.5
 """The dead band is at least this many standard errors wide."""
 
@@ -35,7 +38,7 @@ class Tracker:
     """Keeps the contacts of a plate.
 
     A finger is reported `down` once it was found in `confirm_frames` frames in a row, and `up` once it
-    was missing from `release_frames` of them. Which finger is which is decided by the assignment of
+    was missing from 2 of them. Which finger is which is decided by the assignment of
     positions to contacts with the smallest total distance, none farther than `reach_mm`.
     """
 
@@ -53,7 +56,6 @@ class Tracker:
         """Take other settings; those of the filter hold from the next contact on."""
         self._settings = settings
         self._reach_mm, self._dead_band_mm = settings.reach_mm, settings.dead_band_mm
-        self._refresh_ns = round(settings.refresh_s * 1e9)
 
     def track(self, t_ns: int, touches: Sequence[Touch]) -> list[Contact]:
         """Assign the touches of a frame to contacts.
@@ -62,7 +64,7 @@ class Tracker:
         -------
         list of Contact
             All contacts alive and those that ended in this frame, if a message is due: a contact went down, moved
-            beyond the dead band or went up, or the next frame would come later than `refresh_s` after the last message.
+            beyond the dead band or went up, or the next frame would come later than 0.1 s after the last message.
             Else empty.
         """
         if not touches and not self._tracks:
@@ -78,7 +80,7 @@ class Tracker:
         for track, touch in zip(self._tracks, matched, strict=True):
             due |= self._miss(track) if touch is None else self._advance(track, touch, elapsed_s)
         for touch in touches:
-            if touch not in matched and len(self._tracks) < self._settings.max_contacts:
+            if touch not in matched and len(self._tracks) < _MOST_CONTACTS:
                 self._tracks.append(_Track(touch, self._settings))
                 due |= self._confirm(self._tracks[-1], touch)
         return self._report(t_ns, due, elapsed_s)
@@ -87,7 +89,7 @@ class Tracker:
         """End every contact, as when the frames stop; return the same as `track`."""
         self._last_ns = t_ns
         for track in self._tracks:
-            track.missing = self._settings.release_frames - 1
+            track.missing = _RELEASE_FRAMES - 1
         ends = [self._miss(track) for track in self._tracks]
         return self._report(t_ns, any(ends), 0.0)
 
@@ -151,7 +153,7 @@ class Tracker:
         if contact is None:
             return False
         contact.phase = "hold"
-        if track.missing < self._settings.release_frames:
+        if track.missing < _RELEASE_FRAMES:
             return False
         contact.phase = "up"
         contact.vx_mm_s = contact.vy_mm_s = 0.0
@@ -161,7 +163,7 @@ class Tracker:
         # The next frame is expected as long after this one as this one came after the last.
         quiet_ns = t_ns - self._reported_ns
         # Below 0 the clock stepped back: it may never catch up.
-        due = due or quiet_ns < 0 or quiet_ns + round(elapsed_s * 1e9) > self._refresh_ns
+        due = due or quiet_ns < 0 or quiet_ns + round(elapsed_s * 1e9) > _REFRESH_NS
         # Copies: a message must not change once it is made.
         contacts = [replace(track.contact) for track in self._tracks if track.contact is not None] if due else []
         if self._missed:

@@ -7,16 +7,19 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from touchd.errors import ModelMismatch, TrainingError
 from touchd.evaluation.dataset import Split, digest, make_dataset, split
+from touchd.evaluation.model_scores import Judgement, scores
 from touchd.localization.atlas import Atlas, atlas_path, save_atlas
 from touchd.localization.model import Model
 from touchd.recording.data import Recording
 from touchd.training.data.inspection import degrees_of_freedom, inspect
 from touchd.training.data.one_temperature import at_one_temperature
-from touchd.training.field.dispersion import Dispersion, dispersion_of, fitted_note
+from touchd.training.field.dispersion import dispersion_of, fitted_note
 from touchd.training.field.learn import Learned, learn_thoroughly
-from touchd.training.field.make_atlas import Calibration, Trial, informative, make_atlas, signal_over_noise, try_atlas
+from touchd.training.field.make_atlas import Calibration, informative, make_atlas, signal_over_noise, try_atlas
 from touchd.training.field.regression import Floats, touches_of
 from touchd.training.network.export import put_model
 from touchd.training.network.loop import Progress
@@ -40,9 +43,11 @@ class AtlasResult:
     network: Result | None
     """Result of training the network; None for a given network."""
     learned: Learned
-    dispersion: Dispersion
+    judged: Judgement
+    """Estimates of the atlas for the test touches."""
+    start_mm: Floats
+    """Those of the network alone, shape (n, 2)."""
     parts: Split
-    trial: Trial
     calibration: Calibration
     notes: list[str]
     """Warnings for the user."""
@@ -91,7 +96,7 @@ def train_atlas(
         warn(text)
 
     if network is not None:
-        seed = _fitting(Model(network), network, recording).description.seed
+        seed = _check_network(network, recording)
     plain = make_dataset(recording)
     parts = split(len(plain), seed)
     steady, reference = at_one_temperature(recording, plain)
@@ -116,7 +121,7 @@ def train_atlas(
             note(fitted_note(plain.meta.plate))
         for text in inspect(recording, len(parts.train) / len(plain)):
             note(text)
-        model = _copy(network, path)
+        model = put_model(network.read_bytes(), path)
 
     said = {
         "seed": seed,
@@ -125,13 +130,14 @@ def train_atlas(
         "wavenumber_rad_m": tuple((dispersion.wavenumber_per_mm * 1e3).round(3).tolist()),
     }
     atlas, calibration = make_atlas(steady, reference, parts, learned, said)
-    trial, scores = try_atlas(atlas, model, steady, plain, parts)
-    rounded = {name: round(value, 4) for name, value in scores.items()}
+    start_mm = np.asarray(model.run(plain.residual[parts.test])["position_mm"], np.float64)
+    judged = try_atlas(atlas, steady, parts, start_mm)
+    rounded = {name: round(value, 4) for name, value in scores(judged).items()}
     atlas = replace(atlas, description=atlas.description.model_copy(update={"scores": rounded}))
     save_atlas(atlas, atlas_path(path))
     seconds = time.monotonic() - started_s
     return AtlasResult(
-        atlas_path(path), atlas, model, trained, learned, dispersion, parts, trial, calibration, notes, seconds
+        atlas_path(path), atlas, model, trained, learned, judged, start_mm, parts, calibration, notes, seconds
     )
 
 
@@ -157,9 +163,9 @@ def check_density(position_mm: Floats, wavenumber_per_mm: float) -> Iterator[str
         )
 
 
-def _fitting(model: Model, path: Path, recording: Recording) -> Model:
-    """Return the model if it can start an atlas of this recording, else raise ModelMismatch."""
-    d = model.description
+def _check_network(path: Path, recording: Recording) -> int:
+    """Return the seed of a network's split; raise ModelMismatch if it cannot start an atlas of this recording."""
+    d = Model(path).description
     if d.head != "regression" or d.domain != "frequency" or d.input != "residual":
         raise ModelMismatch(
             f"the recipe {d.name} cannot start an atlas", str(path), "use a network of the recipe best or small"
@@ -170,11 +176,4 @@ def _fitting(model: Model, path: Path, recording: Recording) -> Model:
             str(path),
             "name the recording that it was trained on, or omit --network to train both",
         )
-    return model
-
-
-def _copy(network: Path, path: Path) -> Model:
-    """Copy a network to `path` atomically and load it."""
-    if path.exists() and path.samefile(network):
-        return Model(path)
-    return put_model(network.read_bytes(), path)
+    return d.seed

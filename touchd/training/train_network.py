@@ -13,25 +13,25 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from touchd.errors import TrainingError
 from touchd.evaluation.dataset import BASELINE_NOISE, Dataset, Split, make_dataset, split, thin
 from touchd.evaluation.model_scores import Judgement, judge, scores
 from touchd.keypad import Layout
 from touchd.localization.model import Description, Model
 from touchd.recording.data import Recording
-from touchd.training.data.augment import Augmenter, Bank, make_bank
+from touchd.training.data.augment import Augmenter
 from touchd.training.data.drift_directions import drift_directions
 from touchd.training.data.inspection import inspect
 from touchd.training.data.synthetic import Synthesiser
 from touchd.training.field.dispersion import fitted_note, is_known
 from touchd.training.field.few_touches import learn_field
 from touchd.training.field.learn import Field
-from touchd.training.network.export import describe, make_graph, write_model
-from touchd.training.network.export_check import TOLERANCE, ExportDifference, check_graph
+from touchd.training.network.export import TOLERANCE, check_export, describe, make_graph, write_model
 from touchd.training.network.loop import Batches, Curve, Progress, fit
-from touchd.training.network.network import PaperNetwork, PositionNetwork
-from touchd.training.network.objectives import Batch, Positions, make_objective
+from touchd.training.network.network import Batch, PaperNetwork, PositionNetwork, Positions
 from touchd.training.network.recipe import RECIPES, Recipe
 from touchd.training.network.sigma_calibration import calibrate_sigma
+from touchd.training.network.zones_and_keys import make_network
 
 BATCH = 512  # fingers per step
 SYNTHETIC = 0.8  # share of them drawn from the learned field; the rest are recorded touches
@@ -56,8 +56,8 @@ class Result:
     """Loss and validation RMSE by epoch."""
     notes: list[str]
     """Warnings for the user."""
-    export_difference: ExportDifference
-    """Differences between exported model and trained network, on the test touches."""
+    rounding: float
+    """See `check_export`, on the test touches."""
     judged: Judgement
     """Estimates of the exported model for the test touches."""
     parts: Split
@@ -108,99 +108,89 @@ def train(
     started_s = time.monotonic()
     torch.manual_seed(seed)
     generator = torch.Generator().manual_seed(seed)
+    _check_classes(recipe, grid, layout)
     data = make_dataset(recording, recipe.domain)
     parts = thin(split(len(data), seed), share)
-    plate = recording.meta.plate
     features = data.signal if recipe.paper else data.residual
-    # Take every other row: adjacent rows share a frame, hence noise.
-    drift = drift_directions(data.untouched[np.sort(parts.train)][::2])
-    objective = make_objective(recipe, features.shape[1], plate, grid, layout, drift)
-    notes: list[str] = []
-
-    def note(text: str) -> None:
-        notes.append(text)
-        warn(text)
-
-    for text in inspect(recording, len(parts.train) / len(data)):
-        note(text)
-    peak, augmenter = None, None
-    if recipe.paper:
-        batches = _paper_batches(data, parts, generator)
-        optimiser = torch.optim.Adam(objective.network.parameters(), lr=PAPER_LEARNING_RATE)
-    else:
-        keys = layout if recipe.head == "keypad" else None
-        synthesiser = _synthesiser(data, parts, keys, generator, progress, note, field)
-        bank = make_bank(data, torch.from_numpy(parts.train), generator)
-        augmenter = Augmenter(bank, synthesiser, generator)
-        batches = _augmented_batches(bank, augmenter, synthesiser, generator, others=objective.wants_others)
-        optimiser = torch.optim.AdamW(objective.network.parameters(), lr=LEARNING_RATE, weight_decay=WEIGHT_DECAY)
-        peak = LEARNING_RATE
-
-    def validate() -> float:
-        return objective.scores(features[parts.validation], data.position_mm[parts.validation])["rmse_mm"]
-
-    curve = fit(
-        objective, batches, optimiser, epochs or recipe.epochs, validate, progress, peak=peak, patience=patience
-    )  # fmt: skip
-    if isinstance(objective.network, PaperNetwork):
-        objective.network.sigma_mm.fill_(validate() / np.sqrt(2))  # per axis
-    elif isinstance(objective.network, PositionNetwork) and objective.network.noise_apart and augmenter is not None:
-        held_out = torch.from_numpy(features[parts.validation])
-        calibrate_sigma(objective.network, augmenter, held_out, _positions(data, parts.validation))
-
     description = Description(
         name=recipe.name,
         head=recipe.head,
         domain=recipe.domain,
         input="signal" if recipe.paper else "residual",
         acquisition=data.acquisition,
-        plate=plate,
+        plate=data.meta.plate,
+        grid=grid if recipe.head == "grid" else 0,
+        layout=layout if recipe.head == "keypad" else None,
         data_sha256=data.sha256,
         command=command,
         seed=seed,
-        **objective.description(),
     )
+    # Take every other row: adjacent rows share a frame, hence noise.
+    drift = drift_directions(data.untouched[np.sort(parts.train)][::2])
+    network = make_network(recipe, description, torch.from_numpy(drift))
+    notes: list[str] = []
+
+    def note(text: str) -> None:
+        notes.append(text)
+        warn(text)
+
+    def validate() -> float:
+        return network.rmse_mm(features[parts.validation], data.position_mm[parts.validation])
+
+    for text in inspect(recording, len(parts.train) / len(data)):
+        note(text)
+    if recipe.paper:
+        batches = _paper_batches(data, parts, generator)
+        optimiser = torch.optim.Adam(network.parameters(), lr=PAPER_LEARNING_RATE)
+        curve = fit(network, batches, optimiser, epochs or recipe.epochs, validate, progress, patience=patience)
+    else:
+        plate = data.meta.plate
+        if not is_known(plate):
+            note(fitted_note(plate))
+        if field is None:
+            field = learn_field(data, parts.train, lambda done, all_: progress("field", done, all_, float("nan")))
+        synthesiser = Synthesiser(field, (plate.width_mm, plate.height_mm), generator, description.layout)
+        augmenter = Augmenter(data, torch.from_numpy(parts.train), synthesiser, generator)
+        batches = _augmented_batches(augmenter, generator, others=network.wants_others)
+        optimiser = torch.optim.AdamW(network.parameters(), lr=LEARNING_RATE, weight_decay=WEIGHT_DECAY)
+        curve = fit(
+            network, batches, optimiser, epochs or recipe.epochs, validate, progress, peak=LEARNING_RATE,
+            patience=patience,
+        )  # fmt: skip
+        if isinstance(network, PositionNetwork) and network.noise_apart:
+            held_out = torch.from_numpy(features[parts.validation])
+            calibrate_sigma(network, augmenter, held_out, _positions(data, parts.validation))
+    if isinstance(network, PaperNetwork):
+        network.sigma_mm.fill_(validate() / np.sqrt(2))  # per axis
+
     test_mm = data.position_mm[parts.test]
-    graph = make_graph(objective.network, description)
-    export_difference = check_graph(objective.network, graph, features[parts.test])
-    if export_difference.rounding > TOLERANCE:
-        note(f"float32 rounding changes this network's answers by up to {export_difference.rounding:.2g} mm")
+    graph = make_graph(network, description)
     # The model's metadata contain its scores, so score a first export before writing the final one.
     with tempfile.TemporaryDirectory() as folder:
-        judged = judge(
-            write_model(graph, Path(folder) / "model.onnx"), features[parts.test], test_mm, data.noise_energy
-        )
-    found = objective.scores(features[parts.test], test_mm) | scores(judged)
+        model = write_model(graph, Path(folder) / "model.onnx")
+        rounding = check_export(network, model, features[parts.test])
+        judged = judge(model, features[parts.test], test_mm, data.noise_energy)
+    if rounding > TOLERANCE:
+        note(f"float32 rounding changes this network's answers by up to {rounding:.2g} mm")
+    found = scores(judged)
     if found["rmse_mm"] > GUESSED * _guess_mm(data.position_mm[parts.train], test_mm):
         note("the model is no better than a constant position: it has learned nothing")
     describe(graph, description.model_copy(update={"scores": {name: round(value, 4) for name, value in found.items()}}))
     seconds = time.monotonic() - started_s
-    return Result(write_model(graph, path), found, curve, notes, export_difference, judged, parts, seconds)
+    return Result(write_model(graph, path), found, curve, notes, rounding, judged, parts, seconds)
+
+
+def _check_classes(recipe: Recipe, grid: int, layout: Layout | None) -> None:
+    """Raise TrainingError if a grid has fewer than 2 zones per side, or a keypad has no layout."""
+    if recipe.head == "keypad" and layout is None:
+        raise TrainingError("a keypad recipe needs a layout", "--layout", "name a TOML file of keys")
+    if recipe.head == "grid" and grid < 2:
+        raise TrainingError(f"a grid of {grid} x {grid} zones has one class", "--n", "use 2 or more")
 
 
 def _guess_mm(known_mm: Positions, test_mm: Positions) -> float:
     """Return the RMSE of a constant answer: the mean training position."""
     return float(np.sqrt(np.square(test_mm - known_mm.mean(axis=0)).sum(axis=1).mean()))
-
-
-def _synthesiser(
-    data: Dataset,
-    parts: Split,
-    layout: Layout | None,
-    generator: torch.Generator,
-    progress: Progress,
-    note: Warn,
-    field: Field | None = None,
-) -> Synthesiser | None:
-    """Return the source of synthetic touches, or None with a note in the time domain, where no field is learned."""
-    if data.domain != "frequency":
-        note("the time domain has no field to learn: trained on the recorded touches alone")
-        return None
-    plate = data.meta.plate
-    if not is_known(plate):
-        note(fitted_note(plate))
-    field = field or learn_field(data, parts.train, lambda done, all_: progress("field", done, all_, float("nan")))
-    return Synthesiser(field, (plate.width_mm, plate.height_mm), generator, layout)
 
 
 def _positions(data: Dataset, indices: NDArray[np.int64]) -> Tensor:
@@ -209,12 +199,10 @@ def _positions(data: Dataset, indices: NDArray[np.int64]) -> Tensor:
     return torch.from_numpy(data.position_mm[indices]) / torch.tensor([plate.width_mm, plate.height_mm]) - 0.5
 
 
-def _augmented_batches(
-    bank: Bank, augmenter: Augmenter, synthesiser: Synthesiser | None, generator: torch.Generator, *, others: bool
-) -> Batches:
+def _augmented_batches(augmenter: Augmenter, generator: torch.Generator, *, others: bool) -> Batches:
     """Return batches of synthetic and recorded touches with all disturbances, and of non-fingers if `others`."""
-    count = len(bank.residual)
-    recorded = BATCH if synthesiser is None else round(BATCH * (1 - SYNTHETIC))
+    count = len(augmenter.residual)
+    recorded = round(BATCH * (1 - SYNTHETIC))
     steps = max(STEPS, 2 * -(-count // BATCH))
     own_noise = torch.zeros((BATCH, 1))  # synthetic touches have no noise of their own
     own_noise[:recorded] = BASELINE_NOISE**0.5
@@ -222,12 +210,10 @@ def _augmented_batches(
     def epoch() -> Iterator[Batch]:
         for _ in range(steps):
             some = torch.randint(count, (recorded,), generator=generator)
-            residual, position = bank.residual[some], bank.position[some]
-            if synthesiser is not None:
-                drawn, place = synthesiser.draw(BATCH - recorded)
-                residual, position = torch.cat([residual, drawn]), torch.cat([position, place])
-            fingers, noise = augmenter.fingers(residual, own_noise)
-            yield Batch(torch.cat([fingers, augmenter.others(OTHERS)]) if others else fingers, position, noise)
+            drawn, place = augmenter.synthesiser.draw(BATCH - recorded)
+            fingers, noise = augmenter.fingers(torch.cat([augmenter.residual[some], drawn]), own_noise)
+            features = torch.cat([fingers, augmenter.others(OTHERS)]) if others else fingers
+            yield Batch(features, torch.cat([augmenter.position[some], place]), noise)
 
     return Batches(steps, epoch)
 

@@ -100,17 +100,9 @@ class Digitiser:
         self._noise.bit_generator.state = noise
 
     def counts(self, signal: Floats, time_s: Floats) -> NDArray[np.int16]:
-        """Digitise the next frames.
+        """Digitise the next frames: `signal` (n, R, S) in units of the untouched signal's peak, which is overwritten.
 
-        Parameters
-        ----------
-        signal : array of shape (n, R, S), in units of the untouched signal's peak; overwritten
-        time_s : array of shape (n,)
-            Start of each chirp.
-
-        Returns
-        -------
-        int16 array of shape (n, R, S).
+        `time_s` (n,) is the start of each chirp.
         """
         e, a = self._e, self._a
         signal += self._image
@@ -135,18 +127,10 @@ class Digitiser:
 
 
 def noise_states(seed: int | Sequence[int], values: int, frames: Iterable[int]) -> list[dict[str, Any]]:
-    """Return the state of a recording's noise generator before each of the given frames.
+    """Return the state of a recording's noise generator before each of the given frames, in ascending order.
 
-    The noise is drawn and discarded, because a normal variate takes a varying number of generator steps.
-
-    Parameters
-    ----------
-    seed : int or sequence of int
-        Seed of the recording.
-    values : int
-        Values per frame: channels times samples.
-    frames : iterable of int
-        Frame numbers, ascending.
+    `values` is channels times samples. The noise is drawn and discarded, because a normal variate takes a varying
+    number of generator steps.
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed).spawn(3)[2].spawn(2)[0])
     states: list[dict[str, Any]] = []

@@ -21,6 +21,7 @@ from touchd import chirp
 from touchd.errors import SimulationError
 from touchd.frame import Acquisition, Plate
 from touchd.twin.physics import chebyshev
+from touchd.twin.physics.contact import size_of
 from touchd.twin.physics.finger import Contact, patches
 from touchd.twin.physics.response import Response
 from touchd.twin.physics.transducer import Layout, default_layout, loaded_modes
@@ -29,6 +30,10 @@ Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 REFERENCE_C = 22.0
+SPAN_K = 20.0
+"""Largest difference from it."""
+TEMPERATURE_PER_K = -4.5e-5
+"""Relative change of the modes' frequencies; -2e-4 .. -2e-5 for other plates."""
 ERROR = 1e-11
 """Error of the series in time and temperature relative to the signal: far below one count."""
 MOST_LATE_S = 1e-6
@@ -49,10 +54,6 @@ class Instrument:
         As many channels as receivers; by default 250 samples at 250 kHz.
     loss : float
         Loss factor: 2e-3 .. 1e-2 for a mounted plate with bonded discs.
-    temperature_per_k : float
-        Relative change of the modes' frequencies per kelvin: -2e-4 .. -2e-5.
-    span_k : float
-        Largest difference from the reference temperature.
     tail_period_s : float, optional
         Include the ringing of all previous chirps, one per `tail_period_s`; the record is then as long.
 
@@ -69,16 +70,12 @@ class Instrument:
         layout: Layout | None = None,
         acquisition: Acquisition | None = None,
         loss: float = 5e-3,
-        temperature_per_k: float = -4.5e-5,
-        span_k: float = 20.0,
         tail_period_s: float | None = None,
     ) -> None:
         self.plate = plate
         self.layout = layout or default_layout(plate)
         receivers = len(self.layout.receivers_mm)
         self.acquisition = acquisition or Acquisition(channels=receivers, samples=250, sample_rate_hz=250e3)
-        self.temperature_per_k = temperature_per_k
-        self.span_k = span_k
         a = self.acquisition
         frame_s = a.samples / a.sample_rate_hz
         if a.channels != receivers:
@@ -108,28 +105,17 @@ class Instrument:
         Raises
         ------
         SimulationError
-            The temperature is outside `span_k`.
+            The temperature is outside `SPAN_K`.
         """
         off = np.asarray(temperature_c, dtype=float) - REFERENCE_C
-        if not np.all(np.abs(off) <= self.span_k):
+        if not np.all(np.abs(off) <= SPAN_K):
             raise SimulationError(
-                f"temperatures beyond {REFERENCE_C:g} +- {self.span_k:g} C", "temperature", "raise span_k"
+                f"temperatures beyond {REFERENCE_C:g} +- {SPAN_K:g} C", "temperature", "stay within this range"
             )
-        return np.asarray(1 + self.temperature_per_k * off)
+        return np.asarray(1 + TEMPERATURE_PER_K * off)
 
     def untouched(self, temperature_c: ArrayLike, late_s: ArrayLike = 0.0) -> Floats:
-        """Return the signals of the untouched plate.
-
-        Parameters
-        ----------
-        temperature_c : array_like of shape (n,)
-        late_s : array_like of shape (n,) or ()
-            Trigger delay.
-
-        Returns
-        -------
-        Array of shape (n, R, S).
-        """
+        """Return the signals (n, R, S) of the untouched plate at temperatures (n,) and trigger delays (n,) or ()."""
         weights = chebyshev.weights(self.scale(temperature_c), self._node_scale)
         late = _late(late_s, len(weights))
         orders = np.arange(self._orders(float(np.abs(late).max(initial=0.0))))
@@ -139,17 +125,9 @@ class Instrument:
         return np.asarray(combined @ self._untouched[: len(orders)].reshape(-1, R * S)).reshape(-1, R, S)
 
     def change(self, touches: Sequence[Sequence[Contact]], temperature_c: ArrayLike, late_s: ArrayLike = 0.0) -> Floats:
-        """Return the change of the signals due to contacts.
+        """Return the change (n, R, S) of the signals due to n sequences of contacts, each possibly empty.
 
-        Parameters
-        ----------
-        touches : n sequences of contacts, each possibly empty
-        temperature_c : array_like of shape (n,)
-        late_s : array_like of shape (n,) or ()
-
-        Returns
-        -------
-        Array of shape (n, R, S), to add to the untouched plate's signals.
+        It is to be added to the untouched plate's signals; temperatures and delays as in `untouched`.
 
         Raises
         ------
@@ -159,15 +137,15 @@ class Instrument:
         scale = self.scale(temperature_c)
         late = _late(late_s, len(scale))
         split = [tuple(patch for contact in touch for patch in patches(contact)) for touch in touches]
-        counts = np.array([len(touch) for touch in split])
+        alike: dict[tuple[int, ...], dict[tuple[Contact, ...], list[int]]] = {}
+        for i, touch in enumerate(split):
+            if touch:
+                alike.setdefault(tuple(map(size_of, touch)), {}).setdefault(touch, []).append(i)
         result = np.zeros((len(split), self.acquisition.channels, self.acquisition.samples))
-        for count in np.unique(counts[counts > 0]):
-            alike: dict[tuple[Contact, ...], list[int]] = {}
-            for i in np.flatnonzero(counts == count).tolist():
-                alike.setdefault(split[i], []).append(i)
-            rows = list(alike.values())
+        for sizes, equal in alike.items():
+            rows = list(equal.values())
             # Limit the group, so that the products of modes stay in cache and memory.
-            for some in np.array_split(np.arange(len(rows)), math.ceil(len(rows) * (count + 5) ** 2 / 2000)):
+            for some in np.array_split(np.arange(len(rows)), math.ceil(len(rows) * (sum(sizes) + 5) ** 2 / 2000)):
                 part = [i for k in some for i in rows[k]]
                 spectrum = self.response.change([split[i] for i in part], scale[part])
                 spectrum *= (chebyshev.weights(scale[part], self._node_scale) @ self._emission)[:, None, :]
@@ -178,7 +156,7 @@ class Instrument:
         """Compute the emission, and the untouched signals with their time derivatives, at the temperature nodes."""
         nu = self.response.nu_rad_s
         a = self.acquisition
-        span = max(abs(self.temperature_per_k) * self.span_k, 1e-9)
+        span = abs(TEMPERATURE_PER_K) * SPAN_K
         # A Chebyshev series of n terms has the error of a Taylor series over half the span; add one for safety.
         n = self._orders(span * float(self._t[-1]) / 2) + 1
         self._node_scale = chebyshev.points(1.0, span, n)

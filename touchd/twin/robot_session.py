@@ -13,16 +13,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.errors import SimulationError
 from touchd.frame import Plate
 from touchd.jobs import Job, digest, run
 from touchd.recording.data import Recording
 from touchd.twin import cache
 from touchd.twin.electronics import Electronics, noise_states
 from touchd.twin.instrument import Instrument
-from touchd.twin.scenes.robot import TouchSet, write_touches
+from touchd.twin.scenes.robot import TouchSet
 from touchd.twin.scenes.timeline import Stage
-from touchd.twin.simulate import BLOCK, recording_of, stream
+from touchd.twin.simulate import BLOCK, no_frames, recording_of, stage_touches, stream
 
 CHUNK = 16 * BLOCK
 """Frames per part, some tenths of a second's work; a multiple of `BLOCK`, so that sums round alike."""
@@ -42,16 +41,9 @@ class Session:
     electronics: Electronics
 
     def prepare(self) -> tuple[Stage, Instrument]:
-        """Write the session's timeline, and create its instrument.
-
-        Raises
-        ------
-        SimulationError
-            Timeline or instrument is impossible.
-        """
+        """Write the session's timeline, and create its instrument; SimulationError if one is impossible."""
         instrument = Instrument(self.plate, loss=self.loss, tail_period_s=self.tail_period_s)
-        rng = np.random.default_rng(np.random.SeedSequence(self.seed).spawn(3)[0])
-        return write_touches(self.touches, self.plate, rng, self.electronics), instrument
+        return stage_touches(self.touches, self.plate, self.seed, self.electronics), instrument
 
 
 def simulate_session(
@@ -87,10 +79,7 @@ def simulate_session(
     total = len(stage.sequence)
     starts = range(0, total, chunk)
     a = instrument.acquisition
-    try:
-        frames = np.empty((total, *a.shape), dtype=np.int16)
-    except MemoryError:
-        raise SimulationError(f"{total} frames do not fit into memory", "count", "simulate fewer at a time") from None
+    frames = no_frames(total, a)
     states = noise_states(session.seed, a.channels * a.samples, starts)
     places = {f"frames from {start}": slice(start, min(start + chunk, total)) for start in starts}
     jobs = [

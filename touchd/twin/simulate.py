@@ -10,13 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.errors import SimulationError
-from touchd.frame import Plate
+from touchd.frame import Acquisition, Plate
 from touchd.recording.data import Device, Meta, Recording
 from touchd.twin.electronics import Digitiser, Electronics
 from touchd.twin.instrument import REFERENCE_C, Instrument
 from touchd.twin.scenes.catalogue import write_scene
 from touchd.twin.scenes.one_finger import Key
-from touchd.twin.scenes.robot import COUNT, TOUCH_RATE_HZ, TouchSet, write_touches
+from touchd.twin.scenes.robot import COUNT, TouchSet, write_touches
 from touchd.twin.scenes.timeline import Stage
 
 Progress = Callable[[int], object]
@@ -38,23 +38,12 @@ def stream(
     stop: int | None = None,
     noise: Mapping[str, Any] | None = None,
 ) -> Iterator[NDArray[np.int16]]:
-    """Yield a scene's frames in blocks: int16 arrays of shape (up to `block`, channels, samples).
+    """Yield a scene's frames in blocks, on demand: int16 arrays of shape (up to `block`, channels, samples).
 
-    Each block is computed on demand. Noise and jitter have their own generators.
-
-    Parameters
-    ----------
-    stage : Stage
-    instrument : Instrument
-    seed : int or sequence of int
-    block : int
-        Frames per block.
-    start, stop : int
-        Range of frames to yield, equal to the same range of the whole; `start` is a multiple of `block`.
-    noise : mapping, optional
-        State of the noise at `start`, from `touchd.twin.electronics.noise_states`; required unless `start` is 0.
+    Frames `start` .. `stop` - 1 equal those of the whole; `start` is a multiple of `block`, and unless it is 0, `noise`
+    is the state of the noise there, from `touchd.twin.electronics.noise_states`.
     """
-    jitter_seed, digitiser_seed = np.random.SeedSequence(seed).spawn(3)[1:]
+    jitter_seed, digitiser_seed = np.random.SeedSequence(seed).spawn(3)[1:]  # each with its own generator
     jitter = np.random.default_rng(jitter_seed)
     reference = instrument.untouched([REFERENCE_C])[0]
     digitiser = Digitiser(stage.electronics, instrument.acquisition, reference, digitiser_seed)
@@ -113,22 +102,19 @@ def simulate_scene(
         One of `touchd.twin.scenes.catalogue.SCENES`.
     seed : int
         Equal seeds give equal recordings, bit for bit.
-    frames : int, optional
-        Number of frames; by default the scene's.
+    frames, finger : optional
+        Number of frames, and a kind of `touchd.twin.physics.finger.TISSUES`; by default the scene's.
     rate_hz : float, optional
         Frames per second; by default 125, for the demo 100.
     plate : Plate
     instrument : Instrument, optional
         Replaces the default instrument on `plate`; `plate` is then ignored.
     electronics : Electronics, optional
-    finger : str, optional
-        "silicone" or "human"; by default the scene's.
     keys : sequence of (name, x_mm, y_mm), optional
         Keys of the scene `keypad` with their centres; by default 3 x 4 around the plate's centre.
     code : str, optional
         Keys to type, one character each.
     progress : callable, optional
-        Called with the number of frames just finished.
 
     Raises
     ------
@@ -140,7 +126,7 @@ def simulate_scene(
         name, instrument.plate, seed=seed, frames=frames, rate_hz=rate_hz, electronics=electronics,
         finger=finger, keys=keys, code=code,
     )  # fmt: skip
-    return _record(stage, instrument, seed, progress)
+    return simulate_stage(stage, instrument, seed, progress)
 
 
 def simulate_touches(
@@ -168,11 +154,10 @@ def simulate_touches(
         Number of touches; the recording has twice as many frames.
     seed : int
         Equal seeds give equal recordings, bit for bit.
-    plate : Plate
-    instrument : Instrument, optional
-        Replaces the default instrument on `plate`; `plate` is then ignored.
-    electronics : Electronics, optional
-    finger : "silicone" (12-28 mm^2) or "human" (40-100 mm^2)
+    plate, instrument, electronics
+        As for `simulate_scene`.
+    finger : a kind of `touchd.twin.physics.finger.TISSUES`
+        Areas and ratios of the axes are drawn from `touchd.twin.scenes.robot.AREAS_MM2` and `timeline.RATIOS`.
     margin_mm : float, optional
         Least distance of a touch's centre from the edge; by default such that the contact fits.
     stale_k : float
@@ -188,7 +173,6 @@ def simulate_touches(
     label_noise_mm : float
         Standard deviation of the labels per axis.
     progress : callable, optional
-        Called with the number of frames just finished.
 
     Raises
     ------
@@ -197,9 +181,13 @@ def simulate_touches(
     """
     asked = TouchSet(count, finger, margin_mm, stale_k, fingers, apart_mm, edge_gap_mm, warmer_k, label_noise_mm)
     instrument = instrument or Instrument(plate)
+    return simulate_stage(stage_touches(asked, instrument.plate, seed, electronics), instrument, seed, progress)
+
+
+def stage_touches(asked: TouchSet, plate: Plate, seed: int, electronics: Electronics | None = None) -> Stage:
+    """Write the timeline of a robot's training set; see `simulate_touches`."""
     rng = np.random.default_rng(np.random.SeedSequence(seed).spawn(3)[0])
-    stage = write_touches(asked, instrument.plate, rng, electronics or Electronics())
-    return _record(stage, instrument, seed, progress)
+    return write_touches(asked, plate, rng, electronics or Electronics())
 
 
 def meta_of(instrument: Instrument, rate_hz: float, notes: str) -> Meta:
@@ -213,13 +201,9 @@ def meta_of(instrument: Instrument, rate_hz: float, notes: str) -> Meta:
     )  # fmt: skip
 
 
-def _record(stage: Stage, instrument: Instrument, seed: int, progress: Progress | None) -> Recording:
+def simulate_stage(stage: Stage, instrument: Instrument, seed: int, progress: Progress | None = None) -> Recording:
     """Simulate all frames of a scene."""
-    a, n = instrument.acquisition, len(stage.sequence)
-    try:
-        frames = np.empty((n, *a.shape), dtype=np.int16)
-    except MemoryError:
-        raise SimulationError(f"{n} frames do not fit into memory", "frames", "simulate fewer at a time") from None
+    frames = no_frames(len(stage.sequence), instrument.acquisition)
     done = 0
     for block in stream(stage, instrument, seed):
         frames[done : done + len(block)] = block
@@ -227,6 +211,20 @@ def _record(stage: Stage, instrument: Instrument, seed: int, progress: Progress 
         if progress is not None:
             progress(len(block))
     return recording_of(stage, instrument, frames)
+
+
+def no_frames(count: int, acquisition: Acquisition) -> NDArray[np.int16]:
+    """Reserve memory for frames, shape (count, channels, samples).
+
+    Raises
+    ------
+    SimulationError
+        The memory is too small.
+    """
+    try:
+        return np.empty((count, *acquisition.shape), dtype=np.int16)
+    except MemoryError:
+        raise SimulationError(f"{count} frames do not fit into memory", "frames", "simulate fewer at a time") from None
 
 
 def recording_of(stage: Stage, instrument: Instrument, frames: NDArray[np.int16]) -> Recording:
@@ -241,6 +239,3 @@ def recording_of(stage: Stage, instrument: Instrument, frames: NDArray[np.int16]
         force_n=force_n,
         temperature_c=stage.temperature_c.astype(np.float32),
     )
-
-
-__all__ = ["DEFAULT_PLATE", "TOUCH_RATE_HZ", "meta_of", "simulate_scene", "simulate_touches", "stage_scene", "stream"]

@@ -1,4 +1,4 @@
-"""Tables and pictures of docs/robustness.md: each way of placing a finger, by what is made worse."""
+"""Data and pictures of docs/robustness.md: each way of placing a finger, by what is made worse."""
 
 from __future__ import annotations
 
@@ -16,12 +16,6 @@ ATLAS, NETWORK, PAPER = "field atlas", "network alone", "paper's recipe"
 STYLES = {ATLAS: ("o-", 0), NETWORK: ("s-", 2), PAPER: ("^-", 1), "kNN": ("D--", 3), "GCC": ("v--", 4)}
 
 
-def table(heads: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """Return a table whose first column is text and whose others are numbers."""
-    lines = ["| " + " | ".join(heads) + " |", "|---|" + "---:|" * (len(heads) - 1)]
-    return "\n".join([*lines, *("| " + " | ".join(str(cell) for cell in row) + " |" for row in rows)])
-
-
 def small(value: float) -> str:
     """Return a length, a share or the like with two digits."""
     return "0" if value == 0 else f"{value:.2g}" if value >= 1e-3 else f"{value:.1e}".replace("e-0", "e-")
@@ -30,29 +24,24 @@ def small(value: float) -> str:
 Known = Mapping[str, Sequence[tuple[float, float] | None]]
 
 
-def answer_table(
-    label: str, values: Sequence[float | str], answers: Sequence[dict[str, curves.Answer]], known: Known | None = None
-) -> str:
-    """Return median and 95th percentile of each contender, and how many touches were placed where some were not."""
-    names = [*(known or {}), *answers[0]]
-    rows = []
-    for number, (value, row) in enumerate(zip(values, answers, strict=True)):
-        cells = []
-        for name in names:
-            if name in row:
-                cells.append(_cell(row[name]))
-            else:
-                pair = (known or {})[name][number]
-                cells.append(f"{pair[0]:.3f} / {pair[1]:.2f}" if pair else "")
-        rows.append((f"{value:g}" if not isinstance(value, str) else value, *cells))
-    return table((f"{label}: median / p95, mm", *names), rows)
+HEADINGS = ("estimator", "median_mm", "p95_mm", "placed")
+"""Of `answer_rows`, after the value."""
 
 
-def _cell(answer: curves.Answer) -> str:
-    median, p95 = answer.percentile_mm(50), answer.percentile_mm(95)
-    share = f"{answer.placed:.0%}"
-    placed = "" if share == "100%" else f" ({share})"
-    return f"none placed ({answer.placed:.0%})" if isnan(median) else f"{median:.3g} / {p95:.3g}{placed}"
+def answer_rows(
+    values: Sequence[float | str], answers: Sequence[dict[str, curves.Answer]], known: Known | None = None
+) -> list[tuple[str, ...]]:
+    """Return median, 95th percentile and the share of touches placed, for each value and contender."""
+    rows: list[tuple[str, ...]] = []
+    for number, (value, found) in enumerate(zip(values, answers, strict=True)):
+        point = value if isinstance(value, str) else f"{value:g}"
+        for name, pairs in (known or {}).items():
+            if pair := pairs[number]:
+                rows.append((point, name, f"{pair[0]:.3f}", f"{pair[1]:.2f}", ""))
+        for name, answer in found.items():
+            errors = ("" if isnan(mm) else f"{mm:.3g}" for mm in map(answer.percentile_mm, (50, 95)))
+            rows.append((point, name, *errors, f"{answer.placed:.0%}"))
+    return rows
 
 
 def draw(

@@ -14,10 +14,23 @@ from typing import Any
 
 import numpy as np
 import onnx
+from onnx import TensorProto, numpy_helper
 
-from touchd.lab.benchmark.graphs import in_double
 from touchd.localization.atlas import atlas_path
 from touchd.localization.model import Model
+
+
+def in_double(model: onnx.ModelProto) -> onnx.ModelProto:
+    """The network computed in float64, with its float32 weights."""
+    made = onnx.ModelProto()
+    made.CopyFrom(model)
+    for tensor in (*made.graph.initializer, *(a.t for n in made.graph.node for a in n.attribute if a.name == "value")):
+        if tensor.data_type == TensorProto.FLOAT:
+            tensor.CopyFrom(numpy_helper.from_array(numpy_helper.to_array(tensor).astype(np.float64), tensor.name))
+    for value in (*made.graph.input, *made.graph.output, *made.graph.value_info):
+        if value.type.tensor_type.elem_type == TensorProto.FLOAT:
+            value.type.tensor_type.elem_type = TensorProto.DOUBLE
+    return made
 
 
 @cache

@@ -17,8 +17,8 @@ import onnx
 from numpy.typing import NDArray
 from onnx.reference import ReferenceEvaluator
 
+from tests.scenes.numerics.double import in_double
 from touchd.frame import Acquisition
-from touchd.lab.benchmark.graphs import in_double
 from touchd.localization.atlas import Atlas
 
 Floats = NDArray[np.float64]

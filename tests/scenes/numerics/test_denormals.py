@@ -1,6 +1,6 @@
 """Numbers too small for a normal float change nothing: flushed to zero, everything is as it was.
 
-How long they take is on the page, docs/numerics.md: no test depends on the clock.
+How long they take is on the page, docs/robustness.md: no test depends on the clock.
 """
 
 from __future__ import annotations

@@ -67,7 +67,7 @@ def delays_us(recording: Path, folder: str, prepare: Callable[[], None]) -> NDAr
     # The subscriber with its thread runs ahead, the daemon between them is started by its unit.
     os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(90))
     with (
-        Subscriber(address, ("touch",), PATIENCE_S) as events,
+        Subscriber(address, ("touch",), PATIENCE_S, max_age_s=None) as events,
         as_the_unit(prepare),
         started(*options) as daemon,
     ):

@@ -44,7 +44,7 @@ sys.exit(main(sys.argv[1:]))
     (line,) = ended.err.splitlines()
     assert line.startswith("touchd: ")
     assert package in line
-    assert " -> install it with: pip install 'touchd[train]'" in line
+    assert line.endswith(f" -> in a clone of touchd: {sys.executable} -m pip install '.[train]'")
     assert list(tmp_path.iterdir()) == [recording]
 
 

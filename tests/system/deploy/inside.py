@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import fcntl
+import grp
 import json
 import os
 import re
@@ -27,7 +28,7 @@ DROP_INS = Path("/run/systemd/system/touchd.service.d")
 SESSION = LIBRARY / "touchd/demo/session.npz"
 CONFIG = Path("/etc/touchd/touchd.toml")
 PRELOAD = "libumockdev-preload.so.0"
-BUS = "tcp://127.0.0.1:5570"
+BUS = "ipc:///run/touchd/bus"
 PATIENCE_S = 60.0
 
 
@@ -94,6 +95,16 @@ def drop_in(text: str) -> None:
     run("systemctl", "daemon-reload")
 
 
+def as_other_users() -> dict[str, int]:
+    """What `touchd listen` comes to for one in the bus's group, and for one who is not."""
+    listen = ["touchd", "listen", "--count", "1", "--timeout", str(PATIENCE_S)]
+    group = str(grp.getgrnam("touchd-bus").gr_gid)
+    return {
+        "member": run("setpriv", "--reuid=65533", "--regid=65533", f"--groups={group}", *listen).returncode,
+        "stranger": run("setpriv", "--reuid=65533", "--regid=65533", "--clear-groups", *listen).returncode,
+    }
+
+
 def touches(events: Any) -> bool:
     """Whether a subscriber receives a finger that goes down."""
     event = next((event for event in events if any(c.phase == "down" for c in event.contacts)), None)
@@ -124,9 +135,12 @@ def replayed(found: dict[str, Any]) -> None:
     )
     found["start"] = run("systemctl", "start", "touchd").returncode
     found["started"] = show("ActiveState", "SubState", "StatusText", "NRestarts")
+    said = os.stat("/run/touchd/bus")
+    found["bus"] = [grp.getgrgid(said.st_gid).gr_name, f"{stat.S_IMODE(said.st_mode):o}"]
+    found["bus as other users"] = as_other_users()
     found["sandbox"] = json.loads(Path("/run/touchd/probe.json").read_text())
 
-    with Subscriber(BUS, timeout_s=PATIENCE_S) as events:
+    with Subscriber(timeout_s=PATIENCE_S, max_age_s=None) as events:  # without an address it finds the service
         found["touched"] = touches(events)
 
         say("-- killed")
@@ -248,7 +262,7 @@ def mocked(found: dict[str, Any]) -> None:
             steps.append(json.loads(line))
     found["mocked client"] = client.wait(PATIENCE_S)
     found["mocked steps"] = steps
-    with Subscriber(BUS, timeout_s=PATIENCE_S) as events:
+    with Subscriber(BUS, timeout_s=PATIENCE_S, max_age_s=None) as events:
         os.kill(int(show("MainPID")["MainPID"]), 9)
         wait("restarted", lambda: show("NRestarts", "ActiveState") == {"NRestarts": "1", "ActiveState": "active"})
         wait("streaming", lambda: show("StatusText")["StatusText"].startswith("streaming: "))

@@ -130,9 +130,7 @@ def test_the_groups_of_unit_and_rules_are_made(tmp_path: Path) -> None:
     (tmp_path / "etc").mkdir()
     output_of(sysusers, f"--root={tmp_path}", DEPLOY / "sysusers.conf")
     made = {line.partition(":")[0] for line in (tmp_path / "etc/group").read_text().splitlines()}
-    found = re.search(r"(?m)^SupplementaryGroups=(.*)", UNIT.read_text())
-    assert found
-    assert made == set(found[1].split())
+    assert made == set(" ".join(re.findall(r"(?m)^(?:Supplementary)?Groups?=(.*)", UNIT.read_text())).split())
     assert set(re.findall(r'GROUP="([^"]+)"', RULES.read_text())) <= made
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import re
+import resource
 import signal
 import socket
 import subprocess
@@ -132,15 +134,53 @@ def test_sighup(tmp_path: Path) -> None:
     assert "tracker.dead_band_mm: is -3.0, must be" in log
 
 
-def test_sighup_flood(tmp_path: Path) -> None:
-    """A flood of SIGHUP is survived."""
+@pytest.mark.parametrize("number", [signal.SIGHUP, signal.SIGUSR1])
+def test_signals_while_starting(tmp_path: Path, number: signal.Signals) -> None:
+    """A signal that comes while the daemon starts waits for it."""
+    (tmp_path / "touchd.toml").write_text(f"[preroll]\nfolder = '{tmp_path / 'rolls'}'\n")
+    with managed(tmp_path, "--replay", SESSION, "--loop") as daemon:
+        status = Path(f"/proc/{daemon.process.pid}/status")
+        held, deadline = False, time.monotonic() + PATIENCE_S
+        while not held and time.monotonic() < deadline:
+            assert daemon.process.poll() is None
+            held = bool(int(re.findall(r"SigBlk:\s*(\w+)", status.read_text())[0], 16) & 1 << number - 1)
+        daemon.process.send_signal(number)
+        daemon.hear_until("READY=1")
+        done = "configuration read again" if number == signal.SIGHUP else "pre-roll saved"
+        while done not in daemon.log.read_text() and time.monotonic() < deadline:
+            daemon.hear_until("WATCHDOG=1")
+        assert daemon.process.poll() is None
+    assert done in daemon.log.read_text()
+
+
+def test_preroll_off(tmp_path: Path) -> None:
+    """A reload with `preroll.seconds = 0` ends the pre-roll: SIGUSR1 then writes nothing and ends nothing."""
+    folder = f"[preroll]\nfolder = '{tmp_path / 'rolls'}'\n"
+    (tmp_path / "touchd.toml").write_text(folder)
     with managed(tmp_path, "--replay", SESSION, "--loop") as daemon:
         daemon.hear_until("READY=1")
-        for _ in range(20):
-            daemon.process.send_signal(signal.SIGHUP)
+        daemon.config.write_text(folder + "seconds = 0\n")
+        daemon.process.send_signal(signal.SIGHUP)
         daemon.hear_until("RELOADING=1")
         daemon.hear_until("READY=1")
+        daemon.process.send_signal(signal.SIGUSR1)
+        daemon.hear_until("WATCHDOG=1")
+        daemon.hear_until("WATCHDOG=1")
         assert daemon.process.poll() is None
+    assert "preroll.seconds is 0" in daemon.log.read_text()
+    assert not (tmp_path / "rolls").exists()
+
+
+def test_file_limit(tmp_path: Path) -> None:
+    """The daemon may open as many files as the system allows at most."""
+    before = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (200, before[1]))
+    try:
+        with managed(tmp_path, "--replay", SESSION, "--loop") as daemon:
+            daemon.hear_until("READY=1")
+            assert resource.prlimit(daemon.process.pid, resource.RLIMIT_NOFILE) == (before[1], before[1])
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, before)
 
 
 def test_sigterm(tmp_path: Path) -> None:
@@ -156,7 +196,7 @@ def test_sigterm(tmp_path: Path) -> None:
 
 def seconds_to_stop(folder: Path) -> float:
     with managed(folder, "--replay", SESSION, "--loop") as daemon:
-        with Subscriber(daemon.bus, timeout_s=PATIENCE_S) as events:
+        with Subscriber(daemon.bus, timeout_s=PATIENCE_S, max_age_s=None) as events:
             next(event for event in events if isinstance(event, TouchEvent))
             started_s = time.monotonic()
             daemon.process.terminate()

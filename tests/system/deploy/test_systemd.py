@@ -78,6 +78,11 @@ def test_systemd_is_told_when_frames_flow(found: Found) -> None:
     }  # fmt: skip
 
 
+def test_the_bus_is_a_file_for_its_group(found: Found) -> None:
+    assert found["bus"] == ["touchd-bus", "660"]
+    assert found["bus as other users"] == {"member": 0, "stranger": 40}
+
+
 def test_a_subscriber_outside_receives_touches(found: Found) -> None:
     assert found["touched"]
 

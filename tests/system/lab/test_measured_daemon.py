@@ -8,7 +8,7 @@ import pytest
 
 from touchd.errors import JobError
 from touchd.lab.benchmark import daemon
-from touchd.lab.benchmark.estimators import bare
+from touchd.lab.benchmark.bare import write_bare
 from touchd.lab.benchmark.loop import Loop
 from touchd.lab.benchmark.results import DaemonResult
 from touchd.lab.benchmark.scenes import make_loop
@@ -22,9 +22,9 @@ def moving(instrument: Instrument) -> Loop:
 
 
 def measured(folder: Path, loop: Loop, rate_hz: float | None, model: Path | None = None) -> DaemonResult:
-    bare(folder)
+    bare = write_bare(folder / "bare.onnx")
     return daemon.measure(
-        "moving", loop, rate_hz, 0.8, model=model or default_model_path(), bare=folder / "bare.onnx", folder=folder
+        "moving", loop, rate_hz, 0.8, model=model or default_model_path(), bare=bare, folder=folder
     )  # fmt: skip
 
 

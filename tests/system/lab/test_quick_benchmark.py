@@ -5,11 +5,11 @@ from __future__ import annotations
 import pytest
 
 from tests.processes import PATIENCE_S, touchd
-from touchd.lab.benchmark import results, tables
-from touchd.lab.benchmark.budgets import BUDGETS, Budget
+from touchd.lab.benchmark import results
 from touchd.lab.benchmark.estimators import NETWORKS
 from touchd.lab.benchmark.results import EstimatorResult, Run
 from touchd.lab.benchmark.scenes import WANTED
+from touchd.lab.benchmark.tables import BUDGETS, Budget
 from touchd.localization.model import default_model_path
 
 MARGIN = 2.0
@@ -22,16 +22,8 @@ def quick(tmp_path_factory: pytest.TempPathFactory) -> Run:
     given.write_bytes((default_model_path().parent / "small.onnx").read_bytes())
     done = touchd("benchmark", "--quick", "--json", path, "--also", given, patience_s=5 * PATIENCE_S)
     assert done.code == 0, done.err
+    print(done.out)
     return results.load(path)
-
-
-def test_figures(quick: Run, capsys: pytest.CaptureFixture[str]) -> None:
-    """The figures are printed."""
-    with capsys.disabled():
-        print()
-        for table in (tables.estimator_table(quick), tables.daemon_table(quick), tables.budget_table(quick)):
-            print(tables.plain(table))
-    assert quick.quick
 
 
 @pytest.fixture(scope="module")
@@ -49,15 +41,9 @@ def test_budget(quick: Run, budget: Budget) -> None:
 
 def test_complete(quick: Run, found: dict[str, EstimatorResult]) -> None:
     """Every estimator and every scene is measured."""
-    assert {*NETWORKS, "regression, rfft", "regression, DFT in the graph", "regression, float64"} <= found.keys()
+    assert {*NETWORKS, "atlas, touch-down", "atlas, tracking"} <= found.keys()
     assert [cell.scene for cell in quick.daemon] == list(WANTED)
     assert {one.name for one in quick.skips} >= {"gate", "still", "unheard", "screen"}
-
-
-def test_same_positions(found: dict[str, EstimatorResult]) -> None:
-    """However the features are computed, the positions are the same."""
-    for name in ("regression, rfft", "regression, DFT in the graph", "regression, float64"):
-        assert found[name].median_mm == pytest.approx(found["regression"].median_mm, abs=1e-3)
 
 
 def test_given_model(found: dict[str, EstimatorResult]) -> None:

@@ -10,7 +10,7 @@ import torch
 from tests.unit.training.field.test_learn import SIZE_MM, unlike
 from touchd.evaluation.dataset import Dataset
 from touchd.training.data.synthetic import Synthesiser
-from touchd.training.field.dispersion import known_dispersion
+from touchd.training.field.dispersion import dispersion_of
 from touchd.training.field.few_touches import learn_by_waves, learn_field
 from touchd.training.field.learn import OUTER_ROUNDS, Field, Learner
 from touchd.training.field.regression import Prior, touches_of
@@ -31,7 +31,7 @@ def missed(field: Field, dataset: Dataset) -> float:
 def test_few_touches_of_the_twin_tell_more_by_their_waves(dataset: Dataset) -> None:
     """Though of the twin they are no exact product: its window cuts the reverberation off."""
     touches = touches_of(dataset, np.arange(FEW))
-    learner = Learner(touches, Prior(known_dispersion(dataset).wavenumber_per_mm))
+    learner = Learner(touches, Prior(dispersion_of(dataset, touches).wavenumber_per_mm))
     plain = missed(learner.draw(learner.converge(OUTER_ROUNDS)), dataset)
     waves = missed(learn_field(dataset, np.arange(FEW)), dataset)
     print(f"unexplained energy of {len(dataset) - FEW} other touches: {plain:.3f} as it stands, {waves:.3f} by waves")
@@ -40,7 +40,8 @@ def test_few_touches_of_the_twin_tell_more_by_their_waves(dataset: Dataset) -> N
 
 def test_same(dataset: Dataset) -> None:
     """The same touches give the same field, to the bit, although threads share the work: in a tenth of the bins."""
-    touches, k = touches_of(dataset, np.arange(FEW)), known_dispersion(dataset).wavenumber_per_mm
+    touches = touches_of(dataset, np.arange(FEW))
+    k = dispersion_of(dataset, touches).wavenumber_per_mm
     some = replace(touches, values=np.ascontiguousarray(touches.values[:, :, ::10]))
     one, two = (learn_by_waves(some, Prior(k[::10])) for _ in range(2))
     np.testing.assert_array_equal(one.coefficients, two.coefficients)

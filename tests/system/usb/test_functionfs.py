@@ -24,7 +24,7 @@ from touchd.gadget import functionfs
 from touchd.gadget.device import Gadget
 from touchd.gadget.functionfs import ConfigFs, FunctionFs, descriptors, first_udc, strings
 from touchd.sources.simulated import SimulatedSource
-from touchd.sources.usb import find_daq, open_usb
+from touchd.sources.usb import candidates, open_usb
 from touchd.sources.usb_protocol import Info, build_info, parse_status
 from touchd.sources.usb_stream import acquisition_of
 from touchd.twin.instrument import Instrument
@@ -222,7 +222,8 @@ def test_host_and_gadget(kernel: Kernel) -> None:
     gadget = Gadget(INFO, (i.to_bytes(2, "little") * 1000 for i in count()))
     FunctionFs(Path("/ffs"), gadget)
     daq = Wired(kernel)
-    found = find_daq(DeviceSettings(), FakeBus(daq))
+    (opener,) = candidates(DeviceSettings(), FakeBus(daq))
+    found = opener()
     assert (found.acquisition, found.min_rate_hz, found.max_rate_hz) == (acquisition_of(INFO), 10, 1000)
     assert not gadget.running
     found.close()

@@ -14,6 +14,7 @@ from touchd.sources.live import WAITS
 
 PAGE = (Path(__file__).resolve().parents[3] / "docs" / "usb-protocol.md").read_text()
 DENSE = "".join(PAGE.split())
+CHECKLIST = ("ramp", "wrap", "full", "status")
 VECTORS: dict[str, list[dict[str, Any]]] = json.loads(
     (Path(__file__).resolve().parents[2] / "vectors.json").read_text()
 )
@@ -21,11 +22,16 @@ VECTORS: dict[str, list[dict[str, Any]]] = json.loads(
 
 @pytest.mark.parametrize("kind", VECTORS)
 def test_vectors(kind: str) -> None:
-    """The page has each short vector whole, and of the long ones header and CRC."""
+    """The page links all vectors, names the wrong ones, and has those of its checklist whole: of the long one header
+    and CRC."""
+    assert "(../tests/vectors.json)" in PAGE
     for vector in VECTORS[kind]:
-        shown = vector["hex"] if len(vector["hex"]) <= 200 else vector["hex"][:64]
-        assert shown in DENSE, vector
-        assert vector.get("crc32", "") in PAGE
+        name = vector.get("name", vector.get("geometry", "status"))
+        if kind == "corrupt":
+            assert f"`{name}`" in PAGE
+        elif name in CHECKLIST:
+            assert (vector["hex"] if len(vector["hex"]) <= 200 else vector["hex"][:64]) in DENSE, vector
+            assert vector.get("crc32", "") in PAGE
 
 
 def test_requests() -> None:

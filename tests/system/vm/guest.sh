@@ -24,7 +24,7 @@ lost() { show StatusText | grep -q '^lost: '; }
 # scenario NAME DESCRIPTOR: the client of all tests steers the device by the lines that it prints
 scenario() {
     say "scenario on $1"
-    PYTHONPATH=/usr/lib/touchd python3 -B client.py tcp://127.0.0.1:5570 --patience 120 --lift-ms 5000 2> "$1.err" |
+    PYTHONPATH=/usr/lib/touchd python3 -B client.py ipc:///run/touchd/bus --patience 120 --lift-ms 5000 2> "$1.err" |
         tee "$1.steps" | grep --line-buffered '^!' >&"$2"
     found "$1-scenario" "${PIPESTATUS[0]}"
 }
@@ -51,6 +51,7 @@ found started-by-plug $?
 found group "$(stat -c '%G %a' /dev/bus/usb/*/* | grep touchd | head -n 1)"
 found user "$(ps -o user= -p "$(show MainPID)")"
 
+found bus "$(stat -c '%G %a' /run/touchd/bus)"
 scenario gadget 3
 
 say killed

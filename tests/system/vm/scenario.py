@@ -84,6 +84,7 @@ def test_plugging_the_device_in_starts_the_daemon_as_a_user_of_its_own(found: Fo
     assert found["started-by-plug"] == "0"
     assert found["group"] == "touchd-dev 660"
     assert found["user"] not in ("", "root", "0")
+    assert found["bus"] == "touchd-bus 660"
 
 
 @pytest.mark.parametrize("bus", ["gadget", "usbip"])

@@ -58,3 +58,24 @@ def test_wrong_file(tmp_path: Path) -> None:
     result = CliRunner().invoke(command, ["--config", str(tmp_path / "nowhere.toml")])
     assert isinstance(result.exception, ConfigError)
     assert result.output == ""
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        (None, "cannot be read"),
+        ([(0, 500)], "beyond the plate of 200 x 200 mm: '0'"),
+        ([(10, 50), (30, 50)], "'0' and '1' overlap"),
+    ],
+)
+def test_wrong_layout(tmp_path: Path, keys: list[tuple[int, int]] | None, message: str) -> None:
+    """Keys that do not fit the model's plate are named, and nothing is printed."""
+    layout, file = tmp_path / "keys.toml", tmp_path / "touchd.toml"
+    file.write_text(f'[keypad]\nlayout = "{layout}"\n')
+    if keys is not None:
+        table = '[[key]]\nname = "{}"\nx_mm = {}\ny_mm = 10\nwidth_mm = {}\nheight_mm = 20\n'
+        layout.write_text("".join(table.format(i, *key) for i, key in enumerate(keys)))
+    result = CliRunner().invoke(command, ["--config", str(file)])
+    assert isinstance(result.exception, ConfigError)
+    assert message in str(result.exception)
+    assert result.output == ""

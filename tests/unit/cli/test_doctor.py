@@ -14,9 +14,10 @@ import pytest
 from tests.command_line import touchd
 from tests.conftest import Scene
 from tests.processes import Ended
-from touchd.config.schema import BusSettings
+from touchd.config.schema import BusSettings, Settings
 from touchd.doctor.checks import Finding
-from touchd.doctor.host import check_addresses, judge_clock, take
+from touchd.doctor.host import judge_clock, take
+from touchd.doctor.start import check_start
 from touchd.errors import CheckFailed, SourceError
 from touchd.event import HealthEvent, Latency
 from touchd.frame import Acquisition, Frame
@@ -101,8 +102,8 @@ def test_no_device(tmp_path: Path) -> None:
 
 
 def finding_of(address: str) -> Finding:
-    (finding,) = check_addresses(BusSettings(bind=(address,)))
-    return finding
+    _, findings = check_start(Settings(bus=BusSettings(bind=(address,))))
+    return findings[0]
 
 
 @pytest.fixture

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from datetime import UTC, datetime
 
 import pytest
 from click.testing import CliRunner
@@ -90,9 +92,28 @@ def test_topics(sink: ZeromqSink) -> None:
     assert code == 0
     assert out.splitlines() == [
         "? press   7  confidence 0.90",
-        "12:34:56.789 streaming 9 frames, 5 inferred, 4 skipped, 0 lost, 0 corrupt  latency p99 0 us  noise 1.00",
+        "12:34:56.789 streaming 9 frames, 5 inferred, 4 skipped, 0 lost, 0 corrupt  until sent p99 0 us  noise 1.00",
         "12:34:56.789 frame 8  2 features  largest 3.0",
     ]
+
+
+def test_reason(sink: ZeromqSink) -> None:
+    """A person sees why the device is lost."""
+    listen = Listen(sink, "--topic", "health", "--count", "1", topic="health")
+    event = health(1, "lost")
+    event.reason = "the DAQ was unplugged"
+    publish(sink, event)
+    assert listen.end()[1].endswith("  reason: the DAQ was unplugged\n")
+
+
+@pytest.mark.parametrize("options", [(), ("--json",)])
+def test_no_escapes(sink: ZeromqSink, options: tuple[str, ...]) -> None:
+    """Nothing that a message holds can steer the terminal."""
+    listen = Listen(sink, "--topic", "key", "--count", "1", *options, topic="key")
+    publish(sink, KeyEvent("plate\x9b2J", 1, 1, "\x1b[2J", "7\x1b]0;mine\x07\x9b2J\u202e", "press", 0.9))
+    _, out, _ = listen.end()
+    assert out.rstrip("\n").isprintable()
+    assert "mine" in out
 
 
 def test_until_stopped(sink: ZeromqSink) -> None:
@@ -112,6 +133,15 @@ def test_lost(sink: ZeromqSink) -> None:
     code, _, err = listen.end()
     assert code == 0
     assert err.startswith("3 messages lost")
+
+
+def test_everything(sink: ZeromqSink) -> None:
+    """However old a message is, it is printed."""
+    listen = Listen(sink, "--json", "--count", "2")
+    now_ns = time.monotonic_ns()
+    wall = datetime.now(UTC).isoformat()
+    publish(sink, TouchEvent("plate", 1, now_ns, wall, 1, []), TouchEvent("plate", 2, now_ns - 10**10, wall, 2, []))
+    assert len(listen.end()[1].splitlines()) == 2
 
 
 def test_silence(sink: ZeromqSink) -> None:

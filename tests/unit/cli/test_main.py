@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import socket
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ from tests.conftest import Scene
 from tests.processes import ROOT, Ended
 from touchd import errors
 from touchd.cli import main as cli
-from touchd.cli.main import VERBS, main
+from touchd.cli.main import VERBS, main, missing_extra
 from touchd.errors import TouchdError
 from touchd.recording.format import write
 
@@ -165,7 +166,7 @@ CASES: dict[str, tuple[type[TouchdError], Arguments, tuple[str, ...]]] = {
         configured("[tracker]\nconfirm_frame = 3"),
         ("touchd.toml", "did you mean tracker.confirm_frames?"),
     ),
-    "a key out of range": (errors.ConfigError, configured("[gate]\nclose_ratio = 2"), ("gate.close_ratio", "2")),
+    "a key out of range": (errors.ConfigError, configured("[health]\nperiod_s = -2"), ("health.period_s", "-2")),
     "invalid TOML": (errors.ConfigError, configured("[gate\n"), ("not valid TOML", "line 1")),
     "a missing configuration": (errors.ConfigError, bound("--config", "nowhere.toml"), ("nowhere.toml",)),
     "a bind that is no address": (errors.ConfigError, bound("--bind", "loopback"), ("'loopback'", "tcp://")),
@@ -315,3 +316,16 @@ def test_verb_help(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
     """Every verb has a help of its own."""
     assert main([verb, "--help"]) == 0
     assert capsys.readouterr().out.startswith(f"Usage: touchd {verb} ")
+
+
+@pytest.mark.parametrize(
+    ("prefix", "fix"), [("/venv", "pip install '.[train]'"), (sys.base_prefix, "run `make setup` in a clone")]
+)
+def test_missing_extra(prefix: str, fix: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A missing package is installed from a clone: into this environment, or a new one beside the system's Python."""
+    monkeypatch.setattr(sys, "prefix", prefix)
+    error = missing_extra(ModuleNotFoundError(name="torch.nn"))
+    assert fix in error.fix
+    assert "touchd[" not in str(error), "a package of that name on the index is not this one"
+    with pytest.raises(ModuleNotFoundError):
+        missing_extra(ModuleNotFoundError(name="unknown"))

@@ -84,7 +84,8 @@ def test_wrong_options(tmp_path: Path) -> None:
         result = call("tap", "-o", path, f"--{option}", str(value))
         assert result.exit_code == 2
         assert f"--{option}" in result.output
-    assert call("tap", "-o", path, "--plate", "20x30").exit_code == 2
+    for plate in ("20x30", "20x30x0", "0.5x30x5", "nanx30x5", "1e300x30x5", "20x30x5x5"):
+        assert call("tap", "-o", path, "--plate", plate).exit_code == 2
     assert not path.exists()
 
 

@@ -11,9 +11,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import linear_sum_assignment
 
+from touchd.evaluation import matching
 from touchd.evaluation.force import FEWEST
 from touchd.evaluation.matching import REACH_MM, Seen, match, match_frames, scores_by_fingers
 from touchd.touch import Touch
+from touchd.tracking.assignment import assign
 
 Places = list[tuple[float, float]]
 
@@ -57,6 +59,20 @@ def test_no_other_assignment_within_the_reach_costs_less(true_mm: Places, positi
             if all(cost([(0, j)], [true_mm[i]], position_mm, 0) <= reach_mm for i, j in tried):
                 best = min(best, cost(tried, true_mm, position_mm, reach_mm))
     assert cost(pairs, true_mm, position_mm, reach_mm) == pytest.approx(best, abs=1e-6)
+
+
+def test_many_fingers(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Thousands of true fingers cost a few contacts a time that is linear in their number."""
+    shapes = []
+
+    def watched(cost: list[list[float]]) -> list[int]:
+        shapes.append((len(cost), len(cost[0])))
+        return assign(cost)
+
+    monkeypatch.setattr(matching, "assign", watched)
+    true_mm = [(float(i), float(j)) for i in range(50) for j in range(40)]
+    assert match(true_mm, [(20.2, 7.0), (3.0, 3.3)]) == [(3 * 40 + 3, 1), (20 * 40 + 7, 0)]
+    assert shapes == [(2, 2002)]
 
 
 @given(PLACES, PLACES)

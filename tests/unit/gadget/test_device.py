@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import errno
+from dataclasses import replace
 from itertools import count
 from typing import Any
 
 import pytest
 
+from touchd.errors import GadgetError
 from touchd.gadget.device import BACKLOG, COMMANDS, Gadget
 from touchd.sources.usb_protocol import Flag, FrameReader, Header, Info, Request, parse_info, parse_status
 
@@ -164,3 +166,10 @@ def test_an_unknown_command_is_refused(gadget: Gadget) -> None:
     with pytest.raises(ValueError, match="dance"):
         gadget.command("dance")
     assert "dance" not in COMMANDS
+
+
+@pytest.mark.parametrize("changed", [{"channels": 256}, {"samples": 65_536}, {"sample_rate_hz": 2**32}, {"bits": -1}])
+def test_frames_beyond_the_protocol(changed: dict[str, Any]) -> None:
+    """Frames that GET_INFO cannot describe are refused."""
+    with pytest.raises(GadgetError, match="do not fit the protocol"):
+        Gadget(replace(Info(channels=4, samples=250, sample_rate_hz=250_000), **changed), iter([]))

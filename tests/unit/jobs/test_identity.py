@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -50,27 +51,24 @@ def test_arrays_and_dataclasses() -> None:
 
 
 def test_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The code of a job is all that its module imports, directly or not, and nothing else."""
-    package = tmp_path / "somebody"
-    package.mkdir()
-    for name, text in {
-        "__init__": "",
-        "job": "def f():\n from . import deep",
-        "deep": "X = 1",
-        "other": "X = 1",
-    }.items():
-        (package / f"{name}.py").write_text(text)
-    monkeypatch.syspath_prepend(str(tmp_path))
+    """The code of a job is all of touchd and of its own package, wherever they are installed."""
+    for place in ("here", "there"):
+        (tmp_path / place / "somebody").mkdir(parents=True)
+        for name in ("__init__", "job"):
+            (tmp_path / place / "somebody" / f"{name}.py").write_text("X = 1")
 
-    def now() -> str:
+    def now(place: str) -> str:
+        importlib.invalidate_caches()
         code_digest.cache_clear()
-        return code_digest("somebody.job")
+        with monkeypatch.context() as patch:
+            patch.syspath_prepend(str(tmp_path / place))
+            return code_digest("somebody.job")
 
-    before = now()
-    (package / "other.py").write_text("X = 2")
-    assert now() == before
-    (package / "deep.py").write_text("X = 2")
-    assert now() != before
+    before = now("here")
+    assert now("there") == before
+    (tmp_path / "there" / "somebody" / "deep.py").write_text("X = 2")
+    assert now("there") != before == now("here")
+    assert code_digest("touchd.jobs.identity") != before
 
 
 def test_functions() -> None:

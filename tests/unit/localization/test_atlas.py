@@ -85,6 +85,20 @@ def spoiled(key: str, value: float) -> Callable[[Parts], None]:
         (spoiled("coefficients", np.nan), "numbers that are none"),
         (spoiled("baseline", np.inf), "numbers that are none"),
         (spoiled("error", np.nan), "numbers that are none"),
+        (described(plate={"width_mm": 1, "height_mm": 90}), "is not on the plate"),
+        (described(plate={"width_mm": 1e300, "height_mm": 90}), "description: plate.width_mm: "),
+        (described(step_mm=1e-300), "description: step_mm: "),
+        (described(step_mm=1e300), "description: step_mm: "),
+        (described(noise_scale=1e300), "description: noise_scale: "),
+        (described(origin_mm=[1e300, -1e300]), "the touched part"),
+        (described(bins=list(range(53, 98, 3))[::-1]), "bins from"),
+        (described(bins=[-1, *range(57, 99, 3)]), "bins from -1"),
+        (described(bins=[*range(54, 96, 3), 10**9]), "bins from 54 to 1000000000"),
+        (lambda p: p.update(scale=np.array(np.float32(3e38))), "too large"),
+        (lambda p: p.update(scale=np.array(np.float32(0))), "a field of zeros"),
+        (lambda p: p.update(scale=np.array(np.float32(np.nan))), "numbers that are none"),
+        (spoiled("baseline", 1e30), "too large"),
+        (spoiled("error", -1.0), "a negative error"),
         (lambda p: p.update(scale=np.array("text")), "not a usable atlas"),
         (lambda p: p.update(scale=np.ones(3, np.float32)), "not a usable atlas"),
     ],
@@ -101,6 +115,16 @@ def test_a_damaged_one_says_what_is_wrong(
         load_atlas(path)
     assert caught.value.where == str(path)
     assert "touchd train --recipe atlas" in caught.value.fix
+
+
+def test_a_bomb_is_refused(whole: Path, tmp_path: Path) -> None:
+    """A file whose arrays are far larger than any atlas is refused before they are read."""
+    with np.load(whole) as archive:
+        parts = dict(archive)
+    parts["coefficients"] = np.zeros((600, 600, 120), np.float16)
+    np.savez_compressed(tmp_path / "bomb.atlas.npz", **parts)
+    with pytest.raises(ModelInvalid, match=r"claims .* bytes of arrays"):
+        load_atlas(tmp_path / "bomb.atlas.npz")
 
 
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.99])

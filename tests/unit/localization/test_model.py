@@ -1,5 +1,6 @@
 """Models: one file that says what it is, and is refused where it does not fit."""
 
+import json
 from pathlib import Path
 from typing import TypeVar
 
@@ -14,9 +15,9 @@ from hypothesis.extra import numpy as hnp
 from touchd.errors import ModelInvalid, ModelMismatch, ModelMissing, TrainingError
 from touchd.frame import Acquisition, Chirp, Plate
 from touchd.keypad import PHONE, load_layout
+from touchd.localization.atlas import atlas_path
 from touchd.localization.model import METADATA_KEY, Description, Model
-from touchd.training.network.export import fold, make_graph, write_model
-from touchd.training.network.export_check import TOLERANCE, check_graph
+from touchd.training.network.export import TOLERANCE, check_export, fold, make_graph, write_model
 from touchd.training.network.network import PaperNetwork, PositionNetwork
 from touchd.training.network.zones_and_keys import Classifier
 
@@ -36,6 +37,7 @@ def export(network: PositionNetwork | PaperNetwork | Classifier, about: Descript
     return write_model(make_graph(network, about), path)
 
 
+GRID = description(head="grid", grid=5)
 N = TypeVar("N", PositionNetwork, PaperNetwork, Classifier)
 
 
@@ -59,15 +61,13 @@ def test_a_model_says_what_it_is(regression: Model) -> None:
     assert Model(regression.path).description == description()
 
 
-def test_what_is_exported_is_what_was_trained() -> None:
+def test_what_is_exported_is_what_was_trained(tmp_path: Path) -> None:
     network = seen(PositionNetwork(392, (200.0, 150.0)))
     features = np.random.default_rng(1).standard_normal((200, 392)).astype(np.float32) * 50
-    exact = check_graph(network, make_graph(network, description()), features)
-    assert 0 < exact.function <= TOLERANCE
-    assert 0 < exact.rounding <= TOLERANCE
+    assert 0 < check_export(network, export(network, description(), tmp_path / "a.onnx"), features) <= TOLERANCE
 
 
-def test_plain_spectra_lose_no_digits_to_what_they_have_in_common() -> None:
+def test_plain_spectra_lose_no_digits_to_what_they_have_in_common(tmp_path: Path) -> None:
     """The paper's input: a touch changes spectra of 10,000 counts by some ten."""
 
     def rounding(common: float) -> float:
@@ -76,22 +76,21 @@ def test_plain_spectra_lose_no_digits_to_what_they_have_in_common() -> None:
         far = common * torch.randn(1, 392)
         for _ in range(100):
             network.raw(far + 10 * torch.randn(64, 392))
-        exact = check_graph(network, make_graph(network, description()), (far + 10 * torch.randn(200, 392)).numpy())
-        assert exact.function <= TOLERANCE
-        return exact.rounding
+        model = export(network, description(), tmp_path / "a.onnx")
+        return check_export(network, model, (far + 10 * torch.randn(200, 392)).numpy())
 
     assert rounding(common=1e4) < 5 * rounding(common=0.0)
 
 
 @pytest.mark.parametrize("weight", ["trunk.1.weight", "head.bias"])
-def test_another_function_than_the_trained_one_is_refused(weight: str) -> None:
+def test_another_function_than_the_trained_one_is_refused(weight: str, tmp_path: Path) -> None:
     network = seen(PositionNetwork(392, (200.0, 150.0)))
-    graph = make_graph(network, description())
+    model = export(network, description(), tmp_path / "a.onnx")
     with torch.no_grad():
-        dict(network.named_parameters())[weight].flatten()[0].add_(0.01)
+        dict(network.named_parameters())[weight][0].add_(0.1)
     features = np.random.default_rng(1).standard_normal((200, 392)).astype(np.float32) * 50
     with pytest.raises(TrainingError, match="differs from the trained network by"):
-        check_graph(network, graph, features)
+        check_export(network, model, features)
 
 
 def test_folding_leaves_no_normalisation_and_the_same_function() -> None:
@@ -158,7 +157,7 @@ def test_a_louder_touch_is_at_the_same_place() -> None:
 
 
 def test_a_grid_head_answers_with_the_centre_of_its_zone(tmp_path: Path) -> None:
-    model = export(seen(Classifier(392, 25)), description(head="grid", grid=5), tmp_path / "grid.onnx")
+    model = export(seen(Classifier(GRID)), GRID, tmp_path / "grid.onnx")
     model.features[0] = np.random.default_rng(4).standard_normal(392).astype(np.float32)
     estimate = model.estimate()
     zone = int(model.outputs["probability"].argmax())
@@ -167,9 +166,10 @@ def test_a_grid_head_answers_with_the_centre_of_its_zone(tmp_path: Path) -> None
 
 def test_a_keypad_head_answers_with_a_key_or_none(tmp_path: Path) -> None:
     layout = load_layout(PHONE)
-    network = Classifier(392, 13, (100, 50))
+    keypad = description(head="keypad", layout=layout)
+    network = Classifier(keypad, (100, 50))
     torch.nn.init.normal_(network.head.weight)  # untrained, it would prefer one class whatever comes
-    model = export(seen(network), description(head="keypad", layout=layout), tmp_path / "keypad.onnx")
+    model = export(seen(network), keypad, tmp_path / "keypad.onnx")
     keys = set()
     for seed in range(200):
         model.features[0] = np.random.default_rng(seed).standard_normal(392).astype(np.float32)
@@ -223,6 +223,41 @@ def test_a_model_whose_description_is_wrong_is_refused(
     path = tmp_path / "changed.onnx"
     path.write_bytes(proto.SerializeToString())
     with pytest.raises(ModelInvalid, match=says):
+        Model(path)
+
+
+@pytest.mark.parametrize("value", [0, -1, 1e-300, 1e18, 1e300, 10**400])
+@pytest.mark.parametrize(
+    "key", ["acquisition.samples", "acquisition.channels", "acquisition.sample_rate_hz", "acquisition.chirp.stop_hz",
+            "acquisition.chirp.duration_s", "plate.width_mm", "plate.height_mm"],
+)  # fmt: skip
+def test_an_impossible_number_is_refused(regression: Model, tmp_path: Path, key: str, value: float) -> None:
+    """Of the description, before it takes memory."""
+    about = json.loads(description().model_dump_json())
+    *parents, last = key.split(".")
+    part = about
+    for parent in parents:
+        part = part[parent]
+    part[last] = value
+    proto = onnx.load(regression.path)
+    del proto.metadata_props[:]
+    proto.metadata_props.add(key=METADATA_KEY, value=json.dumps(about))
+    path = tmp_path / "changed.onnx"
+    path.write_bytes(proto.SerializeToString())
+    with pytest.raises(ModelInvalid, match=key.replace(".", r"\.")):
+        Model(path)
+
+
+def test_another_atlas_is_refused(atlas_model: Model, tmp_path: Path) -> None:
+    """An atlas of another plate is refused, though its other parts fit."""
+    path = tmp_path / "a.onnx"
+    path.write_bytes(atlas_model.path.read_bytes())
+    with np.load(atlas_path(atlas_model.path)) as archive:
+        parts = dict(archive)
+    about = json.loads(str(parts["description"]))
+    about["plate"]["width_mm"] += 100
+    np.savez(atlas_path(path), **parts | {"description": np.array(json.dumps(about))})
+    with pytest.raises(ModelInvalid, match="another recording"):
         Model(path)
 
 

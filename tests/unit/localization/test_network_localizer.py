@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
 import torch
+from hypothesis import example, given
+from hypothesis import strategies as st
 
 from touchd.config.schema import Settings
 from touchd.detection.detector import Detection
 from touchd.frame import Acquisition, Plate
 from touchd.localization.features import windowed_dft
-from touchd.localization.model import Description, Model
+from touchd.localization.model import Description, Estimate, Model
 from touchd.localization.network_localizer import NetworkLocalizer
 from touchd.outcome import Outcome
 from touchd.training.network.export import make_graph, write_model
@@ -79,3 +83,59 @@ def test_network_without_noise(residual: np.ndarray, tmp_path: Path) -> None:
     """A network that does not know the noise has one standard error in any."""
     model = model_of(PaperNetwork(392, (200.0, 200.0)), tmp_path)
     assert {sigma for deviation in LEVELS for sigma in placed(model, residual, deviation)} == {1.0}
+
+
+class Said:
+    """A model that says what it is told to."""
+
+    description = Description(
+        name="test", head="regression", domain="time", input="residual", acquisition=RIG,
+        plate=Plate(width_mm=200, height_mm=150),
+    )  # fmt: skip
+    dtype = np.dtype(np.float32)
+
+    def __init__(self, estimate: Estimate) -> None:
+        self.features = np.zeros((1, 1000), np.float32)
+        self._estimate = estimate
+
+    def estimate(self) -> Estimate:
+        return self._estimate
+
+
+ANY = st.floats(allow_nan=True, allow_infinity=True)
+
+
+@given(
+    st.builds(
+        Estimate, ANY | st.floats(-20, 220), ANY | st.floats(-20, 170), ANY | st.floats(0, 9), ANY | st.floats(0, 1)
+    )
+)
+@example(Estimate(1e9, 50.0, 1.0, 0.9))
+@example(Estimate(math.nan, 50.0, 1.0, 0.9))
+@example(Estimate(50.0, 50.0, 1.0, math.inf))
+@example(Estimate(50.0, 50.0, 1.0, 1.5))
+def test_any_answer(said: Estimate) -> None:
+    """Whatever a network says, what is placed lies on the plate, with a finite confidence and standard error."""
+    residual = np.full(RIG.shape, 100, np.float32)
+    detection = Detection(
+        Outcome.TOUCHED, 0, 1e7, 1.0, 0.0, residual, residual, 0 * residual, np.ones(RIG.channels, bool)
+    )
+    found = NetworkLocalizer(cast(Model, Said(said)), Settings(), None).localize(detection, alive=True)
+    for touch in found.touches:
+        assert 0 <= touch.x_mm <= 200
+        assert 0 <= touch.y_mm <= 150
+        assert 0 <= touch.sigma_mm <= Settings().model.max_sigma_mm
+        assert 0 <= touch.confidence <= 1
+        assert 0 <= touch.force <= 1
+
+
+@pytest.mark.parametrize(("x_mm", "placed_mm"), [(-2.5, 0.0), (202.5, 200.0), (200.0, 200.0), (-3.5, None)])
+def test_edge(x_mm: float, placed_mm: float | None) -> None:
+    """A finger within 3 standard errors of the edge is placed on it, one farther away nowhere."""
+    residual = np.full(RIG.shape, 100, np.float32)
+    detection = Detection(
+        Outcome.TOUCHED, 0, 1e7, 1.0, 0.0, residual, residual, 0 * residual, np.ones(RIG.channels, bool)
+    )
+    model = cast(Model, Said(Estimate(x_mm, 50.0, 1.0, 0.9)))
+    found = NetworkLocalizer(model, Settings(), None).localize(detection, alive=True)
+    assert [(touch.x_mm, touch.y_mm) for touch in found.touches] == ([] if placed_mm is None else [(placed_mm, 50.0)])

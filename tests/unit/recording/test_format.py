@@ -99,7 +99,7 @@ def recordings(draw: st.DrawFn) -> Recording:
     rng = np.random.default_rng(draw(st.integers(0, 99)))
 
     def increasing(lowest: int) -> np.ndarray[Any, np.dtype[np.int64]]:
-        values = draw(st.lists(st.integers(lowest, 2**63 - 1), min_size=n, max_size=n, unique=True))
+        values = draw(st.lists(st.integers(lowest, 2**62), min_size=n, max_size=n, unique=True))
         return np.array(sorted(values), dtype=np.int64)
 
     def optional(shape: tuple[int, ...]) -> Any:
@@ -112,7 +112,7 @@ def recordings(draw: st.DrawFn) -> Recording:
     return Recording(
         meta=meta,
         frames=rng.integers(-32768, 32768, (n, channels, samples)).astype(np.int16),
-        sequence=increasing(-(2**63)),
+        sequence=increasing(-(2**62)),
         timestamp_ns=increasing(0),
         contacts_mm=contacts,
         force_n=force,
@@ -221,6 +221,12 @@ SPOILED: list[tuple[str, Callable[[dict[str, Any]], None], type[RecordingError],
     ("infinite contact", change("contacts_mm", (1, 0, 0), np.inf), RecordingValues, "infinite in frame 1"),
     ("infinite force", put(force_n=np.full((6, 1), np.inf, np.float32)), RecordingValues, "force_n"),
     ("NaN temperature", put(temperature_c=np.full(6, np.nan, np.float32)), RecordingValues, "temperature_c"),
+    ("time beyond any", change("timestamp_ns", 5, 2**63 - 1), RecordingValues, "timestamp_ns: is 9223372036854775807"),
+    ("number beyond any", change("sequence", 0, -(2**63)), RecordingValues, "sequence: is -9223372036854775808"),
+    ("far contact", change("contacts_mm", (1, 0, 0), 1e30), RecordingValues, "contacts_mm: is 1e\\+30"),
+    ("strong force", put(force_n=np.full((6, 1), -1e30, np.float32)), RecordingValues, "force_n: is 1e"),
+    ("hot plate", put(temperature_c=np.full(6, 1e30, np.float32)), RecordingValues, "temperature_c: is 1e"),
+    ("2000 channels", put(frames=np.zeros((6, 2000, 5), np.int16)), RecordingShape, "more than 1024 channels"),
     ("meta not JSON", put(meta="{plate"), RecordingValues, "meta: .*json"),
     ("meta a list", put(meta="[]"), RecordingValues, "meta: "),
     ("meta with NaN", meta_with(full_scale_v=float("nan")), RecordingValues, "full_scale_v: "),
@@ -340,9 +346,55 @@ class TestRead:
         self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         write(tmp_path / "a.npz", make(200))
-        monkeypatch.setattr(npz, "_MEMORY_BYTES", 3000)
+        monkeypatch.setattr(npz, "MEMORY_BYTES", 3000)
         with pytest.raises(RecordingShape, match="larger than this machine's memory"):
             read(tmp_path / "a.npz")
+
+    def test_a_bomb(self, tmp_path: Path) -> None:
+        """Arrays that are far larger than their file are refused before any of them is read."""
+        zeros = bytes(1 << 20)
+        with zipfile.ZipFile(tmp_path / "a.npz", "w", zipfile.ZIP_DEFLATED) as archive:
+            for key in ("format", "version", "meta", "sequence", "timestamp_ns", "frames"):
+                with archive.open(f"{key}.npy", "w") as member:
+                    for _ in range(64):
+                        member.write(zeros)
+        tracemalloc.start()
+        try:
+            with pytest.raises(RecordingShape, match="claims 402653184 bytes of arrays, in a file of") as caught:
+                read(tmp_path / "a.npz")
+            _, peak_bytes = tracemalloc.get_traced_memory()
+        finally:
+            tracemalloc.stop()
+        assert peak_bytes < 1 << 20
+        assert caught.value.fix
+
+    def test_zeros_of_a_dead_device_are_read(self, tmp_path: Path) -> None:
+        """They compress by a thousand, and are a recording."""
+        recording = dataclasses.replace(make(4000), frames=np.zeros((4000, 2, 500), np.int16))
+        write(tmp_path / "a.npz", recording)
+        assert recording.frames.nbytes > 100 * (tmp_path / "a.npz").stat().st_size
+        assert_same(read(tmp_path / "a.npz"), recording)
+
+    def test_a_directory_of_any_size_costs_no_memory(self, tmp_path: Path) -> None:
+        with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:
+            for number in range(20):
+                archive.writestr(f"{number:060000d}", b"")
+        tracemalloc.start()
+        try:
+            with pytest.raises(RecordingTruncated, match="directory"):
+                read(tmp_path / "a.npz")
+            _, peak_bytes = tracemalloc.get_traced_memory()
+        finally:
+            tracemalloc.stop()
+        assert peak_bytes < 1 << 20
+
+    def test_chunks_beyond_memory_are_refused(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        """A folder may be larger than memory, but is then not read as a whole."""
+        for number in range(3):
+            write(tmp_path / f"{number}.npz", make(200, first=200 * number))
+        monkeypatch.setattr(npz, "MEMORY_BYTES", 2 * 200 * 2 * 5 * 2 + 9000)
+        with pytest.raises(RecordingShape, match="larger than this machine's memory"):
+            read(tmp_path)
 
     def test_a_member_that_claims_more_than_deflate_can_hold_is_refused(self, tmp_path: Path) -> None:
         data = bytearray(save(tmp_path / "a.npz", **content(make())).read_bytes())
@@ -473,81 +525,6 @@ def test_a_file_cut_anywhere_is_refused(tmp_path: Path, compress: bool) -> None:
         (tmp_path / "a.npz").write_bytes(whole[:length])
         with pytest.raises(RecordingTruncated):
             read(tmp_path / "a.npz")
-
-
-@settings(FILE_SETTINGS, max_examples=400)
-@given(data=st.data(), compress=st.booleans())
-def test_flipped_bytes_give_a_recording_or_a_typed_error(tmp_path: Path, data: st.DataObject, compress: bool) -> None:
-    spoiled = bytearray(WHOLE[compress])
-    for _ in range(data.draw(st.integers(1, 3))):
-        spoiled[data.draw(st.integers(0, len(spoiled) - 1))] = data.draw(st.integers(0, 255))
-    (tmp_path / "a.npz").write_bytes(spoiled)
-    assert_valid_or_refused(tmp_path / "a.npz")
-
-
-@settings(FILE_SETTINGS, max_examples=100)
-@given(noise=st.binary(max_size=200))
-def test_random_bytes_are_refused(tmp_path: Path, noise: bytes) -> None:
-    (tmp_path / "a.npz").write_bytes(noise)
-    with pytest.raises(RecordingError):
-        read(tmp_path / "a.npz")
-
-
-@settings(FILE_SETTINGS, max_examples=150)
-@given(
-    key=st.sampled_from(sorted(content(make()))),
-    head=st.text(st.characters(max_codepoint=255), max_size=60)
-    | st.builds(
-        "{{'descr': {}, 'fortran_order': {}, 'shape': {}}}".format,
-        st.sampled_from(
-            ["'<i2'", "'|O'", "'<U3'", "'V8'", "[('a','<f4')]", "'i2,(2,)i4'", "'a9'", "'<U99999999999'", "3"]
-        ),
-        st.sampled_from(["True", "False", "None", "[]"]),
-        st.sampled_from(
-            ["()", "(3,)", "(-1,)", "(0, 10**9)", "(0, 99999999999999999999)", "(True,)", "(2, 2, 2)", "5"]
-        ),
-    ),
-    body=st.binary(max_size=40),
-)
-def test_any_array_header_gives_a_recording_or_a_typed_error(tmp_path: Path, key: str, head: str, body: bytes) -> None:
-    # The archive is sound, checksums and all: only the array inside is made up.
-    text = head.encode("latin-1")
-    with zipfile.ZipFile(io.BytesIO(WHOLE[False])) as whole, zipfile.ZipFile(tmp_path / "a.npz", "w") as spoiled:
-        for name in whole.namelist():
-            array = b"\x93NUMPY\x01\x00" + struct.pack("<H", len(text)) + text + body
-            spoiled.writestr(name, array if name == f"{key}.npy" else whole.read(name))
-    assert_valid_or_refused(tmp_path / "a.npz")
-
-
-@settings(FILE_SETTINGS, max_examples=150)
-@given(data=st.data())
-def test_any_array_under_any_key_gives_a_recording_or_a_typed_error(tmp_path: Path, data: st.DataObject) -> None:
-    arrays = content(make())
-    dtypes = ["i2", "i8", "f4", "f8", "u1", "U4", "S3", "?", "c8", "O", "M8[s]"]
-    for _ in range(data.draw(st.integers(1, 3))):
-        key = data.draw(st.sampled_from([*sorted(arrays), "force_n", "temperature_c"]))
-        shape = tuple(data.draw(st.lists(st.sampled_from([0, 1, 2, 5, 6]), max_size=4)))
-        array = np.zeros(shape, data.draw(st.sampled_from(dtypes)))
-        if array.dtype.kind == "f" and array.size:
-            array.flat[0] = data.draw(st.sampled_from([np.nan, np.inf, -np.inf, 0.0]))
-        arrays[key] = array
-    assert_valid_or_refused(save(tmp_path / "a.npz", **arrays))
-
-
-JSON = st.recursive(
-    st.none() | st.booleans() | st.floats() | st.integers() | st.text(max_size=5),
-    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
-    max_leaves=6,
-)
-
-
-@settings(FILE_SETTINGS, max_examples=150)
-@given(keys=st.dictionaries(st.sampled_from(sorted(Meta.model_fields)), JSON, max_size=4), cut=st.integers(0, 400))
-def test_any_meta_gives_a_recording_or_a_typed_error(tmp_path: Path, keys: dict[str, Any], cut: int) -> None:
-    arrays = content(make())
-    text = json.dumps({**json.loads(arrays["meta"]), **keys})
-    arrays["meta"] = text[:cut] if cut < 100 else text
-    assert_valid_or_refused(save(tmp_path / "a.npz", **arrays))
 
 
 def test_deeply_nested_meta_is_refused(tmp_path: Path) -> None:

@@ -148,7 +148,7 @@ def test_while_the_screen_is_off_a_running_daemon_finds_no_touches(tmp_path: Pat
         assert (done.code, done.out, done.err) == (0, "", "")
 
     with (
-        Subscriber(address, ("touch", "health"), timeout_s=PATIENCE_S) as events,
+        Subscriber(address, ("touch", "health"), timeout_s=PATIENCE_S, max_age_s=None) as events,
         started(*options, **variables) as daemon,
     ):
         until(events, is_down)

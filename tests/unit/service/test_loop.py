@@ -143,7 +143,7 @@ def make(scene: Scene, model: Model) -> Callable[..., Bench]:
 def test_states(make: Callable[..., Bench], circle: list[Frame]) -> None:
     """Each state is published at once, to every sink."""
     silence: list[Step] = [None] * (STALL_NS // TIMEOUT_NS + 5)
-    bench = make([None, *circle[:40], *silence, *circle[40:80]], period_s=1e6)
+    bench = make([None, *circle[:40], *silence, *circle[40:80]], period_s=3600.0)
     bench.service.run()
     assert [event.state for event in bench.sink.health] == ["starting", "streaming", "stalled", "streaming", "stopping"]
     starting, streaming, stalled, again, stopping = (t - START_NS for t in bench.sink.times_ns)
@@ -285,7 +285,7 @@ class Live(Script):
 
 @pytest.fixture
 def live(scene: Scene, model: Model) -> Callable[[Sequence[Step]], Bench]:
-    return lambda steps: Bench(scene("circle"), model, steps, period_s=1e6, live=True)
+    return lambda steps: Bench(scene("circle"), model, steps, period_s=3600.0, live=True)
 
 
 def test_lost(live: Callable[[Sequence[Step]], Bench], circle: list[Frame]) -> None:

@@ -6,6 +6,7 @@ import signal
 import stat
 import threading
 import time
+import tracemalloc
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -42,13 +43,13 @@ class Clock:
 class Bench:
     """A pre-roll that frames are put into, by a clock that goes with them."""
 
-    def __init__(self, folder: Path, **settings: Any) -> None:
+    def __init__(self, folder: Path, interval_s: float = 0.0, **settings: Any) -> None:
         self.clock = Clock()
         self.next = 0
         self.folder = folder
         self.preroll = PreRoll(
             ACQUISITION, RATE_HZ, lambda: describe(ACQUISITION, Plate(width_mm=9, height_mm=8), RATE_HZ, source="test"),
-            PreRollSettings(folder=folder, **{"seconds": 3.0, "interval_s": 0.0, **settings}), self.clock,
+            PreRollSettings(folder=folder, **{"seconds": 3.0, **settings}), self.clock, interval_s,
         )  # fmt: skip
 
     def frames(self, count: int, confidence: float | None = None) -> None:
@@ -201,6 +202,91 @@ def test_old_files_of_its_own_are_deleted_and_no_others(make: Callable[..., Benc
     assert len(names) == 3
 
 
+@pytest.mark.parametrize("keep", [1, 2])
+def test_clock_behind(make: Callable[..., Bench], keep: int) -> None:
+    """With a clock that was set back, the files just written are kept, and older ones are deleted."""
+    bench = make(keep=keep)
+    bench.folder.mkdir()
+    for day in (1, 2, 3):
+        (bench.folder / f"preroll-2999010{day}T000000Z-sigusr1.npz").write_bytes(b"by a clock that was ahead")
+    for _ in range(2):
+        bench.frames(5)
+        bench.preroll.request("sigusr1")
+        bench.preroll.poll()
+        wait_until(lambda: bench.preroll._writing and bench.preroll._writing.done())
+    bench.preroll.close()
+    kept = [read(path).sequence[-1] for path in bench.folder.iterdir() if "2999" not in path.name]
+    assert sorted(kept) == [4, 9][-keep:]
+    assert len(list(bench.folder.iterdir())) == keep
+
+
+def test_same_second(make: Callable[..., Bench]) -> None:
+    """Files of the same second replace none that is kept."""
+    bench = make(keep=2)
+    for _ in range(5):
+        bench.frames(5)
+        bench.preroll.request("sigusr1")
+        bench.preroll.poll()
+        wait_until(lambda: bench.preroll._writing and bench.preroll._writing.done())
+    assert [one.sequence[-1] for one in bench.saved()] == [19, 24]
+
+
+def test_wrong_times(make: Callable[..., Bench]) -> None:
+    """Frames whose times hardly grow are dropped by their number: memory stays bounded."""
+    bench = make(seconds=3.0)
+    for i in range(1000):
+        bench.preroll.keep(Frame(np.zeros((2, 3), np.int16), i, i, i), [])
+    assert sum(block.size for block in bench.preroll._blocks) <= 3 * RATE_HZ + 2 * RATE_HZ
+
+
+def test_absurd_rate(tmp_path: Path) -> None:
+    """A rate of a thousand million frames a second takes no memory for them."""
+    roll = PreRoll(ACQUISITION, 1e9, lambda: None, PreRollSettings(folder=tmp_path))  # type: ignore[arg-type,return-value]
+    tracemalloc.start()
+    roll.keep(Frame(np.zeros((2, 3), np.int16), 1, 1, 1), [])
+    _, peak_bytes = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    roll.close()
+    assert peak_bytes < 1 << 20
+
+
+def test_switched_off(make: Callable[..., Bench], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Once `seconds` is 0 nothing is kept or written: not what was asked for before, nor what is being written."""
+    begun, go_on = threading.Event(), threading.Event()
+
+    def slow_blocks(path: Path, meta: Any, blocks: Any, **options: Any) -> int:
+        begun.set()
+        go_on.wait(PATIENCE_S)
+        return write_blocks(path, meta, blocks, **options)
+
+    monkeypatch.setattr(preroll, "write_blocks", slow_blocks)
+    bench = make(min_confidence=0.7)
+    bench.frames(40)
+    bench.preroll.request("sigusr1")
+    bench.frames(1, confidence=0.1)
+    assert begun.wait(PATIENCE_S)
+    bench.preroll.request("again")
+    bench.preroll.configure(PreRollSettings(folder=bench.folder, seconds=0.0))
+    go_on.set()
+    bench.frames(40, confidence=0.1)
+    bench.preroll.request("sigusr1")
+    bench.frames(1)
+    assert bench.saved() == []
+    assert not bench.preroll._blocks
+
+
+def test_switched_on(make: Callable[..., Bench]) -> None:
+    """It can be switched on while the daemon runs."""
+    bench = make(seconds=0.0)
+    bench.frames(40)
+    bench.preroll.configure(PreRollSettings(folder=bench.folder, seconds=2.0))
+    bench.frames(40)
+    bench.preroll.request("sigusr1")
+    (found,) = bench.saved()
+    assert found.sequence[0] >= 40
+    assert found.sequence[-1] == 79
+
+
 def test_a_disk_that_fails_is_logged_and_no_more(make: Callable[..., Bench]) -> None:
     bench = make()
     bench.folder.write_bytes(b"a file where the folder should be")
@@ -254,7 +340,7 @@ def test_a_running_daemon_saves_on_sigusr1_and_what_it_saved_replays_to_the_same
     address, folder = f"ipc://{tmp_path}/bus", tmp_path / "rolls"
     options = ("--replay", SESSION, "--bind", address, "--await-subscriber", PATIENCE_S)
     with started(*options, TOUCHD_PREROLL__FOLDER=str(folder), TOUCHD_LOG__FORMAT="json") as daemon:
-        with Subscriber(address, timeout_s=PATIENCE_S) as events:
+        with Subscriber(address, timeout_s=PATIENCE_S, max_age_s=None) as events:
             lifted = next(e for e in events if any(c.phase == "up" for c in e.contacts))
         daemon.send_signal(signal.SIGUSR1)
         wait_until(lambda: folder.is_dir() and list(folder.glob("preroll-*.npz")))

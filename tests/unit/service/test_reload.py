@@ -7,19 +7,24 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from structlog.testing import capture_logs
 
 from tests.conftest import Scene
+from touchd.config.kinds import Section
 from touchd.config.load import load
-from touchd.config.render import fields
+from touchd.config.render import fields, section
 from touchd.config.schema import HealthSettings, Settings
 from touchd.event import Contact
 from touchd.frame import Frame
+from touchd.keypad import Layout
 from touchd.localization.model import Model
 from touchd.pipeline import Pipeline
-from touchd.service.daemon import layout_of
+from touchd.service import reload
+from touchd.service.daemon import make_reloader
 from touchd.service.health import Health
 from touchd.service.messages import Messages, all_but_spectra
-from touchd.service.reload import RESTART_ONLY, Reloader, compare
+from touchd.service.preroll import PreRoll
+from touchd.service.reload import RESTART_ONLY, Changes, Reloader, compare
 from touchd.sources.replay import ReplaySource
 
 PERIOD_NS = 8_000_000
@@ -43,7 +48,7 @@ def test_no_change() -> None:
 
 
 def test_compare() -> None:
-    """Thresholds and the log change at once; what is open, bound, loaded or learned waits for a restart."""
+    """Thresholds, pre-roll and log change at once; what is open, bound, loaded or learned waits for a restart."""
     new = settings(
         {
             "tracker": {"dead_band_mm": 2.0},
@@ -51,20 +56,23 @@ def test_compare() -> None:
             "bus": {"bind": ["tcp://127.0.0.1:1"]},
             "device": {"rate_hz": 250},
             "model": {"path": "another.onnx", "atlas": False, "min_confidence": 0.9},
-            "preroll": {"seconds": 7.0},
+            "preroll": {"seconds": 0.0},
             "baseline": {"learn_frames": 8, "absorb_s": 5.0},
         }
     )
     changes = compare(Settings(), new)
-    assert set(changes.taken) == {"tracker.dead_band_mm", "log.level", "model.min_confidence", "baseline.absorb_s"}
+    assert set(changes.taken) == {
+        "tracker.dead_band_mm", "log.level", "model.min_confidence", "preroll.seconds", "baseline.absorb_s",
+    }  # fmt: skip
     assert set(changes.waiting) == {
-        "bus.bind", "device.rate_hz", "model.path", "model.atlas", "preroll.seconds", "baseline.learn_frames",
+        "bus.bind", "device.rate_hz", "model.path", "model.atlas", "baseline.learn_frames",
     }  # fmt: skip
     expected = settings(
         {
             "tracker": {"dead_band_mm": 2.0},
             "log": {"level": "error"},
             "model": {"min_confidence": 0.9},
+            "preroll": {"seconds": 0.0},
             "baseline": {"absorb_s": 5.0},
         }
     )
@@ -113,7 +121,7 @@ def test_confidence(run: Callable[[str], Run]) -> None:
     """A confidence that nothing reaches ends the contact."""
     circle = run("circle")
     circle.feed(260)
-    circle.configure({"model": {"min_confidence": 1.0, "keep_confidence": 1.0}, "tracker": {"release_frames": 1}})
+    circle.configure({"model": {"min_confidence": 1.0, "keep_confidence": 1.0}})
     assert [c.phase for contacts in circle.feed(270) for c in contacts] == ["up"]
 
 
@@ -153,7 +161,7 @@ def test_wrong_file(run: Callable[[str], Run], model: Model, scene_file: Callabl
     messages = Messages(Settings(), all_but_spectra)
     source = ReplaySource(scene_file("idle"))
     health = Health(source, pipeline, messages, HealthSettings(), "the model")
-    reloader = Reloader(Settings(), lambda: load(path), lambda new: layout_of(new, model), pipeline, messages, health)
+    reloader = make_reloader(Settings(), lambda: load(path), model, pipeline, messages, health)
     reloader.reload()
     assert health.period_ns == 500_000_000
     good = reloader.settings
@@ -168,3 +176,66 @@ def test_wrong_file(run: Callable[[str], Run], model: Model, scene_file: Callabl
     path.write_text("[health]\nperiod_s = 0.25\n[keypad]\nlayout = ''\n")
     reloader.reload()
     assert health.period_ns == 250_000_000
+
+
+def test_part_that_fails() -> None:
+    """A part that cannot take a value ends nothing: every part gets the old settings again, and the log says so."""
+    applied: list[tuple[str, Settings]] = []
+
+    def apply(new: Settings, _layout: Layout | None) -> None:
+        applied.append(("first", new))
+        if new != Settings():
+            raise OverflowError("too large")
+        applied.append(("second", new))
+
+    new = settings({"tracker": {"reach_mm": 5.0}})
+    reloader = Reloader(Settings(), None, lambda: new, lambda _: None, apply)
+    with capture_logs() as entries:
+        reloader.reload()
+    assert applied == [("first", new), ("first", Settings()), ("second", Settings())]
+    assert reloader.settings == Settings()
+    assert [(entry["log_level"], entry["error"]) for entry in entries] == [("error", "OverflowError('too large')")]
+
+
+def test_taken_is_true(
+    scene: Scene,
+    model: Model,
+    atlas_model: Model,
+    scene_file: Callable[[str], Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A key that a reload can take reaches the part that uses it, and one that waits for a restart reaches none."""
+    names = {section(table): table for table, _, _ in fields()}
+    read: set[str] = set()
+
+    def get(self: Section, name: str) -> object:
+        if name in type(self).model_fields and type(self) in names:
+            read.add(f"{names[type(self)]}.{name}")
+        return object.__getattribute__(self, name)
+
+    def compare_only(running: Settings, new: Settings) -> Changes:
+        changes = compare(running, new)
+        read.clear()
+        return changes
+
+    new = settings({"preroll": {"folder": tmp_path}})
+    reached: set[str] = set()
+    monkeypatch.setattr(Section, "__getattribute__", get, raising=False)
+    monkeypatch.setattr(reload, "compare", compare_only)
+    for each in (model, atlas_model):
+        run = Run(scene, each, "circle")
+        run.feed(90)
+        messages = Messages(Settings(), all_but_spectra)
+        health = Health(ReplaySource(scene_file("circle")), run.pipeline, messages, HealthSettings(), "the model")
+        preroll = PreRoll(scene("circle").acquisition, 125.0, lambda: scene("circle").meta, new.preroll)
+        make_reloader(Settings(), lambda: new, each, run.pipeline, messages, health, preroll).reload()
+        contacts = [run.feed(until) for until in range(91, 140)]
+        for i, found in enumerate(contacts):
+            preroll.keep(Frame(run.frames[i], i + 1, i * PERIOD_NS, 0), found[0] if found else [])
+        assert any(contacts)
+        preroll.request("test")
+        preroll.close()
+        reached |= read
+    changeable = {f"{table}.{key}" for table, key, _ in fields() if not {table, f"{table}.{key}"} & RESTART_ONLY}
+    assert reached == changeable

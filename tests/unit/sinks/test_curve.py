@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import stat
 import time
@@ -17,7 +18,7 @@ from touchd.client import Subscriber
 from touchd.config.schema import BusSettings
 from touchd.errors import BusError, BusTimeout, ConfigError, OutputError
 from touchd.event import Event, KeyEvent
-from touchd.sinks import curve
+from touchd.sinks import curve, zeromq
 from touchd.sinks.zeromq import ZeromqSink
 
 Bus = Callable[..., ZeromqSink]
@@ -108,15 +109,85 @@ def test_a_client_whose_key_was_taken_away_cannot_come_back(bus: Bus, keys: Path
         assert gets_nothing(former)
 
 
-def test_clients_are_refused_while_their_keys_cannot_be_read(bus: Bus, keys: Path) -> None:
+def test_a_damaged_key_is_skipped(bus: Bus, keys: Path) -> None:
+    """A key file that is damaged, a pipe or a dead link is skipped and named in the log; the others stay in force."""
     sink = bus(curve_clients=keys.parent / "clients")
+    (keys.parent / "clients/stranger.key").write_bytes((keys / "stranger.key").read_bytes())
     (keys.parent / "clients/friend.key").write_text("damaged")
-    with capture_logs() as logs, subscriber(sink, keys, "friend") as friend:
+    os.mkfifo(keys.parent / "clients/pipe.key")
+    (keys.parent / "clients/link.key").symlink_to("nowhere")
+    with (
+        capture_logs() as logs,
+        subscriber(sink, keys, "stranger") as other,
+        subscriber(sink, keys, "friend") as friend,
+    ):
+        assert is_served(sink, other)
         assert gets_nothing(friend)
+    for name in ("friend.key", "pipe.key", "link.key"):
+        assert [name in line["error"] for line in logs if "error" in line].count(True) == 1
+
+
+def no_folder(*_: object) -> None:
+    raise OSError(errno.EMFILE, "Too many open files")
+
+
+def test_keys_stay_known_while_the_folder_cannot_be_read(bus: Bus, keys: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Want of descriptors locks nobody out, and who is unknown meanwhile may try again."""
+    monkeypatch.setattr(zeromq, "_HANDSHAKE_MS", 500)
+    sink = bus(curve_clients=keys.parent / "clients")
+    (keys.parent / "clients/stranger.key").write_bytes((keys / "stranger.key").read_bytes())
+    with capture_logs() as logs, monkeypatch.context() as broken:
+        broken.setattr(os, "scandir", no_folder)
+        with subscriber(sink, keys, "stranger") as other, subscriber(sink, keys, "friend") as friend:
+            assert is_served(sink, friend)
+            assert gets_nothing(other)
+            broken.undo()
+            assert is_served(sink, other)  # by the same connection's next attempt
+    assert any("stay in force" in line["event"] for line in logs)
+
+
+def test_a_key_file_is_read_once(keys: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Only a file that has changed is read again."""
+    known = curve.ClientKeys(keys)
+    opened: list[object] = []
+    really_open = os.open
+
+    def counted(path: str, *rest: int) -> int:
+        opened.append(path)
+        return really_open(path, *rest)
+
+    monkeypatch.setattr(os, "open", counted)
+    known.refresh()
+    assert opened == []
+    (keys / "friend.key").write_text("damaged")
+    friend = curve.load_secret(keys / "friend.key_secret").public
+    assert friend in known
+    known.refresh()
+    assert friend not in known
+    assert keys / "stranger.key" not in opened
+
+
+def test_closing_with_keys_takes_no_time(bus: Bus, keys: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A handshake that nobody answers does not keep the daemon from ending."""
+    sink = bus(curve_clients=keys.parent / "clients")
+    monkeypatch.setattr(curve.ClientKeys, "refresh", lambda _self: None)
+    with subscriber(sink, keys, "friend"):
+        time.sleep(0.1)
+        started_s = time.monotonic()
+        sink.close()
+        assert time.monotonic() - started_s < 5
+
+
+def test_who_is_refused_is_logged(bus: Bus, keys: Path) -> None:
+    """The log names the address of a client whose key is unknown, once a second at most."""
+    sink = bus(curve_clients=keys.parent / "clients")
+    with capture_logs() as logs, subscriber(sink, keys, "stranger") as stranger:
         give_up_s = time.monotonic() + 60
-        while not any("friend.key" in line["error"] for line in logs):
+        while not any(line["event"] == "subscriber refused" for line in logs):
             assert time.monotonic() < give_up_s
-            time.sleep(0.01)
+            sink.poll()
+            gets_nothing(stranger)
+    assert [line["peer"].partition(":")[0] for line in logs if line["event"] == "subscriber refused"] == ["127.0.0.1"]
 
 
 def test_without_a_folder_of_clients_the_servers_key_is_enough_and_needed(bus: Bus, keys: Path) -> None:
@@ -233,3 +304,24 @@ def test_keygen_says_why_it_cannot_write(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(OutputError, match="cannot be written"):
         curve.make_files(tmp_path / "file/folder", "kiosk")
+
+
+@pytest.mark.parametrize("call", ["fsync", "link"])
+def test_keygen_on_a_full_disk_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, call: str) -> None:
+    """When the disk is full at any moment no half of a pair stays, and the next attempt works."""
+    really, calls = getattr(os, call), 0
+
+    def full(*arguments: object) -> object:
+        nonlocal calls
+        calls += 1
+        if calls == 2:  # the second file
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return really(*arguments)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(os, call, full)
+        with pytest.raises(OutputError, match="No space left"):
+            curve.make_files(tmp_path, "kiosk")
+    assert list(tmp_path.iterdir()) == []
+    curve.make_files(tmp_path, "kiosk")
+    assert curve.load_public(tmp_path / "kiosk.key")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from itertools import pairwise
 from typing import Any
 
@@ -116,3 +117,57 @@ def test_delay() -> None:
         assert abs(clock.delay_ns) < 10_000
     clock.map(int(link.timestamp_us[-1]), int(link.received_ns[-1]) + 30_000_000)
     assert clock.delay_ns == pytest.approx(30e6, abs=10_000)
+
+
+@pytest.mark.parametrize("rate_hz", [1, 20, 500])
+@pytest.mark.parametrize("rate", [1e-3, 0.5, 0.9, 1.1, 1.7, 2.0, 10.0, 125.0, 1000.0])
+def test_wrong_rate(rate: float, rate_hz: int) -> None:
+    """A clock in another unit, or too fast or slow, is given up within seconds: times are those of arrival."""
+    clock = DeviceClock(COMPLETE_NS)
+    settled, frames = 15 * rate_hz, 17 * rate_hz
+    for i in range(frames):
+        true_ns = 7_000_000_000_000 + i * 1_000_000_000 // rate_hz
+        t_ns = clock.map(round(i * rate / rate_hz * 1e6), true_ns + COMPLETE_NS)
+        assert true_ns - 5_000_000_000 < t_ns < true_ns + 1_100_000_000, (i, t_ns - true_ns)
+        if i >= settled:
+            assert t_ns == true_ns
+            assert clock.delay_ns == 0
+            assert clock.fault
+    named = re.search(r"runs at (\S+) times", clock.fault or "")
+    assert named
+    assert float(named[1]) == pytest.approx(rate, rel=0.05)
+
+
+def test_clock_stands_still() -> None:
+    """A clock that stands still is named, and times are those of arrival."""
+    clock = DeviceClock(COMPLETE_NS)
+    for i in range(1000):
+        assert clock.map(5, 8_000_000 * i + COMPLETE_NS) == 8_000_000 * i
+    assert "stands still" in (clock.fault or "")
+
+
+def test_rate_mended() -> None:
+    """A clock that runs right again is trusted again, after 30 s."""
+    clock = DeviceClock(COMPLETE_NS)
+    timestamp_us, fault = 0, ""
+    for i in range(125 * 80):
+        timestamp_us += 16_000 if i < 125 * 10 else 8_000
+        clock.map(timestamp_us, 8_000_000 * i + COMPLETE_NS)
+        fault = clock.fault or fault
+    assert fault
+    assert clock.fault is None
+
+
+@pytest.mark.parametrize("ppm", [-900.0, 0.0, 900.0])
+def test_busy_computer(ppm: float) -> None:
+    """A computer that often stalls for up to two seconds does not cost a good clock its trust."""
+    link = Link(60, ppm=ppm, jitter_us=500, seed=9)
+    rng = np.random.default_rng(9)
+    for at in np.cumsum(rng.integers(300, 1200, 8)):
+        for k in range(8):  # so many frames wait in the device: it drops the others
+            link.received_ns[at + k :][:1] += int(rng.integers(100_000_000, 2_000_000_000))
+    link.received_ns = np.maximum.accumulate(link.received_ns)
+    clock = DeviceClock(COMPLETE_NS)
+    for t, r in zip(link.timestamp_us, link.received_ns, strict=True):
+        clock.map(int(t), int(r))
+        assert clock.fault is None

@@ -12,6 +12,7 @@ from touchd.frame import Acquisition
 from touchd.recording.data import Device
 from touchd.sources.daq import DaqFrame, DaqGone
 from touchd.sources.live import DaqSource, Waits
+from touchd.sources.source import Change
 
 ACQUISITION = Acquisition(channels=2, samples=30, sample_rate_hz=250e3)
 AT_ONCE = Waits(read_s=0.01, retry_s=1e-6, max_retry_s=1e-6)
@@ -50,7 +51,7 @@ class Stubborn:
 def test_a_device_is_tried_again_for_ever() -> None:
     """After more failures than a float has powers of two the thread still lives, and reads the first frame."""
     daq = Stubborn(1100)
-    source = DaqSource(lambda: daq, DeviceSettings(), ACQUISITION, lambda _: None, waits=AT_ONCE)
+    source = DaqSource(lambda: iter([lambda: daq]), DeviceSettings(), ACQUISITION, lambda _: None, waits=AT_ONCE)
     until, frame, states = time.monotonic() + PATIENCE_S, None, []
     while frame is None and time.monotonic() < until:
         frame = source.read(0.1)
@@ -61,3 +62,39 @@ def test_a_device_is_tried_again_for_ever() -> None:
     assert states == ["lost", "streaming"]
     assert (daq.starts, daq.closed) == (1101, 1101)
     assert source.device.serial == "SN1"
+
+
+class Ticking(Stubborn):
+    """A device whose clock counts milliseconds, on a computer whose clock goes on by 8 ms a frame."""
+
+    def __init__(self) -> None:
+        super().__init__(failures=0)
+        self.now_ns = 10**12
+
+    def read(self, timeout_s: float) -> DaqFrame | None:  # noqa: ARG002 - it never waits
+        time.sleep(1e-4)
+        self._sequence += 1
+        self.now_ns += 8_000_000
+        return DaqFrame(np.zeros(ACQUISITION.shape, np.int16), self._sequence, 8 * self._sequence)
+
+
+def test_a_wrong_clock_is_named() -> None:
+    """The reason says that the device's clock is wrong, while frames go on with the times of their arrival."""
+    daq = Ticking()
+    source = DaqSource(
+        lambda: iter([lambda: daq]), DeviceSettings(), ACQUISITION, lambda _: None, clock=lambda: daq.now_ns
+    )
+    until = time.monotonic() + PATIENCE_S
+    changes: list[Change] = []
+    while not (changes and "clock" in changes[-1].reason) and time.monotonic() < until:
+        source.read(0.1)
+        changes += source.changes()
+    frame = None
+    while frame is None and time.monotonic() < until:
+        frame = source.read(0.1)
+    source.close()
+    assert [change.state for change in changes] == ["streaming", "streaming"]
+    assert changes[0].reason == "", "what is wrong with the frames themselves has room"
+    assert "runs at 0.001 times the right rate" in changes[-1].reason
+    assert frame is not None
+    assert frame.t_ns == frame.received_ns - 120_000

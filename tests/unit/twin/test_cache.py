@@ -63,6 +63,14 @@ def test_a_folder_that_cannot_be_written_costs_only_time(home: Path) -> None:
     assert compute.calls == 2
 
 
+def test_without_a_home_folder_nothing_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    def homeless() -> Path:
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.setattr("touchd.twin.cache.folder", homeless)
+    np.testing.assert_array_equal(remember("x", {}, Count())["a"], np.arange(5.0))
+
+
 def test_no_temporary_file_is_left_behind(home: Path) -> None:
     remember("x", {}, Count())
     assert [path.suffix for path in home.iterdir()] == [".npz"]

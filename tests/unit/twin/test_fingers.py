@@ -56,7 +56,7 @@ def test_a_set_of_one_finger_is_drawn_as_it_ever_was() -> None:
 @given(
     fingers=st.integers(1, 5),
     apart_mm=st.floats(0, 30),
-    finger=st.sampled_from(["silicone", "human"]),
+    finger=st.sampled_from(["silicone", "human", "fingertip", "glove"]),
     seed=st.integers(0, 2**31),
 )
 def test_fingers_keep_their_distance_lie_on_the_plate_and_cover_none_other(
@@ -266,3 +266,21 @@ def test_a_recording_of_several_fingers_has_a_column_each(small: Instrument) -> 
     assert recording.contacts_mm is not None
     assert recording.contacts_mm.shape == (24, 3, 2)
     assert "3 silicone fingers" in recording.meta.notes
+
+
+def test_oval() -> None:
+    """A fingertip lands round and small, rolls to its pad, and rests as an oval that turns by a few degrees at most."""
+    stage = stage_scene("hold", DEFAULT_PLATE, seed=5, finger="fingertip", rate_hz=250.0)
+    down = np.flatnonzero(~np.isnan(stage.x_mm[0]))
+    ratio, angle = (row[down] for row in stage.ovals[0])
+    area, x, y = (rows[0][down] for rows in (stage.area_mm2, stage.x_mm, stage.y_mm))
+    assert ratio[0] < 1.05
+    assert 1.1 < ratio[len(ratio) // 2] < 1.5
+    assert area[0] < 5
+    assert 50 < area[len(area) // 2] < 110
+    assert np.ptp(angle) < 0.11
+    rolled = np.hypot(x - x[len(x) // 2], y - y[len(y) // 2])
+    assert 0.05 < rolled[0] < 1.5
+    assert rolled[20:-20].max() < 1e-9
+    contact = stage.touches(down[400], down[400] + 1)[0][0]
+    assert contact == (x[400], y[400], area[400], "fingertip", ratio[400], angle[400])

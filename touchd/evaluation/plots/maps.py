@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from math import sqrt
+from typing import Literal
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -98,18 +99,27 @@ def draw_maps(judged: Judgement, meta: Meta, remark: str = "") -> Figure:
 
 
 def _error_map(figure: Figure, axes: Axes, judged: Judgement, meta: Meta) -> None:
-    plate = meta.plate
-    medians, count = cell_medians(judged.true_mm, judged.distance_mm, plate)
+    medians, count = cell_medians(judged.true_mm, judged.distance_mm, meta.plate)
     # Clip the scale, so that one cell with a large error does not hide the differences of the others.
-    top = float(np.nanpercentile(medians, 95))
-    image = axes.imshow(
-        np.ma.masked_invalid(medians), cmap=MAP, vmin=0, vmax=max(top, 1e-6), extent=_extent(plate)
-    )  # fmt: skip
-    figure.colorbar(image, ax=axes, label="median error (mm)", extend="max", shrink=0.85)
-    for row, column in np.argwhere(count > 0):
-        _say_in_cell(axes, plate, medians.shape, row, column, f"{count[row, column]}", medians[row, column] > top / 2)
-    _draw_plate(axes, meta)
+    top = max(float(np.nanpercentile(medians, 95)), 1e-6)
+    _cell_map(figure, axes, meta, medians, count, top, "median error (mm)", extend="max")
     axes.set_title(f"error of {len(judged.true_mm)} touches; number per cell; grey: none", fontsize=10)
+
+
+def _cell_map(
+    figure: Figure, axes: Axes, meta: Meta, value: Floats, count: NDArray[np.int64], top: float, label: str,
+    extend: Literal["neither", "max"] = "neither",
+) -> None:  # fmt: skip
+    """Plot a value per cell, shape (rows, columns), with the number of touches in each."""
+    plate, (rows, columns) = meta.plate, value.shape
+    extent = (0, plate.width_mm, plate.height_mm, 0)  # y points down
+    image = axes.imshow(np.ma.masked_invalid(value), cmap=MAP, vmin=0, vmax=top, extent=extent)
+    figure.colorbar(image, ax=axes, label=label, extend=extend, shrink=0.85)
+    for row, column in np.argwhere(count > 0):
+        x_mm, y_mm = (column + 0.5) * plate.width_mm / columns, (row + 0.5) * plate.height_mm / rows
+        colour = "black" if value[row, column] > top / 2 else "white"
+        axes.text(x_mm, y_mm, f"{count[row, column]}", ha="center", va="center", fontsize=7, color=colour)
+    _draw_plate(axes, meta)
 
 
 def _bias_map(axes: Axes, judged: Judgement, meta: Meta) -> None:
@@ -156,19 +166,9 @@ def draw_zones(judged: Judgement, description: Description, meta: Meta) -> Figur
     share = np.divide(100.0 * wrong, count, out=np.full(n**2, np.nan), where=count > 0).reshape(n, n)
     figure = Figure(figsize=(7.0, 6.0), layout="constrained")
     axes = figure.add_subplot()
-    image = axes.imshow(np.ma.masked_invalid(share), cmap=MAP, vmin=0, vmax=100, extent=_extent(meta.plate))
-    figure.colorbar(image, ax=axes, label="misclassified touches (%)", shrink=0.85)
-    for row, column in np.argwhere(count.reshape(n, n) > 0):
-        text = f"{count.reshape(n, n)[row, column]}"
-        _say_in_cell(axes, meta.plate, (n, n), row, column, text, share[row, column] > 50)
-    _draw_plate(axes, meta)
+    _cell_map(figure, axes, meta, share, count.reshape(n, n), 100.0, "misclassified touches (%)")
     axes.set_title(f"{n} x {n} zones, {len(judged.true_mm)} touches; number per zone", fontsize=10)
     return figure
-
-
-def _extent(plate: Plate) -> tuple[float, float, float, float]:
-    """Return left, right, bottom and top of an image of the plate; y points down."""
-    return 0, plate.width_mm, plate.height_mm, 0
 
 
 def _draw_plate(axes: Axes, meta: Meta) -> None:
@@ -178,10 +178,3 @@ def _draw_plate(axes: Axes, meta: Meta) -> None:
     draw_transducers(meta, axes, colour="white")
     if meta.receivers_mm or meta.emitter_mm:
         axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.09), ncols=2, frameon=False)
-
-
-def _say_in_cell(
-    axes: Axes, plate: Plate, shape: tuple[int, ...], row: int, column: int, text: str, bright: bool
-) -> None:
-    x_mm, y_mm = (column + 0.5) * plate.width_mm / shape[1], (row + 0.5) * plate.height_mm / shape[0]
-    axes.text(x_mm, y_mm, text, ha="center", va="center", fontsize=7, color="black" if bright else "white")

@@ -1,27 +1,27 @@
-"""`python -m touchd.lab.benchmark.child`: the daemon in its own process, with the usual composition plus a clock.
-
-It reads what to do as JSON on standard input, and writes what it measured as a file of arrays.
-"""
+"""The daemon in a process of its own, with the usual composition plus a clock."""
 
 from __future__ import annotations
 
 import gc
 import os
-import sys
 import time
 from collections.abc import Sequence
 from contextlib import nullcontext
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
 
 from touchd.config.schema import LogSettings, Settings
+from touchd.errors import JobError
 from touchd.event import Contact
 from touchd.frame import Frame
-from touchd.lab.benchmark.boundnetwork import BoundNetwork
+from touchd.lab.benchmark.bare import BareNetwork
 from touchd.lab.benchmark.loop import BURST, Loop, LoopSource
+from touchd.lab.benchmark.results import DaemonResult, percentiles, rounded
+from touchd.lab.benchmark.stopwatch import Stopwatch, spread
 from touchd.outcome import Counters
 from touchd.service import realtime
 from touchd.service.daemon import load_model, make_service
@@ -31,32 +31,33 @@ from touchd.sinks.zeromq import ZeromqSink
 from touchd.sources.recorder import describe
 
 WARM_UP_RUNS, BARE_RUNS = 50, 400
+BURN_IN_S = 0.3
+"""Frames of this time at the start are discarded."""
 
 
-class Task(BaseModel):
+@dataclass(frozen=True, slots=True)
+class Task:
     """Parameters of a run."""
 
-    model_config = ConfigDict(frozen=True)
-
-    loop: Path
+    scene: str
+    loop: Loop
     rate_hz: float | None
     """None for full speed."""
     seconds: float
     bare: Path
-    output: Path
     settings: dict[str, Any]
     cpus: tuple[int, ...]
     """Processors to run on; empty leaves it to the kernel."""
     patience_s: float
+    begun_ns: int
+    """When the process was started."""
 
 
-class Clocked:
-    """Wraps the pre-roll, which receives each frame last, and records times."""
+class Clocked(PreRoll):
+    """The pre-roll, which receives each frame last; it also records times."""
 
-    def __init__(self, preroll: PreRoll, most_frames: int) -> None:
-        self._preroll = preroll
-        self._keep = preroll.keep
-        # Filled with ones, so that the kernel maps the memory before the run.
+    def start_clock(self, most_frames: int) -> None:
+        """Reserve memory, filled with ones so that the kernel maps it before the run."""
         self.received_ns = np.ones(most_frames, np.int64)
         self.done_ns = np.ones(most_frames, np.int64)
         self.count = 0
@@ -68,46 +69,49 @@ class Clocked:
         if i < len(self.done_ns):
             self.received_ns[i], self.done_ns[i] = frame.received_ns, now_ns
             self.count = i + 1
-        self._keep(frame, contacts)
-
-    def poll(self) -> None:
-        """Forward the call for a time-out without a frame."""
-        self._preroll.poll()
-
-    def close(self) -> None:
-        """Close the pre-roll."""
-        self._preroll.close()
+        super().keep(frame, contacts)
 
 
 class Pauses:
-    """Measures the pauses of the garbage collector."""
+    """Measures the pauses of the garbage collector, as a callback of `gc`."""
 
     def __init__(self) -> None:
         self.us: list[float] = []
         self._since_ns = 0
 
     def __call__(self, phase: str, _info: dict[str, int]) -> None:
-        """Record a pause; a callback of `gc`."""
+        """Record a pause."""
         if phase == "start":
             self._since_ns = time.perf_counter_ns()
         else:
             self.us.append((time.perf_counter_ns() - self._since_ns) * 1e-3)
 
 
-def run(task: Task) -> None:
-    """Run the daemon through a scene and write the measurements."""
+def main(task: Task, connection: Connection) -> None:
+    """Send what was measured, or the text of the error."""
+    try:
+        connection.send(run(task))
+    except Exception as error:
+        connection.send(str(error) or repr(error))
+
+
+def run(task: Task) -> tuple[DaemonResult, dict[int, int]]:
+    """Run the daemon through a scene.
+
+    Returns the result, timed to the decision, and when each counted frame was complete, ns, by its number.
+    """
+    full_speed = task.rate_hz is None
     # At full speed bare runs alternate with frames; at a steady rate their memory would distort the result.
-    between = _bare(task.bare) if task.rate_hz is None else None
-    bare_us: list[float] = []
+    bare = _warm(task.bare) if full_speed else None
+    watch, pauses = Stopwatch(), Pauses()
     at_start: dict[str, float] = {}
-    pauses = Pauses()
     bare_cpu_s = 0.0
 
     def burst() -> None:
         nonlocal bare_cpu_s
         before_s = time.thread_time()
-        assert between is not None  # only a source at full speed calls this
-        bare_us.extend(between(BURST))
+        assert bare is not None  # only a source at full speed calls this
+        watch.time(bare, BURST)
         bare_cpu_s += time.thread_time() - before_s
 
     def begun() -> None:
@@ -119,66 +123,53 @@ def run(task: Task) -> None:
     if task.cpus:
         os.sched_setaffinity(0, task.cpus)
     model = load_model(settings)
-    loop = Loop.load(task.loop)
-    rate_hz = task.rate_hz or float("inf")
-    source = LoopSource(loop, rate_hz, task.seconds, burst, begun)
-    with realtime.giving_way() if task.rate_hz is None else nullcontext():
+    source = LoopSource(task.loop, task.rate_hz or float("inf"), task.seconds, burst, begun)
+    with realtime.giving_way() if full_speed else nullcontext():
         bus = ZeromqSink(settings.bus)
-    most_frames = loop.lead + round(task.seconds * min(rate_hz, 200_000)) + 1
-    real_hz = task.rate_hz or 125.0
-    meta = describe(source.acquisition, model.description.plate, real_hz, source="benchmark", device=None)
-    preroll = PreRoll(source.acquisition, real_hz, lambda: meta, settings.preroll)
-    clocked = Clocked(preroll, most_frames)
-    service = make_service(source, [bus], settings, model, preroll=clocked)
+    rate_hz = task.rate_hz or 125.0
+    meta = describe(source.acquisition, model.description.plate, rate_hz, source="benchmark", device=None)
+    preroll = Clocked(source.acquisition, rate_hz, lambda: meta, settings.preroll)
+    preroll.start_clock(source.lead + round(task.seconds * (task.rate_hz or 200_000)) + 1)
+    service = make_service(source, [bus], settings, model, preroll=preroll)
     realtime.freeze()
     ready_ns = time.monotonic_ns()
     bus.wait_for_subscriber(task.patience_s)
     service.run()
     cpu_s, wall_s = time.process_time() - at_start["cpu_s"], time.monotonic() - at_start["wall_s"]
-    if pauses in gc.callbacks:
-        gc.callbacks.remove(pauses)
-    rss = _rss_bytes()
-    clocked.close()
-    if between is None:
-        bare_us = _bare(task.bare)(BARE_RUNS)
-    # Subtract the counts of the lead-in.
+    gc.callbacks.remove(pauses)
+    rss_bytes = int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    preroll.close()
+    if bare is None:
+        watch.time(_warm(task.bare), BARE_RUNS)
+    first_ns = preroll.received_ns[source.lead] + BURN_IN_S * 1e9
+    counted = source.lead + np.flatnonzero(preroll.received_ns[source.lead : preroll.count] >= first_ns)
+    if not len(counted):
+        raise JobError("the daemon took no frames", "benchmark", "allow it more time")
+    handed = spread((preroll.done_ns[counted] - preroll.received_ns[counted]) * 1e-3)
+    # Without the lead-in, and without the bare runs.
+    frames, cpu_s, wall_s = preroll.count - source.lead, cpu_s - bare_cpu_s, wall_s - source.apart_ns * 1e-9
     counts = {name: count - at_start.get(name, 0) for name, count in _counted(service.pipeline.counters).items()}
-    taken = slice(loop.lead, clocked.count)
-    np.savez(
-        task.output, lead=loop.lead, received_ns=clocked.received_ns[taken], done_ns=clocked.done_ns[taken],
-        bare_us=bare_us, pauses_us=pauses.us, cpu_s=cpu_s - bare_cpu_s, wall_s=wall_s - source.apart_s, rss=rss,
-        ready_ns=ready_ns, frames=counts.pop("frames"), lost=counts.pop("lost"), inferred=counts.pop("inferred"),
-        reasons=list(counts), skipped=list(counts.values()),
+    taken, lost, inferred = (counts.pop(name) for name in ("frames", "lost", "inferred"))
+    result = DaemonResult(
+        scene=task.scene, rate_hz=task.rate_hz, to="decision", frames=len(counted), **percentiles(handed),
+        handed_p50_us=rounded(handed.p50), handed_p99_us=rounded(handed.p99), handed_p999_us=rounded(handed.p999),
+        ratio=rounded(handed.p50 / float(np.median(watch.times_us))), frames_per_s=rounded(frames / wall_s),
+        frames_per_cpu_s=rounded(frames / cpu_s), cpu_share=rounded(cpu_s / wall_s, 4),
+        rss_mb=rounded(rss_bytes / 2**20, 4), gc_pauses=len(pauses.us),
+        gc_longest_us=rounded(max(pauses.us, default=0.0)), messages=0, lost=int(lost),
+        skipped={why: rounded(count / taken, 4) for why, count in counts.items() if count},
+        inferred=rounded(inferred / taken, 4), start_s=rounded((ready_ns - task.begun_ns) * 1e-9, 3),
     )  # fmt: skip
+    return result, dict(zip(counted.tolist(), preroll.received_ns[counted].tolist(), strict=True))
 
 
 def _counted(counters: Counters) -> dict[str, float]:
-    """Return the counts of frames, lost and inferred, and of skipped frames by reason."""
     own = {"frames": counters.frames, "lost": counters.lost, "inferred": counters.inferred}
     return {**own, **counters.skipped}
 
 
-def _bare(path: Path) -> Any:
-    """Return a function that runs the bare network `count` times and returns the times, us."""
-    runner = BoundNetwork(path)
-    runner.inputs[...] = np.random.default_rng(0).standard_normal(runner.inputs.shape)
+def _warm(path: Path) -> BareNetwork:
+    bare = BareNetwork(path)
     for _ in range(WARM_UP_RUNS):
-        runner()
-
-    def timed(count: int) -> list[float]:
-        times_us = []
-        for _ in range(count):
-            begun_ns = time.perf_counter_ns()
-            runner()
-            times_us.append((time.perf_counter_ns() - begun_ns) * 1e-3)
-        return times_us
-
-    return timed
-
-
-def _rss_bytes() -> int:
-    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
-
-
-if __name__ == "__main__":
-    run(Task.model_validate_json(sys.stdin.read()))
+        bare()
+    return bare

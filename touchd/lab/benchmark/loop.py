@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from pathlib import Path
+from itertools import chain, cycle
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,21 +29,10 @@ class Loop:
     lead: int
     """Number of lead-in frames."""
 
-    def save(self, path: Path) -> None:
-        """Write the loop for another process."""
-        np.savez(path, frames=self.frames, lead=self.lead, acquisition=self.acquisition.model_dump_json())
-
-    @classmethod
-    def load(cls, path: Path) -> Loop:
-        """Read a loop written by `save`."""
-        with np.load(path) as found:
-            acquisition = Acquisition.model_validate_json(str(found["acquisition"]))
-            return cls(acquisition, found["frames"], int(found["lead"]))
-
-    def order(self) -> NDArray[np.int64]:
-        """Return the frame indices of one round, to and fro."""
-        there = np.arange(self.lead, len(self.frames))
-        return np.concatenate([there, there[-2:0:-1]])
+    def counts(self) -> Iterator[Counts]:
+        """Yield the lead-in, then the rest to and fro without end."""
+        lead, there = list(self.frames[: self.lead]), list(self.frames[self.lead :])
+        return chain(lead, cycle([*there, *there[-2:0:-1]]))
 
 
 class LoopSource:
@@ -63,33 +52,22 @@ class LoopSource:
     """
 
     def __init__(
-        self,
-        loop: Loop,
-        rate_hz: float,
-        seconds: float,
-        between: Callable[[], object] = lambda: None,
+        self, loop: Loop, rate_hz: float, seconds: float, between: Callable[[], object] = lambda: None,
         begun: Callable[[], object] = lambda: None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.acquisition = loop.acquisition
         self.lead = loop.lead
         self._paced = rate_hz != float("inf")
         self._period_ns = round(1e9 / rate_hz) if self._paced else PERIOD_NS
         self._seconds = seconds
         self._between, self._begun = between, begun
-        frames: list[Counts] = list(loop.frames)
-        self._leading = frames[: loop.lead]
-        self._round = [frames[i] for i in loop.order().tolist()]
+        self._counts = loop.counts()
         self._number = 0
-        self._start_ns = 0
-        self._end_ns = 0
-        self._apart_ns = 0
+        self._start_ns = self._end_ns = 0
         self._next_burst = 0
         self._open = True
-
-    @property
-    def apart_s(self) -> float:
+        self.apart_ns = 0
         """Time spent in `between`."""
-        return self._apart_ns * 1e-9
 
     def read(self, timeout_s: float) -> Frame | None:  # noqa: ARG002 - the next frame is due before any timeout
         """Return the next frame when it is due.
@@ -99,24 +77,19 @@ class LoopSource:
         EndOfStream
             The duration is over.
         """
-        number = self._number
-        now_ns = time.monotonic_ns()
+        number, now_ns = self._number, time.monotonic_ns()
         if not self._open:
             raise EndOfStream
-        if number < self.lead:
-            if not number:
-                self._start_ns = now_ns - self.lead * self._period_ns
-            counts = self._leading[number]
-        else:
+        if number in (0, self.lead):
             if number == self.lead:
                 self._begun()
                 now_ns = time.monotonic_ns()
-                self._start_ns = now_ns - number * self._period_ns
                 self._end_ns = now_ns + round(self._seconds * 1e9)
-                self._next_burst = number + BURST_EVERY
+                self._next_burst = number  # so that a run of few frames has one, too
+            self._start_ns = now_ns - max(number, self.lead) * self._period_ns
+        if number >= self.lead:
             if now_ns >= self._end_ns:
                 raise EndOfStream
-            counts = self._round[(number - self.lead) % len(self._round)]
             if self._paced:
                 due_ns = self._start_ns + number * self._period_ns
                 while now_ns < due_ns:
@@ -126,9 +99,9 @@ class LoopSource:
                 self._next_burst = number + BURST_EVERY
                 self._between()
                 now_ns, before_ns = time.monotonic_ns(), now_ns
-                self._apart_ns += now_ns - before_ns
+                self.apart_ns += now_ns - before_ns
         self._number = number + 1
-        return Frame(counts, number, self._start_ns + number * self._period_ns, now_ns)
+        return Frame(next(self._counts), number, self._start_ns + number * self._period_ns, now_ns)
 
     def close(self) -> None:
         """End the stream."""

@@ -4,35 +4,32 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-import onnx
+import numpy as np
 
 from touchd.errors import ModelMissing
-from touchd.evaluation.cramer_rao import median_bound_mm
-from touchd.evaluation.dataset import make_dataset, noise_of, split
-from touchd.lab.benchmark import daemon, skips, tail
-from touchd.lab.benchmark.estimators import NETWORKS, Estimator, atlases, bare, dictionaries, network, routes
+from touchd.evaluation.cramer_rao import MOST_TOUCHES, median_distance_mm, position_covariance, twin_field
+from touchd.lab.benchmark import daemon, latency, skips
+from touchd.lab.benchmark.bare import BareNetwork, write_bare
+from touchd.lab.benchmark.estimators import NETWORKS, Estimator, atlases, network
 from touchd.lab.benchmark.loop import Loop
 from touchd.lab.benchmark.machine import this_machine
 from touchd.lab.benchmark.race import race
-from touchd.lab.benchmark.results import DaemonResult, EstimatorResult, Run, SkipResult, Touches, rounded
-from touchd.lab.benchmark.scenes import WANTED, make_loop
+from touchd.lab.benchmark.results import DaemonResult, Run, Touches, rounded
+from touchd.lab.benchmark.scenes import FINGER, SEED, UNTOUCHED, WANTED, Block, held_out, make_loop
 from touchd.lab.benchmark.stopwatch import middle, undisturbed
-from touchd.lab.benchmark.touches import FINGER, SEED, UNTOUCHED, HeldOut, held_out
 from touchd.localization.model import Model
 from touchd.twin.instrument import Instrument
-from touchd.twin.simulate import DEFAULT_PLATE, simulate_touches
+from touchd.twin.simulate import DEFAULT_PLATE
 
 Progress = Callable[[str, float], object]
 """Receives the current step and the share done."""
 
-DICTIONARY_SEED = 1
-"""Seed of the touches that the shipped networks were trained on."""
-KEYPAD = "keypad"
+KEYPAD, KEYPAD_RATES_HZ = "keypad", (125.0, None)
 REPEATS = 3
 """Runs at full speed, of which the one with the median ratio counts: the scheduler places threads differently."""
 
@@ -44,9 +41,7 @@ class Scale:
     touches: int = 1000
     passes: int = 5
     race_s: float = 30.0
-    dictionary: int = 6404
     rates_hz: tuple[float | None, ...] = (125.0, 500.0, 1000.0, None)
-    keypad_rates_hz: tuple[float | None, ...] = (125.0, None)
     cell_s: float = 3.0
     full_speed_s: float = 1.0
     repeated: tuple[str, ...] = tuple(WANTED)
@@ -56,8 +51,8 @@ class Scale:
 
 
 QUICK = Scale(
-    touches=200, passes=2, race_s=4.0, dictionary=0, rates_hz=(None,), keypad_rates_hz=(None,),
-    full_speed_s=0.8, repeated=("moving",), skip_rounds=20, bound=False,
+    touches=200, passes=2, race_s=4.0, rates_hz=(None,), full_speed_s=0.8, repeated=("moving",), skip_rounds=20,
+    bound=False,
 )  # fmt: skip
 
 
@@ -69,7 +64,7 @@ def benchmark(models: Path, *, quick: bool, progress: Progress, also: Sequence[P
     models : Path
         Folder of the networks; the default one may have an atlas beside it.
     quick : bool
-        Measure in about 20 s: fewer touches, no kNN and GCC, the daemon at full speed only.
+        Measure in about 20 s: fewer touches, the daemon at full speed only.
     progress : callable
     also : sequence of Path
         Further networks for the example rig.
@@ -88,71 +83,63 @@ def benchmark(models: Path, *, quick: bool, progress: Progress, also: Sequence[P
     machine = this_machine()
     progress("simulating touches", 0.0)
     instrument = Instrument(DEFAULT_PLATE)
-    held = held_out(scale.touches, instrument)
+    blocks = held_out(scale.touches, instrument)
     with tempfile.TemporaryDirectory(prefix="touchd-benchmark-") as name:
         folder = Path(name)
-        runner = bare(folder)
-        estimators = _estimators(models, folder, scale, instrument) + list(_given(also, instrument))
+        bare = write_bare(folder / "bare.onnx")
+        estimators = _estimators(models, also, instrument)
         progress("estimators", 0.1)
         with undisturbed():
             bare_us, found = race(
-                estimators, runner, held.blocks, scale.passes, scale.race_s,
+                estimators, BareNetwork(bare), blocks, scale.passes, scale.race_s,
                 lambda: progress("estimators", 0.2),
             )  # fmt: skip
-        loops = {}
-        for scene in WANTED:
-            progress("simulating scenes", 0.4)
-            loops[scene] = make_loop(scene, instrument)
-        cells, tails = _cells(models, folder, scale, loops, progress)
-    saved = _skips(models, loops, found, scale, progress)
-    bound_mm = rounded(_bound_mm(held, instrument), 3) if scale.bound else None
-    left_out = () if scale.dictionary else ("kNN and GCC, in a quick run",)
+        progress("simulating scenes", 0.4)
+        loops = {scene: make_loop(scene, instrument) for scene in WANTED}
+        cells, tails = _cells(models, bare, scale, loops, progress)
+    progress("skips", 0.9)
+    with undisturbed():
+        saved = skips.measure(loops, _path(models, NETWORKS[0]), scale.skip_rounds, lambda: progress("skips", 0.95))
+    left_out = ("the daemon at steady rates, in a quick run",) if quick else ()
+    tracking = skips.tracking({one.name: one for one in found})
     return Run(
         quick=quick, seconds=rounded(time.monotonic() - begun_s, 3), machine=machine,
-        touches=Touches(count=held.count, seed=SEED, finger=FINGER, bound_mm=bound_mm), bare_us=bare_us,
-        estimators=tuple(found), left_out=left_out, daemon=tuple(cells),
-        bus_us=tails.bus_us if tails else None, held_up_us=tails.held_up_us if tails else None,
-        apart=tails.apart if tails else None, asleep=tails.asleep if tails else None, skips=tuple(saved),
-        day=daemon.day(cells),
+        touches=Touches(
+            count=scale.touches, seed=SEED, finger=FINGER,
+            bound_mm=rounded(_bound_mm(blocks, instrument), 3) if scale.bound else None,
+        ),
+        bare_us=bare_us, estimators=tuple(found), left_out=left_out,
+        daemon=tuple(cells), bus_us=tails.bus_us if tails else None, held_up_us=tails.held_up_us if tails else None,
+        apart=tails.apart if tails else None, asleep=tails.asleep if tails else None,
+        skips=(*saved, tracking) if tracking else tuple(saved), day=daemon.day(cells),
     )  # fmt: skip
 
 
-def _estimators(models: Path, folder: Path, scale: Scale, instrument: Instrument) -> list[Estimator]:
+def _estimators(models: Path, also: Sequence[Path], instrument: Instrument) -> list[Estimator]:
+    """Return the shipped networks, the default one with its atlas, and those of `also` by their file names."""
     made: list[Estimator] = []
     for name in NETWORKS:
-        path = _path(models, name)
-        model, graph = Model(path), onnx.load(path)
-        made.append(network(model, graph, name))
-        if name == NETWORKS[0]:
-            made += routes(model, graph, folder)
-            if model.atlas is not None:
-                made += atlases(model, model.atlas, graph)
-    if scale.dictionary:
-        data = make_dataset(simulate_touches(scale.dictionary, seed=DICTIONARY_SEED, instrument=instrument))
-        train = split(len(data), 0).train
-        made += dictionaries(data.residual[train], data.position_mm[train], data.acquisition)
-    return made
-
-
-def _given(also: Sequence[Path], instrument: Instrument) -> Iterator[Estimator]:
-    """Yield the networks of --also, by their file names."""
+        model = Model(_path(models, name))
+        made.append(network(model, name))
+        if model.atlas is not None:
+            made += atlases(model, model.atlas)
     for path in also:
         if not path.is_file():
             raise ModelMissing("no such model", str(path), "check --also")
         model = Model(path)
         model.check(instrument.acquisition)
-        yield network(model, onnx.load(path), path.stem, "given")
+        made.append(network(model, path.stem, "given"))
+    return made
 
 
 def _cells(
-    models: Path, folder: Path, scale: Scale, loops: dict[str, Loop], progress: Progress
-) -> tuple[list[DaemonResult], tail.Tails | None]:
+    models: Path, bare: Path, scale: Scale, loops: dict[str, Loop], progress: Progress
+) -> tuple[list[DaemonResult], latency.Tails | None]:
     """Run the daemon through every scene at every rate, and the bus alone."""
     wanted = [
         (scene, rate_hz)
-        for scene in loops
-        for rate_hz in (scale.keypad_rates_hz if scene == KEYPAD else scale.rates_hz)
-    ]
+        for scene in loops for rate_hz in scale.rates_hz if scene != KEYPAD or rate_hz in KEYPAD_RATES_HZ
+    ]  # fmt: skip
     cells: list[DaemonResult] = []
     tails = None
     for number, (scene, rate_hz) in enumerate(wanted):
@@ -160,10 +147,10 @@ def _cells(
         progress(f"daemon: {scene}, {rate}", 0.4 + 0.5 * number / len(wanted))
         cell = partial(
             daemon.measure, scene, loops[scene], rate_hz, scale.full_speed_s if rate_hz is None else scale.cell_s,
-            model=_path(models, KEYPAD if scene == KEYPAD else NETWORKS[0]), bare=folder / "bare.onnx", folder=folder,
+            model=_path(models, KEYPAD if scene == KEYPAD else NETWORKS[0]), bare=bare, folder=bare.parent,
         )  # fmt: skip
-        if (scene, rate_hz) == tail.TAIL:
-            tails = tail.measure(cell, scale.cell_s, folder)
+        if (scene, rate_hz) == latency.TAIL:
+            tails = latency.measure(cell, scale.cell_s, bare.parent)
             cells.append(tails.cell)
         else:
             repeats = REPEATS if rate_hz is None and scene in scale.repeated else 1
@@ -171,26 +158,13 @@ def _cells(
     return cells, tails
 
 
-def _skips(
-    models: Path, loops: dict[str, Loop], found: list[EstimatorResult], scale: Scale, progress: Progress
-) -> list[SkipResult]:
-    progress("skips", 0.9)
-    path = _path(models, NETWORKS[0])
-    atlas = Model(path).atlas
-    with undisturbed():
-        saved = skips.measure(loops, path, scale.skip_rounds, lambda: progress("skips", 0.95))
-        if atlas is not None:
-            saved.append(skips.bins(atlas, scale.skip_rounds))
-    tracking = skips.tracking({one.name: one for one in found})
-    return saved if tracking is None else [*saved, tracking]
-
-
-def _bound_mm(held: HeldOut, instrument: Instrument) -> float:
+def _bound_mm(blocks: Sequence[Block], instrument: Instrument) -> float:
     """Return the Cramer-Rao bound of the median error, with the noise of these residuals."""
-    truth, frames = held.recording.contacts_mm, held.recording.frames
-    assert truth is not None  # the twin labels its scenes
-    untouched = frames[(truth[:, :, 0] != truth[:, :, 0]).all(axis=1)]
-    return median_bound_mm(held.recording, instrument, noise_of(untouched) * (1 + 1 / UNTOUCHED) ** 0.5)
+    # The mean of n frames contains a share of their noise; another frame differs from it by more.
+    deviation = float(np.concatenate([block.untouched for block in blocks]).std())
+    noise = deviation * ((UNTOUCHED + 1) / (UNTOUCHED - 1)) ** 0.5
+    some = [contact for block in blocks for contact in block.contacts][:MOST_TOUCHES]
+    return median_distance_mm(position_covariance(twin_field(instrument, some), instrument.acquisition, noise))
 
 
 def _path(models: Path, name: str) -> Path:

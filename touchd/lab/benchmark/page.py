@@ -1,35 +1,111 @@
-"""Write a run as the page docs/benchmarks.md."""
+"""Write a run as docs/benchmarks.md: the columns and rows that decide, and a plot of error against run time."""
 
 from __future__ import annotations
 
+import shutil
+import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
+from matplotlib.figure import Figure
+
 from touchd.config.schema import RealtimeSettings
-from touchd.lab.benchmark import tables
-from touchd.lab.benchmark.results import BareTimes, Run
-from touchd.lab.benchmark.tables import Table
-from touchd.training.report.template import render, table
+from touchd.errors import OutputError
+from touchd.evaluation.plots.session import COLOURS, save
+from touchd.lab.benchmark import results, tables
+from touchd.lab.benchmark.results import BareTimes, DaemonResult, Run
+from touchd.lab.reproduction.paper import HEADS, KEYPAD_MS, REGRESSION_MS
+from touchd.training.report import template
 
 TEMPLATE = Path(__file__).with_name("page.md.j2")
+PICTURES = "benchmarks"
+GROUPS = {
+    "atlas": ("field atlas", COLOURS[1], "*"),
+    "network": ("shipped networks", COLOURS[0], "o"),
+    "given": ("other models", COLOURS[5], "^"),
+}
+PAPER = "#555555"
+ESTIMATOR = ("estimator", "p50 us", "p99.9 us", "x bare", "median mm", "p95 mm", "missed")
+DAEMON = ("scene", "frames/s", "ends at", "p50 us", "p99.9 us", "CPU", "frames/CPU s")
+VARIANTS = ("grid10", "keypad", "time")
+"""Estimators that only the terminal and the stored run show."""
 
 
-def page(run: Run, pictures: str) -> str:
-    """Return the page of a run, with its plots in the folder `pictures` beside it."""
-    calls = [one.calls for one in run.estimators]
-    rss_mb = [cell.rss_mb for cell in run.daemon]
-    return render(
-        TEMPLATE, run=run, pictures=pictures, times=_times, awake_from_hz=RealtimeSettings().awake_from_hz,
-        calls=(min(calls), max(calls)), rss_mb=(min(rss_mb, default=0.0), max(rss_mb, default=0.0)),
-        has_latency=any(cell.rate_hz for cell in run.daemon),
-        budgets=_markdown(tables.budget_table(run)), estimators=_markdown(tables.estimator_table(run)),
-        daemon=_markdown(tables.daemon_table(run)), shares=_markdown(tables.share_table(run)),
-        skips=_markdown(tables.skip_table(run)),
+def write(run: Run, folder: Path) -> None:
+    """Create page, plot and results in a temporary folder, then move them into `folder`.
+
+    Raises
+    ------
+    OutputError
+        A file cannot be written.
+    """
+    try:
+        with tempfile.TemporaryDirectory(dir=folder, prefix=".benchmarks.") as made:
+            save(draw_errors(run), Path(made) / "errors.png")
+            results.store(run, Path(made) / "benchmarks.json")
+            (Path(made) / "benchmarks.md").write_text(page(run), "utf-8")
+            (folder / PICTURES).mkdir(exist_ok=True)
+            for name in (f"{PICTURES}/errors.png", "benchmarks.json", "benchmarks.md"):
+                shutil.move(Path(made) / Path(name).name, folder / name)
+    except OSError as error:
+        raise OutputError(
+            f"cannot be written ({error.strerror})", str(folder), "check the folder and its space"
+        ) from error
+
+
+def page(run: Run) -> str:
+    """Return the page of a run, with its plot in the folder `PICTURES` beside it."""
+    estimators = tuple(one for one in run.estimators if one.group in GROUPS and one.name not in VARIANTS)
+    shown = run.model_copy(update={"daemon": _decisive(run), "estimators": estimators})
+    return template.render(
+        TEMPLATE, run=run, shown=shown, pictures=PICTURES, times=_times, awake_from_hz=RealtimeSettings().awake_from_hz,
+        budgets=_markdown(tables.budget_table(run)), estimators=_markdown(tables.estimator_table(shown), ESTIMATOR),
+        daemon=_markdown(tables.daemon_table(shown), DAEMON), skips=_markdown(tables.skip_table(run)),
     )  # fmt: skip
+
+
+def _decisive(run: Run) -> tuple[DaemonResult, ...]:
+    """Return of each scene the first rate and full speed."""
+    first = {cell.scene: cell for cell in reversed(run.daemon)}
+    return tuple(cell for cell in run.daemon if cell.rate_hz is None or cell is first[cell.scene])
 
 
 def _times(one: BareTimes) -> str:
     return f"p50 {one.p50:,.0f}, p99 {one.p99:,.0f}, p99.9 {one.p999:,.0f}"
 
 
-def _markdown(found: Table) -> str:
-    return table(found.headings, found.rows)
+def _markdown(found: tables.Table, columns: Sequence[str] = ()) -> str:
+    return template.Table(found.headings, found.rows).pick(columns=columns).markdown()
+
+
+def draw_errors(run: Run) -> Figure:
+    """Plot the median error of each estimator against its median run time."""
+    figure = Figure(figsize=(9.6, 6.2), layout="constrained")
+    axes = figure.add_subplot()
+    for group, (label, colour, marker) in GROUPS.items():
+        some = [one for one in run.estimators if one.group == group]
+        for one in some:
+            axes.annotate(
+                one.name, (one.p50_us, one.median_mm), (0, 9), textcoords="offset points", fontsize=8, color=colour
+            )
+        if some:
+            axes.errorbar(
+                [one.p50_us for one in some], [one.median_mm for one in some],
+                xerr=[[0.0] * len(some), [one.p99_us - one.p50_us for one in some]],
+                fmt=marker, color=colour, ms=13 if marker == "*" else 7, elinewidth=1, capsize=2, label=label,
+            )  # fmt: skip
+    reported_mm = HEADS["R", "frequency"].mean_mm
+    axes.plot(1e3 * REGRESSION_MS, reported_mm, "X", color=PAPER, ms=9, label="the paper's regression (mean, its rig)")
+    for x_us, name, colour in ((run.bare_us.p50, "bare network", "black"), (1e3 * KEYPAD_MS, "paper's keypad", PAPER)):
+        axes.axvline(x_us, color=colour, lw=1, ls=":", label=f"{name}, {x_us * 1e-3:.2g} ms")
+    if run.touches.bound_mm is not None:
+        bound = f"Cramer-Rao bound, {run.touches.bound_mm:.3f} mm"
+        axes.axhline(run.touches.bound_mm, color=COLOURS[4], lw=1.4, ls="-.", label=bound)
+    axes.set(xscale="log", yscale="log", xlabel="one position: median, bar to the 99th percentile (us)",
+             ylabel="median error (mm)")  # fmt: skip
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_formatter("{x:g}")
+    axes.grid(alpha=0.25, which="both")
+    figure.legend(loc="outside lower center", ncols=3, frameon=False, fontsize=9)
+    axes.set_title(f"{run.touches.count} touches of a {run.touches.finger} finger, unseen in training", fontsize=11)
+    return figure

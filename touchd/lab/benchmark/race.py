@@ -10,9 +10,9 @@ import numpy as np
 
 from touchd.evaluation.metrics import position_scores
 from touchd.lab.benchmark.estimators import Estimator, Place
-from touchd.lab.benchmark.results import BareTimes, EstimatorResult, rounded
-from touchd.lab.benchmark.stopwatch import Floor, Stopwatch, ratio, spread
-from touchd.lab.benchmark.touches import BLOCK, Block
+from touchd.lab.benchmark.results import BareTimes, EstimatorResult, percentiles, rounded
+from touchd.lab.benchmark.scenes import BLOCK, Block
+from touchd.lab.benchmark.stopwatch import Stopwatch, floor_us, ratio, spread
 
 Tick = Callable[[], object]
 
@@ -34,7 +34,7 @@ def race(
     limit_s: float,
     tick: Tick = lambda: None,
 ) -> tuple[BareTimes, list[EstimatorResult]]:
-    """Time and score every estimator.
+    """Time and score every estimator: each takes a block of touches, in turns with a batch of the bare network.
 
     Parameters
     ----------
@@ -42,9 +42,8 @@ def race(
     bare : callable
         Runs the bare network once.
     blocks : sequence of Block
-        Batches: each estimator takes a block, in turns with a batch of the bare network.
     passes : int
-        Number of passes over the blocks; slow estimators take one.
+        Number of passes over the blocks.
     limit_s : float
         No pass starts after this time.
     tick : callable
@@ -57,18 +56,14 @@ def race(
             break
         for block in blocks:
             for entry in entries:
-                if number and entry.estimator.slow:
-                    continue
                 entry.beside.time(bare, BLOCK)
                 places = _batch(entry, block)
                 if not number:
                     entry.places += places
             tick()
     true_mm = np.concatenate([block.true_mm for block in blocks])
-    floor = Floor()
-    bare_times = spread(np.concatenate([entry.beside.times_us for entry in entries]))
-    times = BareTimes(p50=rounded(bare_times.p50), p99=rounded(bare_times.p99), p999=rounded(bare_times.p999))
-    return times, [_result(entry, true_mm, floor) for entry in entries]
+    bare_us = spread(np.concatenate([entry.beside.times_us for entry in entries]))
+    return BareTimes.of(bare_us), [_result(entry, true_mm) for entry in entries]
 
 
 def _batch(entry: _Entry, block: Block) -> list[Place]:
@@ -87,16 +82,15 @@ def _batch(entry: _Entry, block: Block) -> list[Place]:
     return places
 
 
-def _result(entry: _Entry, true_mm: np.ndarray, floor: Floor) -> EstimatorResult:
+def _result(entry: _Entry, true_mm: np.ndarray) -> EstimatorResult:
     estimator, times_us = entry.estimator, entry.watch.times_us
     found = np.array([place is not None for place in entry.places])
     error_mm = np.array([place for place in entry.places if place is not None]).reshape(-1, 2) - true_mm[found]
     scores = position_scores(error_mm)
-    took = spread(times_us)
     return EstimatorResult(
         name=estimator.name, group=estimator.group, remark=estimator.remark,
-        p50_us=rounded(took.p50), p99_us=rounded(took.p99), p999_us=rounded(took.p999), max_us=rounded(took.most),
-        ratio=rounded(ratio(entry.watch, entry.beside)), floor_us=rounded(floor.us(estimator.bytes)),
+        **percentiles(spread(times_us)),
+        ratio=rounded(ratio(entry.watch, entry.beside)), floor_us=rounded(floor_us(estimator.bytes)),
         calls=len(times_us), macs=estimator.macs, bytes=estimator.bytes,
         touches=len(found), missed=int((~found).sum()),
         rmse_mm=rounded(scores["rmse_mm"]), median_mm=rounded(scores["median_mm"]), p95_mm=rounded(scores["p95_mm"]),

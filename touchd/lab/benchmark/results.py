@@ -9,6 +9,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from touchd.errors import ConfigError, OutputError
 from touchd.lab.benchmark.machine import Machine
+from touchd.lab.benchmark.stopwatch import Spread
 
 BUS_RATE_HZ = 1000.0
 
@@ -23,6 +24,11 @@ class BareTimes(_Part):
     p50: float
     p99: float
     p999: float
+
+    @classmethod
+    def of(cls, times: Spread) -> BareTimes:
+        """Return the percentiles of measured times, rounded."""
+        return cls(p50=rounded(times.p50), p99=rounded(times.p99), p999=rounded(times.p999))
 
 
 class EstimatorResult(_Part):
@@ -134,6 +140,8 @@ class Run(_Part):
     """All results of a run."""
 
     version: Literal[1] = 1
+    note: str = ""
+    """A sentence for the page, about a run that is kept although the code has changed since."""
     quick: bool
     seconds: float
     machine: Machine
@@ -170,11 +178,9 @@ def load(path: Path) -> Run:
     """
     try:
         return Run.model_validate_json(path.read_text("utf-8"))
-    except OSError as error:
-        raise ConfigError(f"cannot be read ({error.strerror})", str(path), "name a file written by --json") from error
-    except (ValidationError, UnicodeDecodeError) as error:
-        first = error.errors()[0]["msg"] if isinstance(error, ValidationError) else str(error)
-        raise ConfigError(f"not a stored run ({first})", str(path), "name a file written by --json") from error
+    except (OSError, ValueError) as error:
+        reason = error.errors()[0]["msg"] if isinstance(error, ValidationError) else str(error)
+        raise ConfigError(f"not a stored run ({reason})", str(path), "name a file written by --json") from error
 
 
 def store(run: Run, path: Path) -> None:
@@ -191,6 +197,12 @@ def store(run: Run, path: Path) -> None:
         raise OutputError(
             f"cannot be written ({error.strerror})", str(path), "check the folder and its space"
         ) from error
+
+
+def percentiles(times: Spread) -> dict[str, float]:
+    """Return the fields `p50_us` to `max_us` of a result."""
+    names = ("p50_us", "p99_us", "p999_us", "max_us")
+    return {name: rounded(us) for name, us in zip(names, times, strict=True)}
 
 
 def rounded(value: float, digits: int = 5) -> float:

@@ -1,20 +1,37 @@
-"""Simulate the scenes that the daemon benchmark plays."""
+"""Simulate what the benchmark measures: single touches for the estimators, scenes for the daemon."""
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchd.errors import SimulationError
+from touchd.evaluation.dataset import residual_of
 from touchd.lab.benchmark.loop import Loop
-from touchd.recording.data import Recording
-from touchd.twin.instrument import Instrument
+from touchd.twin.electronics import Digitiser, Electronics
+from touchd.twin.instrument import REFERENCE_C, Instrument
+from touchd.twin.physics.finger import Contact
+from touchd.twin.scenes.robot import AREAS_MM2, MARGIN_MM
 from touchd.twin.simulate import simulate_scene
 
-SEED = 211
+SEED, SCENE_SEED = 210, 211
+"""Unseen in training."""
+FINGER = "silicone"
+BLOCK = 20
+"""Touches at one temperature, with one baseline."""
+UNTOUCHED = 16
+"""Frames averaged for the baseline of a block; the daemon averages more."""
+STEP_MM = 0.8
+"""Distance from the finger's position one frame before: 100 mm/s at 125 frames/s."""
+WALK_K = 1.0
+LEARN_FRAMES = 60
+"""Least number of untouched frames before a scene's first touch, from which the baseline is learned."""
 RAMP_FRAMES = 10
 """Frames in which a finger comes down or lifts."""
+
+Array = NDArray[np.float32]
 
 
 class _Wanted(NamedTuple):
@@ -31,28 +48,74 @@ WANTED = {
     "two fingers": _Wanted("two", 500, 2),
     "keypad": _Wanted("keypad", 500, 1),
 }
-LEARN_FRAMES = 60
-"""Least number of untouched frames before the first touch, from which the baseline is learned."""
+
+
+class Block(NamedTuple):
+    """Touches at one temperature."""
+
+    baseline: Array
+    """Mean untouched frame, shape (channels, samples), ADC counts."""
+    untouched: Array
+    """Residuals of the untouched frames, shape (UNTOUCHED, channels, samples)."""
+    before: Array
+    """Residuals of the preceding frames, with each finger `STEP_MM` away, shape (BLOCK, channels, samples)."""
+    residual: Array
+    """Residuals of the touches, shape (BLOCK, channels, samples)."""
+    contacts: list[Contact]
+    """The touches."""
+
+    @property
+    def true_mm(self) -> NDArray[np.float64]:
+        """Positions of the touches, shape (BLOCK, 2)."""
+        return np.array([contact[:2] for contact in self.contacts])
+
+
+def held_out(count: int, instrument: Instrument) -> list[Block]:
+    """Simulate `count` touches, a multiple of `BLOCK`, anywhere on the plate except its margin."""
+    rng = np.random.default_rng([SEED, 0xBE7C])
+    walk_k = np.cumsum(rng.standard_normal(count // BLOCK))
+    walk_k *= WALK_K / max(np.abs(walk_k).max(), 1e-9)
+    low_mm = MARGIN_MM[FINGER]
+    high_mm = np.array([instrument.plate.width_mm, instrument.plate.height_mm]) - low_mm
+    place_mm = rng.uniform(low_mm, high_mm, (count, 2))
+    angle = rng.uniform(0, 2 * np.pi, count)
+    before_mm = np.clip(place_mm + STEP_MM * np.stack([np.cos(angle), np.sin(angle)], axis=1), low_mm, high_mm)
+    area_mm2 = rng.uniform(*AREAS_MM2[FINGER], count).tolist()
+    before, last = (
+        [Contact(x, y, area, FINGER) for (x, y), area in zip(places.tolist(), area_mm2, strict=True)]
+        for places in (before_mm, place_mm)
+    )
+    reference = instrument.untouched([REFERENCE_C])[0]
+    digitiser = Digitiser(Electronics(), instrument.acquisition, reference, np.random.SeedSequence(SEED))
+    parts = [slice(start, start + BLOCK) for start in range(0, count, BLOCK)]
+    return [
+        _block(instrument, digitiser, REFERENCE_C + warmer_k, before[part], last[part])
+        for part, warmer_k in zip(parts, walk_k, strict=True)
+    ]
+
+
+def _block(
+    instrument: Instrument, digitiser: Digitiser, temperature_c: float, before: list[Contact], last: list[Contact]
+) -> Block:
+    at_c = np.full(UNTOUCHED + 2 * BLOCK, temperature_c)
+    signal = instrument.untouched(at_c)
+    signal[UNTOUCHED:] += instrument.change([[contact] for contact in (*before, *last)], at_c[UNTOUCHED:])
+    counts = digitiser.counts(signal, np.zeros(len(at_c)))
+    baseline = counts[:UNTOUCHED].mean(axis=0, dtype=np.float32)
+    untouched, preceding, touched = np.split(residual_of(counts, baseline), [UNTOUCHED, UNTOUCHED + BLOCK])
+    return Block(baseline, untouched, preceding, touched, last)
 
 
 def make_loop(name: str, instrument: Instrument) -> Loop:
-    """Simulate a scene of `WANTED`; the loop plays its longest run with all fingers down."""
+    """Simulate a scene of `WANTED`; the loop plays its longest run with all fingers down and settled."""
     act, count, fingers = WANTED[name]
-    recording = simulate_scene(act, seed=SEED, frames=count, instrument=instrument)
-    first, last = _longest_run(recording, fingers)
-    return Loop(recording.acquisition, recording.frames[:last], first)
-
-
-def _longest_run(recording: Recording, fingers: int) -> tuple[int, int]:
-    """Return first and end frame of the longest run with this number of settled fingers."""
-    truth = recording.contacts_mm
-    assert truth is not None  # the twin labels its scenes
-    down = np.isfinite(truth[:, :, 0]).sum(axis=1) == fingers
+    recording = simulate_scene(act, seed=SCENE_SEED, frames=count, instrument=instrument)
+    assert recording.contacts_mm is not None  # the twin labels its scenes
+    down = np.isfinite(recording.contacts_mm[:, :, 0]).sum(axis=1) == fingers
     down[:LEARN_FRAMES] = False
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], down, [False]]).astype(np.int8)))
-    runs = edges.reshape(-1, 2)
+    runs = np.flatnonzero(np.diff(np.concatenate([[False], down, [False]]).astype(np.int8))).reshape(-1, 2)
     if not len(runs):
         raise SimulationError(f"no {fingers} fingers are ever down together", "frames", "simulate more")
     first, last = runs[(runs[:, 1] - runs[:, 0]).argmax()].tolist()
     ramp = RAMP_FRAMES if fingers else 0
-    return first + ramp, last - ramp
+    return Loop(recording.acquisition, recording.frames[: last - ramp], first + ramp)

@@ -6,21 +6,16 @@ import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
+from itertools import islice
 from pathlib import Path
-from typing import Any
-
-import numpy as np
 
 from touchd.config.schema import Settings
-from touchd.event import Event, TouchEvent
+from touchd.event import Contact, Event, TouchEvent
 from touchd.frame import Frame
 from touchd.lab.benchmark.daemon import FOREVER_S
 from touchd.lab.benchmark.loop import PERIOD_NS, Loop, LoopSource
 from touchd.lab.benchmark.results import EstimatorResult, SkipResult, rounded
 from touchd.lab.benchmark.stopwatch import Stopwatch, ratio, spread
-from touchd.localization.atlas import Atlas
-from touchd.localization.features import band_bins, windowed_dft
 from touchd.localization.model import Model
 from touchd.service.daemon import make_pipeline
 from touchd.service.messages import Messages
@@ -55,27 +50,20 @@ class _Played:
         source = LoopSource(loop, math.inf, 0.0)
         self._pipeline = make_pipeline(source, settings, Model(model), notify=lambda _reason, _fields: None)
         self._messages = Messages(settings, lambda topic: case.subscribed and topic == "touch")
-        self._frames = list(loop.frames)
-        self._order = loop.order().tolist()
-        self.number = 0
+        self._frames = (Frame(counts, i, i * PERIOD_NS, 0) for i, counts in enumerate(loop.counts()))
         self.events: list[Event] = []
-        for i in range(loop.lead):
-            self.events += self._take(Frame(self._frames[i], i, i * PERIOD_NS, 0))
-            self.number = i + 1
+        for frame in islice(self._frames, loop.lead):
+            self.events += self._take(frame)
         if case.screen_off:
             self._pipeline.set_screen(off=True)
-        self._lead = loop.lead
 
     def batch(self, watch: Stopwatch) -> None:
         """Process a batch of frames and add their times."""
         clock, times_ns = time.perf_counter_ns, []
-        for _ in range(BATCH):
-            counts = self._frames[self._order[(self.number - self._lead) % len(self._order)]]
-            frame = Frame(counts, self.number, self.number * PERIOD_NS, 0)
+        for frame in islice(self._frames, BATCH):
             begun_ns = clock()
             events = self._take(frame)
             times_ns.append(clock() - begun_ns)
-            self.number += 1
             self.events += events
         watch.add(times_ns)
 
@@ -118,50 +106,23 @@ def tracking(estimators: Mapping[str, EstimatorResult]) -> SkipResult | None:
     )  # fmt: skip
 
 
-def bins(atlas: Atlas, rounds: int) -> SkipResult:
-    """Return the time that the atlas saves by omitting bins without signal."""
-    d = atlas.description
-    a = d.acquisition
-    matrices = [windowed_dft(a, np.array(some)).astype(np.float32) for some in (d.bins, band_bins(a))]
-    residual = np.random.default_rng(0).standard_normal(a.shape).astype(np.float32)
-    watches = Stopwatch(), Stopwatch()
-    for _ in range(rounds):
-        for watch, matrix in zip(watches, matrices, strict=True):
-            into = np.empty((a.channels, matrix.shape[1]), np.float32)
-            watch.time(partial(np.dot, residual, matrix, out=into), BATCH)
-    few, many = watches
-    return SkipResult(
-        name="bins", scene="any", with_us=rounded(spread(few.times_us).p50),
-        without_us=rounded(spread(many.times_us).p50), saved=rounded(1 - ratio(few, many), 3),
-        same=f"features alone: {len(d.bins)} of {len(band_bins(a))} bins",
-    )  # fmt: skip
-
-
 def _compared(case: _Case, some: list[Event], all_of_them: list[Event]) -> str:
     """Compare the events with a skip to those without."""
     if case.screen_off:
         return "no touches, as asked"
-    changes, others = _changes(some), _changes(all_of_them)
-    if changes != others:
-        return f"{len(changes)} contacts come or go, without it {len(others)}"
-    places, theirs = _places(some), _places(all_of_them)
-    common = places.keys() & theirs.keys()
+    found, others = _contacts(some), _contacts(all_of_them)
+    changes, their_changes = (
+        [(key, c.phase) for key, c in contacts.items() if c.phase in ("down", "up")] for contacts in (found, others)
+    )
+    if changes != their_changes:
+        return f"{len(changes)} contacts come or go, without it {len(their_changes)}"
+    common = [(found[key], others[key]) for key in found.keys() & others.keys()]
     if not common:
         return "the same: no touches"
-    shifts = [math.dist(places[key][:2], theirs[key][:2]) / theirs[key][2] for key in common]
-    most = float(np.max(shifts))
+    most = max(math.dist((a.x_mm, a.y_mm), (b.x_mm, b.y_mm)) / b.sigma_mm for a, b in common)
     return "the same" if most == 0 else f"the same contacts, places within {most:.1f} sigma"
 
 
-def _contacts(events: list[Event]) -> list[tuple[int, Any]]:
-    return [(event.frame, contact) for event in events if isinstance(event, TouchEvent) for contact in event.contacts]
-
-
-def _changes(events: list[Event]) -> list[tuple[int, int, str]]:
-    """Return frame, contact and phase of each contact that goes down or up."""
-    return [(frame, c.id, c.phase) for frame, c in _contacts(events) if c.phase in ("down", "up")]
-
-
-def _places(events: list[Event]) -> dict[tuple[int, int], tuple[float, float, float]]:
-    """Return x, y and sigma of every published contact by frame and id, mm."""
-    return {(frame, c.id): (c.x_mm, c.y_mm, c.sigma_mm) for frame, c in _contacts(events)}
+def _contacts(events: list[Event]) -> dict[tuple[int, int], Contact]:
+    """Return every published contact by frame and id."""
+    return {(e.frame, contact.id): contact for e in events if isinstance(e, TouchEvent) for contact in e.contacts}

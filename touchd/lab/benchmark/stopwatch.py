@@ -6,7 +6,8 @@ import gc
 import os
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from functools import cache
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -15,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 _Found = TypeVar("_Found")
 BURN_IN = 2
 """Batches discarded at the start, while caches, branch predictors and clock rates settle."""
+FLOOR_CALLS = 60
 
 
 class Spread(NamedTuple):
@@ -89,42 +91,28 @@ def ratio(one: Stopwatch, other: Stopwatch) -> float:
 
 
 @contextmanager
-def undisturbed() -> Iterator[int | None]:
-    """Pin this process to one processor and freeze the garbage collector's objects, as the daemon does.
-
-    Yields the processor's number, or None if the system forbids pinning.
-    """
+def undisturbed() -> Iterator[None]:
+    """Pin this process to one processor, if allowed, and freeze the garbage collector's objects, as the daemon does."""
     gc.collect()
     gc.freeze()
-    allowed = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set()
-    chosen = max(allowed, default=None)
+    before = os.sched_getaffinity(0)
+    with suppress(OSError):
+        os.sched_setaffinity(0, {max(before)})
     try:
-        if chosen is not None:
-            os.sched_setaffinity(0, {chosen})
-    except OSError:
-        chosen = None
-    try:
-        yield chosen
+        yield
     finally:
-        if chosen is not None:
-            os.sched_setaffinity(0, allowed)
+        with suppress(OSError):
+            os.sched_setaffinity(0, before)
         gc.unfreeze()
 
 
-class Floor:
-    """Least time to read a number of bytes once, from the cache that holds them."""
+@cache
+def floor_us(count_bytes: int) -> float:
+    """Return the least time to read a number of bytes once, from the cache that holds them, us.
 
-    ROUNDS = 60
-
-    def __init__(self) -> None:
-        self._known_us: dict[int, float] = {}
-
-    def us(self, count_bytes: int) -> float:
-        """Return the median time of the dot product of a buffer of that size with itself, us."""
-        if count_bytes not in self._known_us:
-            buffer = np.ones(max(1, count_bytes // 4), np.float32)
-            watch = Stopwatch()
-            for _ in range(BURN_IN + 1):
-                watch.time(lambda: buffer.dot(buffer), self.ROUNDS)
-            self._known_us[count_bytes] = spread(watch.times_us).p50
-        return self._known_us[count_bytes]
+    It is the median time of the dot product of a buffer of that size with itself.
+    """
+    buffer, watch = np.ones(max(1, count_bytes // 4), np.float32), Stopwatch()
+    for _ in range(BURN_IN + 1):
+        watch.time(lambda: buffer.dot(buffer), FLOOR_CALLS)
+    return spread(watch.times_us).p50

@@ -1,12 +1,63 @@
-"""Tables of a run as text, for terminal and page."""
+"""Tables of a run as text, for terminal and page, and the budgets that a run must hold."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
-from touchd.lab.benchmark.budgets import BUDGETS
 from touchd.lab.benchmark.results import DaemonResult, EstimatorResult, Run
 from touchd.lab.reproduction.paper import HEADS, KEYPAD_MS, REGRESSION_MS
+
+
+class Budget(NamedTuple):
+    """One limit."""
+
+    what: str
+    unit: str
+    limit: float
+    read: Callable[[Run], float | None]
+    """Returns the measured value of a run, None if not measured."""
+    least: bool = False
+    """Whether `limit` is a lower limit."""
+
+    def holds(self, value: float, margin: float = 1.0) -> bool:
+        """Return whether a value meets the limit, relaxed by the factor `margin`."""
+        return value * margin >= self.limit if self.least else value <= margin * self.limit
+
+
+def _full_speed(scene: str, name: str) -> Callable[[Run], float | None]:
+    return lambda run: getattr(cell, name) if (cell := run.cell(scene, None)) else None
+
+
+BUDGETS = (
+    Budget("idle frame, source to decision", "x bare", 0.25, _full_speed("idle", "ratio")),
+    Budget("still finger", "x bare", 0.6, _full_speed("still", "ratio")),
+    Budget("moving finger, source to message handed to the socket", "x bare", 2.0, _full_speed("moving", "ratio")),
+    Budget("keypad frame", "x bare", 0.8, _full_speed("keypad", "ratio")),
+    Budget(
+        "moving finger at 1,000 frames/s, 99.9th percentile, to the socket", "us", 1000.0,
+        lambda run: cell.handed_p999_us if (cell := run.cell("moving", 1000.0)) else None,
+    ),
+    Budget(
+        "the same, to a subscriber on the daemon's processor", "us", 1000.0,
+        lambda run: cell.p999_us if (cell := run.cell("moving", 1000.0)) else None,
+    ),
+    Budget(
+        "the same, to a subscriber on another processor", "us", 1000.0,
+        lambda run: run.apart.daemon_us.p999 if run.apart else None,
+    ),
+    Budget("idle, full speed", "frames/CPU s", 100_000.0, _full_speed("idle", "frames_per_cpu_s"), True),
+    Budget("moving finger, full speed", "frames/CPU s", 15_000.0, _full_speed("moving", "frames_per_cpu_s"), True),
+    Budget(
+        "start to ready", "s", 1.0,
+        lambda run: min((cell.start_s for cell in run.daemon), default=None),
+    ),
+    Budget(
+        "resident memory in service", "MB", 120.0,
+        lambda run: max((cell.rss_mb for cell in run.daemon if cell.rate_hz is not None), default=None),
+    ),
+)  # fmt: skip
+"""Limits of a frame's cost relative to the bare network, and of latency, throughput, start and memory."""
 
 
 class Table(NamedTuple):
@@ -108,14 +159,6 @@ def _ratios(run: Run) -> dict[str, float]:
         rate = "full speed" if cell.rate_hz is None else f"{cell.rate_hz:g} frames/s"
         found[f"daemon, {cell.scene}, {rate}"] = cell.ratio
     return found
-
-
-def plain(table: Table) -> str:
-    """Format a table as aligned text, for a log."""
-    rows = [list(table.headings), *table.rows]
-    widths = [max(len(row[i]) for row in rows) for i in range(len(table.headings))]
-    lines = ["  ".join([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])]).rstrip() for row in rows]
-    return "\n".join([table.title, *lines, ""])
 
 
 def number(value: float) -> str:

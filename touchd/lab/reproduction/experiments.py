@@ -7,7 +7,6 @@ only on the seed.
 from __future__ import annotations
 
 import tempfile
-import time
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
@@ -17,7 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.evaluation.dataset import Dataset, make_dataset, split, thin
+from touchd.evaluation.model_scores import judge
 from touchd.keypad import Layout
+from touchd.lab.benchmark.stopwatch import Stopwatch, spread
 from touchd.lab.dictionary import Correlation, Nearest
 from touchd.localization.features import Domain, band_bins
 from touchd.localization.model import Model
@@ -32,36 +33,25 @@ TIMED = 300
 
 
 def trained(
-    recording: Recording,
-    *,
-    recipe: str,
-    grid: int = 0,
-    layout: Layout | None = None,
-    seed: int = 0,
-    share: float = 1.0,
-    epochs: int | None = None,
-) -> Data:
+    recording: Recording, *, recipe: str, grid: int = 0, layout: Layout | None = None, seed: int = 0,
+    share: float = 1.0, epochs: int | None = None,
+) -> Data:  # fmt: skip
     """Train a network by a recipe on a share of the training part.
 
-    Returns `place_mm` and `truth_mm` of the test part (n, 2), the estimated class (n,) of a classifier, the model as
-    bytes, its scores, its learning curve and the training time.
+    Returns what `located` says of the test part, and the model as bytes.
     """
     from touchd.training.train_network import train
 
-    started = time.monotonic()
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "model.onnx"
-        result = train(
+        model = train(
             recording, path, RECIPES[recipe], grid=grid, layout=layout, seed=seed, share=share, epochs=epochs,
             command=f"touchd reproduce: {recipe}",
-        )  # fmt: skip
-        model, found = path.read_bytes(), located(result.model, test_part(recording, result.model, seed))
-    return found | {
-        "model": model,
-        "scores": result.scores,
-        "curve_mm": result.curve_mm,
-        "train_s": time.monotonic() - started,
-    }
+        ).model  # fmt: skip
+        content = path.read_bytes()
+    data = make_dataset(recording, model.description.domain)
+    test = split(len(data), seed).test
+    return located(model, inputs_of(data, model)[test], data.position_mm[test]) | {"model": content}
 
 
 def looked_up(recording: Recording, *, method: str, residual: bool, seed: int = 0, share: float = 1.0) -> Data:
@@ -99,7 +89,7 @@ def judged(models: Mapping[str, bytes], recording: Recording) -> dict[str, Data]
         domain = model.description.domain
         if domain not in sets:
             sets[domain] = make_dataset(recording, domain)
-        found[name] = located(model, touches_of(sets[domain], model))
+        found[name] = located(model, inputs_of(sets[domain], model), sets[domain].position_mm)
     return found
 
 
@@ -121,20 +111,8 @@ def raced(recording: Recording, model: bytes, shares: tuple[float, ...], seed: i
     for method in ("kNN", "GCC"):
         for share in shares if method == "kNN" else (1.0,):
             estimator = dictionary(data, data.signal, thin(parts, share).train, method)
-            took[f"{method} {share:g}"] = _median_us(partial(_locate_one, estimator, data.signal), test)
+            took[f"{method} {share:g}"] = _median_us(lambda i: estimator.locate(data.signal[i : i + 1]), test)  # noqa: B023 - called at once
     return took
-
-
-def test_part(recording: Recording, model: Model, seed: int) -> tuple[Rows, Rows]:
-    """Return the model's features of the test part, and the positions."""
-    features, place_mm = touches_of(make_dataset(recording, model.description.domain), model)
-    test = split(len(features), seed).test
-    return features[test], place_mm[test]
-
-
-def touches_of(data: Dataset, model: Model) -> tuple[Rows, Rows]:
-    """Return the model's features of a dataset's touches, and the positions."""
-    return inputs_of(data, model), data.position_mm
 
 
 def loaded(model: bytes) -> Model:
@@ -150,40 +128,16 @@ def inputs_of(data: Dataset, model: Model) -> Rows:
     return data.residual if model.description.input == "residual" else data.signal
 
 
-def located(model: Model, touches: tuple[Rows, Rows]) -> Data:
-    """Run a model on touches, given as features and positions."""
-    features, truth_mm = touches
-    outputs = model.run(features)
-    found: Data = {"truth_mm": truth_mm}
-    if "position_mm" in outputs:
-        return found | {
-            "place_mm": outputs["position_mm"],
-            "confidence": outputs["confidence"],
-        }
-    winner = outputs["probability"].argmax(axis=1)
-    return found | {"place_mm": centres_mm(model)[winner], "class": winner}
-
-
-def centres_mm(model: Model) -> Rows:
-    """Return the centre of each class of a grid or keypad model; the plate's centre for the class beside all keys."""
-    d = model.description
-    if d.layout is not None:
-        middle = (d.plate.width_mm / 2, d.plate.height_mm / 2)
-        return np.array([*(key.centre_mm for key in d.layout.key), middle], np.float32)
-    rows, columns = np.divmod(np.arange(d.grid**2), d.grid)
-    size_mm = [d.plate.width_mm / d.grid, d.plate.height_mm / d.grid]
-    return np.asarray((np.stack([columns, rows], axis=1) + 0.5) * size_mm, np.float32)
-
-
-def _locate_one(estimator: Nearest | Correlation, features: Rows, i: int) -> None:
-    estimator.locate(features[i : i + 1])
+def located(model: Model, features: Rows, truth_mm: Rows) -> Data:
+    """Return `place_mm` and `truth_mm` of touches (n, 2), and the estimated `class` of a classifier (n,)."""
+    judged = judge(model, features, truth_mm, noise_energy=0.0)
+    found = {"truth_mm": truth_mm, "place_mm": judged.position_mm}
+    return found if judged.found_class is None else found | {"class": judged.found_class}
 
 
 def _median_us(locate: Callable[[int], object], touches: NDArray[np.int64]) -> float:
     """Return the median time of locating one touch."""
-    took = []
-    for i in touches:
-        started = time.perf_counter_ns()
-        locate(i)
-        took.append(time.perf_counter_ns() - started)
-    return float(np.median(took)) * 1e-3
+    watch = Stopwatch()
+    for i in touches.tolist():
+        watch.time(partial(locate, i), 1)
+    return spread(watch.times_us).p50

@@ -5,13 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from touchd.evaluation.model_scores import Judgement
+from touchd.evaluation.plots.model import draw_confusion
 from touchd.evaluation.plots.session import COLOURS, TRUTH, save
 from touchd.lab.reproduction import paper, plan
+from touchd.lab.reproduction.experiments import loaded
 from touchd.lab.reproduction.run import CIRCLE_HEADS, Results
-from touchd.lab.reproduction.scores import confusion, distance_mm, error_scores, keypad_scores
+from touchd.lab.reproduction.scores import distance_mm, error_scores, keypad_scores, keys
 
 DOMAIN_STYLE = {"frequency": (COLOURS[0], "o"), "time": (COLOURS[3], "s")}
 PAPER = "black"
@@ -62,21 +64,11 @@ def _heads(results: Results) -> Figure:
 
 
 def _keypad(results: Results) -> Figure:
-    matrix = confusion(results.full[plan.keypad_name(1.0, plan.KEYPAD_SEEDS[0])], results.layout)
-    names = [*(key.name for key in results.layout.key), "L"]
-    figure = Figure(figsize=(6.2, 5.6), layout="constrained")
-    axes = figure.add_subplot()
-    shares = matrix / np.maximum(matrix.sum(axis=1, keepdims=True), 1)
-    image = axes.imshow(shares, cmap="Blues", vmin=0, vmax=1)
-    for row, column in np.argwhere(matrix):
-        colour = "white" if shares[row, column] > 0.5 else "black"
-        axes.text(column, row, str(matrix[row, column]), ha="center", va="center", color=colour, fontsize=8)
-    ticks = range(len(names))
-    axes.set(xlabel="key found", ylabel="key touched", xticks=ticks, yticks=ticks)
-    axes.set_xticklabels(names)
-    axes.set_yticklabels(names)
-    figure.colorbar(image, label="share of the touches of a key", shrink=0.8)
-    return figure
+    data = results.full[plan.keypad_name(1.0, plan.KEYPAD_SEEDS[0])]
+    found, truth = keys(data, results.layout)
+    unknown = np.full(len(found), np.nan)
+    judged = Judgement(data["truth_mm"], data["place_mm"], unknown, unknown, truth, found, len(results.layout.key))
+    return draw_confusion(judged, loaded(data["model"]).description)
 
 
 def _learning(results: Results) -> Figure:
@@ -133,26 +125,22 @@ def _errors(results: Results) -> Figure:
         "the paper's R on the twin": results.full[plan.head_name("R", "frequency")],
     }
     for number, (name, data) in enumerate(contenders.items()):
-        _cumulative(models, distance_mm(data), name, COLOURS[number])
-    models.set(title="silicone finger", ylabel="share of touches (%)")
+        models.ecdf(distance_mm(data), color=COLOURS[number], lw=1.6, label=name)
+    models.set(title="silicone finger", ylabel="share of touches")
     kinds = figure.add_subplot(1, 2, 2)
     labels = {
         "silicone": "silicone finger", "human": "human finger", "stale": "baseline stale by 1 K",
         "noise": "noise 20 dB worse",
     }  # fmt: skip
     for number, (kind, label) in enumerate(labels.items()):
-        _cumulative(kinds, distance_mm(results.held_out["regression", kind]), label, COLOURS[number])
+        found = distance_mm(results.held_out["regression", kind])
+        kinds.ecdf(found, color=COLOURS[number], lw=1.6, label=label)
     kinds.set(title="the shipped network")
     for axes in (models, kinds):
-        axes.set(xlabel="error (mm)", xscale="log", xlim=(0.01, 50), ylim=(0, 100))
+        axes.set(xlabel="error (mm)", xscale="log", xlim=(0.01, 50), ylim=(0, 1))
         axes.axvline(4.4, color=PAPER, ls="--", lw=1)
-        axes.annotate("the paper's\nmean, 4.4 mm", (4.8, 6), fontsize=8)
+        axes.annotate("the paper's\nmean, 4.4 mm", (4.8, 0.06), fontsize=8)
         axes.xaxis.set_major_formatter("{x:g}")
         axes.grid(alpha=0.25, which="both")
         axes.legend(fontsize=8, framealpha=1, edgecolor="none", loc="upper left")
     return figure
-
-
-def _cumulative(axes: Axes, distance_mm: np.ndarray, label: str, colour: str) -> None:
-    ordered = np.sort(distance_mm)
-    axes.plot(ordered, 100 * np.arange(1, len(ordered) + 1) / len(ordered), color=colour, lw=1.6, label=label)

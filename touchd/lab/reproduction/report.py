@@ -1,179 +1,66 @@
-"""Write the report in Markdown: our figures beside the paper's."""
+"""Write the report in Markdown, and all figures as files beside its plots."""
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
+from typing import NamedTuple
 
-import numpy as np
-
-from touchd import __version__
-from touchd.lab.reproduction import paper, plan
-from touchd.lab.reproduction.paper import Reported
-from touchd.lab.reproduction.run import (
-    CENTRAL_SEED,
-    CIRCLE_HEADS,
-    CIRCLE_SEED,
-    HELD_OUT,
-    OTHER_HELD_OUT_SEED,
-    OTHER_SEED,
-    SHIPPED,
-    TRAINING_SEED,
-    Results,
-)
-from touchd.lab.reproduction.scores import distance_mm, error_scores, keypad_scores, zone_accuracy
-from touchd.training.report.template import render
+from touchd.lab.reproduction import paper
+from touchd.training.report.template import Table, read_csv, render, write_csv
 
 TEMPLATE = Path(__file__).with_name("report.md.j2")
-STATISTICS = ("rmse_mm", "mean_mm", "sd_mm", "median_mm", "p95_mm", "max_mm")
-HEADINGS = ("RMSE", "mean", "sd", "median", "p95", "max")
+SHOWN_HEADS, SHOWN_SHARES = ("R", "C-2", "C-10"), ("100%", "20%")
 
 
-def report(results: Results, folder: str, command: str) -> str:
-    """Return the page, with its plots in `folder` beside it."""
-    took_us = results.took_us
-    values: dict[str, object] = {
-        "version": __version__, "command": command, "source": _source(results), "pictures": folder, "paper": paper,
-        "given": results.given, "heads": _heads(results), "c10_accuracy": paper.C10_ACCURACY,
-        "keys": len(results.layout.key), "seeds": len(plan.KEYPAD_SEEDS), "shares": _shares(results),
-        "keypad": keypad_scores(results.full[plan.keypad_name(1.0, plan.KEYPAD_SEEDS[0])], results.layout),
-        "knn_ratio": took_us["kNN 1"] / took_us["network"],
-        "knn_saved_ms": (took_us["kNN 1"] - took_us["kNN 0.2"]) / 1e3,
-        "dictionaries": _dictionaries(results),
-    }  # fmt: skip
-    if not results.given:
-        seeds = [f"{kind} {seed}" for kind, seed in HELD_OUT.items()]
-        values |= {
-            "circle": _circle(results), "circle_seed": CIRCLE_SEED, "beaten": _beaten(results),
-            "details": _details(results), "held_out": results.scale.held_out, "other_seed": OTHER_SEED,
-            "held_out_seeds": ", ".join([*seeds, f"the other plate {OTHER_HELD_OUT_SEED}"]),
-            "shipped": ", ".join(SHIPPED),
-        }  # fmt: skip
-    return render(TEMPLATE, **values)
+class Figures(NamedTuple):
+    """What a report says: facts by name, and whole tables by name."""
+
+    facts: dict[str, object]
+    tables: dict[str, Table]
 
 
-def table(headings: tuple[str, ...], rows: list[list[str]]) -> str:
-    """Format a Markdown table, the first column left-aligned and the others right-aligned."""
-    lines = ["| " + " | ".join(headings) + " |", "|---" + "|---:" * (len(headings) - 1) + "|"]
-    return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows])
+def page(found: Figures, folder: str) -> str:
+    """Return the page, with its plots and whole tables in `folder` beside it: of each table the decisive rows."""
+    tables = found.tables
+    errors = ("median", "p95", "keypad", "dictionary, MB", "one touch, us")
+    shown = {
+        "heads": _heads(tables["full-plate"], tables["central"]),
+        "shares": tables["shares"].pick(SHOWN_SHARES),
+        "dictionaries": tables["dictionaries"].pick(columns=("estimator", *errors)),
+    }
+    if "circle" in tables:
+        shown["circle"] = tables["circle"].pick(columns=("model", "mean", "sd", "p95", "paper: mean ± sd"))
+        shown["beaten"] = tables["beaten"]
+    return render(
+        TEMPLATE, pictures=folder, paper=paper, **found.facts,
+        **{name: table.markdown() for name, table in shown.items()},
+    )  # fmt: skip
 
 
-def _source(results: Results) -> str:
-    plate = results.recording.meta.plate
-    size = f"{plate.width_mm:g} x {plate.height_mm:g} x {plate.thickness_mm:g} mm"
-    if results.given:
-        return f"a given recording of a {plate.material} plate, {size}"
-    return (
-        f"the digital twin's reference plate ({plate.material}, {size}): {results.scale.touches} touches of a silicone "
-        f"finger on the full plate (seed {TRAINING_SEED}) and as many on its central 11 x 11 cm (seed {CENTRAL_SEED})"
-    )
-
-
-def _reported(value: Reported | None) -> str:
-    if value is None:
-        return "-"
-    return f"{value.mean_mm:.1f} ± {value.sd_mm:.1f}"
-
-
-def _heads(results: Results) -> list[tuple[str, str]]:
-    """Return the table of each area, by the area's name."""
-    plate = results.recording.meta.plate
-    areas = (
-        ("the full plate", results.full, (plate.width_mm, plate.height_mm)),
-        ("the central 11 x 11 cm", results.central, (paper.CENTRAL_MM, paper.CENTRAL_MM)),
-    )
-    tables = []
-    for name, found, size_mm in areas:
-        rows = []
-        for domain in plan.DOMAINS:
-            for head in plan.HEADS:
-                data = found[plan.head_name(head, domain)]
-                grid = int(head[2:]) if head != "R" else 0
-                scores = error_scores(data)
-                accuracy = f"{zone_accuracy(data, grid, size_mm):.1%}" if grid else "-"
-                perfect = f"{paper.perfect_mean_mm(size_mm[0], grid):.1f}" if grid and size_mm[0] == size_mm[1] else "-"
-                rows.append(
-                    [f"{head}, {domain}", *(f"{scores[key]:.1f}" for key in STATISTICS), accuracy, perfect,
-                     _reported(paper.HEADS.get((head, domain)))]
-                )  # fmt: skip
-        tables.append((name, table(("head, domain", *HEADINGS, "zone accuracy", "perfect", "paper: mean ± sd"), rows)))
-    return tables
-
-
-def _shares(results: Results) -> str:
-    layout = results.layout
+def _heads(full: Table, central: Table) -> Table:
+    """Return the heads for which the paper has figures, on both areas."""
+    names = [row[0] for row in full.rows if row[0].split(",")[0] in SHOWN_HEADS]
+    columns = ("head, domain", "mean", "sd", "perfect")
     rows = []
-    for share in plan.SHARES:
-        network, knn = (
-            [keypad_scores(results.full[name(share, seed)], layout)["accuracy"] for seed in plan.KEYPAD_SEEDS]
-            for name in (plan.keypad_name, lambda share, seed: plan.lookup_name("kNN", share, seed))
-        )
-        reported = paper.KEYPAD_LEARNING.get(share)
-        rows.append([
-            f"{share:.0%}", _mean(network), _mean(knn),
-            f"{reported[0]:.0%}" if reported else "-", f"{reported[1]:.0%}" if reported else "-",
-            f"{results.took_us['network']:.0f}", f"{results.took_us[f'kNN {share:g}']:.0f}",
-        ])  # fmt: skip
-    return table(("share", "network", "kNN", "paper: network", "paper: kNN", "network, us", "kNN, us"), rows)
+    for ours, theirs, said in zip(
+        full.pick(names, columns).rows, central.pick(names, columns).rows,
+        full.pick(names, ("paper: mean ± sd",)).rows, strict=True,
+    ):  # fmt: skip
+        rows.append([ours[0], *(f"{mean} ± {sd}, {best}" for _, mean, sd, best in (ours, theirs)), *said])
+    heading = "mean ± sd, perfect"
+    return Table(("head, domain", f"full plate: {heading}", f"central 11 x 11 cm: {heading}", "paper: mean ± sd"), rows)
 
 
-def _mean(values: list[float]) -> str:
-    return f"{np.mean(values):.1%} ± {np.std(values):.1%}"
+def store(found: Figures, folder: Path) -> None:
+    """Write facts and tables into a folder."""
+    text = json.dumps(found.facts, indent=1, ensure_ascii=False)
+    (folder / "facts.json").write_text(text + "\n", "utf-8")
+    for name, table in found.tables.items():
+        write_csv(folder / f"{name}.csv", table)
 
 
-def _dictionaries(results: Results) -> str:
-    rows = []
-    for method in ("kNN", "GCC"):
-        for residual in (False, True):
-            data = results.full[plan.dictionary_name(method, residual)]
-            scores = error_scores(data)
-            keypad = keypad_scores(data, results.layout)
-            rows.append([
-                plan.dictionary_name(method, residual), *(f"{scores[key]:.2f}" for key in STATISTICS),
-                f"{keypad['accuracy']:.1%}", f"{data['bytes'] / 1e6:.1f}",
-                f"{results.took_us[f'{method} 1']:.0f}",
-            ])  # fmt: skip
-    return table(("estimator", *HEADINGS, "keypad", "dictionary, MB", "one touch, us"), rows)
-
-
-def _circle(results: Results) -> str:
-    rows = []
-    for name in (*CIRCLE_HEADS, "touchd"):
-        scores = error_scores(results.circle[name])
-        reported = paper.CIRCLE.get(name)
-        said = "-" if reported is None else _reported(reported)
-        said = "over 10, sd 5.4" if name == "C-5" else said
-        rows.append([name, *(f"{scores[key]:.1f}" for key in STATISTICS), said])
-    return table(("model", *HEADINGS, "paper: mean ± sd"), rows)
-
-
-def _beaten(results: Results) -> str:
-    held = results.held_out
-    mean = {key: error_scores(data)["mean_mm"] for key, data in held.items()}
-    keypad = keypad_scores(held["keypad", "silicone"], results.layout)
-    fifth = keypad_scores(held[plan.BETTER_KEYPAD, "silicone"], results.layout)
-    rows = [
-        ["mean error", "4.4 mm", "0.7 mm", f"{mean['regression', 'silicone']:.2f} mm"],
-        ["human finger, trained on silicone only", "4.7 mm", "1.1 mm", f"{mean['regression', 'human']:.2f} mm"],
-        ["keypad: accuracy, key-to-key errors", "97 %, 0", "99.5 %, 0",
-         f"{keypad['accuracy']:.2%}, {keypad['key_to_key_errors']:.0f}"],
-        ["keypad from 20 % of the data", "89 %", "97 %", f"{fifth['accuracy']:.2%}"],
-        ["noise 20 dB worse", "-", "4 mm", f"{mean['regression', 'noise']:.2f} mm"],
-        ["baseline stale by 1 K", "-", "1.5 mm", f"{mean['regression', 'stale']:.2f} mm"],
-        [f"a plate never seen, from {results.scale.other_touches} touches", "-", "1 mm",
-         f"{mean[plan.OTHER_PLATE, 'other']:.2f} mm"],
-    ]  # fmt: skip
-    return table(("mean error or accuracy", "paper on its rig", "asked for", "touchd"), rows)
-
-
-def _details(results: Results) -> str:
-    details = []
-    for (name, kind), data in results.held_out.items():
-        scores = error_scores(data)
-        # A grid has zones instead of keys, and the layout does not fit the other plate.
-        keyed = kind != "other" and not name.startswith("grid")
-        keys = keypad_scores(data, results.layout)["accuracy"] if keyed else None
-        details.append([
-            name, kind, *(f"{scores[key]:.2f}" for key in STATISTICS), f"{(distance_mm(data) > 5).mean():.2%}",
-            "-" if keys is None else f"{keys:.2%}",
-        ])  # fmt: skip
-    return table(("model", "touches", *HEADINGS, "over 5 mm", "keys"), details)
+def load(folder: Path) -> Figures:
+    """Read what `store` wrote."""
+    tables = {path.stem: read_csv(path) for path in folder.glob("*.csv")}
+    return Figures(json.loads((folder / "facts.json").read_text("utf-8")), tables)

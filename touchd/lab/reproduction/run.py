@@ -97,24 +97,26 @@ def reproduce(
 
 def _judge(results: Results, models: Path, progress: Progress) -> None:
     """Score the shipped models and some of the trained ones on touches with seeds unseen in training."""
-    count = results.scale.held_out
-    contenders = {name: (models / f"{name}.onnx") for name in SHIPPED}
-    for path in contenders.values():
+    paths = {name: (models / f"{name}.onnx") for name in SHIPPED}
+    for path in paths.values():
         if not path.is_file():
             raise ModelMissing("no such model", str(path), "train it, or name the folder of the models: --models")
-    model_bytes = {name: path.read_bytes() for name, path in contenders.items()}
-    model_bytes[plan.BETTER_KEYPAD] = results.full[plan.BETTER_KEYPAD]["model"]
-    for number, (kind, seed) in enumerate(HELD_OUT.items()):
-        progress("judging", number, len(HELD_OUT) + 2)
-        for name, data in judged(model_bytes, simulated(kind, count, seed)).items():
-            results.held_out[name, kind] = data
-    progress("judging", len(HELD_OUT), len(HELD_OUT) + 2)
+    shipped = {name: path.read_bytes() for name, path in paths.items()}
+    shipped[plan.BETTER_KEYPAD] = results.full[plan.BETTER_KEYPAD]["model"]
     other = {plan.OTHER_PLATE: results.other[plan.OTHER_PLATE]["model"]}
-    results.held_out[plan.OTHER_PLATE, "other"] = judged(other, simulated("other", count, OTHER_HELD_OUT_SEED))[
-        plan.OTHER_PLATE
-    ]
-    progress("judging", len(HELD_OUT) + 1, len(HELD_OUT) + 2)
-    circle = simulated("circle", results.scale.circle_frames, CIRCLE_SEED)
     drawn = {head: results.full[plan.head_name(head, "frequency")]["model"] for head in CIRCLE_HEADS}
-    results.circle = judged(drawn | {"touchd": model_bytes["regression"]}, circle)
-    progress("judging", len(HELD_OUT) + 2, len(HELD_OUT) + 2)
+    drawn["touchd"] = shipped["regression"]
+    count = results.scale.held_out
+    sets = [
+        *((kind, count, seed, shipped) for kind, seed in HELD_OUT.items()),
+        ("other", count, OTHER_HELD_OUT_SEED, other),
+        ("circle", results.scale.circle_frames, CIRCLE_SEED, drawn),
+    ]
+    for number, (kind, size, seed, contenders) in enumerate(sets):
+        progress("judging", number, len(sets))
+        found = judged(contenders, simulated(kind, size, seed))
+        if kind == "circle":
+            results.circle = found
+        else:
+            results.held_out |= {(name, kind): data for name, data in found.items()}
+    progress("judging", len(sets), len(sets))

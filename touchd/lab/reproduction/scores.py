@@ -42,10 +42,3 @@ def keypad_scores(data: Data, layout: Layout) -> dict[str, float]:
     """Return accuracy and key-to-key errors."""
     found, truth = keys(data, layout)
     return key_scores(found, truth, len(layout.key))
-
-
-def confusion(data: Data, layout: Layout) -> NDArray[np.int64]:
-    """Return the confusion matrix: true keys in rows, estimated in columns, shape (keys + 1, keys + 1)."""
-    found, truth = keys(data, layout)
-    count = len(layout.key) + 1
-    return np.bincount(truth * count + found, minlength=count**2).reshape(count, count)

@@ -6,7 +6,6 @@ Features are linear in the samples, so each disturbance is added to features, wh
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -24,93 +23,58 @@ OTHER_PHASE = 0.52
 OTHER_TURN = 0.6
 
 
-@dataclass(frozen=True, slots=True)
-class Bank:
-    """A dataset as tensors, with noise and tones to draw from."""
-
-    residual: Tensor
-    untouched: Tensor
-    stretch: Tensor
-    delay: Tensor
-    position: Tensor
-    """Relative to the plate's centre, in units of its size, shape (n, 2)."""
-    noise: Tensor
-    """Features of white noise at the recording's level, shape (m, inputs)."""
-    tones: Tensor
-    """Features of tones asynchronous to the chirp, unit norm, shape (m, inputs)."""
-    channels: int
-    bins: int
-    """Bins per channel; 0 in the time domain, which has no phase."""
-    neighbours: Tensor
-    """Indices of the nearest touches of each touch, shape (n, k)."""
-
-
-def make_bank(dataset: Dataset, indices: Tensor, generator: torch.Generator, pool: int = 8192) -> Bank:
-    """Build the bank of a dataset's touches with these indices."""
-    a = dataset.acquisition
-    features = make_features(dataset.domain, a)
-    white = torch.randn((pool, a.channels, a.samples), generator=generator) * dataset.noise
-    tones = _features_of(features, _tones(pool, dataset, generator))
-    size_mm = torch.tensor([dataset.meta.plate.width_mm, dataset.meta.plate.height_mm])
-    position_mm = torch.from_numpy(dataset.position_mm)[indices]
-    nearest = torch.cdist(position_mm, position_mm).topk(min(24, len(indices)), largest=False).indices
-    return Bank(
-        residual=torch.from_numpy(dataset.residual)[indices],
-        untouched=torch.from_numpy(dataset.untouched)[indices],
-        stretch=torch.from_numpy(dataset.stretch)[indices],
-        delay=torch.from_numpy(dataset.delay)[indices],
-        position=position_mm / size_mm - 0.5,
-        noise=_features_of(features, white),
-        tones=tones / tones.norm(dim=1, keepdim=True).clamp_min(1e-6),
-        channels=a.channels,
-        bins=features.size // a.channels // 2 if dataset.domain == "frequency" else 0,
-        neighbours=nearest,
-    )
-
-
-def _features_of(features: Features, signals: Tensor) -> Tensor:
-    """Return the features of signals of shape (m, channels, samples)."""
-    rows = torch.empty((len(signals), features.size))
-    for signal, out in zip(signals.numpy(), rows.numpy(), strict=True):
-        features.extract(signal, out)
-    return rows
-
-
-def _tones(count: int, dataset: Dataset, generator: torch.Generator) -> Tensor:
-    """Return tones of random frequency around the chirp's band, with random amplitude and phase per channel."""
-    a = dataset.acquisition
-    low_hz, high_hz = 0.9 * a.chirp.start_hz, 1.1 * a.chirp.stop_hz
-    f_hz = low_hz + (high_hz - low_hz) * torch.rand((count, 1, 1), generator=generator)
-    phase = 2 * torch.pi * torch.rand((count, a.channels, 1), generator=generator)
-    size = 0.3 + torch.rand((count, a.channels, 1), generator=generator)
-    seconds = torch.arange(a.samples) / a.sample_rate_hz
-    signal: Tensor = size * torch.cos(2 * torch.pi * f_hz * seconds + phase)
-    return signal
-
-
 class Augmenter:
-    """Draws batches of fingers and non-fingers from a bank and, if given, a synthesiser."""
+    """Draws batches of fingers and non-fingers from recorded touches, a synthesiser, noise and tones.
 
-    def __init__(self, bank: Bank, synthesiser: Synthesiser | None, generator: torch.Generator) -> None:
-        self._bank = bank
-        self._synthesiser = synthesiser
+    Parameters
+    ----------
+    dataset : Dataset
+        In the frequency domain.
+    indices : tensor of shape (n,)
+        Its touches to draw from.
+    synthesiser : Synthesiser
+    generator : torch.Generator
+    pool : int
+        Rows of noise and of tones to draw from.
+    """
+
+    def __init__(
+        self,
+        dataset: Dataset,
+        indices: Tensor,
+        synthesiser: Synthesiser,
+        generator: torch.Generator,
+        pool: int = 8192,
+    ) -> None:
+        a, plate = dataset.acquisition, dataset.meta.plate
+        features = make_features(dataset.domain, a)
+        self.synthesiser = synthesiser
         self._generator = generator
-        self._power = bank.noise.square().sum(dim=1).mean()
+        self._channels, self._bins = a.channels, features.size // a.channels // 2
+        self.residual = torch.from_numpy(dataset.residual)[indices]
+        self._untouched = torch.from_numpy(dataset.untouched)[indices]
+        self._stretch = torch.from_numpy(dataset.stretch)[indices]
+        self._delay = torch.from_numpy(dataset.delay)[indices]
+        position_mm = torch.from_numpy(dataset.position_mm)[indices]
+        self.position = position_mm / torch.tensor([plate.width_mm, plate.height_mm]) - 0.5
+        """Relative to the plate's centre, in units of its size, shape (n, 2)."""
+        nearest = torch.cdist(position_mm, position_mm).topk(min(24, len(indices)), largest=False)
+        self.neighbours = nearest.indices
+        """Indices of the nearest touches of each touch, shape (n, k)."""
+        white = torch.randn((pool, a.channels, a.samples), generator=generator) * dataset.noise
+        tones = _features_of(features, _tones(pool, dataset, generator))
+        self.noise = _features_of(features, white)
+        """Features of white noise at the recording's level, shape (pool, inputs)."""
+        self.tones: Tensor = tones / tones.norm(dim=1, keepdim=True).clamp_min(1e-6)
+        """Features of tones asynchronous to the chirp, unit norm, shape (pool, inputs)."""
+        self.power = self.noise.square().sum(dim=1).mean()
+        """Mean energy of a row of noise."""
 
     def fingers(self, residual: Tensor, own_noise: Tensor) -> tuple[Tensor, Tensor]:
-        """Vary finger, temperature, noise and channels of touches; return the residuals and their noise.
+        """Vary finger, temperature, noise and channels of touches (n, inputs).
 
-        Parameters
-        ----------
-        residual : tensor of shape (n, inputs)
-        own_noise : tensor of shape (n, 1)
-            Noise deviation of each residual, relative to a recorded frame's.
-
-        Returns
-        -------
-        tensor of shape (n, inputs)
-        tensor of shape (n, 1)
-            Expected noise-to-signal ratio, tones included, by norms.
+        `own_noise`, of shape (n, 1), is the noise deviation of each residual, relative to a recorded frame's. Return
+        residuals and their expected noise-to-signal ratio, tones included, by norms, shape (n, 1).
         """
         n = len(residual)
         phase = FINGER_PHASE * self._symmetric(n)
@@ -125,28 +89,24 @@ class Augmenter:
         white = self._noise(n, level)
         mask = self._channel_mask(n, share=0.1)
         fingers = (disturbed + tone + white) * mask
-        noise = self._power * (level.square() + (own_noise * size).square()) + tone.square().sum(dim=1, keepdim=True)
+        noise = self.power * (level.square() + (own_noise * size).square()) + tone.square().sum(dim=1, keepdim=True)
         return fingers, _ratio(noise * mask.mean(dim=1, keepdim=True), fingers)
 
     def own_noise(self, residual: Tensor) -> float:
         """Return the noise-to-signal ratio of the median recorded residual (n, inputs), by norms."""
-        return float((BASELINE_NOISE * self._power).sqrt() / residual.norm(dim=1).median().clamp_min(1e-6))
+        return float((BASELINE_NOISE * self.power).sqrt() / residual.norm(dim=1).median().clamp_min(1e-6))
 
     def held_out(self, residual: Tensor, level: float) -> tuple[Tensor, Tensor]:
         """Add noise to held-out residuals, half of them with another finger's amplitude; return as `fingers`.
 
-        Parameters
-        ----------
-        residual : tensor of shape (n, inputs)
-        level : float
-            Noise deviation relative to the recording's, at least 1.
+        `level` is the noise deviation relative to the recording's, at least 1.
         """
         n = len(residual)
         another = self._amplitude(residual, FINGER_PHASE * self._symmetric(n), FINGER_TURN)
         mixed = torch.where(torch.arange(n)[:, None] % 2 == 0, residual, another)
         added = math.sqrt(BASELINE_NOISE * (level**2 - 1.0))
         louder = mixed + self._noise(n, torch.full((n, 1), added))
-        return louder, _ratio(self._power * BASELINE_NOISE * level**2, louder)
+        return louder, _ratio(self.power * BASELINE_NOISE * level**2, louder)
 
     def others(self, n: int) -> Tensor:
         """Return non-fingers, shape (n, inputs): each row one of the kinds below."""
@@ -161,9 +121,10 @@ class Augmenter:
 
     def _nothing(self, n: int) -> Tensor:
         """Noise, and tones asynchronous to the chirp."""
-        level = self._power.sqrt()
-        several = self._tone(n) + self._tone(n) * self._uniform(n, 0.0, 1.0) * self._chance(n, 0.6)
-        several = several + self._tone(n) * self._uniform(n, 0.0, 1.0) * self._chance(n, 0.3)
+        level = self.power.sqrt()
+        several = self._tone(n)
+        for share in (0.6, 0.3):
+            several = several + self._tone(n) * self._uniform(n, 0.0, 1.0) * self._chance(n, share)
         tones = several * self._log_uniform(n, 0.1, 100.0) * level
         return self._noise(n, self._uniform(n, 0.5, 2.0)) + tones * self._chance(n, 0.8)
 
@@ -189,9 +150,9 @@ class Augmenter:
 
     def _palm(self, n: int) -> Tensor:
         """Many adjacent contacts."""
-        centre = self._bank.neighbours[self._draw(n)]
+        centre = self.neighbours[self._draw(n)]
         weight = torch.rand((n, centre.shape[1], 1), generator=self._generator)
-        return (self._bank.residual[centre] * weight).sum(dim=1) * self._log_uniform(n, 0.3, 1.5)
+        return (self.residual[centre] * weight).sum(dim=1) * self._log_uniform(n, 0.3, 1.5)
 
     def _drift(self, n: int) -> Tensor:
         """Temperature, trigger jitter and gains that changed since the baseline was learned."""
@@ -201,41 +162,36 @@ class Augmenter:
 
     def _instrument(self, indices: Tensor, share: float) -> Tensor:
         """Return `share` times a random stretch (deviation 5e-7), delay (0.5 ns) and gain error (5e-4)."""
-        n, bank = len(indices), self._bank
-        gains = torch.randn((n, bank.channels), generator=self._generator) * 5e-4 * self._uniform(n, 0.0, 1.0)
-        gains = gains.repeat_interleave(bank.untouched.shape[1] // bank.channels, dim=1)
+        n = len(indices)
+        gains = torch.randn((n, self._channels), generator=self._generator) * 5e-4 * self._uniform(n, 0.0, 1.0)
+        gains = gains.repeat_interleave(self._untouched.shape[1] // self._channels, dim=1)
         return share * (
-            gains * bank.untouched[indices]
-            + self._normal(n) * 5e-7 * bank.stretch[indices]
-            + self._normal(n) * 0.5e-9 * bank.delay[indices]
+            gains * self._untouched[indices]
+            + self._normal(n) * 5e-7 * self._stretch[indices]
+            + self._normal(n) * 0.5e-9 * self._delay[indices]
         )
 
     def _touches(self, n: int) -> Tensor:
         """Draw recorded and synthetic touches, shape (n, inputs)."""
-        if self._synthesiser is None:
-            return self._bank.residual[self._draw(n)]
         recorded = n // 3
-        drawn, _ = self._synthesiser.draw(n - recorded)
-        mixed = torch.cat([self._bank.residual[self._draw(recorded)], drawn])
+        drawn, _ = self.synthesiser.draw(n - recorded)
+        mixed = torch.cat([self.residual[self._draw(recorded)], drawn])
         return mixed[torch.randperm(n, generator=self._generator)]
 
     def _amplitude(self, residual: Tensor, phase: Tensor, turn: float) -> Tensor:
         """Multiply by a complex amplitude of phase (n, 1), which varies randomly along the band in phase and size."""
-        bank = self._bank
-        if not bank.bins:
-            return residual * torch.where(phase.abs() > torch.pi / 2, -1.0, 1.0)
         n = len(residual)
-        along = torch.linspace(-0.5, 0.5, bank.bins)
+        along = torch.linspace(-0.5, 0.5, self._bins)
         angle = phase + turn * self._symmetric(n) * along
         size = 1.0 + 0.6 * self._symmetric(n) * along
         real, imaginary = (size * angle.cos())[:, None], (size * angle.sin())[:, None]
-        parts = residual.reshape(n, bank.channels, 2, bank.bins)
+        parts = residual.reshape(n, self._channels, 2, self._bins)
         a, b = parts[:, :, 0], parts[:, :, 1]
         return torch.stack([a * real - b * imaginary, a * imaginary + b * real], dim=2).reshape(n, -1)
 
     def _channel_mask(self, n: int, share: float) -> Tensor:
         """Return a mask of shape (n, inputs) that silences one channel in this share of the rows."""
-        channels, inputs = self._bank.channels, self._bank.noise.shape[1]
+        channels, inputs = self._channels, self.noise.shape[1]
         if channels < 3:
             return torch.ones((n, inputs))
         dead = torch.randint(channels, (n, 1), generator=self._generator) == torch.arange(channels)
@@ -243,17 +199,17 @@ class Augmenter:
         return mask.repeat_interleave(inputs // channels, dim=1)
 
     def _tone(self, n: int) -> Tensor:
-        return self._bank.tones[torch.randint(len(self._bank.tones), (n,), generator=self._generator)]
+        return self.tones[torch.randint(len(self.tones), (n,), generator=self._generator)]
 
     def _chance(self, n: int, share: float) -> Tensor:
         return (self._uniform(n, 0.0, 1.0) < share).float()
 
     def _noise(self, n: int, level: Tensor) -> Tensor:
-        rows = torch.randint(len(self._bank.noise), (n,), generator=self._generator)
-        return self._bank.noise[rows] * level * torch.where(self._symmetric(n) < 0, -1.0, 1.0)
+        rows = torch.randint(len(self.noise), (n,), generator=self._generator)
+        return self.noise[rows] * level * torch.where(self._symmetric(n) < 0, -1.0, 1.0)
 
     def _draw(self, n: int) -> Tensor:
-        return torch.randint(len(self._bank.residual), (n,), generator=self._generator)
+        return torch.randint(len(self.residual), (n,), generator=self._generator)
 
     def _uniform(self, n: int, low: float, high: float) -> Tensor:
         return low + (high - low) * torch.rand((n, 1), generator=self._generator)
@@ -271,3 +227,23 @@ class Augmenter:
 def _ratio(noise: Tensor, features: Tensor) -> Tensor:
     """Return the noise-to-signal ratio by norms, shape (n, 1), from the noise energy."""
     return (noise / features.square().sum(dim=1, keepdim=True).clamp_min(1e-12)).sqrt()
+
+
+def _features_of(features: Features, signals: Tensor) -> Tensor:
+    """Return the features of signals of shape (m, channels, samples)."""
+    rows = torch.empty((len(signals), features.size))
+    for signal, out in zip(signals.numpy(), rows.numpy(), strict=True):
+        features.extract(signal, out)
+    return rows
+
+
+def _tones(count: int, dataset: Dataset, generator: torch.Generator) -> Tensor:
+    """Return tones of random frequency around the chirp's band, with random amplitude and phase per channel."""
+    a = dataset.acquisition
+    low_hz, high_hz = 0.9 * a.chirp.start_hz, 1.1 * a.chirp.stop_hz
+    f_hz = low_hz + (high_hz - low_hz) * torch.rand((count, 1, 1), generator=generator)
+    phase = 2 * torch.pi * torch.rand((count, a.channels, 1), generator=generator)
+    size = 0.3 + torch.rand((count, a.channels, 1), generator=generator)
+    seconds = torch.arange(a.samples) / a.sample_rate_hz
+    signal: Tensor = size * torch.cos(2 * torch.pi * f_hz * seconds + phase)
+    return signal

@@ -48,13 +48,6 @@ class Session:
     untouched: NDArray[np.int64]
     """Shape (m,)."""
 
-    @property
-    def quiet(self) -> NDArray[np.int16]:
-        """Some 200 pairs of successive untouched frames, shape (pairs, 2, channels, samples)."""
-        first = np.unique(np.linspace(0, len(self.untouched) - 2, 200).astype(int))
-        pairs: NDArray[np.int16] = self.recording.frames[self.untouched[np.stack([first, first + 1], axis=1)]]
-        return pairs
-
 
 def inspect(recording: Recording, training_share: float = 0.7) -> list[str]:
     """Return a warning for each likely fault of a recording.
@@ -67,7 +60,7 @@ def inspect(recording: Recording, training_share: float = 0.7) -> list[str]:
     session = Session(recording, *labels(recording))
     plate = recording.meta.plate
     return [
-        *(channels(session) if len(session.untouched) > 1 else []),
+        *channels(session),
         *clipping(recording),
         *jumps(session),
         *distances(session),
@@ -80,22 +73,24 @@ def inspect(recording: Recording, training_share: float = 0.7) -> list[str]:
 
 def channels(session: Session) -> Iterator[str]:
     """Warn of channels that are constant, contain only noise, or are much weaker than the others."""
-    pairs = session.quiet.astype(np.float64)
-    pairs -= pairs.mean(axis=3, keepdims=True)
+    if len(session.untouched) < 2:
+        return
+    # Some 200 pairs of successive untouched frames, shape (pairs, 2, channels, samples).
+    first = np.unique(np.linspace(0, len(session.untouched) - 2, 200).astype(int))
+    counts = session.recording.frames[session.untouched[np.stack([first, first + 1], axis=1)]]
+    pairs = counts - counts.mean(axis=3, keepdims=True)
     power = np.square(pairs).mean(axis=(0, 1, 3))
     likeness = (pairs[:, 0] * pairs[:, 1]).mean(axis=(0, 2)) / np.maximum(power, 1e-12)
-    flat, deaf = power == 0, (power > 0) & (likeness < LIKE_NOISE)
-    if (flat | deaf).all():
+    dead = likeness < LIKE_NOISE  # a constant channel is like nothing either
+    if dead.all():
         raise TrainingError(
             f"none of the {len(power)} channels hears the chirp", "frames", "check emitter, amplifier and trigger"
         )
-    level_db = 10 * np.log10(np.maximum(power, 1e-12) / np.median(power[~(flat | deaf)]))
-    for channel in np.flatnonzero(flat):
-        value = int(session.quiet[0, 0, channel, 0])
-        yield f"channel {channel + 1} is dead: always {value} counts; check its receiver and cable"
-    for channel in np.flatnonzero(deaf):
-        yield f"channel {channel + 1} is dead: it hears noise only; check its receiver and cable"
-    for channel in np.flatnonzero(~flat & ~deaf & (level_db < -WEAK_DB)):
+    level_db = 10 * np.log10(np.maximum(power, 1e-12) / np.median(power[~dead]))
+    for channel in np.flatnonzero(dead):
+        what = "it hears noise only" if power[channel] else f"always {counts[0, 0, channel, 0]} counts"
+        yield f"channel {channel + 1} is dead: {what}; check its receiver and cable"
+    for channel in np.flatnonzero(~dead & (level_db < -WEAK_DB)):
         yield (
             f"channel {channel + 1} hears {-level_db[channel]:.0f} dB less than the others; "
             "check its receiver, cable and gain"
@@ -207,9 +202,7 @@ def coverage(position_mm: NDArray[np.float32], plate: Plate) -> Iterator[str]:
             f"{100 * share:.0f} % of the plate: the model is untrained elsewhere"
         )
     cells = min(10, int(np.sqrt(len(position_mm) / CELL_TOUCHES)))
-    cell = np.minimum((position_mm - low) / np.maximum(high - low, 1e-3) * cells, cells - 1).astype(int)
-    count = np.bincount(cell[:, 0] * cells + cell[:, 1], minlength=cells**2).reshape(cells, cells)
-    empty = np.argwhere(count == 0)
+    empty = np.argwhere(np.histogram2d(position_mm[:, 0], position_mm[:, 1], bins=cells)[0] == 0)
     if len(empty):
         x_mm, y_mm = low + (empty[0] + 0.5) * (high - low) / cells
         yield (

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
@@ -28,42 +27,36 @@ def join(recordings: Sequence[Recording], names: Sequence[str]) -> Recording:
     for recording, name in zip(recordings, names, strict=True):
         if recording.contacts_mm is None:
             raise TrainingError("the recording has no `contacts_mm`", name, "record with the touches' true positions")
-        for what in ("channels", "samples", "sample_rate_hz", "bits", "full_scale_v", "chirp"):
-            _check_same(what, getattr(first.acquisition, what), getattr(recording.acquisition, what), names[0], name)
-        for what in ("plate", "emitter_mm", "receivers_mm"):
-            _check_same(what, getattr(first.meta, what), getattr(recording.meta, what), names[0], name)
+        settings = _settings(recording)
+        for what, value in _settings(first).items():
+            if value != settings[what]:
+                raise TrainingError(
+                    f"mixed acquisitions: {what} is {value} in {names[0]}, but {settings[what]} here",
+                    name,
+                    "train a model on each, or record again with equal settings",
+                )
     if len(recordings) == 1:
         return first
-    offset, last, arrays = 0, 0, []
+    truth = [recording.contacts_mm for recording in recordings if recording.contacts_mm is not None]
+    fingers = max(each.shape[1] for each in truth)
+    sequence, time_ns, last, offset_ns = [], [], 0, 0
     for recording in recordings:
-        arrays.append((recording.sequence - recording.sequence[0] + last, recording.timestamp_ns + offset))
-        last = int(arrays[-1][0][-1]) + 1
-        offset = int(arrays[-1][1][-1]) + APART_NS
-    fingers = max(_truth(recording).shape[1] for recording in recordings)
+        sequence.append(recording.sequence - recording.sequence[0] + last)
+        time_ns.append(recording.timestamp_ns + offset_ns)
+        last, offset_ns = int(sequence[-1][-1]) + 1, int(time_ns[-1][-1]) + APART_NS
     return Recording(
         meta=first.meta,
         frames=np.concatenate([recording.frames for recording in recordings]),
-        sequence=np.concatenate([sequence for sequence, _ in arrays]),
-        timestamp_ns=np.concatenate([time_ns for _, time_ns in arrays]),
-        contacts_mm=np.concatenate([_widened(_truth(recording), fingers) for recording in recordings]),
-    )
+        sequence=np.concatenate(sequence),
+        timestamp_ns=np.concatenate(time_ns),
+        contacts_mm=np.concatenate([
+            np.pad(each, ((0, 0), (0, fingers - each.shape[1]), (0, 0)), constant_values=np.nan) for each in truth
+        ]),
+    )  # fmt: skip
 
 
-def _check_same(what: str, one: Any, two: Any, first: str, other: str) -> None:
-    if one != two:
-        raise TrainingError(
-            f"mixed acquisitions: {what} is {one} in {first}, but {two} here",
-            other,
-            "train a model on each, or record again with equal settings",
-        )
-
-
-def _truth(recording: Recording) -> np.ndarray[Any, np.dtype[np.float32]]:
-    assert recording.contacts_mm is not None
-    return recording.contacts_mm
-
-
-def _widened(truth: np.ndarray[Any, np.dtype[np.float32]], fingers: int) -> np.ndarray[Any, np.dtype[np.float32]]:
-    """Pad positions (n, k, 2) with NaN to `fingers` columns."""
-    missing = np.full((len(truth), fingers - truth.shape[1], 2), np.nan, np.float32)
-    return np.concatenate([truth, missing], axis=1)
+def _settings(recording: Recording) -> dict[str, object]:
+    meta = recording.meta
+    return dict(recording.acquisition) | {
+        "plate": meta.plate, "emitter_mm": meta.emitter_mm, "receivers_mm": meta.receivers_mm
+    }  # fmt: skip

@@ -16,12 +16,13 @@ from scipy.interpolate import CubicSpline
 from touchd.evaluation.dataset import Dataset
 from touchd.frame import Plate
 from touchd.localization.features import band_bins
+from touchd.training.field.leave_one_out import log_errors, region_of
 from touchd.training.field.regression import Floats, Prior, Touches
-from touchd.training.field.selection import cut, log_errors, region_of
 from touchd.twin.physics.dispersion import mindlin_wavenumber
 from touchd.twin.physics.material import MATERIALS
 
 POWERS = np.linspace(0.4, 1.0, 61)
+FITTED_BINS = 7
 SCAN = 24
 """Number of wavenumbers tried in each bin at first."""
 FINEST = 1.4
@@ -34,37 +35,20 @@ SCAN_RIDGE = 0.1
 
 @dataclass(frozen=True, slots=True)
 class Dispersion:
-    """Wavenumber by frequency."""
+    """Wavenumber of each bin."""
 
-    frequency_hz: Floats
-    """Frequencies of the bins, shape (bins,)."""
     wavenumber_per_mm: Floats
     """Rad/mm, shape (bins,)."""
     fitted: bool = False
     """Whether the wavenumber was fitted to touches."""
-    single_hz: Floats | None = None
-    """Frequencies of the fitted bins, shape (some,)."""
-    single_per_mm: Floats | None = None
-    """Best wavenumber of each of these bins alone, rad/mm, shape (some,)."""
-
-
-def known_dispersion(dataset: Dataset) -> Dispersion:
-    """Return the dispersion of a plate of known material.
-
-    Raises
-    ------
-    SimulationError
-        The material is unknown.
-    """
-    f_hz = frequencies(dataset)
-    return Dispersion(f_hz, mindlin_wavenumber(dataset.meta.plate, f_hz) * 1e-3)
 
 
 def dispersion_of(dataset: Dataset, touches: Touches) -> Dispersion:
     """Return the dispersion by the plate's material, or fitted to the touches if the material is unknown."""
+    f_hz = frequencies(dataset)
     if is_known(dataset.meta.plate):
-        return known_dispersion(dataset)
-    return fit_dispersion(frequencies(dataset), touches)
+        return Dispersion(mindlin_wavenumber(dataset.meta.plate, f_hz) * 1e-3)
+    return Dispersion(fit_wavenumber(f_hz, touches), fitted=True)
 
 
 def is_known(plate: Plate) -> bool:
@@ -86,13 +70,13 @@ def frequencies(dataset: Dataset) -> Floats:
     return np.asarray(band_bins(a) * a.sample_rate_hz / a.samples)
 
 
-def fit_dispersion(frequency_hz: Floats, touches: Touches, some: int = 7) -> Dispersion:
-    """Fit the power law of the wavenumber by leave-one-out errors in a few bins."""
-    region = region_of(touches.position_mm)
-    near = cut(touches, region)
+def fit_wavenumber(frequency_hz: Floats, touches: Touches) -> Floats:
+    """Fit the power law of the wavenumber by leave-one-out errors in a few bins; return it for each bin, rad/mm."""
+    region = region_of(touches)
+    near = region.touches
     power = np.square(np.abs(near.values)).mean(axis=(0, 1))
     clear = np.flatnonzero(power > 2 * touches.noise)
-    bins = np.unique(np.linspace(0, clear[-1] if len(clear) else len(power) - 1, some).round().astype(int))
+    bins = np.unique(np.linspace(0, clear[-1] if len(clear) else len(power) - 1, FITTED_BINS).round().astype(int))
     area_mm2 = float(np.prod(np.maximum(np.ptp(near.position_mm, axis=0), 1e-3)))
     most = np.sqrt(np.pi * len(near.position_mm) / area_mm2)
     scan = most * np.geomspace(COARSEST, FINEST, SCAN)
@@ -105,7 +89,7 @@ def fit_dispersion(frequency_hz: Floats, touches: Touches, some: int = 7) -> Dis
         for column in wavenumber.T:
             everywhere = np.ones(len(frequency_hz))
             everywhere[bins] = column
-            columns.append(log_errors(near, region, replace(flat, wavenumber_per_mm=everywhere), unit, bins))
+            columns.append(log_errors(region, replace(flat, wavenumber_per_mm=everywhere), unit, bins))
         return np.array(columns).T
 
     coarse = np.tile(scan, (len(bins), 1))
@@ -127,8 +111,7 @@ def fit_dispersion(frequency_hz: Floats, touches: Touches, some: int = 7) -> Dis
         ]
     )  # fmt: skip
     i, j = np.unravel_index(cost.argmin(), cost.shape)
-    fitted = np.exp(centres[j]) * (frequency_hz / middle_hz) ** POWERS[i]
-    return Dispersion(frequency_hz, fitted, True, frequency_hz[bins], alone)
+    return np.asarray(np.exp(centres[j]) * (frequency_hz / middle_hz) ** POWERS[i])
 
 
 def _lowest(curve: CubicSpline, log_k: Floats) -> float:

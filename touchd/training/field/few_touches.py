@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 
 from touchd.evaluation.dataset import Dataset
 from touchd.training.data.inspection import degrees_of_freedom
-from touchd.training.field.amplitude import along_band, fit_amplitudes
 from touchd.training.field.dispersion import dispersion_of
-from touchd.training.field.learn import OUTER_ROUNDS, Field, Learner
+from touchd.training.field.learn import OUTER_ROUNDS, Field, Learner, Steps, along_band, fit_amplitudes
 from touchd.training.field.regression import Complex, Prior, Touches, each, touches_of
 from touchd.training.field.wave_product import Product, basis_of, product_of
 
@@ -43,30 +42,26 @@ def learn_field(
     prior = Prior(dispersion_of(dataset, touches).wavenumber_per_mm)
     if len(touches.position_mm) < FEW * degrees_of_freedom(touches.position_mm, float(prior.wavenumber_per_mm[-1])):
         return learn_by_waves(touches, prior, progress)
-    learner = Learner(touches, prior, progress)
+    steps = Steps(progress)
+    learner = Learner(touches, prior, steps)
+    steps.all = OUTER_ROUNDS * len(learner.chosen) + touches.values.shape[2]
     return learner.draw(learner.converge(OUTER_ROUNDS))
 
 
 def learn_by_waves(touches: Touches, prior: Prior, progress: Step = lambda _done, _all: None) -> Field:
     """Learn the field as a product of two waves, and the remainder by regression."""
-    bins = touches.values.shape[2]
-    done = 0
-
-    def advance() -> None:
-        nonlocal done
-        done += 1
-        progress(done, (ROUNDS + 1) * len(learner.chosen) + 2 * bins)
-
-    learner = Learner(touches, prior, lambda _done, _all: advance())
+    bins, steps = touches.values.shape[2], Steps(progress)
+    learner = Learner(touches, prior, steps)
+    steps.all = (ROUNDS + 1) * len(learner.chosen) + 2 * bins
     waves: dict[int, Product] = {}
     amplitude = learner.converge(1)
     for _ in range(ROUNDS):
-        waves |= _products(touches, prior, amplitude, learner.chosen, waves, advance)
+        waves |= _products(touches, prior, amplitude, learner.chosen, waves, steps)
         amplitude = _amplitudes(touches, waves, bins)
-    waves |= _products(touches, prior, amplitude, np.arange(bins), waves, advance)
+    waves |= _products(touches, prior, amplitude, np.arange(bins), waves, steps)
     explained = np.stack([waves[b].at_touches() for b in range(bins)], axis=-1) * amplitude[:, None, :]
     left = replace(touches, values=touches.values - explained)
-    rest = Learner(left, replace(prior, ridge=LEFT_RIDGE), lambda _done, _all: advance())
+    rest = Learner(left, replace(prior, ridge=LEFT_RIDGE), steps)
     return rest.draw(amplitude, lambda b, positions_mm: waves[b].at(positions_mm))
 
 

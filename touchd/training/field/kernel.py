@@ -16,7 +16,7 @@ Array = NDArray[np.float32]
 Floats = NDArray[np.float64]
 
 BAND_MARGIN = 1.15
-"""Factor by which the white share's band exceeds 2 k."""
+"""Factor by which the white share's band exceeds that of the waves."""
 WHITE_SHARE = 0.05
 SPREAD = 0.02
 """Relative spread of the wavenumber: the dispersion is inexact, and a bin has a bandwidth."""
@@ -24,13 +24,20 @@ _NODES = 200  # per unit of 2 k r: linear interpolation to 1e-6, else the matrix
 _ROWS = 64  # a block of this many rows fits the cache
 
 
-def covariance(distance_mm: Floats, wavenumber_per_mm: float, white_share: float = WHITE_SHARE) -> Floats:
-    """Return the kernel at distances (mm) of any shape, 1 at 0."""
+def covariance(
+    distance_mm: Floats,
+    wavenumber_per_mm: float,
+    white_share: float = WHITE_SHARE,
+    *,
+    waves: int = 2,
+    margin: float = BAND_MARGIN,
+) -> Floats:
+    """Return the covariance of a product of `waves` waves at distances (mm) of any shape, 1 at 0."""
     r = np.asarray(distance_mm, dtype=np.float64)
     near = wavenumber_per_mm * np.linspace(1 - SPREAD, 1 + SPREAD, 5)
-    waves = sum(j0(k * r) ** 2 for k in near) / len(near)
-    at = np.maximum(2 * BAND_MARGIN * wavenumber_per_mm * r, 1e-9)
-    return np.asarray((1 - white_share) * waves + white_share * 2 * j1(at) / at)
+    free = sum(j0(k * r) ** waves for k in near) / len(near)
+    at = np.maximum(waves * margin * wavenumber_per_mm * r, 1e-9)
+    return np.asarray((1 - white_share) * free + white_share * 2 * j1(at) / at)
 
 
 class Kernel:

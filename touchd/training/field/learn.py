@@ -2,8 +2,12 @@
 
 In a bin of frequency f the residual of a touch at (x, y) is a complex amplitude z times the product of two waves of the
 plate. The product has no spatial frequency above 2 k(f), k from the plate's dispersion. So kernel ridge regression
-interpolates the field between the recorded touches; see `touchd.training.field.kernel` for the prior and
-`touchd.training.field.amplitude` for the amplitudes.
+interpolates the field between the recorded touches; see `touchd.training.field.kernel` for the prior.
+
+Only the product of amplitude and field is observable, so the two are fitted in turn. An amplitude fits the field of all
+touches best, in a few bins, because it changes slowly along the band. Amplitude errors are common to all bins and move
+positions accordingly, so the fit must converge. That takes many rounds. They are cheap: at fixed weights the field is
+linear in the touches, so the inverse of each system serves many rounds.
 """
 
 from __future__ import annotations
@@ -16,11 +20,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import spline_filter1d
 
-from touchd.training.data.relabel import LEAST_MM, label_noise_mm, replaced
-from touchd.training.field.amplitude import FIELD_ERROR, converge
-from touchd.training.field.leave_one_out import Displaced, displacements
+from touchd.training.field.leave_one_out import (
+    LEAST_LABEL_NOISE_MM,
+    Displaced,
+    choose,
+    displacements,
+    label_noise_mm,
+    replaced,
+)
 from touchd.training.field.regression import Array, Complex, Floats, Prior, Regression, Touches, each, smooth
-from touchd.training.field.selection import choose
 
 Step = Callable[[int, int], None]
 Hat = tuple[Array, Array]
@@ -42,6 +50,11 @@ AMPLITUDE_BINS = 7
 RELABEL_ROUNDS = 3
 MOST_NOISE = 0.1
 """Largest noise share of a bin used for amplitudes."""
+FIELD_ERROR = 3e-3
+"""Share of the field's power that the field misses, beside the noise, in the weights of the bins."""
+STEEPNESS = 0.1
+"""Weight of the prior against a strong change along the band, which a weak touch cannot determine."""
+WEAKEST = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,15 +88,17 @@ class Learned:
 
 def learn_thoroughly(touches: Touches, wavenumber_per_mm: Floats, progress: Step = lambda _done, _all: None) -> Learned:
     """Learn the field, choose its prior, and correct label errors."""
-    learner = Learner(touches, Prior(wavenumber_per_mm), progress)
+    steps = Steps(progress)
+    learner = Learner(touches, Prior(wavenumber_per_mm), steps)
+    steps.all = OUTER_ROUNDS * len(learner.chosen) + touches.values.shape[2]
     amplitude = learner.converge(OUTER_ROUNDS - 1)
     learner.take(touches, choose(touches, learner.prior, amplitude, learner.chosen))
     amplitude = learner.converge(1, amplitude)
     displaced = learner.displacements(amplitude)
     noise_mm = label_noise_mm(displaced)
-    if noise_mm < LEAST_MM:
+    if noise_mm < LEAST_LABEL_NOISE_MM:
         return learner.result(amplitude, 0.0)
-    learner.more(RELABEL_ROUNDS)
+    steps.all += RELABEL_ROUNDS * len(learner.chosen)
     for _ in range(RELABEL_ROUNDS):
         position_mm = replaced(touches.position_mm, learner.touches.position_mm, displaced, noise_mm)
         better = replace(touches, position_mm=position_mm)
@@ -93,32 +108,32 @@ def learn_thoroughly(touches: Touches, wavenumber_per_mm: Floats, progress: Step
     return learner.result(amplitude, noise_mm)
 
 
+class Steps:
+    """Counts the steps of a learner up to `all`; `progress` receives the steps done and the steps in all."""
+
+    def __init__(self, progress: Step) -> None:
+        self._progress = progress
+        self._done = self.all = 0
+
+    def __call__(self) -> None:
+        """Count a step."""
+        self._done += 1
+        self._progress(self._done, self.all)
+
+
 class Learner:
-    """Learns amplitudes and fields together.
+    """Learns amplitudes and fields together; calls `advance` after each bin of a round, and of `draw`."""
 
-    Parameters
-    ----------
-    touches : Touches
-    prior : Prior
-    progress : callable
-        Receives the steps done and the steps in all.
-    """
-
-    def __init__(self, touches: Touches, prior: Prior, progress: Step = lambda _done, _all: None) -> None:
+    def __init__(self, touches: Touches, prior: Prior, advance: Callable[[], None] = lambda: None) -> None:
         self.take(touches, prior)
         self.chosen = self._informative()
         self._hats: list[Hat] = []
-        self._progress = progress
-        self._done, self._all = 0, OUTER_ROUNDS * len(self.chosen) + touches.values.shape[2]
+        self._advance = advance
 
     def take(self, touches: Touches, prior: Prior) -> None:
         """Replace positions or prior."""
         self.touches, self.prior = touches, prior
         self._regression = Regression(touches, prior)
-
-    def more(self, rounds: int) -> None:
-        """Add rounds to the progress total."""
-        self._all += rounds * len(self.chosen)
 
     def converge(self, rounds: int, amplitude: Complex | None = None) -> Complex:
         """Return the touches' amplitudes along the band after `rounds` rounds, shape (n, bins)."""
@@ -127,10 +142,14 @@ class Learner:
         if amplitude is None:
             amplitude = np.ones((len(values), values.shape[2]), np.complex64)
         deviation = np.sqrt(r.touches.noise + FIELD_ERROR * r.scale[chosen] ** 2)
+        weight, slope = (1 / deviation).astype(np.float32), along_band(amplitude.shape[1])[chosen]
+        values = values[:, :, chosen]
         for _ in range(rounds):
             self._hats = []  # free the memory of the last inverses first
             self._hats = each(partial(_hat, r, amplitude), chosen, self._advance)
-            amplitude = converge(values[:, :, chosen], amplitude, chosen, 1 / deviation, self._predict, INNER_ROUNDS)
+            for _ in range(INNER_ROUNDS):
+                predicted = self._predict(values / amplitude[:, None, chosen])
+                amplitude = fit_amplitudes(values * weight, predicted * weight, slope, amplitude.shape[1])
         return amplitude
 
     def displacements(self, amplitude: Complex) -> Displaced:
@@ -177,16 +196,38 @@ class Learner:
 
         return np.stack(each(one, range(len(self._hats))), axis=-1)
 
-    def _advance(self) -> None:
-        self._done += 1
-        self._progress(self._done, self._all)
-
     def _informative(self) -> NDArray[np.int64]:
         """Return bins spread over the part of the band with little noise."""
         r = self._regression
         clear = np.flatnonzero(r.touches.noise < MOST_NOISE * r.scale**2)
         last = clear[-1] if len(clear) else len(r.scale) - 1
         return np.unique(np.linspace(0, last, AMPLITUDE_BINS).round().astype(np.int64))
+
+
+def along_band(bins: int) -> Floats:
+    """Return -1 to 1 along the band, shape (bins,)."""
+    return np.linspace(-1.0, 1.0, bins)
+
+
+def fit_amplitudes(values: Complex, predicted: Complex, slope: Floats, bins: int) -> Complex:
+    """Fit each touch's amplitude along the whole band, linear in frequency, shape (n, bins).
+
+    `values` and `predicted`, of shape (n, channels, chosen), are touches and field in the chosen bins, with equal
+    weights; `slope`, of shape (chosen,), is the position of these bins along the band, from -1 to 1.
+    """
+    n = len(values)
+    # Two unknowns per touch, z = p + q s: least squares over channels and bins.
+    basis = np.stack([predicted, predicted * slope.astype(np.float32)], axis=-1).reshape(n, -1, 2)
+    gram = np.einsum("nki,nkj->nij", basis.conj(), basis)
+    gram[:, 1, 1] += STEEPNESS * gram[:, 0, 0]
+    right = np.einsum("nki,nk->ni", basis.conj(), values.reshape(n, -1))
+    p, q = np.linalg.solve(gram, right[..., None])[..., 0].T
+    amplitude = p[:, None] + q[:, None] * along_band(bins)
+    # Normalise the mean amplitude; the field absorbs the factor.
+    amplitude /= np.mean(np.abs(p)) * np.exp(1j * np.angle(p.sum()))
+    amplitude[np.abs(amplitude) < WEAKEST] = WEAKEST
+    found: Complex = amplitude.astype(np.complex64)
+    return found
 
 
 def _hat(regression: Regression, amplitude: Complex, b: int) -> Hat:

@@ -68,11 +68,6 @@ class Regression:
     """Fields of all bins from n touches of given amplitudes.
 
     In all methods `amplitude`, of shape (n,), holds the amplitudes in the bin.
-
-    Parameters
-    ----------
-    touches : Touches
-    prior : Prior
     """
 
     def __init__(self, touches: Touches, prior: Prior) -> None:

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, lapack, solve_triangular
-from scipy.special import j0, j1
 
-from touchd.training.field.kernel import SPREAD, distances
+from touchd.training.field import kernel
+from touchd.training.field.kernel import distances
 from touchd.training.field.regression import Array, Complex, Floats
 
 Wave = NDArray[np.complex128]
@@ -80,10 +80,7 @@ class Product:
 def covariance(distance_mm: Floats, wavenumber_per_mm: float) -> Floats:
     """Return a wave's covariance at distances (mm) of any shape, 1 at 0; linear interpolation, error 1e-5."""
     nodes_mm = np.arange(0.0, distance_mm.max(initial=0.0) + 2 * _NODE / wavenumber_per_mm, _NODE / wavenumber_per_mm)
-    near = wavenumber_per_mm * np.linspace(1 - SPREAD, 1 + SPREAD, 5)
-    free = sum(j0(k * nodes_mm) for k in near) / len(near)
-    at = np.maximum(BAND_MARGIN * wavenumber_per_mm * nodes_mm, 1e-9)
-    table = (1 - WHITE_SHARE) * free + WHITE_SHARE * 2 * j1(at) / at
+    table = kernel.covariance(nodes_mm, wavenumber_per_mm, WHITE_SHARE, waves=1, margin=BAND_MARGIN)
     return np.asarray(np.interp(distance_mm, nodes_mm, table))
 
 
@@ -100,18 +97,10 @@ def basis_of(position_mm: Floats, wavenumber_per_mm: float) -> Basis:
 def product_of(
     basis: Basis, values: Complex, amplitude: Complex, noise: float, start: Product | None = None
 ) -> Product:
-    """Fit the product of two waves to the touches of a bin.
+    """Fit the product of two waves to the touches (n, channels) of a bin, ADC counts.
 
-    Parameters
-    ----------
-    basis : Basis
-    values : array, shape (n, channels)
-        Touches in the bin, ADC counts.
-    amplitude : array, shape (n,)
-    noise : float
-        Noise variance of each value.
-    start : Product, optional
-        Product to start from; by default the best of several random starts.
+    `amplitude`, of shape (n,), is that of each touch, `noise` the variance of each value. The fit begins at `start`, by
+    default at the best of several random starts.
     """
     weight = np.maximum(np.square(np.abs(amplitude)), 1e-2)
     unit = values.astype(np.complex128) / amplitude[:, None]

@@ -1,4 +1,4 @@
-"""Export a trained network to an ONNX file with touchd's metadata."""
+"""Export a trained network to an ONNX file with touchd's metadata, and check it."""
 
 from __future__ import annotations
 
@@ -8,15 +8,21 @@ import tempfile
 import warnings
 from pathlib import Path
 
+import numpy as np
 import onnx
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from touchd.errors import OutputError
+from touchd.errors import OutputError, TrainingError
 from touchd.localization.model import METADATA_KEY, Description, Model
-from touchd.training.network.zones_and_keys import Network
+from touchd.training.network.network import Network
 
 OPSET = 17
+TOLERANCE = 1e-4
+"""Rounding errors of a network up to this size, mm or probability, are not worth a word."""
+ANOTHER_FUNCTION = 0.02
+"""A larger difference, mm or probability, is none of rounding."""
 
 
 def make_graph(network: Network, description: Description) -> onnx.ModelProto:
@@ -27,15 +33,10 @@ def make_graph(network: Network, description: Description) -> onnx.ModelProto:
         warnings.simplefilter("ignore", DeprecationWarning)
         file = Path(folder) / "model.onnx"
         torch.onnx.export(
-            fold(network),
-            (torch.ones(1, description.inputs),),
-            file,
-            dynamo=False,
-            opset_version=OPSET,
-            input_names=["features"],
-            output_names=names,
+            fold(network), (torch.ones(1, description.inputs),), file, dynamo=False, opset_version=OPSET,
+            input_names=["features"], output_names=names,
             dynamic_axes={name: {0: "n"} for name in ["features", *names]},
-        )
+        )  # fmt: skip
         graph: onnx.ModelProto = onnx.load(file)
     describe(graph, description)
     return graph
@@ -70,6 +71,30 @@ def put_model(content: bytes, path: Path) -> Model:
             f"cannot be written ({error.strerror})", str(path), "check the folder and its space"
         ) from error
     return Model(path)
+
+
+def check_export(network: Network, model: Model, features: NDArray[np.float32]) -> float:
+    """Return the largest difference between a trained network and its exported model, mm or probability.
+
+    The network computes in float64, the model as in the daemon, so the difference is the rounding error of float32.
+
+    Raises
+    ------
+    TrainingError
+        The difference is more than rounding.
+    """
+    with torch.inference_mode():
+        said = copy.deepcopy(network).double().eval()(torch.from_numpy(features).double())
+    trained = dict(zip(network.outputs, said if isinstance(said, tuple) else (said,), strict=True))
+    exported = model.run(features)
+    difference = max(float(np.abs(trained[name].numpy() - exported[name]).max()) for name in trained)
+    if not difference <= ANOTHER_FUNCTION:  # negated, so that NaN fails too
+        raise TrainingError(
+            f"the exported model differs from the trained network by {difference:.2g} (at most {ANOTHER_FUNCTION:g})",
+            "export",
+            "report a bug, with the recording and the seed",
+        )
+    return difference
 
 
 class Shift(nn.Module):

@@ -11,7 +11,7 @@ import torch
 from torch.optim.lr_scheduler import OneCycleLR
 
 from touchd.errors import TrainingError
-from touchd.training.network.objectives import Batch, Objective
+from touchd.training.network.network import Batch, Network
 
 PATIENCE = 30
 """Epochs without a better validation RMSE that end a training at a constant rate."""
@@ -41,7 +41,7 @@ class Curve:
 
 
 def fit(
-    objective: Objective,
+    network: Network,
     batches: Batches,
     optimiser: torch.optim.Optimizer,
     epochs: int,
@@ -51,7 +51,7 @@ def fit(
     peak: float | None = None,
     patience: int | None = None,
 ) -> Curve:
-    """Train the objective's network in place.
+    """Train a network in place.
 
     With `peak`, the learning rate follows one cycle (Smith and Topin 2019) up to it and down to zero. A one-cycle
     training is best at its end, so it runs all epochs and keeps the last weights. Without `peak`, training stops after
@@ -69,14 +69,14 @@ def fit(
             "omit --patience; use fewer epochs to shorten the training",
         )
     schedule = None if peak is None else OneCycleLR(optimiser, peak, total_steps=epochs * batches.steps)
-    curve, best = Curve([], [], 0), copy.deepcopy(objective.network.state_dict())
+    curve, best = Curve([], [], 0), copy.deepcopy(network.state_dict())
     kept = 0
     for epoch in range(1, epochs + 1):
-        objective.network.train()
+        network.train()
         total = torch.zeros(())
         for batch in batches.epoch():
             optimiser.zero_grad()
-            loss = objective.loss(batch)
+            loss = network.loss(batch)
             loss.backward()  # type: ignore[no-untyped-call]  # torch leaves it unannotated
             optimiser.step()
             total += loss.detach()
@@ -95,10 +95,10 @@ def fit(
         if schedule is not None:
             kept = epoch
         elif curve.validation_mm[-1] < min(curve.validation_mm[:-1], default=math.inf):
-            kept, best = epoch, copy.deepcopy(objective.network.state_dict())
+            kept, best = epoch, copy.deepcopy(network.state_dict())
         elif epoch - kept >= (patience or PATIENCE):
             progress("network", epochs, epochs, curve.validation_mm[kept - 1])
             break
     if schedule is None:
-        objective.network.load_state_dict(best)
+        network.load_state_dict(best)
     return Curve(curve.loss, curve.validation_mm, kept)

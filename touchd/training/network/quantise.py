@@ -45,6 +45,12 @@ def quantise(model: Model, recording: Recording, path: Path) -> Model:
         )
     if description.precision != "float32":
         raise TrainingError(f"the weights are {description.precision} already", str(model.path), "give the original")
+    parts = split(len(data), description.seed)
+    features = data.residual if description.input == "residual" else data.signal
+
+    def judged(one: Model, part: NDArray[np.int64]) -> Judgement:
+        return judge(one, features[part], data.position_mm[part], data.noise_energy)
+
     with tempfile.TemporaryDirectory() as folder:
         small = Path(folder) / "int8.onnx"
         logging.getLogger().addFilter(_hush)  # hides advice to pre-process, which the export has done
@@ -53,25 +59,15 @@ def quantise(model: Model, recording: Recording, path: Path) -> Model:
         finally:
             logging.getLogger().removeFilter(_hush)
         graph = onnx.load(small)
-    stated = description.model_copy(update={"precision": "int8"})
-    describe(graph, stated)
-    parts = split(len(data), description.seed)
-    features = data.residual if description.input == "residual" else data.signal
-
-    def judged(one: Model, part: NDArray[np.int64]) -> Judgement:
-        return judge(one, features[part], data.position_mm[part], data.noise_energy)
-
-    if "noise_mm" in model.outputs:
-        _widen(graph, _spread(judged(_loaded(graph), parts.validation)) / _spread(judged(model, parts.validation)))
-    found = scores(judged(_loaded(graph), parts.test))
+        stated = description.model_copy(update={"precision": "int8"})
+        describe(graph, stated)
+        if "noise_mm" in model.outputs:
+            spreads = [_spread(judged(one, parts.validation)) for one in (write_model(graph, small), model)]
+            _widen(graph, spreads[0] / spreads[1])
+        found = scores(judged(write_model(graph, small), parts.test))
     rounded = {name: round(value, 4) for name, value in found.items()}
     describe(graph, stated.model_copy(update={"scores": rounded}))
     return write_model(graph, path)
-
-
-def _loaded(graph: onnx.ModelProto) -> Model:
-    with tempfile.TemporaryDirectory() as folder:
-        return write_model(graph, Path(folder) / "int8.onnx")
 
 
 def _spread(judged: Judgement) -> float:

@@ -4,46 +4,58 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
-from touchd.training.network.network import Normalise, PaperNetwork, PositionNetwork, trunk
-from touchd.training.network.recipe import TRUNK
+from touchd.evaluation.model_scores import classes
+from touchd.localization.model import Description
+from touchd.training.network.network import DROPOUT, Batch, Network, Normalise, PaperNetwork, PositionNetwork
+from touchd.training.network.recipe import TRUNK, Recipe
+
+BESIDE_MM = 10.0
+"""Margin around the outermost keys in which the network resolves positions, so that no touch outside is clamped to a
+key."""
 
 
-class Classifier(nn.Module):
+class Classifier(Network):
     """Estimates probabilities of zones or keys: the paper's grid and keypad heads.
+
+    The position estimate is the centre of the most probable zone or key; beside the keys, the plate's centre.
 
     Parameters
     ----------
-    classes : int
-        N^2 zones, row by row, or the keys and the zone beside them.
+    description : Description
+        Its grid or layout has the classes: zones row by row, or the keys and the zone beside them.
     normalised : bool
         Whether to normalise features to their direction; the paper uses them as measured.
     drift : tensor of shape (k, inputs), optional
         See `Normalise`.
     """
 
-    outputs: tuple[str, ...] = ("probability",)
+    outputs = ("probability",)
+    centres_mm: Tensor
 
     def __init__(
         self,
-        inputs: int,
-        classes: int,
+        description: Description,
         widths: tuple[int, ...] = TRUNK,
         dropout: float = 0.0,
         normalised: bool = True,
         drift: Tensor | None = None,
     ) -> None:
-        super().__init__()
+        d = description
+        super().__init__(d.inputs, widths, dropout)
+        self._description = d
+        size_mm = np.array([d.plate.width_mm, d.plate.height_mm])
+        if d.layout is None:
+            rows, columns = np.divmod(np.arange(d.grid**2), d.grid)
+            centres_mm = (np.stack([columns, rows], axis=1) + 0.5) * size_mm / d.grid
+        else:
+            centres_mm = np.array([*(key.centre_mm for key in d.layout.key), size_mm / 2])
+        self.register_buffer("centres_mm", torch.from_numpy(centres_mm).float())
         self.normalise = Normalise(drift) if normalised else None
-        self.trunk = trunk(inputs, widths, dropout)
-        self.last: nn.Module = nn.BatchNorm1d(widths[-1])
-        self.head = nn.Linear(widths[-1], classes)
-
-    def heads(self) -> tuple[nn.Linear, ...]:
-        """Return the layer that `last` feeds."""
-        return (self.head,)
+        self.head = nn.Linear(widths[-1], len(centres_mm))
 
     def raw(self, features: Tensor) -> Tensor:
         """Return logits of shape (n, classes)."""
@@ -56,10 +68,16 @@ class Classifier(nn.Module):
         """Return probabilities of shape (n, classes)."""
         return self.raw(features).softmax(dim=1)
 
+    def estimate_mm(self, features: Tensor) -> Tensor:
+        """Return positions (n, 2), mm."""
+        return self.centres_mm[self.raw(features).argmax(dim=1)]
 
-BESIDE_MM = 10.0
-"""Margin around the outermost keys in which the network resolves positions, so that no touch outside is clamped to a
-key."""
+    def loss(self, batch: Batch) -> Tensor:
+        """Return the cross-entropy of zone or key."""
+        plate = self._description.plate
+        position_mm = (batch.position.numpy() + 0.5) * np.array([plate.width_mm, plate.height_mm])
+        labels = torch.from_numpy(classes(position_mm, self._description))
+        return nn.functional.cross_entropy(self.raw(batch.features), labels)
 
 
 class KeypadNetwork(PositionNetwork):
@@ -75,7 +93,7 @@ class KeypadNetwork(PositionNetwork):
         Left, upper, right and lower edges.
     """
 
-    outputs: tuple[str, ...] = ("probability",)
+    outputs = ("probability",)
     low_mm: Tensor
     high_mm: Tensor
 
@@ -85,12 +103,11 @@ class KeypadNetwork(PositionNetwork):
         size_mm: tuple[float, float],
         keys_mm: Tensor,
         widths: tuple[int, ...] = TRUNK,
-        bins: int = 32,
         drift: Tensor | None = None,
     ) -> None:
         area_mm = torch.stack([keys_mm[:, :2].amin(dim=0) - BESIDE_MM, keys_mm[:, 2:].amax(dim=0) + BESIDE_MM])
         # One probability cannot separate noise, so typical noise is part of sigma.
-        super().__init__(inputs, size_mm, widths, bins, drift, area_mm, noise_apart=False)
+        super().__init__(inputs, size_mm, widths, drift, area_mm, noise_apart=False)
         self.register_buffer("low_mm", keys_mm[:, :2])
         self.register_buffer("high_mm", keys_mm[:, 2:])
 
@@ -107,4 +124,14 @@ class KeypadNetwork(PositionNetwork):
         return torch.cat([key, beside], dim=1) * confidence
 
 
-Network = PositionNetwork | PaperNetwork | Classifier
+def make_network(recipe: Recipe, d: Description, drift: Tensor) -> Network:
+    """Return the untrained network of a recipe for a model's description; it projects out `drift` (k, inputs)."""
+    size_mm = (d.plate.width_mm, d.plate.height_mm)
+    if d.head == "regression":
+        if recipe.paper:
+            return PaperNetwork(d.inputs, size_mm, recipe.widths)
+        return PositionNetwork(d.inputs, size_mm, recipe.widths, drift)
+    if d.layout is not None and not recipe.paper:
+        keys_mm = torch.tensor([[k.x_mm, k.y_mm, k.x_mm + k.width_mm, k.y_mm + k.height_mm] for k in d.layout.key])
+        return KeypadNetwork(d.inputs, size_mm, keys_mm, recipe.widths, drift)
+    return Classifier(d, recipe.widths, DROPOUT if recipe.paper else 0.0, not recipe.paper, drift)

@@ -1,11 +1,30 @@
-"""Render a Markdown page from the Jinja template beside the module that fills it."""
+"""Render a Markdown page from the Jinja template beside the module that fills it; keep its tables as CSV."""
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+
+class Table(NamedTuple):
+    """Headings and rows of text; the first column holds names."""
+
+    headings: Sequence[str]
+    rows: Sequence[Sequence[str]]
+
+    def pick(self, names: Sequence[str] = (), columns: Sequence[str] = ()) -> Table:
+        """Return the rows of some names, and some of the columns; all by default."""
+        at = [self.headings.index(column) for column in columns or self.headings]
+        rows = [[row[i] for i in at] for row in self.rows if not names or row[0] in names]
+        return Table([self.headings[i] for i in at], rows)
+
+    def markdown(self) -> str:
+        """Format the table in Markdown."""
+        return table(self.headings, self.rows)
 
 
 def render(template: Path, **values: object) -> str:
@@ -30,6 +49,19 @@ def table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     rule = "|" + "|".join("---" if i in text else "---:" for i in range(len(headings))) + "|"
     lines = ["| " + " | ".join(headings) + " |", rule]
     return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows])
+
+
+def write_csv(path: Path, found: Table) -> None:
+    """Write a table as CSV, its headings in the first line."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        csv.writer(file, lineterminator="\n").writerows([found.headings, *found.rows])
+
+
+def read_csv(path: Path) -> Table:
+    """Read a table that `write_csv` wrote."""
+    with path.open(newline="", encoding="utf-8") as file:
+        headings, *rows = csv.reader(file)
+    return Table(headings, rows)
 
 
 def _is_number(text: str) -> bool:

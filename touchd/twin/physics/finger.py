@@ -37,6 +37,8 @@ class Tissue(NamedTuple):
     """Speed of sound, m/s."""
     area_mm2: float
     """Contact area at 1 N, mm^2; it grows as the root of the force."""
+    compliant: bool = False
+    """Whether the face follows the wave; otherwise it moves as one disc."""
 
 
 TISSUES = {
@@ -44,18 +46,18 @@ TISSUES = {
     "silicone": Tissue(1100.0, 1000.0, 14.0),
     # Soft tissue. Area against force after Serina et al. (J. Biomech. 30, 1997), as a root.
     "human": Tissue(1050.0, 1500.0, 100.0),
+    "robot": Tissue(1100.0, 1000.0, 14.0, compliant=True),
+    "fingertip": Tissue(1050.0, 1500.0, 100.0, compliant=True),
+    "thumb": Tissue(1050.0, 1500.0, 170.0, compliant=True),
+    "child": Tissue(1050.0, 1500.0, 50.0, compliant=True),
+    "glove": Tissue(1050.0, 1500.0, 8.0, compliant=True),
 }
 
 
 def piston(omega_rad_s: ArrayLike, area_mm2: ArrayLike, tissue: Tissue) -> Complex:
     """Impedance of a baffled piston, rho c A (R1(2ka) + i X1(2ka)), N s/m (Kinsler & Frey, Fundamentals of Acoustics).
 
-    Parameters
-    ----------
-    omega_rad_s : array_like
-        Angular frequency, real or complex; time goes as exp(i omega t).
-    area_mm2 : array_like, broadcast against `omega_rad_s`
-    tissue : Tissue
+    `omega_rad_s` is real or complex, time goes as exp(i omega t); `area_mm2` is broadcast against it.
     """
     area_m2 = np.asarray(area_mm2, dtype=float) * 1e-6
     x = 2 * np.asarray(omega_rad_s) / tissue.c_m_s * np.sqrt(area_m2 / np.pi)
@@ -69,13 +71,7 @@ def drop_mass_mg(area_mm2: ArrayLike) -> Floats:
 
 
 def impedance(kind: str, omega_rad_s: ArrayLike, area_mm2: ArrayLike) -> Complex:
-    """Impedance of a contact in N s/m: a piston on tissue, or a mass i omega m for a drop.
-
-    Parameters
-    ----------
-    kind : "silicone", "human" or "drop"
-    omega_rad_s, area_mm2 : array_like
-        Broadcast against each other.
+    """Impedance of a "silicone" or "human" finger or a "drop", N s/m: a piston on tissue, or a mass i omega m.
 
     Raises
     ------
@@ -111,6 +107,11 @@ def force_of(kind: str, area_mm2: ArrayLike) -> Floats:
     return np.asarray((np.asarray(area_mm2, dtype=float) / tissue_of(kind).area_mm2) ** 2)
 
 
+def is_compliant(kind: str) -> bool:
+    """Return whether the face of a kind of contact follows the wave."""
+    return kind in TISSUES and TISSUES[kind].compliant
+
+
 class Contact(NamedTuple):
     """A contact in one frame."""
 
@@ -119,7 +120,11 @@ class Contact(NamedTuple):
     area_mm2: float
     """Contact area; of a palm, the area of each patch."""
     kind: str
-    """"silicone", "human", "drop" or "palm"."""
+    """A kind of `TISSUES`, "drop" or "palm"."""
+    ratio: float = 1.0
+    """Long axis over short axis of a compliant contact."""
+    angle_rad: float = 0.0
+    """Direction of its long axis, from x towards y."""
 
 
 # A palm touches with its heel and the balls of the fingers. One disc of its size would average a whole wavelength

@@ -9,18 +9,9 @@ Floats = NDArray[np.float64]
 
 
 def values(position_m: ArrayLike, length_m: float, count: int) -> Floats:
-    """Orthonormal Legendre polynomials on [0, length_m].
+    """Orthonormal Legendre polynomials of degrees 0 .. count - 1 on [0, length_m].
 
-    Parameters
-    ----------
-    position_m : array_like of any shape
-    length_m : float
-    count : int
-        Number of polynomials, degrees 0 .. count - 1.
-
-    Returns
-    -------
-    Array of shape (*position.shape, count), in m^-1/2, such that the integral of the square of each is 1.
+    Shape (*position_m.shape, count), in m^-1/2: the integral of the square of each is 1.
     """
     xi = 2 * np.asarray(position_m, dtype=float) / length_m - 1
     p = np.empty((count, *xi.shape))
@@ -57,25 +48,20 @@ def _disc_rule(radial: int, angular: int) -> tuple[Floats, Floats, Floats]:
 
 
 def disc_average(
-    centre_m: ArrayLike, radius_m: ArrayLike, size_m: tuple[float, float], counts: tuple[int, int]
+    centre_m: ArrayLike,
+    radius_m: ArrayLike,
+    size_m: tuple[float, float],
+    counts: tuple[int, int],
+    rule: tuple[int, int] = (3, 8),
 ) -> Floats:
-    """Averages of the products of polynomials over discs.
+    """Averages of the products of polynomials over discs of centres (n, 2) and radii (n,); shape (n, *counts), 1/m.
 
-    Parameters
-    ----------
-    centre_m : array_like of shape (n, 2)
-    radius_m : array_like of shape (n,)
-    size_m : (width, height)
-    counts : polynomials along x and y
-
-    Returns
-    -------
-    Array of shape (n, *counts), in 1/m.
+    `size_m` is width and height of the plate, `counts` are the polynomials along x and y, `rule` is the number of rings
+    and of points of each: 3 rings of 8 are exact to 1e-8 while the disc is under a third of a wavelength.
     """
     centre = np.asarray(centre_m, dtype=float)
     radius = np.asarray(radius_m, dtype=float)
-    # 3 rings of 8 are exact to 1e-8 while the disc is under a third of a wavelength.
-    x, y, w = _disc_rule(3, 8)
+    x, y, w = _disc_rule(*rule)
     px = values(centre[:, 0, None] + radius[:, None] * x, size_m[0], counts[0])
     py = values(centre[:, 1, None] + radius[:, None] * y, size_m[1], counts[1])
     return np.asarray((px * w[:, None]).transpose(0, 2, 1) @ py)
@@ -86,16 +72,7 @@ def rim_average(
 ) -> tuple[Floats, Floats]:
     """Averages around a rim of the products of polynomials times the outward normal's x and y.
 
-    Parameters
-    ----------
-    centre_m : array_like of shape (2,)
-    radius_m : float
-    size_m : (width, height)
-    counts : polynomials along x and y
-
-    Returns
-    -------
-    Two arrays of shape `counts`, in 1/m.
+    Two arrays of shape `counts`, in 1/m; parameters as in `disc_average`.
     """
     x_m, y_m = np.asarray(centre_m, dtype=float)
     angle = 2 * np.pi * np.arange(32) / 32

@@ -36,11 +36,6 @@ class Modes(NamedTuple):
     psi_y: Floats
     """Rotation along y, same shape."""
 
-    @property
-    def frequency_hz(self) -> Floats:
-        """Frequencies, shape (n,)."""
-        return self.omega_rad_s / (2 * np.pi)
-
 
 def size_m(plate: Plate) -> tuple[float, float]:
     """Width and height of a plate in metres."""
@@ -70,13 +65,7 @@ def polynomials_for(plate: Plate, frequency_hz: float) -> tuple[int, int]:
 
 
 def solve(plate: Plate, counts: tuple[int, int], below_hz: float = np.inf) -> Modes:
-    """Solve for the modes of a plate with free edges.
-
-    Parameters
-    ----------
-    plate : Plate
-    counts : polynomials along x and y
-    below_hz : keep the modes under this frequency
+    """Solve for the modes of a plate with free edges under a frequency, with `counts` polynomials along x and y.
 
     Raises
     ------

@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 from touchd.errors import SimulationError
 from touchd.frame import Plate
 from touchd.twin.physics import chebyshev, legendre
-from touchd.twin.physics.finger import Contact, impedance
+from touchd.twin.physics.contact import face_of, impedance_of, size_of
+from touchd.twin.physics.finger import Contact
 from touchd.twin.physics.plate import size_m
 from touchd.twin.physics.transducer import LoadedModes
 
@@ -20,6 +21,8 @@ Complex = NDArray[np.complex128]
 FEW = 5
 """Number of contacts up to which multiple scattering costs less than receptances. Above it, as for a palm, scattering
 is computed at a few temperatures only."""
+SMALL_DISC = (1, 4)
+"""Rule for the averages over the discs of a compliant contact, of at most 1.3 mm radius: exact to 1e-4."""
 SMOOTH = 0.02
 """Relative range of modes' frequencies over which a contact's change is smooth, because of damping."""
 
@@ -56,6 +59,16 @@ class Response:
         SimulationError
             When a disc is not wholly on the plate.
         """
+        return np.asarray(self._w @ self._disc_average(x_mm, y_mm, area_mm2).T)
+
+    def _disc_average(self, x_mm: Floats, y_mm: Floats, area_mm2: Floats, rule: tuple[int, int] = (3, 8)) -> Floats:
+        """Products of polynomials averaged over discs, shape (n, nx ny).
+
+        Raises
+        ------
+        SimulationError
+            When a disc is not wholly on the plate.
+        """
         radius = np.sqrt(area_mm2 / np.pi)
         edge = np.minimum(np.minimum(x_mm, self.plate.width_mm - x_mm), np.minimum(y_mm, self.plate.height_mm - y_mm))
         if np.any(edge < radius) or not np.all(np.isfinite(edge)):
@@ -67,8 +80,7 @@ class Response:
             )
         _, nx, ny = self.modes.w.shape
         centre = np.stack([x_mm, y_mm], axis=1) * 1e-3
-        products = legendre.disc_average(centre, radius * 1e-3, size_m(self.plate), (nx, ny))
-        return np.asarray(self._w @ products.reshape(len(x_mm), -1).T)
+        return legendre.disc_average(centre, radius * 1e-3, size_m(self.plate), (nx, ny), rule).reshape(len(x_mm), -1)
 
     def receptance(self, one: Floats, other: Floats) -> Complex:
         """Sum over modes of `one` times `other`, both (M, ...), times the modes' response; result (F, ...)."""
@@ -83,20 +95,11 @@ class Response:
         return self.receptance(discs[:, :1], discs[:, 1:]).T
 
     def change(self, touches: Sequence[Sequence[Contact]], scale: Floats) -> Complex:
-        """Change of the response by contacts, for n touches of the same number c of contacts each.
+        """Change of the response by contacts, for n touches with the same numbers of coupled forces, c in all.
 
         Exact, multiple scattering included: -g_rc (1 + z g_cc)^-1 z g_ce with z = i omega Z (Woodbury's identity).
-        Equal touches share their receptances.
-
-        Parameters
-        ----------
-        touches : n sequences of c contacts
-        scale : array of shape (n,)
-            Factor s of all the modes' frequencies. The response at omega = s nu is that at nu, divided by s^2.
-
-        Returns
-        -------
-        Complex array of shape (n, R, F): the change at the angular frequencies s nu.
+        Equal touches share their receptances. `scale` (n,) is the factor s of all the modes' frequencies: the response
+        at omega = s nu is that at nu, divided by s^2. The result (n, R, F) is at the angular frequencies s nu.
         """
         which = {touch: k for k, touch in enumerate(dict.fromkeys(tuple(touch) for touch in touches))}
         distinct, rows = list(which), np.array([which[tuple(touch)] for touch in touches])
@@ -116,31 +119,37 @@ class Response:
         return result
 
     def _shapes(self, touches: Sequence[Sequence[Contact]]) -> Floats:
-        """Deflection of each mode under each of c contacts of n touches, shape (M, n, c)."""
-        table = np.array([[contact[:3] for contact in touch] for touch in touches], dtype=float)
-        return self.shape_at(*table.reshape(-1, 3).T).reshape(-1, *table.shape[:2])
+        """Deflection of each mode under each of the c forces of n touches, shape (M, n, c)."""
+        faces = [face_of(contact) for touch in touches for contact in touch]
+        many = [len(face.centres_mm) for face in faces]
+        centres = np.concatenate([face.centres_mm for face in faces])
+        area_mm2 = np.repeat([face.disc_mm2 for face in faces], many)
+        rule = (3, 8) if max(many) == 1 else SMALL_DISC
+        products = self._disc_average(centres[:, 0], centres[:, 1], area_mm2, rule)
+        parts = np.split(products, np.cumsum(many)[:-1])
+        forces = [part if len(part) == 1 else face.weights @ part for face, part in zip(faces, parts, strict=True)]
+        return np.asarray(self._w @ np.concatenate(forces).T).reshape(len(self._w), len(touches), -1)
 
     def _scattered(
         self, touches: Sequence[Sequence[Contact]], scale: Floats, to_discs: Complex, pairs: Complex
     ) -> Complex:
         """Change of the response, as `change` has it, from receptances of shape (F, n, c, 1 + R) and (F, n, pairs)."""
-        n, c, F = len(touches), len(touches[0]), len(self.nu_rad_s)
-        area_mm2 = np.array([[contact.area_mm2 for contact in touch] for touch in touches])
-        # i omega Z(omega) / s^2 at omega = s nu, shape (n, c, F)
-        z = np.empty((n, c, F), dtype=complex)
-        for kind in {contact.kind for touch in touches for contact in touch}:
-            chosen = np.array([[contact.kind == kind for contact in touch] for touch in touches])
-            s = np.broadcast_to(scale[:, None], (n, c))[chosen][:, None]
-            z[chosen] = 1j * self.nu_rad_s / s * impedance(kind, s * self.nu_rad_s, area_mm2[chosen][:, None])
+        n, c, F = len(touches), to_discs.shape[2], len(self.nu_rad_s)
+        z = np.zeros((F, n, c, c), dtype=complex)  # i omega Z(omega) at omega = s nu, over s^2
+        for k, (touch, s) in enumerate(zip(touches, scale, strict=True)):
+            start = 0
+            for contact in touch:
+                block = slice(start, start := start + size_of(contact))
+                z[:, k, block, block] = impedance_of(contact, s * self.nu_rad_s)
+        z *= 1j * self.nu_rad_s[:, None, None, None] / scale[:, None, None]
         if c == 1:
-            strength = z[:, 0].T / (1 + z[:, 0].T * pairs[..., 0]) * to_discs[..., 0, 0]  # (F, n)
+            strength = z[..., 0, 0] / (1 + z[..., 0, 0] * pairs[..., 0]) * to_discs[..., 0, 0]  # (F, n)
             change = -strength[..., None] * to_discs[..., 0, 1:]
         else:
             i, j = np.triu_indices(c)
             between = np.empty((F, n, c, c), dtype=complex)
             between[..., i, j] = between[..., j, i] = pairs
-            z_last = z.transpose(2, 0, 1)
-            force = np.linalg.solve(np.eye(c) + z_last[..., None] * between, (z_last * to_discs[..., 0])[..., None])
+            force = np.linalg.solve(np.eye(c) + z @ between, z @ to_discs[..., :1])
             change = -(force * to_discs[..., 1:]).sum(axis=-2)
         return np.asarray(change.transpose(1, 2, 0) / scale[:, None, None] ** 2)
 

@@ -25,8 +25,11 @@ LONG_HOLD_K = 1.0
 """Warming by a hand on the plate; it shifts estimates from a stale baseline by a centimetre."""
 WARM_K = (0.2, 1.2)
 """Change of the plate's temperature while it is pressed in `warming`."""
-FORCES_N = {"silicone": (1.5, 3.5), "human": (0.3, 0.8)}
-"""Forces of a light touch: contact areas of 17-26 and 55-90 mm^2."""
+FORCES_N = {
+    "silicone": (1.5, 3.5), "human": (0.3, 0.8), "robot": (1.5, 3.5), "fingertip": (0.3, 0.8), "thumb": (0.35, 0.8),
+    "child": (0.3, 0.8), "glove": (0.2, 0.8),
+}  # fmt: skip
+"""Forces of a light touch: contact areas of 17-26, 55-90, 17-26, 55-90, 100-150, 27-45 and 4-7 mm^2."""
 
 
 @dataclass(frozen=True, slots=True)

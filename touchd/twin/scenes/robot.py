@@ -11,8 +11,8 @@ from touchd.errors import SimulationError
 from touchd.frame import Plate
 from touchd.twin.electronics import Electronics
 from touchd.twin.instrument import REFERENCE_C
-from touchd.twin.physics.finger import force_of, tissue_of
-from touchd.twin.scenes.timeline import Stage
+from touchd.twin.physics.finger import force_of, is_compliant, tissue_of
+from touchd.twin.scenes.timeline import RATIOS, Stage
 
 Floats = NDArray[np.float64]
 
@@ -20,9 +20,14 @@ COUNT = 6404
 """Touches of the paper's training set."""
 TOUCH_RATE_HZ = 2.0
 """Touched and untouched frames per second of a robot."""
-AREAS_MM2 = {"silicone": (12.0, 28.0), "human": (40.0, 100.0)}
+AREAS_MM2 = {
+    "silicone": (12.0, 28.0), "human": (40.0, 100.0), "robot": (12.0, 28.0), "fingertip": (40.0, 110.0),
+    "thumb": (100.0, 160.0), "child": (25.0, 50.0), "glove": (3.0, 8.0),
+}  # fmt: skip
 """Range of the contact area."""
-MARGIN_MM = {"silicone": 5.0, "human": 6.0}
+MARGIN_MM = {
+    "silicone": 5.0, "human": 6.0, "robot": 5.0, "fingertip": 7.5, "thumb": 9.0, "child": 5.5, "glove": 3.0,
+}  # fmt: skip
 """Least distance of a touch's centre from the edge, so that the contact fits on the plate."""
 WALK_K = 1.0
 """Largest deviation of the random temperature walk."""
@@ -61,11 +66,13 @@ def write_touches(asked: TouchSet, plate: Plate, rng: np.random.Generator, elect
     low, high = AREAS_MM2[finger]
     span = np.array([plate.width_mm, plate.height_mm]) - 2 * margin_mm
     _check(asked)
-    if margin_mm < np.sqrt(high / np.pi) or span.min() <= 0:
+    ratios = RATIOS.get(finger, (1.0, 1.0))
+    least_mm = np.sqrt(high * ratios[1] / np.pi)
+    if margin_mm < least_mm or span.min() <= 0:
         raise SimulationError(
             f"a margin of {margin_mm:g} mm on a {plate.width_mm:g} x {plate.height_mm:g} mm plate",
             "margin",
-            f"use {np.sqrt(high / np.pi):.1f} mm or more, and less than half of the plate",
+            f"use {least_mm:.1f} mm or more, and less than half of the plate",
         )
     walk = np.cumsum(rng.standard_normal(2 * count))
     walk *= WALK_K / np.abs(walk).max()
@@ -74,7 +81,9 @@ def write_touches(asked: TouchSet, plate: Plate, rng: np.random.Generator, elect
     stage = Stage(plate, TOUCH_RATE_HZ, np.arange(2 * count), temperature_c, rng, electronics)
     stage.notes = f"{count} simulated touches of {_who(asked)}, each after an untouched frame"
     area = rng.uniform(low, high, (count, asked.fingers))
-    place = margin_mm + _places(asked, span, np.sqrt(area / np.pi), rng)
+    ratio = rng.uniform(*ratios, area.shape) if is_compliant(finger) else np.ones(area.shape)
+    angle = rng.uniform(0, np.pi, area.shape) if is_compliant(finger) else np.zeros(area.shape)
+    place = margin_mm + _places(asked, span, np.sqrt(area * ratio / np.pi), rng)
     if asked.label_noise_mm:  # drawn last, so that label noise does not change the frames
         stage.label_error_mm = np.zeros((2 * count, asked.fingers, 2))
         stage.label_error_mm[1::2] = asked.label_noise_mm * rng.standard_normal(place.shape)
@@ -85,6 +94,8 @@ def write_touches(asked: TouchSet, plate: Plate, rng: np.random.Generator, elect
         return filled
 
     for i in range(asked.fingers):
+        if is_compliant(finger):
+            stage.ovals[i] = row(ratio[:, i]), row(angle[:, i])
         stage.kinds.append(finger)
         stage.columns.append([i])
         stage.x_mm.append(row(place[:, i, 0]))
@@ -117,7 +128,7 @@ def _who(asked: TouchSet) -> str:
 
 
 def _places(asked: TouchSet, span: Floats, radius: Floats, rng: np.random.Generator) -> Floats:
-    """Return centres of contacts of radii (count, fingers) on a span (2,), shape (count, fingers, 2), mm.
+    """Return centres of contacts of long radii (count, fingers) on a span (2,), shape (count, fingers, 2), mm.
 
     All fingers of a touch are drawn again until they keep their distances, so all valid positions are equally
     probable. Contacts never overlap. With `edge_gap_mm`, the first finger's position and the direction are uniform.

@@ -10,13 +10,21 @@ from numpy.typing import ArrayLike, NDArray
 
 from touchd.frame import Plate
 from touchd.twin.electronics import Electronics
-from touchd.twin.physics.finger import TISSUES, Contact, area_of, force_of
+from touchd.twin.physics.finger import TISSUES, Contact, area_of, force_of, is_compliant
 
 Floats = NDArray[np.float64]
 Path = Callable[[Floats], tuple[ArrayLike, ArrayLike]]
 
 SMALLEST_MM2 = 2.0
 """Contact area at the first moment of a touch."""
+RATIOS = {"robot": (1.0, 1.1), "fingertip": (1.1, 1.5), "thumb": (1.1, 1.5), "child": (1.1, 1.4), "glove": (1.0, 1.5)}
+"""Range of long over short axis of a settled compliant contact."""
+ROLL_MM = 1.5
+"""Largest way of a compliant contact's middle along its long axis, while the finger rolls from its tip to its pad."""
+TURN_RAD = 0.1
+"""Largest turn of a finger about its own axis while it rests."""
+PULSE = 0.01
+"""Share of the area that comes and goes with the heart."""
 
 
 @dataclass(slots=True)
@@ -40,6 +48,8 @@ class Stage:
     y_mm: list[Floats] = field(default_factory=list)
     area_mm2: list[Floats] = field(default_factory=list)
     force_n: list[Floats] = field(default_factory=list)
+    ovals: dict[int, tuple[Floats, Floats]] = field(default_factory=dict)
+    """Ratio of the axes and direction of the long one, rad, of each compliant contact, both of shape (n,)."""
     columns: list[list[int]] = field(default_factory=list)
     """Contacts of each label column; contacts of one column never overlap in time."""
     label_error_mm: Floats | None = None
@@ -73,7 +83,8 @@ class Stage:
 
         Parameters
         ----------
-        kind : "silicone", "human", "palm" or "drop"
+        kind : a kind of `touchd.twin.physics.finger.TISSUES`, "palm" or "drop"
+            A compliant one lands on its tip, round, rolls to its pad and becomes an oval as it spreads.
         start_s, stop_s : float
         path : callable
             Maps seconds since the start, shape (m,), to x and y in mm.
@@ -98,12 +109,25 @@ class Stage:
         self.kinds.append(kind)
         self.area_mm2.append(self._row(on, pressed * (1 + creep * (1 - np.exp(-t / 7)))))
         self.force_n.append(self._row(on, force_of(kind, pressed) if finger else np.full(len(t), np.nan)))
-        x, y = path(t)
+        x, y = (np.asarray(value, dtype=float) for value in path(t))
+        if is_compliant(kind):
+            ratio, angle, (roll_x, roll_y) = self._spread(kind, t, ramp)
+            self.ovals[len(self.kinds) - 1] = self._row(on, ratio), self._row(on, angle)
+            self.area_mm2[-1] *= 1 + PULSE * np.sin(2 * np.pi * self.rng.uniform(0.9, 1.4) * time_s)
+            x, y = x + roll_x, y + roll_y
         self.x_mm.append(self._row(on, x))
         self.y_mm.append(self._row(on, y))
         while len(self.columns) <= column:
             self.columns.append([])
         self.columns[column].append(len(self.kinds) - 1)
+
+    def _spread(self, kind: str, t: Floats, ramp: Floats) -> tuple[Floats, Floats, tuple[Floats, Floats]]:
+        """Return ratio, direction and way of the middle while a finger lands and rests, each of shape (m,)."""
+        settled, angle = self.rng.uniform(*RATIOS[kind]), self.rng.uniform(0, np.pi)
+        turn = self.rng.uniform(-TURN_RAD, TURN_RAD) * (1 - np.exp(-t))
+        # It rolls less where it has less room: a tenth of the long axis of a small contact.
+        roll = (ramp - 1) * self.rng.uniform(0, min(ROLL_MM, 0.1 * TISSUES[kind].area_mm2 / np.pi))
+        return 1 + (settled - 1) * ramp, angle + turn, (roll * np.cos(angle), roll * np.sin(angle))
 
     def _row(self, on: NDArray[np.bool_], value: ArrayLike) -> Floats:
         row = np.full(len(self.sequence), np.nan)
@@ -113,10 +137,12 @@ class Stage:
     def touches(self, start: int, stop: int) -> list[list[Contact]]:
         """Return the contacts in each of the frames start .. stop - 1."""
         result: list[list[Contact]] = [[] for _ in range(start, stop)]
-        for kind, *rows in zip(self.kinds, self.x_mm, self.y_mm, self.area_mm2, strict=True):
+        for k, (kind, *rows) in enumerate(zip(self.kinds, self.x_mm, self.y_mm, self.area_mm2, strict=True)):
             x, y, area = (row[start:stop] for row in rows)
+            oval = [row[start:stop] for row in self.ovals.get(k, ())]
             for i in np.flatnonzero(~np.isnan(x)):
-                result[i].append(Contact(float(x[i]), float(y[i]), float(area[i]), kind))
+                shape = [float(row[i]) for row in oval]
+                result[i].append(Contact(float(x[i]), float(y[i]), float(area[i]), kind, *shape))
         return result
 
     def truth(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

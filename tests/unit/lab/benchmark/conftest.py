@@ -41,8 +41,8 @@ def run() -> Run:
         touches=Touches(count=100, seed=210, finger="silicone", bound_mm=0.012),
         bare_us=BareTimes(p50=25.0, p99=30.0, p999=40.0),
         estimators=(
-            estimator("regression", 45, 0.35), estimator("regression, rfft", 60, 0.35, "route"),
-            estimator("kNN", 1100, 1.6, "dictionary"), estimator("atlas, tracking", 50, 0.03, "atlas"),
+            estimator("regression", 45, 0.35), estimator("small", 21, 1.6), estimator("mine", 60, 0.4, "given"),
+            estimator("atlas, tracking", 50, 0.03, "atlas"),
         ),
         left_out=("what is not there",),
         daemon=tuple(cell(scene, rate) for scene in ("idle", "moving") for rate in (125.0, 1000.0, None)),

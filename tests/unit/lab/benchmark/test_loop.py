@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from itertools import islice
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -56,8 +55,8 @@ def test_at_full_speed_something_else_has_its_turn_on_time_that_is_not_counted()
     turns: list[int] = []
     source = LoopSource(loop_of(10, 4), float("inf"), 3600.0, lambda: turns.append(1))
     played(source, 4 * BURST_EVERY)
-    assert len(turns) == 3
-    assert source.apart_s > 0
+    assert len(turns) == 4
+    assert source.apart_ns > 0
 
 
 def test_a_closed_source_has_ended() -> None:
@@ -65,14 +64,6 @@ def test_a_closed_source_has_ended() -> None:
     source.close()
     with pytest.raises(EndOfStream):
         source.read(0.0)
-
-
-def test_a_loop_is_the_same_after_it_was_stored(tmp_path: Path) -> None:
-    loop = loop_of(10, 4)
-    loop.save(tmp_path / "loop.npz")
-    again = Loop.load(tmp_path / "loop.npz")
-    assert (again.acquisition, again.lead) == (loop.acquisition, loop.lead)
-    assert (again.frames == loop.frames).all()
 
 
 @pytest.mark.parametrize("name", WANTED)

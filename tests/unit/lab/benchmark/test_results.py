@@ -11,14 +11,13 @@ import click.testing
 import pytest
 
 from tests.unit.lab.benchmark.conftest import cell, estimator
-from touchd.cli.benchmark import PICTURES, command
+from touchd.cli.benchmark import command
 from touchd.errors import ConfigError, OutputError
 from touchd.lab.benchmark import results, tables
-from touchd.lab.benchmark.budgets import BUDGETS
 from touchd.lab.benchmark.machine import this_machine
-from touchd.lab.benchmark.page import page
-from touchd.lab.benchmark.plots import draw
+from touchd.lab.benchmark.page import PICTURES, VARIANTS, draw_errors, page
 from touchd.lab.benchmark.results import BareTimes, Otherwise, Run
+from touchd.lab.benchmark.tables import BUDGETS
 
 DOCS = Path(__file__).resolve().parents[4] / "docs"
 
@@ -61,46 +60,45 @@ def test_the_machine_is_described_without_its_name() -> None:
     assert machine.cores >= 1
 
 
-def test_every_estimator_scene_and_picture_is_on_the_page(run: Run, tmp_path: Path) -> None:
-    text = page(run, "pictures")
+def test_every_estimator_scene_and_picture_is_shown(run: Run) -> None:
+    """Variants of an estimator stand in the terminal's table; all others, each scene and picture are on the page."""
+    text = page(run)
+    assert [row[0] for row in tables.estimator_table(run).rows[1:-2]] == [one.name for one in run.estimators]
     for one in run.estimators:
-        assert f"| {one.name} |" in text
+        assert (f"| {one.name} |" in text) is (one.name not in VARIANTS)
     for one_cell in run.daemon:
         assert f"| {one_cell.scene} |" in text
-    names = draw(run, tmp_path)
-    assert names == ["errors.png", "latency.png"]
-    for name in names:
-        assert f"(pictures/{name})" in text
-        assert (tmp_path / name).read_bytes().startswith(b"\x89PNG")
+    assert f"({PICTURES}/errors.png)" in text
+    legend = {text.get_text() for text in draw_errors(run).legends[0].get_texts()}
+    assert {"field atlas", "shipped networks", "the paper's regression (mean, its rig)"} <= legend
     assert "what is not there" in text
 
 
-def test_what_the_bus_takes_by_itself_stands_beside_the_daemon(run: Run, tmp_path: Path) -> None:
+def test_what_the_bus_takes_by_itself_stands_beside_the_daemon(run: Run) -> None:
     floor = BareTimes(p50=160.0, p99=1500.0, p999=4321.0)
     apart = Otherwise(daemon_us=BareTimes(p50=260.0, p99=1600.0, p999=5432.0), bus_us=floor)
     asleep = Otherwise(daemon_us=BareTimes(p50=360.0, p99=1700.0, p999=6543.0))
     late = BareTimes(p50=0.1, p99=0.4, p999=765.0)
     placed = run.model_copy(update={"bus_us": floor, "apart": apart, "asleep": asleep, "held_up_us": late})
-    text = page(placed, "pictures")
+    text = page(placed)
     assert "p50 160, p99 1,500, p99.9 4,321 us" in text
     assert "share one processor" in text
     assert "p99.9 5,432 us" in text
     assert "p99.9 6,543 us" in text
     assert "p99.9 765 us late" in text
     for what in ("share one processor", "on another processor", "kept awake"):
-        assert what not in page(run, "pictures")
-    assert draw(placed, tmp_path)
+        assert what not in page(run)
 
 
 def test_a_run_is_compared_by_its_ratios_to_the_bare_network_and_not_by_its_times(run: Run) -> None:
     # The other computer is ten times slower; one estimator alone has become dearer.
     slower = run.model_copy(update={
-        "estimators": (estimator("regression", 450, 0.35), estimator("kNN", 1100, 1.6, "dictionary", ratio=1.0)),
+        "estimators": (estimator("regression", 450, 0.35), estimator("small", 1100, 1.6, ratio=1.0)),
         "daemon": (cell("idle", 125.0, p50_us=1000.0),),
     })  # fmt: skip
     rows = {row[0]: row[1:] for row in tables.comparison_table(run, slower).rows}
     assert rows["regression"] == ["2.00", "2.00", "+0%"]
-    assert rows["kNN"] == ["2.00", "1.00", "+100%"]
+    assert rows["small"] == ["2.00", "1.00", "+100%"]
     assert rows["daemon, idle, 125 frames/s"] == ["1.50", "1.50", "+0%"]
     assert rows["atlas, tracking"] == ["2.00", "-", "-"]
 
@@ -128,15 +126,15 @@ def test_a_stored_run_can_be_shown_and_made_a_page_without_measuring(run: Run, t
         command, ["--from", str(stored), "--docs", str(docs), "--compare", str(stored)]
     )
     assert done.exit_code == 0, done.output
-    assert "regression, rfft" in done.output
-    assert (docs / "benchmarks.md").read_text() == page(run, PICTURES)
+    assert "atlas, tracking" in done.output
+    assert (docs / "benchmarks.md").read_text() == page(run)
     assert results.load(docs / "benchmarks.json") == run
-    assert sorted(file.name for file in (docs / PICTURES).iterdir()) == ["errors.png", "latency.png"]
+    assert sorted(file.name for file in (docs / PICTURES).iterdir()) == ["errors.png"]
     assert sorted(file.name for file in docs.iterdir()) == [PICTURES, "benchmarks.json", "benchmarks.md"]
 
 
 def test_the_page_in_docs_is_that_of_the_figures_beside_it() -> None:
     run = results.load(DOCS / "benchmarks.json")
-    assert (DOCS / "benchmarks.md").read_text() == page(run, PICTURES)
+    assert (DOCS / "benchmarks.md").read_text() == page(run)
     assert not run.quick
     assert run.seconds < 180

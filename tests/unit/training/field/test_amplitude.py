@@ -8,8 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.unit.training.waves import Waves, touch
-from touchd.training.field.amplitude import along_band, fit_amplitudes
-from touchd.training.field.learn import Learner
+from touchd.training.field.learn import Learner, along_band, fit_amplitudes
 from touchd.training.field.regression import Prior
 
 K = np.linspace(0.2, 0.3, 9)

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from tests.unit.training.field.test_place import atlas  # noqa: F401  the same field of random waves
 from touchd.localization.atlas import Atlas
-from touchd.training.field.phase import aligned, mean_direction
+from touchd.training.field.make_atlas import aligned, mean_direction
 from touchd.training.field.place import FieldMap, place
 
 

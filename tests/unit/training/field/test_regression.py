@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from tests.unit.training.waves import Waves, touch
 from touchd.training.field.kernel import covariance
+from touchd.training.field.leave_one_out import RIDGES, WHITE_SHARES, choose, log_errors, region_of
 from touchd.training.field.regression import Prior, Regression, Touches, each, smooth
-from touchd.training.field.selection import RIDGES, WHITE_SHARES, choose, cut, log_errors, region_of
 
 K = np.linspace(0.2, 0.3, 3)
 
@@ -54,8 +54,11 @@ def test_with_the_inverse_it_says_the_same_at_the_touches_own_places(made: tuple
 @given(st.integers(2, 400), st.integers(1, 400), st.integers(0, 2**31))
 def test_a_region_is_a_corner_with_all_its_touches(count: int, most: int, seed: int) -> None:
     position_mm = np.random.default_rng(seed).uniform(0, 100, (count, 2))
-    region = region_of(position_mm, most)
+    values = np.arange(count, dtype=np.complex64)[:, None, None]
+    region = region_of(Touches(position_mm, values, 0.0), most)
     assert len(region.at) == min(most, count)
+    np.testing.assert_array_equal(region.touches.position_mm, position_mm[region.at])
+    np.testing.assert_array_equal(region.touches.values[:, 0, 0].real, region.at)
     rest = np.delete(position_mm, region.at, axis=0)
     if len(rest):
         low, span = position_mm.min(axis=0), np.ptp(position_mm, axis=0)
@@ -68,11 +71,9 @@ def test_a_wrong_wavenumber_surprises_and_so_does_no_ridge_at_all_for_wrong_labe
     """Labels off by half a millimetre look like noise: the prior that is chosen trusts the touches less."""
     touches, true = touch(Waves(K, 4, 13), 500, 60.0, 14)
     amplitude = np.repeat(true[:, None], 3, axis=1).astype(np.complex64)
-    region = region_of(touches.position_mm)
+    region = region_of(touches)
     bins = np.arange(3)
-    right, wrong = (
-        sum(log_errors(cut(touches, region), region, Prior(factor * K), amplitude, bins)) for factor in (1.0, 0.8)
-    )
+    right, wrong = (sum(log_errors(region, Prior(factor * K), amplitude, bins)) for factor in (1.0, 0.8))
     assert right < wrong
     off_mm = 0.5 * np.random.default_rng(15).normal(size=touches.position_mm.shape)
     sloppy = Touches(touches.position_mm + off_mm, touches.values, touches.noise)

@@ -9,18 +9,14 @@ import torch
 from torch import Tensor
 
 from touchd.errors import TrainingError
-from touchd.frame import Plate
 from touchd.training.network.loop import Batches, Curve, fit
-from touchd.training.network.objectives import Batch, PaperObjective
-from touchd.training.network.recipe import RECIPES
-
-PLATE = Plate(width_mm=200, height_mm=200)
+from touchd.training.network.network import Batch, PaperNetwork
 
 
 def run(errors_mm: list[float], *, spoilt: bool = False, **how: float | int | None) -> tuple[Curve, list[Tensor]]:
     """Return the curve of a training with these validation errors, and the weights after each epoch."""
     torch.manual_seed(0)
-    objective = PaperObjective(8, PLATE, RECIPES["paper-regression"])
+    network = PaperNetwork(8, (200.0, 200.0))
     weights: list[Tensor] = []
 
     def epoch() -> Iterator[Batch]:
@@ -28,12 +24,12 @@ def run(errors_mm: list[float], *, spoilt: bool = False, **how: float | int | No
         yield Batch(features, torch.rand(16, 2) - 0.5, torch.zeros(16, 1))
 
     def validate() -> float:
-        weights.append(objective.network.head.weight.detach().clone())
+        weights.append(network.head.weight.detach().clone())
         return errors_mm[len(weights) - 1]
 
-    optimiser = torch.optim.Adam(objective.network.parameters())
-    curve = fit(objective, Batches(1, epoch), optimiser, len(errors_mm), validate, lambda *_step: None, **how)  # type: ignore[arg-type]
-    return curve, [*weights, objective.network.head.weight.detach()]
+    optimiser = torch.optim.Adam(network.parameters())
+    curve = fit(network, Batches(1, epoch), optimiser, len(errors_mm), validate, lambda *_step: None, **how)  # type: ignore[arg-type]
+    return curve, [*weights, network.head.weight.detach()]
 
 
 def test_at_a_constant_rate_training_stops_when_nothing_improves_and_keeps_the_best_epoch() -> None:

@@ -7,8 +7,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from touchd.training.network.network import PositionNetwork
-from touchd.training.network.objectives import SPREAD_BINS
+from touchd.training.network.network import BINS, PositionNetwork
 
 NETWORK = PositionNetwork(8, (200.0, 100.0), (4,))
 HALF = st.floats(-0.5, 0.5, width=32)
@@ -17,13 +16,13 @@ HALF = st.floats(-0.5, 0.5, width=32)
 @given(st.lists(st.tuples(HALF, HALF), min_size=1, max_size=20))
 def test_a_target_histogram_sums_to_one_and_its_mean_is_the_position(places: list[tuple[float, float]]) -> None:
     position = torch.tensor(places)
-    histogram = NETWORK.targets(position, SPREAD_BINS)
-    assert histogram.shape == (len(places), 2, NETWORK.bins)
+    histogram = NETWORK.targets(position)
+    assert histogram.shape == (len(places), 2, BINS)
     assert (histogram >= 0).all()
     np.testing.assert_allclose(histogram.sum(dim=2), 1, atol=1e-5)
     mean = (histogram * NETWORK.centres).sum(dim=2)
     # Away from the histogram's ends, which lie a bin and a half beyond the plate's edge.
-    inside = position.abs() < 0.5 - 1.5 / NETWORK.bins
+    inside = position.abs() < 0.5 - 1.5 / BINS
     np.testing.assert_allclose(mean[inside], position[inside], atol=1e-3)
     np.testing.assert_allclose(mean, position, atol=5e-3)
 
@@ -31,7 +30,7 @@ def test_a_target_histogram_sums_to_one_and_its_mean_is_the_position(places: lis
 @given(st.lists(st.tuples(HALF, HALF), min_size=1, max_size=20))
 def test_the_network_says_a_place_as_its_histogram_means_it(places: list[tuple[float, float]]) -> None:
     position = torch.tensor(places)
-    votes = NETWORK.targets(position, SPREAD_BINS).clamp_min(1e-30).log()
+    votes = NETWORK.targets(position).clamp_min(1e-30).log()
     position_mm = NETWORK.position_mm(votes)
     expected_mm = (position + 0.5) * torch.tensor([200.0, 100.0])
     np.testing.assert_allclose(position_mm, expected_mm, atol=1.0)

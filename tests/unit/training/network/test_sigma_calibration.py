@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,20 +10,25 @@ import torch
 
 from tests.conftest import KNOWN, TOUCHES
 from touchd.evaluation.dataset import Dataset
-from touchd.training.data.augment import Augmenter, make_bank
+from touchd.training.data.augment import Augmenter
+from touchd.training.data.synthetic import Synthesiser
+from touchd.training.field.learn import Field
 from touchd.training.network.network import PositionNetwork
 from touchd.training.network.sigma_calibration import LOUDER, calibrate_sigma
 
 
 @pytest.fixture(scope="module")
-def augmenter(dataset: Dataset) -> Augmenter:
-    return made(dataset)
+def augmenter(dataset: Dataset, field: Field) -> Augmenter:
+    return made(dataset, field)
 
 
-def made(dataset: Dataset, noise: float = 1.0) -> Augmenter:
+def made(dataset: Dataset, field: Field, noise: float = 1.0) -> Augmenter:
     generator = torch.Generator().manual_seed(1)
-    bank = make_bank(dataset, torch.arange(KNOWN), generator, pool=512)
-    return Augmenter(replace(bank, noise=noise * bank.noise), None, generator)
+    synthesiser = Synthesiser(field, (200.0, 200.0), generator)
+    augmenter = Augmenter(dataset, torch.arange(KNOWN), synthesiser, generator, pool=512)
+    augmenter.noise *= noise
+    augmenter.power *= noise**2
+    return augmenter
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +40,7 @@ def network(dataset: Dataset) -> PositionNetwork:
     features, position = held(dataset, slice(0, KNOWN))
     for _ in range(200):
         votes, _, _ = network.train().raw(features)
-        loss = -(network.targets(position, 0.75) * votes.log_softmax(dim=2)).sum(dim=2).mean()
+        loss = -(network.targets(position) * votes.log_softmax(dim=2)).sum(dim=2).mean()
         optimiser.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]  # torch leaves it unannotated
         optimiser.step()
@@ -50,27 +54,27 @@ def held(dataset: Dataset, part: slice) -> tuple[torch.Tensor, torch.Tensor]:
     return torch.from_numpy(dataset.residual[part]), torch.from_numpy(dataset.position_mm[part]) / 200 - 0.5
 
 
-def honest(network: PositionNetwork, dataset: Dataset, sigma: float, noise: float) -> PositionNetwork:
+def honest(network: PositionNetwork, dataset: Dataset, field: Field, sigma: float, noise: float) -> PositionNetwork:
     """The network with its heads off by these factors, made honest."""
     mine = copy.deepcopy(network)
     with torch.no_grad():
         mine.log_error.bias.add_(torch.tensor([sigma, noise]).log())
-    calibrate_sigma(mine, made(dataset), *held(dataset, slice(KNOWN, TOUCHES)))
+    calibrate_sigma(mine, made(dataset, field), *held(dataset, slice(KNOWN, TOUCHES)))
     return mine
 
 
 @pytest.mark.parametrize(("sigma", "noise"), [(5.0, 5.0), (0.2, 3.0), (3.0, 0.2)])
 def test_what_the_heads_said_before_is_no_matter(
-    sigma: float, noise: float, network: PositionNetwork, dataset: Dataset
+    sigma: float, noise: float, network: PositionNetwork, dataset: Dataset, field: Field
 ) -> None:
-    one, other = (honest(network, dataset, *scales).log_error.bias for scales in ((1.0, 1.0), (sigma, noise)))
+    one, other = (honest(network, dataset, field, *scales).log_error.bias for scales in ((1.0, 1.0), (sigma, noise)))
     np.testing.assert_allclose(one.detach(), other.detach(), atol=0.05)
 
 
 def test_68_percent_of_the_errors_are_within_sigma_in_the_touches_own_noise_and_in_louder(
-    network: PositionNetwork, dataset: Dataset, augmenter: Augmenter
+    network: PositionNetwork, dataset: Dataset, field: Field, augmenter: Augmenter
 ) -> None:
-    mine = honest(network, dataset, 4.0, 4.0)
+    mine = honest(network, dataset, field, 4.0, 4.0)
     residual, position = held(dataset, slice(KNOWN, TOUCHES))
     shares = []
     for level in (1.0, *(louder / augmenter.own_noise(residual) for louder in LOUDER)):
@@ -84,9 +88,11 @@ def test_68_percent_of_the_errors_are_within_sigma_in_the_touches_own_noise_and_
     assert all(0.55 < share < 0.8 for share in shares)
 
 
-def test_a_recording_without_noise_tells_nothing_of_it(network: PositionNetwork, dataset: Dataset) -> None:
+def test_a_recording_without_noise_tells_nothing_of_it(
+    network: PositionNetwork, dataset: Dataset, field: Field
+) -> None:
     mine, (residual, position) = copy.deepcopy(network), held(dataset, slice(KNOWN, TOUCHES))
-    silent = made(dataset, noise=0.0)
+    silent = made(dataset, field, noise=0.0)
     calibrate_sigma(mine, silent, residual, position)
     features, _ = silent.held_out(residual, 1.0)
     with torch.inference_mode():

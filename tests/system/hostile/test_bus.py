@@ -1,0 +1,283 @@
+"""Strangers on the bus of a running daemon: it stays small, quick and open to honest subscribers."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import pytest
+
+from tests.processes import PATIENCE_S, ROOT, command, environment
+from tests.system.hostile.usage import memory_kb, open_files
+from touchd.cli.demo import SESSION
+from touchd.client import Subscriber
+from touchd.errors import BusTimeout
+from touchd.event import TouchEvent
+from touchd.sinks import curve
+
+MOST_GROWTH_KB = 20_000
+DESCRIPTORS = 1024
+
+
+def free_address() -> str:
+    """A port of loopback that nobody uses."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return f"tcp://127.0.0.1:{free.getsockname()[1]}"
+
+
+class Daemon:
+    """A daemon in a process of its own, which replays the demo session for ever."""
+
+    def __init__(self, folder: Path, address: str, *, descriptors: int = DESCRIPTORS, **settings: str) -> None:
+        self.folder, self.address = folder, address
+        self.log = folder / "log"
+        self.config = folder / "touchd.toml"
+        self.config.touch()
+        settings |= {"TOUCHD_PREROLL__FOLDER": str(folder / "preroll"), "TOUCHD_LOG__FORMAT": "json"}
+        with self.log.open("w") as log:
+            self.process = subprocess.Popen(
+                ["prlimit", f"--nofile={descriptors}:{descriptors}", *command(
+                    "--config", self.config, "--replay", SESSION, "--loop", "--bind", address)],
+                stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT, cwd=ROOT, env=environment(**settings),
+            )  # fmt: skip
+
+    def said(self, text: str) -> list[str]:
+        """Lines of the log with a text."""
+        return [line for line in self.log.read_text().splitlines() if text in line]
+
+    def wait(self, text: str) -> None:
+        """Wait for a line of the log."""
+        give_up_s = time.monotonic() + PATIENCE_S
+        while not self.said(text):
+            assert time.monotonic() < give_up_s, f"{text!r} was not logged: {self.log.read_text()}"
+            time.sleep(0.05)
+
+    def end(self) -> float:
+        """Stop the daemon as its manager would, and return how long that took, s."""
+        began_s = time.monotonic()
+        self.process.terminate()
+        assert self.process.wait(PATIENCE_S) == 0
+        return time.monotonic() - began_s
+
+
+class Honest:
+    """A subscriber that reads, in a thread, and remembers how old touches were."""
+
+    def __init__(self, address: str, server_key: Path | None = None, client_key: Path | None = None) -> None:
+        self._events = Subscriber(address, server_key=server_key, client_key_file=client_key, max_age_s=None)
+        self.ages_s: list[float] = []
+        self._ending = False
+        self._thread = threading.Thread(target=self._listen)
+        self._thread.start()
+
+    def _listen(self) -> None:
+        while not self._ending:
+            try:
+                event = self._events.receive(0.2)
+            except BusTimeout:
+                continue
+            assert isinstance(event, TouchEvent)
+            self.ages_s.append((time.monotonic_ns() - event.t_ns) * 1e-9)
+
+    def hears_more(self, number: int = 10) -> bool:
+        """Whether further touches come."""
+        before, give_up_s = len(self.ages_s), time.monotonic() + PATIENCE_S
+        while len(self.ages_s) < before + number:
+            if time.monotonic() > give_up_s:
+                return False
+            time.sleep(0.02)
+        return True
+
+    def close(self) -> None:
+        self._ending = True
+        self._thread.join()
+        self._events.close()
+
+
+@contextmanager
+def attack(daemon: Daemon, name: str, number: int, strangers: int = 1) -> Iterator[None]:
+    """Have strangers do their worst; they keep their connections until the end."""
+    script = Path(__file__).parent / "stranger.py"
+    with ExitStack() as stack:
+        line: list[str] = [sys.executable, str(script), name, daemon.address, str(number)]
+        attackers = [
+            stack.enter_context(subprocess.Popen(line, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True))
+            for _ in range(strangers)
+        ]
+        try:
+            for attacker in attackers:
+                assert attacker.stdout is not None
+                while attacker.stdout.readline().strip() not in ("done", ""):
+                    pass
+            yield
+        finally:
+            for attacker in attackers:
+                attacker.kill()
+
+
+@contextmanager
+def bounded(daemon: Daemon, honest: Honest, what: str, descriptors: int = 100) -> Iterator[None]:
+    """Hold that the daemon stays small and goes on publishing, and print what it came to."""
+    assert honest.hears_more(30)
+    process = daemon.process.pid
+    before = most = memory_kb(process)
+    files = most_files = open_files(process)
+    quiet = max(honest.ages_s[5:])
+    honest.ages_s.clear()
+    ended = threading.Event()
+
+    def watch() -> None:
+        nonlocal most, most_files
+        while not ended.wait(0.02):
+            most, most_files = max(most, memory_kb(process)), max(most_files, open_files(process))
+
+    watcher = threading.Thread(target=watch)
+    watcher.start()
+    try:
+        yield
+        assert honest.hears_more()
+    finally:
+        ended.set()
+        watcher.join()
+    give_up_s = time.monotonic() + PATIENCE_S
+    while open_files(process) > files + descriptors and time.monotonic() < give_up_s:
+        time.sleep(0.1)
+    after, files_after = memory_kb(process), open_files(process)
+    cut = sum(1 + int(json.loads(line).get("unlogged", 0)) for line in daemon.said('"subscriber '))
+    print(
+        f"{what}: memory {before} -> {most} (peak) -> {after} kB, open files {files} -> {most_files} (peak) -> "
+        f"{files_after}; cut off or refused {cut}; oldest of {len(honest.ages_s)} touches "
+        f"{max(honest.ages_s) * 1e3:.0f} ms, {quiet * 1e3:.0f} ms before"
+    )
+    assert most - before <= MOST_GROWTH_KB
+    assert files_after <= files + descriptors
+
+
+@pytest.fixture
+def full(request: pytest.FixtureRequest) -> bool:
+    """Whether there is time."""
+    return bool(request.config.getoption("--hostile") == "full")
+
+
+@pytest.fixture
+def daemon(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Daemon]:
+    """A daemon that publishes at a file, or at a port if a test asks for one."""
+    daemon = Daemon(tmp_path, free_address() if getattr(request, "param", "") == "tcp" else f"ipc://{tmp_path}/bus")
+    yield daemon
+    daemon.process.kill()
+    daemon.process.wait()
+
+
+@pytest.fixture
+def honest(daemon: Daemon) -> Iterator[Honest]:
+    honest = Honest(daemon.address)
+    assert honest.hears_more(1), daemon.log.read_text()
+    yield honest
+    honest.close()
+
+
+@pytest.mark.parametrize(
+    ("name", "number", "many", "strangers"),
+    [
+        ("long-topics", 2_000, 10_700, 4),
+        ("small-topics", 50_000, 670_000, 1),
+        ("tiny-topics", 10_000, 10_000, 4),
+        ("messages", 50_000, 1_000_000, 1),
+    ],
+)
+def test_topics(daemon: Daemon, honest: Honest, full: bool, name: str, number: int, many: int, strangers: int) -> None:
+    """Who subscribes to thousands of topics is cut off before they cost memory."""
+    with bounded(daemon, honest, name, 0), attack(daemon, name, many if full else number, strangers):
+        daemon.wait('"subscriber ')
+    assert daemon.end() < PATIENCE_S / 2
+
+
+@pytest.mark.parametrize("daemon", ["ipc", "tcp"], indirect=True)
+def test_connections(daemon: Daemon, honest: Honest, full: bool) -> None:
+    """More connections than descriptors keep no subscriber out, nor reload and pre-roll from working."""
+    with bounded(daemon, honest, "idle connections"), attack(daemon, "idle", 1100 if full else 300, 1):
+        newcomer = Honest(daemon.address)
+        try:
+            assert newcomer.hears_more(1)
+        finally:
+            newcomer.close()
+        daemon.config.write_text("[tracker]\ndead_band_mm = 0.2\n")
+        daemon.process.send_signal(signal.SIGHUP)
+        daemon.wait("tracker.dead_band_mm")
+        daemon.process.send_signal(signal.SIGUSR1)
+        give_up_s = time.monotonic() + PATIENCE_S
+        while not list((daemon.folder / "preroll").glob("*.npz")):
+            assert time.monotonic() < give_up_s, daemon.log.read_text()
+            time.sleep(0.05)
+    assert daemon.said("there are more than 64")
+
+
+def test_silent_subscribers(daemon: Daemon, honest: Honest, full: bool) -> None:
+    """Subscribers that never read cost little, and are cut off."""
+    with bounded(daemon, honest, "silent subscribers"), attack(daemon, "silent", 60):
+        if full:
+            daemon.wait("has read nothing")
+
+
+def test_reconnects(daemon: Daemon, honest: Honest, full: bool) -> None:
+    """Thousands of connections, one after the other, leave nothing behind."""
+    with bounded(daemon, honest, "reconnects", 5), attack(daemon, "reconnects", 4000 if full else 300):
+        pass
+
+
+def test_pings(daemon: Daemon, honest: Honest, full: bool) -> None:
+    """Endless pings keep no touch back."""
+    with bounded(daemon, honest, "pings"), attack(daemon, "pings", 300_000 if full else 20_000):
+        pass
+
+
+def test_keys(tmp_path: Path, full: bool) -> None:
+    """With keys, too, want of descriptors and broken key files keep no known client out, nor the daemon from ending."""
+    for name in ("server", "friend", "stranger"):
+        curve.make_files(tmp_path / "keys", name)
+    clients = tmp_path / "clients"
+    clients.mkdir()
+    shutil.copy(tmp_path / "keys/friend.key", clients)
+    address = free_address()
+    daemon = Daemon(
+        tmp_path, address, descriptors=256,
+        TOUCHD_BUS__CURVE_SECRET_KEY=str(tmp_path / "keys/server.key_secret"), TOUCHD_BUS__CURVE_CLIENTS=str(clients),
+    )  # fmt: skip
+    server_key = tmp_path / "keys/server.key"
+    friend = server_key, tmp_path / "keys/friend.key_secret"
+    try:
+        honest = Honest(address, *friend)
+        try:
+            os.mkfifo(clients / "x.key")
+            (clients / "y.key").write_text("damaged")
+            with (
+                bounded(daemon, honest, "keys"),
+                attack(daemon, "idle", 1100 if full else 240),
+                Subscriber(address, server_key=server_key, client_key_file=tmp_path / "keys/stranger.key_secret"),
+            ):
+                daemon.wait("its key is unknown")
+                for _ in range(20 if full else 3):
+                    newcomer = Honest(address, *friend)
+                    try:
+                        assert newcomer.hears_more(1)
+                    finally:
+                        newcomer.close()
+                assert all(daemon.said(name) for name in ("x.key", "y.key"))
+            with attack(daemon, "idle", 240):
+                assert daemon.end() < PATIENCE_S / 2
+        finally:
+            honest.close()
+    finally:
+        daemon.process.kill()
+        daemon.process.wait()

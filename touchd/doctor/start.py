@@ -1,0 +1,84 @@
+"""Checks of `touchd doctor` on the daemon's start: opens what the daemon opens, by its own code, and closes it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+from touchd.config.schema import Settings
+from touchd.doctor.checks import Finding
+from touchd.errors import AddressInUse, BusTimeout, TouchdError
+from touchd.event import HealthEvent
+from touchd.service.daemon import Parts, open_parts
+from touchd.sinks.endpoint import SERVICE
+
+
+def failure(check: str, error: TouchdError) -> Finding:
+    """Return the finding of a check that raised an error."""
+    return Finding(check, "failure", f"{error.where}: {error.what}" if error.where else error.what, error.fix)
+
+
+def check_start(settings: Settings, listen_s: float = 2.5) -> tuple[Parts, list[Finding]]:
+    """Open every part of the daemon but its source, and close it again.
+
+    Parameters
+    ----------
+    settings : Settings
+    listen_s : float
+        How long to wait for a `health` message at an address in use; a daemon sends one each second.
+
+    Returns
+    -------
+    Parts
+        Closed, except for model and keys.
+    list of Finding
+        One for each part that the settings ask for, in the order in which the daemon opens them.
+    """
+    service = Path(SERVICE.removeprefix("ipc://"))
+    if not settings.bus.bind and service.exists():  # the service runs, with a default of its own
+        settings = settings.model_copy(update={"bus": settings.bus.model_copy(update={"bind": (SERVICE,)})})
+    refused: dict[str, TouchdError] = {}
+
+    @contextmanager
+    def step(name: str) -> Iterator[None]:
+        try:
+            yield
+        except TouchdError as error:
+            refused[name] = error
+
+    with ExitStack() as stack:
+        parts = open_parts(settings, stack, step)
+        bus, control, model, layout = parts.bus, parts.control, parts.model, parts.layout
+        opened = {
+            "bus": bus and f"{', '.join(bus.addresses)} free",
+            "control": control and f"{control.path} is free",
+            "model": model and f"{model.description.name}, {model.description.head} head, {model.path}",
+            "keypad": layout and f"{len(layout.key)} keys on the plate",
+        }
+    daemon = _daemon_at(refused.get("bus"), settings, listen_s)
+    findings = []
+    for name, text in opened.items():
+        error = refused.get(name)
+        if error is not None and daemon and isinstance(error, AddressInUse):
+            findings.append(Finding(name, "warning", daemon, "stop it before the checks: systemctl stop touchd"))
+        elif error is not None:
+            findings.append(failure(name, error))
+        elif text:
+            findings.append(Finding(name, "ok", text))
+    return parts, findings
+
+
+def _daemon_at(error: TouchdError | None, settings: Settings, listen_s: float) -> str:
+    """Return what the daemon that has bound the address says of itself; empty if no daemon is heard there."""
+    from touchd.client import Subscriber
+
+    if not isinstance(error, AddressInUse) or settings.bus.curve_secret_key is not None:
+        return ""
+    try:
+        with Subscriber(error.where, ("health",), timeout_s=listen_s) as events:
+            event = next(events)
+    except (BusTimeout, StopIteration):
+        return ""
+    assert isinstance(event, HealthEvent)
+    return f"{error.where}: a daemon publishes there, in state {event.state}"

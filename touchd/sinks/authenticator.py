@@ -1,0 +1,70 @@
+"""Who may subscribe to a bus with keys: answers libzmq's question at each handshake (ZAP, RFC 27).
+
+It runs in the daemon's own loop: no thread of it can die, or keep the daemon from ending.
+"""
+
+from __future__ import annotations
+
+import time
+
+import zmq
+from zmq.utils import z85
+
+from touchd.sinks.curve import ClientKeys
+from touchd.sinks.throttle import Throttle
+
+DOMAIN = "touchd"
+_ENDPOINT = "inproc://zeromq.zap.01"
+_EVENTS, _POLLIN, _NOBLOCK = int(zmq.EVENTS), int(zmq.POLLIN), int(zmq.NOBLOCK)
+_PERIOD_S = 0.05
+"""The folder is looked at this often at most, however many clients knock."""
+_MOST_PER_POLL = 16  # a flood must not delay a frame
+
+
+class Authenticator:
+    """Admits the clients of a folder of public keys, and logs those it refuses.
+
+    Parameters
+    ----------
+    context : zmq.Context
+        That of the publisher. The authenticator must exist before the publisher is bound.
+    keys : ClientKeys
+    """
+
+    def __init__(self, context: zmq.Context[zmq.Socket[bytes]], keys: ClientKeys) -> None:
+        self._keys = keys
+        self._looked_s = -float("inf")
+        self._refused = Throttle("subscriber refused")
+        self._socket = context.socket(zmq.REP)
+        self._socket.setsockopt(zmq.LINGER, 0)
+        self._socket.bind(_ENDPOINT)
+
+    def poll(self) -> None:
+        """Answer the handshakes that wait."""
+        if not int(self._socket.getsockopt(_EVENTS)) & _POLLIN:
+            return
+        now_s = time.monotonic()
+        if now_s - self._looked_s < _PERIOD_S:
+            return
+        self._looked_s = now_s
+        self._keys.refresh()
+        for _ in range(_MOST_PER_POLL):
+            try:
+                request = self._socket.recv_multipart(_NOBLOCK)
+                self._socket.send_multipart(self._answer(request), _NOBLOCK)
+            except zmq.Again:
+                return
+
+    def close(self) -> None:
+        """Answer no more."""
+        self._socket.close()
+
+    def _answer(self, request: list[bytes]) -> list[bytes]:
+        """Return the reply: version, request id, status, its text, user, metadata."""
+        version, request_id, _domain, address, _routing_id, mechanism, *credentials = request
+        if mechanism == b"CURVE" and len(credentials) == 1 and z85.encode(credentials[0]) in self._keys:
+            return [version, request_id, b"200", b"OK", b"", b""]
+        self._refused.warn(peer=address.decode("ascii", "replace"), reason="its key is unknown")
+        # While the folder cannot be read nobody knows: 300 lets the client try again, 400 tells it not to.
+        status = b"400" if self._keys.current else b"300"
+        return [version, request_id, status, b"unknown key", b"", b""]

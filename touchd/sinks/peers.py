@@ -1,0 +1,270 @@
+"""Who is connected to the bus, what each has subscribed to, and who is cut off for taking more than a subscriber needs.
+
+libzmq accepts every connection, and stores what a peer subscribes to at some fifty bytes a character, without a limit.
+Its socket monitor names the descriptor of each connection, and each message that of the connection it came by: so
+every connection is counted, and one that breaks a limit is shut down. Its peer may connect again.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import resource
+import socket
+import struct
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+
+import zmq
+
+from touchd.sinks.throttle import Throttle
+
+MOST_SUBSCRIPTIONS = 64
+"""Of one connection; there are four topics."""
+MOST_SUBSCRIBED_BYTES = 1024
+"""All of one connection's subscriptions together."""
+MOST_MESSAGES = 256
+"""Messages of one connection at once; further ones at `MESSAGES_HZ`."""
+MESSAGES_HZ = 16.0
+STALLED_S = 10.0
+"""A connection whose peer has read nothing for this time is cut off: what waits for it is stale, and takes memory."""
+_LOOK_S = 1.0
+_MOST_EVENTS = 64  # read at once: a flood of connections must not delay a frame
+_MONITORED = int(
+    zmq.EVENT_ACCEPTED | zmq.EVENT_DISCONNECTED | zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL | zmq.EVENT_HANDSHAKE_FAILED_AUTH
+)
+_ACCEPTED, _DISCONNECTED = int(zmq.EVENT_ACCEPTED), int(zmq.EVENT_DISCONNECTED)
+_EVENTS, _POLLIN, _NOBLOCK = int(zmq.EVENTS), int(zmq.POLLIN), int(zmq.NOBLOCK)
+_SRCFD = int(zmq.SRCFD)
+_SIOCOUTQ, _SIOCOUTQNSD = 0x5411, 0x894B
+_EVENT = struct.Struct("=Hi")  # kind of event, and for both that matter the descriptor
+
+
+@dataclass(slots=True)
+class _Peer:
+    """One connection."""
+
+    descriptor: int
+    name: str
+    """For the log: address and port, or process and user."""
+    origin: str
+    """What the connections of one peer have in common: its address, or its process."""
+    since_s: float
+    stream: bool
+    """Whether it is TCP."""
+    prefixes: set[bytes] = field(default_factory=set)
+    size_bytes: int = 0
+    credit: float = MOST_MESSAGES
+    credit_s: float = 0.0
+    subscribed: bool = False
+    """Whether it ever subscribed."""
+    unsent: bytes = b""
+    """How much waits to be sent, as the kernel says it."""
+    unsent_s: float = 0.0
+    """Since when it has been so much."""
+
+
+class Peers:
+    """The connections of a publisher, and the topics that they want.
+
+    Parameters
+    ----------
+    publisher : zmq.Socket
+        An XPUB socket with XPUB_VERBOSER, before it is bound.
+    topics : sequence of str
+    most : int
+        Connections at once, and at most half of the process's descriptors. One more takes the place of one that has
+        not subscribed, or of one of a peer that has several more; else it is refused.
+    clock : callable
+        Monotonic time, s.
+    """
+
+    def __init__(
+        self,
+        publisher: zmq.Socket[bytes],
+        topics: tuple[str, ...],
+        most: int,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.wanted: frozenset[str] = frozenset()
+        """The topics that somebody has subscribed to."""
+        self._topics = {topic: topic.encode() for topic in topics}
+        self._most = min(most, resource.getrlimit(resource.RLIMIT_NOFILE)[0] // 2)
+        self._clock = clock
+        self._peers: dict[int, _Peer] = {}
+        self._wants: Counter[str] = Counter()
+        self._looked_s = clock()
+        self._cut_off = Throttle("subscriber cut off")
+        self._refused = Throttle("subscriber refused")
+        self._failed = False
+        self._publisher = publisher
+        endpoint = f"inproc://monitor-{id(publisher)}"
+        publisher.monitor(endpoint, _MONITORED)
+        self._monitor = publisher.context.socket(zmq.PAIR)
+        self._monitor.setsockopt(zmq.RCVHWM, 0)  # a full queue would make libzmq's thread wait
+        self._monitor.setsockopt(zmq.LINGER, 0)
+        self._monitor.connect(endpoint)
+
+    def poll(self) -> None:
+        """Take in who came and went, and cut off who stopped reading."""
+        self._read_monitor()
+        now_s = self._clock()
+        if now_s - self._looked_s >= _LOOK_S:
+            self._looked_s = now_s
+            for peer in list(self._peers.values()):
+                self._judge_backlog(peer, now_s)
+
+    def take(self, message: zmq.Frame) -> frozenset[str]:
+        """Account for a message from a peer. Return the topics that it subscribes to."""
+        try:
+            descriptor = int(message.get(_SRCFD))
+        except zmq.ZMQError:
+            return frozenset()  # libzmq's own, when the last subscriber of a prefix went: `poll` sees it go
+        if descriptor not in self._peers:
+            self._read_monitor()
+        peer = self._peers.get(descriptor)
+        if peer is None:
+            return frozenset()
+        now_s = self._clock()
+        peer.credit = min(MOST_MESSAGES, peer.credit + (now_s - peer.credit_s) * MESSAGES_HZ) - 1
+        peer.credit_s = now_s
+        content = message.bytes
+        kind, prefix = content[:1], content[1:]
+        new: frozenset[str] = frozenset()
+        if kind == b"\x01":
+            new = self._matched(prefix)
+            peer.subscribed = True
+            if prefix not in peer.prefixes:
+                peer.prefixes.add(prefix)
+                peer.size_bytes += len(prefix)
+                self._count(new, 1)
+        elif kind == b"\x00" and prefix in peer.prefixes:
+            peer.prefixes.remove(prefix)
+            peer.size_bytes -= len(prefix)
+            self._count(self._matched(prefix), -1)
+        if len(peer.prefixes) > MOST_SUBSCRIPTIONS or peer.size_bytes > MOST_SUBSCRIBED_BYTES:
+            self._cut(peer, "it subscribes to too much")
+        elif peer.credit < 0:
+            self._cut(peer, "it sends too much")
+        else:
+            return new
+        return frozenset()
+
+    def close(self) -> None:
+        """Stop watching: nobody wants anything."""
+        self.wanted = frozenset()
+        self._publisher.disable_monitor()
+        self._monitor.close()
+
+    # -- connections ------------------------------------------------------------------------------------
+
+    def _read_monitor(self) -> None:
+        # The state costs a microsecond, a failed attempt to receive several.
+        if not int(self._monitor.getsockopt(_EVENTS)) & _POLLIN:
+            return
+        for _ in range(_MOST_EVENTS):
+            try:
+                event, _address = self._monitor.recv_multipart(_NOBLOCK)
+            except zmq.Again:
+                return
+            kind, value = _EVENT.unpack(event)
+            if kind == _ACCEPTED:
+                self._enter(value)
+            elif kind == _DISCONNECTED:
+                self._leave(value)
+            else:  # the disconnection of the same connection follows
+                self._failed = True
+
+    def _enter(self, descriptor: int) -> None:
+        self._forget(descriptor)
+        name, origin, stream = "gone already", "", True
+        with suppress(OSError), _borrowed(descriptor) as connection:
+            name, origin = _names(connection)
+            stream = connection.family != socket.AF_UNIX
+        now_s = self._clock()
+        newcomer = _Peer(descriptor, name, origin, now_s, stream, credit_s=now_s)
+        if len(self._peers) >= self._most:
+            self._cut(self._choose(newcomer), f"there are more than {self._most}")
+            if len(self._peers) >= self._most:
+                return
+        self._peers[descriptor] = newcomer
+
+    def _leave(self, descriptor: int) -> None:
+        peer = self._forget(descriptor)
+        failed, self._failed = self._failed, False
+        if peer is None:
+            return
+        if failed:
+            self._refused.warn(peer=peer.name, reason="its keys do not fit, or it has none")
+        elif not peer.subscribed:  # libzmq itself ends a connection that sends too long a message, or no ZMTP
+            self._refused.warn(peer=peer.name, reason="it left before it subscribed, or sent what no subscriber does")
+
+    def _forget(self, descriptor: int) -> _Peer | None:
+        peer = self._peers.pop(descriptor, None)
+        if peer is not None:
+            for prefix in peer.prefixes:
+                self._count(self._matched(prefix), -1)
+        return peer
+
+    def _choose(self, newcomer: _Peer) -> _Peer:
+        """Return who must go for a newcomer: the newcomer, if all others have subscribed and it has as many."""
+        held = Counter(peer.origin for peer in self._peers.values())
+        idle = [peer for peer in self._peers.values() if not peer.prefixes]
+        if idle:
+            return max(idle, key=lambda peer: (held[peer.origin], -peer.since_s))
+        heaviest = max(self._peers.values(), key=lambda peer: (held[peer.origin], peer.since_s))
+        return heaviest if held[heaviest.origin] > held[newcomer.origin] + 1 else newcomer
+
+    def _judge_backlog(self, peer: _Peer, now_s: float) -> None:
+        try:
+            unsent = fcntl.ioctl(peer.descriptor, _SIOCOUTQNSD if peer.stream else _SIOCOUTQ, bytes(4))
+        except OSError:
+            return
+        if unsent != peer.unsent or not any(unsent):
+            peer.unsent, peer.unsent_s = unsent, now_s
+        elif now_s - peer.unsent_s >= STALLED_S:
+            self._cut(peer, f"it has read nothing for {STALLED_S:g} s")
+
+    def _cut(self, peer: _Peer, reason: str) -> None:
+        self._cut_off.warn(peer=peer.name, reason=reason)
+        self._forget(peer.descriptor)
+        with suppress(OSError), _borrowed(peer.descriptor) as connection:
+            if _names(connection)[0] != peer.name:
+                return  # closed meanwhile, and its number given to another
+            connection.shutdown(socket.SHUT_RDWR)
+            # What has arrived goes too: libzmq would take it in message by message.
+            while connection.recv(1 << 16, socket.MSG_DONTWAIT):
+                pass
+
+    # -- topics -----------------------------------------------------------------------------------------
+
+    def _matched(self, prefix: bytes) -> frozenset[str]:
+        return frozenset(topic for topic, frame in self._topics.items() if frame.startswith(prefix))
+
+    def _count(self, topics: frozenset[str], change: int) -> None:
+        for topic in topics:
+            self._wants[topic] += change
+        if topics:
+            self.wanted = frozenset(topic for topic, count in self._wants.items() if count > 0)
+
+
+@contextmanager
+def _borrowed(descriptor: int) -> Iterator[socket.socket]:
+    """Yield a socket object for libzmq's descriptor, which stays open."""
+    connection = socket.socket(fileno=descriptor)
+    try:
+        yield connection
+    finally:
+        connection.detach()
+
+
+def _names(connection: socket.socket) -> tuple[str, str]:
+    """Return a connection's name for the log, and its origin."""
+    if connection.family == socket.AF_UNIX:
+        credentials = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12)
+        process, user, _group = struct.unpack("3i", credentials)
+        return f"process {process} of user {user}", f"process {process}"
+    host, port = connection.getpeername()[:2]
+    return f"{host}:{port}", str(host)

@@ -1,0 +1,113 @@
+"""One device's messages as one subscriber sees them: which repeat, how many were lost, and which are stale."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable
+from datetime import datetime
+
+from msgspec.structs import replace
+
+from touchd.event import Event, HealthEvent, KeyEvent, TouchEvent
+
+_SHARED_NS = 1_000_000_000
+"""The clocks of one computer agree this well about the time between its start and now."""
+_DRIFT = 2e-4
+"""Two computers' clocks drift apart by less than this."""
+
+
+class Stream:
+    """Follows one device.
+
+    A message's age is its `t_ns` against CLOCK_MONOTONIC here, if both are the same clock: then `wall` less `t_ns` is
+    the same there and here. For another computer it is the delay beyond the least one seen.
+
+    Parameters
+    ----------
+    max_age_s : float
+        Messages older than this are stale; infinity for none.
+    lost, dropped : Counter
+        Grow by the messages that never came, and by those that are stale, by topic.
+    clock, wall_clock : callable
+        CLOCK_MONOTONIC and UTC, ns.
+    """
+
+    def __init__(
+        self,
+        max_age_s: float,
+        lost: Counter[str],
+        dropped: Counter[str],
+        clock: Callable[[], int] = time.monotonic_ns,
+        wall_clock: Callable[[], int] = time.time_ns,
+    ) -> None:
+        self._max_age_ns = max_age_s * 1e9
+        self._lost, self._dropped = lost, dropped
+        self._clock, self._wall_clock = clock, wall_clock
+        self._last: dict[str, tuple[int, int]] = {}
+        self._touched = False
+        self._pressed: set[str] = set()
+        self._epoch_ns: int | None = None
+        self._shared = False
+        self._least_ns = 0.0
+        self._heard_ns = 0
+
+    def take(self, event: Event) -> Event | None:
+        """Return the event for the program, or None for a repeat or a stale one.
+
+        A stale event that follows a touch returns that nothing is touched, without an `up`: the finger may have left
+        long ago. A stale release of a key that was pressed is returned. `health` is never stale.
+        """
+        last = self._last.get(event.type)
+        now = (event.seq, event.t_ns)
+        if now == last:
+            return None
+        self._last[event.type] = now
+        # The bus never sends an older message again, so a counter that fell belongs to a restarted daemon.
+        if last is not None and event.seq > last[0]:
+            self._lost[event.type] += event.seq - last[0] - 1
+        if not self._is_stale(event):
+            if isinstance(event, TouchEvent):
+                self._touched = any(contact.phase != "up" for contact in event.contacts)
+            elif isinstance(event, KeyEvent):
+                self._note(event)
+            return event
+        self._dropped[event.type] += 1
+        if isinstance(event, TouchEvent) and self._touched:
+            self._touched = False
+            return replace(event, contacts=[])
+        if isinstance(event, KeyEvent) and event.phase == "release" and event.key in self._pressed:
+            self._note(event)
+            return event
+        return None
+
+    def _note(self, event: KeyEvent) -> None:
+        if event.phase == "release":
+            self._pressed.discard(event.key)
+        elif len(self._pressed) < 1000:
+            self._pressed.add(event.key)
+
+    def _is_stale(self, event: Event) -> bool:
+        now_ns = self._clock()
+        delay_ns = now_ns - event.t_ns
+        epoch_ns = _epoch_ns(event)
+        if self._epoch_ns is None or epoch_ns is None or abs(epoch_ns - self._epoch_ns) > _SHARED_NS:
+            # The first message, or one of a daemon that started again, on a clock that may have, too.
+            self._epoch_ns = epoch_ns
+            here_ns = self._wall_clock() - now_ns
+            self._shared = epoch_ns is not None and abs(epoch_ns - here_ns) < _SHARED_NS
+            self._least_ns = 0.0 if self._shared else delay_ns
+        elif not self._shared:
+            self._least_ns += (now_ns - self._heard_ns) * _DRIFT
+        self._heard_ns = now_ns
+        self._least_ns = min(self._least_ns, delay_ns)
+        return not isinstance(event, HealthEvent) and delay_ns - self._least_ns > self._max_age_ns
+
+
+def _epoch_ns(event: Event) -> int | None:
+    """Return the UTC at which the event's `t_ns` was 0, ns: the same in all messages of one start of a computer."""
+    try:
+        wall_s = datetime.fromisoformat(event.wall).timestamp()
+    except (ValueError, OverflowError):
+        return None
+    return round(wall_s * 1e9) - event.t_ns
