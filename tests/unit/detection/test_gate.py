@@ -70,11 +70,12 @@ def test_slow_change() -> None:
     assert gate.noise_energy == pytest.approx(SAMPLES, rel=0.2)
 
 
-@given(st.floats(3, 1e4), st.floats(0, 300), st.integers(0, 2**31))
-@settings(max_examples=50, deadline=None, derandomize=True)  # a statistic: by chance a few in a thousand fail
-def test_end_of_a_tone(tone: float, decay_frames: float, seed: int) -> None:
+@pytest.mark.parametrize("seed", range(50))  # a statistic: by chance a few in a thousand fail, so the draws are fixed
+def test_end_of_a_tone(seed: int) -> None:
     """When a tone ends, at once or slowly, the gate is soon as sensitive as before, and reports the step."""
-    energies = np.random.default_rng(seed).chisquare(SAMPLES, 3000)
+    rng = np.random.default_rng(seed)
+    energies = rng.chisquare(SAMPLES, 3000)
+    tone, decay_frames = float(np.exp(rng.uniform(np.log(3), np.log(1e4)))), seed % 5 and float(rng.uniform(0, 300))
     gate = learned(energies[:32])
     alarms(gate, energies[:1000])
     before = gate.threshold_energy

@@ -23,7 +23,7 @@ from touchd.lab.benchmark.stopwatch import spread
 PATIENCE_S = 30.0
 DAY = {"idle": 0.98, "still": 0.01, "moving": 0.01}
 """Share of each scene in a typical day."""
-FOREVER_S = 1e6
+FOREVER_S = 86_400.0
 ENDLESS = 10_000_000
 SPAWN = multiprocessing.get_context("spawn")
 
