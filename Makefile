@@ -58,7 +58,7 @@ bench: setup
 soak: setup
 	$(BIN)/python -m tests.system.soak $(ARGS)
 
-# Hours of scenes without fingers: prints every contact. Some ten minutes.
+# Nine hours of drift, tones, drops, palms and touches: prints every contact that should not be. Half an hour.
 ghosts: setup
 	$(BIN)/python -m tests.system.soak.ghosts $(ARGS)
 

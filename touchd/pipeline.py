@@ -97,7 +97,7 @@ class Pipeline:
             touches = found.touches
             contacts = tracker.track(frame.t_ns, touches) if touches or tracker.tracks else _NO_CONTACTS
             # Follow, freeze or relearn the baseline: the one feedback.
-            self.detector.adapt(detection, bool(touches), found.departure, tracker.alive)
+            self.detector.adapt(detection, bool(touches), found.departure, tracker.alive, found.plate_moved)
         counters, outcome = self.counters, found.outcome
         counters.by_outcome[outcome._value_] += 1  # to index by an enum takes four times as long
         if detection.lost:

@@ -15,6 +15,8 @@ Signal = NDArray[np.floating]
 _subtract, _multiply, _add = np.subtract, np.multiply, np.add
 _LONGEST_STEP_S = 0.1
 """The baseline moves by at most this much time at once: after a gap it must not swallow a single frame whole."""
+_QUICKLY = 8
+"""Movement that is known to be the plate's own is followed this many times as fast: the next touch may come soon."""
 _STEADY_RATIO = 0.7
 _PATIENCE_WINDOWS = 20
 """A plate that is never steady is learned as it is after this many windows: a poor baseline is better than none."""
@@ -119,11 +121,12 @@ class Baseline:
         flat = self.mean.reshape(-1)
         return max(float(flat.dot(flat)), 1.0)
 
-    def follow(self) -> None:
+    def follow(self, *, quickly: bool = False) -> None:
         """Move the mean towards the last frame, by the time since the frame before it."""
-        if self._elapsed_ns != self._weighed_ns:
-            self._weighed_ns = self._elapsed_ns
-            elapsed_s = min(max(self._elapsed_ns * 1e-9, 0.0), _LONGEST_STEP_S)
+        if quickly or self._elapsed_ns != self._weighed_ns:
+            elapsed_ns = self._elapsed_ns * (_QUICKLY if quickly else 1)
+            self._weighed_ns = elapsed_ns
+            elapsed_s = min(max(elapsed_ns * 1e-9, 0.0), _LONGEST_STEP_S)
             self._weight.fill(elapsed_s / (self._time_constant_s + elapsed_s))
         _multiply(self.residual, self._weight, self._step)
         _add(self.mean, self._step, self.mean)

@@ -153,7 +153,7 @@ class Detector:
             baseline.mean, self._live, changed, None, lost,
         )  # fmt: skip
 
-    def adapt(self, detection: Detection, found: bool, departure: bool, alive: bool) -> None:
+    def adapt(self, detection: Detection, found: bool, departure: bool, alive: bool, moved: bool = False) -> None:
         """Follow, freeze or relearn the baseline, by what came of a measured frame.
 
         Parameters
@@ -166,6 +166,8 @@ class Detector:
             Whether the negative of its residual is a finger: one that the baseline held has lifted.
         alive : bool
             Whether a contact is down.
+        moved : bool
+            Whether its residual is the plate's own movement, which the baseline follows quickly.
         """
         if detection.outcome is _UNTOUCHED:
             if self._relearn.active:
@@ -179,9 +181,9 @@ class Detector:
         # Quicker than where there is no finger to hold.
         (self._stuck.turn if self.sequence % LONGEST_CYCLE else self._stuck.keep)(detection.signal)
         finger, energy = found or alive, detection.energy
-        if not finger and energy < DRIFT_SHARE * self._signal_energy:
+        if not finger and (moved or energy < DRIFT_SHARE * self._signal_energy):
             # The plate has drifted while it was touched.
-            self._baseline.follow()
+            self._baseline.follow(quickly=moved)
             self.followed_ns = detection.t_ns
         reason = self._relearn.update(detection.t_ns, detection.residual, energy, finger, departure and not finger)
         if reason is not None:

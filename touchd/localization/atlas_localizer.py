@@ -33,7 +33,7 @@ from touchd.outcome import Outcome
 from touchd.touch import Touch
 
 AMBIGUOUS_MM = 7.0
-"""A faint finger is not placed if a position farther away than this explains the frame as well."""
+"""A finger is not placed if a position farther away than this explains the frame nearly as well."""
 NOISE_EVERY = 16
 """One of 16 untouched frames updates the noise model."""
 FIRST_STEPS, FOLLOW_STEPS, SHAPED_STEPS = 5, 3, 2
@@ -67,7 +67,7 @@ class AtlasLocalizer:
         self._still = StillFinger(atlas, self._solver)
         self._found = UNTOUCHED
         self._touched = False  # whether a frame was fitted since the last untouched one
-        self._departure = False
+        self._departure = self._plate_moved = False
         self._untouched_frames = 0
         self._live: NDArray[np.bool_] | None = None
         self.configure(settings, layout)
@@ -129,7 +129,7 @@ class AtlasLocalizer:
         touches, inferred = self._place(detection, self._keep_confidence if alive else self._min_confidence, complete)
         self._found = Localization(Outcome.STILL, touches)
         outcome = Outcome.INFERRED if inferred else Outcome.TRACKED if tracked else Outcome.FAINT
-        return Localization(outcome, touches, self._departure)
+        return Localization(outcome, touches, self._departure, self._plate_moved)
 
     def spectrum(self, detection: Detection) -> list[float]:
         """Return the network's input for a frame."""
@@ -142,13 +142,14 @@ class AtlasLocalizer:
         noise, search = self._noise, self._search
         tracked = bool(self._prediction.positions_mm)
         inferred = False
-        self._touched, self._departure = True, False
+        self._touched = True
+        self._departure = self._plate_moved = False
         bins = self._plate.bins(detection.residual)
         signal = bins.energy - noise.noise_energy
-        # A trigger that comes early or late delays all channels alike, which looks like a faint finger on the emitter.
-        evidence = signal if tracked else signal - noise.plate_energy(bins.vector)
-        if evidence <= CRITERIA.noise_spread * noise.noise_energy:
-            search.cancel()
+        # Most tracked fingers are far above noise and drift: that is quickly asked.
+        if not (tracked and signal > noise.noise_energy + self._drift.energy) and self._is_untouched(
+            bins, signal, 0.0 if tracked else noise.plate_energy(bins.vector), detection.t_ns
+        ):
             return self._lose(), inferred
         if tracked:
             fit = self._follow(bins, detection.t_ns, signal)
@@ -160,6 +161,12 @@ class AtlasLocalizer:
         if not fit.shapes:
             fit = self._solver.with_shapes(bins, fit, noise.noise_energy)
         excess = noise.excess(fit.residual_energy, signal)
+        if (
+            tracked
+            and excess > CRITERIA.fair
+            and self._is_untouched(bins, signal, noise.plate_energy(bins.vector), detection.t_ns)
+        ):
+            return self._lose(), inferred
         if search.is_due(excess, signal):
             # Only one well explained finger can wait for what may be beside it; of several, or after a change, one may
             # be lost while the search takes its time.
@@ -177,14 +184,32 @@ class AtlasLocalizer:
         confidence = CRITERIA.confidence(excess) if significant else 0.0
         # An emitter that falls silent, or a gain that changes, looks like a finger on the emitter; but the plate's own
         # directions explain it better. A tracked finger was none of that.
-        doubtful = excess > (CRITERIA.good if tracked else CRITERIA.enough)
+        faint = signal < CRITERIA.faint * noise.noise_energy
+        doubtful = faint or excess > (CRITERIA.good if tracked else CRITERIA.enough)
         by_plate = doubtful and bins.energy - noise.plate_energy(bins.vector) < fit.residual_energy
         if by_plate or not confidence >= min_confidence or (search.pending and not tracked):
             return self._lose(), inferred
-        faint = signal < CRITERIA.faint * noise.noise_energy and len(fit.positions_mm) == 1
-        if faint and noise.is_alike and not tracked and self._is_ambiguous(bins, fit):
+        if len(fit.positions_mm) == 1 and not tracked and self._is_ambiguous(bins, fit, signal, faint=faint):
             return self._lose(), inferred
         return self._accept(bins, fit, confidence, excess, detection.t_ns), inferred
+
+    def _is_untouched(self, bins: Bins, signal: float, plate_energy: float, t_ns: int) -> bool:
+        """Return whether noise and the plate's own movement explain a frame, and if so follow that movement.
+
+        A trigger that comes early or late delays all channels alike, which looks like a faint finger on the emitter; so
+        does what is left of a change of temperature when a finger lifts.
+        """
+        drift, noise_spread = self._drift, CRITERIA.noise_spread * self._noise.noise_energy
+        evidence, moved = signal - plate_energy, drift.energy + plate_energy
+        plausible = moved < CRITERIA.most_moved * drift.signal_energy
+        # Asked this way round, so that NaN is not followed.
+        if not evidence <= noise_spread + (CRITERIA.plate * moved if plausible else 0.0):
+            return False
+        self._search.cancel()
+        if plausible:
+            drift.absorb(bins.vector, t_ns)
+            self._plate_moved = drift.energy > max(evidence, noise_spread)
+        return True
 
     def _accept(self, bins: Bins, fit: Fit, confidence: float, excess: float, t_ns: int) -> tuple[Touch, ...]:
         """Track the fingers of a fit, and return them as touches."""
@@ -231,9 +256,18 @@ class AtlasLocalizer:
             for candidate in self._pursuit.candidates(bins.vector)
         ]
 
-    def _is_ambiguous(self, bins: Bins, fit: Fit) -> bool:
-        """Return whether a finger elsewhere leaves as little as noise: coloured noise resembles one."""
-        ceiling = self._noise.ceiling
+    def _is_ambiguous(self, bins: Bins, fit: Fit, signal: float, *, faint: bool) -> bool:
+        """Return whether a finger elsewhere explains a frame nearly as well as the one fitted.
+
+        Faint fingers and those at the edge, where the field is badly known, may be placed in a wrong valley, and
+        coloured noise resembles a finger.
+        """
+        noise = self._noise
+        left = fit.residual_energy - noise.noise_energy
+        poor = left > CRITERIA.poor * signal
+        if not poor and not (faint and noise.is_alike):
+            return False
+        ceiling = noise.noise_energy + CRITERIA.rival * left if poor else noise.ceiling
         return any(
             other.residual_energy < ceiling and math.dist(other.positions_mm[0], fit.positions_mm[0]) > AMBIGUOUS_MM
             for other in self._fit_candidates(bins)

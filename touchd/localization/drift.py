@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from touchd.localization.atlas import Array, Atlas
 from touchd.localization.features import windowed_dft
-from touchd.localization.thermal import stretch_matrix
+from touchd.localization.thermal import delayed, plate_directions, stretch_matrix
 
 DEAD_BELOW = 0.05
 """A channel with less than this share of its energy in training is dead."""
@@ -52,8 +52,10 @@ class Drift:
         self._drifted = np.zeros(self._size, self._dtype)
         self._weight = np.zeros((), self._dtype)
         self._moved = False
+        self.energy = 0.0
+        """Of what is subtracted, counts squared."""
         self.t_ns: int | None = None
-        """Time of the last update under a finger."""
+        """Time of the last update."""
         self.stretch = 0.0
         """Relative rise of the plate's resonances since training; -4.5e-5 a kelvin on glass."""
         self.gains = np.ones(a.channels)
@@ -92,14 +94,24 @@ class Drift:
     def update(self, unexplained: Array, t_ns: int) -> None:
         """Follow the drift by what the fingers leave of a frame's bins, shape (size,)."""
         elapsed_s = 0.0 if self.t_ns is None else max(t_ns - self.t_ns, 0) * 1e-9
+        self._add(unexplained, t_ns, 1 - math.exp(-elapsed_s / FOLLOW_S))
+
+    def absorb(self, bins: Array, t_ns: int) -> None:
+        """Follow the drift at once by a frame's bins without a finger, shape (size,)."""
+        self._add(bins, t_ns, 1.0)
+
+    def _add(self, vector: Array, t_ns: int, weight: float) -> None:
+        """Add this share of what lies along the directions."""
         self.t_ns = t_ns
-        if len(self._directions) and elapsed_s:
-            np.dot(self._directions, unexplained, out=self._step)
-            self._weight[...] = 1 - math.exp(-elapsed_s / FOLLOW_S)
-            np.multiply(self._step, self._weight, out=self._step)
-            np.add(self._along, self._step, out=self._along)
-            np.dot(self._along, self._directions, out=self._drifted)
-            self._moved = True
+        if not len(self._directions) or weight <= 0:
+            return
+        np.dot(self._directions, vector, out=self._step)
+        self._weight[...] = weight
+        np.multiply(self._step, self._weight, out=self._step)
+        np.add(self._along, self._step, out=self._along)
+        np.dot(self._along, self._directions, out=self._drifted)
+        self.energy = float(self._along.dot(self._along))
+        self._moved = True
 
     @property
     def directions(self) -> Array:
@@ -109,6 +121,7 @@ class Drift:
     def reset(self) -> None:
         """Forget the drift under a finger: the baseline follows the plate again."""
         self._along[:] = 0
+        self.energy = 0.0
         self._moved = False
         self.t_ns = None
 
@@ -127,7 +140,7 @@ class Drift:
             expected = self._reference @ self._plain + stretch * (self._reference @ self._stretched)
             slope = gains[:, None] * (self._reference @ self._stretched)
             error = live @ self._plain - gains[:, None] * expected
-            columns = [slope, gains[:, None] * self._delayed(expected)]
+            columns = [slope, gains[:, None] * delayed(expected, self._omega_rad_s)]
             columns += [np.where(np.arange(self._channels)[:, None] == r, expected, 0.0) for r in np.flatnonzero(alive)]
             system = np.stack([column[alive].ravel() for column in columns], axis=1)
             found = np.linalg.lstsq(system, error[alive].ravel(), rcond=1e-9)[0]
@@ -137,23 +150,13 @@ class Drift:
         return (stretch, gains) if sound else (0.0, np.ones(self._channels))
 
     def _set_directions(self, live: NDArray[np.float64]) -> None:
-        """Set the orthonormal directions in which the untouched plate can move: stretch, delay, and each gain."""
-        bins = live @ self._matrix
+        """Set the directions in which the untouched plate can move."""
+        bins, stretched = live @ self._matrix, live @ self._stretched
         if self._scale is not None:
-            bins = bins * self._scale
+            bins, stretched = bins * self._scale, stretched * self._scale
         self.signal_energy = max(float(np.square(bins).sum()), 1.0)
-        rows = [live @ self._stretched, self._delayed(bins)]
-        rows += [np.where(np.arange(self._channels)[:, None] == r, bins, 0.0) for r in np.flatnonzero(~self.dead)]
-        table = np.stack([row.ravel() for row in rows])
-        norm = np.linalg.norm(table, axis=1, keepdims=True)
-        if not (norm > 0).all():
-            table = np.zeros((0, self._size))  # a rig that hears nothing
-            norm = np.ones((0, 1))
-        self._directions = np.linalg.qr((table / norm).T)[0].T.astype(self._dtype)
-        self._along = np.zeros(len(self._directions), self._dtype)
+        bins[self.dead] = stretched[self.dead] = 0.0
+        directions = plate_directions(bins, stretched, self._omega_rad_s)
+        self._directions = directions.astype(self._dtype)
+        self._along = np.zeros(len(directions), self._dtype)
         self._step = np.zeros_like(self._along)
-
-    def _delayed(self, bins: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return what a delay of a second adds to bins (channels, 2 * bins) in first order: -i omega times them."""
-        count = len(self._omega_rad_s)
-        return np.concatenate([self._omega_rad_s * bins[:, count:], -self._omega_rad_s * bins[:, :count]], axis=1)

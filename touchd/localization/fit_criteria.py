@@ -22,6 +22,11 @@ class FitCriteria:
     """More than this calls for other starting positions."""
     half_confidence: float = 0.25
     """At this share a fit is as likely no finger: unusual fingers leave up to 0.1, palms more than 0.6."""
+    poor: float = 0.2
+    """More than this at touch-down calls for a comparison with other positions."""
+    rival: float = 2.0
+    """The position is ambiguous if another one leaves less than this multiple of what it leaves: right positions of
+    which this holds are 0.03 to 0.2 %, faint and at the edge; wrong ones 18 in 22 (twin)."""
     seen: float = 0.2
     """Share of the unexplained energy that the best scan position must explain for a search to go on after a fair fit.
     A missing finger explains more; model error of a human finger explains 0.13 to 0.17."""
@@ -45,6 +50,12 @@ class FitCriteria:
     """And as much less, in variances of a value's noise: its eight numbers explain 8 of noise alone."""
     shapes_apart_mm: float = 9.0
     """Two contacts with shapes that are closer than this are one: so much wider than a point is a child's finger."""
+    plate: float = 0.06
+    """Share of the plate's own movement that its directions may miss. They miss 0.02 of a change of temperature; of a
+    finger on the emitter 0.14 or more, of 99 in 100 elsewhere over 0.68 (twin)."""
+    most_moved: float = 0.01
+    """Larger movement, in shares of the untouched plate's energy, is a fault: 5 K on glass have less, a channel that
+    dies has 0.25."""
     merged_mm: float = 4.0
     """Two fingers closer than this are one."""
 

@@ -22,6 +22,8 @@ class Localization(Struct, gc=False, frozen=True):
     touches: tuple[Touch, ...] = ()
     departure: bool = False
     """Whether the negative of the residual is a finger: one that the baseline held has lifted."""
+    plate_moved: bool = False
+    """Whether the residual is the plate's own movement, of temperature, delay or gains, and no finger."""
 
 
 UNTOUCHED = Localization(Outcome.UNTOUCHED)

@@ -4,20 +4,74 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+from numpy.typing import DTypeLike
+
 from touchd.config.schema import Settings
 from touchd.detection.baseline import Signal
 from touchd.detection.detector import Detection
+from touchd.frame import Acquisition
 from touchd.keypad import Layout
 from touchd.localization.estimator import Estimator, TouchMaker
+from touchd.localization.features import FrequencyFeatures, band_bins, windowed_dft
+from touchd.localization.fit_criteria import CRITERIA
 from touchd.localization.localization import UNTOUCHED, Localization
 from touchd.localization.model import Model
 from touchd.localization.stillness import StillFrame
+from touchd.localization.thermal import plate_directions, stretch_matrix
 from touchd.outcome import Outcome
 from touchd.touch import Touch
 
 EDGE_SIGMAS = 3.0
 """A position beyond the plate by less is moved to its edge, one farther away is none."""
 _FAINT = Localization(Outcome.FAINT)
+_PLATE_MOVED = Localization(Outcome.FAINT, plate_moved=True)
+
+
+class PlateMovement:
+    """Tells the plate's own movement, of temperature, delay and gains, from a finger.
+
+    Parameters
+    ----------
+    acquisition : Acquisition
+    dtype : type
+    """
+
+    def __init__(self, acquisition: Acquisition, dtype: DTypeLike) -> None:
+        bins = band_bins(acquisition)
+        self._features = FrequencyFeatures(acquisition, dtype)
+        self._plain, self._stretched = windowed_dft(acquisition), stretch_matrix(acquisition, bins)
+        self._omega_rad_s = 2 * np.pi * bins * acquisition.sample_rate_hz / acquisition.samples
+        self._bins: Signal = np.zeros(self._features.size, dtype)
+        self._directions: Signal = np.zeros((0, self._features.size), dtype)
+        self._most = 0.0  # energy, counts squared
+
+    def set_baseline(self, baseline: Signal) -> None:
+        """Take the untouched plate, (channels, samples)."""
+        live = baseline.astype(np.float64)
+        bins = live @ self._plain
+        directions = plate_directions(bins, live @ self._stretched, self._omega_rad_s)
+        self._directions = directions.astype(self._bins.dtype)
+        self._most = CRITERIA.most_moved * float(np.square(bins).sum())
+
+    def split(self, residual: Signal, noise_energy: float) -> tuple[float, float, float]:
+        """Return the energy of a residual's bins: the plate's movement, what that and noise leave, and the noise.
+
+        Parameters
+        ----------
+        residual : array of shape (channels, samples)
+        noise_energy : float
+            Of the residual of an untouched frame, counts squared.
+        """
+        bins = self._bins
+        self._features.extract(residual, bins)
+        along = self._directions.dot(bins)
+        moved, noise = float(along.dot(along)), self._features.noise_gain * noise_energy
+        return moved, float(bins.dot(bins)) - moved - noise, noise
+
+    def explains(self, moved: float, left: float, noise: float) -> bool:
+        """Return whether the plate's movement and noise are all that a residual split into these energies holds."""
+        return moved < self._most and left <= min(CRITERIA.noise_margin * noise + CRITERIA.plate * moved, moved)
 
 
 class NetworkLocalizer:
@@ -34,6 +88,7 @@ class NetworkLocalizer:
     def __init__(self, model: Model, settings: Settings, layout: Layout | None) -> None:
         self._estimator = Estimator(model)
         self._still = StillFrame(model.description.acquisition.shape, settings.skip.still_false_alarm_rate, model.dtype)
+        self._movement = PlateMovement(model.description.acquisition, model.dtype)
         self._found = UNTOUCHED
         self._signal_energy = 1.0
         self._size_mm = model.description.plate.width_mm, model.description.plate.height_mm
@@ -58,6 +113,7 @@ class NetworkLocalizer:
 
     def update(self, baseline: Signal, residuals: Signal | None = None) -> None:  # noqa: ARG002 - the atlas alone needs the residuals
         """Take a newly learned baseline, of shape (channels, samples)."""
+        self._movement.set_baseline(baseline)
         flat = baseline.reshape(-1)
         self._signal_energy = max(float(flat.dot(flat)), 1.0)  # a dead DAQ sends zeros
         self.reset()
@@ -78,8 +134,15 @@ class NetworkLocalizer:
         # Where no finger was found the network looks again: under other noise it may see one.
         if self._found.touches and self._still.holds(detection.residual):
             return self._found
-        if self._skips_still:
+        moved, left, noise = self._movement.split(detection.residual, detection.noise_energy)
+        if touched and self._movement.explains(moved, left, noise):
+            self.reset()
+            return _PLATE_MOVED
+        # Of a fainter finger on a plate that has moved, the lift might look like noise.
+        if self._skips_still and left > noise:
             self._still.update(detection.residual, detection.energy_above(self._still.quantile))
+        else:
+            self._still.reset()
         touches = self._look(detection, self._keep_confidence if alive else self._min_confidence)
         departure = not touches and not alive and self._estimator.of_residual and self._departs()
         # The next frames that hold are still.

@@ -56,3 +56,33 @@ def stretch_matrix(acquisition: Acquisition, bins: NDArray[np.int64]) -> Floats:
         return np.asarray(np.fft.irfft(-slope[:, None] * np.fft.rfft(columns, axis=0), n, axis=0))
 
     return np.concatenate([derived(weight * np.cos(phase)), derived(-weight * np.sin(phase))], axis=1)
+
+
+def delayed(bins: Floats, omega_rad_s: Floats) -> Floats:
+    """Return what a delay of a second adds to bins (channels, 2 * bins) in first order: -i omega times them."""
+    count = len(omega_rad_s)
+    return np.concatenate([omega_rad_s * bins[:, count:], -omega_rad_s * bins[:, :count]], axis=1)
+
+
+def plate_directions(bins: Floats, stretched: Floats, omega_rad_s: Floats) -> Floats:
+    """Return the orthonormal directions in which the untouched plate can move: stretch, delay, and each gain.
+
+    Parameters
+    ----------
+    bins : array of shape (channels, 2 * bins)
+        Of the untouched plate; zero in dead channels.
+    stretched : array of the same shape
+        Their derivative by a stretch.
+    omega_rad_s : array of shape (bins,)
+
+    Returns
+    -------
+    array of shape (up to 2 + channels, channels * 2 * bins), without rows on a rig that hears nothing.
+    """
+    rows = [stretched, delayed(bins, omega_rad_s)]
+    rows += [np.where(np.arange(len(bins))[:, None] == r, bins, 0.0) for r in np.flatnonzero(bins.any(axis=1))]
+    table = np.stack([row.ravel() for row in rows])
+    norm = np.linalg.norm(table, axis=1, keepdims=True)
+    if not (norm > 0).all():
+        return np.zeros((0, bins.size))
+    return np.asarray(np.linalg.qr((table / norm).T)[0].T)

@@ -18,7 +18,7 @@ from touchd.twin.scenes.catalogue import SCENES
 FOLDER = Path(__file__).parent / "scenes"
 SEED = 21
 """That of the scenes which tests share."""
-NETWORK_ALONE = ("tap", "hold", "swipe", "drop")
+NETWORK_ALONE = ("tap", "hold", "swipe", "drop", "warming")
 """Scenes that are also played without the field atlas."""
 CASES = {
     **{name: (name, True) for name in SCENES},

@@ -1,8 +1,8 @@
-"""`make ghosts`: hours of scenes without fingers through the pipeline; each contact found is reported.
+"""`make ghosts`: hours of scenes with few fingers through the pipeline; each contact that should not be is printed.
 
-Each of five scenes is played for an hour in pieces of a minute, no two alike: noise, trigger jitter, rates of drift,
-tones, drops and palms differ. Frames come block by block and are not kept. What was found in a piece is told as soon as
-it has been played, of a scene when all its pieces have.
+Each scene is played for an hour, the mixed day for three, in pieces of a minute, no two alike: noise, trigger jitter,
+rates of drift, tones, drops and palms differ. Frames come block by block and are not kept, faster than real time. What
+was found in a piece is printed as soon as it has been played, of a scene when all its pieces have.
 """
 
 from __future__ import annotations
@@ -23,18 +23,25 @@ from multiprocessing import get_context
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tests.scenes.stages import RATE_HZ, empty_stage, play, score
+from touchd.config.schema import Settings
+from touchd.evaluation.matching import Position
 from touchd.evaluation.replay_scores import found_contacts
 from touchd.twin.electronics import Electronics, Tone
 from touchd.twin.instrument import Instrument
-from touchd.twin.scenes.one_finger import END_S, FORCES_N, IDLE_S
+from touchd.twin.scenes.one_finger import END_S, FORCES_N, IDLE_S, press_warming
 from touchd.twin.scenes.timeline import Stage
 from touchd.twin.scenes.trajectory import anywhere, still
 from touchd.twin.simulate import DEFAULT_PLATE
 
 PIECE_S = 60.0
+HOURS = {"mixed": 3.0}
+"""Of a scene, unless one."""
 NEAR_MM = 10.0
+LATE_FRAMES = 12
+"""A contact may stay this long behind its finger."""
 
 
 class Piece(NamedTuple):
@@ -45,12 +52,12 @@ class Piece(NamedTuple):
     touches: int
     missed: int
     ghosts: int
-    """Contacts that come down where there is no finger, nor was one within the last 0.1 s."""
+    """Contacts that are, in any message, where there is no finger, nor was one within the last 0.1 s."""
     split: int
     seconds: float
     """Processor time."""
     strays: list[str]
-    """Of each ghost: when, where, for how many messages."""
+    """Of each ghost: when, where, for how many frames."""
 
 
 def idle(_stage: Stage) -> None:
@@ -59,34 +66,19 @@ def idle(_stage: Stage) -> None:
 
 def drift(stage: Stage) -> None:
     """Warm the plate and let it cool at up to 0.2 K a second, gains drifting along; tap now and then."""
-    rng = stage.rng
-    by_k, period_s = rng.uniform(-4, 4), rng.uniform(60, 240)
-    stage.temperature_c = stage.temperature_c + by_k / 2 * (1 - np.cos(2 * np.pi * stage.time_s / period_s))
-    stage.electronics = stage.electronics._replace(gain_drift_per_s=tuple(rng.normal(0, 2e-5, 4).tolist()))
+    _drift(stage)
     _tap(stage, 3.0)
 
 
 def interference(stage: Stage) -> None:
     """Switch tones on and off, in the chirp's band and beside it; tap now and then."""
-    rng = stage.rng
-    tones = []
-    for _ in range(rng.integers(1, 7)):
-        at_s = rng.uniform(IDLE_S + 0.5, stage.end_s - 2)
-        level_db, length_s = rng.uniform(-50, -28), rng.uniform(0.05, 20)
-        tones.append(Tone(rng.uniform(30e3, 120e3), level_db, at_s, at_s + length_s))
-    stage.electronics = stage.electronics._replace(tones=tuple(tones))
+    _tones(stage)
     _tap(stage, 2.0)
 
 
 def drop(stage: Stage) -> None:
     """Let drops of 2-25 mg fall anywhere and be wiped off; tap now and then."""
-    rng = stage.rng
-    for column in range(1, 1 + int(rng.integers(1, 4))):
-        at_s = rng.uniform(IDLE_S + 0.5, 0.7 * stage.end_s)
-        stop_s = at_s + rng.uniform(2, 40)
-        stage.lay(
-            "drop", at_s, stop_s, still(*anywhere(stage, 12.0)), area_mm2=rng.uniform(3.0, 18.1), column=column
-        )  # fmt: skip
+    _drops(stage)
     _tap(stage, 2.0)
 
 
@@ -105,8 +97,35 @@ def palm(stage: Stage) -> None:
         at_s += length_s + rng.uniform(2.0, 6.0)
 
 
+def warming(stage: Stage) -> None:
+    """Press for up to 5 s while the plate warms or cools by up to 1.5 K, and tap right after."""
+    rng, at_s, k = stage.rng, IDLE_S + 0.5, 0.0
+    while (stop_s := at_s + rng.uniform(1.0, 5.0)) < stage.end_s - END_S:
+        # Not ever warmer: the twin's temperature has a span.
+        change_k = rng.uniform(0.1, 1.5) * (1 if rng.uniform() > 0.5 + k / 10 else -1)
+        press_warming(stage, str(rng.choice(["silicone", "human"])), at_s, stop_s, change_k)
+        k += change_k
+        at_s = stop_s + rng.uniform(0.3, 2.0)
+
+
+def mixed(stage: Stage) -> None:
+    """Let two of drift, tones and drops happen while fingers tap or press, or a palm lie on a plate that drifts."""
+    rng = stage.rng
+    if rng.uniform() < 0.2:
+        _drift(stage)
+        palm(stage)
+        return
+    for k in rng.permutation(3)[:2].tolist():
+        (_drift, _tones, _drops)[k](stage)
+    if rng.uniform() < 0.5:
+        warming(stage)
+    else:
+        _tap(stage, 2.0)
+
+
 SCENES: dict[str, Callable[[Stage], None]] = {
-    "idle": idle, "drift": drift, "interference": interference, "drop": drop, "palm": palm
+    "idle": idle, "drift": drift, "interference": interference, "drop": drop, "palm": palm, "warming": warming,
+    "mixed": mixed,
 }  # fmt: skip
 
 
@@ -122,26 +141,60 @@ def piece(name: str, seed: int, seconds: float = PIECE_S) -> Stage:
     return stage
 
 
-def judge(name: str, seed: int, instrument: Instrument, seconds: float = PIECE_S) -> Piece:
-    """Play a piece through the whole pipeline."""
+def judge(name: str, seed: int, instrument: Instrument, seconds: float = PIECE_S, *, atlas: bool = True) -> Piece:
+    """Play a piece through the whole pipeline, with the field atlas or by the network alone."""
     began_s = time.process_time()
     stage = piece(name, seed, seconds)
-    outcome = play(stage, instrument, seed)
+    outcome = play(stage, instrument, seed, Settings.model_validate({"model": {"atlas": atlas}}))
     found = score(stage, outcome)
     places_mm, force_n = stage.truth()
     places_mm = np.where(np.isfinite(force_n)[..., None], places_mm, np.nan)
     strays = []
     for contact in found_contacts(outcome.touches):
-        first = contact.frames[0]
-        recent = places_mm[max(first - 12, 0) : first + 1].reshape(-1, 2)
-        away_mm = np.linalg.norm(recent - np.array(contact.position_mm[0]), axis=1)
-        if not (away_mm < NEAR_MM).any():
-            x_mm, y_mm = contact.position_mm[0]
-            at = f"at {first / RATE_HZ:.2f} s, ({x_mm:.1f}, {y_mm:.1f}) mm, {len(contact.frames)} frames"
+        astray = [
+            (frame, position_mm)
+            for frame, position_mm in zip(contact.frames, contact.position_mm, strict=True)
+            if not _is_near(places_mm[max(frame - LATE_FRAMES, 0) : frame + 1], position_mm)
+        ]
+        if astray:
+            first, (x_mm, y_mm) = astray[0]
+            at = f"at {first / RATE_HZ:.2f} s, ({x_mm:.1f}, {y_mm:.1f}) mm, {astray[-1][0] - first + 1} frames"
             strays.append(f"{at}; {stage.electronics.noise_db:g} dB, jitter {stage.electronics.jitter_s * 1e9:g} ns")
     return Piece(
         name, seed, found.touches, found.missed, len(strays), found.split, time.process_time() - began_s, strays
     )  # fmt: skip
+
+
+def _is_near(fingers_mm: NDArray[np.float32], position_mm: Position) -> bool:
+    """Return whether a finger was near a position in any of these frames, shape (n, k, 2)."""
+    return bool((np.linalg.norm(fingers_mm - np.array(position_mm), axis=-1) < NEAR_MM).any())
+
+
+def _drift(stage: Stage) -> None:
+    rng = stage.rng
+    by_k, period_s = rng.uniform(-4, 4), rng.uniform(60, 240)
+    stage.temperature_c = stage.temperature_c + by_k / 2 * (1 - np.cos(2 * np.pi * stage.time_s / period_s))
+    stage.electronics = stage.electronics._replace(gain_drift_per_s=tuple(rng.normal(0, 2e-5, 4).tolist()))
+
+
+def _tones(stage: Stage) -> None:
+    rng = stage.rng
+    tones = []
+    for _ in range(rng.integers(1, 7)):
+        at_s = rng.uniform(IDLE_S + 0.5, stage.end_s - 2)
+        level_db, length_s = rng.uniform(-50, -28), rng.uniform(0.05, 20)
+        tones.append(Tone(rng.uniform(30e3, 120e3), level_db, at_s, at_s + length_s))
+    stage.electronics = stage.electronics._replace(tones=tuple(tones))
+
+
+def _drops(stage: Stage) -> None:
+    rng = stage.rng
+    for column in range(1, 1 + int(rng.integers(1, 4))):
+        at_s = rng.uniform(IDLE_S + 0.5, 0.7 * stage.end_s)
+        stop_s = at_s + rng.uniform(2, 40)
+        stage.lay(
+            "drop", at_s, stop_s, still(*anywhere(stage, 12.0)), area_mm2=rng.uniform(3.0, 18.1), column=column
+        )  # fmt: skip
 
 
 def _tap(stage: Stage, pause_s: float) -> None:
@@ -160,25 +213,28 @@ def main() -> int:
     """Play all, and return 1 if there was a ghost."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("scenes", nargs="*", default=list(SCENES), help=f"of {', '.join(SCENES)}")
-    parser.add_argument("--minutes", type=int, default=60, help="of each scene")
+    parser.add_argument("--minutes", type=float, default=60, help="of each scene; three times as many of the mixed day")
     parser.add_argument("--seed", type=int, default=1, help="of the first piece; the next have the next")
     parser.add_argument("--jobs", type=int, default=2, help="processes")
+    parser.add_argument("--network", action="store_true", help="without the field atlas")
     arguments = parser.parse_args()
-    instrument = Instrument(DEFAULT_PLATE)
-    ghosts = 0
+    play_piece = partial(judge, instrument=Instrument(DEFAULT_PLATE), atlas=not arguments.network)
+    ghosts, began_s, hours = 0, time.monotonic(), 0.0
     print(f"{'scene':14} {'minutes':>7} {'touches':>8} {'missed':>7} {'split':>6} {'ghosts':>7} {'cpu s':>7}")
     for name in arguments.scenes:
-        count = round(arguments.minutes * 60 / PIECE_S)
+        count = max(1, round(arguments.minutes * HOURS.get(name, 1.0) * 60 / PIECE_S))
         seeds = range(arguments.seed, arguments.seed + count)
         total = np.zeros(5)
         with ProcessPoolExecutor(arguments.jobs, get_context("spawn")) as pool:
-            for p in pool.map(partial(judge, name, instrument=instrument), seeds):
+            for p in pool.map(partial(play_piece, name), seeds):
                 total += p.touches, p.missed, p.split, p.ghosts, p.seconds
                 if p.missed or p.ghosts:
                     print(f"  seed {p.seed}: {p.missed} missed, {p.ghosts} ghosts", *p.strays, sep="\n    ", flush=True)
         minutes = count * PIECE_S / 60
         print(f"{name:14} {minutes:7g} " + "{:8.0f} {:7.0f} {:6.0f} {:7.0f} {:7.0f}".format(*total), flush=True)
         ghosts += int(total[3])
+        hours += minutes / 60
+    print(f"{hours:g} hours in {(time.monotonic() - began_s) / 3600:.2f}: {ghosts} ghosts")
     return 1 if ghosts else 0
 
 

@@ -81,6 +81,20 @@ def test_time_constant(every: int) -> None:
     assert float((plate.baseline.mean - MEAN).mean()) == pytest.approx(100 * (1 - np.exp(-1)), rel=0.05)
 
 
+def test_quickly() -> None:
+    """Movement of the plate's own is followed 8 times as fast, and what comes after it as before."""
+    plate = Plate(5, noise=0.0)
+    plate.learn([np.rint(MEAN)] * 32)
+    steps = []
+    for quickly in (True, False):
+        before = plate.baseline.mean.copy()
+        plate.subtract(np.rint(before) + 100, PERIOD_NS)
+        plate.baseline.follow(quickly=quickly)
+        steps.append(float((plate.baseline.mean - before).mean()))
+    expected = [100 * s / (SETTINGS.time_constant_s + s) for s in (8 * PERIOD_NS * 1e-9, PERIOD_NS * 1e-9)]
+    assert steps == pytest.approx(expected, rel=0.1)
+
+
 @pytest.mark.parametrize(("gap_ns", "share"), [(3_600_000_000_000, 0.1 / 0.6), (-5_000_000, 0.0), (0, 0.0)])
 def test_gap(gap_ns: int, share: float) -> None:
     """The first frame after a gap moves the baseline by 0.1 s at most, and a clock that steps back moves nothing."""

@@ -329,3 +329,16 @@ def test_fingers_coming_down() -> None:
         assert found >= known, f"frame {frame}"
         known = max(known, found)
     assert known == len(places)
+
+
+def test_plate_that_moved() -> None:
+    """What a change of the plate leaves when a finger lifts is no finger, though a faint one would explain it."""
+    rig, gain = Rig(), 5e-3 * np.array([2.0, -1.0, 1.5, 0.5])[:, None]
+    moved, left = gain * ATLAS.baseline, (85.0, 25.0, 0.015)
+    for share in np.linspace(0, 1, 300):
+        assert at(rig.see(rig.residual((50, 40, 1)) + share * moved).touches, (50, 40))
+    for _ in range(20):
+        found = rig.see(rig.residual(left) + moved, near_mm=(85, 25))
+        assert (found.touches, found.plate_moved) == ((), True)
+    rig.lift()
+    assert sum(bool(rig.see(rig.residual(left), near_mm=(85, 25)).touches) for _ in range(20)) > 10

@@ -105,6 +105,7 @@ SCENES: dict[str, Scene] = {
     "cross": Scene(several_fingers.cross, 8.2, "two fingers' strokes cross, 15 mm from each other", least_mm=80.0),
     "keypad": Scene(one_finger.keypad, 4.1, "a code is typed"),
     "drift": Scene(one_finger.drift, 60.0, "the plate warms by 3 K and cools again; a tap now and then", "silicone"),
+    "warming": Scene(one_finger.warming, 15.0, "presses during which the plate warms or cools; a tap right after each"),
     "palm": Scene(one_finger.palm, 4.0, "a palm lies on the plate", least_mm=80.0),
     "drop": Scene(one_finger.drop, 5.0, "a drop of water falls on the plate and stays; taps beside it"),
     "interference": Scene(one_finger.interference, 6.0, "tones from elsewhere; taps", "silicone"),

@@ -23,6 +23,8 @@ KEY_S = 0.6
 """Time between keys."""
 LONG_HOLD_K = 1.0
 """Warming by a hand on the plate; it shifts estimates from a stale baseline by a centimetre."""
+WARM_K = (0.2, 1.2)
+"""Change of the plate's temperature while it is pressed in `warming`."""
 FORCES_N = {
     "silicone": (1.5, 3.5), "human": (0.3, 0.8), "robot": (1.5, 3.5), "fingertip": (0.3, 0.8), "thumb": (0.35, 0.8),
     "child": (0.3, 0.8), "glove": (0.2, 0.8),
@@ -110,6 +112,28 @@ def drift(stage: Stage, cast: Cast) -> None:
     turn = np.clip((stage.time_s - IDLE_S) / (stage.end_s - IDLE_S), 0, 1)
     stage.temperature_c += 1.5 - 1.5 * np.cos(2 * np.pi * turn)
     _tap_from(stage, cast.finger, IDLE_S + 2, stage.end_s - END_S, pause_s=1.5)
+
+
+def press_warming(stage: Stage, kind: str, start_s: float, stop_s: float, k: float) -> None:
+    """Press at a random position while the plate comes to another temperature, and tap as soon as the finger lifts."""
+    rng, t = stage.rng, stage.time_s - start_s
+    length_s = 0.9 * (stop_s - start_s)
+    # A warm finger warms the plate from its first moment on; a draught comes at any time, and at once.
+    late_s = rng.uniform(0.2, 1.0) * length_s
+    course = t >= late_s if rng.uniform() < 0.3 else np.clip(t / length_s, 0, 1)
+    stage.temperature_c = stage.temperature_c + k * course
+    stage.lay(kind, start_s, start_s + length_s - 0.3, still(*anywhere(stage)), force_n=rng.uniform(*FORCES_N[kind]))
+    tap_s = start_s + length_s - 0.3 + rng.uniform(0.05, 0.25)
+    stage.lay(kind, tap_s, stop_s, still(*anywhere(stage)), force_n=rng.uniform(*FORCES_N[kind]))
+
+
+def warming(stage: Stage, cast: Cast) -> None:
+    """Press for seconds while the plate warms or cools, and tap right after."""
+    at = IDLE_S
+    while (stop := min(at + stage.rng.uniform(1.5, 4.0), stage.end_s - END_S)) - at > 0.6:
+        k = stage.rng.choice([-1, 1]) * stage.rng.uniform(*WARM_K)
+        press_warming(stage, cast.finger, at, stop, k)
+        at = stop + stage.rng.uniform(0.2, 1.0)
 
 
 def palm(stage: Stage, _cast: Cast) -> None:
