@@ -1,5 +1,7 @@
 """What the plate goes through in use, from the twin's frames to the events: found once each, and no ghosts."""
 
+import math
+
 import numpy as np
 import pytest
 
@@ -8,12 +10,14 @@ from touchd.cli.demo import SESSION
 from touchd.config.schema import Settings
 from touchd.evaluation.metrics import position_scores
 from touchd.evaluation.replay_scores import StreamScores, score_stream
+from touchd.evaluation.single_frames import find_with, see, touched_frames
 from touchd.event import TouchEvent
+from touchd.localization.model import Model, default_model_path
 from touchd.recording.format import read
 from touchd.service.replay import Replayed, replay
 from touchd.twin.electronics import Electronics
 from touchd.twin.instrument import REFERENCE_C, Instrument
-from touchd.twin.simulate import DEFAULT_PLATE, stage_scene
+from touchd.twin.simulate import DEFAULT_PLATE, simulate_touches, stage_scene
 
 
 def scene(name: str, instrument: Instrument, seed: int) -> tuple[StreamScores, Replayed]:
@@ -41,6 +45,37 @@ def test_several_fingers_are_found_and_none_is_lost_while_others_come(
     result, _ = scene(name, instrument, seed)
     print(f"{name} {seed}: {result.found} of {result.touches}, {result.split} split")
     assert (result.missed, result.ghosts, result.split) == (0, 0, 0)
+
+
+@pytest.mark.parametrize("finger", ["fingertip", "thumb", "child"])
+@pytest.mark.parametrize("name", ["tap", "hold", "swipe", "keypad", "two"])
+def test_real_fingers(name: str, finger: str, instrument: Instrument) -> None:
+    """A finger whose face gives way to the wave is one finger: each touch found once, none split, no ghost."""
+    stage = stage_scene(name, DEFAULT_PLATE, seed=13, finger=finger)
+    result = score(stage, play(stage, instrument, 13))
+    error_mm = np.linalg.norm(result.error_mm, axis=1)
+    print(f"{name} {finger}: {result.found} of {result.touches}, median {np.median(error_mm):.3f} mm")
+    assert (result.missed, result.ghosts, result.split) == (0, 0, 0)
+    assert np.median(error_mm) < 0.4
+
+
+@pytest.mark.parametrize(("finger", "fingers", "right", "median_mm"), [
+    ("fingertip", 1, 0.98, 0.10), ("thumb", 1, 0.96, 0.20), ("child", 1, 0.98, 0.10), ("fingertip", 2, 0.96, 0.20),
+])  # fmt: skip
+def test_single_real_frames(finger: str, fingers: int, right: float, median_mm: float, instrument: Instrument) -> None:
+    """In single frames fingers of any size are counted right, and placed to tenths of a millimetre."""
+    frames = touched_frames(
+        simulate_touches(60, seed=91, instrument=instrument, finger=finger, fingers=fingers, apart_mm=16.0)
+    )
+    model = Model(default_model_path())
+    seen = see(find_with(model, model.atlas, frames), frames)
+    count = np.mean([len(one.found) == fingers for one in seen])
+    error_mm = [
+        min(math.dist((touch.x_mm, touch.y_mm), place) for place in one.true_mm) for one in seen for touch in one.found
+    ]
+    print(f"{fingers} {finger}: count right {count:.3f}, median {np.median(error_mm):.3f} mm")
+    assert count >= right
+    assert np.median(error_mm) < median_mm
 
 
 def test_lost_frames_are_counted(instrument: Instrument) -> None:

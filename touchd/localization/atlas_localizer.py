@@ -21,6 +21,7 @@ from touchd.localization.estimator import Estimator, TouchMaker
 from touchd.localization.fit import Bins, Fit, no_fit
 from touchd.localization.fit_criteria import CRITERIA
 from touchd.localization.gauss_newton import STILL_MM, GaussNewton
+from touchd.localization.landing import FIRST_STEPS, Landing
 from touchd.localization.localization import UNTOUCHED, Localization
 from touchd.localization.model import Model
 from touchd.localization.multitouch import MultitouchSearch
@@ -32,11 +33,9 @@ from touchd.localization.stillness import StillFinger
 from touchd.outcome import Outcome
 from touchd.touch import Touch
 
-AMBIGUOUS_MM = 7.0
-"""A finger is not placed if a position farther away than this explains the frame nearly as well."""
 NOISE_EVERY = 16
 """One of 16 untouched frames updates the noise model."""
-FIRST_STEPS, FOLLOW_STEPS, SHAPED_STEPS = 5, 3, 2
+FOLLOW_STEPS, SHAPED_STEPS = 3, 2
 _STILL_TOGETHER_MM = STILL_MM / 4
 """After a shorter step of several fingers the next one would be less than 1e-3 mm; few tracked ones step farther."""
 
@@ -61,6 +60,7 @@ class AtlasLocalizer:
         self._noise, self._drift = self._plate.noise, self._plate.drift
         self._pursuit = Pursuit(atlas, GaussNewton(atlas))  # of its own: its frame stays while others are fitted
         self._field_rms = math.sqrt(self._pursuit.mean_energy)
+        self._landing = Landing(self._estimator, self._solver, self._pursuit, self._noise)
         self._search = MultitouchSearch(self._solver, self._pursuit, self._noise)
         self._classifier = Classifier(atlas, self._noise)
         self._prediction = Prediction()
@@ -157,7 +157,7 @@ class AtlasLocalizer:
             fit = no_fit(bins.energy)  # the search that goes on finds where to begin
         else:
             inferred = True
-            fit = self._begin(detection, bins, signal)
+            fit = self._landing.fit(detection, bins, signal)
         if not fit.shapes:
             fit = self._solver.with_shapes(bins, fit, noise.noise_energy)
         excess = noise.excess(fit.residual_energy, signal)
@@ -189,7 +189,7 @@ class AtlasLocalizer:
         by_plate = doubtful and bins.energy - noise.plate_energy(bins.vector) < fit.residual_energy
         if by_plate or not confidence >= min_confidence or (search.pending and not tracked):
             return self._lose(), inferred
-        if len(fit.positions_mm) == 1 and not tracked and self._is_ambiguous(bins, fit, signal, faint=faint):
+        if len(fit.positions_mm) == 1 and not tracked and self._landing.is_ambiguous(bins, fit, signal, faint=faint):
             return self._lose(), inferred
         return self._accept(bins, fit, confidence, excess, detection.t_ns), inferred
 
@@ -238,40 +238,6 @@ class AtlasLocalizer:
             return False
         self._drift.correct(residual, self._still.vector)
         return self._still.holds(2 * (1 + CRITERIA.noise_margin) * self._noise.noise_energy)
-
-    def _begin(self, detection: Detection, bins: Bins, signal: float) -> Fit:
-        """Fit one finger from where the network sees it; a faint one, which it may misplace, from others too."""
-        estimate = self._estimator.estimate(detection)
-        fits = []
-        if math.isfinite(estimate.x_mm) and math.isfinite(estimate.y_mm):
-            fits.append(self._solver.fit_one(bins, estimate.x_mm, estimate.y_mm, FIRST_STEPS))
-            if signal >= CRITERIA.faint * self._noise.noise_energy:
-                return fits[0]
-        fits += self._fit_candidates(bins)
-        return min(fits, key=lambda fit: fit.residual_energy, default=no_fit(bins.energy))
-
-    def _fit_candidates(self, bins: Bins) -> list[Fit]:
-        return [
-            self._solver.fit_one(bins, *candidate.position_mm, FIRST_STEPS)
-            for candidate in self._pursuit.candidates(bins.vector)
-        ]
-
-    def _is_ambiguous(self, bins: Bins, fit: Fit, signal: float, *, faint: bool) -> bool:
-        """Return whether a finger elsewhere explains a frame nearly as well as the one fitted.
-
-        Faint fingers and those at the edge, where the field is badly known, may be placed in a wrong valley, and
-        coloured noise resembles a finger.
-        """
-        noise = self._noise
-        left = fit.residual_energy - noise.noise_energy
-        poor = left > CRITERIA.poor * signal
-        if not poor and not (faint and noise.is_alike):
-            return False
-        ceiling = noise.noise_energy + CRITERIA.rival * left if poor else noise.ceiling
-        return any(
-            other.residual_energy < ceiling and math.dist(other.positions_mm[0], fit.positions_mm[0]) > AMBIGUOUS_MM
-            for other in self._fit_candidates(bins)
-        )
 
     def _follow(self, bins: Bins, t_ns: int, signal: float) -> Fit:
         """Fit the fingers of the last frame from where they were going, less those that have lifted."""
