@@ -37,7 +37,7 @@ def contact(x_mm: float, y_mm: float, z: complex, shape: tuple[float, float, flo
 
 
 def as_bins(values: NDArray[np.complex128], dtype: type = np.float64) -> Bins:
-    vector = features_of(values.reshape(4, -1)).astype(dtype).ravel()
+    vector: NDArray[np.floating] = features_of(values.reshape(4, -1)).astype(dtype).ravel()
     return Bins(vector, None, float(vector @ vector))
 
 
