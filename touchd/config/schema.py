@@ -60,6 +60,10 @@ class ModelSettings(Section):
     atlas: bool = Field(
         True, description="Place fingers by the field atlas beside the model, if there is one: several, and finer."
     )
+    contact_shapes: bool = Field(
+        False, description="Let the atlas fit fingers with a size and a shape where points do not explain them. Real "
+        "fingertips need it; a moving finger then costs up to a millisecond a frame.",
+    )  # fmt: skip
     min_confidence: float = Field(
         0.5, ge=0, le=1, description="Least confidence of the network that a frame shows a finger."
     )

@@ -94,7 +94,7 @@ class Detector:
         self.liveness = Liveness()
         self._baseline = Baseline(shape, settings.baseline, dtype)
         self._relearn = Relearn(shape, settings.baseline, dtype)
-        self._stuck = Stuck(shape)
+        self._stuck = Stuck(shape, dtype)
         self._live = ~self._stuck.channels
         self._stuck_channels = self._stuck.channels
         self._notify = notify

@@ -5,7 +5,7 @@ from __future__ import annotations
 from itertools import cycle
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 from touchd.frame import Counts
 
@@ -29,15 +29,17 @@ class Stuck:
     ----------
     shape : tuple of int
         Of a frame, (channels, samples).
+    dtype : type
+        Of the signal.
     """
 
-    def __init__(self, shape: tuple[int, int]) -> None:
+    def __init__(self, shape: tuple[int, int], dtype: DTypeLike = np.float32) -> None:
         channels, samples = shape
         self._steps = [step * samples // 8 for step in range(1, 6)]
         self._next = cycle([channel * samples + samples // 4 for channel in range(channels)]).__next__
         self._at = self._next()
         self._sample: float | None = None  # of the predecessor
-        self._kept: NDArray[np.float32] = np.full(shape, np.nan, np.float32)
+        self._kept: NDArray[np.floating] = np.full(shape, np.nan, dtype)
         self._kept_sample: float | None = None
         self._age = 0  # frames since the kept one came again, while `doubtful`
         self._cycle = 0  # frames between its last two returns

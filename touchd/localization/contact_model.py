@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from touchd.localization.atlas import Array, Atlas
 from touchd.localization.fit import Bins, Fit
-from touchd.localization.spline import Position
+from touchd.localization.spline import Position, known_part_mm
 
 LONGEST_STEP_MM = 2.0
 STILL_MM = 0.02
@@ -54,12 +54,7 @@ class ContactModel:
         nodes = (parts[..., 0, :] + 1j * parts[..., 1, :]).astype(self._dtype)
         self._nodes = nodes.reshape(rows, columns, size // 2)
         self._origin_mm, self._step_mm = d.origin_mm, d.step_mm
-        self._low_mm = [max(0.0, origin + d.step_mm) for origin in d.origin_mm]
-        plate_mm = d.plate.width_mm, d.plate.height_mm
-        self._high_mm = [
-            min(length, origin + (count - 2) * d.step_mm - 1e-6)
-            for length, origin, count in zip(plate_mm, d.origin_mm, (columns, rows), strict=True)
-        ]
+        self._low_mm, self._high_mm = known_part_mm(atlas)
         bins = np.array(d.bins, float)
         middle, half = (bins[0] + bins[-1]) / 2, max((bins[-1] - bins[0]) / 2, 1.0)
         self._band = np.tile((bins - middle) / half, d.acquisition.channels).astype(atlas.coefficients.dtype)

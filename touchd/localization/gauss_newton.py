@@ -52,6 +52,8 @@ class GaussNewton:
         self._fields, self._columns, self._value = halves[:6], halves.T, halves[:2]
         self._spline = Spline(atlas, self._field)
         self._contacts = ContactModel(atlas)
+        self.shapes = False
+        """Whether contacts may have a size and a shape; otherwise they are points."""
         self._gram = np.zeros((6, 8), dtype)
         self._turn = np.zeros((2, 2), dtype)
         self._left, self._part = np.zeros((2, n // 2), dtype), np.zeros((2, n // 2), dtype)
@@ -140,7 +142,9 @@ class GaussNewton:
         `worth` of what points leave, and explain more than noise.
         """
         signal = bins.energy - noise_energy
-        if not fit.positions_mm or fit.residual_energy - noise_energy <= CRITERIA.enough * signal:
+        if not self.shapes or not fit.positions_mm:
+            return fit
+        if fit.residual_energy - noise_energy <= CRITERIA.enough * signal:
             return fit
         variance = noise_energy / len(bins.vector)
         shaped = self.fit_shapes(bins, fit.positions_mm, noise_energy, _SHAPE_STEPS)

@@ -44,6 +44,7 @@ class PlateMovement:
         self._omega_rad_s = 2 * np.pi * bins * acquisition.sample_rate_hz / acquisition.samples
         self._bins: Signal = np.zeros(self._features.size, dtype)
         self._directions: Signal = np.zeros((0, self._features.size), dtype)
+        self._along: Signal = np.zeros(0, dtype)
         self._most = 0.0  # energy, counts squared
 
     def set_baseline(self, baseline: Signal) -> None:
@@ -52,6 +53,7 @@ class PlateMovement:
         bins = live @ self._plain
         directions = plate_directions(bins, live @ self._stretched, self._omega_rad_s)
         self._directions = directions.astype(self._bins.dtype)
+        self._along = np.zeros(len(directions), self._bins.dtype)
         self._most = CRITERIA.most_moved * float(np.square(bins).sum())
 
     def split(self, residual: Signal, noise_energy: float) -> tuple[float, float, float]:
@@ -63,9 +65,9 @@ class PlateMovement:
         noise_energy : float
             Of the residual of an untouched frame, counts squared.
         """
-        bins = self._bins
+        bins, along = self._bins, self._along
         self._features.extract(residual, bins)
-        along = self._directions.dot(bins)
+        self._directions.dot(bins, along)
         moved, noise = float(along.dot(along)), self._features.noise_gain * noise_energy
         return moved, float(bins.dot(bins)) - moved - noise, noise
 

@@ -51,7 +51,7 @@ class Pursuit:
     """
 
     def __init__(self, atlas: Atlas, solver: GaussNewton) -> None:
-        self._solver = solver
+        self.solver = solver
         d, dtype = atlas.description, atlas.coefficients.dtype
         every = max(1, round(SCAN_MM / d.step_mm))
         nodes = atlas.coefficients
@@ -103,7 +103,7 @@ class Pursuit:
         noise_energy : float
             Mean noise energy of the bins, counts squared.
         """
-        solver, limit = self._solver, CRITERIA
+        solver, limit = self.solver, CRITERIA
         signal = max(bins.energy - noise_energy, 0.0)
         enough, good, fair = (
             noise_energy * (1 + limit.noise_margin) + share * signal for share in (limit.enough, limit.good, limit.fair)

@@ -39,15 +39,7 @@ class Spline:
         self._nodes = atlas.coefficients.reshape(rows, columns, channels, 2, -1).swapaxes(2, 3)
         (self._x0_mm, self._y0_mm), self._unit_mm = d.origin_mm, d.step_mm / PER_CELL
         self._per_unit = PER_CELL / d.step_mm
-        # Every position has its four neighbours, and lies on the plate.
-        last = columns - 2, rows - 2
-        self.low_mm = tuple(max(0.0, origin + d.step_mm) for origin in d.origin_mm)
-        """Lower corner of the known field."""
-        self.high_mm = tuple(
-            min(size, origin + (count - 1 / PER_CELL) * d.step_mm)
-            for size, origin, count in zip((d.plate.width_mm, d.plate.height_mm), d.origin_mm, last, strict=True)
-        )
-        """Upper corner of the known field."""
+        self.low_mm, self.high_mm = known_part_mm(atlas)
         self._limits = (*self.low_mm, *self.high_mm)
         self._of_rows, self._of_columns = _weights(d.step_mm, into.dtype)
         self._into = into
@@ -83,6 +75,16 @@ class Spline:
         around = self._cells[cell] = self._cells.pop(next(iter(self._cells)))
         around.reshape(nodes.shape)[...] = nodes
         return around
+
+
+def known_part_mm(atlas: Atlas) -> tuple[Position, Position]:
+    """Return the lower and the upper corner of the known field: each place has its four neighbours, on the plate."""
+    d = atlas.description
+    rows, columns, _ = atlas.coefficients.shape
+    (x0_mm, y0_mm), step_mm = d.origin_mm, d.step_mm
+    low = max(0.0, x0_mm + step_mm), max(0.0, y0_mm + step_mm)
+    last = columns - 2 - 1 / PER_CELL, rows - 2 - 1 / PER_CELL
+    return low, (min(d.plate.width_mm, x0_mm + last[0] * step_mm), min(d.plate.height_mm, y0_mm + last[1] * step_mm))
 
 
 @cache

@@ -26,7 +26,7 @@ from touchd.twin.simulate import simulate_scene, simulate_touches
 RIG = Acquisition(channels=4, samples=250, sample_rate_hz=250e3)
 FRAMES = 200
 """Of each scene: the untouched start and what happens in the second after it."""
-LONGER = {"drop": 300, "drift": 440, "deadchannel": 200, "interference": 260}
+LONGER = {"drop": 300, "warming": 440, "drift": 440, "deadchannel": 200, "interference": 260}
 UNTOUCHED = {"idle", "palm"}
 """Scenes without a finger."""
 EARLY_SIGMAS = 0.5
