@@ -6,7 +6,8 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -79,3 +80,11 @@ def through_the_bus(folder: Path, recording: Path, *options: object, **variables
     with started(*replay, *options, **variables) as daemon, started(*listen) as listener:
         heard = end(listener)
         return end(daemon), heard
+
+
+def wait_until(done: Callable[[], object]) -> None:
+    """Return once something holds."""
+    until = time.monotonic() + PATIENCE_S
+    while not done():
+        assert time.monotonic() < until
+        time.sleep(0.01)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from tests.unit.training.field.test_learn import SIZE_MM, unlike
+from tests.system.training.field.test_learn import SIZE_MM, unlike
 from touchd.evaluation.dataset import Dataset
 from touchd.training.data.synthetic import Synthesiser
 from touchd.training.field.dispersion import dispersion_of

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import signal
 import stat
 import threading
-import time
 import tracemalloc
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -15,9 +13,7 @@ import numpy as np
 import pytest
 from structlog.testing import capture_logs
 
-from tests.processes import PATIENCE_S, end, started, touchd
-from touchd.cli.demo import SESSION
-from touchd.client import Subscriber
+from tests.processes import PATIENCE_S, wait_until
 from touchd.config.schema import PreRollSettings
 from touchd.event import Contact
 from touchd.frame import Acquisition, Frame, Plate
@@ -70,13 +66,6 @@ class Bench:
 
 def touch(phase: Any, confidence: float) -> Contact:
     return Contact(1, phase, 1.0, 2.0, 0.5, 1.0, confidence, 0.0, 0.0)
-
-
-def wait_until(done: Callable[[], Any]) -> None:
-    until = time.monotonic() + PATIENCE_S
-    while not done():
-        assert time.monotonic() < until
-        time.sleep(0.01)
 
 
 @pytest.fixture
@@ -334,23 +323,3 @@ def test_the_service_managers_folder_is_used_or_else_the_users(monkeypatch: pyte
     monkeypatch.delenv("STATE_DIRECTORY")
     monkeypatch.setenv("XDG_STATE_HOME", "/home/x/state")
     assert default_folder() == Path("/home/x/state/touchd/preroll")
-
-
-def test_a_running_daemon_saves_on_sigusr1_and_what_it_saved_replays_to_the_same_touch(tmp_path: Path) -> None:
-    address, folder = f"ipc://{tmp_path}/bus", tmp_path / "rolls"
-    options = ("--replay", SESSION, "--bind", address, "--await-subscriber", PATIENCE_S)
-    with started(*options, TOUCHD_PREROLL__FOLDER=str(folder), TOUCHD_LOG__FORMAT="json") as daemon:
-        with Subscriber(address, timeout_s=PATIENCE_S, max_age_s=None) as events:
-            lifted = next(e for e in events if any(c.phase == "up" for c in e.contacts))
-        daemon.send_signal(signal.SIGUSR1)
-        wait_until(lambda: folder.is_dir() and list(folder.glob("preroll-*.npz")))
-        daemon.terminate()
-        ended = end(daemon)
-    assert ended.code == 0
-    assert "it can reveal a PIN" in ended.err
-    (path,) = folder.glob("preroll-*.npz")
-    again = touchd("--replay", path, "--speed", "max", "--bind", f"ipc://{tmp_path}/again", "--print")
-    touches = [message for message in again.messages if message["type"] == "touch"]
-    ups = [c for message in touches for c in message["contacts"] if c["phase"] == "up"]
-    (contact,) = lifted.contacts
-    assert (ups[0]["x_mm"], ups[0]["y_mm"]) == pytest.approx((contact.x_mm, contact.y_mm), abs=1e-3)

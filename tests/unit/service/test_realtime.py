@@ -4,22 +4,10 @@ from __future__ import annotations
 
 import gc
 import os
-import subprocess
-import sys
 
 import pytest
 
-from tests.processes import PATIENCE_S, environment
 from touchd.service import realtime
-
-
-def of_a_process(program: str) -> list[str]:
-    """What a process prints of itself."""
-    done = subprocess.run(
-        [sys.executable, "-c", program],
-        capture_output=True, text=True, timeout=PATIENCE_S, env=environment(), check=True,
-    )  # fmt: skip
-    return done.stdout.splitlines()
 
 
 def test_what_was_loaded_is_left_out_of_the_collection() -> None:
@@ -29,18 +17,6 @@ def test_what_was_loaded_is_left_out_of_the_collection() -> None:
         assert gc.get_freeze_count() > before + 10_000
     finally:
         gc.unfreeze()
-
-
-def test_threads_that_give_way_are_started_as_such_and_this_one_stays_as_it_was() -> None:
-    assert of_a_process("""
-import os, threading
-from touchd.service import realtime
-with realtime.giving_way():
-    thread = threading.Thread(target=lambda: print(os.sched_getscheduler(0) == os.SCHED_BATCH))
-    thread.start()
-    thread.join()
-print(os.sched_getscheduler(0) == os.SCHED_OTHER)
-""") == ["True", "True"]
 
 
 def test_where_giving_way_is_refused_nothing_changes(monkeypatch: pytest.MonkeyPatch) -> None:

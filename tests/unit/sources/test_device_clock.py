@@ -45,7 +45,7 @@ class Link:
         return error_ns
 
 
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=20)
 @given(
     ppm=st.floats(-300, 300),
     jitter_us=st.floats(10, 500),
@@ -65,10 +65,10 @@ def test_accuracy(ppm: float, jitter_us: float, rate_hz: float, seed: int) -> No
 @pytest.mark.parametrize("ppm", [-100.0, 0.0, 100.0])
 def test_an_hour(ppm: float) -> None:
     """After an hour the error is no larger than after a minute."""
-    link = Link(3600, rate_hz=20, ppm=ppm, jitter_us=100, seed=3)
+    link = Link(3600, rate_hz=10, ppm=ppm, jitter_us=100, seed=3)
     error_ns = np.abs(link.through(DeviceClock(COMPLETE_NS)))
-    assert error_ns[1200:].max() < 200_000
-    assert error_ns[-1200:].max() < 200_000
+    assert error_ns[600:].max() < 200_000
+    assert error_ns[-600:].max() < 200_000
 
 
 def test_jitter() -> None:

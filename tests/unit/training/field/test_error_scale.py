@@ -27,9 +27,14 @@ def level(noise: float, scales: tuple[float, float], seed: int, label_mm: float 
     return Level(noise, error_mm, variances, power, label_mm)
 
 
-@pytest.mark.parametrize("noise_scale", [0.7, 2.0, 4.0])
-@pytest.mark.parametrize("field_scale", [0.7, 3.0, 8.0])
-@pytest.mark.parametrize("label_mm", [0.0, 0.01])
+@pytest.mark.parametrize(
+    ("noise_scale", "field_scale", "label_mm"),  # any two of them together, not all three
+    [
+        (0.7, 0.7, 0.0), (0.7, 3.0, 0.01), (0.7, 8.0, 0.0),
+        (2.0, 0.7, 0.01), (2.0, 3.0, 0.0), (2.0, 8.0, 0.01),
+        (4.0, 0.7, 0.0), (4.0, 3.0, 0.01), (4.0, 8.0, 0.0),
+    ],
+)  # fmt: skip
 def test_the_scales_at_work_are_found(noise_scale: float, field_scale: float, label_mm: float) -> None:
     """Two in a hundred touches err thirty times as much: that moves them by a little only."""
     levels = [level(noise, (noise_scale, field_scale), i, label_mm) for i, noise in enumerate((1e-3, 0.1, 1.0))]

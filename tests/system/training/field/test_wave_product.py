@@ -39,6 +39,13 @@ def touches(emitted: Emitted) -> tuple[Touches, np.ndarray]:
     return found
 
 
+@pytest.fixture(scope="module")
+def learned(touches: tuple[Touches, np.ndarray]) -> tuple[Field, list[tuple[int, int]]]:
+    """The field that waves tell, and what was told of its progress."""
+    told: list[tuple[int, int]] = []
+    return learn_by_waves(touches[0], Prior(K), lambda done, steps: told.append((done, steps))), told
+
+
 def unexplained(found: np.ndarray, truth: np.ndarray) -> float:
     """The share of the energy that no common complex factor of the found field (n, channels, bins) explains."""
     factor = (found.conj() * truth).sum() / np.square(np.abs(found)).sum()
@@ -100,11 +107,11 @@ def at_nodes(field: Field, step: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_with_few_touches_of_unknown_amplitude_waves_tell_much_more_than_regression(
-    emitted: Emitted, touches: tuple[Touches, np.ndarray]
+    emitted: Emitted, touches: tuple[Touches, np.ndarray], learned: tuple[Field, list[tuple[int, int]]]
 ) -> None:
-    known, amplitude = touches
+    (known, amplitude), (waves, _) = touches, learned
     learner = Learner(known, Prior(K))
-    plain, waves = learner.draw(learner.converge(OUTER_ROUNDS)), learn_by_waves(known, Prior(K))
+    plain = learner.draw(learner.converge(OUTER_ROUNDS))
     missed = []
     for field in (plain, waves):
         positions_mm, values = at_nodes(field, 2)
@@ -114,8 +121,7 @@ def test_with_few_touches_of_unknown_amplitude_waves_tell_much_more_than_regress
     assert np.corrcoef(waves.amplitude, np.abs(amplitude))[0, 1] > 0.9
 
 
-def test_progress_is_told_to_its_end(touches: tuple[Touches, np.ndarray]) -> None:
-    told: list[tuple[int, int]] = []
-    learn_by_waves(touches[0], Prior(K), lambda done, steps: told.append((done, steps)))
+def test_progress_is_told_to_its_end(learned: tuple[Field, list[tuple[int, int]]]) -> None:
+    _, told = learned
     assert [done for done, _ in told] == list(range(1, len(told) + 1))
     assert told[-1][0] == told[-1][1]

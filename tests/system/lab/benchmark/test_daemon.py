@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.unit.lab.benchmark.conftest import cell
+from tests.system.lab.benchmark.conftest import cell
 from touchd.lab.benchmark import daemon
 
 

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import os
-from pathlib import Path
 
 import pytest
 
 from touchd.lab.benchmark.daemon import daemon_cpus, subscribing
-from touchd.lab.benchmark.latency import measure_bus
 
 
 def test_the_subscriber_is_on_the_daemons_processor_or_keeps_off_it() -> None:
@@ -30,8 +28,3 @@ def test_a_computer_with_one_processor_is_shared(monkeypatch: pytest.MonkeyPatch
     for apart in (False, True):
         with subscribing(apart=apart):
             assert kept.pop() == {3}
-
-
-def test_the_bare_bus_passes_every_message_on_later_than_it_was_sent(tmp_path: Path) -> None:
-    took_us = measure_bus(500.0, 0.8, tmp_path)
-    assert 0 < took_us.p50 <= took_us.p99 <= took_us.p999 <= took_us.most

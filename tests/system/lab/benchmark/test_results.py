@@ -10,7 +10,7 @@ from pathlib import Path
 import click.testing
 import pytest
 
-from tests.unit.lab.benchmark.conftest import cell, estimator
+from tests.system.lab.benchmark.conftest import cell, estimator
 from touchd.cli.benchmark import command
 from touchd.errors import ConfigError, OutputError
 from touchd.lab.benchmark import results, tables

@@ -1,0 +1,42 @@
+"""What the doctor sees of this computer, and how it takes frames."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from touchd.doctor.host import judge_clock, take
+from touchd.errors import SourceError
+from touchd.frame import Acquisition, Frame
+from touchd.sources.source import EndOfStream
+
+
+@pytest.mark.parametrize(("state", "now_s", "level"), [(0, 2e9, "ok"), (5, 2e9, "warning"), (0, 1e6, "failure")])
+def test_clock(state: int, now_s: float, level: str) -> None:
+    """The clock must be set, and should follow a time server."""
+    assert judge_clock(state, now_s).level == level
+
+
+class Few:
+    """A source of a few frames."""
+
+    acquisition = Acquisition(channels=1, samples=2, sample_rate_hz=1.0)
+
+    def __init__(self, frames: int) -> None:
+        self._frames = frames
+
+    def read(self, timeout_s: float) -> Frame | None:  # noqa: ARG002 - the protocol's
+        if not self._frames:
+            raise EndOfStream
+        self._frames -= 1
+        return Frame(np.zeros((1, 2), np.int16), self._frames, -self._frames, 0)
+
+    def close(self) -> None:
+        pass
+
+
+def test_too_few_frames() -> None:
+    """Too few frames are an error and not a verdict."""
+    assert len(take(Few(2), 1.0).counts) == 2
+    with pytest.raises(SourceError):
+        take(Few(1), 1.0)
