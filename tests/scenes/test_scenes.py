@@ -20,7 +20,6 @@ from touchd.twin.electronics import Electronics
 from touchd.twin.instrument import REFERENCE_C, Instrument
 from touchd.twin.simulate import DEFAULT_PLATE, simulate_touches, stage_scene
 
-
 SHAPES = Settings.model_validate({"model": {"contact_shapes": True}})
 
 

@@ -110,7 +110,8 @@ class Drift:
         np.multiply(self._step, self._weight, out=self._step)
         np.add(self._along, self._step, out=self._along)
         np.dot(self._along, self._directions, out=self._drifted)
-        self.energy = float(self._along.dot(self._along))
+        self._along.dot(self._along, self._weight)
+        self.energy = self._weight.item()
         self._moved = True
 
     @property

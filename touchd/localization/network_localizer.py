@@ -45,6 +45,7 @@ class PlateMovement:
         self._bins: Signal = np.zeros(self._features.size, dtype)
         self._directions: Signal = np.zeros((0, self._features.size), dtype)
         self._along: Signal = np.zeros(0, dtype)
+        self._energy = np.zeros((), dtype)
         self._most = 0.0  # energy, counts squared
 
     def set_baseline(self, baseline: Signal) -> None:
@@ -68,8 +69,10 @@ class PlateMovement:
         bins, along = self._bins, self._along
         self._features.extract(residual, bins)
         self._directions.dot(bins, along)
-        moved, noise = float(along.dot(along)), self._features.noise_gain * noise_energy
-        return moved, float(bins.dot(bins)) - moved - noise, noise
+        along.dot(along, self._energy)
+        moved, noise = self._energy.item(), self._features.noise_gain * noise_energy
+        bins.dot(bins, self._energy)
+        return moved, self._energy.item() - moved - noise, noise
 
     def explains(self, moved: float, left: float, noise: float) -> bool:
         """Return whether the plate's movement and noise are all that a residual split into these energies holds."""

@@ -132,7 +132,7 @@ class Pursuit:
                     points = solver.fit_several(bins, one.positions_mm, _STEPS)
                     # While fingers are missing no shape explains all, but each leaves the next finger clearer.
                     beam.append(solver.with_shapes(bins, points, noise_energy, 1.0))
-                    yield _SHAPED_COST
+                    yield _SHAPED_COST if solver.shapes else 1.0
                 beam = [one for one in beam if not are_merged(one)]  # some may have since
                 beam.sort(key=_residual_energy)
                 if beam and is_worth(beam[0], best, noise_energy):
