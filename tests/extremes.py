@@ -69,7 +69,7 @@ def any_settings(draw: st.DrawFn) -> Settings:
         elif field.annotation in (int, float):
             low, high = ends(field)
             between = st.integers if field.annotation is int else st.floats
-            value = draw(st.sampled_from([low, high, field.default]) | between(low, high))  # type: ignore[arg-type]
+            value = draw(st.sampled_from([low, high, field.default]) | between(low, high))  # type: ignore[arg-type]  # its bounds are numbers here
         keys[key] = value
     if tables["ni"]["amplitude_v"] > tables["ni"]["output_limit_v"]:
         del tables["ni"]["amplitude_v"], tables["ni"]["output_limit_v"]

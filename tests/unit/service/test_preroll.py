@@ -230,7 +230,7 @@ def test_wrong_times(make: Callable[..., Bench]) -> None:
 
 def test_absurd_rate(tmp_path: Path) -> None:
     """A rate of a thousand million frames a second takes no memory for them."""
-    roll = PreRoll(ACQUISITION, 1e9, lambda: None, PreRollSettings(folder=tmp_path))  # type: ignore[arg-type,return-value]
+    roll = PreRoll(ACQUISITION, 1e9, lambda: None, PreRollSettings(folder=tmp_path))  # type: ignore[arg-type,return-value]  # no meta is asked for
     tracemalloc.start()
     roll.keep(Frame(np.zeros((2, 3), np.int16), 1, 1, 1), [])
     _, peak_bytes = tracemalloc.get_traced_memory()

@@ -99,7 +99,7 @@ def test_a_key_that_was_pressed() -> None:
 
     def hears(key: str, phase: str, age_s: float) -> bool:
         touch = computers.touch(age_s)
-        event = KeyEvent("plate", touch.seq, touch.t_ns, touch.wall, key, phase, 1.0)  # type: ignore[arg-type]
+        event = KeyEvent("plate", touch.seq, touch.t_ns, touch.wall, key, phase, 1.0)  # type: ignore[arg-type]  # the callers give phases
         return computers.stream.take(event) is not None
 
     assert hears("1", "press", 0.0)

@@ -157,7 +157,7 @@ def test_other_plates_work_too() -> None:
     plate = Plate(width_mm=120, height_mm=70, thickness_mm=6, material="aluminium")
     recording = simulate_scene("swipe", plate=plate, frames=250)
     assert recording.meta.plate == plate
-    assert np.nanmax(recording.contacts_mm[..., 1]) < 70  # type: ignore[index]
+    assert np.nanmax(recording.contacts_mm[..., 1]) < 70  # type: ignore[index]  # it is labelled
 
 
 def test_impossible_scenes_are_refused(small: Instrument) -> None:
