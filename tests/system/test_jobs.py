@@ -168,9 +168,12 @@ def alive(pid: int) -> bool:
 
 
 def children(pid: int) -> list[int]:
-    return [
-        int(part) for task in Path(f"/proc/{pid}/task").iterdir() for part in (task / "children").read_text().split()
-    ]
+    while True:
+        tasks = list(Path(f"/proc/{pid}/task").iterdir())
+        try:
+            return [int(part) for task in tasks for part in (task / "children").read_text().split()]
+        except FileNotFoundError:  # a thread has ended since, and its children are another's
+            continue
 
 
 def until(done: Callable[[], bool]) -> None:
