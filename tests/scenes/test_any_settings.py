@@ -33,7 +33,7 @@ KEYS = [pytest.param(table, key, field, id=f"{table}.{key}") for table, key, fie
 
 
 class Daemon:
-    """A pipeline that is fed one scene again and again, and whatever a reload configures."""
+    """A pipeline that is fed one scene again and again, with the settings that a reload gives it."""
 
     def __init__(self, recording: Path, scene: Scene, model: Model) -> None:
         source = ReplaySource(recording)

@@ -78,7 +78,8 @@ class AtlasLocalizer:
         self._max_sigma_mm = settings.model.max_sigma_mm
         self._touch_maker = TouchMaker(settings, layout)
         self._skips_still = settings.skip.still
-        self._solver.shapes = self._pursuit.solver.shapes = settings.model.contact_shapes
+        for solver in (self._solver, self._pursuit.solver):
+            solver.configure(shapes=settings.model.contact_shapes)
         self.reset()
 
     def reset(self) -> None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 from msgspec.structs import replace
@@ -51,9 +52,8 @@ class GaussNewton:
         halves = rows.reshape(8, -1)
         self._fields, self._columns, self._value = halves[:6], halves.T, halves[:2]
         self._spline = Spline(atlas, self._field)
-        self._contacts = ContactModel(atlas)
-        self.shapes = False
-        """Whether contacts may have a size and a shape; otherwise they are points."""
+        self._make_contacts = partial(ContactModel, atlas)
+        self._contacts: ContactModel | None = None  # made where it is used: it copies the atlas
         self._gram = np.zeros((6, 8), dtype)
         self._turn = np.zeros((2, 2), dtype)
         self._left, self._part = np.zeros((2, n // 2), dtype), np.zeros((2, n // 2), dtype)
@@ -62,6 +62,16 @@ class GaussNewton:
         self._loaded: Bins | None = None
         self._mask: Array | None = None
         self._ordered_mask: Array | None = None
+
+    def configure(self, *, shapes: bool) -> None:
+        """Let contacts have a size and a shape; otherwise they are points."""
+        if shapes != self.shapes:
+            self._contacts = self._make_contacts() if shapes else None
+
+    @property
+    def shapes(self) -> bool:
+        """Whether contacts may have a size and a shape."""
+        return self._contacts is not None
 
     def fit_one(self, bins: Bins, x_mm: float, y_mm: float, steps: int) -> Fit:
         """Fit one finger from a position nearby, in at most `steps` steps (at least one)."""
@@ -142,7 +152,7 @@ class GaussNewton:
         `worth` of what points leave, and explain more than noise.
         """
         signal = bins.energy - noise_energy
-        if not self.shapes or not fit.positions_mm:
+        if self._contacts is None or not fit.positions_mm:
             return fit
         if fit.residual_energy - noise_energy <= CRITERIA.enough * signal:
             return fit
@@ -155,6 +165,8 @@ class GaussNewton:
 
     def fit_shapes(self, bins: Bins, positions_mm: Sequence[Position], noise_energy: float, steps: int) -> Fit:
         """Fit contacts with a size and a shape from positions nearby; no fit if a shape is none that a finger has."""
+        if self._contacts is None:
+            return no_fit(bins.energy)
         fit = self._contacts.fit(bins, positions_mm, noise_energy / len(bins.vector), steps)
         moved_mm = max(map(math.dist, fit.positions_mm, positions_mm))
         is_finger = moved_mm < CRITERIA.merged_mm and self._contacts.size_mm2(fit) < CRITERIA.most_size_mm2
@@ -197,7 +209,7 @@ class GaussNewton:
 
     def residual(self, bins: Bins, fit: Fit) -> Array:
         """Return what a fit leaves of the bins, shape (channels * 2 * bins,); valid until the next call."""
-        if fit.shapes:
+        if fit.shapes and self._contacts is not None:
             return self._contacts.residual(bins, fit)
         self._load(bins)
         left, turn = self._left, self._turn

@@ -1,4 +1,4 @@
-"""Whatever keeps the daemon from starting, the doctor names: both open the same parts by the same code."""
+"""The doctor names what keeps the daemon from starting: both open the same parts by the same code."""
 
 from __future__ import annotations
 

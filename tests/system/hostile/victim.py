@@ -114,7 +114,7 @@ class Victim:
         return story
 
     def close(self) -> None:
-        """End whatever is left."""
+        """End what is still running."""
         self._stop.set()
         self.process.kill()
         self.process.wait()

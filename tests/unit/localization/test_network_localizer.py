@@ -115,7 +115,7 @@ ANY = st.floats(allow_nan=True, allow_infinity=True)
 @example(Estimate(50.0, 50.0, 1.0, math.inf))
 @example(Estimate(50.0, 50.0, 1.0, 1.5))
 def test_any_answer(said: Estimate) -> None:
-    """Whatever a network says, what is placed lies on the plate, with a finite confidence and standard error."""
+    """No answer of a network places a touch off the plate, or without a finite confidence and standard error."""
     residual = np.full(RIG.shape, 100, np.float32)
     detection = Detection(
         Outcome.TOUCHED, 0, 1e7, 1.0, 0.0, residual, residual, 0 * residual, np.ones(RIG.channels, bool)

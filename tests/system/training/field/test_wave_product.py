@@ -41,7 +41,7 @@ def touches(emitted: Emitted) -> tuple[Touches, np.ndarray]:
 
 @pytest.fixture(scope="module")
 def learned(touches: tuple[Touches, np.ndarray]) -> tuple[Field, list[tuple[int, int]]]:
-    """The field that waves tell, and what was told of its progress."""
+    """The field that waves tell, and its progress."""
     told: list[tuple[int, int]] = []
     return learn_by_waves(touches[0], Prior(K), lambda done, steps: told.append((done, steps))), told
 
