@@ -5,6 +5,7 @@ Of the kernel only opening, ioctl and the folder of devices are replaced; the re
 
 from __future__ import annotations
 
+import fcntl
 import sys
 from pathlib import Path
 
@@ -12,19 +13,16 @@ from touchd.bridges import uinput
 from touchd.cli.main import main
 
 
-class Ioctls:
-    """Takes every ioctl."""
-
-    @staticmethod
-    def ioctl(_fd: int, request: int, argument: object = 0) -> int:
-        if request == uinput.UI_GET_SYSNAME:
-            assert isinstance(argument, bytearray)
-            argument[:8] = b"input99\0"
-        return 0
+def ioctl(_fd: int, request: int, argument: object = 0) -> int:
+    """Take every ioctl."""
+    if request == uinput.UI_GET_SYSNAME:
+        assert isinstance(argument, bytearray)
+        argument[:8] = b"input99\0"
+    return 0
 
 
 if __name__ == "__main__":
     uinput.NODE = Path(sys.argv[1])
     uinput.DEVICES = uinput.NODE.parent / "devices"
-    uinput.fcntl = Ioctls()  # type: ignore[assignment]  # a module
+    fcntl.ioctl = ioctl  # type: ignore[assignment]  # has overloads
     sys.exit(main(sys.argv[2:]))

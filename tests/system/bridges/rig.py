@@ -42,7 +42,7 @@ class Daemon:
     def wait(self) -> None:
         """Return when a bridge has subscribed to touches."""
         while True:
-            assert self._socket.poll(PATIENCE_S * 1000)
+            assert self._socket.poll(int(PATIENCE_S * 1000))
             if self._socket.recv() == b"\1touch":
                 return
 

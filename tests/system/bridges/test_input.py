@@ -101,7 +101,7 @@ def test_a_second_bridge_is_refused(tmp_path: Path) -> None:
 
 def test_without_uinput_it_says_what_to_do(tmp_path: Path) -> None:
     """No /dev/uinput, no permission, or no mapping: one line each, with a remedy and an exit status."""
-    command = [sys.executable, "-m", "tests.system.bridges.fakeuinput", tmp_path / "none", "input"]
+    command = [sys.executable, "-m", "tests.system.bridges.fakeuinput", str(tmp_path / "none"), "input"]
     done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, env=environment(**SCREEN))
     assert done.returncode == 92
     assert "modprobe uinput" in done.stderr

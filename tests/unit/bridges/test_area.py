@@ -44,7 +44,7 @@ def test_corners(rotate: int) -> None:
     """A picture turned clockwise has its top-left corner at the plate's next corner, and its own width and height."""
     one = area(rotate=rotate)
     wide, high = (100, 50) if rotate % 180 == 0 else (50, 100)
-    assert one.size_mm == (wide, high)
+    assert list(one.size_mm) == [wide, high]
     turned = CORNERS[rotate // 90 :] + CORNERS[: rotate // 90]  # from the picture's top-left one
     for number, (corner, seen) in enumerate(zip(turned, [(0, 0), (wide, 0), (wide, high), (0, high)], strict=True)):
         assert at(one, *corner, number=number) == seen

@@ -12,7 +12,7 @@ from tests.unit.bridges.events import contact
 from touchd.bridges.area import Area
 from touchd.bridges.fit import CROSSES, Touched, fit
 from touchd.cli.map import page_of, with_lines
-from touchd.config.schema import InputSettings
+from touchd.config.bridges import InputSettings
 from touchd.errors import BridgeError, OutputError
 
 SCREENS = st.builds(
