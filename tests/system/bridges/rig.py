@@ -37,6 +37,7 @@ class Daemon:
         self._socket = self._context.socket(zmq.XPUB)
         self._socket.setsockopt(zmq.LINGER, 0)
         self._socket.setsockopt(zmq.SNDHWM, 0)
+        self._socket.setsockopt(zmq.XPUB_VERBOSE, 1)  # each subscriber is heard of
         self._socket.bind(self.address)
 
     def wait(self) -> None:
