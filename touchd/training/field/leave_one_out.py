@@ -71,7 +71,8 @@ def displacements(
     field = np.stack(each(one, range(len(bins))), axis=-1)  # (3, n, channels, bins)
     channels = field.shape[2]
     values = regression.touches.values[:, :, bins].reshape(field.shape[1], -1).astype(np.complex128)
-    near = linearise(values, *field.reshape(3, len(values), -1).astype(np.complex128), parts=channels)
+    u, by_x, by_y = field.reshape(3, len(values), -1).astype(np.complex128)
+    near = linearise(values, u, by_x, by_y, channels)
     fisher_information = near.fisher_information.sum(axis=1) + 1e-30 * np.eye(2)
     gradient = near.gradient.sum(axis=1)
     by_mm = np.linalg.solve(fisher_information, gradient[:, :, None])[:, :, 0]
