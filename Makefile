@@ -34,9 +34,9 @@ test: setup test-packages lint
 unit: setup
 	$(BIN)/python -m pytest $(SIDE_BY_SIDE) tests/unit $(ARGS)
 
-# The Debian package, in dist/.
+# The Debian package, in dist/. DEBIAN=13 and ARCH=arm64 make one for another system; only the default is tried.
 deb: setup
-	@deploy/build-deb.sh $(BIN)/python
+	@DEBIAN=$(DEBIAN) ARCH=$(ARCH) deploy/build-deb.sh $(BIN)/python
 
 vm-packages:
 	@deploy/debian-packages.sh vm

@@ -15,7 +15,7 @@ FLOORS = (
     ("config", "recording"),
     ("detection", "tracking", "sinks", "twin"),
     ("localization", "client"),
-    ("sources", "pipeline"),
+    ("sources", "pipeline", "bridges"),
     ("service",),
     ("doctor", "gadget"),
     ("evaluation",),
@@ -26,6 +26,7 @@ FLOORS = (
 ONLY = {
     "sinks": {"errors", "event", "config"},
     "client": {"errors", "event", "config", "sinks"},
+    "bridges": {"errors", "event", "config", "client"},
     "tracking": {"errors", "event", "touch", "config", "keypad"},
     "twin": {"errors", "frame", "chirp", "recording", "jobs"},
     "detection": {"errors", "frame", "config", "outcome"},

@@ -81,11 +81,13 @@ def _examine(settings: Settings, choice: SourceChoice, seconds: float, reference
     from touchd.cli.main import missing_extra
     from touchd.doctor import host as doctorhost
     from touchd.doctor import usb as doctorusb
+    from touchd.doctor.screen import check_screen
     from touchd.doctor.start import check_start, failure
 
     yield doctorhost.check_clock()
     parts, findings = check_start(settings)
     yield from findings
+    yield from check_screen(settings)
     if parts.model is None or any(finding.check == "keypad" and finding.level == "failure" for finding in findings):
         return
     if choice.replay is None and choice.simulate is None and not choice.ni:

@@ -6,7 +6,7 @@ import json
 import types
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any, Literal, Union, get_args, get_origin
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 import annotated_types
 from pydantic import BaseModel
@@ -15,8 +15,6 @@ from pydantic.fields import FieldInfo
 from touchd.config.schema import Settings
 
 _NAMES = {int: "a whole number", float: "a number", bool: "true or false", str: "a text", Path: "a path"}
-EXPECTED_ITEM = "an address, tcp:// or ipc://"
-"""What each item of a list must be; addresses are the only lists."""
 
 
 def section(table: str) -> type[BaseModel]:
@@ -65,6 +63,12 @@ def expected(field: FieldInfo) -> str:
     return f"{kind}, {' and '.join(words)}" if words else kind
 
 
+def expected_item(field: FieldInfo) -> str:
+    """Return what each item of a list must be."""
+    item = get_args(field.annotation)[0]
+    return "an address, tcp:// or ipc://" if get_origin(item) is Annotated else _kind(item)
+
+
 def _kind(annotation: Any) -> str:
     origin, arguments = get_origin(annotation), get_args(annotation)
     if origin is Literal:
@@ -72,7 +76,10 @@ def _kind(annotation: Any) -> str:
     if origin in (Union, types.UnionType):
         return " or ".join("empty" if part is type(None) else _kind(part) for part in arguments)
     if origin is tuple:
-        return "a list of addresses, tcp:// or ipc://"
+        item = arguments[0]
+        if get_origin(item) is Literal:
+            return f"a list of {', '.join(get_args(item))}"
+        return "a list of numbers" if item is float else "a list of addresses, tcp:// or ipc://"
     return _NAMES.get(annotation, str(annotation))
 
 

@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator
 
+from touchd.config.bridges import InputSettings, TuioSettings
 from touchd.config.kinds import LEAST_RATE, Endpoint, Group, OptionalPath, Section, refuse_key
 
 
@@ -268,6 +269,8 @@ class Settings(Section):
     tracker: TrackerSettings = TrackerSettings()
     keypad: KeypadSettings = KeypadSettings()
     bus: BusSettings = BusSettings()
+    input: InputSettings = InputSettings()
+    tuio: TuioSettings = TuioSettings()
     control: ControlSettings = ControlSettings()
     health: HealthSettings = HealthSettings()
     preroll: PreRollSettings = PreRollSettings()
