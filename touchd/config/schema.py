@@ -61,10 +61,6 @@ class ModelSettings(Section):
     atlas: bool = Field(
         True, description="Place fingers by the field atlas beside the model, if there is one: several, and finer."
     )
-    contact_shapes: bool = Field(
-        False, description="Let the atlas fit fingers with a size and a shape where points do not explain them. Real "
-        "fingertips need it; a moving finger then costs up to a millisecond a frame.",
-    )  # fmt: skip
     min_confidence: float = Field(
         0.5, ge=0, le=1, description="Least confidence of the network that a frame shows a finger."
     )
@@ -246,6 +242,7 @@ RETIRED = {
     "realtime.nice": "Nice= in a drop-in of the systemd unit",
     "realtime.lock_memory": "MemorySwapMax=0 in a drop-in of the systemd unit",
     "realtime.freeze_gc": "nothing: the daemon always exempts what it loads at the start",
+    "model.contact_shapes": "nothing: fingers always have a size and a shape",
     "baseline.drift_below_db": "nothing: -50 dB always",
     "baseline.unsteady_s": "nothing: 1 s always",
     "gate.close_ratio": "nothing: the gate closes at half of the excess that opens it, always",

@@ -110,7 +110,7 @@ def touched_frames(recording: Recording) -> TouchedFrames:
     )
 
 
-def find_with(model: Model, atlas: Atlas | None, frames: TouchedFrames, *, contact_shapes: bool = False) -> Find:
+def find_with(model: Model, atlas: Atlas | None, frames: TouchedFrames) -> Find:
     """Return the daemon's localizer as a function of single frames, each of them a touch-down.
 
     The baseline is the mean of two untouched frames, so a residual has 1.5 times the noise power of a frame. The noise
@@ -122,9 +122,7 @@ def find_with(model: Model, atlas: Atlas | None, frames: TouchedFrames, *, conta
     if atlas is None:
         localizer = NetworkLocalizer(model, Settings.model_validate({"model": always}), None)
     else:
-        localizer = AtlasLocalizer(
-            model, atlas, Settings.model_validate({"model": {"contact_shapes": contact_shapes}}), None
-        )
+        localizer = AtlasLocalizer(model, atlas, Settings(), None)
     chosen = np.linspace(0, len(frames) - 1, min(len(frames), MEMORY_FRAMES)).astype(int).tolist()
     pairs = [frames.counts[frames.beside[i]].astype(np.float32) for i in chosen]
     noise = [(one - other) * np.float32(sqrt(3) / 2) for one, other in pairs if (one != other).any()]
