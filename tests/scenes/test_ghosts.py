@@ -36,6 +36,12 @@ def test_after_a_tone_has_ended_taps_are_found_as_before(instrument: Instrument)
     assert [found.strays for found in both] == [[], []]
 
 
+@pytest.mark.parametrize("seed", [1014, 1034])
+def test_a_mixed_day_has_no_ghost(seed: int, instrument: Instrument) -> None:
+    """Beside a drop a tone once was a second finger on the emitter, as was the shadow of two palms on it."""
+    assert judge("mixed", seed, instrument).strays == []
+
+
 @pytest.mark.parametrize(("name", "seed"), [("drop", 4), ("palm", 18)])
 def test_neither_drops_nor_palms_are_fingers(name: str, seed: int, instrument: Instrument) -> None:
     """Of a drop the phase tells, though it scatters at 50 dB; of palms what no few points explain."""

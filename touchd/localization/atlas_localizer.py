@@ -189,7 +189,8 @@ class AtlasLocalizer:
         faint = signal < CRITERIA.faint * noise.noise_energy
         doubtful = faint or excess > (CRITERIA.good if tracked else CRITERIA.enough)
         by_plate = doubtful and bins.energy - noise.plate_energy(bins.vector) < fit.residual_energy
-        if by_plate or not confidence >= min_confidence or (search.pending and not tracked):
+        by_palms = excess > CRITERIA.poor and signal > CRITERIA.most_poor * self._drift.signal_energy and not tracked
+        if by_plate or by_palms or not confidence >= min_confidence or (search.pending and not tracked):
             return self._lose(), inferred
         if len(fit.positions_mm) == 1 and not tracked and self._landing.is_ambiguous(bins, fit, signal, faint=faint):
             return self._lose(), inferred
