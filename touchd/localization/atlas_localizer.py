@@ -102,6 +102,7 @@ class AtlasLocalizer:
             self._set_channels(detection.live)
         if self._touched:
             self._touched = False
+            self._plate.calm()
             if self._found.touches:
                 self.reset()
             else:  # water, or what a finger left that was lost as it lifted: water stays known
@@ -129,6 +130,7 @@ class AtlasLocalizer:
             return self._found
         tracked = bool(self._prediction.positions_mm)
         touches, inferred = self._place(detection, self._keep_confidence if alive else self._min_confidence, complete)
+        self._plate.watch(detection, finger=bool(touches) or alive)
         self._found = Localization(Outcome.STILL, touches)
         outcome = Outcome.INFERRED if inferred else Outcome.TRACKED if tracked else Outcome.FAINT
         return Localization(outcome, touches, self._departure, self._plate_moved)
