@@ -110,10 +110,11 @@ def touchd(
     the USB DAQ, which may be plugged in later, unless an option names another source.
     """
     ctx.obj = {"debug": debug, "config": config}
-    if ctx.invoked_subcommand is not None:
-        return
-    from touchd.service.signals import held
+    from touchd.service.signals import deliver, held
 
+    if ctx.invoked_subcommand is not None:
+        deliver()  # they end a verb
+        return
     ctx.with_resource(held())  # before all that takes its time to import
     from touchd.config.load import Retired, load
     from touchd.service.daemon import run

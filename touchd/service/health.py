@@ -88,6 +88,7 @@ class Health:
             version=__version__,
             clipped=tally.clipped,
             late=tally.late,
+            clock_ppm=round(tally.clock_ppm, 1),
             unheard={topic: count for topic, count in unheard.items() if count},
             reason=reason or pipeline.fault or ("the screen is off" if pipeline.screen_off else None),
         )

@@ -356,9 +356,10 @@ def test_tally(live: Callable[[Sequence[Step]], Bench], circle: list[Frame]) -> 
     bench = live([Change("streaming", "frames arrive"), *circle[:40], *circle[60:80]])
     assert isinstance(bench.source, Live)
     bench.source.tally = Tally(lost=3, corrupt=4, behind=13, withheld={"test_pattern": 5}, clipped=6, late=7)
+    bench.source.tally.clock_ppm = -2512.34
     bench.service.run()
     last = bench.sink.health[-1]
-    assert (last.lost, last.corrupt, last.clipped, last.late) == (3, 4, 6, 7)
+    assert (last.lost, last.corrupt, last.clipped, last.late, last.clock_ppm) == (3, 4, 6, 7, -2512.3)
     assert (last.skipped["behind"], last.skipped["test_pattern"]) == (13, 5)
     assert "repeated" not in last.skipped
 
