@@ -19,6 +19,9 @@ from touchd import errors
 from touchd.cli import main as cli
 from touchd.config import render as configtext
 from touchd.config.schema import Settings
+from touchd.lab.benchmark import page as benchmarks
+from touchd.lab.benchmark import results as runs
+from touchd.lab.reproduction import report as reproduction
 from touchd.localization.model import Model
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -44,6 +47,10 @@ def pages() -> dict[Path, str]:
         MODELS / "README.md": model_cards((MODELS / "README.md").read_text()),
         protocol: with_block(protocol.read_text(), "vectors", vectors()),
         troubleshooting: with_block(troubleshooting.read_text(), "exit-codes", exit_codes()),
+        ROOT / "docs" / "benchmarks.md": benchmarks.page(runs.load(ROOT / "docs" / "benchmarks.json")),
+        ROOT / "docs" / "reproduction.md": reproduction.page(
+            reproduction.load(ROOT / "docs" / "reproduction"), "reproduction"
+        ),
         **{page: measured(page) for page in BLOCKS},
     }
 
@@ -64,8 +71,7 @@ def command_line() -> str:
         "<!-- Generated from the commands' own help by docs/generate.py: do not edit. -->",
         "",
         "To look an option up; `--help` says more. `touchd` without a verb is the daemon, which reads the DAQ unless",
-        "an option names another source; its options win over the [configuration](configuration.md). Each failure has",
-        "an [exit status](troubleshooting.md#exit-status) of its own.",
+        "an option names another source. Each failure has an [exit status](troubleshooting.md#exit-status).",
     ]
     daemon = summarised(help_of("").split("\nVerbs:\n")[0])  # each verb has a section
     shared = set(options(daemon))
@@ -88,13 +94,15 @@ def options(text: str) -> list[str]:
 
 
 def shortened(text: str, shared: set[str]) -> str:
-    """Return a verb's help with the options that mean the same for the daemon named only."""
+    """Return a verb's help without lists and limits; of options that mean the same for the daemon only the names."""
     meanings = {" ".join(entry.split()) for entry in shared}
     same = [entry for entry in options(text) if " ".join(entry.split()) in meanings]
     for entry in same:
         text = text.replace(entry, "")
     names = ", ".join(entry.split()[0] for entry in same)
-    text = text.replace(", from the list below.", ".").split("\n  Recipes:\n")[0]  # the plate maker's page lists them
+    text = re.split(r"\n  (?:Recipes|Scenes):\n", text.replace(", from the list below.", "."))[0]
+    limits = r"[0-9.]*(?:<=?)?x[<>]=?[0-9.]+"
+    text = re.sub(rf" *\[{limits}\]|; {limits}(?=\])", "", text).replace(" RANGE", " " * len(" RANGE"))
     return text.rstrip() + (f"\n  As above: {names}" if same else "")
 
 

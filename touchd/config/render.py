@@ -101,13 +101,10 @@ _PAGE_HEAD = """\
 
 <!-- Generated from touchd/config/schema.py: do not edit. -->
 
-To look a setting up. `touchd config` prints what is in effect; `touchd config --default` prints a file to start from.
-touchd reads the file that `--config` names, or else `/etc/touchd/touchd.toml` if there is one. The command line wins
-over the environment, the environment over the file, the file over the defaults.
-
-The variable of a key is `TOUCHD_TABLE__KEY` in capitals: `TOUCHD_DEVICE__RATE_HZ=500`. A list has commas between its
-items, or is JSON. A default without a point is a whole number; an empty text unsets a path. A key, table or variable
-that touchd does not know is an error; a key of an earlier version is ignored, with a warning.
+To look a setting up. `touchd config` prints what is in effect, `touchd config --default` a file to start from. touchd
+reads `--config` or `/etc/touchd/touchd.toml`; environment variables such as `TOUCHD_DEVICE__RATE_HZ=500` win over the
+file, the command line over both. In a variable, commas part a list. An empty text unsets a path. An unknown key is an
+error; one of an earlier version is ignored, with a warning.
 """
 
 

@@ -26,7 +26,7 @@ GROUPS = {
 }
 PAPER = "#555555"
 ESTIMATOR = ("estimator", "p50 us", "p99.9 us", "x bare", "median mm", "p95 mm", "missed")
-DAEMON = ("scene", "frames/s", "ends at", "p50 us", "p99.9 us", "CPU", "frames/CPU s")
+DAEMON = ("scene", "frames/s", "ends at", "p50 us", "p99.9 us", "CPU")
 VARIANTS = ("grid10", "keypad", "time")
 """Estimators that only the terminal and the stored run show."""
 
