@@ -65,9 +65,9 @@ def page(run: Run) -> str:
 
 
 def _decisive(run: Run) -> tuple[DaemonResult, ...]:
-    """Return of each scene the first rate and full speed."""
+    """Return each scene at its first rate."""
     first = {cell.scene: cell for cell in reversed(run.daemon)}
-    return tuple(cell for cell in run.daemon if cell.rate_hz is None or cell is first[cell.scene])
+    return tuple(cell for cell in run.daemon if cell is first[cell.scene])
 
 
 def _times(one: BareTimes) -> str:
