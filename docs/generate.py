@@ -72,7 +72,7 @@ def command_line() -> str:
         "",
         "<!-- Generated from the commands' own help by docs/generate.py: do not edit. -->",
         "",
-        "To see what there is; `--help` after a verb says what each option means. `touchd` without a verb is the daemon,",
+        "To see what there is; a verb's `--help` says what each option means. `touchd` without a verb is the daemon,",
         "which reads the DAQ unless an option names another source. Each failure has an [exit",
         "status](troubleshooting.md#exit-status).",
         "",

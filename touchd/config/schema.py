@@ -57,9 +57,7 @@ class ModelSettings(Section):
     """The network that places touches."""
 
     path: OptionalPath = Field(None, description="ONNX file with touchd's description; unset uses the shipped model.")
-    atlas: bool = Field(
-        True, description="Place fingers by the field atlas beside the model: several, and finer."
-    )
+    atlas: bool = Field(True, description="Place fingers by the field atlas beside the model: several, and finer.")
     contact_shapes: bool = Field(
         False, description="Let the atlas fit fingers with a size and a shape where points do not explain them. Real "
         "fingertips need it; a moving finger then costs up to a millisecond a frame.",
@@ -71,37 +69,36 @@ class ModelSettings(Section):
         0.2, ge=0, le=1, description="The same while a contact is down: the hysteresis keeps it from splitting."
     )
     min_snr_db: float = Field(
-        3.0, ge=0, le=100, description="Least ratio of signal to noise of a touch that the network alone locates, dB.",
-    )  # fmt: skip
+        3.0, ge=0, le=100, description="Least ratio of signal to noise of a touch that the network alone locates, dB."
+    )
     max_sigma_mm: float = Field(
-        5.0, ge=0.001, le=1e9, description="Largest predicted standard error of a reported position, mm. Regression models "
-        "only.",
-    )  # fmt: skip
+        5.0, ge=0.001, le=1e9, description="Largest predicted standard error of a reported position, mm."
+    )
 
 
 class BaselineSettings(Section):
     """The untouched plate, followed as it drifts."""
 
     learn_frames: int = Field(
-        32, ge=2, le=1000, description="Frames averaged into the first baseline; until then touchd detects nothing.",
-    )  # fmt: skip
+        32, ge=2, le=1000, description="Frames averaged into the first baseline; until then touchd detects nothing."
+    )
     time_constant_s: float = Field(
-        0.5, ge=0.01, le=3600, description="Time constant with which the baseline follows the untouched plate, s.",
-    )  # fmt: skip
+        0.5, ge=0.01, le=3600, description="Time constant with which the baseline follows the untouched plate, s."
+    )
     absorb_s: float = Field(
-        30.0, ge=0.1, le=86400, description="A change that lasts this long becomes part of the baseline, s.",
-    )  # fmt: skip
+        30.0, ge=0.1, le=86400, description="A change that lasts this long becomes part of the baseline, s."
+    )
 
 
 class GateSettings(Section):
     """Detection: whether the plate is touched."""
 
     false_alarm_rate: float = Field(
-        1e-7, ge=LEAST_RATE, lt=0.1, description="Probability per frame that noise alone opens the gate.",
-    )  # fmt: skip
+        1e-7, ge=LEAST_RATE, lt=0.1, description="Probability per frame that noise alone opens the gate."
+    )
     noise_frames: int = Field(
-        1000, ge=10, le=1_000_000, description="Untouched frames over which the noise is averaged.",
-    )  # fmt: skip
+        1000, ge=10, le=1_000_000, description="Untouched frames over which the noise is averaged."
+    )
 
 
 class SkipSettings(Section):
@@ -116,9 +113,8 @@ class SkipSettings(Section):
         description="Nor on a frame that differs from the last one examined by noise alone.",
     )
     still_false_alarm_rate: float = Field(
-        0.01, ge=LEAST_RATE, lt=0.5, description="Probability per frame that noise alone has the network examine a "
-        "still finger again.",
-    )  # fmt: skip
+        0.01, ge=LEAST_RATE, lt=0.5, description="Probability per frame that noise alone examines a still finger again."
+    )
     unheard: bool = Field(True, description="No messages of a topic without subscribers.")
     screen: bool = Field(True, description="No touches while the screen is off (`touchd screen off`).")
 
@@ -130,8 +126,8 @@ class TrackerSettings(Section):
         2, ge=1, le=100, description="Consecutive frames before a contact is reported down: its delay."
     )
     reach_mm: float = Field(
-        25.0, ge=0.1, le=1000, description="Farthest a contact moves from one frame to the next, mm.",
-    )  # fmt: skip
+        25.0, ge=0.1, le=1000, description="Farthest a contact moves from one frame to the next, mm."
+    )
     dead_band_mm: float = Field(
         0.1, ge=0, le=1000, description="Movement within this, or within 1.5 `sigma_mm` if that is more, is `hold`, mm."
     )
@@ -140,12 +136,11 @@ class TrackerSettings(Section):
         "a smaller `sigma_mm` raises it in proportion. From the next contact on.",
     )  # fmt: skip
     beta: float = Field(
-        0.6, ge=0, le=1000, description="One-Euro filter: how the cut-off rises with speed, Hz per mm/s. From "
-        "the next contact on.",
-    )  # fmt: skip
+        0.6, ge=0, le=1000, description="One-Euro filter: how the cut-off rises with speed, Hz per mm/s."
+    )
     force_full_scale: float = Field(
-        0.1, ge=1e-6, le=10, description="Change of the signal, as a share of its size, that is reported as `force` 1.",
-    )  # fmt: skip
+        0.1, ge=1e-6, le=10, description="Change of the signal, as a share of its size, that is reported as `force` 1."
+    )
 
 
 class KeypadSettings(Section):
@@ -159,8 +154,8 @@ class BusSettings(Section):
 
     bind: tuple[Endpoint, ...] = Field(
         (),
-        description="Addresses of the publisher. Unset is `bus` in the service's runtime folder, or tcp://127.0.0.1:5570 "
-        "without a service.",
+        description="Addresses of the publisher. Unset is `bus` in the service's runtime folder, or "
+        "tcp://127.0.0.1:5570 without a service.",
     )
     ipc_group: Group = Field(
         "", description="Group that may use ipc:// sockets (mode 0660); empty keeps them private, "
@@ -175,8 +170,8 @@ class BusSettings(Section):
     )
     insecure: bool = Field(False, description="Allow an address beyond loopback without keys.")
     high_water_mark: int = Field(
-        1000, ge=1, le=100_000, description="Most messages that wait for a slow subscriber; then it loses some.",
-    )  # fmt: skip
+        1000, ge=1, le=100_000, description="Most messages that wait for a slow subscriber; then it loses some."
+    )
     max_subscribers: int = Field(64, ge=1, le=10000, description="Most connections at once.")
 
 
@@ -193,9 +188,7 @@ class ControlSettings(Section):
 class HealthSettings(Section):
     """The `health` topic."""
 
-    period_s: float = Field(
-        1.0, ge=0.01, le=3600, description="Longest time between health messages, s."
-    )
+    period_s: float = Field(1.0, ge=0.01, le=3600, description="Longest time between health messages, s.")
 
 
 class PreRollSettings(Section):
@@ -224,8 +217,8 @@ class RealtimeSettings(Section):
     """What makes latency steadier; for more see docs/integrator.md."""
 
     awake_from_hz: float = Field(
-        500.0, ge=0, le=65535, description="Frame rate from which the processors are kept awake while a finger is on the "
-        "plate, Hz, if the system permits it; 0 never does.",
+        500.0, ge=0, le=65535, description="Frame rate from which the processors are kept awake while a finger is on "
+        "the plate, Hz, if the system permits it; 0 never does.",
     )  # fmt: skip
 
 

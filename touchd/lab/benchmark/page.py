@@ -9,7 +9,6 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from touchd.config.schema import RealtimeSettings
 from touchd.errors import OutputError
 from touchd.evaluation.plots.session import COLOURS, save
 from touchd.lab.benchmark import results, tables
@@ -58,7 +57,7 @@ def page(run: Run) -> str:
     estimators = tuple(one for one in run.estimators if one.group in GROUPS and one.name not in VARIANTS)
     shown = run.model_copy(update={"daemon": _decisive(run), "estimators": estimators})
     return template.render(
-        TEMPLATE, run=run, shown=shown, pictures=PICTURES, times=_times, awake_from_hz=RealtimeSettings().awake_from_hz,
+        TEMPLATE, run=run, shown=shown, pictures=PICTURES, times=_times,
         budgets=_markdown(tables.budget_table(run)), estimators=_markdown(tables.estimator_table(shown), ESTIMATOR),
         daemon=_markdown(tables.daemon_table(shown), DAEMON), skips=_markdown(tables.skip_table(run)),
     )  # fmt: skip
