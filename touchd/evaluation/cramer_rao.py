@@ -212,10 +212,10 @@ def residual_noise(recording: Recording) -> float:
     return sqrt(1 + 1 / 2) * noise_of(recording.frames[labels(recording, least=1)[2]])
 
 
-def median_bound_mm(recording: Recording, field: Atlas | Instrument, noise: float | None = None) -> float:
+def median_bound_mm(recording: Recording, field: Atlas | Instrument) -> float:
     """Return the least median error, mm, that an unbiased estimator can reach on a recording's touches.
 
-    Parameters and errors as in `recorded_field`; `noise` defaults to `residual_noise`.
+    Parameters and errors as in `recorded_field`.
     """
-    deviation = residual_noise(recording) if noise is None else noise
-    return median_distance_mm(position_covariance(recorded_field(recording, field), recording.acquisition, deviation))
+    touches = recorded_field(recording, field)
+    return median_distance_mm(position_covariance(touches, recording.acquisition, residual_noise(recording)))

@@ -19,9 +19,7 @@ from touchd.config.render import fields, markdown, render, variable
 from touchd.config.schema import RETIRED, DeviceSettings, LogSettings, Settings
 from touchd.errors import ConfigError
 
-FILE_SETTINGS = hypothesis_settings(
-    max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
-)
+FILE_SETTINGS = hypothesis_settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
 @pytest.fixture(autouse=True)

@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 from typing import NamedTuple
 
+from touchd.files import replacing
 from touchd.lab.reproduction import paper
 from touchd.training.report.template import Table, read_csv, render, write_csv
 
@@ -55,7 +56,8 @@ def _heads(full: Table, central: Table) -> Table:
 def store(found: Figures, folder: Path) -> None:
     """Write facts and tables into a folder."""
     text = json.dumps(found.facts, indent=1, ensure_ascii=False)
-    (folder / "facts.json").write_text(text + "\n", "utf-8")
+    with replacing(folder / "facts.json") as file:
+        file.write(text.encode() + b"\n")
     for name, table in found.tables.items():
         write_csv(folder / f"{name}.csv", table)
 
