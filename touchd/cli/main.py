@@ -71,6 +71,7 @@ class Verbs(click.Group):
 @click.pass_context
 def touchd(
     ctx: click.Context,
+    /,
     config: Path | None,
     bind: tuple[str, ...],
     model: Path | None,

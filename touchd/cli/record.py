@@ -46,6 +46,7 @@ def _plate(_ctx: click.Context, _param: click.Parameter, value: str | None) -> P
 @click.pass_context
 def command(
     ctx: click.Context,
+    /,
     output: Path,
     frames: int | None,
     seconds: float | None,

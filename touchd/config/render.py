@@ -104,7 +104,7 @@ _PAGE_HEAD = """\
 To look a setting up. `touchd config` prints what is in effect, `touchd config --default` a file to start from. touchd
 reads `--config` or `/etc/touchd/touchd.toml`; environment variables such as `TOUCHD_DEVICE__RATE_HZ=500` win over the
 file, the command line over both. In a variable, commas part a list. An empty text unsets a path. An unknown key is an
-error; one of an earlier version is ignored, with a warning.
+error; one of an earlier version is ignored, with a warning. In brackets: the default, and what is allowed.
 """
 
 
@@ -123,15 +123,13 @@ def render(settings: Settings) -> str:
 
 
 def markdown() -> str:
-    """Return the reference of all settings: a table for each section."""
+    """Return the reference of all settings: a list for each section."""
     text = _PAGE_HEAD
     for table, keys in _tables():
         text += f"\n## `[{table}]`\n\n{_summary(table)}\n\n"
-        text += "| key | default, range | meaning |\n|---|---|---|\n"
         for key, field in keys:
             default = ", ".join(filter(None, (f"`{toml_value(field.default, key)}`", _limits(field))))
-            cells = (f"`{key}`", default, field.description or "")
-            text += f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |\n"
+            text += f"- `{key}` ({default}): {field.description}\n"
     return text
 
 

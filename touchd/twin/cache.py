@@ -46,6 +46,6 @@ def remember(name: str, parameters: Mapping[str, Any], compute: Callable[[], Arr
     arrays = compute()
     with contextlib.suppress(OSError, OutputError):
         path.parent.mkdir(parents=True, exist_ok=True)
-        with replacing(path) as file:
-            np.savez(file, **arrays)  # type: ignore[arg-type]  # numpy's stub confuses the names with allow_pickle
+        with replacing(path) as made:
+            np.savez(made, **arrays)  # type: ignore[arg-type]  # numpy's stub confuses the names with allow_pickle
     return arrays

@@ -12,6 +12,7 @@ from touchd.training.report.template import Table, read_csv, render, write_csv
 
 TEMPLATE = Path(__file__).with_name("report.md.j2")
 SHOWN_HEADS, SHOWN_SHARES = ("R", "C-10"), ("100%", "20%")
+SHOWN_DICTIONARIES = ("kNN on residuals", "GCC on residuals")
 
 
 class Figures(NamedTuple):
@@ -28,7 +29,7 @@ def page(found: Figures, folder: str) -> str:
     shown = {
         "heads": _heads(tables["full-plate"], tables["central"]),
         "shares": tables["shares"].pick(SHOWN_SHARES),
-        "dictionaries": tables["dictionaries"].pick(columns=("estimator", *errors)),
+        "dictionaries": tables["dictionaries"].pick(SHOWN_DICTIONARIES, ("estimator", *errors)),
     }
     if "circle" in tables:
         shown["circle"] = tables["circle"].pick(columns=("model", "mean", "sd", "paper: mean ± sd"))
