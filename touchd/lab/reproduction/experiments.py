@@ -20,9 +20,10 @@ from touchd.evaluation.model_scores import Judgement, judge
 from touchd.keypad import Layout
 from touchd.lab.benchmark.stopwatch import Stopwatch, spread
 from touchd.lab.dictionary import Correlation, Nearest
-from touchd.localization.features import Domain, band_bins
+from touchd.localization.features import Domain
 from touchd.localization.model import Model
 from touchd.recording.data import Recording
+from touchd.training.field.dispersion import frequencies
 from touchd.training.network.recipe import RECIPES
 
 Rows = NDArray[np.float32]
@@ -78,9 +79,7 @@ def dictionary(data: Dataset, features: Rows, train: NDArray[np.int64], method: 
     """Return the estimator "kNN" or "GCC" with the training touches of a dataset."""
     if method == "kNN":
         return Nearest(features[train], data.position_mm[train])
-    a = data.acquisition
-    f_hz = band_bins(a) * a.sample_rate_hz / a.samples
-    return Correlation(features[train], data.position_mm[train], a.channels, f_hz)
+    return Correlation(features[train], data.position_mm[train], data.acquisition.channels, frequencies(data))
 
 
 def judged(models: Mapping[str, bytes], recording: Recording) -> dict[str, Judgement]:
