@@ -12,6 +12,7 @@ from typing import Any
 import click
 
 from touchd import __version__
+from touchd.cli.source import source_options
 from touchd.errors import ConfigError, MissingExtra, TouchdError
 
 VERBS = {
@@ -61,27 +62,9 @@ class Verbs(click.Group):
             formatter.write_dl(sorted(VERBS.items()))
 
 
-def parse_speed(_ctx: click.Context, _param: click.Parameter, value: str) -> float:
-    """Convert a speed option to a number; `max` is infinite."""
-    if value == "max":
-        return float("inf")
-    try:
-        speed = float(value)
-    except ValueError:
-        speed = 0.0
-    if not 0 < speed < float("inf"):
-        raise click.BadParameter("a number above 0, or max")
-    return speed
-
-
 @click.group(cls=Verbs, invoke_without_command=True, context_settings={"help_option_names": ["-h", "--help"]})
 @click.option("--config", "config", type=click.Path(path_type=Path), help="Configuration file (TOML).")
-@click.option("--replay", type=click.Path(path_type=Path), help="Read frames from a recording: a file or a folder.")
-@click.option("--simulate", metavar="SCENE", help="Read frames from a scene of the digital twin, live.")
-@click.option("--ni", is_flag=True, help="Read frames from NI hardware: see [ni] in the configuration.")
-@click.option("--speed", default="1", callback=parse_speed, metavar="N|max", help="Speed of a replay.  [default: 1]")
-@click.option("--loop", is_flag=True, help="Start again at the end of a recording or scene.")
-@click.option("--seed", default=0, help="Seed of a simulated scene.", show_default=True)
+@source_options
 @click.option("--bind", multiple=True, metavar="ADDRESS", help="Publish at tcp:// or ipc:// ADDRESS; repeatable.")
 @click.option("--model", type=click.Path(path_type=Path), help="Model (ONNX).  [default: shipped]")
 @click.option("--print", "echo", is_flag=True, help="Also print each event as a line of JSON.")
@@ -91,18 +74,14 @@ def parse_speed(_ctx: click.Context, _param: click.Parameter, value: str) -> flo
 @click.pass_context
 def touchd(
     ctx: click.Context,
+    /,
     config: Path | None,
-    replay: Path | None,
-    simulate: str | None,
-    ni: bool,
-    speed: float,
-    loop: bool,
-    seed: int,
     bind: tuple[str, ...],
     model: Path | None,
     echo: bool,
     await_subscriber: float,
     debug: bool,
+    **source: Any,
 ) -> None:
     """Locate touches on a plate by ultrasound and publish them.
 
@@ -135,7 +114,7 @@ def touchd(
         warn_retired(key)
     run(
         settings,
-        SourceChoice(replay, simulate, speed, loop, seed, ni),
+        SourceChoice(**source),
         echo=echo,
         await_subscriber_s=await_subscriber,
         read_settings=lambda: load(config, overrides, warn_retired),

@@ -7,10 +7,11 @@ import time
 from contextlib import ExitStack
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
+from touchd.cli.source import source_options
 from touchd.errors import ConfigError, SourceError
 from touchd.frame import Plate, parse_plate
 
@@ -21,12 +22,6 @@ if TYPE_CHECKING:
 
 # A signal takes effect within this time while no frame arrives.
 _TIMEOUT_S = 0.2
-
-
-def _speed(_ctx: click.Context, _param: click.Parameter, value: str) -> float:
-    from touchd.cli.main import parse_speed
-
-    return parse_speed(_ctx, _param, value)
 
 
 def _plate(_ctx: click.Context, _param: click.Parameter, value: str | None) -> Plate | None:
@@ -40,12 +35,7 @@ def _plate(_ctx: click.Context, _param: click.Parameter, value: str | None) -> P
 @click.command(name="record", short_help="Write frames to a file.")
 @click.option("-o", "--output", type=click.Path(path_type=Path), required=True,
               help="Output: one file if it ends in .npz, else a folder of chunks.")  # fmt: skip
-@click.option("--replay", type=click.Path(path_type=Path), help="Read frames from a recording: a file or a folder.")
-@click.option("--simulate", metavar="SCENE", help="Read frames from a scene of the digital twin, live.")
-@click.option("--ni", is_flag=True, help="Read frames from NI hardware: see [ni] in the configuration.")
-@click.option("--speed", default="1", callback=_speed, metavar="N|max", help="Speed of a replay.  [default: 1]")
-@click.option("--loop", is_flag=True, help="Start again at the end of a recording or scene.")
-@click.option("--seed", default=0, help="Seed of a simulated scene.", show_default=True)
+@source_options
 @click.option("--frames", type=click.IntRange(1), metavar="N", help="Stop after N frames.")
 @click.option("--seconds", type=click.FloatRange(0, min_open=True), metavar="S", help="Stop after S seconds.")
 @click.option("--chunk-frames", type=click.IntRange(1, 1_000_000), default=5000, show_default=True, metavar="N",
@@ -56,19 +46,15 @@ def _plate(_ctx: click.Context, _param: click.Parameter, value: str | None) -> P
 @click.pass_context
 def command(
     ctx: click.Context,
+    /,
     output: Path,
-    replay: Path | None,
-    simulate: str | None,
-    ni: bool,
-    speed: float,
-    loop: bool,
-    seed: int,
     frames: int | None,
     seconds: float | None,
     chunk_frames: int,
     plate: Plate | None,
     notes: str,
     config: Path | None,
+    **named: Any,
 ) -> None:
     """Write the frames of the DAQ, or of another source, to a file.
 
@@ -85,10 +71,11 @@ def command(
             "record into a folder: give -o a name that does not end in .npz",
         )  # fmt: skip
     settings = load(config or (ctx.obj or {}).get("config"))
-    source = open_source(SourceChoice(replay, simulate, speed, loop, seed, ni), settings)
+    choice = SourceChoice(**named)
+    source = open_source(choice, settings)
     with ExitStack() as stack:
         stack.callback(source.close)
-        kind = "simulated" if simulate else "replay" if replay else "ni" if ni else "usb"
+        kind = "simulated" if choice.simulate else "replay" if choice.replay else "ni" if choice.ni else "usb"
         meta = _meta(source, plate, settings.device.rate_hz, kind, notes)
         recorder = Recorder(source, output, meta, chunk_frames=chunk_frames)
         click.echo(f"recording to {output}: it can reveal a PIN, and only you can read it")

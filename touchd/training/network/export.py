@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import os
 import tempfile
 import warnings
 from pathlib import Path
@@ -14,7 +13,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from touchd.errors import OutputError, TrainingError
+from touchd.errors import TrainingError
+from touchd.files import replacing
 from touchd.localization.model import METADATA_KEY, Description, Model
 from touchd.training.network.network import Network
 
@@ -61,15 +61,8 @@ def write_model(graph: onnx.ModelProto, path: Path) -> Model:
 
 def put_model(content: bytes, path: Path) -> Model:
     """Write an ONNX file's bytes to `path` atomically, and load it; see `write_model` for errors."""
-    try:
-        with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
-            file.write(content)
-        Path(file.name).chmod(0o644)
-        os.replace(file.name, path)
-    except OSError as error:
-        raise OutputError(
-            f"cannot be written ({error.strerror})", str(path), "check the folder and its space"
-        ) from error
+    with replacing(path) as file:
+        file.write(content)
     return Model(path)
 
 
