@@ -66,7 +66,7 @@ def grid_of(length_mm: float, step_mm: float) -> Grid:
     apart = np.abs(samples[:, None] - nodes) / step_mm
     near = 2 / 3 - apart**2 + apart**3 / 2
     values = np.where(apart < 1, near, np.maximum(2 - apart, 0.0) ** 3 / 6)
-    return Grid(nodes, samples, np.linalg.pinv(values, rcond=1e-6))
+    return Grid(nodes, samples, np.asarray(np.linalg.pinv(values, rcond=1e-6), np.float64))
 
 
 def make_physical_atlas(

@@ -48,7 +48,7 @@ class PhysicalField:
         self._response = Response(fit.plate, modes, nu, fit.loss)
         self._discs = modes.discs
         emitted = chirp.spectrum(a.chirp, nu) * anti_alias(nu, rate_hz)
-        self._heard = emitted * fit.gain(nu.real / (2 * np.pi))  # (R, F)
+        self._heard = emitted * fit.gain(np.asarray(nu.real / (2 * np.pi)))  # (R, F)
         seconds = np.arange(a.samples) / rate_hz
         undamped = np.exp(decay_per_s * seconds) * rate_hz
         spectra = np.concatenate([np.eye(len(nu)), 1j * np.eye(len(nu))])

@@ -12,7 +12,7 @@ from typing import Any
 import click
 
 from touchd import __version__
-from touchd.errors import ConfigError, MissingExtra, TouchdError
+from touchd.errors import ConfigError, MissingExtra, ModelMissing, TouchdError
 
 VERBS = {
     "benchmark": "Measure run time, latency and position error.",
@@ -25,6 +25,7 @@ VERBS = {
     "gadget": "Act as a DAQ on a USB cable.",
     "keygen": "Make a CURVE key pair.",
     "listen": "Print the events of a running daemon.",
+    "model": "Install a model, or go back to the previous one.",
     "quantise": "Quantise a model's weights to 8 bits.",
     "record": "Write frames to a file.",
     "reproduce": "Repeat the source paper's experiments.",
@@ -122,6 +123,8 @@ def touchd(
     if bind:
         overrides["bus"] = {"bind": bind}
     if model:
+        if not model.exists():  # a path in the configuration may wait for its file, uncalibrated
+            raise ModelMissing("no such model", str(model), "check the path")
         overrides["model"] = {"path": model}
     if debug:
         overrides["log"] = {"level": "debug"}

@@ -47,7 +47,8 @@ class TimeLeft:
 
 class Bars:
     """Bars on standard error, one for each part of a job. They appear with the first step: an earlier error prints one
-    line."""
+    line.
+    """
 
     def __init__(self) -> None:
         self._bar = Progress(

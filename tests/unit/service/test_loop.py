@@ -121,7 +121,7 @@ class Bench:
         sinks = [self.sink, self.other]
         messages = Messages(Settings(), wants_of(sinks))
         self.pipeline = Pipeline(recording.acquisition, model, Settings())
-        health = Health(self.source, self.pipeline, messages, HealthSettings(period_s=period_s), "the model")
+        health = Health(self.source, self.pipeline, messages, HealthSettings(period_s=period_s))
         self.service = Service(self.source, self.pipeline, messages, sinks, health, clock=self.clock, awake=awake)
 
     def _heard(self, event: Event) -> None:

@@ -160,7 +160,7 @@ def test_wrong_file(run: Callable[[str], Run], model: Model, scene_file: Callabl
     pipeline = run("idle").pipeline
     messages = Messages(Settings(), all_but_spectra)
     source = ReplaySource(scene_file("idle"))
-    health = Health(source, pipeline, messages, HealthSettings(), "the model")
+    health = Health(source, pipeline, messages, HealthSettings())
     reloader = make_reloader(Settings(), lambda: load(path), model, pipeline, messages, health)
     reloader.reload()
     assert health.period_ns == 500_000_000
@@ -227,7 +227,7 @@ def test_taken_is_true(
         run = Run(scene, each, "circle")
         run.feed(90)
         messages = Messages(Settings(), all_but_spectra)
-        health = Health(ReplaySource(scene_file("circle")), run.pipeline, messages, HealthSettings(), "the model")
+        health = Health(ReplaySource(scene_file("circle")), run.pipeline, messages, HealthSettings())
         preroll = PreRoll(scene("circle").acquisition, 125.0, lambda: scene("circle").meta, new.preroll)
         make_reloader(Settings(), lambda: new, each, run.pipeline, messages, health, preroll).reload()
         contacts = [run.feed(until) for until in range(91, 140)]
