@@ -38,6 +38,8 @@ class Layout(BaseModel):
     diameter_mm: float = Field(default=6.0, gt=0)
     mass_g: float = Field(default=0.43, ge=0)
     """Mass of each disc: 6 mm by 2 mm of PZT."""
+    stiffness_n_m: float = Field(default=0.0, ge=0)
+    """Resistance of each to the mean rotation around its rim, N m per rad."""
 
     @property
     def centres_mm(self) -> Floats:
@@ -104,7 +106,7 @@ def loaded_modes(plate: Plate, layout: Layout, frequency_hz: float = 125e3) -> L
 
 
 def load(modes: Modes, plate: Plate, layout: Layout, below_hz: float = np.inf) -> LoadedModes:
-    """Add the discs' masses to a bare plate's modes.
+    """Add the discs' masses and stiffnesses to a bare plate's modes.
 
     In modal coordinates each mass is a rank-one change of the unit mass matrix. The loaded plate's modes are exact
     within the given ones, and no later computation needs the update.
@@ -124,7 +126,8 @@ def load(modes: Modes, plate: Plate, layout: Layout, below_hz: float = np.inf) -
     U, sigma, _ = np.linalg.svd(B, full_matrices=False)
     root = (U * ((1 + sigma**2) ** -0.5 - 1)) @ U.T
     root[np.diag_indices(n)] += 1
-    squared, V = np.linalg.eigh((root * modes.omega_rad_s**2) @ root)
+    stiffened = root @ discs * np.sqrt(layout.stiffness_n_m)
+    squared, V = np.linalg.eigh((root * modes.omega_rad_s**2) @ root + stiffened @ stiffened.T)
     omega = np.sqrt(np.maximum(squared, 0.0))
     omega[:3] = 0.0  # the rigid motions stay
     V = (root @ V[:, omega < 2 * np.pi * below_hz]).T
