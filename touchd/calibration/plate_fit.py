@@ -96,7 +96,7 @@ def fit_plate(said: PlateFile, recording_mean: Untouched, progress: Progress = l
 def describe(
     reader: Reader, untouched: Untouched, state: State, model: UntouchedModel, found: tuple[str, ...] = ()
 ) -> PlateFit:
-    """Return a finished fit with its parameters, their standard errors and its verdict; `found` is what else the fit found."""
+    """Return a finished fit with parameters, standard errors and verdict; `found` is what else was found."""
     measured, p = untouched.mean, state.p
     fitted = model.signals(p, state.fitted.gains)
     parameters = _parameters(reader, state)

@@ -17,13 +17,13 @@ from numpy.typing import NDArray
 
 from touchd.twin.physics import legendre
 from touchd.twin.physics.material import ElasticPlate, material_of, stiffness_of
-from touchd.twin.physics.plate import Modes, polynomials_for, solve
+from touchd.twin.physics.plate import LEAST_MARGIN, MANY_POLYNOMIALS, Modes, polynomials_for, solve
 
 Floats = NDArray[np.float64]
 Forms = list[Floats]
 
-BASIS_HZ = 300e3
-"""Modes up to here are the basis; the chirp ends at 100 kHz."""
+BASIS, BASIS_OF_MANY = 3.0, 1.8
+"""Modes up to this many times the highest frequency are the basis; fewer where a plate has thousands."""
 
 
 class Shape(NamedTuple):
@@ -91,10 +91,11 @@ class ReducedPlate:
         End of the band that is to be exact.
     """
 
-    def __init__(self, plate: ElasticPlate, highest_hz: float = 100e3, basis_hz: float = BASIS_HZ) -> None:
+    def __init__(self, plate: ElasticPlate, highest_hz: float = 100e3) -> None:
         self.reference = shape_of(plate)
-        self.counts = polynomials_for(plate, highest_hz)
-        modes = solve(plate, self.counts, basis_hz)
+        self.counts = polynomials_for(plate, highest_hz, LEAST_MARGIN)
+        basis = BASIS_OF_MANY if max(self.counts) > MANY_POLYNOMIALS - 10 else BASIS
+        modes = solve(plate, self.counts, basis * highest_hz)
         unit = np.sqrt(stiffness_of(plate).mass)
         n = len(modes.omega_rad_s)
         self.fields = tuple(unit * field.reshape(n, -1) for field in modes[1:])

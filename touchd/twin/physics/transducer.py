@@ -13,7 +13,7 @@ from touchd.frame import Plate
 from touchd.twin.cache import remember
 from touchd.twin.physics import legendre
 from touchd.twin.physics.material import material_of
-from touchd.twin.physics.plate import Modes, polynomials_for, size_m, solve
+from touchd.twin.physics.plate import MANY_POLYNOMIALS, Modes, polynomials_for, size_m, solve
 
 Floats = NDArray[np.float64]
 
@@ -24,6 +24,9 @@ BASIS_HZ = 3.0
 """Modes of the bare plate up to this many times the highest frequency carry the discs' masses."""
 KEPT_HZ = 2.0
 """Modes of the loaded plate up to this many times the highest frequency are kept."""
+BASIS_OF_MANY_HZ, KEPT_OF_MANY_HZ = 1.6, 1.3
+"""The same for a plate that needs more than `MANY_POLYNOMIALS`: it has thousands of modes more, and hears less of
+them, as it is soft and lossy."""
 
 
 class Layout(BaseModel):
@@ -87,6 +90,8 @@ def loaded_modes(plate: Plate, layout: Layout, frequency_hz: float = 125e3) -> L
         )
     # Converged at four fifths of the highest frequency, where the emission ends (100 of 125 kHz).
     counts = polynomials_for(plate, 0.8 * frequency_hz)
+    many = max(counts) > MANY_POLYNOMIALS
+    basis, kept = (BASIS_OF_MANY_HZ, KEPT_OF_MANY_HZ) if many else (BASIS_HZ, KEPT_HZ)
     parameters = {
         "version": VERSION,
         "plate": plate.model_dump(),
@@ -94,13 +99,13 @@ def loaded_modes(plate: Plate, layout: Layout, frequency_hz: float = 125e3) -> L
         "layout": layout.model_dump(),
         "frequency_hz": frequency_hz,
         "counts": counts,
-        "basis": BASIS_HZ,
-        "kept": KEPT_HZ,
+        "basis": basis,
+        "kept": kept,
     }
 
     def compute() -> dict[str, Floats]:
-        modes = solve(plate, counts, BASIS_HZ * frequency_hz)
-        return load(modes, plate, layout, KEPT_HZ * frequency_hz)._asdict()
+        modes = solve(plate, counts, basis * frequency_hz)
+        return load(modes, plate, layout, kept * frequency_hz)._asdict()
 
     return LoadedModes(**remember("plate", parameters, compute))
 
