@@ -23,6 +23,7 @@ from touchd.frame import Acquisition, Plate
 from touchd.twin.physics import chebyshev
 from touchd.twin.physics.contact import size_of
 from touchd.twin.physics.finger import Contact, patches
+from touchd.twin.physics.mounting import FREE, Mounting, mounted_modes
 from touchd.twin.physics.response import Response
 from touchd.twin.physics.transducer import Layout, default_layout, loaded_modes
 
@@ -56,6 +57,8 @@ class Instrument:
         Loss factor: 2e-3 .. 1e-2 for a mounted plate with bonded discs.
     tail_period_s : float, optional
         Include the ringing of all previous chirps, one per `tail_period_s`; the record is then as long.
+    mounting : Mounting
+        What holds the plate.
 
     Raises
     ------
@@ -71,6 +74,7 @@ class Instrument:
         acquisition: Acquisition | None = None,
         loss: float = 5e-3,
         tail_period_s: float | None = None,
+        mounting: Mounting = FREE,
     ) -> None:
         self.plate = plate
         self.layout = layout or default_layout(plate)
@@ -94,8 +98,11 @@ class Instrument:
         self._decay_per_s = damping / record_s
         grid_hz = np.arange(self._record // 2 + 1) * a.sample_rate_hz / self._record
         nu = 2 * np.pi * grid_hz - 1j * max(self._decay_per_s, 1e-3)
-        modes = loaded_modes(plate, self.layout, a.sample_rate_hz / 2)
-        self.response = Response(plate, modes, nu, loss)
+        highest_hz = a.sample_rate_hz / 2
+        if mounting == FREE:
+            self.response = Response(plate, loaded_modes(plate, self.layout, highest_hz), nu, loss)
+        else:
+            self.response = Response(plate, mounted_modes(plate, self.layout, mounting, loss, highest_hz), nu, 0.0)
         self._t = np.arange(a.samples) / a.sample_rate_hz
         self._tables()
 
@@ -151,7 +158,7 @@ class Instrument:
                 spectrum = self.response.change([split[i] for i in part], scale[part])
                 spectrum *= (chebyshev.weights(scale[part], self._node_scale) @ self._emission)[:, None, :]
                 result[part] = self._to_time(spectrum, scale[part], late[part])
-        return result / self._peak
+        return result / self.peak
 
     def _tables(self) -> None:
         """Compute the emission, and the untouched signals with their time derivatives, at the temperature nodes."""
@@ -172,9 +179,10 @@ class Instrument:
             for k in range(self._orders(MOST_LATE_S))
         ]
         self._untouched = np.stack(orders)
-        self._peak = 1.0
-        self._peak = float(np.abs(self.untouched([REFERENCE_C])).max())
-        self._untouched /= self._peak
+        self.peak = 1.0
+        """Peak of the untouched plate at the reference temperature, from which signals are counted."""
+        self.peak = float(np.abs(self.untouched([REFERENCE_C])).max())
+        self._untouched /= self.peak
 
     def _orders(self, shift_s: float) -> int:
         """Return the number of Taylor terms that shift a time signal by `shift_s` to within `ERROR`."""
