@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from touchd.twin.physics.material import material_of
 from touchd.twin.physics.plate import MANY_POLYNOMIALS, Modes, polynomials_for, size_m, solve
 
 Floats = NDArray[np.float64]
+Complex = NDArray[np.complex128]
 
 VERSION = 1
 """Version of the algorithm; increase it when the same rig gives other modes, to invalidate files on disk."""
@@ -62,13 +63,16 @@ def default_layout(plate: Plate) -> Layout:
 
 
 class LoadedModes(NamedTuple):
-    """Modes of the plate with its discs, and their values at the discs: n modes, unit modal mass."""
+    """Modes of the plate with its discs, and their values at the discs: n modes, unit modal mass.
 
-    omega_rad_s: Floats
+    They are real, or complex with attachments (`touchd.twin.physics.mounting`).
+    """
+
+    omega_rad_s: Floats | Complex
     """Angular frequencies, shape (n,)."""
-    w: Floats
+    w: Floats | Complex
     """Deflection in Legendre products, shape (n, nx, ny)."""
-    discs: Floats
+    discs: Floats | Complex
     """Mean outward rotation around the rim of each disc, shape (n, 1 + receivers); column 0 is the emitter."""
 
 
@@ -88,26 +92,30 @@ def loaded_modes(plate: Plate, layout: Layout, frequency_hz: float = 125e3) -> L
             "layout",
             f"keep centres {layout.diameter_mm / 2:g} mm from the edge",
         )
+    parameters = parameters_of(plate, layout, frequency_hz)
+
+    def compute() -> dict[str, Floats]:
+        modes = solve(plate, parameters["counts"], parameters["basis"] * frequency_hz)
+        return load(modes, plate, layout, parameters["kept"] * frequency_hz)._asdict()
+
+    return LoadedModes(**remember("plate", parameters, compute))
+
+
+def parameters_of(plate: Plate, layout: Layout, frequency_hz: float) -> dict[str, Any]:
+    """Return all that the modes of a plate with discs depend on, as JSON types."""
     # Converged at four fifths of the highest frequency, where the emission ends (100 of 125 kHz).
     counts = polynomials_for(plate, 0.8 * frequency_hz)
     many = max(counts) > MANY_POLYNOMIALS
-    basis, kept = (BASIS_OF_MANY_HZ, KEPT_OF_MANY_HZ) if many else (BASIS_HZ, KEPT_HZ)
-    parameters = {
+    return {
         "version": VERSION,
         "plate": plate.model_dump(),
         "material": material_of(plate),
         "layout": layout.model_dump(),
         "frequency_hz": frequency_hz,
         "counts": counts,
-        "basis": basis,
-        "kept": kept,
+        "basis": BASIS_OF_MANY_HZ if many else BASIS_HZ,
+        "kept": KEPT_OF_MANY_HZ if many else KEPT_HZ,
     }
-
-    def compute() -> dict[str, Floats]:
-        modes = solve(plate, counts, basis * frequency_hz)
-        return load(modes, plate, layout, kept * frequency_hz)._asdict()
-
-    return LoadedModes(**remember("plate", parameters, compute))
 
 
 def load(modes: Modes, plate: Plate, layout: Layout, below_hz: float = np.inf) -> LoadedModes:
