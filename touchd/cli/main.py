@@ -16,6 +16,7 @@ from touchd.errors import ConfigError, MissingExtra, TouchdError
 
 VERBS = {
     "benchmark": "Measure run time, latency and position error.",
+    "calibrate": "Make a model of a plate that nobody touches.",
     "config": "Print the effective configuration.",
     "demo": "Replay the shipped recording and summarise it.",
     "doctor": "Check the whole set-up.",
@@ -31,8 +32,8 @@ VERBS = {
     "simulate": "Write a recording made by the digital twin.",
     "train": "Train a model on a labelled recording.",
 }
-EXTRAS = {"torch": "train", "scipy": "train", "sklearn": "train", "onnx": "train",
-          "matplotlib": "train", "rich": "train", "jinja2": "train", "dask": "train", "distributed": "train",
+EXTRAS = {"torch": "train", "sklearn": "train", "dask": "train", "distributed": "train", "scipy": "calibrate",
+          "onnx": "calibrate", "matplotlib": "calibrate", "rich": "calibrate", "jinja2": "calibrate",
           "nidaqmx": "ni",
           }  # fmt: skip
 

@@ -21,7 +21,7 @@ from touchd.training.field.dispersion import dispersion_of, fitted_note
 from touchd.training.field.learn import Learned, learn_thoroughly
 from touchd.training.field.make_atlas import Calibration, informative, make_atlas, signal_over_noise, try_atlas
 from touchd.training.field.regression import Floats, touches_of
-from touchd.training.network.export import put_model
+from touchd.localization.model_file import put_model
 from touchd.training.network.loop import Progress
 from touchd.training.network.recipe import RECIPES
 from touchd.training.train_network import Result, Warn, train

@@ -12,8 +12,7 @@ from scipy.optimize import minimize
 from touchd.evaluation.dataset import BASELINE_NOISE, Dataset
 from touchd.localization.atlas import Atlas
 from touchd.localization.features import windowed_dft
-from touchd.training.field.place import Placed, place
-from touchd.training.field.regression import Complex, Floats
+from touchd.training.field.place import Complex, Floats, Placed, place
 
 Spectra = NDArray[np.complexfloating]
 
