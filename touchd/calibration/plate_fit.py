@@ -1,38 +1,31 @@
-"""Plate and discs as fitted to the untouched response: the result of `fit_plate`."""
+"""Fit plate and discs to the untouched response."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from touchd.calibration.least_squares import State
+from touchd.calibration.parameters import LOGARITHMS, Reader
 from touchd.calibration.plate_file import PlateFile
+from touchd.calibration.stages import run_stages
 from touchd.calibration.untouched import Untouched
+from touchd.calibration.untouched_model import UntouchedModel, band
+from touchd.calibration.verdict import Evidence, Parameter, Verdict, judge
 from touchd.frame import Acquisition
+from touchd.twin.physics.dispersion import mindlin_wavenumber
 from touchd.twin.physics.material import ElasticPlate
 from touchd.twin.physics.transducer import Layout
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
-Verdict = Literal["good", "usable", "poor"]
+AT_PRIOR = 2.0
+"""A parameter this many of its standard deviations from what was said has been pulled there by the data."""
 Progress = Callable[[str, float], object]
 """Receives the stage's name and the share of the whole work that is done, 0 .. 1."""
-
-
-class Parameter(NamedTuple):
-    """One fitted number beside what PLATE.toml said."""
-
-    name: str
-    """For example `thickness`, `emitter x` or `receiver 2 y`."""
-    unit: str
-    said: float
-    fitted: float
-    standard_error: float
-    at_prior: bool
-    """Whether the data pull it further from what was said than its uncertainty allows."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +37,8 @@ class PlateFit:
     acquisition: Acquisition
     loss: float
     """Loss factor at the middle of the chirp."""
+    loss_slope: float
+    """Exponent of the frequency in the loss factor."""
     gains: Complex
     """Coefficients of each channel's complex gain, shape (R, 3), in powers of `band`; counts per unit of response."""
     parameters: tuple[Parameter, ...]
@@ -52,6 +47,10 @@ class PlateFit:
     """Expected median error of a touch with a physical atlas of this plate."""
     reasons: tuple[str, ...]
     """Why the verdict is not better, each with the next thing to do."""
+    undecided: tuple[str, ...]
+    """What an untouched plate cannot tell, each with what settles it."""
+    scale_error: float
+    """Standard error of the absolute scale, which the ruler alone gives, relative."""
     unexplained: float
     """Share of the untouched energy that the fit leaves."""
     noise_share: float
@@ -74,12 +73,6 @@ class PlateFit:
         return hz, spectrum / np.maximum(energy, np.finfo(float).tiny)
 
 
-def band(acquisition: Acquisition, frequency_hz: Floats) -> Floats:
-    """Map frequencies to -1 .. 1 over the chirp's band; beyond it to at most 1.3."""
-    low, high = sorted((acquisition.chirp.start_hz, acquisition.chirp.stop_hz))
-    return np.asarray(np.clip((frequency_hz - (low + high) / 2) / ((high - low) / 2), -1.3, 1.3))
-
-
 def fit_plate(said: PlateFile, recording_mean: Untouched, progress: Progress = lambda _stage, _share: None) -> PlateFit:
     """Fit plate, discs and gains to the untouched response.
 
@@ -95,4 +88,55 @@ def fit_plate(said: PlateFile, recording_mean: Untouched, progress: Progress = l
     CalibrationError
         The recording does not fit the plate, or too few channels live.
     """
-    raise NotImplementedError
+    reader = Reader(said, recording_mean.acquisition)
+    state, model = run_stages(reader, recording_mean, progress=lambda share: progress("fit", 0.8 * share))
+    return describe(reader, recording_mean, state, model)
+
+
+def describe(
+    reader: Reader, untouched: Untouched, state: State, model: UntouchedModel, found: tuple[str, ...] = ()
+) -> PlateFit:
+    """Return a finished fit with parameters, standard errors and verdict; `found` is what else was found."""
+    measured, p = untouched.mean, state.p
+    fitted = model.signals(p, state.fitted.gains)
+    parameters = _parameters(reader, state)
+    plate, loss, dead = reader.plate(p), reader.read(p).loss, untouched.dead
+    energy = np.where(dead, np.nan, (measured**2).sum(axis=1))
+    left = ((measured - fitted) ** 2).sum(axis=1) / energy
+    noise_share = float(np.nanmean(untouched.noise**2 * measured.shape[1] / energy))
+    chirp = untouched.acquisition.chirp
+    k = float(mindlin_wavenumber(plate, (chirp.start_hz + chirp.stop_hz) / 2))
+    scale_error = _scale_error(reader, state)
+    evidence = Evidence(
+        left, noise_share, np.sqrt(noise_share * untouched.frames), 2e3 * np.pi / k, parameters,
+        scale_error * np.hypot(plate.width_mm, plate.height_mm) / 2, found,
+    )  # fmt: skip
+    judgement = judge(evidence)
+    return PlateFit(
+        plate=plate, layout=reader.layout(p), acquisition=untouched.acquisition, loss=loss.factor,
+        loss_slope=loss.slope, gains=state.fitted.gains, parameters=parameters, verdict=judgement.verdict,
+        expected_mm=judgement.expected_mm, reasons=judgement.reasons, undecided=judgement.undecided,
+        scale_error=scale_error, unexplained=float(np.nanmean(left)), noise_share=noise_share,
+        measured=measured, fitted=fitted,
+    )  # fmt: skip
+
+
+def _parameters(reader: Reader, state: State) -> tuple[Parameter, ...]:
+    said, found = reader.shown(reader.start), reader.shown(state.p)
+    error = np.zeros(len(found))
+    error[reader.index(state.names)] = np.sqrt(np.diag(state.covariance))
+    moved = np.abs(state.p - reader.start) > AT_PRIOR * reader.prior
+    # What the vector holds as a logarithm has a relative error.
+    relative = np.array([unknown.name in LOGARITHMS for unknown in reader.unknowns])
+    error = np.where(relative, error * found, error)
+    return tuple(
+        Parameter(unknown.label, unknown.unit, float(a), float(b), float(e), bool(m))
+        for unknown, a, b, e, m in zip(reader.unknowns, said, found, error, moved, strict=True)
+    )
+
+
+def _scale_error(reader: Reader, state: State) -> float:
+    """Return the standard error of the mean of the logarithms of width and height."""
+    at = [state.names.index(name) for name in ("width", "height")]
+    share = 0.5 / state.p[reader.index(("width", "height"))]
+    return float(np.sqrt(share @ state.covariance[np.ix_(at, at)] @ share))
