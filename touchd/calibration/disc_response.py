@@ -19,6 +19,8 @@ from touchd.twin.physics import legendre
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
+LEAST_RATIO = 0.05
+"""Of frequency over the band's middle: below it the loss stays as it is."""
 _PLACE_STEP_M = 1e-6
 
 
@@ -43,13 +45,7 @@ class Loss(NamedTuple):
 
     def at(self, nu_rad_s: Complex) -> Floats:
         """Return the loss factor at angular frequencies."""
-        return np.asarray(self.factor * np.maximum(nu_rad_s.real / self.middle_rad_s, 0.05) ** self.slope)
-
-
-class Slopes(NamedTuple):
-    """Derivatives of the response of each receiver, each of shape (R, F), by name."""
-
-    by_name: dict[str, Complex]
+        return np.asarray(self.factor * np.maximum(nu_rad_s.real / self.middle_rad_s, LEAST_RATIO) ** self.slope)
 
 
 def disc_vectors(plate: ReducedPlate, size: tuple[float, float], discs: Discs) -> Floats:
@@ -84,7 +80,7 @@ class DiscResponse:
         D = len(discs.centres_m)
         volume = shape.h * shape.width * shape.height
         self._load = np.empty((len(nu_rad_s), 2 * D), dtype=complex)  # of each vector, per mass of the plate
-        self._load[:, :D] = discs.stiffness_m3 * shape.speed2 / volume
+        self._load[:, :D] = discs.stiffness_m3 * shape.speed2 / volume * stiff[:, None]
         self._load[:, D:] = -(nu_rad_s[:, None] ** 2) * discs.mass_kg_m3 / volume
         free = self._receptance(self._phi, self._phi)
         turn = np.linalg.solve(np.eye(2 * D) + self._load[:, :, None] * free, np.eye(2 * D)[None])
@@ -96,6 +92,11 @@ class DiscResponse:
         """Return the response of each receiver, shape (R, F)."""
         D = len(self._discs.centres_m)
         return np.asarray(self._G[:, 0, 1:D].T)
+
+    def between(self) -> Complex:
+        """Return the response between any two discs, shape (D, D, F)."""
+        D = len(self._discs.centres_m)
+        return np.asarray(self._G[:, :D, :D].transpose(1, 2, 0))
 
     def slopes(self, names: set[str]) -> dict[str, Complex]:
         """Return the derivatives (R, F) by the named parameters.
@@ -119,7 +120,7 @@ class DiscResponse:
             rate = -(self._nu**2) / volume
             found["mass"] = -rate * np.einsum("fd,frd->rf", self._G[:, 0, D:], self._G[:, 1:D, D:])
         if "stiffness" in names:
-            rate = self._shape.speed2 / volume
+            rate = self._shape.speed2 / volume * (1 + 1j * self._loss.at(self._nu))
             found["stiffness"] = -rate * np.einsum("fd,frd->rf", self._G[:, 0, :D], self._G[:, 1:D, :D])
         if names & {"loss", "slope", *SHAPE_NAMES}:
             found.update(self._by_plate(names))
@@ -190,18 +191,18 @@ class DiscResponse:
         squares = self._bare.omega2[:, None]
         stiff = 1 + 1j * self._loss.at(self._nu)
         strain = np.stack([(x[0] * squares * x[r]).sum(axis=0) for r in range(1, D)])
-        if "loss" in names:
-            found["loss"] = -1j * self._loss.at(self._nu) * strain
-        if "slope" in names:
-            ratio = np.maximum(self._nu.real / self._loss.middle_rad_s, 0.05)
-            found["slope"] = -1j * self._loss.at(self._nu) * np.log(ratio) * strain
         G, load = self._G, self._load
         held = np.einsum("fk,fk,frk->rf", load, G[:, 0], G[:, 1:D])  # x_e times the loads' operator times x_r
-        stiffened = np.einsum("fk,fk,frk->rf", load[:, :D], G[:, 0, :D], G[:, 1:D, :D])
+        strain = stiff * strain + np.einsum("fk,fk,frk->rf", load[:, :D], G[:, 0, :D], G[:, 1:D, :D])
+        by_loss = -1j * self._loss.at(self._nu) / stiff * strain
+        if "loss" in names:
+            found["loss"] = by_loss
+        if "slope" in names:
+            found["slope"] = by_loss * np.log(np.maximum(self._nu.real / self._loss.middle_rad_s, LEAST_RATIO))
         for name in names & set(SHAPE_NAMES):
             value = getattr(self._shape, name)
             if name == "speed2":
-                found[name] = -(stiff * strain + stiffened) / value
+                found[name] = -strain / value
                 continue
             total = np.zeros((D - 1, len(self._nu)), dtype=complex)
             start = 0

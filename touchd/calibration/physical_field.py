@@ -14,8 +14,6 @@ from touchd.calibration.plate_fit import PlateFit
 from touchd.localization.features import windowed_dft
 from touchd.twin.instrument import anti_alias
 from touchd.twin.physics.finger import impedance
-from touchd.twin.physics.response import Response
-from touchd.twin.physics.transducer import loaded_modes
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -44,9 +42,8 @@ class PhysicalField:
         rate_hz = a.sample_rate_hz
         decay_per_s = _DAMPING * rate_hz / record
         nu = 2 * np.pi * np.arange(a.samples + 1) * rate_hz / record - 1j * decay_per_s
-        modes = loaded_modes(fit.plate, fit.layout, rate_hz / 2)
-        self._response = Response(fit.plate, modes, nu, fit.loss)
-        self._discs = modes.discs
+        self._response = fit.response(nu)
+        self._discs = self._response.modes.discs
         emitted = chirp.spectrum(a.chirp, nu) * anti_alias(nu, rate_hz)
         self._heard = emitted * fit.gain(np.asarray(nu.real / (2 * np.pi)))  # (R, F)
         seconds = np.arange(a.samples) / rate_hz

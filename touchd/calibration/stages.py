@@ -37,29 +37,16 @@ def window_of(samples: int, share: float) -> Floats:
 def run_stages(
     reader: Reader,
     untouched: Untouched,
-    start: Floats | None = None,
     progress: Callable[[float], object] = lambda _share: None,
-    plate: ReducedPlate | None = None,
 ) -> tuple[State, UntouchedModel]:
-    """Fit all unknowns, and return the last state with its model.
-
-    Parameters
-    ----------
-    reader : Reader
-    untouched : Untouched
-    start : array, optional
-        Vector to start from, by default what was said.
-    progress : callable, optional
-    plate : ReducedPlate, optional
-        Basis to begin with, by default that of `start`.
-    """
-    p = reader.start if start is None else start
+    """Fit all unknowns, and return the last state with its model; `progress` receives the share that is done."""
+    p = reader.start
     live = ~untouched.dead
     measured = np.where(live[:, None], untouched.mean, 0.0)
     noise = np.maximum(untouched.noise, 1e-5 * np.sqrt((measured**2).mean()))
     samples = measured.shape[1]
     early, middle, whole = (window_of(samples, share) for share in (EARLY, MIDDLE, 1.0))
-    model = UntouchedModel(plate or ReducedPlate(reader.plate(p)), reader, untouched.acquisition)
+    model = UntouchedModel(ReducedPlate(reader.plate(p)), reader, untouched.acquisition)
     progress(0.2)
     places = reader.places
     best = None

@@ -21,6 +21,8 @@ MOST_DISTURBED = 0.2
 """Share of frames that may be disturbed; a few taps or impulses are left out."""
 MOST_DRIFT = 3e-5
 """Energy of the drift over the recording, relative to the signal: -45 dB, 1 K on glass."""
+CURVED = 0.04
+"""A drift's course leaves a line by this share of its energy at most; a finger's jump leaves four times as much."""
 MOST_APART = 0.05
 """Relative difference between the recording's plate and PLATE.toml's that a ruler explains."""
 SILENT = 1e-3
@@ -76,7 +78,7 @@ def untouched_mean(recording: Recording, said: PlateFile) -> Untouched:
     least = 16 * np.pi / 2 * usual / len(parts[0]) + mean.size / 4
     drift = float((slope**2).sum())
     jumped = float(blocks.max())
-    if jumped > least and jumped > 0.1 * drift:
+    if jumped > least and jumped > CURVED * drift:
         raise PlateTouched(
             f"the response jumps by {_db(jumped / signal)}", "recording", "record again, with nothing on the plate"
         )

@@ -102,6 +102,25 @@ class UntouchedModel:
                 slopes[:, c] = (moved @ solver.T) @ B - moved
         return Fitted(residual, gains / scale, slopes)
 
+    def pair_misfits(self, p: Floats, measured: Floats, window: Floats) -> Floats:
+        """Return the share of each channel's energy that the way between any two discs leaves, shape (D, D, R)."""
+        guess = self._reader.read(p)
+        between = DiscResponse(self.plate, guess.shape, guess.discs, guess.loss, self.nu_rad_s).between()
+        D, y = len(between), measured * window
+        found = np.ones((D, D, len(y)))
+        energy = np.maximum((y**2).sum(axis=1), np.finfo(float).tiny)
+        for one in range(D):
+            for other in range(one):
+                B = self._basis(between[one, other]) * window
+                Q = np.linalg.qr(B.T)[0]
+                found[one, other] = found[other, one] = 1 - ((y @ Q) ** 2).sum(axis=1) / energy
+        return found
+
+    def _basis(self, heard: Complex) -> Floats:
+        """Return the signals of one response times each power of the band, real and imaginary, shape (2 K, S)."""
+        waves = heard * self._emission
+        return np.concatenate([self._to_time(waves), self._to_time(1j * waves)])
+
     def signals(self, p: Floats, gains: Complex) -> Floats:
         """Return the signals (R, S) of a vector with given gains (R, GAIN_TERMS)."""
         guess = self._reader.read(p)
