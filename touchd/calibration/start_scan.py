@@ -1,8 +1,8 @@
 """Say where a finger has landed by comparing a frame with the atlas on a grid: a model file made without a network.
 
-The energy that a finger at a node explains is |u^H d|^2 / |u|^2, u the field there and d the frame's bins. Both parts of
-the product with all nodes are one matrix product, so the scan is an ONNX graph of ten operators. Its inputs, outputs and
-metadata are those of a trained regression model.
+The energy that a finger at a node explains is |u^H d|^2 / |u|^2, u the field there and d the frame's bins. The products
+with all nodes are two matrix products, so the scan is a small ONNX graph. Its inputs, outputs and metadata are those of
+a trained regression model.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
-"""Hands the daemon's frames to another program of the same user: one process owns the device, `record` and `calibrate`
-need its frames.
+"""Hands the daemon's frames to another program of the same user, such as `record`: one process owns the device.
 
-The program sends the command `frames` to the control socket, with one end of a pair of sockets. The daemon answers there
-with the recording's description, then with each frame, one message each. It never waits: a program that is too slow
-loses frames, as their numbers tell.
+The program sends the command `frames` to the control socket, with one end of a pair of sockets. The daemon answers
+there with a description, then with each frame, one message each. It never waits: a program that is too slow loses
+frames, as their numbers tell.
 """
 
 from __future__ import annotations
