@@ -13,7 +13,6 @@ from msgspec import Struct
 
 from touchd.config.schema import Settings
 from touchd.detection.detector import Detection, Detector, Notify
-from touchd.errors import ModelMismatch
 from touchd.event import Contact
 from touchd.frame import Acquisition, Frame
 from touchd.keypad import Layout
@@ -73,8 +72,8 @@ class Pipeline:
             model.check(acquisition)
         self.model = model
         self.counters = Counters()
-        self._acquisition, self._dtype = acquisition, model.dtype if model else np.dtype(np.float32)
-        self.detector = Detector(acquisition.shape, settings, notify, self._dtype)
+        self._acquisition = acquisition
+        self.detector = Detector(acquisition.shape, settings, notify, model.dtype if model else np.float32)
         self._localizer = make_localizer(model, settings, layout)
         self._tracker = Tracker(settings.tracker)
         self._keys = Keys()
@@ -144,16 +143,14 @@ class Pipeline:
         self._set_unusual()
 
     def set_model(self, model: Model, settings: Settings, layout: Layout | None) -> None:
-        """Place fingers with another model from now on: the plate is relearned, and contacts end.
+        """Place fingers with another model of the same type of number: the plate is relearned, and contacts end.
 
         Raises
         ------
         ModelMismatch
-            The model was made for another acquisition, or computes with other numbers.
+            The model was made for another acquisition.
         """
         model.check(self._acquisition)
-        if model.dtype != self._dtype:
-            raise ModelMismatch("it computes with other numbers", str(model.path), "restart the daemon")
         self.model, self._localizer = model, make_localizer(model, settings, layout)
         self.detector.reset()
 

@@ -5,7 +5,10 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+import numpy as np
+
 from touchd.config.schema import Settings
+from touchd.errors import ModelMismatch
 from touchd.localization.atlas import atlas_path
 from touchd.localization.model import Model, default_model_path
 
@@ -59,12 +62,15 @@ class ModelInUse:
         Raises
         ------
         ModelError
-            The files are unusable, or a model in use has vanished.
+            The files are unusable, compute with other numbers, or those of a model in use have vanished.
         """
         self._fresh = _signature(settings)
         if self._fresh == self._signature or (self.model is None and not os.path.isfile(model_path(settings))):
             return self.model
-        return load_model(settings)
+        model = load_model(settings)
+        if model.dtype != (self.model.dtype if self.model else np.float32):
+            raise ModelMismatch("it computes with other numbers", str(model.path), "restart the daemon")
+        return model
 
     def take(self, model: Model | None) -> None:
         """Note that a model that `load` returned is in use."""

@@ -48,7 +48,7 @@ def test_no_change() -> None:
 
 
 def test_compare() -> None:
-    """Thresholds, pre-roll and log change at once; what is open, bound, loaded or learned waits for a restart."""
+    """Thresholds, model, pre-roll and log change at once; what is open, bound or learned waits for a restart."""
     new = settings(
         {
             "tracker": {"dead_band_mm": 2.0},
@@ -62,16 +62,17 @@ def test_compare() -> None:
     )
     changes = compare(Settings(), new)
     assert set(changes.taken) == {
-        "tracker.dead_band_mm", "log.level", "model.min_confidence", "preroll.seconds", "baseline.absorb_s",
+        "tracker.dead_band_mm", "log.level", "model.path", "model.atlas", "model.min_confidence", "preroll.seconds",
+        "baseline.absorb_s",
     }  # fmt: skip
     assert set(changes.waiting) == {
-        "bus.bind", "device.rate_hz", "model.path", "model.atlas", "baseline.learn_frames",
+        "bus.bind", "device.rate_hz", "baseline.learn_frames",
     }  # fmt: skip
     expected = settings(
         {
             "tracker": {"dead_band_mm": 2.0},
             "log": {"level": "error"},
-            "model": {"min_confidence": 0.9},
+            "model": {"path": "another.onnx", "atlas": False, "min_confidence": 0.9},
             "preroll": {"seconds": 0.0},
             "baseline": {"absorb_s": 5.0},
         }
