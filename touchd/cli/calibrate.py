@@ -129,7 +129,8 @@ def _result(fitted: Fitted, model: Path | None, report: Path | None) -> dict[str
     fit = fitted.fit
     return {
         "verdict": fit.verdict, "expected_mm": fit.expected_mm, "reasons": list(fit.reasons),
-        "parameters": [parameter._asdict() for parameter in fit.parameters], "unexplained": fit.unexplained,
+        "parameters": [parameter._asdict() for parameter in fit.parameters], "undecided": list(fit.undecided),
+        "scale_error": fit.scale_error, "unexplained": fit.unexplained,
         "model": model and str(model), "report": report and str(report),
     }  # fmt: skip
 
@@ -143,6 +144,7 @@ def _text(found: dict[str, Any], page: str) -> str:
         lines.append(
             f"  {p['name']:16} {p['said']:10.5g} {p['fitted']:10.5g} {p['standard_error']:9.2g} {p['unit']}{late}"
         )
+    lines += [f"  undecided: {what}" for what in found["undecided"]]
     if found["model"]:
         lines.append(f"{found['model']}: the model, with its atlas beside it")
     if found["report"]:

@@ -140,9 +140,9 @@ def test_graph_is_the_reference(atlas: Atlas, model: Model) -> None:
     assert np.abs(said["confidence"] - confidence).max() < 1e-3
 
 
-def test_scan_starts_fingers(atlas: Atlas, field: PhysicalField, model: Model) -> None:
-    """From another contact than the atlas' the scan comes as near as Gauss-Newton needs, in all but a few wrong valleys,
-    which the search for further fingers mends; noise is no finger."""
+def test_scan_starts_fingers(field: PhysicalField, model: Model) -> None:
+    """The scan comes as near to another contact than the atlas' as Gauss-Newton needs, in all but a few wrong valleys;
+    noise is no finger."""
     at = places(2.6, 50.0, 80)
     bins = field.at(at, 60.0, "human")
     said = model.run(np.concatenate([bins.real, bins.imag], axis=2).reshape(80, -1).astype(np.float32))
