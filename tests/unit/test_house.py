@@ -19,7 +19,7 @@ FLOORS = (
     ("service",),
     ("doctor", "gadget"),
     ("evaluation",),
-    ("training",),
+    ("training", "calibration"),
     ("lab", "cli"),
 )
 """From the ground up. A room may import from a lower floor, and from a room that stands before it on its own."""

@@ -13,10 +13,11 @@ import click
 
 from touchd import __version__
 from touchd.cli.source import source_options
-from touchd.errors import ConfigError, MissingExtra, TouchdError
+from touchd.errors import ConfigError, MissingExtra, ModelMissing, TouchdError
 
 VERBS = {
     "benchmark": "Measure run time, latency and position error.",
+    "calibrate": "Make a model of a plate that nobody touches.",
     "config": "Print the effective configuration.",
     "demo": "Replay the shipped recording and summarise it.",
     "doctor": "Check the whole set-up.",
@@ -27,6 +28,7 @@ VERBS = {
     "keygen": "Make a CURVE key pair.",
     "listen": "Print the events of a running daemon.",
     "map": "Measure where the screen lies on the plate.",
+    "model": "Install a model, or go back to the previous one.",
     "quantise": "Quantise a model's weights to 8 bits.",
     "record": "Write frames to a file.",
     "reproduce": "Repeat the source paper's experiments.",
@@ -35,8 +37,8 @@ VERBS = {
     "train": "Train a model on a labelled recording.",
     "tuio": "Send touches as TUIO 1.1.",
 }
-EXTRAS = {"torch": "train", "scipy": "train", "sklearn": "train", "onnx": "train",
-          "matplotlib": "train", "rich": "train", "jinja2": "train", "dask": "train", "distributed": "train",
+EXTRAS = {"torch": "train", "sklearn": "train", "dask": "train", "distributed": "train", "scipy": "calibrate",
+          "onnx": "calibrate", "matplotlib": "calibrate", "rich": "calibrate", "jinja2": "calibrate",
           "nidaqmx": "ni",
           }  # fmt: skip
 
@@ -104,6 +106,8 @@ def touchd(
     if bind:
         overrides["bus"] = {"bind": bind}
     if model:
+        if not model.exists():  # a path in the configuration may wait for its file, uncalibrated
+            raise ModelMissing("no such model", str(model), "check the path")
         overrides["model"] = {"path": model}
     if debug:
         overrides["log"] = {"level": "debug"}

@@ -58,10 +58,12 @@ def command(
 ) -> None:
     """Write the frames of the DAQ, or of another source, to a file.
 
+    While a daemon runs its frames are recorded: run this as the daemon's own user, or as root.
     A recording can reveal a PIN: it is readable by you only. Ctrl-C and SIGTERM save the frames so far. It stores
     frames alone, without true contacts.
     """
     from touchd.config.load import load
+    from touchd.service.frame_feed import open_running
     from touchd.sources.open import SourceChoice, open_source
     from touchd.sources.recorder import MAX_FILE_FRAMES, Recorder
 
@@ -72,7 +74,7 @@ def command(
         )  # fmt: skip
     settings = load(config or (ctx.obj or {}).get("config"))
     choice = SourceChoice(**named)
-    source = open_source(choice, settings)
+    source = open_running(choice, settings) or open_source(choice, settings)
     with ExitStack() as stack:
         stack.callback(source.close)
         kind = "simulated" if choice.simulate else "replay" if choice.replay else "ni" if choice.ni else "usb"
@@ -127,9 +129,13 @@ def _record(recorder: Recorder, frames: int | None, seconds: float | None) -> No
 def _meta(source: Source, plate: Plate | None, rate_hz: float, kind: str, notes: str) -> Meta:
     """Return the recording's metadata: the source's own, if it has any."""
     from touchd.recording.data import Meta
+    from touchd.service.frame_feed import DaemonSource
     from touchd.sources.recorder import describe
 
     known = getattr(source, "meta", None)
+    if isinstance(source, DaemonSource):
+        d = source.description
+        plate, rate_hz, kind = plate or d.plate, d.rate_hz, d.source
     if not isinstance(known, Meta):
         if plate is None:
             raise ConfigError("the plate's size is not known", "--plate", "add --plate WIDTHxHEIGHT, in mm")

@@ -21,8 +21,9 @@ from touchd.frame import Acquisition, Plate
 from touchd.recording import npz
 
 FORMAT = "touchd-atlas"
-MAX_BYTES = 8_000_000
-_MAX_LOADED_BYTES = 8 * MAX_BYTES  # a field compresses by less than 2
+MAX_BYTES = 32_000_000
+"""A plate of 30 wavelengths has fewer."""
+_MAX_LOADED_BYTES = 3 * MAX_BYTES  # a field compresses by less than 2
 _KEYS = ("format", "version", "description", "coefficients", "scale", "baseline", "error")
 _MAX_COUNTS = 1e9
 """Of a field at strength 1, and of its mean square error; squares of more overflow float32."""

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from touchd.errors import TrainingError
-from touchd.files import replacing
 from touchd.localization.model import METADATA_KEY, Description, Model
+from touchd.localization.model_file import put_model
 from touchd.training.network.network import Network
 
 OPSET = 17
@@ -57,13 +57,6 @@ def write_model(graph: onnx.ModelProto, path: Path) -> Model:
         The file cannot be written.
     """
     return put_model(graph.SerializeToString(), path)
-
-
-def put_model(content: bytes, path: Path) -> Model:
-    """Write an ONNX file's bytes to `path` atomically, and load it; see `write_model` for errors."""
-    with replacing(path) as file:
-        file.write(content)
-    return Model(path)
 
 
 def check_export(network: Network, model: Model, features: NDArray[np.float32]) -> float:
