@@ -37,9 +37,11 @@ pip() { "$python" -m pip --quiet --disable-pip-version-check --no-input "$@"; }
 pip wheel --no-deps --no-build-isolation --wheel-dir "$work" .
 pip install --target "$stage/usr/lib/touchd" --no-compile --only-binary :all: \
     --implementation cp --python-version "3.$minor" "${platforms[@]}" \
-    --constraint requirements.lock --no-warn-conflicts "$work"/touchd-*.whl
+    --constraint requirements.lock --no-warn-conflicts "$work"/touchd-*.whl"[calibrate]"
 # Not needed to run: console scripts, which name this computer's interpreter, tests, and tools to build or convert.
-rm -rf "$stage"/usr/lib/touchd/{bin,onnxruntime/{transformers,tools,quantization,datasets},numpy/{distutils,f2py}}
+rm -rf "$stage"/usr/lib/touchd/{bin,share,onnxruntime/{transformers,tools,quantization,datasets},numpy/{distutils,f2py}}
+# Of the extra `calibrate`: interpreters of ONNX graphs, and examples.
+rm -rf "$stage"/usr/lib/touchd/{onnx/{backend,reference},matplotlib/mpl-data/sample_data}
 find "$stage/usr/lib/touchd" -depth -type d \( -name tests -o -name __pycache__ \) -exec rm -rf {} +
 find "$stage/usr/lib/touchd" -name direct_url.json -delete
 # Only the executables proper shall be executable.

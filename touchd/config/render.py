@@ -108,13 +108,10 @@ _PAGE_HEAD = """\
 
 <!-- Generated from touchd/config/schema.py: do not edit. -->
 
-To look a setting up. `touchd config` prints what is in effect; `touchd config --default` prints a file to start from.
-touchd reads the file that `--config` names, or else `/etc/touchd/touchd.toml` if there is one. The command line wins
-over the environment, the environment over the file, the file over the defaults.
-
-The variable of a key is `TOUCHD_TABLE__KEY` in capitals: `TOUCHD_DEVICE__RATE_HZ=500`. A list has commas between its
-items, or is JSON. A default without a point is a whole number; an empty text unsets a path. A key, table or variable
-that touchd does not know is an error; a key of an earlier version is ignored, with a warning.
+To look a setting up. `touchd config` prints what is in effect, `touchd config --default` a file to start from. touchd
+reads `--config` or `/etc/touchd/touchd.toml`; environment variables such as `TOUCHD_DEVICE__RATE_HZ=500` win over the
+file, the command line over both. In a variable, commas part a list. An empty text unsets a path. An unknown key is an
+error; one of an earlier version is ignored, with a warning. In brackets: the default, and what is allowed.
 """
 
 
@@ -133,15 +130,13 @@ def render(settings: Settings) -> str:
 
 
 def markdown() -> str:
-    """Return the reference of all settings: a table for each section."""
+    """Return the reference of all settings: a list for each section."""
     text = _PAGE_HEAD
     for table, keys in _tables():
         text += f"\n## `[{table}]`\n\n{_summary(table)}\n\n"
-        text += "| key | default, range | meaning |\n|---|---|---|\n"
         for key, field in keys:
             default = ", ".join(filter(None, (f"`{toml_value(field.default, key)}`", _limits(field))))
-            cells = (f"`{key}`", default, field.description or "")
-            text += f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |\n"
+            text += f"- `{key}` ({default}): {field.description}\n"
     return text
 
 
