@@ -74,7 +74,7 @@ def descend(
         r = (fitted.residual * root[0]).ravel()
         normal = J @ J.T + np.diag(prior**-2.0)
         slope = J @ r + (p[at] - start) / prior**2
-        covariance = np.linalg.inv(normal)
+        covariance: Floats = np.asarray(np.linalg.inv(normal), np.float64)
         step = -covariance @ slope
         here = _objective(fitted, variance, p[at], start, prior)
         if taken >= most or np.all(np.abs(step) <= CONVERGED * np.sqrt(np.diag(covariance))):
