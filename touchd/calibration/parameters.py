@@ -129,10 +129,12 @@ class Reader:
         return found | {name: (name, 1e-3) for name in self.places}
 
     def plate(self, p: Floats) -> ElasticPlate:
-        """Return the plate of a vector; the density is the one said, as only the wave speed counts."""
+        """Return the plate of a vector; the density is the one said, as only the wave speed counts. Its sides are those
+        that models describe, to a micrometre."""
         shape, rho = self.read(p).shape, material_of(self._plate).rho_kg_m3
         return ElasticPlate(
-            width_mm=shape.width * 1e3, height_mm=shape.height * 1e3, thickness_mm=shape.h * 1e3,
+            width_mm=round(shape.width * 1e3, 3), height_mm=round(shape.height * 1e3, 3),
+            thickness_mm=round(shape.h * 1e3, 6),
             material=self._plate.material, elastic=Material(shape.speed2 * rho, shape.nu, rho),
         )  # fmt: skip
 
