@@ -133,7 +133,7 @@ class DiscResponse:
             found.update(self._by_plate(names))
         return found
 
-    def _weighed(self, load: Complex) -> Complex:
+    def _weighed(self, load: Floats | Complex) -> Complex:
         """Return the emitter's and each receiver's answer times loads (F, 6 D), summed over the vectors, (R, F)."""
         D = len(self._discs.centres_m)
         return np.asarray(np.einsum("fk,fk,frk->rf", load, self._G[:, 0], self._G[:, 1:D]))

@@ -129,8 +129,10 @@ class Reader:
         return found | {name: (name, 1e-3) for name in self.places}
 
     def plate(self, p: Floats) -> ElasticPlate:
-        """Return the plate of a vector; the density is the one said, as only the wave speed counts. Its sides are those
-        that models describe, to a micrometre."""
+        """Return the plate of a vector, its sides to a micrometre, as models describe them.
+
+        The density is the one said, as only the wave speed counts.
+        """
         shape, rho = self.read(p).shape, material_of(self._plate).rho_kg_m3
         return ElasticPlate(
             width_mm=round(shape.width * 1e3, 3), height_mm=round(shape.height * 1e3, 3),

@@ -41,7 +41,9 @@ class PhysicalField:
         record = 2 * a.samples
         rate_hz = a.sample_rate_hz
         decay_per_s = _DAMPING * rate_hz / record
-        nu = 2 * np.pi * np.arange(a.samples + 1) * rate_hz / record - 1j * decay_per_s
+        nu: Complex = np.asarray(
+            2 * np.pi * np.arange(a.samples + 1) * rate_hz / record - 1j * decay_per_s, np.complex128
+        )
         self._response = fit.response(nu)
         self._discs = self._response.modes.discs
         emitted = chirp.spectrum(a.chirp, nu) * anti_alias(nu, rate_hz)

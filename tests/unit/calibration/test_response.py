@@ -17,7 +17,7 @@ Complex = NDArray[np.complex128]
 
 GLASS = MATERIALS["glass"]
 PLATE = ElasticPlate(width_mm=70, height_mm=60, thickness_mm=5, elastic=GLASS)
-NU = 2 * np.pi * np.linspace(40e3, 105e3, 40) - 6500j
+NU: Complex = np.asarray(2 * np.pi * np.linspace(40e3, 105e3, 40) - 6500j, np.complex128)
 PLACES_MM = np.array([[15.0, 40.0], [10.0, 11.0], [58.0, 12.0]])
 MASS_KG, STIFFNESS_N_M, LEVER_MM = 0.43e-3, 9000.0, 3.5
 LOSS = Loss(5e-3, 0.3, 2 * np.pi * 75e3)
