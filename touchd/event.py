@@ -13,7 +13,7 @@ import msgspec
 from msgspec import Struct
 
 Phase = Literal["down", "move", "hold", "up"]
-State = Literal["starting", "streaming", "stalled", "lost", "stopping"]
+State = Literal["starting", "streaming", "uncalibrated", "stalled", "lost", "stopping"]
 VERSION = 1
 
 

@@ -111,7 +111,7 @@ class MultitouchSearch:
             self._running = None
             found, known = end.value
             if not fresh:
-                found, known = self._as_of_now(bins, found, known, fit)
+                found, known = self._as_of_now(bins, found, known, fit, signal)
             return self._settle(bins, found, known, fit, signal)
         return fit, len(fit.positions_mm)
 
@@ -141,18 +141,18 @@ class MultitouchSearch:
             found = yield from pursuit.steps(bins, fit, noise_energy)
         if self._noise.excess(found.residual_energy, signal) > CRITERIA.fair or not tracked:
             fresh = yield from pursuit.steps(bins, no_fit(bins.energy), noise_energy)
-            if is_worth(fresh, found, noise_energy):
+            if is_worth(fresh, found, noise_energy, signal):
                 return fresh, 0
         return found, len(fit.positions_mm)
 
-    def _as_of_now(self, bins: Bins, found: Fit, known: int, fit: Fit) -> Found:
+    def _as_of_now(self, bins: Bins, found: Fit, known: int, fit: Fit, signal: float) -> Found:
         """Return what was found in an earlier frame as a fit of this one, if it beats the present fit."""
         count = len(fit.positions_mm)
         if known and (known != count or len(found.positions_mm) == count):
             return fit, count  # fingers have come or gone meanwhile, or nothing was found
         positions_mm = [*(fit.positions_mm if known else []), *found.positions_mm[known:]]
         now = self._fit(bins, positions_mm)
-        if not are_merged(now) and is_worth(now, fit, self._noise.noise_energy):
+        if not are_merged(now) and is_worth(now, fit, self._noise.noise_energy, signal):
             return now, known
         return fit, count
 

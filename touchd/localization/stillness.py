@@ -116,9 +116,9 @@ class StillFinger:
         if self.armed:
             np.copyto(self._seen, bins.vector)
             self._mask = bins.mask
-            self._shift = self._solver.shift(bins, fit)
+            self._shift, information = self._solver.shift(bins, fit)
             # Of two frames, per axis, by noise alone.
-            sigma_mm = sigmas_mm(fit.fisher_information, 2 * variance)[0]
+            sigma_mm = sigmas_mm(information, 2 * variance)[0]
             self._most_mm2 = 2 * (STILL_SIGMAS * sigma_mm) ** 2
             self._most_energy = _LIFTED * fit.energies[0]
 
