@@ -26,6 +26,7 @@
     ├── TrainingError                70  the recording cannot train this model
     ├── SimulationError              80  the twin cannot simulate this scene, plate or count
     ├── OutputError                  90  the file cannot be written: check folder, space and permissions
+    ├── BridgeError                  92  no touch screen, or a mapping that does not fit: follow the remedy
     ├── GadgetError                  95  this computer cannot act as a USB device: it needs a device port, and root
     ├── CheckFailed                  97  touchd doctor found a failure: follow the remedy in its report
     ├── JobError                    100  a job of a long computation failed: repeat the command, finished jobs are kept
@@ -204,6 +205,12 @@ class OutputError(TouchdError):
     """The file cannot be written."""
 
     exit_code = 90
+
+
+class BridgeError(TouchdError):
+    """A bridge cannot make its touch screen, or the mapping of the screen does not fit."""
+
+    exit_code = 92
 
 
 class GadgetError(TouchdError):

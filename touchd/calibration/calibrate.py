@@ -114,7 +114,7 @@ def expected_error_mm(fitted: Fitted, atlas: Atlas) -> Floats:
     window = float(np.square(np.hanning(d.acquisition.samples)).sum()) / 2
     noise = BASELINE_NOISE * fitted.noise_counts**2 * window
     variance = d.noise_scale * noise + d.field_scale * float(atlas.error.mean()) / 2
-    spread = np.linalg.inv(linearise(u, u, by_x, by_y).fisher_information)
+    spread = np.linalg.inv(linearise(u, u, by_x, by_y).fisher_information[:, 0])
     return np.asarray(np.sqrt(variance * np.trace(spread, axis1=1, axis2=2)).reshape(GRID, GRID))
 
 

@@ -1,8 +1,8 @@
 """Make the field atlas of a fitted plate from physics, without a touch.
 
-The splines are fitted by least squares to the exact field on the plate: at each node, on the edges, and at half steps in
-the outermost cells, where the nodes beyond the edge have no sample of their own. The field's error and the scales of the
-standard error come from touches drawn on the fitted plate, of other contact areas, in noise.
+The splines are fitted by least squares to the exact field on the plate: at each node, on the edges, and at half steps
+in the outermost cells, where the nodes beyond the edge have no sample of their own. The field's error and the scales of
+the standard error come from touches drawn on the fitted plate, of other contact areas, in noise.
 """
 
 from __future__ import annotations
@@ -66,7 +66,8 @@ def grid_of(length_mm: float, step_mm: float) -> Grid:
     apart = np.abs(samples[:, None] - nodes) / step_mm
     near = 2 / 3 - apart**2 + apart**3 / 2
     values = np.where(apart < 1, near, np.maximum(2 - apart, 0.0) ** 3 / 6)
-    return Grid(nodes, samples, np.linalg.pinv(values, rcond=1e-6))
+    solve = np.linalg.pinv(values, rcond=1e-6)
+    return Grid(*(np.asarray(array, np.float64) for array in (nodes, samples, solve)))
 
 
 def make_physical_atlas(

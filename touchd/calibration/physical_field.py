@@ -41,13 +41,12 @@ class PhysicalField:
         record = 2 * a.samples
         rate_hz = a.sample_rate_hz
         decay_per_s = _DAMPING * rate_hz / record
-        nu: Complex = np.asarray(
-            2 * np.pi * np.arange(a.samples + 1) * rate_hz / record - 1j * decay_per_s, np.complex128
-        )
+        omega = 2 * np.pi * np.arange(a.samples + 1) * rate_hz / record
+        nu = np.asarray(omega - 1j * decay_per_s, np.complex128)
         self._response = fit.response(nu)
         self._discs = self._response.modes.discs
         emitted = chirp.spectrum(a.chirp, nu) * anti_alias(nu, rate_hz)
-        self._heard = emitted * fit.gain(nu.real / (2 * np.pi))  # (R, F)
+        self._heard = emitted * fit.gain(np.asarray(nu.real / (2 * np.pi)))  # (R, F)
         seconds = np.arange(a.samples) / rate_hz
         undamped = np.exp(decay_per_s * seconds) * rate_hz
         spectra = np.concatenate([np.eye(len(nu)), 1j * np.eye(len(nu))])
@@ -64,6 +63,7 @@ class PhysicalField:
         return np.concatenate(blocks)
 
     def _block(self, position_mm: Floats, area_mm2: float, tissue: str) -> Complex:
+        position_mm = np.clip(position_mm, 0.0, self._size_mm)  # rounded sizes may lie a nanometre beyond
         edge_mm = np.minimum(position_mm, self._size_mm - position_mm).min(axis=1)
         # Of a disc as wide as the plate admits rounding must not reach over the edge.
         area = np.minimum(area_mm2, (1 - 1e-9) * np.pi * np.maximum(edge_mm, 0.0) ** 2)

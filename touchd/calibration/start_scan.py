@@ -1,8 +1,8 @@
 """Say where a finger has landed by comparing a frame with the atlas on a grid: a model file made without a network.
 
-The energy that a finger at a node explains is |u^H d|^2 / |u|^2, u the field there and d the frame's bins. Both parts of
-the product with all nodes are one matrix product, so the scan is an ONNX graph of ten operators. Its inputs, outputs and
-metadata are those of a trained regression model.
+The energy that a finger at a node explains is |u^H d|^2 / |u|^2, u the field there and d the frame's bins. The products
+with all nodes are two matrix products, so the scan is a small ONNX graph. Its inputs, outputs and metadata are those of
+a trained regression model.
 """
 
 from __future__ import annotations
@@ -77,12 +77,17 @@ def scan(scanned: Scan, features: Floats) -> tuple[Floats, Floats, Floats]:
 
 def make_graph(scanned: Scan, description: Description) -> onnx.ModelProto:
     """Return the scan as an ONNX graph with touchd's metadata."""
-    constants = {
-        "real": scanned.real, "imaginary": scanned.imaginary, "unit": scanned.unit,
-        "position": scanned.position_mm.astype(np.float32), "one": np.float32([1]), "least": np.float32([1e-20]),
-        "zero": np.float32(0), "most": np.float32(1), "half": np.float32([HALF_CONFIDENCE]), "four": np.float32([4]),
-        "spread": np.float32([scanned.spacing_mm / np.sqrt(12)]),
+    constants: dict[str, NDArray[np.generic]] = {
+        "real": scanned.real,
+        "imaginary": scanned.imaginary,
+        "unit": scanned.unit,
+        "position": scanned.position_mm.astype(np.float32),
+    }
+    numbers = {
+        "zero": 0.0, "one": 1.0, "least": 1e-20, "half": HALF_CONFIDENCE, "four": 4.0,
+        "spread": scanned.spacing_mm / np.sqrt(12),
     }  # fmt: skip
+    constants |= {name: np.array(number, np.float32) for name, number in numbers.items()}
     make = helper.make_node
     nodes = [
         make("Gather", ["features", "real"], ["d_re"], axis=1),
@@ -102,7 +107,7 @@ def make_graph(scanned: Scan, description: Description) -> onnx.ModelProto:
         make("Max", ["all", "least"], ["energy"]),
         make("Div", ["explained", "energy"], ["share"]),
         make("Sub", ["one", "share"], ["rest"]),
-        make("Clip", ["rest", "zero", "most"], ["left"]),
+        make("Clip", ["rest", "zero", "one"], ["left"]),
         make("Div", ["left", "half"], ["ratio"]),
         make("Pow", ["ratio", "four"], ["odds"]),
         make("Add", ["odds", "one"], ["doubt"]),
@@ -114,7 +119,7 @@ def make_graph(scanned: Scan, description: Description) -> onnx.ModelProto:
     graph = helper.make_graph(
         nodes, "start_scan", [value("features", TensorProto.FLOAT, ["n", description.inputs])],
         [value(name, TensorProto.FLOAT, ["n", size]) for name, size in shapes.items()],
-        [numpy_helper.from_array(np.asarray(array), name) for name, array in constants.items()],
+        [numpy_helper.from_array(array, name) for name, array in constants.items()],
     )  # fmt: skip
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)], producer_name="touchd")
     model.ir_version = IR_VERSION

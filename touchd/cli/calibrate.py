@@ -108,6 +108,7 @@ def _take(settings: Settings, choice: SourceChoice, said: PlateFile, seconds: fl
     from touchd.doctor.host import expected_rate_hz, take
     from touchd.frame import Plate
     from touchd.recording.data import Recording
+    from touchd.service.frame_feed import open_running
     from touchd.sources.open import open_source
     from touchd.sources.recorder import describe
 
@@ -116,9 +117,10 @@ def _take(settings: Settings, choice: SourceChoice, said: PlateFile, seconds: fl
         width_mm=p.width_mm, height_mm=p.height_mm, thickness_mm=p.thickness_mm, material=p.material or "custom"
     )
     click.echo(f"taking {seconds:g} s of frames: do not touch the plate", err=True)
-    with closing(open_source(choice, settings)) as source:
+    running = open_running(choice, settings)
+    with closing(running or open_source(choice, settings)) as source:
         sample = take(source, seconds)
-        rate_hz = expected_rate_hz(source, settings.device)
+        rate_hz = running.description.rate_hz if running else expected_rate_hz(source, settings.device)
         meta = describe(source.acquisition, plate, rate_hz, source="calibrate")
     return Recording(meta, sample.counts, sample.sequence, sample.t_ns - sample.t_ns[0])
 
@@ -127,7 +129,8 @@ def _result(fitted: Fitted, model: Path | None, report: Path | None) -> dict[str
     fit = fitted.fit
     return {
         "verdict": fit.verdict, "expected_mm": fit.expected_mm, "reasons": list(fit.reasons),
-        "parameters": [parameter._asdict() for parameter in fit.parameters], "unexplained": fit.unexplained,
+        "parameters": [parameter._asdict() for parameter in fit.parameters], "undecided": list(fit.undecided),
+        "scale_error": fit.scale_error, "unexplained": fit.unexplained,
         "model": model and str(model), "report": report and str(report),
     }  # fmt: skip
 
@@ -141,6 +144,7 @@ def _text(found: dict[str, Any], page: str) -> str:
         lines.append(
             f"  {p['name']:16} {p['said']:10.5g} {p['fitted']:10.5g} {p['standard_error']:9.2g} {p['unit']}{late}"
         )
+    lines += [f"  undecided: {what}" for what in found["undecided"]]
     if found["model"]:
         lines.append(f"{found['model']}: the model, with its atlas beside it")
     if found["report"]:

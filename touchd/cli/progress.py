@@ -46,8 +46,10 @@ class TimeLeft:
 
 
 class Bars:
-    """Bars on standard error, one for each part of a job. They appear with the first step: an earlier error prints one
-    line."""
+    """Bars on standard error, one for each part of a job.
+
+    They appear with the first step, so that an earlier error prints one line.
+    """
 
     def __init__(self) -> None:
         self._bar = Progress(

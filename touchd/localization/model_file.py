@@ -7,7 +7,8 @@ import shutil
 import tempfile
 from pathlib import Path
 
-from touchd.errors import ModelMissing, OutputError
+from touchd.errors import ModelMissing
+from touchd.files import replacing, writing
 from touchd.localization.model import Model
 
 BESIDE = (".untouched.npz", ".atlas.npz", ".onnx")
@@ -27,13 +28,8 @@ def put_model(content: bytes, path: Path) -> Model:
     OutputError
         The file cannot be written.
     """
-    try:
-        with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
-            file.write(content)
-        Path(file.name).chmod(0o644)
-        os.replace(file.name, path)
-    except OSError as error:
-        raise _unwritable(path, error) from error
+    with replacing(path) as file:
+        file.write(content)
     return Model(path)
 
 
@@ -50,7 +46,7 @@ def install(source: Path, target: Path) -> Model:
         The files cannot be written.
     """
     Model(source)
-    try:
+    with writing(target):
         target.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=target.parent, prefix=f".{target.name}.") as scratch:
             fresh = Path(scratch) / target.name
@@ -59,8 +55,6 @@ def install(source: Path, target: Path) -> Model:
                 _copy(target, kept := Path(scratch) / previous_path(target).name)
                 _move(kept, previous_path(target))
             _move(fresh, target)
-    except OSError as error:
-        raise _unwritable(target, error) from error
     return Model(target)
 
 
@@ -94,7 +88,3 @@ def _move(model: Path, to: Path) -> None:
             os.replace(model.with_suffix(suffix), to.with_suffix(suffix))
         else:
             to.with_suffix(suffix).unlink(missing_ok=True)
-
-
-def _unwritable(path: Path, error: OSError) -> OutputError:
-    return OutputError(f"cannot be written ({error.strerror})", str(path), "check the folder and its space")
