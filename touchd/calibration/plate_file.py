@@ -135,7 +135,8 @@ def _fix(kind: str, place: tuple[int | str, ...]) -> str:
     if kind == "missing":
         return "measure it, in mm, and add the key"
     if kind == "extra_forbidden":
-        table = {"plate": PlateSaid, "discs": DiscsSaid}.get(str(place[0]))
+        tables: dict[str, type[_Table]] = {"plate": PlateSaid, "discs": DiscsSaid}
+        table = tables.get(str(place[0]))
         return f"remove it; known keys: {', '.join(table.model_fields)}" if table and len(place) > 1 else "remove it"
     if "edge" in place:
         return f"use one of {', '.join(get_args(Edge))}"

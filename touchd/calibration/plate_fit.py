@@ -80,7 +80,7 @@ class PlateFit:
         spectrum = np.abs(np.fft.rfft(self.measured - self.fitted, axis=1)) ** 2
         energy = (np.abs(np.fft.rfft(self.measured, axis=1)) ** 2).sum(axis=1, keepdims=True)
         hz = np.fft.rfftfreq(self.measured.shape[1], 1 / self.acquisition.sample_rate_hz)
-        return hz, spectrum / np.maximum(energy, np.finfo(float).tiny)
+        return np.asarray(hz, np.float64), spectrum / np.maximum(energy, np.finfo(float).tiny)
 
 
 def fit_plate(said: PlateFile, recording_mean: Untouched, progress: Progress = lambda _stage, _share: None) -> PlateFit:

@@ -42,7 +42,7 @@ def taps(rng: random.Random) -> Iterator[list[Contact]]:
     while True:
         k += 1
         gone = [n for n in down if rng.random() < 0.4]
-        come = []
+        come: list[int] = []
         while len(down) + len(come) < SLOTS and rng.random() < 0.5:
             come.append(following)
             following += 1

@@ -43,7 +43,7 @@ def errors_mm(made: Made, fitted: Fitted, finger: str, touches: int, seed: int) 
         frames = touched_frames(recording)
         seen = see(find_with(model, model.atlas, frames), frames)
     return np.array([
-        min((np.hypot(t.x_mm - x, t.y_mm - y) for t in each.touches), default=np.inf)
+        min((np.hypot(t.x_mm - x, t.y_mm - y) for t in each.found), default=np.inf)
         for each in seen for x, y in each.true_mm
     ])  # fmt: skip
 
