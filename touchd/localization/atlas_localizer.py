@@ -98,6 +98,7 @@ class AtlasLocalizer:
             self._set_channels(detection.live)
         if self._touched:
             self._touched = False
+            self._plate.calm()
             if self._found.touches:
                 self.reset()
             else:  # water, or what a finger left that was lost as it lifted: water stays known
@@ -125,6 +126,7 @@ class AtlasLocalizer:
             return self._found
         tracked = bool(self._prediction.positions_mm)
         touches, inferred = self._place(detection, self._keep_confidence if alive else self._min_confidence, complete)
+        self._plate.watch(detection, finger=bool(touches) or alive)
         self._found = Localization(Outcome.STILL, touches)
         outcome = Outcome.INFERRED if inferred else Outcome.TRACKED if tracked else Outcome.FAINT
         return Localization(outcome, touches, self._departure, self._plate_moved)
@@ -185,7 +187,8 @@ class AtlasLocalizer:
         faint = signal < CRITERIA.faint * noise.noise_energy
         doubtful = faint or excess > (CRITERIA.good if tracked else CRITERIA.enough)
         by_plate = doubtful and bins.energy - noise.plate_energy(bins.vector) < fit.residual_energy
-        if by_plate or not confidence >= min_confidence or (search.pending and not tracked):
+        by_palms = excess > CRITERIA.poor and signal > CRITERIA.most_poor * self._drift.signal_energy and not tracked
+        if by_plate or by_palms or not confidence >= min_confidence or (search.pending and not tracked):
             return self._lose(), inferred
         if len(fit.positions_mm) == 1 and not tracked and self._landing.is_ambiguous(bins, fit, signal, faint=faint):
             return self._lose(), inferred

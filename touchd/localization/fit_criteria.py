@@ -24,6 +24,9 @@ class FitCriteria:
     """At this share a fit is as likely no finger: unusual fingers leave up to 0.1, palms more than 0.6."""
     poor: float = 0.2
     """More than this at touch-down calls for a comparison with other positions."""
+    most_poor: float = 0.1
+    """And a larger change of the untouched plate's energy by what has landed, fitted no better, is no finger. Thumbs
+    change 0.03 of it on a square of 200 mm, two palms 0.3 (twin)."""
     rival: float = 2.0
     """The position is ambiguous if another one leaves less than this multiple of what it leaves: right positions of
     which this holds are 0.03 to 0.2 %, faint and at the edge; wrong ones 18 in 22 (twin)."""
