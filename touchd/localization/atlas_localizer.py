@@ -17,6 +17,7 @@ from touchd.detection.detector import Detection
 from touchd.keypad import Layout
 from touchd.localization.atlas import Atlas
 from touchd.localization.classify import Classifier
+from touchd.localization.contact_size import ContactSize
 from touchd.localization.estimator import Estimator, TouchMaker
 from touchd.localization.fit import Bins, Fit, no_fit
 from touchd.localization.fit_criteria import CRITERIA
@@ -63,6 +64,7 @@ class AtlasLocalizer:
         self._landing = Landing(self._estimator, self._solver, self._pursuit, self._noise)
         self._search = MultitouchSearch(self._solver, self._pursuit, self._noise)
         self._classifier = Classifier(atlas, self._noise)
+        self._size = ContactSize(atlas, self._noise)
         self._prediction = Prediction()
         self._still = StillFinger(atlas, self._solver)
         self._found = UNTOUCHED
@@ -224,11 +226,12 @@ class AtlasLocalizer:
         fingers = self._classifier.fingers(fit, confidence, t_ns)
         self._departure = self._classifier.departure
         make = self._touch_maker.touch
+        faces = self._size.faces(fit) if fit.shapes else {}
         # Change of the signal, as a share of its size, by a finger of amplitude 1.
         change = self._field_rms / self._plate.signal_rms
         return tuple(
             [
-                make(*position_mm, sigma_mm, confidence, amplitude * change)
+                make(*position_mm, sigma_mm, confidence, amplitude * change, face=faces.get(position_mm))
                 for position_mm, sigma_mm, amplitude in fingers
                 if sigma_mm <= self._max_sigma_mm
             ]

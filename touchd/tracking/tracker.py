@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import hypot, sqrt
 
+from msgspec import structs
 from msgspec.structs import replace
 
 from touchd.config.schema import TrackerSettings
 from touchd.event import Contact
-from touchd.touch import Touch
+from touchd.touch import Face, Touch
 from touchd.tracking.assignment import assign
+from touchd.tracking.ellipse import FaceAverage, ellipse_of
 from touchd.tracking.one_euro import OneEuro
 
 _NEVER = 1e9  # mm: finite, as the assignment asks
@@ -24,10 +26,11 @@ _DEAD_SIGMAS = 1.5
 class Track:
     """One finger from its first frame to its last."""
 
-    __slots__ = ("contact", "filter", "missing", "seen")
+    __slots__ = ("contact", "face", "filter", "missing", "seen")
 
     def __init__(self, touch: Touch, settings: TrackerSettings) -> None:
         self.filter = OneEuro(touch.x_mm, touch.y_mm, settings.min_cutoff_hz, settings.beta)
+        self.face = FaceAverage(touch.face)
         self.seen = 1
         self.missing = 0
         self.contact: Contact | None = None  # until it is confirmed
@@ -112,6 +115,8 @@ class Tracker:
     def _advance(self, track: Track, touch: Touch, elapsed_s: float) -> bool:
         track.missing = 0
         track.filter.update(touch.x_mm, touch.y_mm, elapsed_s, touch.sigma_mm)
+        if touch.face is not None or track.face.face is not None:
+            track.face.update(touch.face, elapsed_s)
         contact = track.contact
         if contact is None:
             track.seen += 1
@@ -161,8 +166,7 @@ class Tracker:
         quiet_ns = t_ns - self._reported_ns
         # Below 0 the clock stepped back: it may never catch up.
         due = due or quiet_ns < 0 or quiet_ns + round(elapsed_s * 1e9) > _REFRESH_NS
-        # Copies: a message must not change once it is made.
-        contacts = [replace(track.contact) for track in self.tracks if track.contact is not None] if due else []
+        contacts = [_copy(track.contact, track.face.face) for track in self.tracks if track.contact] if due else []
         if self._missed:
             self._missed = False
             self.tracks = [track for track in self.tracks if _lives(track)]
@@ -170,6 +174,11 @@ class Tracker:
         if contacts:
             self._reported_ns = t_ns
         return contacts
+
+
+def _copy(contact: Contact, face: Face | None) -> Contact:
+    """Return a contact with what can be told of its face; a message must not change once it is made."""
+    return replace(contact, **structs.asdict(ellipse_of(face))) if face is not None else replace(contact)
 
 
 def _is_within_reach(costs: list[float]) -> bool:
