@@ -76,7 +76,8 @@ def test_standard_errors() -> None:
     assert share is not None
     for at in ((60.0, 45.0), (31.0, 62.5), (97.5, 20.0)):
         clean = contact(*at, 1.0, (MOMENT, MOMENT, 0.0))
-        size, faces = size_of_noise(variance), []
+        size = size_of_noise(variance)
+        faces: list[Face] = []
         for _ in range(150):
             noise = rng.standard_normal(clean.shape) + 1j * rng.standard_normal(clean.shape)
             fit = model.fit(as_bins(clean + math.sqrt(variance) * noise), [at], 1e-12, 4)
