@@ -49,6 +49,8 @@ class Contact(Struct, gc=False, omit_defaults=True):
     sigma_major_mm: float | None = None
     sigma_minor_mm: float | None = None
     sigma_angle_deg: float | None = None
+    kind: str | None = None
+    """`finger`, `thumb` or `glove`; a later release may know more."""
 
 
 class TouchEvent(Struct, gc=False):

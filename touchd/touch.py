@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 from msgspec import Struct
+
+Kind = Literal["finger", "thumb", "glove"]
 
 
 class Face(Struct, gc=False, frozen=True):
@@ -38,3 +42,5 @@ class Touch(Struct, gc=False, frozen=True):
     """The key under the finger, in keypad mode."""
     face: Face | None = None
     """Size and shape, if they can be told."""
+    kind: Kind | None = None
+    """What kind of finger it is in this frame, if that can be told."""

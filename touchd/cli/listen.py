@@ -120,7 +120,8 @@ def _size(contact: Contact) -> str:
     """Return area, axes and direction, as far as they are told."""
     of = {"area": (contact.area_mm2, "mm2"), "long": (contact.major_mm, "mm"), "wide": (contact.minor_mm, "mm"),
           "at": (contact.angle_deg, "deg")}  # fmt: skip
-    return "".join(f"  {name} {value:.1f} {unit}" for name, (value, unit) in of.items() if value is not None)
+    size = "".join(f"  {name} {value:.1f} {unit}" for name, (value, unit) in of.items() if value is not None)
+    return size + (f"  {contact.kind}" if contact.kind else "")
 
 
 def _printable(line: str) -> str:

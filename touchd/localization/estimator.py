@@ -9,7 +9,7 @@ from touchd.detection.detector import Detection
 from touchd.keypad import Layout
 from touchd.localization.features import make_features, noise_to_signal
 from touchd.localization.model import Estimate, Model
-from touchd.touch import Face, Touch
+from touchd.touch import Face, Kind, Touch
 
 
 class Estimator:
@@ -79,8 +79,9 @@ class TouchMaker:
         change: float,
         key: str | None = None,
         face: Face | None = None,
+        kind: Kind | None = None,
     ) -> Touch:
         """Return a touch; `change` is that of the signal as a share of its size, `key` what the network says."""
         if self._layout:
             key = self._layout.at(x_mm, y_mm)
-        return Touch(x_mm, y_mm, sigma_mm, confidence, min(1.0, change / self._full_scale), key, face)
+        return Touch(x_mm, y_mm, sigma_mm, confidence, min(1.0, change / self._full_scale), key, face, kind)
