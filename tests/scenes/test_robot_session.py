@@ -9,15 +9,16 @@ import pytest
 
 from touchd.cli.main import main
 from touchd.frame import Plate
-from touchd.twin.electronics import Electronics
+from touchd.twin.electronics import Electronics, Impulses
 from touchd.twin.instrument import Instrument
+from touchd.twin.rig import Rig
 from touchd.twin.robot_session import Session, parts_kept, simulate_session
 from touchd.twin.scenes.robot import TouchSet
 from touchd.twin.simulate import BLOCK, simulate_touches
 
 PLATE = Plate(width_mm=90, height_mm=60, thickness_mm=5)
-ELECTRONICS = Electronics(jitter_s=5e-9)
-SESSION = Session(TouchSet(150, stale_k=0.5), 3, PLATE, 5e-3, None, ELECTRONICS)
+ELECTRONICS = Electronics(jitter_s=5e-9, impulses=Impulses(share=0.3))
+SESSION = Session(TouchSet(150, stale_k=0.5), 3, PLATE, 5e-3, None, Rig(electronics=ELECTRONICS))
 
 
 @pytest.mark.parametrize("chunk", [BLOCK, 2 * BLOCK, 64 * BLOCK])

@@ -16,10 +16,9 @@ from touchd.frame import Plate, parse_plate
 from touchd.keypad import load_layout
 from touchd.recording import format as recording
 from touchd.service.log import configure
-from touchd.twin.electronics import Electronics
-from touchd.twin.instrument import Instrument
 from touchd.twin.physics.finger import TISSUES
 from touchd.twin.physics.material import MATERIALS
+from touchd.twin.rig import IDEAL, load_rig
 from touchd.twin.robot_session import Session, parts_kept, simulate_session
 from touchd.twin.scenes.catalogue import SCENES
 from touchd.twin.scenes.robot import COUNT, MOST_FINGERS, TouchSet
@@ -54,8 +53,14 @@ def _plate(_ctx: click.Context, _param: click.Parameter, value: str) -> Plate:
 @click.option("--plate", default="200x200x5", show_default=True, callback=_plate, metavar="WxHxT", help="In mm.")
 @click.option("--material", default="glass", show_default=True, type=click.Choice(list(MATERIALS)))
 @click.option("--loss", default=5e-3, show_default=True, help="Loss factor of the plate.")
-@click.option("--noise-db", default=60.0, show_default=True, help="Signal-to-noise ratio of the untouched plate, dB.")
-@click.option("--jitter-ns", default=0.0, show_default=True, help="Standard deviation of the trigger's jitter, ns.")
+@click.option(
+    "--rig",
+    type=click.Path(path_type=Path),
+    metavar="FILE.toml",
+    help="Mounting, tilts and electronics of a real rig (TOML).",
+)
+@click.option("--noise-db", type=float, help="Signal-to-noise ratio of the untouched plate, dB.  [default: 60]")
+@click.option("--jitter-ns", type=float, help="Standard deviation of the trigger's jitter, ns.  [default: 0]")
 @click.option(
     "--stale-k", default=0.0, show_default=True,
     help="Touches: warming since the untouched frame, K.",
@@ -92,8 +97,9 @@ def command(
     plate: Plate,
     material: str,
     loss: float,
-    noise_db: float,
-    jitter_ns: float,
+    rig: Path | None,
+    noise_db: float | None,
+    jitter_ns: float | None,
     stale_k: float,
     warmer_k: float,
     fingers: int,
@@ -124,7 +130,12 @@ def command(
         raise OutputError("already there", str(output), "choose another name, or add --force")
     keys = [(key.name, *key.centre_mm) for key in load_layout(keypad).key] if keypad else None
     described = plate.model_copy(update={"material": material})
-    electronics = Electronics(noise_db=noise_db, jitter_s=jitter_ns * 1e-9)
+    held = load_rig(rig) if rig else IDEAL
+    electronics = held.electronics
+    if noise_db is not None:
+        electronics = electronics._replace(noise_db=noise_db)
+    if jitter_ns is not None:
+        electronics = electronics._replace(jitter_s=jitter_ns * 1e-9)
     if scene == TOUCHES:
         total = 2 * touches.count
         period_s = 0.5
@@ -143,12 +154,13 @@ def command(
     configure(LogSettings())  # to standard error, beside the progress bar
     with ExitStack() as stack:
         if scene == TOUCHES:
-            session = Session(touches, seed, described, loss, tail_period_s, electronics)
+            described_rig = held.model_copy(update={"electronics": electronics})
+            session = Session(touches, seed, described, loss, tail_period_s, described_rig)
             kept = stack.enter_context(parts_kept(session))
             simulate = partial(simulate_session, session, workers=jobs, dask=dask, kept=kept)
         else:
             simulate = partial(
-                simulate_stage, stage, Instrument(described, loss=loss, tail_period_s=tail_period_s), seed
+                simulate_stage, stage, held.instrument(described, loss=loss, tail_period_s=tail_period_s), seed
             )
         with click.progressbar(length=total, label=scene, file=sys.stderr) as bar:
             made = simulate(progress=bar.update)

@@ -26,6 +26,7 @@ from typing import NamedTuple
 
 from touchd.localization.atlas import Atlas
 from touchd.localization.fit import Fit, sigmas_mm
+from touchd.localization.fit_criteria import CRITERIA
 from touchd.localization.noise import NoiseModel
 from touchd.localization.prediction import LONGEST_STEP_MM
 from touchd.localization.spline import Position
@@ -52,6 +53,9 @@ MOST_WATER = 16
 CORNER_MM = 12.0
 """Two fingers closer than this to one corner of the touched part are not placed: beyond it the field is not known, and
 one finger there looks like two, one along either edge."""
+EDGE_MM, WAVE_MM = 12.0, 30.0
+"""A faint finger this near to an edge, with another within a wavelength, is not placed: the field is badly known there,
+and one finger looks like two on either side of it, or with a second one beside it."""
 TYPICAL = 0.5
 """Model error of half the touches, as a share of its mean: the mean is that of a few badly known places (twin)."""
 WELL_KNOWN = 0.6
@@ -101,6 +105,7 @@ class Classifier:
         self._noise = noise
         d = atlas.description
         self._field_scale = d.field_scale
+        self._low_mm, self._high_mm = d.low_mm, d.high_mm
         self._corners_mm = [(x, y) for x in (d.low_mm[0], d.high_mm[0]) for y in (d.low_mm[1], d.high_mm[1])]
         self.departure = False
         """Whether the last fit shows the negative of fingers alone."""
@@ -127,7 +132,7 @@ class Classifier:
         sizes, leads = list(map(abs, fit.amplitudes)), list(map(cmath.phase, fit.amplitudes))
         self.departure = min(map(abs, leads)) > DEPARTURE_RAD
         errors_mm = self._errors_mm(fit, sizes)
-        cornered = self._cornered(fit.positions_mm) if several else ()
+        doubtful = self._cornered(fit.positions_mm) | self._edged(fit) if several else ()
         fingers: list[Finger] = []
         drops: list[Drop] = []
         judged: list[Position] = []
@@ -140,7 +145,7 @@ class Classifier:
             judged.append(position)
             if substance is not Substance.FINGER:
                 drops.append(self._drop(position, substance, drop))
-            elif leads[k] > LAG_RAD and k not in cornered:
+            elif leads[k] > LAG_RAD and k not in doubtful:
                 fingers.append((position, errors_mm[k], sizes[k]))
         for one in self._drops:
             if one.until_ns > t_ns and all(math.dist(one.position_mm, position) >= WATER_MM for position in judged):
@@ -214,3 +219,17 @@ class Classifier:
             if len(near) > 1:
                 found.update(near)
         return found
+
+    def _edged(self, fit: Fit) -> set[int]:
+        """Return which of several fingers are faint, near an edge, and within a wavelength of another."""
+        faint, places = CRITERIA.faint * self._noise.noise_energy, fit.positions_mm
+        return {
+            k
+            for k, (energy, place) in enumerate(zip(fit.energies, places, strict=True))
+            if energy < faint
+            and any(
+                at - low < EDGE_MM or high - at < EDGE_MM
+                for at, low, high in zip(place, self._low_mm, self._high_mm, strict=True)
+            )
+            and any(math.dist(place, other) < WAVE_MM for j, other in enumerate(places) if j != k)
+        }

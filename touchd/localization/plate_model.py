@@ -17,6 +17,7 @@ from touchd.localization.atlas import Array, Atlas
 from touchd.localization.drift import Drift
 from touchd.localization.fit import Bins
 from touchd.localization.noise import NoiseModel
+from touchd.localization.tones import WATCH_EVERY, Tones
 
 COMPARE_NS = 1_000_000_000
 """The baseline is compared at this interval: temperature and gains change far more slowly."""
@@ -36,6 +37,8 @@ class PlateModel:
         dtype = atlas.coefficients.dtype
         self.drift = Drift(atlas)
         self.noise = NoiseModel(atlas)
+        self._tones = Tones(atlas.description.acquisition.channels, len(atlas.description.bins), dtype)
+        self._fingerless_frames = 0
         self._vector: Array = np.zeros(atlas.size, dtype)
         self._energy = np.zeros((), dtype)
         self._baseline = atlas.baseline.copy()
@@ -51,6 +54,7 @@ class PlateModel:
             self.set_baseline(baseline)
             return
         self.noise.reset()
+        self._tones.reset()
         self.set_baseline(baseline)
         for residual in residuals:
             self.hear(residual)
@@ -73,6 +77,24 @@ class PlateModel:
         if self.noise.update(self._vector):
             self._select()
 
+    def watch(self, detection: Detection, *, finger: bool) -> None:
+        """Take a touched frame: what few bins hold for a second without a finger is a tone, and they are left out."""
+        if finger:
+            self._tones.restart()
+            return
+        self._fingerless_frames += 1
+        if self._fingerless_frames % WATCH_EVERY:
+            return
+        self.drift.correct(detection.residual, self._vector)
+        if self._tones.update(self._vector, self.noise.power, detection.t_ns):
+            self._select()
+
+    def calm(self) -> None:
+        """Use all bins again: the plate is untouched, and no tone keeps the gate open."""
+        if self._tones.quiet is not None:
+            self._tones.reset()
+            self._select()
+
     def set_baseline(self, baseline: Signal) -> None:
         """Compare the untouched plate, (channels, samples), with the one that the atlas was learned on."""
         np.copyto(self._baseline, baseline)
@@ -91,7 +113,7 @@ class PlateModel:
         silent = self.drift.silent(detection.residual, detection.baseline)
         if not silent.any() or silent.all() or not (silent & self.noise.channels).any():
             return False
-        self.noise.set_channels(self.noise.channels & ~silent & self._live, self.drift.directions)
+        self.noise.set_channels(self.noise.channels & ~silent & self._live, self.drift.directions, self._tones.quiet)
         return True
 
     def bins(self, residual: Signal) -> Bins:
@@ -105,4 +127,4 @@ class PlateModel:
 
     def _select(self) -> None:
         """Leave out dead channels, and bins that drown in noise."""
-        self.noise.set_channels(~self.drift.dead & self._live, self.drift.directions)
+        self.noise.set_channels(~self.drift.dead & self._live, self.drift.directions, self._tones.quiet)

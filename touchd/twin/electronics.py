@@ -23,6 +23,21 @@ class Tone(NamedTuple):
     """RMS relative to the untouched signal."""
     start_s: float = 0.0
     stop_s: float = np.inf
+    finger: bool = False
+    """Whether it comes in through a finger, and only while one is on the plate: a charger's common-mode current,
+    50 dB below the signal or more in a wired rig."""
+
+
+class Impulses(NamedTuple):
+    """Electromagnetic impulses, as of a relay or a mains switch: a few samples of some frames, in all channels."""
+
+    share: float = 0.05
+    """Share of the frames that are hit."""
+    level_db: float = -10.0
+    """RMS of the hit samples relative to the untouched signal's. A fast transient of IEC 61000-4-4 couples 10 to 100 mV
+    into 30 cm of unshielded cable, beside some 300 mV of signal."""
+    samples: int = 4
+    """Longest impulse; a burst's spike of 50 ns rings for some microseconds in the anti-alias filter."""
 
 
 class Dead(NamedTuple):
@@ -49,6 +64,12 @@ class Electronics(NamedTuple):
     dead: tuple[Dead, ...] = ()
     image_db: float | None = None
     """Level of the chirp's image around the DAC rate, relative to the signal; -15 dB before the transducer."""
+    impulses: Impulses | None = None
+    crosstalk_db: float | None = None
+    """Level of each channel in its neighbours: -50 dB on a board with one multiplexed converter, -80 dB with a
+    converter a channel (datasheets of the AD7606 and of NI's multiplexed cards)."""
+    inl_lsb: float = 0.0
+    """Peak of the integral nonlinearity, an S over the range: 2 to 8 LSB of 16 bits (the same datasheets)."""
 
 
 class Digitiser:
@@ -90,6 +111,7 @@ class Digitiser:
         self._a = acquisition
         self._rms = float(np.sqrt(np.mean(untouched**2)))
         noise, fixed = seed.spawn(2)
+        self._impulse_key = int(seed.generate_state(1)[0])
         self._noise = np.random.default_rng(noise)
         rng = np.random.default_rng(fixed)
         self._phases = rng.uniform(0, 2 * np.pi, len(electronics.tones))
@@ -99,13 +121,16 @@ class Digitiser:
         """Continue the noise from a state returned by `noise_states`."""
         self._noise.bit_generator.state = noise
 
-    def counts(self, signal: Floats, time_s: Floats) -> NDArray[np.int16]:
+    def counts(self, signal: Floats, time_s: Floats, touched: NDArray[np.bool_] | None = None) -> NDArray[np.int16]:
         """Digitise the next frames: `signal` (n, R, S) in units of the untouched signal's peak, which is overwritten.
 
-        `time_s` (n,) is the start of each chirp.
+        `time_s` (n,) is the start of each chirp, `touched` (n,) whether a finger is on the plate; by default in none.
         """
         e, a = self._e, self._a
         signal += self._image
+        if e.crosstalk_db is not None:
+            beside = np.pad(signal, ((0, 0), (1, 1), (0, 0)))
+            signal += 10 ** (e.crosstalk_db / 20) * (beside[:, :-2] + beside[:, 2:])
         if e.gains:
             signal *= np.array(e.gains)[:, None]
         if e.gain_drift_per_s:
@@ -113,17 +138,33 @@ class Digitiser:
         moment = time_s[:, None] + np.arange(a.samples) / a.sample_rate_hz
         for tone, phase in zip(e.tones, self._phases, strict=True):
             on = (time_s >= tone.start_s) & (time_s < tone.stop_s)
+            if tone.finger:
+                on &= False if touched is None else touched
             amplitude = np.sqrt(2) * self._rms * 10 ** (tone.level_db / 20)
             # Remove whole turns first: at 1e8 rad a sine has lost half of its digits.
             turn = np.modf(tone.frequency_hz * moment)[0]
             signal += (on[:, None] * amplitude * np.sin(2 * np.pi * turn + phase))[:, None, :]
+        if e.impulses is not None:
+            self._add_impulses(signal, time_s, e.impulses)
         full_scale = 2 ** (a.bits - 1)
         for dead in e.dead:
             signal[time_s >= dead.start_s, dead.channel] = 0.0
         noise = self._noise.standard_normal(signal.shape)
         signal += self._rms * 10 ** (-e.noise_db / 20) * noise
-        rounded = np.rint(signal * (e.peak * full_scale))
+        signal *= e.peak * full_scale
+        if e.inl_lsb:
+            signal += e.inl_lsb * np.sin(2 * np.pi / full_scale * np.clip(signal, -full_scale, full_scale))
+        rounded = np.rint(signal)
         return np.asarray(np.clip(rounded, -full_scale, full_scale - 1), dtype=np.int16)
+
+    def _add_impulses(self, signal: Floats, time_s: Floats, impulses: Impulses) -> None:
+        """Add an impulse to a share of the frames; a frame's is drawn from its time alone, in any division."""
+        for frame, at_s in zip(signal, time_s, strict=True):
+            rng = np.random.default_rng((self._impulse_key, round(at_s * 1e9)))
+            if rng.uniform() < impulses.share:
+                start = rng.integers(frame.shape[1])
+                hit = frame[:, start : start + rng.integers(1, impulses.samples + 1)]
+                hit += self._rms * 10 ** (impulses.level_db / 20) * rng.standard_normal(hit.shape)
 
 
 def noise_states(seed: int | Sequence[int], values: int, frames: Iterable[int]) -> list[dict[str, Any]]:

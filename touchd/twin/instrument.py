@@ -23,8 +23,9 @@ from touchd.frame import Acquisition, Plate
 from touchd.twin.physics import chebyshev
 from touchd.twin.physics.contact import size_of
 from touchd.twin.physics.finger import Contact, patches
+from touchd.twin.physics.mounting import FREE, Mounting, mounted_modes
 from touchd.twin.physics.response import Response
-from touchd.twin.physics.transducer import Layout, default_layout, loaded_modes
+from touchd.twin.physics.transducer import Layout, LoadedModes, default_layout, loaded_modes
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -56,6 +57,12 @@ class Instrument:
         Loss factor: 2e-3 .. 1e-2 for a mounted plate with bonded discs.
     tail_period_s : float, optional
         Include the ringing of all previous chirps, one per `tail_period_s`; the record is then as long.
+    mounting : Mounting
+        What holds the plate.
+    tilts : sequence of (deg, dB), optional
+        Tilt of each receiver's phase and gain along the chirp's band, from its middle to its upper end.
+    modes : LoadedModes, optional
+        Modes of plate and discs, by other physics than the twin's; real ones take `loss`, complex ones have theirs.
 
     Raises
     ------
@@ -71,6 +78,9 @@ class Instrument:
         acquisition: Acquisition | None = None,
         loss: float = 5e-3,
         tail_period_s: float | None = None,
+        mounting: Mounting = FREE,
+        tilts: Sequence[tuple[float, float]] = (),
+        modes: LoadedModes | None = None,
     ) -> None:
         self.plate = plate
         self.layout = layout or default_layout(plate)
@@ -94,9 +104,17 @@ class Instrument:
         self._decay_per_s = damping / record_s
         grid_hz = np.arange(self._record // 2 + 1) * a.sample_rate_hz / self._record
         nu = 2 * np.pi * grid_hz - 1j * max(self._decay_per_s, 1e-3)
-        modes = loaded_modes(plate, self.layout, a.sample_rate_hz / 2)
-        self.response = Response(plate, modes, nu, loss)
+        highest_hz = a.sample_rate_hz / 2
+        if modes is not None:
+            self.response = Response(plate, modes, nu, 0.0 if np.iscomplexobj(modes.w) else loss)
+        elif mounting == FREE:
+            self.response = Response(plate, loaded_modes(plate, self.layout, highest_hz), nu, loss)
+        else:
+            self.response = Response(plate, mounted_modes(plate, self.layout, mounting, loss, highest_hz), nu, 0.0)
         self._t = np.arange(a.samples) / a.sample_rate_hz
+        if len(tilts) not in (0, receivers):
+            raise SimulationError(f"{len(tilts)} tilts for {receivers} receivers", "tilts", "give one per receiver")
+        self._tilt = _tilt(tilts, a, self.response.nu_rad_s)
         self._tables()
 
     def scale(self, temperature_c: ArrayLike) -> Floats:
@@ -150,8 +168,10 @@ class Instrument:
                 part = [i for k in some for i in rows[k]]
                 spectrum = self.response.change([split[i] for i in part], scale[part])
                 spectrum *= (chebyshev.weights(scale[part], self._node_scale) @ self._emission)[:, None, :]
+                if self._tilt is not None:
+                    spectrum *= self._tilt
                 result[part] = self._to_time(spectrum, scale[part], late[part])
-        return result / self._peak
+        return result / self.peak
 
     def _tables(self) -> None:
         """Compute the emission, and the untouched signals with their time derivatives, at the temperature nodes."""
@@ -166,15 +186,18 @@ class Instrument:
         )
         s = self._node_scale
         received = self.response.untouched() * self._emission[:, None, :] / s[:, None, None] ** 2
+        if self._tilt is not None:
+            received *= self._tilt
         # The derivative with respect to the trigger's time is s times that with respect to the record's time.
         orders = [
             self._to_time(received * (1j * nu) ** k, s, np.zeros(n)) * s[:, None, None] ** k / math.factorial(k)
             for k in range(self._orders(MOST_LATE_S))
         ]
         self._untouched = np.stack(orders)
-        self._peak = 1.0
-        self._peak = float(np.abs(self.untouched([REFERENCE_C])).max())
-        self._untouched /= self._peak
+        self.peak = 1.0
+        """Peak of the untouched plate at the reference temperature, from which signals are counted."""
+        self.peak = float(np.abs(self.untouched([REFERENCE_C])).max())
+        self._untouched /= self.peak
 
     def _orders(self, shift_s: float) -> int:
         """Return the number of Taylor terms that shift a time signal by `shift_s` to within `ERROR`."""
@@ -209,6 +232,21 @@ def _late(late_s: ArrayLike, n: int) -> Floats:
     if not np.all(np.abs(late) <= MOST_LATE_S):
         raise SimulationError("a trigger off by more than 1 us", "jitter", "use 200 ns or less")
     return late
+
+
+def _tilt(tilts: Sequence[tuple[float, float]], acquisition: Acquisition, nu_rad_s: Complex) -> Complex | None:
+    """Return the receivers' gains along the band, shape (R, F); None without tilts.
+
+    A ceramic disc and its bond age and warm: some degrees and a decibel across the band. 10 deg and 1.5 dB are a rig
+    after months, 30 deg and 3 dB one whose bond fails.
+    """
+    if not len(tilts):
+        return None
+    chirp_hz = acquisition.chirp.start_hz, acquisition.chirp.stop_hz
+    middle, half = (max(chirp_hz) + min(chirp_hz)) / 2, abs(chirp_hz[1] - chirp_hz[0]) / 2
+    deg, db = np.array(tilts).T
+    rate = np.log(10) / 20 * db + 1j * np.deg2rad(deg)
+    return np.asarray(np.exp(rate[:, None] * (nu_rad_s / (2 * np.pi) - middle) / half))
 
 
 def anti_alias(omega_rad_s: Complex, sample_rate_hz: float) -> Complex:

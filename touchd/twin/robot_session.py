@@ -17,8 +17,9 @@ from touchd.frame import Plate
 from touchd.jobs import Job, digest, run
 from touchd.recording.data import Recording
 from touchd.twin import cache
-from touchd.twin.electronics import Electronics, noise_states
+from touchd.twin.electronics import noise_states
 from touchd.twin.instrument import Instrument
+from touchd.twin.rig import IDEAL, Rig
 from touchd.twin.scenes.robot import TouchSet
 from touchd.twin.scenes.timeline import Stage
 from touchd.twin.simulate import BLOCK, no_frames, recording_of, stage_touches, stream
@@ -38,12 +39,12 @@ class Session:
     plate: Plate
     loss: float
     tail_period_s: float | None
-    electronics: Electronics
+    rig: Rig = IDEAL
 
     def prepare(self) -> tuple[Stage, Instrument]:
         """Write the session's timeline, and create its instrument; SimulationError if one is impossible."""
-        instrument = Instrument(self.plate, loss=self.loss, tail_period_s=self.tail_period_s)
-        return stage_touches(self.touches, self.plate, self.seed, self.electronics), instrument
+        instrument = self.rig.instrument(self.plate, loss=self.loss, tail_period_s=self.tail_period_s)
+        return stage_touches(self.touches, self.plate, self.seed, self.rig.electronics), instrument
 
 
 def simulate_session(

@@ -60,7 +60,7 @@ def stream(
         touches = stage.touches(first, last)
         if any(touches):
             signal += instrument.change(touches, temperature_c, late_s)
-        yield digitiser.counts(signal, time_s[first:last])
+        yield digitiser.counts(signal, time_s[first:last], np.array([bool(touch) for touch in touches]))
 
 
 def stage_scene(

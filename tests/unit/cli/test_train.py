@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import pytest
 
-from touchd.cli.train import TimeLeft
+from touchd.cli.progress import TimeLeft
 
 
 def estimates(durations_s: Sequence[float]) -> list[tuple[float, float]]:
@@ -46,6 +46,13 @@ def test_uneven_steps() -> None:
     found = estimates(durations_s)
     assert len(found) > 140
     assert all(0 < estimate < 1.5 * true + 1 for estimate, true in found[:-1])
+
+
+def test_growing_steps() -> None:
+    """Half-way through steps that grow to 17 times the first, two fifths of the time left show; it was a fifth."""
+    found = estimates([0.1 * 1.0095**i for i in range(300)])
+    estimate, true = found[len(found) // 2]
+    assert estimate > 0.4 * true
 
 
 def test_nothing_to_know() -> None:

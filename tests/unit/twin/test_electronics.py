@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from touchd.errors import SimulationError
-from touchd.twin.electronics import Dead, Digitiser, Electronics, Tone
+from touchd.twin.electronics import Dead, Digitiser, Electronics, Impulses, Tone
 from touchd.twin.instrument import REFERENCE_C, Instrument
 
 SILENT = Electronics(noise_db=np.inf)
@@ -59,6 +59,47 @@ def test_a_tone_has_its_level_and_is_not_locked_to_the_chirp(instrument: Instrum
     np.testing.assert_array_equal(tone[:12], 0)
     assert decibels(tone[13:], plain) == pytest.approx(-30, abs=0.3)
     assert decibels(tone[13:].mean(axis=0), plain) < -40
+
+
+def test_a_tone_through_a_finger(instrument: Instrument) -> None:
+    """A tone that a finger couples in is heard while one is on the plate, at its level, and not before."""
+    reference = instrument.untouched([REFERENCE_C])
+    through = SILENT._replace(tones=(Tone(62_347.0, -50.0, finger=True),))
+    digitiser = Digitiser(through, instrument.acquisition, reference[0], np.random.SeedSequence(1))
+    touched = np.arange(64) >= 32
+    found = digitiser.counts(np.repeat(reference, 64, axis=0), np.arange(64) / 125.0, touched).astype(float)
+    plain = counts(instrument, SILENT, 64)
+    np.testing.assert_array_equal(found[:32], plain[:32])
+    assert decibels(found[32:] - plain[32:], plain) == pytest.approx(-50, abs=0.3)
+
+
+def test_impulses(instrument: Instrument) -> None:
+    """Impulses hit their share of the frames, a few samples in a row of all channels at once, at their level."""
+    plain = counts(instrument, SILENT, 400)
+    change = counts(instrument, SILENT._replace(impulses=Impulses(0.2, -10.0, 4)), 400) - plain
+    hit = change.any(axis=(1, 2))
+    assert 50 < hit.sum() < 115
+    spread = [np.flatnonzero(frame.any(axis=0)) for frame in change[hit]]
+    assert max(at[-1] - at[0] + 1 for at in spread) == 4
+    samples = np.concatenate([frame[:, at].ravel() for frame, at in zip(change[hit], spread, strict=True)])
+    assert 10 * np.log10(np.mean(samples**2) / np.mean(plain**2)) == pytest.approx(-10, abs=0.7)
+
+
+def test_crosstalk(instrument: Instrument) -> None:
+    """Each channel hears its neighbours at the stated level, linearly."""
+    plain = counts(instrument, SILENT, 1)[0]
+    change = counts(instrument, SILENT._replace(crosstalk_db=-40.0), 1)[0] - plain
+    np.testing.assert_allclose(change[0], 0.01 * plain[1], atol=1.01)
+    np.testing.assert_allclose(change[1], 0.01 * (plain[0] + plain[2]), atol=1.01)
+
+
+def test_nonlinearity(instrument: Instrument) -> None:
+    """The converter is off by its integral nonlinearity at most, and by nothing at 0 and full scale."""
+    plain = counts(instrument, SILENT, 1)
+    change = counts(instrument, SILENT._replace(inl_lsb=8.0), 1) - plain
+    assert 7 <= np.abs(change).max() <= 9
+    assert np.abs(change[np.abs(plain) < 200]).max() <= 1
+    assert decibels(change, plain) == pytest.approx(-61, abs=3)
 
 
 def test_too_much_gain_clips_at_full_scale(instrument: Instrument) -> None:

@@ -34,7 +34,7 @@ def derivative(length_m: float, count: int) -> Floats:
     return np.where((i < j) & ((i + j) % 2 == 1), d, 0.0)
 
 
-def _disc_rule(radial: int, angular: int) -> tuple[Floats, Floats, Floats]:
+def disc_rule(radial: int, angular: int) -> tuple[Floats, Floats, Floats]:
     """Points of the unit disc and weights that sum to 1: Gauss in radius squared, equal steps in angle."""
     node, weight = np.polynomial.legendre.leggauss(radial)
     radius = np.sqrt((node + 1) / 2)
@@ -61,7 +61,7 @@ def disc_average(
     """
     centre = np.asarray(centre_m, dtype=float)
     radius = np.asarray(radius_m, dtype=float)
-    x, y, w = _disc_rule(*rule)
+    x, y, w = disc_rule(*rule)
     px = values(centre[:, 0, None] + radius[:, None] * x, size_m[0], counts[0])
     py = values(centre[:, 1, None] + radius[:, None] * y, size_m[1], counts[1])
     return np.asarray((px * w[:, None]).transpose(0, 2, 1) @ py)

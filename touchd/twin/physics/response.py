@@ -38,20 +38,21 @@ class Response:
     modes : LoadedModes
     nu_rad_s : array_like of shape (F,)
         Angular frequencies, real or complex; a negative imaginary part damps the time signal.
-    loss : float
-        Loss factor of the mounted plate.
+    loss : array_like of shape () or (F,)
+        Loss factor of the mounted plate; 0 with complex modes, which have it.
     """
 
-    def __init__(self, plate: Plate, modes: LoadedModes, nu_rad_s: ArrayLike, loss: float) -> None:
+    def __init__(self, plate: Plate, modes: LoadedModes, nu_rad_s: ArrayLike, loss: ArrayLike) -> None:
         self.plate = plate
         self.modes = modes
         self.nu_rad_s = np.asarray(nu_rad_s, dtype=np.complex128)
-        H = 1 / (modes.omega_rad_s**2 * (1 + 1j * loss) - self.nu_rad_s[:, None] ** 2)
-        # Shapes are real: stacking the parts makes one real product of what would be two.
-        self._kernel = np.concatenate([H.real, H.imag])
+        H = 1 / (modes.omega_rad_s**2 * (1 + 1j * np.reshape(loss, (-1, 1))) - self.nu_rad_s[:, None] ** 2)
+        # Where shapes are real, stacking the parts makes one real product of what would be two.
+        self._real = not np.iscomplexobj(modes.w)
+        self._kernel = np.concatenate([H.real, H.imag]) if self._real else H
         self._w = modes.w.reshape(len(modes.w), -1)
 
-    def shape_at(self, x_mm: Floats, y_mm: Floats, area_mm2: Floats) -> Floats:
+    def shape_at(self, x_mm: Floats, y_mm: Floats, area_mm2: Floats) -> Floats | Complex:
         """Deflection of each mode averaged over discs; all of shape (n,), result (M, n).
 
         Raises
@@ -59,7 +60,8 @@ class Response:
         SimulationError
             When a disc is not wholly on the plate.
         """
-        return np.asarray(self._w @ self._disc_average(x_mm, y_mm, area_mm2).T)
+        shapes: Floats | Complex = self._w @ self._disc_average(x_mm, y_mm, area_mm2).T
+        return shapes
 
     def _disc_average(self, x_mm: Floats, y_mm: Floats, area_mm2: Floats, rule: tuple[int, int] = (3, 8)) -> Floats:
         """Products of polynomials averaged over discs, shape (n, nx ny).
@@ -82,10 +84,12 @@ class Response:
         centre = np.stack([x_mm, y_mm], axis=1) * 1e-3
         return legendre.disc_average(centre, radius * 1e-3, size_m(self.plate), (nx, ny), rule).reshape(len(x_mm), -1)
 
-    def receptance(self, one: Floats, other: Floats) -> Complex:
+    def receptance(self, one: Floats | Complex, other: Floats | Complex) -> Complex:
         """Sum over modes of `one` times `other`, both (M, ...), times the modes' response; result (F, ...)."""
         product = one * other
         flat = self._kernel @ product.reshape(len(product), -1)
+        if not self._real:
+            return np.asarray(flat).reshape(len(flat), *product.shape[1:])
         half = len(flat) // 2
         return np.asarray(flat[:half] + 1j * flat[half:]).reshape(half, *product.shape[1:])
 
@@ -118,7 +122,7 @@ class Response:
             result[mine] = np.tensordot(chebyshev.weights(scale[mine], at), some, 1) if len(at) < len(mine) else some
         return result
 
-    def _shapes(self, touches: Sequence[Sequence[Contact]]) -> Floats:
+    def _shapes(self, touches: Sequence[Sequence[Contact]]) -> Floats | Complex:
         """Deflection of each mode under each of the c forces of n touches, shape (M, n, c)."""
         faces = [face_of(contact) for touch in touches for contact in touch]
         many = [len(face.centres_mm) for face in faces]
@@ -128,7 +132,8 @@ class Response:
         products = self._disc_average(centres[:, 0], centres[:, 1], area_mm2, rule)
         parts = np.split(products, np.cumsum(many)[:-1])
         forces = [part if len(part) == 1 else face.weights @ part for face, part in zip(faces, parts, strict=True)]
-        return np.asarray(self._w @ np.concatenate(forces).T).reshape(len(self._w), len(touches), -1)
+        shapes: Floats | Complex = self._w @ np.concatenate(forces).T
+        return shapes.reshape(len(self._w), len(touches), -1)
 
     def _scattered(
         self, touches: Sequence[Sequence[Contact]], scale: Floats, to_discs: Complex, pairs: Complex

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,17 +13,24 @@ from touchd.frame import Plate
 from touchd.twin.cache import remember
 from touchd.twin.physics import legendre
 from touchd.twin.physics.material import material_of
-from touchd.twin.physics.plate import Modes, polynomials_for, size_m, solve
+from touchd.twin.physics.plate import MANY_POLYNOMIALS, Modes, polynomials_for, size_m, solve
 
 Floats = NDArray[np.float64]
+Complex = NDArray[np.complex128]
 
-VERSION = 1
+VERSION = 2
 """Version of the algorithm; increase it when the same rig gives other modes, to invalidate files on disk."""
 
+OTHER_BENDING = 0.54
+"""A disc's resistance to the other two rotations around its rim over that to the outward one: (1 - nu) / (1 + nu) for
+PZT's nu of 0.3."""
 BASIS_HZ = 3.0
 """Modes of the bare plate up to this many times the highest frequency carry the discs' masses."""
 KEPT_HZ = 2.0
 """Modes of the loaded plate up to this many times the highest frequency are kept."""
+BASIS_OF_MANY_HZ, KEPT_OF_MANY_HZ = 1.6, 1.3
+"""The same for a plate that needs more than `MANY_POLYNOMIALS`: it has thousands of modes more, and hears less of
+them, as it is soft and lossy."""
 
 
 class Layout(BaseModel):
@@ -38,6 +45,10 @@ class Layout(BaseModel):
     diameter_mm: float = Field(default=6.0, gt=0)
     mass_g: float = Field(default=0.43, ge=0)
     """Mass of each disc: 6 mm by 2 mm of PZT."""
+    stiffness_n_m: float = Field(default=0.0, ge=0)
+    """Resistance of each to the mean rotation around its rim, N m per rad."""
+    lever_mm: float = Field(default=0.0, ge=0)
+    """Height of each disc's middle below the plate's: the plate's rotations move it in the plane."""
 
     @property
     def centres_mm(self) -> Floats:
@@ -57,13 +68,16 @@ def default_layout(plate: Plate) -> Layout:
 
 
 class LoadedModes(NamedTuple):
-    """Modes of the plate with its discs, and their values at the discs: n modes, unit modal mass."""
+    """Modes of the plate with its discs, and their values at the discs: n modes, unit modal mass.
 
-    omega_rad_s: Floats
+    They are real, or complex with attachments (`touchd.twin.physics.mounting`).
+    """
+
+    omega_rad_s: Floats | Complex
     """Angular frequencies, shape (n,)."""
-    w: Floats
+    w: Floats | Complex
     """Deflection in Legendre products, shape (n, nx, ny)."""
-    discs: Floats
+    discs: Floats | Complex
     """Mean outward rotation around the rim of each disc, shape (n, 1 + receivers); column 0 is the emitter."""
 
 
@@ -83,28 +97,34 @@ def loaded_modes(plate: Plate, layout: Layout, frequency_hz: float = 125e3) -> L
             "layout",
             f"keep centres {layout.diameter_mm / 2:g} mm from the edge",
         )
+    parameters = parameters_of(plate, layout, frequency_hz)
+
+    def compute() -> dict[str, Floats]:
+        modes = solve(plate, parameters["counts"], parameters["basis"] * frequency_hz)
+        return load(modes, plate, layout, parameters["kept"] * frequency_hz)._asdict()
+
+    return LoadedModes(**remember("plate", parameters, compute))
+
+
+def parameters_of(plate: Plate, layout: Layout, frequency_hz: float) -> dict[str, Any]:
+    """Return all that the modes of a plate with discs depend on, as JSON types."""
     # Converged at four fifths of the highest frequency, where the emission ends (100 of 125 kHz).
     counts = polynomials_for(plate, 0.8 * frequency_hz)
-    parameters = {
+    many = max(counts) > MANY_POLYNOMIALS
+    return {
         "version": VERSION,
         "plate": plate.model_dump(),
         "material": material_of(plate),
         "layout": layout.model_dump(),
         "frequency_hz": frequency_hz,
         "counts": counts,
-        "basis": BASIS_HZ,
-        "kept": KEPT_HZ,
+        "basis": BASIS_OF_MANY_HZ if many else BASIS_HZ,
+        "kept": KEPT_OF_MANY_HZ if many else KEPT_HZ,
     }
-
-    def compute() -> dict[str, Floats]:
-        modes = solve(plate, counts, BASIS_HZ * frequency_hz)
-        return load(modes, plate, layout, KEPT_HZ * frequency_hz)._asdict()
-
-    return LoadedModes(**remember("plate", parameters, compute))
 
 
 def load(modes: Modes, plate: Plate, layout: Layout, below_hz: float = np.inf) -> LoadedModes:
-    """Add the discs' masses to a bare plate's modes.
+    """Add the discs' masses and stiffnesses to a bare plate's modes.
 
     In modal coordinates each mass is a rank-one change of the unit mass matrix. The loaded plate's modes are exact
     within the given ones, and no later computation needs the update.
@@ -120,11 +140,21 @@ def load(modes: Modes, plate: Plate, layout: Layout, below_hz: float = np.inf) -
         [modes.psi_x.reshape(n, -1) @ x.ravel() + modes.psi_y.reshape(n, -1) @ y.ravel() for x, y in rims], axis=1
     )
     # M = 1 + B B'; its inverse root differs from 1 only in the span of B.
-    B = w @ under.reshape(len(centres), -1).T * np.sqrt(layout.mass_g * 1e-3)
+    psi_x, psi_y, flat = modes.psi_x.reshape(n, -1), modes.psi_y.reshape(n, -1), under.reshape(len(centres), -1).T
+    lever = layout.lever_mm * 1e-3
+    moved = np.concatenate([w @ flat, lever * (psi_x @ flat), lever * (psi_y @ flat)], axis=1)
+    B = (moved if lever else w @ flat) * np.sqrt(layout.mass_g * 1e-3)
     U, sigma, _ = np.linalg.svd(B, full_matrices=False)
     root = (U * ((1 + sigma**2) ** -0.5 - 1)) @ U.T
     root[np.diag_indices(n)] += 1
-    squared, V = np.linalg.eigh((root * modes.omega_rad_s**2) @ root)
+    stiffness = (root * modes.omega_rad_s**2) @ root
+    if layout.stiffness_n_m:
+        normal_x, normal_y = (np.stack([rim[i].ravel() for rim in rims], axis=1) for i in (0, 1))
+        other = [psi_x @ normal_x - psi_y @ normal_y, psi_x @ normal_y + psi_y @ normal_x]
+        bent = np.concatenate([discs, *(np.sqrt(OTHER_BENDING) * rotation for rotation in other)], axis=1)
+        stiffened = root @ bent * np.sqrt(layout.stiffness_n_m)
+        stiffness += stiffened @ stiffened.T
+    squared, V = np.linalg.eigh(stiffness)
     omega = np.sqrt(np.maximum(squared, 0.0))
     omega[:3] = 0.0  # the rigid motions stay
     V = (root @ V[:, omega < 2 * np.pi * below_hz]).T

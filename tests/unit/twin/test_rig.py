@@ -1,0 +1,108 @@
+"""A TOML file describes a real rig: what holds the plate, what has aged, what the electronics add."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from touchd.cli.main import main
+from touchd.errors import SimulationError
+from touchd.frame import Acquisition, Plate
+from touchd.recording.format import read
+from touchd.twin.instrument import REFERENCE_C, Instrument
+from touchd.twin.physics.finger import Contact
+from touchd.twin.rig import IDEAL, load_rig
+
+EVERYTHING = """
+tilts = [[10, 1.5], [-10, 1.5], [10, -1.5], [-10, -1.5]]
+[mounting]
+left = "tape"
+pane = true
+[[mounting.attachments]]
+x_mm = [40, 48]
+y_mm = [0, 8]
+round = true
+support = { dashpot_n_s_m3 = 1.8e5 }
+[electronics]
+jitter_s = 20e-9
+crosstalk_db = -50
+inl_lsb = 8
+impulses = { share = 0.05 }
+tones = [{ frequency_hz = 62000, level_db = -50, finger = true }]
+"""
+
+
+def rig_of(folder: Path, text: str) -> Path:
+    path = folder / "rig.toml"
+    path.write_text(text)
+    return path
+
+
+def test_file(tmp_path: Path) -> None:
+    """Every effect has a key, and an empty file is the ideal rig."""
+    rig = load_rig(rig_of(tmp_path, EVERYTHING))
+    assert rig.mounting.left == "tape"
+    assert rig.mounting.attachments[0].support.dashpot_n_s_m3 == 1.8e5
+    assert rig.electronics.jitter_s == 20e-9
+    assert rig.electronics.tones[0].finger
+    assert rig.electronics.impulses is not None
+    assert load_rig(rig_of(tmp_path, "")) == IDEAL
+
+
+@pytest.mark.parametrize(
+    ("text", "what"),
+    [
+        ("[electronics]\njiter_s = 1e-9", "electronics.jiter_s"),
+        ("[mounting]\nleft = 'glue'", "mounting.left"),
+        ("[plate]\nloss = 1", "plate"),
+        ("tilts = ", "not TOML"),
+    ],
+)
+def test_mistakes(tmp_path: Path, text: str, what: str) -> None:
+    """A key or value that no rig has is named."""
+    with pytest.raises(SimulationError, match=what):
+        load_rig(rig_of(tmp_path, text))
+    with pytest.raises(SimulationError, match="cannot be read"):
+        load_rig(tmp_path / "none.toml")
+
+
+def test_simulate(tmp_path: Path) -> None:
+    """`touchd simulate --rig` plays scenes and touches on the rig; an option of the command line wins."""
+    small = ["--plate", "90x80x5", "--force", "--rig"]
+    tilted = "tilts = [[10, 1.5], [-10, 1.5], [10, -1.5], [-10, -1.5]]\n[mounting]\nleft = 'tape'\n"
+    recordings = {}
+    for name, text in (("ideal", ""), ("real", tilted)):
+        rig = str(rig_of(tmp_path, text))
+        for scene, option, count in (("tap", "--frames", "170"), ("touches", "--count", "4")):
+            output = tmp_path / f"{name}-{scene}.npz"
+            assert main(["simulate", scene, option, count, "-o", str(output), *small, rig, "--noise-db", "80"]) == 0
+            recordings[name, scene] = read(output).frames.astype(float)
+    for scene in ("tap", "touches"):
+        ideal, real = recordings["ideal", scene], recordings["real", scene]
+        assert np.square(real - ideal).mean() > 1e-3 * np.square(ideal).mean()
+
+
+@pytest.mark.parametrize(("deg", "db", "level_db"), [(10.0, 1.5, -17), (30.0, 3.0, -9)])
+def test_tilt(small: Instrument, deg: float, db: float, level_db: float) -> None:
+    """Tilts turn and scale signal and touches alike, by as much as stated: nothing in the middle of the band."""
+    tilted = Instrument(small.plate, tilts=[(deg, db)] * 4)
+    before, after = (one.untouched([REFERENCE_C])[0] * one.peak for one in (small, tilted))
+    change_db = 10 * np.log10(np.square(after - before).mean() / np.square(before).mean())
+    assert change_db == pytest.approx(level_db, abs=2.5)
+    touch = [[Contact(40.0, 30.0, 60.0, "human")]]
+    long = Acquisition(channels=4, samples=1500, sample_rate_hz=250e3)  # until the plate is silent: exact spectra
+    plain, turned = (
+        np.fft.rfft(one.change(touch, [REFERENCE_C])[0] * one.peak)[:, 330:571:12]
+        for one in (Instrument(small.plate, acquisition=long, tilts=tilts) for tilts in ((), [(deg, db)] * 4))
+    )
+    at = (np.arange(330, 571, 12) - 450) / 150
+    expected = np.exp((np.log(10) / 20 * db + 1j * np.deg2rad(deg)) * at) * plain
+    assert np.abs(turned - expected).max() < 0.02 * np.abs(expected).max()
+
+
+def test_one_tilt_a_receiver() -> None:
+    """Two tilts for four receivers are refused."""
+    with pytest.raises(SimulationError, match="2 tilts for 4 receivers"):
+        Instrument(Plate(width_mm=90, height_mm=80, thickness_mm=5, material="glass"), tilts=[(1.0, 1.0)] * 2)
