@@ -16,7 +16,6 @@ WORSE = (
     ("10 K warmer than in training", "temperature", "10"),
     ("1 K warmer than the baseline", "stale", "1"),
     ("channel 0 at half its gain", "gain", "0.5"),
-    ("10 ns of trigger jitter", "jitter", "10"),
     ("channels 0 and 1 dead", "dead", "0+1"),
     ("trained on 1000 touches", "learning", "1000"),
 )
