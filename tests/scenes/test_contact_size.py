@@ -8,11 +8,8 @@ import numpy as np
 import pytest
 
 from tests.scenes.stages import play
-from touchd.config.schema import Settings
 from touchd.twin.instrument import Instrument
 from touchd.twin.simulate import DEFAULT_PLATE, stage_scene
-
-SHAPES = Settings.model_validate({"model": {"contact_shapes": True}})
 
 
 @pytest.mark.parametrize(("finger", "kind"), [("fingertip", "finger"), ("thumb", "thumb")])
@@ -20,7 +17,7 @@ def test_size(finger: str, kind: str, instrument: Instrument) -> None:
     """In a circle area, long axis and direction are right to 10 %, 1 mm and 10 degrees at the median."""
     stage = stage_scene("circle", DEFAULT_PLATE, seed=14, finger=finger, frames=300)
     off, kinds = [], []
-    for event in play(stage, instrument, 14, SHAPES).touches:
+    for event in play(stage, instrument, 14).touches:
         down = [k for k, x_mm in enumerate(stage.x_mm) if np.isfinite(x_mm[event.frame])]
         if not down or len(event.contacts) != 1:
             continue
@@ -38,12 +35,3 @@ def test_size(finger: str, kind: str, instrument: Instrument) -> None:
     assert (medians < (0.10, 1.0, 10.0)).all()
     assert set(kinds) <= {None, kind}
     assert kinds.count(kind) > len(kinds) / 2
-
-
-def test_points(instrument: Instrument) -> None:
-    """Where contacts are points no size and no kind is told."""
-    stage = stage_scene("tap", DEFAULT_PLATE, seed=14, finger="fingertip")
-    settings = Settings.model_validate({"model": {"contact_shapes": False}})
-    contacts = [contact for event in play(stage, instrument, 14, settings).touches for contact in event.contacts]
-    assert contacts
-    assert all(one.area_mm2 is one.angle_deg is one.kind is None for one in contacts)

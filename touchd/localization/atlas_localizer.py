@@ -33,7 +33,7 @@ from touchd.localization.prediction import Prediction
 from touchd.localization.pursuit import Pursuit
 from touchd.localization.stillness import StillFinger
 from touchd.outcome import Outcome
-from touchd.touch import Face, Touch
+from touchd.touch import Touch
 
 NOISE_EVERY = 16
 """One of 16 untouched frames updates the noise model."""
@@ -227,7 +227,6 @@ class AtlasLocalizer:
         self._departure = self._classifier.departure
         make = self._touch_maker.touch
         faces = self._size.faces(fit) if fit.shapes else {}
-        tell = kind_of if self._solver.shapes else _no_kind
         # Change of the signal, as a share of its size, by a finger of amplitude 1.
         change = self._field_rms / self._plate.signal_rms
         return tuple(
@@ -238,7 +237,7 @@ class AtlasLocalizer:
                     confidence,
                     amplitude * change,
                     face=(face := faces.get(position_mm)),
-                    kind=tell(amplitude, face),
+                    kind=kind_of(amplitude, face),
                 )
                 for position_mm, sigma_mm, amplitude in fingers
                 if sigma_mm <= self._max_sigma_mm
@@ -261,7 +260,3 @@ class AtlasLocalizer:
         self._prediction.reset()
         self._follower.reset()
         return ()
-
-
-def _no_kind(_size: float, _face: Face | None) -> None:
-    """Contacts that are points have no kind."""

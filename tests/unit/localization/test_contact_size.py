@@ -10,8 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.fields import COUNTS, Field, in_double, make_atlas
-from tests.unit.localization.test_contact_model import as_bins, contact
-from touchd.localization.contact_model import ContactModel
+from tests.unit.localization.test_contact_model import as_bins, contact, contact_model
 from touchd.localization.contact_size import MOMENTS_MM2, PHASE_RAD, SIZES_MM2, ContactSize
 from touchd.localization.fit import Fit
 from touchd.localization.noise import NoiseModel
@@ -70,7 +69,7 @@ def test_rigid() -> None:
 
 def test_standard_errors() -> None:
     """The standard errors are the scatter of noisy contacts' moments, at any place, beside the share without noise."""
-    rng, model = np.random.default_rng(3), ContactModel(ATLAS)
+    rng, model = np.random.default_rng(3), contact_model(ATLAS)
     variance = 4e-3 * COUNTS**2  # so much that noise is the larger part
     share = face_of(fit_of(1.0, MOMENT * TURN, MOMENT * TURN, 0), 1e-9)
     assert share is not None
