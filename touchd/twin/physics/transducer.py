@@ -18,7 +18,7 @@ from touchd.twin.physics.plate import MANY_POLYNOMIALS, Modes, polynomials_for, 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-VERSION = 1
+VERSION = 2
 """Version of the algorithm; increase it when the same rig gives other modes, to invalidate files on disk."""
 
 OTHER_BENDING = 0.54
