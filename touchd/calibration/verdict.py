@@ -13,7 +13,7 @@ Verdict = Literal["good", "usable", "poor"]
 EXACT = 0.0013
 """Median error of a touch with exact physics and without noise, wavelengths: 0.03 mm on 5 mm glass."""
 NOISE = 1.0
-"""Median error by noise, wavelengths times the RMS of a frame's noise relative to the signal: a light touch is faint."""
+"""Median error by noise, wavelengths times the RMS of a frame's noise relative to the signal."""
 MODEL = 0.04
 """Median error by physics that the fit lacks, wavelengths times the root of the energy that it leaves."""
 GOOD_LEFT, USABLE_LEFT = 0.01, 0.12
