@@ -62,6 +62,8 @@ class Detection(Struct, gc=False, frozen=True):
     """Residuals of the frames that the baseline was learned from, (n, channels, samples), once it is learned."""
     lost: int = 0
     """Frames missing before this one."""
+    hits: tuple[int, ...] = ()
+    """Starts of the runs of samples that an impulse has hit; the residual is zero there."""
 
     @property
     def noise_energy(self) -> float:

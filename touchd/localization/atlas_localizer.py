@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from touchd.config.schema import Settings
@@ -124,7 +125,7 @@ class AtlasLocalizer:
             self._set_channels(detection.live)
         t_ns = detection.t_ns
         self._search.update(t_ns)
-        if self._found.touches and self._rests(detection.residual):
+        if self._found.touches and not detection.hits and self._rests(detection.residual):
             self._prediction.rest(t_ns)
             return self._found
         tracked = bool(self._prediction.positions_mm)
@@ -146,7 +147,7 @@ class AtlasLocalizer:
         inferred = False
         self._touched = True
         self._departure = self._plate_moved = False
-        bins = self._plate.bins(detection.residual)
+        bins = self._plate.bins(detection.residual, detection.hits)
         signal = bins.energy - noise.noise_energy
         # Most tracked fingers are far above noise and drift: that is quickly asked.
         if not (tracked and signal > noise.noise_energy + self._drift.energy) and self._is_untouched(
@@ -160,8 +161,10 @@ class AtlasLocalizer:
         else:
             inferred = True
             fit = self._landing.fit(detection, bins, signal)
+        bins, fit = self._settle(bins, fit)
         if not fit.shapes:
-            fit = self._solver.with_shapes(bins, fit, noise.noise_energy)
+            bins, fit = self._settle(bins, self._solver.with_shapes(bins, fit, noise.noise_energy))
+        signal = bins.energy - noise.noise_energy
         excess = noise.excess(fit.residual_energy, signal)
         if (
             tracked
@@ -174,11 +177,13 @@ class AtlasLocalizer:
             # be lost while the search takes its time.
             limited = not complete and (not tracked or (len(fit.positions_mm) == 1 and excess < CRITERIA.fair))
             if not search.pending and self._plate.drop_silent(detection):
-                bins = self._plate.bins(detection.residual)
+                bins = self._plate.bins(detection.residual, detection.hits)
                 signal = bins.energy - noise.noise_energy
                 fit = self._solver.fit_one(bins, *fit.positions_mm[0], FIRST_STEPS) if fit.positions_mm else fit
             else:
                 fit, known = search.search(bins, fit, signal, tracked=tracked, limited=limited)
+                bins, fit = self._settle(bins, fit)
+                signal = bins.energy - noise.noise_energy
                 if not known:
                     self._prediction.forget_velocities()
             excess = noise.excess(fit.residual_energy, signal)
@@ -239,7 +244,25 @@ class AtlasLocalizer:
         if not self._still.armed:
             return False
         self._drift.correct(residual, self._still.vector)
+        self._plate.nuisance.align(self._still.vector)
         return self._still.holds(2 * (1 + CRITERIA.noise_margin) * self._noise.noise_energy)
+
+    def _settle(self, bins: Bins, fit: Fit) -> tuple[Bins, Fit]:
+        """Give fingers back what the frame's delay and hit samples took from them."""
+        return self._plate.nuisance.settle(bins, fit, self._solver.residual, self._refit)
+
+    def _refit(self, bins: Bins, fit: Fit) -> Fit:
+        """Fit the fingers of a fit to other bins of the same frame."""
+        positions, solver = fit.positions_mm, self._solver
+        if fit.shapes:
+            shaped = solver.fit_shapes(bins, positions, self._noise.noise_energy, SHAPED_STEPS)
+            if shaped.positions_mm:
+                return replace(shaped, points_energy=fit.points_energy)
+        return (
+            solver.fit_one(bins, *positions[0], FOLLOW_STEPS)
+            if len(positions) == 1
+            else (solver.fit_several(bins, positions, FOLLOW_STEPS))
+        )
 
     def _follow(self, bins: Bins, t_ns: int, signal: float) -> Fit:
         """Fit the fingers of the last frame from where they were going, less those that have lifted."""
@@ -272,6 +295,7 @@ class AtlasLocalizer:
         self._still.reset()
 
     def _lose(self) -> tuple[Touch, ...]:
+        self._plate.nuisance.forget_fingers()
         self._prediction.reset()
         self._shaped = False
         return ()
