@@ -12,6 +12,7 @@ from msgspec import Struct
 
 from touchd.config.schema import Settings
 from touchd.detection.detector import Detection, Detector, Notify
+from touchd.detection.impulses import Impulses
 from touchd.event import Contact
 from touchd.frame import Acquisition, Frame
 from touchd.keypad import Layout
@@ -69,7 +70,8 @@ class Pipeline:
     ) -> None:
         model.check(acquisition)
         self.counters = Counters()
-        self.detector = Detector(acquisition.shape, settings, notify, model.dtype)
+        impulses = Impulses(acquisition, model.dtype)
+        self.detector = Detector(acquisition.shape, settings, notify, model.dtype, impulses)
         self._localizer = make_localizer(model, settings, layout)
         self._tracker = Tracker(settings.tracker)
         self._keys = Keys()

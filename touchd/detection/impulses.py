@@ -18,9 +18,9 @@ WIDTH = 7
 """Samples blanked for an impulse of up to four: where noise leaves its place in doubt, it lies within."""
 MOST = 3
 """Impulses in one frame; more are noise of another kind, and stay."""
-LOUD = 1.6
+LOUD = 2.0
 """A frame is hit if it has this multiple of the noise's energy outside the band: six standard deviations."""
-LEAK = 0.04
+LEAK = 0.12
 """Energy outside the band, over that of the samples, that a finger may have: fingertips have up to 0.03, since the
 chirp starts at full amplitude (twin). An impulse with a thousandth of the finger's energy has more."""
 _FIRST_BIN = 3
@@ -31,6 +31,10 @@ _FEWEST_BINS = 8
 _WEAK = 0.02
 """Combinations of samples that show less than this outside the band, over the strongest, are not told from noise."""
 MEMORY_FRAMES = 64
+TONE_FRAMES, SELDOM = 8, 16
+"""Noise outside the band that no few samples explain in 8 frames in a row, as a tone, is searched in every 16th."""
+_FEWEST_FRAMES = 8
+"""Fewer do not tell the noise."""
 
 
 class Impulses:
@@ -54,13 +58,24 @@ class Impulses:
         self._flat, self._energy = self._outside.reshape(-1), np.zeros((), dtype)
         self._blocks: Signal | None = None  # made for the first impulse
         self._level = 0.0
-        self._frames = 0
+        self._frames = self._in_vain = 0
 
-    def learn(self, residuals: Signal) -> None:
-        """Estimate the noise outside the band from untouched frames, (n, channels, samples); some may be hit."""
-        if self._works:
-            self._level = float(np.percentile([self._loudness(residual) for residual in residuals], 25))
-            self._frames = len(residuals)
+    def learn(self, frames: Signal) -> NDArray[np.bool_]:
+        """Estimate the noise outside the band from frames of the untouched plate, (n, channels, samples).
+
+        Returns
+        -------
+        array of bool, shape (n,)
+            Which frames an impulse has hit.
+        """
+        self._level = 0.0
+        if not self._works or len(frames) < _FEWEST_FRAMES:
+            return np.zeros(len(frames), bool)
+        # Against the median, in which an impulse leaves no trace.
+        loudness = np.array([self._loudness(residual) for residual in frames - np.median(frames, axis=0)])
+        self._level = float(np.percentile(loudness, 25))
+        self._frames = len(frames)
+        return np.asarray(loudness > LOUD * self._level)
 
     def update(self, residual: Signal) -> None:
         """Follow the noise by an untouched frame, (channels, samples)."""
@@ -82,6 +97,10 @@ class Impulses:
         limit = LOUD * self._level + LEAK * energy
         loudness = self._loudness(residual) if self._level else 0.0
         if loudness <= limit:
+            self._in_vain = 0
+            return ()
+        if self._in_vain >= TONE_FRAMES and self._in_vain % SELDOM:
+            self._in_vain += 1
             return ()
         if self._blocks is None:
             self._blocks = self._make_blocks()
@@ -96,7 +115,9 @@ class Impulses:
             self._flat.dot(self._flat, self._energy)
             loudness = self._energy.item()
         if loudness > limit:
+            self._in_vain += 1
             return ()
+        self._in_vain = 0
         for start in starts:
             residual[:, start : start + WIDTH] = 0
         return tuple(starts)

@@ -131,10 +131,8 @@ def find_with(model: Model, atlas: Atlas | None, frames: TouchedFrames, *, conta
     noise = [(one - other) * np.float32(sqrt(3) / 2) for one, other in pairs if (one != other).any()]
     impulses = Impulses(frames.acquisition, np.float32)
     if noise:
-        impulses.learn(np.array(noise))
-        for residual in noise:
-            impulses.blank(residual, float(np.square(residual).sum()))
-        localizer.update(frames.baseline(0), np.array(noise))
+        hit = impulses.learn(np.array(noise))
+        localizer.update(frames.baseline(0), np.array(noise)[~hit])
     noise_root, live = float(np.cbrt(frames.noise_energy())), np.ones(frames.acquisition.channels, bool)
 
     def find(look: Look) -> Sequence[Touch]:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from touchd.config.schema import Settings
@@ -249,20 +248,7 @@ class AtlasLocalizer:
 
     def _settle(self, bins: Bins, fit: Fit) -> tuple[Bins, Fit]:
         """Give fingers back what the frame's delay and hit samples took from them."""
-        return self._plate.nuisance.settle(bins, fit, self._solver.residual, self._refit)
-
-    def _refit(self, bins: Bins, fit: Fit) -> Fit:
-        """Fit the fingers of a fit to other bins of the same frame."""
-        positions, solver = fit.positions_mm, self._solver
-        if fit.shapes:
-            shaped = solver.fit_shapes(bins, positions, self._noise.noise_energy, SHAPED_STEPS)
-            if shaped.positions_mm:
-                return replace(shaped, points_energy=fit.points_energy)
-        return (
-            solver.fit_one(bins, *positions[0], FOLLOW_STEPS)
-            if len(positions) == 1
-            else (solver.fit_several(bins, positions, FOLLOW_STEPS))
-        )
+        return self._plate.nuisance.settle(bins, fit, self._solver, self._noise.noise_energy)
 
     def _follow(self, bins: Bins, t_ns: int, signal: float) -> Fit:
         """Fit the fingers of the last frame from where they were going, less those that have lifted."""

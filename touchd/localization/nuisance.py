@@ -10,14 +10,14 @@ left alone where it is below noise.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from touchd.detection.impulses import WIDTH
 from touchd.localization.atlas import Array
 from touchd.localization.fit import Bins, Fit
+from touchd.localization.gauss_newton import GaussNewton
 
 ACTIVE = 16.0
 """Power along the delay, over that of noise, from which it is removed: 0.5 ns of jitter at 60 dB."""
@@ -26,13 +26,11 @@ ROUNDS = 4
 """Most rounds of `settle`; still touches take one or two."""
 ENOUGH = 1.0
 """A round that would move the bins by less than this, in deviations of a value's noise, is not worth a fit."""
+STEPS = 3
 _FASTEST = 0.9
 """Largest ratio of successive rounds that Aitken's step extrapolates."""
 _WEAK = 0.05
 """Combinations of hit samples that show less than this in the bins are not told from noise."""
-
-Refit = Callable[[Bins, Fit], Fit]
-Residual = Callable[[Bins, Fit], Array]
 
 
 class Nuisance:
@@ -71,7 +69,7 @@ class Nuisance:
 
     def reset(self) -> None:
         """Forget how much the trigger jitters."""
-        self._power, self._white, self._frames = 0.0, 0.0, 0
+        self._power, self._white, self._last, self._frames = 0.0, 0.0, 0.0, 0
         self.active = False
 
     def forget_fingers(self) -> None:
@@ -85,7 +83,10 @@ class Nuisance:
         vector.dot(vector, self._energy)
         self._frames = min(self._frames + 1, MEMORY_FRAMES)
         white = (self._energy.item() - along * along) / len(vector)
-        self._power += (along * along - self._power) / self._frames
+        # Against the last frame: a plate that warms moves this way too, but slowly.
+        step, self._last = along - self._last, along
+        if self._frames > 1:
+            self._power += (step * step / 2 - self._power) / (self._frames - 1)
         self._white += (white - self._white) / self._frames
         self.active = self._power > ACTIVE * self._white > 0
         return along
@@ -123,7 +124,7 @@ class Nuisance:
             self._returned[0] = self._followed
         vector -= (self._keep * (self._directions @ vector) - self._returned) @ self._directions
 
-    def settle(self, bins: Bins, fit: Fit, residual: Residual, refit: Refit) -> tuple[Bins, Fit]:
+    def settle(self, bins: Bins, fit: Fit, solver: GaussNewton, noise_energy: float) -> tuple[Bins, Fit]:
         """Return bins in which the fingers are whole, and their fit.
 
         Parameters
@@ -131,16 +132,15 @@ class Nuisance:
         bins : Bins
             Whose vector `remove` has changed; it is changed again.
         fit : Fit
-        residual : callable
-            Returns what a fit leaves of the bins.
-        refit : callable
-            Returns the fit of the same fingers to other bins.
+        solver : GaussNewton
+        noise_energy : float
+            Mean noise energy of the bins, counts squared.
         """
         if not len(self._directions) or not fit.positions_mm:
             return bins, fit
         before: NDArray[np.floating] | None = None
         for _ in range(ROUNDS):
-            explained = self._directions @ (bins.vector - residual(bins, fit))
+            explained = self._directions @ (bins.vector - solver.residual(bins, fit))
             step = self._keep * explained - self._returned
             size = float(step @ step)
             if size <= ENOUGH**2 * self._white:
@@ -153,7 +153,7 @@ class Nuisance:
             vector += step @ self._directions
             vector.dot(vector, self._energy)
             bins = Bins(vector, bins.mask, self._energy.item())
-            fit = refit(bins, fit)
+            fit = _refit(bins, fit, solver, noise_energy)
         if self.active:
             self._followed, self._settled = float(self._returned[0]), float(self._delay.dot(bins.vector))
         return bins, fit
@@ -162,6 +162,20 @@ class Nuisance:
         """Give the bins of a frame, in place, the delay of the frame settled last: they can then be compared."""
         if self.active:
             vector += (self._settled - self._delay.dot(vector)) * self._delay
+
+
+def _refit(bins: Bins, fit: Fit, solver: GaussNewton, noise_energy: float) -> Fit:
+    """Fit the fingers of a fit to other bins of the same frame."""
+    positions = fit.positions_mm
+    if fit.shapes:
+        shaped = solver.fit_shapes(bins, positions, noise_energy, STEPS)
+        if shaped.positions_mm:
+            return replace(shaped, points_energy=fit.points_energy)
+    return (
+        solver.fit_one(bins, *positions[0], STEPS)
+        if len(positions) == 1
+        else (solver.fit_several(bins, positions, STEPS))
+    )
 
 
 def hit_rows(matrix: Array, starts: tuple[int, ...], channels: int) -> list[Array]:
