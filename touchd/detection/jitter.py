@@ -9,6 +9,8 @@ Signal = NDArray[np.floating]
 
 ACTIVE = 16.0
 """Power along the delay, over a sample's noise, from which the gate leaves it out: 0.5 ns of jitter at 60 dB."""
+_FEWEST_FRAMES = 8
+"""Fewer do not tell the jitter."""
 
 
 def delay_direction(mean: Signal, residuals: Signal) -> Signal | None:
@@ -30,7 +32,7 @@ def delay_direction(mean: Signal, residuals: Signal) -> Signal | None:
     spectrum = np.fft.rfft(mean.astype(np.float64), axis=1)
     slope = np.fft.irfft(2j * np.pi * np.arange(spectrum.shape[1]) * spectrum, mean.shape[1], axis=1).reshape(-1)
     length = float(np.linalg.norm(slope))
-    if not length > 0:
+    if not length > 0 or len(flat) < _FEWEST_FRAMES:
         return None
     along = flat @ (slope / length)
     variance = float(np.square(np.diff(flat, axis=0)).mean()) / 2

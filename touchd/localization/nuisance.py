@@ -29,7 +29,7 @@ ENOUGH = 1.0
 STEPS = 3
 _FASTEST = 0.9
 """Largest ratio of successive rounds that Aitken's step extrapolates."""
-_WEAK = 0.05
+_WEAK = 1e-3
 """Combinations of hit samples that show less than this in the bins are not told from noise."""
 
 
