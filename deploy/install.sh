@@ -13,7 +13,8 @@ cd "$(dirname "$0")/.."
 root=${DESTDIR:-}
 prefix=/opt/touchd
 python=${PYTHON:-/usr/bin/python3}
-unit=$root/etc/systemd/system/touchd.service
+units=$root/etc/systemd/system
+services="touchd.service touchd-input.service touchd-tuio.service"
 rules=$root/etc/udev/rules.d/60-touchd.rules
 sysusers=$root/etc/sysusers.d/touchd.conf
 tmpfiles=$root/etc/tmpfiles.d/touchd.conf
@@ -30,10 +31,12 @@ running() { [ -z "$root" ] && [ -d /run/systemd/system ]; }
 
 uninstall() {
     if running; then
-        systemctl disable --now --quiet touchd.service 2>/dev/null || true
+        # shellcheck disable=SC2086 # a list of words is meant
+        systemctl disable --now --quiet $services 2>/dev/null || true
     fi
     rm -rf "$root$prefix"
-    rm -f "$unit" "$rules" "$sysusers" "$tmpfiles" "$link"
+    for service in $services; do rm -f "$units/$service"; done
+    rm -f "$rules" "$sysusers" "$tmpfiles" "$link"
     if [ "$1" = purge ]; then
         rm -rf "$root/etc/touchd" "$root/var/lib/private/touchd" "$root/var/lib/touchd"
     fi
@@ -66,13 +69,15 @@ install_all() {
     rm -rf "$root$prefix"
     mv -T "$new" "$root$prefix"
 
-    install -d "$(dirname "$unit")" "$(dirname "$rules")" "$(dirname "$sysusers")" "$(dirname "$tmpfiles")" \
+    install -d "$units" "$(dirname "$rules")" "$(dirname "$sysusers")" "$(dirname "$tmpfiles")" \
         "$(dirname "$link")" "$(dirname "$config")"
-    sed "s#/usr/bin/touchd#$prefix/bin/touchd#" deploy/touchd.service > "$unit"
+    for service in $services; do
+        sed "s#/usr/bin/touchd#$prefix/bin/touchd#" "deploy/$service" > "$units/$service"
+        chmod 644 "$units/$service"
+    done
     install -m 644 deploy/60-touchd.rules "$rules"
     install -m 644 deploy/sysusers.conf "$sysusers"
     install -m 644 deploy/tmpfiles.conf "$tmpfiles"
-    chmod 644 "$unit"
     ln -sfn "$prefix/bin/touchd" "$link"
     # What an administrator has written stays; the defaults of this version lie beside it.
     [ -e "$config" ] || install -m 644 deploy/touchd.toml "$config"
@@ -84,7 +89,9 @@ install_all() {
         udevadm control --reload
         udevadm trigger --action=change --subsystem-match=usb --property-match=DEVTYPE=usb_device
         udevadm trigger --action=change --subsystem-match=misc --sysname-match=cpu_dma_latency
-        systemctl try-restart touchd.service
+        udevadm trigger --action=change --subsystem-match=misc --sysname-match=uinput
+        # shellcheck disable=SC2086 # a list of words is meant
+        systemctl try-restart $services
         echo "touchd is installed: it starts when the DAQ is plugged in; touchd doctor checks the set-up"
     else
         echo "touchd is installed under ${root:-/}"

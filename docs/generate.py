@@ -9,8 +9,10 @@ import json
 import math
 import re
 import sys
+import textwrap
 from pathlib import Path
 
+import click
 import onnx
 from click.testing import CliRunner
 
@@ -19,6 +21,9 @@ from touchd import errors
 from touchd.cli import main as cli
 from touchd.config import render as configtext
 from touchd.config.schema import Settings
+from touchd.lab.benchmark import page as benchmarks
+from touchd.lab.benchmark import results as runs
+from touchd.lab.reproduction import report as reproduction
 from touchd.localization.model import Model
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -44,6 +49,10 @@ def pages() -> dict[Path, str]:
         MODELS / "README.md": model_cards((MODELS / "README.md").read_text()),
         protocol: with_block(protocol.read_text(), "vectors", vectors()),
         troubleshooting: with_block(troubleshooting.read_text(), "exit-codes", exit_codes()),
+        ROOT / "docs" / "benchmarks.md": benchmarks.page(runs.load(ROOT / "docs" / "benchmarks.json")),
+        ROOT / "docs" / "reproduction.md": reproduction.page(
+            reproduction.load(ROOT / "docs" / "reproduction"), "reproduction"
+        ),
         **{page: measured(page) for page in BLOCKS},
     }
 
@@ -57,56 +66,48 @@ def measured(page: Path) -> str:
 
 
 def command_line() -> str:
-    """Return the reference of the command line: the help of the daemon and of every verb."""
+    """Return the reference of the command line: the daemon's help, and of each verb what it does and takes."""
     lines = [
         "# Command line",
         "",
         "<!-- Generated from the commands' own help by docs/generate.py: do not edit. -->",
         "",
-        "To look an option up; `--help` says more. `touchd` without a verb is the daemon, which reads the DAQ unless",
-        "an option names another source; its options win over the [configuration](configuration.md). Each failure has",
-        "an [exit status](troubleshooting.md#exit-status) of its own.",
+        "To see what there is; a verb's `--help` says what each option means. `touchd` without a verb is the daemon,",
+        "which reads the DAQ unless an option names another source. Each failure has an [exit",
+        "status](troubleshooting.md#exit-status).",
+        "",
+        "```text",
+        daemon_help(),
+        "```",
     ]
-    daemon = summarised(help_of("").split("\nVerbs:\n")[0])  # each verb has a section
-    shared = set(options(daemon))
-    for verb in ("", *sorted(cli.VERBS)):
-        text = shortened(summarised(help_of(verb)), shared) if verb else daemon.rstrip()
-        lines += ["", f"## touchd {verb}".rstrip(), "", "```text", text, "```"]
+    for verb in sorted(cli.VERBS):
+        with click.Context(cli.touchd, info_name="touchd") as above:
+            command = cli.touchd.get_command(above, verb)
+            assert command is not None
+            summary = " ".join((command.help or "").split("\n\n")[0].split())
+            lines += ["", f"## touchd {verb}", "", summary, "", "```text", synopsis(command, above), "```"]
     return "\n".join(lines) + "\n"
 
 
-def summarised(text: str) -> str:
-    """Return a help text without the paragraphs between its first and the options."""
-    before, rest = text.split("\nOptions:\n")
-    kept = before.split("\n\n")[: 2 if before.startswith("Usage:") else 1]
-    return "\n\n".join(kept).rstrip() + f"\n\nOptions:\n{rest}"
+def daemon_help() -> str:
+    """Return the help of the daemon, without its verbs and the paragraphs between the first and the options."""
+    result = CliRunner().invoke(cli.touchd, ["--help"], prog_name="touchd", terminal_width=WIDTH)
+    before, options = result.output.split("\nVerbs:\n")[0].split("\nOptions:\n")
+    kept = [line.rstrip() for line in options.rstrip().splitlines() if "-h, --help" not in line]
+    return "\n\n".join(before.split("\n\n")[:2]).rstrip() + "\n\nOptions:\n" + "\n".join(kept)
 
 
-def options(text: str) -> list[str]:
-    """Return the entries of a help text's options, each with its continued lines."""
-    return re.findall(r"^ {2}-.*\n(?: {5,}.*\n)*", text + "\n", re.MULTILINE)
-
-
-def shortened(text: str, shared: set[str]) -> str:
-    """Return a verb's help with the options that mean the same for the daemon named only."""
-    meanings = {" ".join(entry.split()) for entry in shared}
-    same = [entry for entry in options(text) if " ".join(entry.split()) in meanings]
-    for entry in same:
-        text = text.replace(entry, "")
-    names = ", ".join(entry.split()[0] for entry in same)
-    text = text.replace(", from the list below.", ".").split("\n  Recipes:\n")[0]  # the plate maker's page lists them
-    return text.rstrip() + (f"\n  As above: {names}" if same else "")
-
-
-def help_of(verb: str) -> str:
-    """Return the help text of a verb, or of the daemon if it is empty."""
-    arguments = [verb, "--help"] if verb else ["--help"]
-    result = CliRunner().invoke(cli.touchd, arguments, prog_name="touchd", terminal_width=WIDTH)
-    if result.exit_code:
-        raise SystemExit(f"touchd {verb} --help fails: {result.exception!r}")
-    lines = (line.rstrip() for line in result.output.rstrip().splitlines())
-    text = "\n".join(line for line in lines if not line.lstrip().startswith("-h, --help")) + "\n"
-    return text.removeprefix(f"Usage: touchd {verb} [OPTIONS]\n\n")  # says nothing
+def synopsis(command: click.Command, above: click.Context) -> str:
+    """Return how a verb is written, with all its options: those in brackets may be left out."""
+    context = click.Context(command, parent=above, info_name=command.name)
+    words = [context.command_path]
+    for parameter in command.params:
+        if isinstance(parameter, click.Option):
+            name = parameter.opts[0] + ("" if parameter.is_flag else f" {parameter.make_metavar(context)}")
+            name = name.removesuffix(" RANGE")
+            words.append(name if parameter.required else f"[{name}]")
+    words += [parameter.make_metavar(context) for parameter in command.params if isinstance(parameter, click.Argument)]
+    return textwrap.fill(" ".join(words), WIDTH, subsequent_indent="    ", break_on_hyphens=False)
 
 
 def vectors() -> str:
@@ -126,9 +127,9 @@ def vectors() -> str:
 
 
 def exit_codes() -> str:
-    """Return the table of exit statuses, from the tree at the top of `touchd.errors`."""
-    tree = re.findall(r"─ (\w+) +(\d+) +(.+)", errors.__doc__ or "")
-    lines = ["| status | class | when, and what helps |", "|---|---|---|"]
+    """Return the table of exit statuses, from the tree at the top of `touchd.errors`; each message names its remedy."""
+    tree = re.findall(r"─ (\w+) +(\d+) +([^:\n]+)", errors.__doc__ or "")
+    lines = ["| status | class | when |", "|---|---|---|"]
     return "\n".join([*lines, *(f"| {status} | `{name}` | {text} |" for name, status, text in tree)])
 
 
@@ -145,17 +146,13 @@ def results() -> str:
         f"| `models/{MODEL.name}`: {plate.material}, {size} | error of the position |",
         "|---|---|",
         *(f"| {name} | {scores[key]:.2f} mm |" for key, name in SCORES.items()),
-        f"| touches scored, none of them seen in training | {scores['n']:.0f} |",
+        f"| touches | {scores['n']:.0f} |",
     ]
-    commands = [description.command]
     if model.atlas is not None and (found := model.atlas.description.scores):
         lines[0] = lines[0].replace("error of the position |", "network alone | with its field atlas |")
         lines[1] += "---|"
         rows = [*(f"{found[key]:.3f} mm" for key in SCORES), f"{found['n']:.0f}"]
         lines[2:] = [f"{line} {row} |" for line, row in zip(lines[2:], rows, strict=True)]
-        commands.append(model.atlas.description.command)
-    if description.command:
-        lines += ["", "Made by " + " and ".join(f"`{command}`" for command in commands) + "."]
     return "\n".join(lines)
 
 

@@ -40,6 +40,7 @@ if TYPE_CHECKING:
 
 # How long an example takes is the computer's affair.
 settings.register_profile("touchd", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.register_profile("quick", settings.get_profile("touchd"), max_examples=25)  # for the inner loop: make unit
 settings.load_profile("touchd")
 
 

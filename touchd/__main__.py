@@ -2,11 +2,14 @@
 
 import sys
 
-from touchd.cli.main import main
+from touchd.service.signals import hold
 
 
 def run() -> None:
     """Run the command line and exit with its status."""
+    hold()  # before the imports, which take a tenth of a second
+    from touchd.cli.main import main
+
     sys.exit(main())
 
 

@@ -26,10 +26,18 @@
     ├── TrainingError                70  the recording cannot train this model
     ├── SimulationError              80  the twin cannot simulate this scene, plate or count
     ├── OutputError                  90  the file cannot be written: check folder, space and permissions
+    ├── BridgeError                  92  no touch screen, or a mapping that does not fit: follow the remedy
     ├── GadgetError                  95  this computer cannot act as a USB device: it needs a device port, and root
     ├── CheckFailed                  97  touchd doctor found a failure: follow the remedy in its report
-    └── JobError                    100  a job of a long computation failed: repeat the command, finished jobs are kept
-        └── ClusterError            101  the Dask cluster is unusable: check address, workers and versions
+    ├── JobError                    100  a job of a long computation failed: repeat the command, finished jobs are kept
+    │   └── ClusterError            101  the Dask cluster is unusable: check address, workers and versions
+    └── CalibrationError            110  the plate cannot be calibrated
+        ├── PlateFileInvalid        111  PLATE.toml is unusable: correct the named key
+        ├── PlateTouched            112  a finger lies on the plate in the recording: record it again untouched
+        ├── PlateUnsteady           113  the plate drifts during the recording: let it settle, and record again
+        ├── SignalClipped           114  the signal exceeds the ADC's range: lower the gain
+        ├── PlateMismatch           115  the recording has another geometry than PLATE.toml
+        └── PlatePoor               116  the fit is poor: follow its reasons, or accept it with --force
 """
 
 from __future__ import annotations
@@ -199,6 +207,12 @@ class OutputError(TouchdError):
     exit_code = 90
 
 
+class BridgeError(TouchdError):
+    """A bridge cannot make its touch screen, or the mapping of the screen does not fit."""
+
+    exit_code = 92
+
+
 class GadgetError(TouchdError):
     """The computer cannot act as a USB device."""
 
@@ -221,3 +235,45 @@ class ClusterError(JobError):
     """The Dask cluster is unreachable or unusable."""
 
     exit_code = 101
+
+
+class CalibrationError(TouchdError):
+    """The plate cannot be calibrated."""
+
+    exit_code = 110
+
+
+class PlateFileInvalid(CalibrationError):
+    """PLATE.toml is missing or invalid."""
+
+    exit_code = 111
+
+
+class PlateTouched(CalibrationError):
+    """A finger lies on the plate in a recording that must be untouched."""
+
+    exit_code = 112
+
+
+class PlateUnsteady(CalibrationError):
+    """The plate drifts during the recording."""
+
+    exit_code = 113
+
+
+class SignalClipped(CalibrationError):
+    """The signal exceeds the range of the ADC."""
+
+    exit_code = 114
+
+
+class PlateMismatch(CalibrationError):
+    """The recording has another geometry than PLATE.toml."""
+
+    exit_code = 115
+
+
+class PlatePoor(CalibrationError):
+    """The fitted plate explains too little of the response."""
+
+    exit_code = 116

@@ -13,7 +13,7 @@ import msgspec
 from msgspec import Struct
 
 Phase = Literal["down", "move", "hold", "up"]
-State = Literal["starting", "streaming", "stalled", "lost", "stopping"]
+State = Literal["starting", "streaming", "uncalibrated", "stalled", "lost", "stopping"]
 VERSION = 1
 
 
@@ -114,6 +114,8 @@ class HealthEvent(Struct, gc=False):
     """Frames taken in although the ADC clipped."""
     late: int = 0
     """Frames taken in that came more than a frame's period later than the quickest ones."""
+    clock_ppm: float = 0.0
+    """How much faster than this computer's the device's clock runs, parts per million; 0 before it is known."""
     unheard: dict[str, int] = {}
     """Messages that were not made because nobody was subscribed, by topic."""
     reason: str | None = None

@@ -28,13 +28,18 @@ class Outcome(IntEnum):
     """Each finger was followed from where it was going, without the network."""
     INFERRED = 9
     """The network ran."""
+    UNCALIBRATED = 10
+    """The daemon has no model yet: the frame keeps the baseline, and nothing is placed."""
 
 
 SKIPPED = {
     Outcome.LEARNING: "learning", Outcome.UNTOUCHED: "gate", Outcome.FAINT: "faint", Outcome.STILL: "still",
     Outcome.TRACKED: "tracking", Outcome.SCREEN_OFF: "screen-off", Outcome.STUCK: "frozen",
+    Outcome.UNCALIBRATED: "uncalibrated",
 }  # fmt: skip
 """The reasons for which frames needed no network, by their names in health messages."""
+_RARE = ("frozen", "uncalibrated")
+"""Named only where there are any."""
 
 
 class Counters:
@@ -67,6 +72,4 @@ class Counters:
     def skipped(self) -> dict[str, int]:
         """Frames that needed no network, by reason; all but those of `tracking` needed no features either."""
         counts = {name: self.by_outcome[outcome] for outcome, name in SKIPPED.items()}
-        if not counts["frozen"]:
-            del counts["frozen"]
-        return counts
+        return {name: count for name, count in counts.items() if count or name not in _RARE}

@@ -8,6 +8,7 @@ frames' own, so a recording gives the same contacts at any speed.
 
 from __future__ import annotations
 
+import numpy as np
 from msgspec import Struct
 
 from touchd.config.schema import Settings
@@ -51,8 +52,8 @@ class Pipeline:
     ----------
     acquisition : Acquisition
         Geometry of the frames; the model must fit it (ModelMismatch).
-    model : Model
-        Its type of number is that of all arrays.
+    model : Model, optional
+        Its type of number is that of all arrays. Without one nothing is placed until `set_model`.
     settings : Settings
     layout : Layout, optional
         The keys, in keypad mode.
@@ -63,15 +64,18 @@ class Pipeline:
     def __init__(
         self,
         acquisition: Acquisition,
-        model: Model,
+        model: Model | None,
         settings: Settings,
         layout: Layout | None = None,
         notify: Notify = lambda _reason, _fields: None,
     ) -> None:
-        model.check(acquisition)
+        if model is not None:
+            model.check(acquisition)
+        self.model = model
         self.counters = Counters()
-        impulses = Impulses(acquisition, model.dtype)
-        self.detector = Detector(acquisition.shape, settings, notify, model.dtype, impulses)
+        self._acquisition = acquisition
+        dtype = model.dtype if model else np.float32
+        self.detector = Detector(acquisition.shape, settings, notify, dtype, Impulses(acquisition, dtype))
         self._localizer = make_localizer(model, settings, layout)
         self._tracker = Tracker(settings.tracker)
         self._keys = Keys()
@@ -139,6 +143,18 @@ class Pipeline:
         self._skip = settings.skip
         self.screen_off &= settings.skip.screen
         self._set_unusual()
+
+    def set_model(self, model: Model, settings: Settings, layout: Layout | None) -> None:
+        """Place fingers with another model of the same type of number: the plate is relearned, and contacts end.
+
+        Raises
+        ------
+        ModelMismatch
+            The model was made for another acquisition.
+        """
+        model.check(self._acquisition)
+        self.model, self._localizer = model, make_localizer(model, settings, layout)
+        self.detector.reset()
 
     def reset(self) -> None:
         """Relearn the plate: the device was away, and what it hears may have changed."""

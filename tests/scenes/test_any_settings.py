@@ -42,7 +42,7 @@ class Daemon:
         self._model = model
         self.pipeline = Pipeline(source.acquisition, model, Settings())
         messages = Messages(Settings(), all_but_spectra)
-        health = Health(source, self.pipeline, messages, Settings().health, "the model")
+        health = Health(source, self.pipeline, messages, Settings().health)
         self._reloader = make_reloader(Settings(), lambda: self._read, model, self.pipeline, messages, health)
 
     def reload(self, read: Settings) -> None:

@@ -20,8 +20,6 @@ from touchd.twin.electronics import Electronics
 from touchd.twin.instrument import REFERENCE_C, Instrument
 from touchd.twin.simulate import DEFAULT_PLATE, simulate_touches, stage_scene
 
-SHAPES = Settings.model_validate({"model": {"contact_shapes": True}})
-
 
 def scene(name: str, instrument: Instrument, seed: int) -> tuple[StreamScores, Replayed]:
     """What was found in a scene of the command line, and all that came of it."""
@@ -57,7 +55,7 @@ def test_several_fingers_are_found_and_none_is_lost_while_others_come(
 def test_real_fingers(name: str, finger: str, instrument: Instrument) -> None:
     """A finger whose face gives way to the wave is one finger: each touch found once, none split, no ghost."""
     stage = stage_scene(name, DEFAULT_PLATE, seed=13, finger=finger)
-    result = score(stage, play(stage, instrument, 13, SHAPES))
+    result = score(stage, play(stage, instrument, 13))
     error_mm = np.linalg.norm(result.error_mm, axis=1)
     print(f"{name} {finger}: {result.found} of {result.touches}, median {np.median(error_mm):.3f} mm")
     assert (result.missed, result.ghosts, result.split) == (0, 0, 0)
@@ -73,7 +71,7 @@ def test_single_real_frames(finger: str, fingers: int, right: float, median_mm: 
         simulate_touches(60, seed=91, instrument=instrument, finger=finger, fingers=fingers, apart_mm=16.0)
     )
     model = Model(default_model_path())
-    seen = see(find_with(model, model.atlas, frames, contact_shapes=True), frames)
+    seen = see(find_with(model, model.atlas, frames), frames)
     count = np.mean([len(one.found) == fingers for one in seen])
     error_mm = [
         min(math.dist((touch.x_mm, touch.y_mm), place) for place in one.true_mm) for one in seen for touch in one.found

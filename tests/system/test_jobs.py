@@ -120,7 +120,7 @@ def test_same_experiments(cluster: Cluster, instrument: Instrument) -> None:
     there, here = run(jobs, dask=cluster.address, shared=shared), run(jobs, **HERE, shared=shared)
     assert list(there) == ["R, frequency", "C-3, frequency", "look-up"]
     for name in here:
-        np.testing.assert_array_equal(there[name]["place_mm"], here[name]["place_mm"])
+        np.testing.assert_array_equal(there[name].judged.position_mm, here[name].judged.position_mm)
 
 
 def test_failure(where: dict[str, Any], tmp_path: Path) -> None:

@@ -11,23 +11,24 @@ import pytest
 
 PACKAGE = Path(__file__).resolve().parents[2] / "touchd"
 FLOORS = (
-    ("errors", "frame", "touch", "event", "outcome", "chirp", "keypad", "jobs"),
+    ("errors", "files", "frame", "touch", "event", "outcome", "chirp", "keypad", "jobs"),
     ("config", "recording"),
     ("detection", "tracking", "sinks", "twin"),
     ("localization", "client"),
-    ("sources", "pipeline"),
+    ("sources", "pipeline", "bridges"),
     ("service",),
     ("doctor", "gadget"),
     ("evaluation",),
-    ("training",),
+    ("training", "calibration"),
     ("lab", "cli"),
 )
 """From the ground up. A room may import from a lower floor, and from a room that stands before it on its own."""
 ONLY = {
     "sinks": {"errors", "event", "config"},
     "client": {"errors", "event", "config", "sinks"},
+    "bridges": {"errors", "event", "config", "client"},
     "tracking": {"errors", "event", "touch", "config", "keypad"},
-    "twin": {"errors", "frame", "chirp", "recording", "jobs"},
+    "twin": {"errors", "files", "frame", "chirp", "recording", "jobs"},
     "detection": {"errors", "frame", "config", "outcome"},
     "pipeline": {
         "frame",

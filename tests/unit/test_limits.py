@@ -38,7 +38,6 @@ SEGMENTS = st.lists(st.tuples(st.sampled_from(sorted(KINDS)), st.integers(1, 60)
 
 @pytest.mark.filterwarnings("error")
 @given(SEGMENTS, st.integers(0, 2**32 - 1))
-@settings(max_examples=40, deadline=None)
 def test_any_frames(segments: list[tuple[str, int]], seed: int) -> None:
     """Nothing is raised, nothing is placed, and every frame is counted."""
     rng = np.random.default_rng(seed)
@@ -66,7 +65,7 @@ STREAM = st.lists(
 
 
 @given(STREAM, st.booleans(), st.integers(0, 2**32 - 1))
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=12)
 def test_one_outcome_a_frame(stream: list[tuple[str, int]], skip_gate: bool, seed: int) -> None:
     """Each frame ends in one outcome, and the counters are those outcomes: repeats, gaps, stuck frames, screen off."""
     rng = np.random.default_rng(seed)

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from touchd.lab.benchmark.results import Run
-    from touchd.lab.benchmark.tables import Table
+    from touchd.training.report.template import Table
 
 WIDTH = 150
 """Columns that the widest table needs."""

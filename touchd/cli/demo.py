@@ -16,6 +16,7 @@ import click
 import numpy as np
 
 from touchd.cli.listen import describe
+from touchd.cli.source import parse_speed
 from touchd.errors import BusError, RecordingValues
 from touchd.evaluation.metrics import position_scores
 from touchd.evaluation.replay_scores import score_stream
@@ -30,8 +31,6 @@ _PATIENCE_S = 30
 
 def _speed(ctx: click.Context, param: click.Parameter, value: str) -> str:
     """Check the speed, and return it as text for the daemon's command line."""
-    from touchd.cli.main import parse_speed
-
     parse_speed(ctx, param, value)
     return value
 

@@ -81,12 +81,14 @@ def _examine(settings: Settings, choice: SourceChoice, seconds: float, reference
     from touchd.cli.main import missing_extra
     from touchd.doctor import host as doctorhost
     from touchd.doctor import usb as doctorusb
+    from touchd.doctor.screen import check_screen
     from touchd.doctor.start import check_start, failure
 
     yield doctorhost.check_clock()
     parts, findings = check_start(settings)
     yield from findings
-    if parts.model is None or any(finding.check == "keypad" and finding.level == "failure" for finding in findings):
+    yield from check_screen(settings)
+    if any(finding.check in ("model", "keypad") and finding.level == "failure" for finding in findings):
         return
     if choice.replay is None and choice.simulate is None and not choice.ni:
         device = doctorusb.examine(settings.device)
@@ -102,7 +104,7 @@ def _examine(settings: Settings, choice: SourceChoice, seconds: float, reference
 
 
 def _examine_frames(
-    settings: Settings, choice: SourceChoice, seconds: float, reference: Path | None, model: Model
+    settings: Settings, choice: SourceChoice, seconds: float, reference: Path | None, model: Model | None
 ) -> Iterator[Finding]:
     from touchd.doctor import checks as doctor
     from touchd.doctor import host as doctorhost
@@ -112,15 +114,17 @@ def _examine_frames(
     source = open_source(choice, settings, model)
     with closing(source):
         rate_hz = doctorhost.expected_rate_hz(source, settings.device)
-        make_pipeline(source, settings, model)  # refuses what the daemon would refuse
+        if model is not None:
+            make_pipeline(source, settings, model)  # refuses what the daemon would refuse
         sample = doctorhost.take(source, seconds)
     yield doctor.check_rate(sample, rate_hz)
     yield doctor.check_lost(sample)
     yield doctor.check_dead(sample)
     yield doctor.check_noise(sample)
     yield doctor.check_clipping(sample, source.acquisition)
-    yield _examine_baseline(sample, reference, model)
-    yield doctor.check_time(doctorhost.time_frames(sample, source.acquisition, model), 1 / rate_hz)
+    if model is not None:
+        yield _examine_baseline(sample, reference, model)
+        yield doctor.check_time(doctorhost.time_frames(sample, source.acquisition, model), 1 / rate_hz)
 
 
 def _examine_baseline(sample: Sample, reference: Path | None, model: Model) -> Finding:

@@ -36,8 +36,7 @@ STREAM_HZ = 20.0
     "--plot", type=click.Path(path_type=Path), metavar="FILE.png",
     help="Plot position error and bias over the plate, or the confusion of zones or keys.",
 )  # fmt: skip
-@click.option("--contact-shapes", is_flag=True, help="Fit fingers with a size and a shape, as model.contact_shapes.")
-def command(model: Path, recording: Path, as_json: bool, plot: Path | None, contact_shapes: bool) -> None:
+def command(model: Path, recording: Path, as_json: bool, plot: Path | None) -> None:
     """Score MODEL on RECORDING, which must be labelled with true contacts.
 
     A recording of 20 frames/s or more is replayed through the pipeline. A slower one is scored frame by frame: each
@@ -50,13 +49,11 @@ def command(model: Path, recording: Path, as_json: bool, plot: Path | None, cont
     if truth.meta.frame_rate_hz >= STREAM_HZ:
         if plot is not None:
             raise click.UsageError("--plot needs a recording below 20 frames/s; touchd draw plots a stream")
-        found = _score_replay(
-            recording, truth, load(None, {"model": {"path": model, "contact_shapes": contact_shapes}})
-        )
+        found = _score_replay(recording, truth, load(None, {"model": {"path": model}}))
     else:
         loaded = Model(model)
         loaded.check(truth.acquisition)
-        found = _score_frames(truth, loaded, plot, contact_shapes=contact_shapes)
+        found = _score_frames(truth, loaded, plot)
     click.echo(json.dumps(found) if as_json else _table(found))
 
 
@@ -69,7 +66,7 @@ def _score_replay(path: Path, truth: Recording, settings: Settings) -> dict[str,
     }  # fmt: skip
 
 
-def _score_frames(truth: Recording, model: Model, plot: Path | None, *, contact_shapes: bool) -> dict[str, Any]:
+def _score_frames(truth: Recording, model: Model, plot: Path | None) -> dict[str, Any]:
     d = model.description
     if d.plate != truth.meta.plate:
         click.echo(
@@ -77,7 +74,7 @@ def _score_frames(truth: Recording, model: Model, plot: Path | None, *, contact_
             err=True,
         )
     frames = touched_frames(truth)
-    seen = see(find_with(model, model.atlas, frames, contact_shapes=contact_shapes), frames)
+    seen = see(find_with(model, model.atlas, frames), frames)
     matches = match_frames(seen)
     alone = [s for s in seen if len(s.true_mm) == 1]
     if d.head == "regression":

@@ -12,27 +12,33 @@ from typing import Any
 import click
 
 from touchd import __version__
-from touchd.errors import ConfigError, MissingExtra, TouchdError
+from touchd.cli.source import source_options
+from touchd.errors import ConfigError, MissingExtra, ModelMissing, TouchdError
 
 VERBS = {
     "benchmark": "Measure run time, latency and position error.",
+    "calibrate": "Make a model of a plate that nobody touches.",
     "config": "Print the effective configuration.",
     "demo": "Replay the shipped recording and summarise it.",
     "doctor": "Check the whole set-up.",
     "draw": "Plot a replayed session.",
     "evaluate": "Score a model on a labelled recording.",
     "gadget": "Act as a DAQ on a USB cable.",
+    "input": "Be a touch screen for the desktop.",
     "keygen": "Make a CURVE key pair.",
     "listen": "Print the events of a running daemon.",
+    "map": "Measure where the screen lies on the plate.",
+    "model": "Install a model, or go back to the previous one.",
     "quantise": "Quantise a model's weights to 8 bits.",
     "record": "Write frames to a file.",
     "reproduce": "Repeat the source paper's experiments.",
     "screen": "Tell the daemon that the screen is off or on.",
     "simulate": "Write a recording made by the digital twin.",
     "train": "Train a model on a labelled recording.",
+    "tuio": "Send touches as TUIO 1.1.",
 }
-EXTRAS = {"torch": "train", "scipy": "train", "sklearn": "train", "onnx": "train",
-          "matplotlib": "train", "rich": "train", "jinja2": "train", "dask": "train", "distributed": "train",
+EXTRAS = {"torch": "train", "sklearn": "train", "dask": "train", "distributed": "train", "scipy": "calibrate",
+          "onnx": "calibrate", "matplotlib": "calibrate", "rich": "calibrate", "jinja2": "calibrate",
           "nidaqmx": "ni",
           }  # fmt: skip
 
@@ -58,27 +64,9 @@ class Verbs(click.Group):
             formatter.write_dl(sorted(VERBS.items()))
 
 
-def parse_speed(_ctx: click.Context, _param: click.Parameter, value: str) -> float:
-    """Convert a speed option to a number; `max` is infinite."""
-    if value == "max":
-        return float("inf")
-    try:
-        speed = float(value)
-    except ValueError:
-        speed = 0.0
-    if not 0 < speed < float("inf"):
-        raise click.BadParameter("a number above 0, or max")
-    return speed
-
-
 @click.group(cls=Verbs, invoke_without_command=True, context_settings={"help_option_names": ["-h", "--help"]})
 @click.option("--config", "config", type=click.Path(path_type=Path), help="Configuration file (TOML).")
-@click.option("--replay", type=click.Path(path_type=Path), help="Read frames from a recording: a file or a folder.")
-@click.option("--simulate", metavar="SCENE", help="Read frames from a scene of the digital twin, live.")
-@click.option("--ni", is_flag=True, help="Read frames from NI hardware: see [ni] in the configuration.")
-@click.option("--speed", default="1", callback=parse_speed, metavar="N|max", help="Speed of a replay.  [default: 1]")
-@click.option("--loop", is_flag=True, help="Start again at the end of a recording or scene.")
-@click.option("--seed", default=0, help="Seed of a simulated scene.", show_default=True)
+@source_options
 @click.option("--bind", multiple=True, metavar="ADDRESS", help="Publish at tcp:// or ipc:// ADDRESS; repeatable.")
 @click.option("--model", type=click.Path(path_type=Path), help="Model (ONNX).  [default: shipped]")
 @click.option("--print", "echo", is_flag=True, help="Also print each event as a line of JSON.")
@@ -88,18 +76,14 @@ def parse_speed(_ctx: click.Context, _param: click.Parameter, value: str) -> flo
 @click.pass_context
 def touchd(
     ctx: click.Context,
+    /,
     config: Path | None,
-    replay: Path | None,
-    simulate: str | None,
-    ni: bool,
-    speed: float,
-    loop: bool,
-    seed: int,
     bind: tuple[str, ...],
     model: Path | None,
     echo: bool,
     await_subscriber: float,
     debug: bool,
+    **source: Any,
 ) -> None:
     """Locate touches on a plate by ultrasound and publish them.
 
@@ -107,10 +91,11 @@ def touchd(
     the USB DAQ, which may be plugged in later, unless an option names another source.
     """
     ctx.obj = {"debug": debug, "config": config}
-    if ctx.invoked_subcommand is not None:
-        return
-    from touchd.service.signals import held
+    from touchd.service.signals import deliver, held
 
+    if ctx.invoked_subcommand is not None:
+        deliver()  # they end a verb
+        return
     ctx.with_resource(held())  # before all that takes its time to import
     from touchd.config.load import Retired, load
     from touchd.service.daemon import run
@@ -121,6 +106,8 @@ def touchd(
     if bind:
         overrides["bus"] = {"bind": bind}
     if model:
+        if not model.exists():  # a path in the configuration may wait for its file, uncalibrated
+            raise ModelMissing("no such model", str(model), "check the path")
         overrides["model"] = {"path": model}
     if debug:
         overrides["log"] = {"level": "debug"}
@@ -131,7 +118,7 @@ def touchd(
         warn_retired(key)
     run(
         settings,
-        SourceChoice(replay, simulate, speed, loop, seed, ni),
+        SourceChoice(**source),
         echo=echo,
         await_subscriber_s=await_subscriber,
         read_settings=lambda: load(config, overrides, warn_retired),

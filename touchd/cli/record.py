@@ -7,10 +7,11 @@ import time
 from contextlib import ExitStack
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
+from touchd.cli.source import source_options
 from touchd.errors import ConfigError, SourceError
 from touchd.frame import Plate, parse_plate
 
@@ -21,12 +22,6 @@ if TYPE_CHECKING:
 
 # A signal takes effect within this time while no frame arrives.
 _TIMEOUT_S = 0.2
-
-
-def _speed(_ctx: click.Context, _param: click.Parameter, value: str) -> float:
-    from touchd.cli.main import parse_speed
-
-    return parse_speed(_ctx, _param, value)
 
 
 def _plate(_ctx: click.Context, _param: click.Parameter, value: str | None) -> Plate | None:
@@ -40,12 +35,7 @@ def _plate(_ctx: click.Context, _param: click.Parameter, value: str | None) -> P
 @click.command(name="record", short_help="Write frames to a file.")
 @click.option("-o", "--output", type=click.Path(path_type=Path), required=True,
               help="Output: one file if it ends in .npz, else a folder of chunks.")  # fmt: skip
-@click.option("--replay", type=click.Path(path_type=Path), help="Read frames from a recording: a file or a folder.")
-@click.option("--simulate", metavar="SCENE", help="Read frames from a scene of the digital twin, live.")
-@click.option("--ni", is_flag=True, help="Read frames from NI hardware: see [ni] in the configuration.")
-@click.option("--speed", default="1", callback=_speed, metavar="N|max", help="Speed of a replay.  [default: 1]")
-@click.option("--loop", is_flag=True, help="Start again at the end of a recording or scene.")
-@click.option("--seed", default=0, help="Seed of a simulated scene.", show_default=True)
+@source_options
 @click.option("--frames", type=click.IntRange(1), metavar="N", help="Stop after N frames.")
 @click.option("--seconds", type=click.FloatRange(0, min_open=True), metavar="S", help="Stop after S seconds.")
 @click.option("--chunk-frames", type=click.IntRange(1, 1_000_000), default=5000, show_default=True, metavar="N",
@@ -56,26 +46,24 @@ def _plate(_ctx: click.Context, _param: click.Parameter, value: str | None) -> P
 @click.pass_context
 def command(
     ctx: click.Context,
+    /,
     output: Path,
-    replay: Path | None,
-    simulate: str | None,
-    ni: bool,
-    speed: float,
-    loop: bool,
-    seed: int,
     frames: int | None,
     seconds: float | None,
     chunk_frames: int,
     plate: Plate | None,
     notes: str,
     config: Path | None,
+    **named: Any,
 ) -> None:
     """Write the frames of the DAQ, or of another source, to a file.
 
+    While a daemon runs its frames are recorded: run this as the daemon's own user, or as root.
     A recording can reveal a PIN: it is readable by you only. Ctrl-C and SIGTERM save the frames so far. It stores
     frames alone, without true contacts.
     """
     from touchd.config.load import load
+    from touchd.service.frame_feed import open_running
     from touchd.sources.open import SourceChoice, open_source
     from touchd.sources.recorder import MAX_FILE_FRAMES, Recorder
 
@@ -85,10 +73,11 @@ def command(
             "record into a folder: give -o a name that does not end in .npz",
         )  # fmt: skip
     settings = load(config or (ctx.obj or {}).get("config"))
-    source = open_source(SourceChoice(replay, simulate, speed, loop, seed, ni), settings)
+    choice = SourceChoice(**named)
+    source = open_running(choice, settings) or open_source(choice, settings)
     with ExitStack() as stack:
         stack.callback(source.close)
-        kind = "simulated" if simulate else "replay" if replay else "ni" if ni else "usb"
+        kind = "simulated" if choice.simulate else "replay" if choice.replay else "ni" if choice.ni else "usb"
         meta = _meta(source, plate, settings.device.rate_hz, kind, notes)
         recorder = Recorder(source, output, meta, chunk_frames=chunk_frames)
         click.echo(f"recording to {output}: it can reveal a PIN, and only you can read it")
@@ -140,9 +129,13 @@ def _record(recorder: Recorder, frames: int | None, seconds: float | None) -> No
 def _meta(source: Source, plate: Plate | None, rate_hz: float, kind: str, notes: str) -> Meta:
     """Return the recording's metadata: the source's own, if it has any."""
     from touchd.recording.data import Meta
+    from touchd.service.frame_feed import DaemonSource
     from touchd.sources.recorder import describe
 
     known = getattr(source, "meta", None)
+    if isinstance(source, DaemonSource):
+        d = source.description
+        plate, rate_hz, kind = plate or d.plate, d.rate_hz, d.source
     if not isinstance(known, Meta):
         if plate is None:
             raise ConfigError("the plate's size is not known", "--plate", "add --plate WIDTHxHEIGHT, in mm")

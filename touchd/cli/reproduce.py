@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
-import tempfile
-from collections.abc import Callable
 from pathlib import Path
 
 import click
@@ -47,6 +44,7 @@ def command(
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+    from touchd.files import replacing, writing
     from touchd.keypad import PHONE, load_layout
     from touchd.lab.reproduction.figures import draw
     from touchd.lab.reproduction.report import page, store
@@ -86,27 +84,11 @@ def command(
     stated |= {"--touches": None if given or touches == Scale().touches else touches}
     made_by += "".join(f" {option} {value}" for option, value in stated.items() if value is not None)
     found = figures(results, made_by)
-
-    def beside(folder: Path) -> None:
-        draw(results, folder)
-        store(found, folder)
-
-    _write(output, page(found, output.stem), beside)
-    click.echo(f"{output}: written, with its plots and figures in {output.with_suffix('')}")
-
-
-def _write(page: Path, text: str, beside: Callable[[Path], None]) -> None:
-    """Create the report and what lies beside it in a temporary folder, then replace the old ones."""
-    folder = page.with_suffix("")
-    try:
-        with tempfile.TemporaryDirectory(dir=page.parent, prefix=f".{page.stem}.") as made:
-            beside(Path(made))
-            folder.mkdir(exist_ok=True)
-            for file in sorted(Path(made).iterdir()):
-                shutil.move(file, folder / file.name)
-            (Path(made) / page.name).write_text(text, "utf-8")
-            shutil.move(Path(made) / page.name, page)
-    except OSError as error:
-        raise OutputError(
-            f"cannot be written ({error.strerror})", str(page), "check the folder and its space"
-        ) from error
+    folder = output.with_suffix("")
+    with writing(folder):
+        folder.mkdir(exist_ok=True)
+    draw(results, folder)
+    store(found, folder)
+    with replacing(output) as file:
+        file.write(page(found, output.stem).encode())
+    click.echo(f"{output}: written, with its plots and figures in {folder}")

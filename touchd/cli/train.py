@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-import time
-from collections.abc import Callable
 from pathlib import Path
 
 import click
@@ -14,41 +12,7 @@ from touchd.errors import OutputError
 from touchd.localization.atlas import atlas_path
 from touchd.training.network.recipe import RECIPES
 
-_KNOWN_SHARE = 0.05
-"""No time left is estimated from a smaller share of the steps."""
 _RECIPES = "\n".join(["\b", "Recipes:", *(f"  {recipe.name:16}  {recipe.what}" for recipe in RECIPES.values())])
-
-
-class TimeLeft:
-    """Estimates the time left of a job in steps, from the mean of the steps but the slowest: a cold cache strikes once.
-
-    `rich` has one slow step stand for all that follow while few are done.
-
-    Parameters
-    ----------
-    clock : callable
-        Monotonic time, s.
-    """
-
-    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
-        self._clock = clock
-        self._begin_s = self._last_s = clock()
-        self._begun = 0
-        self._slowest_s = 0.0
-
-    def update(self, done: int, steps: int) -> str:
-        """Return the time left once `done` of `steps` are done, for a person; empty while nobody can know."""
-        now_s = self._clock()
-        if not self._begun:
-            self._begin_s, self._begun = now_s, done
-        else:
-            self._slowest_s = max(self._slowest_s, now_s - self._last_s)
-        self._last_s = now_s
-        counted = done - self._begun - 1
-        if counted < max(2, _KNOWN_SHARE * steps) or done == steps:
-            return ""
-        left_s = round((now_s - self._begin_s - self._slowest_s) / counted * (steps - done))
-        return f"{left_s // 3600}:{left_s // 60 % 60:02}:{left_s % 60:02} left"
 
 
 @click.command(epilog=_RECIPES)
@@ -93,9 +57,7 @@ def command(
     touches, appear first. 70 % of the touches train, 20 % validate, 10 % test; the test scores are printed and stored
     in the model. Beside it lies a folder named .report, and with the recipe atlas the field atlas, .atlas.npz.
     """
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
-
+    from touchd.cli.progress import Bars
     from touchd.keypad import PHONE, load_layout
     from touchd.recording.format import read
     from touchd.training.data.join import join
@@ -115,36 +77,15 @@ def command(
     names = [path.name for path in recording]
     said = f"touchd train {' '.join(names)} -o {output.name} --recipe {recipe}{options}"
     touches = join([read(path) for path in recording], [str(path) for path in recording])
-    bar = Progress(
-        TextColumn("{task.description:8}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("{task.fields[note]}"),
-        TimeElapsedColumn(),
-        TextColumn("{task.fields[left]}"),
-        console=Console(stderr=True),
-    )
-    tasks: dict[str, tuple[TaskID, TimeLeft]] = {}
+    bars = Bars()
 
     def progress(what: str, done: int, steps: int, rmse_mm: float) -> None:
-        # The bar starts with the first step, so that an earlier error prints one line.
-        bar.start()
-        if what not in tasks:
-            tasks[what] = bar.add_task(what, note="", left=""), TimeLeft()
-        task, left = tasks[what]
-        note = "" if math.isnan(rmse_mm) else f"validation {rmse_mm:.2f} mm"
-        bar.update(task, completed=done, total=steps, note=note, left=left.update(done, steps))
+        bars.update(what, done, steps, "" if math.isnan(rmse_mm) else f"validation {rmse_mm:.2f} mm")
 
-    def warn(note: str) -> None:
-        # Warn before training; the bar's console keeps the line clear of the bar.
-        bar.console.print(
-            f"touchd: warning: {note}", style="bold yellow", markup=False, highlight=False, soft_wrap=True
-        )
-
-    try:
+    with bars:
         if chosen.atlas:
             made = train_atlas(
-                touches, output, network, seed=seed, epochs=epochs, command=said, progress=progress, warn=warn
+                touches, output, network, seed=seed, epochs=epochs, command=said, progress=progress, warn=bars.warn
             )
             result, scores, path = made.network, made.scores, made.path
         else:
@@ -160,13 +101,10 @@ def command(
                 patience=patience,
                 command=said,
                 progress=progress,
-                warn=warn,
+                warn=bars.warn,
             )
             scores, path = result.scores, output
             atlas_path(output).unlink(missing_ok=True)  # the replaced model's atlas
-    finally:
-        if tasks:
-            bar.stop()
     click.echo(f"{path}: on {scores['n']:.0f} touches never seen in training:")
     for name, value in scores.items():
         if name != "n":

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from pydantic import ValidationError
 
-from touchd.config.render import EXPECTED_ITEM, expected, fields, is_secret, section, toml_value, variable
+from touchd.config.render import expected, expected_item, fields, is_secret, section, toml_value, variable
 from touchd.config.schema import Settings
 from touchd.errors import ConfigError
 
@@ -63,7 +63,7 @@ def _explain(kind: str, loc: Loc, value: Any, message: str, layers: Sequence[Lay
     fix = f"correct it, or leave it out for the default, {toml_value(field.default)}"
     if kind == "value_error":
         return ConfigError(message.removeprefix("Value error, "), where, fix)
-    wanted = expected(field) if len(loc) == 2 else EXPECTED_ITEM
+    wanted = expected(field) if len(loc) == 2 else expected_item(field)
     return ConfigError(f"is {_shown(key, value)}, must be {wanted}", where, fix)
 
 

@@ -6,7 +6,7 @@ import json
 import types
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any, Literal, Union, get_args, get_origin
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 import annotated_types
 from pydantic import BaseModel
@@ -15,8 +15,6 @@ from pydantic.fields import FieldInfo
 from touchd.config.schema import Settings
 
 _NAMES = {int: "a whole number", float: "a number", bool: "true or false", str: "a text", Path: "a path"}
-EXPECTED_ITEM = "an address, tcp:// or ipc://"
-"""What each item of a list must be; addresses are the only lists."""
 
 
 def section(table: str) -> type[BaseModel]:
@@ -65,6 +63,12 @@ def expected(field: FieldInfo) -> str:
     return f"{kind}, {' and '.join(words)}" if words else kind
 
 
+def expected_item(field: FieldInfo) -> str:
+    """Return what each item of a list must be."""
+    item = get_args(field.annotation)[0]
+    return "an address, tcp:// or ipc://" if get_origin(item) is Annotated else _kind(item)
+
+
 def _kind(annotation: Any) -> str:
     origin, arguments = get_origin(annotation), get_args(annotation)
     if origin is Literal:
@@ -72,7 +76,10 @@ def _kind(annotation: Any) -> str:
     if origin in (Union, types.UnionType):
         return " or ".join("empty" if part is type(None) else _kind(part) for part in arguments)
     if origin is tuple:
-        return "a list of addresses, tcp:// or ipc://"
+        item = arguments[0]
+        if get_origin(item) is Literal:
+            return f"a list of {', '.join(get_args(item))}"
+        return "a list of numbers" if item is float else "a list of addresses, tcp:// or ipc://"
     return _NAMES.get(annotation, str(annotation))
 
 
@@ -101,13 +108,10 @@ _PAGE_HEAD = """\
 
 <!-- Generated from touchd/config/schema.py: do not edit. -->
 
-To look a setting up. `touchd config` prints what is in effect; `touchd config --default` prints a file to start from.
-touchd reads the file that `--config` names, or else `/etc/touchd/touchd.toml` if there is one. The command line wins
-over the environment, the environment over the file, the file over the defaults.
-
-The variable of a key is `TOUCHD_TABLE__KEY` in capitals: `TOUCHD_DEVICE__RATE_HZ=500`. A list has commas between its
-items, or is JSON. A default without a point is a whole number; an empty text unsets a path. A key, table or variable
-that touchd does not know is an error; a key of an earlier version is ignored, with a warning.
+To look a setting up. `touchd config` prints what is in effect, `touchd config --default` a file to start from. touchd
+reads `--config` or `/etc/touchd/touchd.toml`; environment variables such as `TOUCHD_DEVICE__RATE_HZ=500` win over the
+file, the command line over both. In a variable, commas part a list. An empty text unsets a path. An unknown key is an
+error; one of an earlier version is ignored, with a warning. In brackets: the default, and what is allowed.
 """
 
 
@@ -126,15 +130,13 @@ def render(settings: Settings) -> str:
 
 
 def markdown() -> str:
-    """Return the reference of all settings: a table for each section."""
+    """Return the reference of all settings: a list for each section."""
     text = _PAGE_HEAD
     for table, keys in _tables():
         text += f"\n## `[{table}]`\n\n{_summary(table)}\n\n"
-        text += "| key | default, range | meaning |\n|---|---|---|\n"
         for key, field in keys:
             default = ", ".join(filter(None, (f"`{toml_value(field.default, key)}`", _limits(field))))
-            cells = (f"`{key}`", default, field.description or "")
-            text += f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |\n"
+            text += f"- `{key}` ({default}): {field.description}\n"
     return text
 
 

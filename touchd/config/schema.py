@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator
 
+from touchd.config.bridges import InputSettings, TuioSettings
 from touchd.config.kinds import LEAST_RATE, Endpoint, Group, OptionalPath, Section, refuse_key
 
 
@@ -57,13 +58,7 @@ class ModelSettings(Section):
     """The network that places touches."""
 
     path: OptionalPath = Field(None, description="ONNX file with touchd's description; unset uses the shipped model.")
-    atlas: bool = Field(
-        True, description="Place fingers by the field atlas beside the model, if there is one: several, and finer."
-    )
-    contact_shapes: bool = Field(
-        False, description="Let the atlas fit fingers with a size and a shape where points do not explain them. Real "
-        "fingertips need it; a moving finger then costs up to a millisecond a frame.",
-    )  # fmt: skip
+    atlas: bool = Field(True, description="Place fingers by the field atlas beside the model: several, and finer.")
     min_confidence: float = Field(
         0.5, ge=0, le=1, description="Least confidence of the network that a frame shows a finger."
     )
@@ -71,60 +66,52 @@ class ModelSettings(Section):
         0.2, ge=0, le=1, description="The same while a contact is down: the hysteresis keeps it from splitting."
     )
     min_snr_db: float = Field(
-        3.0, ge=0, le=100, description="Least ratio of signal to noise of a touch that the network alone locates, dB. "
-        "16 bits resolve 98 dB.",
-    )  # fmt: skip
+        3.0, ge=0, le=100, description="Least ratio of signal to noise of a touch that the network alone locates, dB."
+    )
     max_sigma_mm: float = Field(
-        5.0, ge=0.001, le=1e9, description="Largest predicted standard error of a reported position, mm; 1e9 admits "
-        "any. Regression models only.",
-    )  # fmt: skip
+        5.0, ge=0.001, le=1e9, description="Largest predicted standard error of a reported position, mm."
+    )
 
 
 class BaselineSettings(Section):
     """The untouched plate, followed as it drifts."""
 
     learn_frames: int = Field(
-        32, ge=2, le=1000, description="Frames averaged into the first baseline, all kept in memory. Until then touchd "
-        "detects nothing.",
-    )  # fmt: skip
+        32, ge=2, le=1000, description="Frames averaged into the first baseline; until then touchd detects nothing."
+    )
     time_constant_s: float = Field(
-        0.5, ge=0.01, le=3600, description="Time constant with which the baseline follows the untouched plate, s; a "
-        "longer one misses the day's temperature.",
-    )  # fmt: skip
+        0.5, ge=0.01, le=3600, description="Time constant with which the baseline follows the untouched plate, s."
+    )
     absorb_s: float = Field(
-        30.0, ge=0.1, le=86400, description="A change that lasts this long becomes part of the baseline, and is "
-        "reported, s; sooner would absorb a tap.",
-    )  # fmt: skip
+        30.0, ge=0.1, le=86400, description="A change that lasts this long becomes part of the baseline, s."
+    )
 
 
 class GateSettings(Section):
     """Detection: whether the plate is touched."""
 
     false_alarm_rate: float = Field(
-        1e-7, ge=LEAST_RATE, lt=0.1, description="Probability per frame that noise alone opens the gate; a float "
-        "cannot hold 1 less a smaller one.",
-    )  # fmt: skip
+        1e-7, ge=LEAST_RATE, lt=0.1, description="Probability per frame that noise alone opens the gate."
+    )
     noise_frames: int = Field(
-        1000, ge=10, le=1_000_000, description="Untouched frames over which the noise is averaged; 1000000 are two "
-        "hours at 125 Hz.",
-    )  # fmt: skip
+        1000, ge=10, le=1_000_000, description="Untouched frames over which the noise is averaged."
+    )
 
 
 class SkipSettings(Section):
-    """Work that the scene does not need is skipped. Each skip can be switched off, to measure what it saves."""
+    """Work that the scene does not need, which each key skips; false measures what it saves."""
 
     gate: bool = Field(
         True,
-        description="No features and no network while the gate is closed; false runs them and discards the result.",
+        description="No features and no network while the gate is closed.",
     )
     still: bool = Field(
         True,
-        description="No features and no network on a frame that differs from the last one examined by noise alone.",
+        description="Nor on a frame that differs from the last one examined by noise alone.",
     )
     still_false_alarm_rate: float = Field(
-        0.01, ge=LEAST_RATE, lt=0.5, description="Probability per frame that noise alone has the network examine a "
-        "still finger again.",
-    )  # fmt: skip
+        0.01, ge=LEAST_RATE, lt=0.5, description="Probability per frame that noise alone examines a still finger again."
+    )
     unheard: bool = Field(True, description="No messages of a topic without subscribers.")
     screen: bool = Field(True, description="No touches while the screen is off (`touchd screen off`).")
 
@@ -136,25 +123,21 @@ class TrackerSettings(Section):
         2, ge=1, le=100, description="Consecutive frames before a contact is reported down: its delay."
     )
     reach_mm: float = Field(
-        25.0, ge=0.1, le=1000, description="Farthest a contact moves from one frame to the next, mm; 1000 is any "
-        "distance on a plate.",
-    )  # fmt: skip
+        25.0, ge=0.1, le=1000, description="Farthest a contact moves from one frame to the next, mm."
+    )
     dead_band_mm: float = Field(
         0.1, ge=0, le=1000, description="Movement within this, or within 1.5 `sigma_mm` if that is more, is `hold`, mm."
     )
     min_cutoff_hz: float = Field(
         4.0, ge=0.001, le=1e6, description="One-Euro filter: cut-off for a still finger with a `sigma_mm` of 0.5, Hz; "
-        "a smaller `sigma_mm` raises it in proportion. Far above the frame rate it filters nothing. Holds from the "
-        "next contact on.",
+        "a smaller `sigma_mm` raises it in proportion. From the next contact on.",
     )  # fmt: skip
     beta: float = Field(
-        0.6, ge=0, le=1000, description="One-Euro filter: how the cut-off rises with speed, at the same `sigma_mm`, Hz "
-        "per mm/s. Holds from the next contact on.",
-    )  # fmt: skip
+        0.6, ge=0, le=1000, description="One-Euro filter: how the cut-off rises with speed, Hz per mm/s."
+    )
     force_full_scale: float = Field(
-        0.1, ge=1e-6, le=10, description="Change of the signal, as a share of its size, that is reported as `force` 1; "
-        "a 16-bit converter resolves 1e-5.",
-    )  # fmt: skip
+        0.1, ge=1e-6, le=10, description="Change of the signal, as a share of its size, that is reported as `force` 1."
+    )
 
 
 class KeypadSettings(Section):
@@ -168,7 +151,7 @@ class BusSettings(Section):
 
     bind: tuple[Endpoint, ...] = Field(
         (),
-        description="Addresses of the publisher: tcp:// or ipc://. Unset is `bus` in the service's runtime folder, or "
+        description="Addresses of the publisher. Unset is `bus` in the service's runtime folder, or "
         "tcp://127.0.0.1:5570 without a service.",
     )
     ipc_group: Group = Field(
@@ -184,14 +167,13 @@ class BusSettings(Section):
     )
     insecure: bool = Field(False, description="Allow an address beyond loopback without keys.")
     high_water_mark: int = Field(
-        1000, ge=1, le=100_000, description="Most messages that wait for a slow subscriber, some 500 bytes each; then "
-        "it loses some.",
-    )  # fmt: skip
+        1000, ge=1, le=100_000, description="Most messages that wait for a slow subscriber; then it loses some."
+    )
     max_subscribers: int = Field(64, ge=1, le=10000, description="Most connections at once.")
 
 
 class ControlSettings(Section):
-    """The socket of `touchd screen`, which says whether the screen is on."""
+    """The socket of `touchd screen`."""
 
     socket: OptionalPath = Field(
         None,
@@ -203,13 +185,11 @@ class ControlSettings(Section):
 class HealthSettings(Section):
     """The `health` topic."""
 
-    period_s: float = Field(
-        1.0, ge=0.01, le=3600, description="Longest time between health messages, s; later ones say nothing of now."
-    )
+    period_s: float = Field(1.0, ge=0.01, le=3600, description="Longest time between health messages, s.")
 
 
 class PreRollSettings(Section):
-    """The last seconds of frames, saved on SIGUSR1 so that a ghost touch can be replayed. They can reveal a PIN."""
+    """The last seconds of frames, saved on SIGUSR1 to replay a ghost touch. They can reveal a PIN."""
 
     seconds: float = Field(10.0, ge=0, le=600, description="Time kept in memory, s; 0 keeps nothing.")
     folder: OptionalPath = Field(
@@ -231,11 +211,11 @@ class LogSettings(Section):
 
 
 class RealtimeSettings(Section):
-    """What makes latency steadier. docs/integrator.md has the measured benefit, and the settings of systemd's unit."""
+    """What makes latency steadier; for more see docs/integrator.md."""
 
     awake_from_hz: float = Field(
-        500.0, ge=0, le=65535, description="Frame rate from which the processors may not sleep between frames while a "
-        "finger is on the plate, Hz, if the system permits it; 0 always lets them sleep.",
+        500.0, ge=0, le=65535, description="Frame rate from which the processors are kept awake while a finger is on "
+        "the plate, Hz, if the system permits it; 0 never does.",
     )  # fmt: skip
 
 
@@ -245,6 +225,7 @@ RETIRED = {
     "realtime.nice": "Nice= in a drop-in of the systemd unit",
     "realtime.lock_memory": "MemorySwapMax=0 in a drop-in of the systemd unit",
     "realtime.freeze_gc": "nothing: the daemon always exempts what it loads at the start",
+    "model.contact_shapes": "nothing: fingers always have a size and a shape",
     "baseline.drift_below_db": "nothing: -50 dB always",
     "baseline.unsteady_s": "nothing: 1 s always",
     "gate.close_ratio": "nothing: the gate closes at half of the excess that opens it, always",
@@ -268,6 +249,8 @@ class Settings(Section):
     tracker: TrackerSettings = TrackerSettings()
     keypad: KeypadSettings = KeypadSettings()
     bus: BusSettings = BusSettings()
+    input: InputSettings = InputSettings()
+    tuio: TuioSettings = TuioSettings()
     control: ControlSettings = ControlSettings()
     health: HealthSettings = HealthSettings()
     preroll: PreRollSettings = PreRollSettings()

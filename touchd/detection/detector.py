@@ -140,25 +140,27 @@ class Detector:
                 return self._without_measurement(Outcome.REPEATED, frame, 0)
         self.sequence, self._last_ns = frame.sequence, frame.t_ns
         baseline, stuck = self._baseline, self._stuck
-        repeats = stuck.repeats(frame.counts, baseline.signal)
-        doubtful = repeats or stuck.doubtful
-        if doubtful:
+        if stuck.repeats(frame.counts, baseline.signal):
             self.miss(frame.t_ns, stuck.fault)
-            if repeats or self.liveness.fault:
-                return self._without_measurement(Outcome.STUCK, frame, lost)
+            return self._without_measurement(Outcome.STUCK, frame, lost)
         if stuck.channels is not self._stuck_channels:
             self._stuck_channels = stuck.channels
             self._live = ~self._stuck_channels
             baseline.set_channels(self._live)
         if self._learning:
             return self._learning_frame(frame, lost)
-        if not doubtful:
-            self.liveness.measured_ns = frame.t_ns
         energy = baseline.subtract(frame.counts, frame.t_ns)
         gate, was_open = self.gate, self.gate.is_open
+        touched = gate.decide(energy)
+        if stuck.doubtful or (touched and stuck.returns(energy)):
+            self.miss(frame.t_ns, stuck.fault)
+            if self.liveness.fault:
+                return self._without_measurement(Outcome.STUCK, frame, lost)
+        else:
+            self.liveness.measured_ns = frame.t_ns
         outcome, changed = _TOUCHED, False
         hits: tuple[int, ...] = ()
-        if not gate.decide(energy):
+        if not touched:
             outcome, changed = _UNTOUCHED, gate.update(energy)
         elif self._impulses and (hits := self._impulses.blank(baseline.residual, energy)):
             # Without them the plate may be untouched; its noise is not learned from such a frame.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from itertools import cycle
 
 import numpy as np
@@ -24,6 +25,8 @@ class Stuck:
 
     In a cycle the kept frame comes again and again (R. Brent, BIT 20:176, 1980). One sample of most frames is compared,
     which is seldom equal twice; then five more of its channel, which never are. Only then are all samples compared.
+    While a finger is down the baseline is frozen, and the residual's energy is a digest of the whole frame: each frame
+    of a cycle has the energy of one of the last eight, to the bit.
 
     Parameters
     ----------
@@ -43,6 +46,8 @@ class Stuck:
         self._kept_sample: float | None = None
         self._age = 0  # frames since the kept one came again, while `doubtful`
         self._cycle = 0  # frames between its last two returns
+        self._energies: deque[float] = deque(maxlen=LONGEST_CYCLE)  # of touched frames, the newest first
+        self._returned = 0  # frames since the last touched one had come before; 0 if it had not
         self._closely = False  # whether more than one sample of the next frame is compared
         self._same = np.zeros(shape, bool)
         self._repeats = np.zeros(channels, np.int64)
@@ -67,9 +72,17 @@ class Stuck:
             return False
         equal = self._suspect or (sample == before and self._is_alike(counts, previous))
         equal = equal and self._compare(counts, previous)
+        self._returned = 0
         self._follow_cycle(counts, returned=sample == self._kept_sample and self._is_alike(counts, self._kept))
         self._closely = self._suspect or self.doubtful
         return self.period > 0 or equal
+
+    def returns(self, energy: float) -> bool:
+        """Take the energy of a touched frame's residual; return whether one of the last eight had the same."""
+        energies = self._energies
+        self._returned = energies.index(energy) + 1 if energy in energies else 0
+        energies.appendleft(energy)
+        return self._returned > 0
 
     def keep(self, frame: NDArray[np.floating]) -> None:
         """Keep this frame to compare later ones with, and watch the next channel."""
@@ -90,7 +103,7 @@ class Stuck:
     @property
     def fault(self) -> str:
         """What is wrong with a frame that repeats an earlier one, for a person."""
-        length = self.period or self._cycle
+        length = self.period or self._returned or self._cycle
         return f"the DAQ repeats its last {length} frames" if length > 1 else "the DAQ repeats one frame"
 
     def _is_alike(self, counts: Counts, other: _Samples) -> bool:

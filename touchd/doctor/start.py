@@ -66,6 +66,9 @@ def check_start(settings: Settings, listen_s: float = 2.5) -> tuple[Parts, list[
             findings.append(failure(name, error))
         elif text:
             findings.append(Finding(name, "ok", text))
+        elif name == "model":
+            fix = f"touchd calibrate -o {settings.model.path} --plate PLATE.toml makes one, without a touch"
+            findings.append(Finding(name, "warning", f"uncalibrated: there is no {settings.model.path}", fix))
     return parts, findings
 
 

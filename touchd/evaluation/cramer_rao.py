@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 from scipy.optimize import brentq
 
-from touchd.evaluation.dataset import baseline_frames, labels, noise_of, residual_of
+from touchd.evaluation.dataset import baseline_frames, complex_bins, labels, noise_of, residual_of
 from touchd.frame import Acquisition
 from touchd.localization.atlas import Atlas
 from touchd.localization.features import band_bins, windowed_dft
@@ -78,7 +78,7 @@ def twin_values(instrument: Instrument, contacts: Sequence[Contact]) -> Complex:
     a = instrument.acquisition
     peak_counts = Electronics().peak * 2 ** (a.bits - 1)
     signal = instrument.change([[contact] for contact in contacts], np.full(len(contacts), REFERENCE_C))
-    return _complex(peak_counts * signal @ windowed_dft(a), a)
+    return complex_bins(peak_counts * signal @ windowed_dft(a), a.channels)
 
 
 def atlas_field(atlas: Atlas, position_mm: Floats) -> TouchField:
@@ -88,13 +88,7 @@ def atlas_field(atlas: Atlas, position_mm: Floats) -> TouchField:
     at = ((moved - d.origin_mm) / d.step_mm).T[::-1]  # rows run along y
     nodes = atlas.coefficients.astype(np.float64)
     values = [map_coordinates(nodes[..., i], at, order=3, prefilter=False, mode="mirror") for i in range(atlas.size)]
-    return _with_slopes(_complex(np.stack(values, axis=-1), d.acquisition), np.array(d.bins))
-
-
-def _complex(features: Floats, acquisition: Acquisition) -> Complex:
-    """Join the real and imaginary parts of n touches' features, shape (n, channels, bins)."""
-    parts = features.reshape(len(features), acquisition.channels, 2, -1)
-    return np.asarray(parts[:, :, 0] + 1j * parts[:, :, 1])
+    return _with_slopes(complex_bins(np.stack(values, axis=-1), d.acquisition.channels), np.array(d.bins))
 
 
 def _with_slopes(values: Complex, bins: NDArray[np.int64]) -> TouchField:
@@ -197,7 +191,7 @@ def recorded_field(recording: Recording, field: Atlas | Instrument) -> TouchFiel
     pairs = baseline_frames(recording.timestamp_ns, touched, untouched)
     baseline = recording.frames[pairs].mean(axis=1, dtype=np.float32)
     residual = residual_of(recording.frames[touched], baseline)
-    values = _complex(residual @ windowed_dft(recording.acquisition, u.bins), recording.acquisition)
+    values = complex_bins(residual @ windowed_dft(recording.acquisition, u.bins), recording.acquisition.channels)
     return u.times((u.value.conj() * values).sum(axis=(1, 2)) / np.square(np.abs(u.value)).sum(axis=(1, 2)))
 
 
@@ -212,10 +206,10 @@ def residual_noise(recording: Recording) -> float:
     return sqrt(1 + 1 / 2) * noise_of(recording.frames[labels(recording, least=1)[2]])
 
 
-def median_bound_mm(recording: Recording, field: Atlas | Instrument, noise: float | None = None) -> float:
+def median_bound_mm(recording: Recording, field: Atlas | Instrument) -> float:
     """Return the least median error, mm, that an unbiased estimator can reach on a recording's touches.
 
-    Parameters and errors as in `recorded_field`; `noise` defaults to `residual_noise`.
+    Parameters and errors as in `recorded_field`.
     """
-    deviation = residual_noise(recording) if noise is None else noise
-    return median_distance_mm(position_covariance(recorded_field(recording, field), recording.acquisition, deviation))
+    touches = recorded_field(recording, field)
+    return median_distance_mm(position_covariance(touches, recording.acquisition, residual_noise(recording)))

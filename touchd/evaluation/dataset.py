@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from touchd.errors import TrainingError
-from touchd.frame import Acquisition
+from touchd.frame import Acquisition, Plate
 from touchd.localization.features import Domain, make_features
 from touchd.recording.data import Meta, Recording
 
@@ -178,17 +179,25 @@ def labels(recording: Recording, least: int = MIN_TOUCHES) -> tuple[Array, NDArr
     if not len(untouched):
         raise TrainingError("no untouched frame", fix="record the untouched plate between touches")
     position_mm = truth[touched, down[touched].argmax(axis=1)]
-    plate = recording.meta.plate
-    outside = ((position_mm < 0) | (position_mm > [plate.width_mm, plate.height_mm])).any(axis=1)
-    if outside.any():
-        first = position_mm[outside][0]
-        raise TrainingError(
-            f"{outside.sum()} touches lie outside the plate of {plate.width_mm:g} x {plate.height_mm:g} mm, "
-            f"the first at ({first[0]:.1f}, {first[1]:.1f})",
-            "contacts_mm",
-            "correct the positions or the plate's size",
-        )
+    if outside := beyond(position_mm, recording.meta.plate):
+        raise TrainingError(outside, "contacts_mm", "correct the positions or the plate's size")
     return position_mm, touched, untouched
+
+
+def beyond(position_mm: Array, plate: Plate) -> str:
+    """Return how many positions (n, 2) lie outside the plate, and where the first does; empty if none does."""
+    outside = ((position_mm < 0) | (position_mm > [plate.width_mm, plate.height_mm])).any(axis=1)
+    if not outside.any():
+        return ""
+    x_mm, y_mm = position_mm[outside][0]
+    size = f"{plate.width_mm:g} x {plate.height_mm:g} mm"
+    return f"{outside.sum()} touches lie outside the plate of {size}, the first at ({x_mm:.1f}, {y_mm:.1f})"
+
+
+def complex_bins(features: NDArray[np.floating[Any]], channels: int) -> NDArray[Any]:
+    """Join the real and imaginary parts of n touches' features, shape (n, channels, bins)."""
+    parts = features.reshape(len(features), channels, 2, -1)
+    return np.asarray(parts[:, :, 0] + 1j * parts[:, :, 1])
 
 
 def _derivative(signal: Array, sample_rate_hz: float) -> NDArray[np.float64]:

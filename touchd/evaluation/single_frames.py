@@ -14,7 +14,7 @@ from touchd.config.schema import Settings
 from touchd.detection.detector import Detection
 from touchd.detection.impulses import Impulses
 from touchd.errors import RecordingValues
-from touchd.evaluation.dataset import baseline_frames, noise_energy, noise_of, residual_of
+from touchd.evaluation.dataset import baseline_frames, beyond, noise_energy, noise_of, residual_of
 from touchd.evaluation.matching import Seen
 from touchd.evaluation.truth import fingers_only
 from touchd.frame import Acquisition, Counts
@@ -93,7 +93,8 @@ def touched_frames(recording: Recording) -> TouchedFrames:
     """
     truth = recording.contacts_mm
     assert truth is not None  # checked by the caller
-    _check_inside(recording, truth)
+    if outside := beyond(truth.reshape(-1, 2), recording.meta.plate):
+        raise RecordingValues(outside, "contacts_mm", "correct the positions or the plate's size")
     touching = np.isfinite(truth[:, :, 0]).any(axis=1)
     touched, untouched = np.flatnonzero(touching), np.flatnonzero(~touching)
     for frames, name in ((touched, "touched"), (untouched, "untouched")):
@@ -111,7 +112,7 @@ def touched_frames(recording: Recording) -> TouchedFrames:
     )
 
 
-def find_with(model: Model, atlas: Atlas | None, frames: TouchedFrames, *, contact_shapes: bool = False) -> Find:
+def find_with(model: Model, atlas: Atlas | None, frames: TouchedFrames) -> Find:
     """Return the daemon's localizer as a function of single frames, each of them a touch-down.
 
     The baseline is the mean of two untouched frames, so a residual has 1.5 times the noise power of a frame. The noise
@@ -123,9 +124,7 @@ def find_with(model: Model, atlas: Atlas | None, frames: TouchedFrames, *, conta
     if atlas is None:
         localizer = NetworkLocalizer(model, Settings.model_validate({"model": always}), None)
     else:
-        localizer = AtlasLocalizer(
-            model, atlas, Settings.model_validate({"model": {"contact_shapes": contact_shapes}}), None
-        )
+        localizer = AtlasLocalizer(model, atlas, Settings(), None)
     chosen = np.linspace(0, len(frames) - 1, min(len(frames), MEMORY_FRAMES)).astype(int).tolist()
     pairs = [frames.counts[frames.beside[i]].astype(np.float32) for i in chosen]
     noise = [(one - other) * np.float32(sqrt(3) / 2) for one, other in pairs if (one != other).any()]
@@ -168,16 +167,3 @@ def see(find: Find, frames: TouchedFrames) -> list[Seen]:
         force_n = frames.force_n[i, down].tolist() if frames.force_n is not None else None
         seen.append(Seen(positions_mm, tuple(find(frames.look(i))), force_n))
     return seen
-
-
-def _check_inside(recording: Recording, truth: Array) -> None:
-    plate = recording.meta.plate
-    outside = ((truth < 0) | (truth > np.array([plate.width_mm, plate.height_mm]))).any(axis=2)
-    if outside.any():
-        x_mm, y_mm = truth[outside][0]
-        raise RecordingValues(
-            f"{outside.sum()} touches lie outside the plate of {plate.width_mm:g} x {plate.height_mm:g} mm, the first "
-            f"at ({x_mm:.1f}, {y_mm:.1f})",
-            "contacts_mm",
-            "correct the positions or the plate's size",
-        )

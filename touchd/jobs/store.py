@@ -8,12 +8,12 @@ import hashlib
 import os
 import pwd
 import stat
-import tempfile
 from pathlib import Path
 
 import structlog
 
 from touchd.errors import OutputError
+from touchd.files import replacing
 
 log = structlog.get_logger()
 
@@ -72,22 +72,14 @@ class Store:
 
         A folder that cannot be written costs the kept results, not the run; that is logged once.
         """
-        path = self._path(key)
         try:
             self.folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-            handle, temporary = tempfile.mkstemp(dir=self.folder, prefix=".part-")
-            try:
-                with os.fdopen(handle, "wb") as file:
-                    file.write(MAGIC + hashlib.sha256(data).digest() + data)
-                os.replace(temporary, path)
-            except BaseException:
-                with contextlib.suppress(OSError):
-                    os.unlink(temporary)
-                raise
-        except OSError as error:
+            with replacing(self._path(key), mode=0o600) as file:
+                file.write(MAGIC + hashlib.sha256(data).digest() + data)
+        except (OSError, OutputError) as error:
             if not self._complained:
                 what = "results cannot be kept: a run that is stopped starts over"
-                log.warning(what, path=self.folder, error=error.strerror)
+                log.warning(what, path=self.folder, error=str(error))
             self._complained = True
 
     def _path(self, key: str) -> Path:

@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from sklearn.neighbors import NearestNeighbors
 
+from touchd.evaluation.dataset import complex_bins
+
 Rows = NDArray[np.float32]
 
 LAGS_S = np.arange(-8, 9, 2) * 1e-6
@@ -74,7 +76,6 @@ class Correlation:
         return peak
 
     def _whitened(self, features: Rows) -> NDArray[np.complex64]:
-        parts = features.reshape(len(features), self._channels, 2, -1)
-        bins = (parts[:, :, 0] + 1j * parts[:, :, 1]).reshape(len(features), -1)
+        bins = complex_bins(features, self._channels).reshape(len(features), -1)
         white = bins / np.maximum(np.abs(bins), np.finfo(np.float32).tiny)
         return np.asarray(white / np.sqrt(white.shape[1]), np.complex64)

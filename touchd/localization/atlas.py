@@ -7,8 +7,6 @@ that it was learned with, as `NAME.atlas.npz` beside `NAME.onnx`.
 
 from __future__ import annotations
 
-import os
-import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -18,12 +16,14 @@ from numpy.typing import DTypeLike, NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from touchd.errors import ModelInvalid, OutputError, RecordingError
+from touchd.files import replacing
 from touchd.frame import Acquisition, Plate
 from touchd.recording import npz
 
 FORMAT = "touchd-atlas"
-MAX_BYTES = 8_000_000
-_MAX_LOADED_BYTES = 8 * MAX_BYTES  # a field compresses by less than 2
+MAX_BYTES = 32_000_000
+"""A plate of 30 wavelengths has fewer."""
+_MAX_LOADED_BYTES = 3 * MAX_BYTES  # a field compresses by less than 2
 _KEYS = ("format", "version", "description", "coefficients", "scale", "baseline", "error")
 _MAX_COUNTS = 1e9
 """Of a field at strength 1, and of its mean square error; squares of more overflow float32."""
@@ -102,32 +102,20 @@ def save_atlas(atlas: Atlas, path: Path) -> None:
         If it cannot be written, or would be larger than 8 MB.
     """
     scale = np.float32(np.abs(atlas.coefficients).max() or 1.0)
-    temporary: Path | None = None
-    try:
-        with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
-            temporary = Path(file.name)
-            np.savez_compressed(
-                file, format=np.array(FORMAT), version=np.array(1),
-                description=np.array(atlas.description.model_dump_json()),
-                coefficients=(atlas.coefficients / scale).astype(np.float16), scale=np.array(scale),
-                baseline=atlas.baseline, error=atlas.error,
-            )  # fmt: skip
-            size_bytes = file.tell()
+    with replacing(path) as file:
+        np.savez_compressed(
+            file, format=np.array(FORMAT), version=np.array(1),
+            description=np.array(atlas.description.model_dump_json()),
+            coefficients=(atlas.coefficients / scale).astype(np.float16), scale=np.array(scale),
+            baseline=atlas.baseline, error=atlas.error,
+        )  # fmt: skip
+        size_bytes = file.tell()
         if size_bytes > MAX_BYTES:
             raise OutputError(
                 f"the atlas would take {size_bytes / 1e6:.1f} MB, more than {MAX_BYTES / 1e6:.0f}",
                 str(path),
                 "learn it for a smaller plate, or from fewer bins",
             )
-        temporary.chmod(0o644)
-        os.replace(temporary, path)
-    except OSError as error:
-        raise OutputError(
-            f"cannot be written ({error.strerror})", str(path), "check the folder and its space"
-        ) from error
-    finally:
-        if temporary is not None:
-            temporary.unlink(missing_ok=True)
 
 
 def load_atlas(path: Path, dtype: DTypeLike = np.float32) -> Atlas:

@@ -20,7 +20,8 @@ from touchd.localization.classify import Classifier
 from touchd.localization.estimator import Estimator, TouchMaker
 from touchd.localization.fit import Bins, Fit, no_fit
 from touchd.localization.fit_criteria import CRITERIA
-from touchd.localization.gauss_newton import STILL_MM, GaussNewton
+from touchd.localization.following import Follower
+from touchd.localization.gauss_newton import GaussNewton
 from touchd.localization.landing import FIRST_STEPS, Landing
 from touchd.localization.localization import UNTOUCHED, Localization
 from touchd.localization.model import Model
@@ -28,16 +29,12 @@ from touchd.localization.multitouch import MultitouchSearch
 from touchd.localization.plate_model import COMPARE_NS, PlateModel
 from touchd.localization.prediction import Prediction
 from touchd.localization.pursuit import Pursuit
-from touchd.localization.spline import Position
 from touchd.localization.stillness import StillFinger
 from touchd.outcome import Outcome
 from touchd.touch import Touch
 
 NOISE_EVERY = 16
 """One of 16 untouched frames updates the noise model."""
-FOLLOW_STEPS, SHAPED_STEPS = 3, 2
-_STILL_TOGETHER_MM = STILL_MM / 4
-"""After a shorter step of several fingers the next one would be less than 1e-3 mm; few tracked ones step farther."""
 
 
 class AtlasLocalizer:
@@ -64,6 +61,7 @@ class AtlasLocalizer:
         self._search = MultitouchSearch(self._solver, self._pursuit, self._noise)
         self._classifier = Classifier(atlas, self._noise)
         self._prediction = Prediction()
+        self._follower = Follower(self._solver, self._search, self._noise, self._prediction)
         self._still = StillFinger(atlas, self._solver)
         self._found = UNTOUCHED
         self._touched = False  # whether a frame was fitted since the last untouched one
@@ -78,8 +76,6 @@ class AtlasLocalizer:
         self._max_sigma_mm = settings.model.max_sigma_mm
         self._touch_maker = TouchMaker(settings, layout)
         self._skips_still = settings.skip.still
-        for solver in (self._solver, self._pursuit.solver):
-            solver.configure(shapes=settings.model.contact_shapes)
         self.reset()
 
     def reset(self) -> None:
@@ -102,6 +98,7 @@ class AtlasLocalizer:
             self._set_channels(detection.live)
         if self._touched:
             self._touched = False
+            self._plate.calm()
             if self._found.touches:
                 self.reset()
             else:  # water, or what a finger left that was lost as it lifted: water stays known
@@ -129,6 +126,7 @@ class AtlasLocalizer:
             return self._found
         tracked = bool(self._prediction.positions_mm)
         touches, inferred = self._place(detection, self._keep_confidence if alive else self._min_confidence, complete)
+        self._plate.watch(detection, finger=bool(touches) or alive)
         self._found = Localization(Outcome.STILL, touches)
         outcome = Outcome.INFERRED if inferred else Outcome.TRACKED if tracked else Outcome.FAINT
         return Localization(outcome, touches, self._departure, self._plate_moved)
@@ -154,7 +152,7 @@ class AtlasLocalizer:
         ):
             return self._lose(), inferred
         if tracked:
-            fit = self._follow(bins, detection.t_ns, signal)
+            fit = self._follower.follow(bins, detection.t_ns, signal)
         elif search.pending:
             fit = no_fit(bins.energy)  # the search that goes on finds where to begin
         else:
@@ -193,7 +191,8 @@ class AtlasLocalizer:
         faint = signal < CRITERIA.faint * noise.noise_energy
         doubtful = faint or excess > (CRITERIA.good if tracked else CRITERIA.enough)
         by_plate = doubtful and bins.energy - noise.plate_energy(bins.vector) < fit.residual_energy
-        if by_plate or not confidence >= min_confidence or (search.pending and not tracked):
+        by_palms = excess > CRITERIA.poor and signal > CRITERIA.most_poor * self._drift.signal_energy and not tracked
+        if by_plate or by_palms or not confidence >= min_confidence or (search.pending and not tracked):
             return self._lose(), inferred
         if len(fit.positions_mm) == 1 and not tracked and self._landing.is_ambiguous(bins, fit, signal, faint=faint):
             return self._lose(), inferred
@@ -222,7 +221,7 @@ class AtlasLocalizer:
         if excess < CRITERIA.good and self._drift.is_due(t_ns):
             self._drift.update(self._solver.residual(bins, fit), t_ns)
         self._prediction.update(fit.positions_mm, t_ns)
-        self._shaped = bool(fit.shapes)
+        self._follower.update(bins, fit, excess)
         moved_mm = self._prediction.moved_mm if self._skips_still else math.inf
         self._still.update(bins, fit, moved_mm, self._noise.variance)
         fingers = self._classifier.fingers(fit, confidence, t_ns)
@@ -250,31 +249,6 @@ class AtlasLocalizer:
         """Give fingers back what the frame's delay and hit samples took from them."""
         return self._plate.nuisance.settle(bins, fit, self._solver, self._noise.noise_energy)
 
-    def _follow(self, bins: Bins, t_ns: int, signal: float) -> Fit:
-        """Fit the fingers of the last frame from where they were going, less those that have lifted."""
-        positions = self._prediction.ahead(t_ns)
-        fit = no_fit(bins.energy)
-        if self._shaped:
-            fit = self._solver.fit_shapes(bins, positions, self._noise.noise_energy, SHAPED_STEPS)
-        known = self._noise.excess(fit.residual_energy, signal) < CRITERIA.good
-        if len(positions) == 1:
-            return fit if known else self._follow_one(bins, positions[0], signal)
-        if not known:
-            fit = self._solver.fit_several(bins, positions, FOLLOW_STEPS - 1, _STILL_TOGETHER_MM)
-        fit, dropped = self._search.prune(bins, fit, signal)
-        for count, k in enumerate(dropped):
-            self._prediction.remove(k, len(positions) - count)
-        return fit
-
-    def _follow_one(self, bins: Bins, position_mm: Position, signal: float) -> Fit:
-        """Fit one finger from where it was going, or from where it was."""
-        fit = self._solver.fit_one(bins, *position_mm, FOLLOW_STEPS)
-        if self._noise.excess(fit.residual_energy, signal) < CRITERIA.fair:
-            return fit
-        # It may have turned sharply, or stopped: then it is nearer to where it was.
-        other = self._solver.fit_one(bins, *self._prediction.positions_mm[0], FIRST_STEPS)
-        return min(fit, other, key=lambda one: one.residual_energy)
-
     def _set_channels(self, live: NDArray[np.bool_]) -> None:
         self._live = live
         self._plate.set_channels(live)
@@ -283,5 +257,5 @@ class AtlasLocalizer:
     def _lose(self) -> tuple[Touch, ...]:
         self._plate.nuisance.forget_fingers()
         self._prediction.reset()
-        self._shaped = False
+        self._follower.reset()
         return ()

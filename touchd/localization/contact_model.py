@@ -8,32 +8,29 @@ Gauss-Newton moves the middles. A prior on tissue bounds a, b and c where a fain
 
 from __future__ import annotations
 
+import cmath
+import math
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from touchd.localization.atlas import Array, Atlas
+from touchd.localization.contact_field import TERMS, ContactField, Shape
 from touchd.localization.fit import Bins, Fit
-from touchd.localization.spline import Position, known_part_mm
+from touchd.localization.spline import Position
 
 LONGEST_STEP_MM = 2.0
-STILL_MM = 0.02
+STILL_MM = 0.1
 """After a shorter step the next one would be of micrometres."""
-PRIOR_MM2 = 6.0
-"""Standard deviation of a, b and c over z. A fingertip has 2 to 5 mm^2, a thumb 4 to 8 (twin)."""
-PRIOR_SLOPE = 0.3
-"""Standard deviation of the amplitude's slope from the middle of the band to its edge, over z."""
-AMPLITUDES = 5
-_BSPLINE = np.array([[1, 4, 1, 0], [-3, 0, 3, 0], [3, -6, 3, 0], [-1, 3, -3, 1]], np.float64) / 6
-_DERIVATIVES = ((0, 0), (1, 0), (0, 1), (2, 0), (0, 2), (1, 1), (3, 0), (0, 3), (2, 1), (1, 2))
-"""Orders along x and y of the rows that a look-up returns."""
-_U, _XX, _YY, _XY = 0, 3, 4, 5
-_ALONG_X = (1, 6, 9, 8)
-"""Rows of the derivatives by x of u, u_xx, u_yy and u_xy."""
-_ALONG_Y = (2, 8, 7, 9)
+TYPICAL: Shape = (0j, 1.2 * cmath.exp(0.4j), 1.2 * cmath.exp(0.4j), 0j)
+"""Of tissue, between a child's finger and a thumb: u_xx and u_yy have 0.4 to 4 mm^2 over z at 0.4 rad (twin)."""
+_SIZE_SPREAD_MM2, _OVAL_SPREAD_MM2, _SLOPE_SPREAD = 2.0, 1.2, 0.2
+"""Standard deviations about it: of the mean of a and b, of half their difference and of c, and of the slope, over z."""
+_AMPLITUDES, _SLOPES = 5, 8
+_DAMPING = 1e-6
 
-Complex = NDArray[np.complexfloating]
+Complex = NDArray[np.complex128]
 
 
 class ContactModel:
@@ -42,24 +39,22 @@ class ContactModel:
     Parameters
     ----------
     atlas : Atlas
-        Its coefficients' type is that of all arrays.
+    field : ContactField
     """
 
-    def __init__(self, atlas: Atlas) -> None:
-        d = atlas.description
-        rows, columns, size = atlas.coefficients.shape
-        self._dtype = np.result_type(atlas.coefficients.dtype, np.complex64)
-        self._shape = d.acquisition.channels, 2, len(d.bins)
-        parts = atlas.coefficients.reshape(rows, columns, *self._shape)
-        nodes = (parts[..., 0, :] + 1j * parts[..., 1, :]).astype(self._dtype)
-        self._nodes = nodes.reshape(rows, columns, size // 2)
-        self._origin_mm, self._step_mm = d.origin_mm, d.step_mm
-        self._low_mm, self._high_mm = known_part_mm(atlas)
-        bins = np.array(d.bins, float)
-        middle, half = (bins[0] + bins[-1]) / 2, max((bins[-1] - bins[0]) / 2, 1.0)
-        self._band = np.tile((bins - middle) / half, d.acquisition.channels).astype(atlas.coefficients.dtype)
+    def __init__(self, atlas: Atlas, field: ContactField) -> None:
+        self._field = field
+        half, dtype = atlas.size // 2, atlas.coefficients.dtype
+        self._shape = atlas.description.acquisition.channels, 2, len(atlas.description.bins)
+        self._block = np.zeros((2, 10, half), dtype)
+        # The rows of all contacts that have an amplitude, then those of their slopes; at last the frame. In double
+        # precision: what many amplitudes leave of the frame is a small difference of large products.
+        self._rows = np.zeros((2, _AMPLITUDES + _SLOPES + 1, half))
+        self._mask: Array | None = None
 
-    def fit(self, bins: Bins, positions_mm: Sequence[Position], variance: float, steps: int) -> Fit:
+    def fit(
+        self, bins: Bins, positions_mm: Sequence[Position], variance: float, steps: int, unexplained: float = 0.0
+    ) -> Fit:
         """Fit contacts jointly from positions nearby, in at most `steps` steps (at least one).
 
         Parameters
@@ -69,101 +64,152 @@ class ContactModel:
         variance : float
             Of the noise of a value, counts squared: it weighs the prior.
         steps : int
+        unexplained : float
+            Energy that is left at the positions: where fingers are missing it weighs the prior instead.
         """
-        frame, mask = self._complex(bins.vector), self._mask(bins)
-        at = [self._inside(*position) for position in positions_mm]
-        count = len(at)
-        for step in range(steps + 1):
-            rows = [self._look_up(*position, mask) for position in at]
-            columns = self._columns(rows)
-            normal, right = columns.conj() @ columns.T, columns.conj() @ frame
-            ridge = self._ridge(normal, right, variance)
-            solved = normal + np.diag(ridge)
-            amplitudes = np.linalg.solve(solved, right)
-            left = frame - amplitudes @ columns
-            slopes = self._slopes(rows, amplitudes.reshape(count, AMPLITUDES))
-            slopes = slopes - np.linalg.solve(solved, columns.conj() @ slopes.T).T @ columns
-            information = (slopes.conj() @ slopes.T).real.astype(np.float64)
-            if step == steps:
+        count = len(positions_mm)
+        own = _AMPLITUDES * count
+        self._load(bins, count)
+        at = [self._field.inside(*position) for position in positions_mm]
+        while True:
+            at, gram = self._gram(at)
+            normal, right = gram[:own, :own], gram[:own, -1]
+            ridge = _ridge(normal, right, max(variance, unexplained / bins.vector.size))
+            solved = np.linalg.solve(normal + ridge, gram[:own, own:])
+            amplitudes = solved[:, -1]
+            unexplained = float((gram[-1, -1] - amplitudes.conj() @ (right + ridge @ amplitudes)).real)
+            slopes = _slopes(amplitudes.reshape(count, _AMPLITUDES))
+            # What the amplitudes leave of the products of the slopes with each other, and with the frame.
+            left = slopes.conj() @ (gram[own:-1, own:] - gram[:own, own:-1].conj().T @ solved)
+            information, gradient = (left[:, :-1] @ slopes.T).real, left[:, -1].real
+            damped = information.copy()
+            damped.ravel()[:: 2 * count + 1] *= 1 + _DAMPING
+            damped.ravel()[:: 2 * count + 1] += 1e-30
+            move = np.linalg.solve(damped, gradient)
+            longest_mm, at = self._move(at, move.tolist())
+            steps -= 1
+            if steps <= 0 or longest_mm < STILL_MM:
                 break
-            damped = information + np.diag(1e-6 * information.diagonal() + 1e-30)
-            moves = np.linalg.solve(damped, (slopes.conj() @ left).real).reshape(count, 2)
-            lengths = np.hypot(*moves.T)
-            moves *= np.minimum(1.0, LONGEST_STEP_MM / np.maximum(lengths, 1e-12))[:, None]
-            at = [self._inside(x + dx, y + dy) for (x, y), (dx, dy) in zip(at, moves.tolist(), strict=True)]
-            if lengths.max() < STILL_MM:
-                steps = step + 1  # one look at the last place, for the amplitudes there
-        fields = (amplitudes[:, None] * columns).reshape(count, AMPLITUDES, -1).sum(axis=1)
-        per_contact = amplitudes.reshape(count, AMPLITUDES)
+        if longest_mm <= LONGEST_STEP_MM:
+            # What the last step changes, to second order and to first: no need to look again.
+            unexplained -= float(gradient @ move)
+            amplitudes = amplitudes - solved[:, :-1] @ (slopes.T @ move)
+        energies = []
+        for k in range(0, own, _AMPLITUDES):
+            part = amplitudes[k : k + _AMPLITUDES]
+            energies.append(float((part.conj() @ normal[k : k + _AMPLITUDES, k : k + _AMPLITUDES] @ part).real))
+        per_contact = amplitudes.reshape(count, _AMPLITUDES).tolist()
         return Fit(
             at,
-            per_contact[:, 0].tolist(),
-            np.square(np.abs(fields)).sum(axis=1).tolist(),
+            [z for z, *_ in per_contact],
+            energies,
             information.tolist(),
-            float(np.vdot(left, left).real),
-            per_contact[:, 1:].tolist(),
+            max(unexplained, 0.0),
+            [[slope, *second] for _, *second, slope in per_contact],
         )
 
-    def residual(self, bins: Bins, fit: Fit) -> Array:
-        """Return what a fit with shapes leaves of the bins, shape (channels * 2 * bins,)."""
-        mask = self._mask(bins)
-        columns = self._columns([self._look_up(*position, mask) for position in fit.positions_mm])
-        amplitudes = np.column_stack([fit.amplitudes, fit.shapes]).astype(self._dtype).ravel()
-        left = (self._complex(bins.vector) - amplitudes @ columns).reshape(self._shape[0], 1, self._shape[2])
-        return np.concatenate([left.real, left.imag], axis=1).reshape(-1)
+    def _load(self, bins: Bins, count: int) -> None:
+        """Put the bins into the last row."""
+        needed = (_AMPLITUDES + _SLOPES) * count + 1
+        if needed > self._rows.shape[1]:
+            self._rows = np.zeros((2, needed, self._rows.shape[2]))
+        parts = bins.vector.reshape(self._shape).swapaxes(0, 1)
+        np.copyto(self._rows[:, needed - 1].reshape(parts.shape), parts)
+        self._mask = None if bins.mask is None else bins.mask.reshape(self._shape)[:, 0].ravel()
 
-    def size_mm2(self, fit: Fit) -> float:
-        """Return the largest second-order amplitude over z in a fit, mm^2: the moment of a contact's face."""
-        return max(
-            max(map(abs, second)) / max(abs(z), 1e-30)
-            for z, (_, *second) in zip(fit.amplitudes, fit.shapes, strict=True)
-        )
+    def _gram(self, positions_mm: Sequence[Position]) -> tuple[list[Position], Complex]:
+        """Return the raster points, and the complex products of all rows with each other."""
+        count, block, band, at = len(positions_mm), self._block, self._field.band, []
+        last = (_AMPLITUDES + _SLOPES) * count
+        rows = self._rows[:, : last + 1]
+        for k, position in enumerate(positions_mm):
+            at.append(self._field.derivatives(*position, block))
+            if self._mask is not None:
+                np.multiply(block, self._mask, block)
+            own, slope = _AMPLITUDES * k, _AMPLITUDES * count + _SLOPES * k
+            rows[:, own : own + 4] = block[:, :4]
+            np.multiply(block[:, 0], band, rows[:, own + 4])
+            rows[:, slope : slope + 6] = block[:, 4:]
+            np.multiply(block[:, 4:6], band, rows[:, slope + 6 : slope + 8])
+        flat = rows.reshape(2 * (last + 1), -1)
+        products = flat @ flat.T
+        n = last + 1
+        gram = np.empty((n, n), np.complex128)
+        np.add(products[:n, :n], products[n:, n:], gram.real)
+        np.subtract(products[:n, n:], products[n:, :n], gram.imag)
+        return at, gram
 
-    def _columns(self, rows: Sequence[Complex]) -> Complex:
-        """Return the fields of the five amplitudes of each contact, shape (5 c, size)."""
-        return np.concatenate([[one[_U], one[_U] * self._band, one[_XX], one[_YY], one[_XY]] for one in rows])
+    def _move(self, positions_mm: Sequence[Position], move: list[float]) -> tuple[float, list[Position]]:
+        """Return the longest step, mm, and the positions after it, none farther than `LONGEST_STEP_MM`."""
+        longest_mm, moved = 0.0, []
+        for (x, y), step_x, step_y in zip(positions_mm, move[::2], move[1::2], strict=True):
+            length = math.hypot(step_x, step_y)
+            shorter = LONGEST_STEP_MM / length if length > LONGEST_STEP_MM else 1.0
+            moved.append(self._field.inside(x + shorter * step_x, y + shorter * step_y))
+            longest_mm = max(longest_mm, length)
+        return longest_mm, moved
 
-    def _slopes(self, rows: Sequence[Complex], amplitudes: Complex) -> Complex:
-        """Return the derivatives of the frame by x and y of each contact in turn, shape (2 c, size)."""
-        slopes = []
-        for one, (z, slope, *second) in zip(rows, amplitudes, strict=True):
-            along_band = z + slope * self._band
-            for first, *others in (_ALONG_X, _ALONG_Y):
-                slopes.append(along_band * one[first] + np.asarray(second) @ one[list(others)])
-        return np.asarray(slopes)
 
-    def _ridge(self, normal: Complex, right: Complex, variance: float) -> Array:
-        """Return what the prior adds to the normal equations, shape (5 c,): noise over the amplitudes' variance."""
-        power = np.square(np.abs(right[::AMPLITUDES])) / np.square(normal.diagonal()[::AMPLITUDES].real)
-        spread = np.array([np.inf, PRIOR_SLOPE, PRIOR_MM2, PRIOR_MM2, PRIOR_MM2]) ** 2
-        return np.asarray((2 * variance / np.maximum(power, 1e-30))[:, None] / spread).ravel()
+def size_mm2(fit: Fit) -> float:
+    """Return the largest second-order amplitude over z in a fit, mm^2: the moment of a contact's face."""
+    return max(
+        max(map(abs, second)) / max(abs(z), 1e-30) for z, (_, *second) in zip(fit.amplitudes, fit.shapes, strict=True)
+    )
 
-    def _look_up(self, x_mm: float, y_mm: float, mask: Array | None) -> Complex:
-        """Return the field and its derivatives up to the third that are needed, per mm, shape (10, size)."""
-        across, down = ((at - low) / self._step_mm for at, low in zip((x_mm, y_mm), self._origin_mm, strict=True))
-        column, row = int(across), int(down)
-        of_x, of_y = (self._weights(part) for part in (across - column, down - row))
-        weights = np.array([np.multiply.outer(of_y[j], of_x[i]).ravel() for i, j in _DERIVATIVES])
-        near = self._nodes[row - 1 : row + 3, column - 1 : column + 3].reshape(16, -1)
-        found: Complex = weights.astype(near.real.dtype) @ near
-        return found if mask is None else np.asarray(found * mask)
 
-    def _weights(self, t: float) -> NDArray[np.float64]:
-        """Return the weights of four nodes for the value and three derivatives, shape (4, 4)."""
-        powers = np.array([[1, t, t * t, t**3], [0, 1, 2 * t, 3 * t * t], [0, 0, 2, 6 * t], [0, 0, 0, 6]])
-        return np.asarray(powers @ _BSPLINE / self._step_mm ** np.arange(4)[:, None])
+def _mix() -> Complex:
+    """Return how amplitudes mix rows to the slopes by x and by y, shape (5, 2 * 8).
 
-    def _inside(self, x_mm: float, y_mm: float) -> Position:
-        # Written so that NaN becomes a corner instead of an index.
-        x, y = (
-            at if low < at < high else high if at >= high else low
-            for at, low, high in zip((x_mm, y_mm), self._low_mm, self._high_mm, strict=True)
-        )
-        return x, y
+    Rows: u_x, u_y, the third derivatives, then u_x and u_y along the band.
+    """
+    mix = np.zeros((_AMPLITUDES, 2, _SLOPES), complex)
+    for along, orders in enumerate(TERMS[1:]):
+        for amplitude, order in enumerate(orders):
+            mix[amplitude, along, order - 4] = 1
+        mix[-1, along, 6 + along] = 1
+    return mix.reshape(_AMPLITUDES, -1)
 
-    def _complex(self, vector: Array) -> Complex:
-        parts = vector.reshape(self._shape)
-        return np.asarray(parts[:, 0] + 1j * parts[:, 1]).ravel()
 
-    def _mask(self, bins: Bins) -> Array | None:
-        return None if bins.mask is None else bins.mask.reshape(self._shape)[:, 0].ravel()
+_MIX = _mix()
+
+
+def _slopes(per_contact: NDArray[np.complexfloating]) -> Complex:
+    """Return the slopes by x and y of each contact in turn as sums of rows, shape (2 c, 8 c)."""
+    count = len(per_contact)
+    mixed = (per_contact @ _MIX).reshape(count, 2, _SLOPES)
+    if count == 1:
+        return np.asarray(mixed[0])
+    slopes = np.zeros((count, 2, count, _SLOPES), complex)
+    each = np.arange(count)
+    slopes[each, :, each] = mixed
+    return slopes.reshape(2 * count, -1)
+
+
+def _prior() -> Complex:
+    """Return the inverse covariance of a contact's amplitudes (of u, u_xx, u_yy, u_xy, and u along the band) over z."""
+    typical = TYPICAL[1]
+    deviations = np.array([
+        [-typical / _SIZE_SPREAD_MM2, *[0.5 / _SIZE_SPREAD_MM2] * 2, 0, 0],
+        [0, 0.5 / _OVAL_SPREAD_MM2, -0.5 / _OVAL_SPREAD_MM2, 0, 0],
+        [0, 0, 0, 1 / _OVAL_SPREAD_MM2, 0],
+        [0, 0, 0, 0, 1 / _SLOPE_SPREAD],
+    ])  # fmt: skip
+    return np.asarray(deviations.conj().T @ deviations)
+
+
+_PRIOR = _prior()
+
+
+def _ridge(normal: Complex, right: Complex, variance: float) -> Complex:
+    """Return what the prior adds to the normal equations, shape (5 c, 5 c): noise over the amplitudes' variance.
+
+    The amplitude of u alone says how large the others may be. Something stays where the field is zero.
+    """
+    ridge = np.zeros_like(normal)
+    for k in range(0, len(normal), _AMPLITUDES):
+        own = max(float(normal[k, k].real), 1e-30)
+        size = abs(complex(right[k])) / own
+        part = slice(k, k + _AMPLITUDES)
+        ridge[part, part] = 2 * variance / max(size * size, 1e-30) * _PRIOR
+    ridge.ravel()[:: len(normal) + 1] += 1e-12 * normal.diagonal().real + 1e-30
+    return ridge

@@ -24,6 +24,9 @@ class FitCriteria:
     """At this share a fit is as likely no finger: unusual fingers leave up to 0.1, palms more than 0.6."""
     poor: float = 0.2
     """More than this at touch-down calls for a comparison with other positions."""
+    most_poor: float = 0.1
+    """And a larger change of the untouched plate's energy by what has landed, fitted no better, is no finger. Thumbs
+    change 0.03 of it on a square of 200 mm, two palms 0.3 (twin)."""
     rival: float = 2.0
     """The position is ambiguous if another one leaves less than this multiple of what it leaves: right positions of
     which this holds are 0.03 to 0.2 %, faint and at the edge; wrong ones 18 in 22 (twin)."""
@@ -43,11 +46,19 @@ class FitCriteria:
     """Below this multiple of the noise energy the network may see a finger at a wrong position."""
     most_size_mm2: float = 12.0
     """A contact with a larger second moment is no finger. Thumbs have up to 7 (twin)."""
+    shape_above: float = 0.004
+    """Points that leave less than this share pay for no shape: a robot's tip leaves 0.003 to 0.01 (twin)."""
+    shape_grown: float = 0.15
+    """A followed finger's shape has changed if another one leaves less than this share of what its own leaves."""
     shape_worth: float = 0.4
     """A shape has to leave less than this share of what a point leaves. A finger's leaves 0.02 to 0.15 of it; at an
     edge, where the field is badly known, a point's own leaves 0.5 to 0.8 (twin)."""
     shape_noise: float = 16.0
     """And as much less, in variances of a value's noise: its eight numbers explain 8 of noise alone."""
+    shape_older: float = 1.2
+    """A followed finger's shape is fitted again once it leaves this many times what it left when it was fitted, ..."""
+    shape_worn: float = 0.001
+    """... and this share more."""
     shapes_apart_mm: float = 9.0
     """Two contacts with shapes that are closer than this are one: so much wider than a point is a child's finger."""
     plate: float = 0.06

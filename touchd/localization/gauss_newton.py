@@ -10,15 +10,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import partial
 
 import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from touchd.localization.atlas import Array, Atlas
-from touchd.localization.contact_model import ContactModel
-from touchd.localization.fit import Bins, Fit, no_fit
+from touchd.localization.contact_field import ContactField, Shape
+from touchd.localization.contact_model import TYPICAL, ContactModel, size_mm2
+from touchd.localization.fit import Bins, Fit, Matrix, no_fit
 from touchd.localization.fit_criteria import CRITERIA
 from touchd.localization.spline import Position, Spline
 
@@ -28,6 +28,8 @@ STILL_MM = 0.2
 """After a shorter step the next one, of second order, would be less than 0.01 mm in 95 of 100 cases (twin)."""
 _DAMPING = 1e-3
 _SHAPE_STEPS = 4
+_STILL_TOGETHER_MM = STILL_MM / 4
+"""After a shorter step of several fingers the next one would be less than 1e-3 mm; few tracked ones step farther."""
 _I = np.complex64(1j)
 
 
@@ -52,8 +54,8 @@ class GaussNewton:
         halves = rows.reshape(8, -1)
         self._fields, self._columns, self._value = halves[:6], halves.T, halves[:2]
         self._spline = Spline(atlas, self._field)
-        self._make_contacts = partial(ContactModel, atlas)
-        self._contacts: ContactModel | None = None  # made where it is used: it copies the atlas
+        self._contact_field = ContactField(atlas, self._field)
+        self._contacts = ContactModel(atlas, self._contact_field)
         self._gram = np.zeros((6, 8), dtype)
         self._turn = np.zeros((2, 2), dtype)
         self._left, self._part = np.zeros((2, n // 2), dtype), np.zeros((2, n // 2), dtype)
@@ -63,23 +65,13 @@ class GaussNewton:
         self._mask: Array | None = None
         self._ordered_mask: Array | None = None
 
-    def configure(self, *, shapes: bool) -> None:
-        """Let contacts have a size and a shape; otherwise they are points."""
-        if shapes != self.shapes:
-            self._contacts = self._make_contacts() if shapes else None
-
-    @property
-    def shapes(self) -> bool:
-        """Whether contacts may have a size and a shape."""
-        return self._contacts is not None
-
-    def fit_one(self, bins: Bins, x_mm: float, y_mm: float, steps: int) -> Fit:
-        """Fit one finger from a position nearby, in at most `steps` steps (at least one)."""
+    def fit_one(self, bins: Bins, x_mm: float, y_mm: float, steps: int, shape: Shape | None = None) -> Fit:
+        """Fit one finger from a position nearby, in at most `steps` steps (at least one); of known shape, if any."""
         self._load(bins)
         inside = self._spline.inside
         x, y = inside(x_mm, y_mm)
         while True:
-            x, y = self._look_up(x, y)
+            x, y = self._look_up(x, y, shape)
             amplitude, a, b, c, right_x, right_y, explained, along_x, along_y = self._normal_equations()
             steps -= 1
             det = a * c - b * b
@@ -95,14 +87,20 @@ class GaussNewton:
                     explained += right_x * step_x + right_y * step_y
                     amplitude /= 1 + step_x * along_x + step_y * along_y
                 break
-        return Fit([(x, y)], [amplitude], [explained], ((a, b), (b, c)), max(bins.energy - explained, 0.0))
+        shapes = [[amplitude * part for part in shape]] if shape else []
+        return Fit([(x, y)], [amplitude], [explained], ((a, b), (b, c)), max(bins.energy - explained, 0.0), shapes)
 
     def fit_several(
-        self, bins: Bins, positions_mm: Sequence[Position], steps: int, still_mm: float = STILL_MM / 10
+        self,
+        bins: Bins,
+        positions_mm: Sequence[Position],
+        steps: int,
+        still_mm: float = STILL_MM / 10,
+        shapes: Sequence[Shape] = (),
     ) -> Fit:
         """Fit any number of fingers jointly from positions nearby, in at most `steps` steps (at least one).
 
-        Steps shorter than `still_mm` end it.
+        Steps shorter than `still_mm` end it. `shapes` are the fingers', if they are known.
         """
         count = len(positions_mm)
         if not count:
@@ -111,7 +109,7 @@ class GaussNewton:
         inside, pair = self._spline.inside, np.arange(2 * count).reshape(2, count).T.ravel()
         at, gained = [inside(*position) for position in positions_mm], 0.0
         for step in range(steps + 1):
-            at, gram = self._gram_of(at)
+            at, gram = self._gram_of(at, shapes)
             own = gram[:count, :count].copy()
             own.ravel()[:: count + 1] += 1e-6 / count * own.trace().real
             solved = np.linalg.solve(own, gram[:count, count:])
@@ -143,7 +141,9 @@ class GaussNewton:
         left = bins.energy - (z.conj() @ gram[:count, -1]).real - gained
         norms = gram.diagonal()[:count].real.tolist()
         energies = [abs(amplitude) ** 2 * norm for amplitude, norm in zip(z.tolist(), norms, strict=True)]
-        return Fit(at, amplitudes.tolist(), energies, information.tolist(), max(float(left), 0.0))
+        found = amplitudes.tolist()
+        of_found = [[z * part for part in shape] for z, shape in zip(found, shapes, strict=False)]
+        return Fit(at, found, energies, information.tolist(), max(float(left), 0.0), of_found)
 
     def with_shapes(self, bins: Bins, fit: Fit, noise_energy: float, worth: float = CRITERIA.shape_worth) -> Fit:
         """Return a fit of contacts with a size and a shape, where points leave more than the field's own error.
@@ -151,28 +151,36 @@ class GaussNewton:
         The fit stays as it is unless its contacts get shapes that fingers have, and these leave less than the share
         `worth` of what points leave, and explain more than noise.
         """
-        signal = bins.energy - noise_energy
-        if self._contacts is None or not fit.positions_mm:
+        signal, left = bins.energy - noise_energy, fit.residual_energy - noise_energy
+        if not fit.positions_mm or signal < CRITERIA.faint * noise_energy or left <= CRITERIA.shape_above * signal:
             return fit
-        if fit.residual_energy - noise_energy <= CRITERIA.enough * signal:
+        sized = self.fit_known(bins, fit.positions_mm, _SHAPE_STEPS, [TYPICAL] * len(fit.positions_mm))
+        start = min(fit, sized, key=lambda one: one.residual_energy)
+        shaped = self.fit_shapes(bins, start, noise_energy, _SHAPE_STEPS)
+        if not shaped.positions_mm and worth == 1.0:
+            shaped = start
+        limit = worth * left - CRITERIA.shape_noise * noise_energy / len(bins.vector)
+        if not shaped.shapes or not shaped.residual_energy - noise_energy < limit:
             return fit
+        return replace(shaped, points_energy=start.residual_energy)
+
+    def fit_known(self, bins: Bins, positions_mm: Sequence[Position], steps: int, shapes: Sequence[Shape]) -> Fit:
+        """Fit contacts of known shapes from positions nearby."""
+        if len(positions_mm) == 1:
+            return self.fit_one(bins, *positions_mm[0], steps, shapes[0])
+        return self.fit_several(bins, positions_mm, steps, _STILL_TOGETHER_MM, shapes)
+
+    def fit_shapes(self, bins: Bins, fit: Fit, noise_energy: float, steps: int) -> Fit:
+        """Fit contacts with a size and a shape from those of a fit; no fit if a shape is none that a finger has."""
         variance = noise_energy / len(bins.vector)
-        shaped = self.fit_shapes(bins, fit.positions_mm, noise_energy, _SHAPE_STEPS)
-        limit = worth * (fit.residual_energy - noise_energy) - CRITERIA.shape_noise * variance
-        if not shaped.positions_mm or not shaped.residual_energy - noise_energy < limit:
-            return fit
-        return replace(shaped, points_energy=fit.residual_energy)
+        shaped = self._contacts.fit(bins, fit.positions_mm, variance, steps, fit.residual_energy)
+        moved_mm = max(map(math.dist, shaped.positions_mm, fit.positions_mm))
+        is_finger = moved_mm < CRITERIA.merged_mm and size_mm2(shaped) < CRITERIA.most_size_mm2
+        return shaped if is_finger else no_fit(bins.energy)
 
-    def fit_shapes(self, bins: Bins, positions_mm: Sequence[Position], noise_energy: float, steps: int) -> Fit:
-        """Fit contacts with a size and a shape from positions nearby; no fit if a shape is none that a finger has."""
-        if self._contacts is None:
-            return no_fit(bins.energy)
-        fit = self._contacts.fit(bins, positions_mm, noise_energy / len(bins.vector), steps)
-        moved_mm = max(map(math.dist, fit.positions_mm, positions_mm))
-        is_finger = moved_mm < CRITERIA.merged_mm and self._contacts.size_mm2(fit) < CRITERIA.most_size_mm2
-        return fit if is_finger else no_fit(bins.energy)
-
-    def _gram_of(self, positions_mm: Sequence[Position]) -> tuple[list[Position], NDArray[np.complex128]]:
+    def _gram_of(
+        self, positions_mm: Sequence[Position], shapes: Sequence[Shape]
+    ) -> tuple[list[Position], NDArray[np.complex128]]:
         """Return the raster points, and the complex products of u, then u_x, then u_y of all fingers.
 
         The products are those with each other and, in the last column, with the frame.
@@ -184,7 +192,7 @@ class GaussNewton:
         rows = self._many[:length]
         at = []
         for k, position in enumerate(positions_mm):
-            at.append(self._look_up(*position))
+            at.append(self._look_up(*position, shapes[k] if shapes else None))
             rows[k : 3 * count : count] = self._field
         rows[-1] = self._known
         halves = rows.reshape(2 * length, -1)
@@ -195,27 +203,30 @@ class GaussNewton:
         np.subtract(of_real[:, 1::2], of_imaginary[:, ::2], table.imag)
         return at, table
 
-    def shift(self, bins: Bins, fit: Fit) -> Array:
-        """Return the matrix from a small change of the bins to that of one finger's x and y, mm, (2, size)."""
+    def shift(self, bins: Bins, fit: Fit) -> tuple[Array, Matrix]:
+        """Return the matrix from a small change of the bins to that of one finger's x and y, mm, (2, size).
+
+        And the information on such a change, as in a fit: the finger's shape stays as it is.
+        """
         self._load(bins)
-        z = fit.amplitudes[0]
-        self._look_up(*fit.positions_mm[0])
+        z, shapes = fit.amplitudes[0], shapes_of(fit)
+        self._look_up(*fit.positions_mm[0], shapes[0] if shapes else None)
         real, imaginary = self._field.reshape(3, 2, -1).swapaxes(0, 1)
         u, u_x, u_y = real + _I * imaginary
         parts = [z * (along - u * (np.vdot(u, along) / np.vdot(u, u))) for along in (u_x, u_y)]
         slope = np.stack([part.reshape(self._channels, self._bins) for part in parts])
         rows = np.stack([slope.real, slope.imag], axis=2).reshape(2, -1)
-        return np.linalg.solve(np.array(fit.fisher_information), rows).astype(self._known.dtype)
+        information = rows @ rows.T
+        return np.linalg.solve(information, rows), information.tolist()
 
     def residual(self, bins: Bins, fit: Fit) -> Array:
         """Return what a fit leaves of the bins, shape (channels * 2 * bins,); valid until the next call."""
-        if fit.shapes and self._contacts is not None:
-            return self._contacts.residual(bins, fit)
         self._load(bins)
         left, turn = self._left, self._turn
         left[...] = self._known.reshape(2, -1)
-        for (x, y), amplitude in zip(fit.positions_mm, fit.amplitudes, strict=True):
-            self._look_up(x, y)
+        shapes: Sequence[Shape | None] = shapes_of(fit) or [None] * len(fit.positions_mm)
+        for (x, y), amplitude, shape in zip(fit.positions_mm, fit.amplitudes, shapes, strict=True):
+            self._look_up(x, y, shape)
             turn[0, 0] = turn[1, 1] = amplitude.real
             turn[1, 0], turn[0, 1] = amplitude.imag, -amplitude.imag
             turn.dot(self._value, self._part)
@@ -233,9 +244,10 @@ class GaussNewton:
             self._mask = bins.mask
             self._ordered_mask = None if bins.mask is None else bins.mask[self._order]
 
-    def _look_up(self, x_mm: float, y_mm: float) -> Position:
+    def _look_up(self, x_mm: float, y_mm: float, shape: Shape | None = None) -> Position:
         """Evaluate the masked field and its derivatives (per mm) into `_field`, and return the raster point."""
-        position = self._spline.at(x_mm, y_mm)
+        at_shape = self._contact_field.of_shape
+        position = self._spline.at(x_mm, y_mm) if shape is None else at_shape(x_mm, y_mm, shape)
         if self._ordered_mask is not None:
             np.multiply(self._field, self._ordered_mask, self._field)
         return position
@@ -265,3 +277,10 @@ class GaussNewton:
         right_y = z * (ryrd + iyid) + z_i * (ryid - iyrd) - power * uy
         along_x, along_y = complex(ux / uu, ux_i / uu), complex(uy / uu, uy_i / uu)
         return complex(z, z_i), a, b, c, right_x, right_y, power * uu, along_x, along_y
+
+
+def shapes_of(fit: Fit) -> list[Shape]:
+    """Return the shapes of a fit's fingers, over their amplitudes; none of points."""
+    return [
+        [part / z for part in shape] if z else [0j] * 4 for z, shape in zip(fit.amplitudes, fit.shapes, strict=False)
+    ]

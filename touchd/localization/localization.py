@@ -18,7 +18,7 @@ class Localization(Struct, gc=False, frozen=True):
     """What came of one frame."""
 
     outcome: Outcome
-    """UNTOUCHED, FAINT, STILL, TRACKED or INFERRED."""
+    """UNTOUCHED, FAINT, STILL, TRACKED, INFERRED or UNCALIBRATED."""
     touches: tuple[Touch, ...] = ()
     departure: bool = False
     """Whether the negative of the residual is a finger: one that the baseline held has lifted."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Generator
+from typing import TypeVar
 
 import numpy as np
 from msgspec.structs import replace
@@ -29,6 +30,7 @@ _GAIN = 0.8
 """A search that leaves less than this share of the energy was worth its time."""
 _STEPS = 2
 
+T = TypeVar("T")
 Found = tuple[Fit, int]
 """A fit, and how many of its fingers, the first ones, are those that were known."""
 
@@ -109,21 +111,26 @@ class MultitouchSearch:
             self._running = None
             found, known = end.value
             if not fresh:
-                found, known = self._as_of_now(bins, found, known, fit)
+                found, known = self._as_of_now(bins, found, known, fit, signal)
             return self._settle(bins, found, known, fit, signal)
         return fit, len(fit.positions_mm)
 
     def prune(self, bins: Bins, fit: Fit, signal: float) -> tuple[Fit, list[int]]:
-        """Return a fit without the fingers that explain next to nothing, and the indices of those, one by one."""
+        """Return a fit without the fingers that explain next to nothing, and the indices of those, one by one.
+
+        Nor does a faint one explain anything if the plate's own movement explains it nearly as well.
+        """
         dropped = []
+        noise_energy = self._noise.noise_energy
         while len(fit.positions_mm) > 1:
             weakest = int(np.argmin(fit.energies))
-            unexplained = fit.residual_energy - self._noise.noise_energy
-            if fit.energies[weakest] > CRITERIA.weak * max(unexplained, CRITERIA.enough * signal):
+            energy, unexplained = fit.energies[weakest], fit.residual_energy - noise_energy
+            is_weak = energy <= CRITERIA.weak * max(unexplained, CRITERIA.enough * signal)
+            is_faint = energy < CRITERIA.faint * noise_energy
+            if not is_weak and not (is_faint and self._is_movement(bins, fit, weakest)):
                 break
             dropped.append(weakest)
-            others = [position for k, position in enumerate(fit.positions_mm) if k != weakest]
-            fit = self._fit(bins, others)
+            fit = self._fit(bins, _without(fit.positions_mm, weakest))
         return fit, dropped
 
     def _all(self, bins: Bins, fit: Fit, signal: float, *, tracked: bool) -> Generator[float, None, Found]:
@@ -134,18 +141,18 @@ class MultitouchSearch:
             found = yield from pursuit.steps(bins, fit, noise_energy)
         if self._noise.excess(found.residual_energy, signal) > CRITERIA.fair or not tracked:
             fresh = yield from pursuit.steps(bins, no_fit(bins.energy), noise_energy)
-            if is_worth(fresh, found, noise_energy):
+            if is_worth(fresh, found, noise_energy, signal):
                 return fresh, 0
         return found, len(fit.positions_mm)
 
-    def _as_of_now(self, bins: Bins, found: Fit, known: int, fit: Fit) -> Found:
+    def _as_of_now(self, bins: Bins, found: Fit, known: int, fit: Fit, signal: float) -> Found:
         """Return what was found in an earlier frame as a fit of this one, if it beats the present fit."""
         count = len(fit.positions_mm)
         if known and (known != count or len(found.positions_mm) == count):
             return fit, count  # fingers have come or gone meanwhile, or nothing was found
         positions_mm = [*(fit.positions_mm if known else []), *found.positions_mm[known:]]
         now = self._fit(bins, positions_mm)
-        if not are_merged(now) and is_worth(now, fit, self._noise.noise_energy):
+        if not are_merged(now) and is_worth(now, fit, self._noise.noise_energy, signal):
             return now, known
         return fit, count
 
@@ -164,24 +171,30 @@ class MultitouchSearch:
 
     def _without_movement(self, bins: Bins, fit: Fit) -> Fit:
         """Return a fit without further fingers that the plate's own movement explains nearly as well."""
-        noise_energy = self._noise.noise_energy
         for k in range(len(fit.positions_mm) - 1, -1, -1):
-            if len(fit.positions_mm) < 2:
-                break
-            others = [j for j in range(len(fit.positions_mm)) if j != k]
-            rest = replace(
-                fit,
-                positions_mm=[fit.positions_mm[j] for j in others],
-                amplitudes=[fit.amplitudes[j] for j in others],
-                shapes=[fit.shapes[j] for j in others] if fit.shapes else [],
-            )
-            left = self._solver.residual(bins, rest)
-            remains = float(left @ left) - self._noise.plate_energy(left) - noise_energy
-            if remains < max(fit.residual_energy - noise_energy, 0.0) / CRITERIA.worth + noise_energy / 4:
-                fit = self._fit(bins, rest.positions_mm)
+            if len(fit.positions_mm) > 1 and self._is_movement(bins, fit, k):
+                fit = self._fit(bins, _without(fit.positions_mm, k))
         return fit
+
+    def _is_movement(self, bins: Bins, fit: Fit, k: int) -> bool:
+        """Return whether noise and the plate's own movement explain finger `k` of a fit nearly as well."""
+        noise_energy = self._noise.noise_energy
+        rest = replace(
+            fit,
+            positions_mm=_without(fit.positions_mm, k),
+            amplitudes=_without(fit.amplitudes, k),
+            shapes=_without(fit.shapes, k),
+        )
+        left = self._solver.residual(bins, rest)
+        remains = float(left @ left) - self._noise.plate_energy(left) - noise_energy
+        return remains < max(fit.residual_energy - noise_energy, 0.0) / CRITERIA.worth + noise_energy / 4
 
     def _fit(self, bins: Bins, positions_mm: list[Position]) -> Fit:
         """Fit contacts of unknown shape from positions nearby."""
         fit = self._solver.fit_several(bins, positions_mm, _STEPS)
         return self._solver.with_shapes(bins, fit, self._noise.noise_energy)
+
+
+def _without(values: list[T], k: int) -> list[T]:
+    """Return all values but the one at index `k`; none of none."""
+    return values[:k] + values[k + 1 :]

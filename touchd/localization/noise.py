@@ -117,15 +117,23 @@ class NoiseModel:
         self._compare(bins)
         return self._bin_power.update(bins)
 
-    def set_channels(self, live: NDArray[np.bool_], directions: Array) -> None:
+    def set_channels(self, live: NDArray[np.bool_], directions: Array, quiet: NDArray[np.bool_] | None = None) -> None:
         """Use these channels, shape (channels,), without the bins that drown.
 
-        `directions`, orthonormal, shape (k, size), are those in which the untouched plate can move.
+        Parameters
+        ----------
+        live : array of shape (channels,)
+        directions : array of shape (k, size)
+            Those in which the untouched plate can move, orthonormal.
+        quiet : array of shape (size,), optional
+            Values that hold no other interference.
         """
         if not live.any():
             live = np.ones_like(live)  # nothing can be said; what the frames hold decides
         self.channels = live
         values = np.repeat(live, self._per_channel) & self._bin_power.quiet()
+        if quiet is not None and (values & quiet).any():
+            values &= quiet
         dtype = self._energy.dtype
         self.mask = None if values.all() else values.astype(dtype)
         self.active_bins = max(int(values.sum()), 1)
@@ -138,6 +146,11 @@ class NoiseModel:
         if self.mask is not None:
             self._directions = np.linalg.qr((directions * values).T)[0].T.astype(dtype)  # orthonormal again
         self._along = np.zeros(len(self._directions), dtype)
+
+    @property
+    def power(self) -> Array:
+        """Noise power of each value, shape (size,), counts squared."""
+        return self._bin_power.power
 
     @property
     def is_alike(self) -> bool:

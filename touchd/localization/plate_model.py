@@ -18,6 +18,7 @@ from touchd.localization.drift import Drift
 from touchd.localization.fit import Bins
 from touchd.localization.noise import NoiseModel
 from touchd.localization.nuisance import Nuisance, hit_rows
+from touchd.localization.tones import WATCH_EVERY, Tones
 
 COMPARE_NS = 1_000_000_000
 """The baseline is compared at this interval: temperature and gains change far more slowly."""
@@ -38,6 +39,8 @@ class PlateModel:
         self.drift = Drift(atlas)
         self.noise = NoiseModel(atlas)
         self.nuisance = Nuisance(atlas.size, dtype)
+        self._tones = Tones(atlas.description.acquisition.channels, len(atlas.description.bins), dtype)
+        self._fingerless_frames = 0
         self._vector: Array = np.zeros(atlas.size, dtype)
         self._energy = np.zeros((), dtype)
         self._baseline = atlas.baseline.copy()
@@ -54,6 +57,7 @@ class PlateModel:
             return
         self.noise.reset()
         self.nuisance.reset()
+        self._tones.reset()
         self.set_baseline(baseline)
         for residual in residuals:
             self.drift.correct(residual, self._vector)
@@ -78,6 +82,24 @@ class PlateModel:
         self.drift.correct(residual, self._vector)
         self.nuisance.hear(self._vector)
         if self.noise.update(self._vector):
+            self._select()
+
+    def watch(self, detection: Detection, *, finger: bool) -> None:
+        """Take a touched frame: what few bins hold for a second without a finger is a tone, and they are left out."""
+        if finger:
+            self._tones.restart()
+            return
+        self._fingerless_frames += 1
+        if self._fingerless_frames % WATCH_EVERY:
+            return
+        self.drift.correct(detection.residual, self._vector)
+        if self._tones.update(self._vector, self.noise.power, detection.t_ns):
+            self._select()
+
+    def calm(self) -> None:
+        """Use all bins again: the plate is untouched, and no tone keeps the gate open."""
+        if self._tones.quiet is not None:
+            self._tones.reset()
             self._select()
 
     def set_baseline(self, baseline: Signal) -> None:
@@ -121,5 +143,5 @@ class PlateModel:
         self._use(~self.drift.dead & self._live)
 
     def _use(self, channels: NDArray[np.bool_]) -> None:
-        self.noise.set_channels(channels, self.drift.directions)
+        self.noise.set_channels(channels, self.drift.directions, self._tones.quiet)
         self.nuisance.set_delay(self.drift.delay, self.noise.mask)

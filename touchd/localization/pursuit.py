@@ -7,12 +7,14 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from touchd.localization.atlas import Array, Atlas
+from touchd.localization.contact_model import TYPICAL
 from touchd.localization.fit import Bins, Fit
 from touchd.localization.fit_criteria import CRITERIA
-from touchd.localization.gauss_newton import GaussNewton
+from touchd.localization.gauss_newton import GaussNewton, shapes_of
 from touchd.localization.spline import Position
 
 MOST_FINGERS = 5
@@ -21,7 +23,7 @@ SCAN_MM = 5.0
 _CANDIDATES = 3
 _BLOCKS, _BLOCK_COST = 6, 0.7
 """A scan runs in 6 blocks, each of which takes as long as 0.7 fits."""
-_SHAPED_COST = 4.0
+SHAPED_COST = 4.0
 """Cost in fits of one of points and one with shapes."""
 _COLD_COST, _REST_COST = 0.3, 0.5
 """Cost in fits of the first block's cache misses, and of the steps before and after a scan."""
@@ -108,6 +110,9 @@ class Pursuit:
         enough, good, fair = (
             noise_energy * (1 + limit.noise_margin) + share * signal for share in (limit.enough, limit.good, limit.fair)
         )
+        # Shapes that were fitted in an earlier frame leave more than those of this one.
+        anew = solver.fit_shapes(bins, fit, noise_energy, _STEPS) if fit.shapes else fit
+        shaped_energy = min(anew.residual_energy, fit.residual_energy)
         best = fit
         for width in _WIDTHS:
             beam, in_vain = [fit], 0
@@ -123,7 +128,9 @@ class Pursuit:
                     if was_fair and not score.max() > limit.seen * fit.residual_energy:
                         return fit
                     for candidate in self._best(score, _CANDIDATES):
-                        more.append(solver.fit_several(bins, [*one.positions_mm, candidate.position_mm], _FIRST_STEPS))
+                        shapes = [*shapes_of(one), TYPICAL] if one.shapes else ()
+                        positions_mm = [*one.positions_mm, candidate.position_mm]
+                        more.append(solver.fit_several(bins, positions_mm, _FIRST_STEPS, shapes=shapes))
                         yield 1.0
                 more.sort(key=_residual_energy)
                 more = _different([one for one in more if not are_merged(one)])[:width]
@@ -131,11 +138,18 @@ class Pursuit:
                 for one in more:
                     points = solver.fit_several(bins, one.positions_mm, _STEPS)
                     # While fingers are missing no shape explains all, but each leaves the next finger clearer.
-                    beam.append(solver.with_shapes(bins, points, noise_energy, 1.0))
-                    yield _SHAPED_COST if solver.shapes else 1.0
+                    shaped = solver.with_shapes(bins, points, noise_energy, 1.0)
+                    if shaped.shapes and one.residual_energy < shaped.points_energy:
+                        shaped = replace(shaped, points_energy=one.residual_energy)
+                    beam.append(shaped)
+                    yield SHAPED_COST
                 beam = [one for one in beam if not are_merged(one)]  # some may have since
                 beam.sort(key=_residual_energy)
-                if beam and is_worth(beam[0], best, noise_energy):
+                before = replace(best, residual_energy=shaped_energy) if best is fit else best
+                if beam and (
+                    is_worth(beam[0], before, noise_energy, signal)
+                    or (best.shapes and is_worth(_as_known(beam[0]), best, noise_energy, signal))
+                ):
                     best, in_vain = beam[0], 0
                     continue
                 in_vain += 1
@@ -176,19 +190,24 @@ class Pursuit:
         return found
 
 
-def is_worth(fit: Fit, other: Fit, noise_energy: float) -> bool:
+def is_worth(fit: Fit, other: Fit, noise_energy: float, signal: float) -> bool:
     """Return whether a fit explains more than another, and enough more for each finger that it has more."""
     more = len(fit.positions_mm) - len(other.positions_mm)
     if not other.positions_mm or more <= 0:
         return fit.residual_energy < other.residual_energy
     left = other.residual_energy - noise_energy
-    if fit.shapes and not other.shapes:
+    if fit.shapes and not other.shapes and left < CRITERIA.half_confidence * signal:
         # Fewer have no plausible shape: as points more explain it, or the field is in doubt, and the shapes of more
         # explain its errors too.
         if fit.points_energy - noise_energy < CRITERIA.worth**more * left:
             return True
         more *= 2
     return fit.residual_energy - noise_energy < CRITERIA.worth**more * left
+
+
+def _as_known(fit: Fit) -> Fit:
+    """Return a fit with the energy that contacts leave whose shapes were not fitted in this frame."""
+    return replace(fit, residual_energy=fit.points_energy) if fit.shapes else fit
 
 
 def are_merged(fit: Fit) -> bool:

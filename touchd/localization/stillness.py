@@ -16,6 +16,8 @@ from touchd.localization.gauss_newton import GaussNewton
 STILL_MM = 0.05
 """A finger that moves less than this from one frame to the next may rest."""
 STILL_SIGMAS = 2.5
+_LIFTED = 0.5
+"""A finger that lifts changes a frame by all of its energy: half of it is no noise, however much noise is expected."""
 
 
 class StillFrame:
@@ -90,6 +92,7 @@ class StillFinger:
         self._shifted: Array = np.zeros(2, dtype)
         self._energy = np.zeros((), dtype)
         self._most_mm2 = 0.0
+        self._most_energy = 0.0
         self.armed = False
         """Whether there is a frame to compare with."""
 
@@ -113,10 +116,11 @@ class StillFinger:
         if self.armed:
             np.copyto(self._seen, bins.vector)
             self._mask = bins.mask
-            self._shift = self._solver.shift(bins, fit)
+            self._shift, information = self._solver.shift(bins, fit)
             # Of two frames, per axis, by noise alone.
-            sigma_mm = sigmas_mm(fit.fisher_information, 2 * variance)[0]
+            sigma_mm = sigmas_mm(information, 2 * variance)[0]
             self._most_mm2 = 2 * (STILL_SIGMAS * sigma_mm) ** 2
+            self._most_energy = _LIFTED * fit.energies[0]
 
     def holds(self, most_energy: float) -> bool:
         """Return whether the finger of `vector` is where it was, but for the noise, and nothing has come beside it.
@@ -129,7 +133,7 @@ class StillFinger:
         if self._mask is not None:
             np.multiply(difference, self._mask, out=difference)
         difference.dot(difference, self._energy)
-        if not self._energy.item() <= most_energy:
+        if not self._energy.item() <= min(most_energy, self._most_energy):
             return False
         np.dot(self._shift, difference, out=self._shifted)
         x_mm, y_mm = self._shifted.tolist()

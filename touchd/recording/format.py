@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
 import re
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -14,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ValidationError
 
-from touchd.errors import OutputError, RecordingMissing, RecordingShape, RecordingValues, RecordingVersion
+from touchd.errors import RecordingMissing, RecordingShape, RecordingValues, RecordingVersion
+from touchd.files import replacing
 from touchd.recording import npz
 from touchd.recording.data import Device, Meta, Recording
 from touchd.recording.validate import ARRAYS, REQUIRED, check, check_continues
@@ -38,34 +36,8 @@ def write(path: Path, recording: Recording, *, compress: bool = True) -> None:
     arrays: dict[str, Any] = {name: getattr(recording, name) for name in ARRAYS}
     arrays = {name: array for name, array in arrays.items() if array is not None}
     save = np.savez_compressed if compress else np.savez
-    temporary = ""
-    try:
-        # mkstemp creates with mode 0600. The dot keeps readers from taking the file for a chunk.
-        handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", suffix=".tmp", dir=path.parent)
-        with os.fdopen(handle, "wb") as file:
-            save(file, format=FORMAT, version=VERSION, meta=recording.meta.model_dump_json(), **arrays)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
-        temporary = ""
-        _sync_folder(path.parent)
-    except (OSError, ValueError) as error:
-        reason = (error.strerror if isinstance(error, OSError) else None) or str(error)
-        raise OutputError(f"cannot be written ({reason})", str(path), "check folder, space and permissions") from error
-    finally:
-        if temporary:
-            with contextlib.suppress(OSError):
-                os.unlink(temporary)
-
-
-def _sync_folder(folder: Path) -> None:
-    # The new name is safe once the folder is on disk too. Some file systems cannot sync one.
-    with contextlib.suppress(OSError):
-        handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-        try:
-            os.fsync(handle)
-        finally:
-            os.close(handle)
+    with replacing(path, mode=0o600) as file:
+        save(file, format=FORMAT, version=VERSION, meta=recording.meta.model_dump_json(), **arrays)
 
 
 def read(path: Path) -> Recording:

@@ -1,15 +1,18 @@
 """Takes commands from other programs: datagrams at a socket in the file system.
 
-One datagram is one command, in ASCII: `screen off`, `screen on`. Whoever may write to the file may command.
+One datagram is one command, in ASCII: `screen off`, `screen on`, `reload`, and `frames` with a socket for them. Whoever
+may write to the file may command; frames, which can reveal a PIN, are for the daemon's own user and root alone.
 """
 
 from __future__ import annotations
 
+import array
 import contextlib
 import grp
 import os
 import socket
 import stat
+import struct
 from pathlib import Path
 
 import structlog
@@ -17,12 +20,15 @@ import structlog
 from touchd.config.schema import ControlSettings
 from touchd.errors import AddressInUse, BusError, ConfigError
 
-COMMANDS = ("screen off", "screen on")
+COMMANDS = ("screen off", "screen on", "reload", "frames")
 SERVICE_PATH = Path("/run/touchd/control")
 """The socket of the service that the package installs."""
 _LONGEST_BYTES = 64
 _PATIENCE_S = 2.0  # a daemon that hangs leaves its queue full
 _MOST_PER_POLL = 16  # a flood of commands must not hold up a frame
+_MOST_FDS = 4
+_CREDENTIALS = struct.Struct("3i")  # struct ucred: pid, uid, gid
+_ANCILLARY_BYTES = socket.CMSG_SPACE(_CREDENTIALS.size) + socket.CMSG_SPACE(_MOST_FDS * 4)
 
 log = structlog.get_logger()
 
@@ -75,8 +81,11 @@ class Control:
 
     def __init__(self, path: Path, group: str = "") -> None:
         self.path = path
+        self.listeners: list[socket.socket] = []
+        """Sockets that came with the commands `frames`, in order: take them from here."""
         _clear(path)
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_PASSCRED, 1)
         umask = os.umask(0o177)
         try:
             self._socket.bind(str(path))
@@ -99,24 +108,47 @@ class Control:
         found: list[str] = []
         for _ in range(_MOST_PER_POLL):
             try:
-                command = self._socket.recv(_LONGEST_BYTES).decode("ascii", "replace").strip()
+                said, ancillary, _, _ = self._socket.recvmsg(_LONGEST_BYTES, _ANCILLARY_BYTES, socket.MSG_CMSG_CLOEXEC)
             except OSError:  # none is left
                 break
-            if command in COMMANDS:
+            command, (uid, handed) = said.decode("ascii", "replace").strip(), _unpack(ancillary)
+            if command == "frames" and len(handed) == 1 and uid in (0, os.geteuid()):
+                self.listeners.append(handed.pop())
+                found.append(command)
+            elif command in COMMANDS and command != "frames":
                 found.append(command)
             else:
-                log.warning("no such command", known=COMMANDS)
+                log.warning("no such command, or not for this user", known=COMMANDS)
+            for unwanted in handed:
+                unwanted.close()
         return found
 
     def close(self) -> None:
         """Stop listening and remove the socket; further calls do nothing."""
         if self._socket.fileno() < 0:
             return
+        for listener in self.listeners:
+            listener.close()
         # Only this daemon's own file: another one may have taken the path meanwhile.
         with contextlib.suppress(OSError):
             if self._socket.getsockname() == str(self.path):
                 self.path.unlink()
         self._socket.close()
+
+
+def _unpack(ancillary: list[tuple[int, int, bytes]]) -> tuple[int, list[socket.socket]]:
+    """Return the sender's user, -1 if unknown, and the sockets that it sent."""
+    uid, handed = -1, []
+    for level, kind, data in ancillary:
+        if level == socket.SOL_SOCKET and kind == socket.SCM_CREDENTIALS and len(data) == _CREDENTIALS.size:
+            _, uid, _ = _CREDENTIALS.unpack(data)
+        elif level == socket.SOL_SOCKET and kind == socket.SCM_RIGHTS:
+            for fd in array.array("i", data[: len(data) // 4 * 4]):
+                try:
+                    handed.append(socket.socket(fileno=fd))
+                except OSError:  # no socket
+                    os.close(fd)
+    return uid, handed
 
 
 def _clear(path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import faulthandler
 import math
+import os
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -14,17 +15,22 @@ from typing import TYPE_CHECKING
 import structlog
 
 from touchd.config.schema import Settings
+from touchd.errors import SourceError
+from touchd.frame import Plate
 from touchd.keypad import Layout, load_layout
-from touchd.localization.model import Model, default_model_path
+from touchd.localization.model import Model
 from touchd.pipeline import Pipeline
-from touchd.recording.data import Meta
+from touchd.recording.data import Device, Meta
 from touchd.service import log as logging
 from touchd.service import realtime
 from touchd.service.control import Control, path_of
 from touchd.service.cpu_latency import Awake
+from touchd.service.frame_feed import FeedDescription, FrameFeed
 from touchd.service.health import Health
 from touchd.service.loop import FrameKeeper, Service
 from touchd.service.messages import Messages, wants_of
+from touchd.service.models import ModelInUse
+from touchd.service.models import load_model as load_model
 from touchd.service.preroll import PreRoll
 from touchd.service.reload import Reloader
 from touchd.service.signals import deliver, reload_on_hangup, save_on_signal, stop_on_signals
@@ -47,13 +53,16 @@ def log_notice(reason: str, fields: dict[str, float]) -> None:
     log.info("baseline relearned", reason=reason, **fields)
 
 
-def load_model(settings: Settings) -> Model:
-    """Return the model that the settings name."""
-    return Model(settings.model.path or default_model_path(), atlas=settings.model.atlas)
+def find_model(settings: Settings) -> Model | None:
+    """Return the model in use; None if the settings name one that is not there yet: the daemon is uncalibrated."""
+    path = settings.model.path
+    return None if path is not None and not os.path.lexists(path) else load_model(settings)
 
 
-def layout_of(settings: Settings, model: Model) -> Layout | None:
+def layout_of(settings: Settings, model: Model | None) -> Layout | None:
     """Return the keys, in keypad mode: those that the settings name, or else the model's own."""
+    if model is None:
+        return None  # keys lie on a plate that a model knows
     if settings.keypad.layout is None:
         return model.description.layout
     return load_layout(settings.keypad.layout, model.description.plate)
@@ -61,7 +70,7 @@ def layout_of(settings: Settings, model: Model) -> Layout | None:
 
 @dataclass(slots=True)
 class Parts:
-    """What a daemon opens before its source. A part that was refused, or is not wanted, is None."""
+    """What a daemon opens before its source. A part that was refused, or is not wanted or not there yet, is None."""
 
     bus: ZeromqSink | None = None
     control: Control | None = None
@@ -95,7 +104,7 @@ def open_parts(settings: Settings, stack: ExitStack, step: Step = nullcontext) -
         if (where := path_of(settings.control)) is not None:
             parts.control = stack.enter_context(closing(Control(where, settings.control.group)))
     with step("model"):
-        parts.model = load_model(settings)
+        parts.model = find_model(settings)
     if parts.model is not None:
         with step("keypad"):
             parts.layout = layout_of(settings, parts.model)
@@ -117,29 +126,31 @@ def make_service(
     source: Source,
     sinks: Sequence[Sink],
     settings: Settings,
-    model: Model,
+    model: Model | None,
     *,
     clock: Callable[[], int] = time.monotonic_ns,
     manager: Notifier | None = None,
     preroll: FrameKeeper | None = None,
     control: Control | None = None,
     read_settings: Callable[[], Settings] | None = None,
+    feed: FrameFeed | None = None,
 ) -> Service:
     """Return the service between a source and sinks, which it closes at the end of `run`.
 
     Parameters
     ----------
     source, sinks, settings, model
+        Without a model it is uncalibrated.
     clock : callable
         CLOCK_MONOTONIC, ns.
-    manager, preroll, control
+    manager, preroll, control, feed
         Optional parts of the service.
     read_settings : callable, optional
         Reads the configuration, for `Service.reload`.
     """
-    pipeline = make_pipeline(source, settings, model)
+    pipeline = Pipeline(source.acquisition, model, settings, layout_of(settings, model), log_notice)
     messages = Messages(settings, wants_of(sinks))
-    health = Health(source, pipeline, messages, settings.health, model.description.name)
+    health = Health(source, pipeline, messages, settings.health)
     reloader = None
     if read_settings is not None:
         kept = preroll if isinstance(preroll, PreRoll) else None
@@ -147,21 +158,33 @@ def make_service(
     return Service(
         source, pipeline, messages, sinks, health, clock=clock, manager=manager,
         awake=Awake(settings.realtime.awake_from_hz), preroll=preroll, control=control, reloader=reloader,
+        feed=feed,
     )  # fmt: skip
 
 
 def make_reloader(
     settings: Settings,
     read: Callable[[], Settings],
-    model: Model,
+    model: Model | None,
     pipeline: Pipeline,
     messages: Messages,
     health: Health,
     preroll: PreRoll | None = None,
 ) -> Reloader:
-    """Return what reloads the configuration of these parts."""
+    """Return what reloads the configuration of these parts, and the model once its files have changed."""
+    in_use = ModelInUse(settings, model)
+    loaded = model
+
+    def layout_with(new: Settings) -> Layout | None:
+        nonlocal loaded
+        loaded = in_use.load(new)
+        return layout_of(new, loaded)
 
     def apply(new: Settings, layout: Layout | None) -> None:
+        if loaded is not None and loaded is not in_use.model:
+            pipeline.set_model(loaded, new, layout)  # first: it refuses a model before anything has changed
+            log.info("model", name=loaded.description.name, path=loaded.path)
+        in_use.take(loaded)
         pipeline.configure(new, layout)
         messages.configure(new)
         health.configure(new.health)
@@ -169,21 +192,38 @@ def make_reloader(
             preroll.configure(new.preroll)
         logging.configure(new.log)
 
-    return Reloader(settings, layout_of(settings, model), read, lambda new: layout_of(new, model), apply)
+    return Reloader(settings, layout_of(settings, model), read, layout_with, apply)
 
 
-def make_preroll(source: Source, settings: Settings, model: Model, choice: SourceChoice) -> PreRoll:
-    """Return the keeper of the last seconds of a source's frames."""
+def describer(
+    source: Source, settings: Settings, choice: SourceChoice, plate: Callable[[], Plate | None]
+) -> Callable[[], FeedDescription]:
+    """Return what describes a source's frames to those who record them; `plate` returns the model's plate."""
     known = getattr(source, "meta", None)
     kind = "simulated" if choice.simulate else "replay" if choice.replay else "ni" if choice.ni else "usb"
     rate_hz = known.frame_rate_hz if known else float(settings.device.rate_hz)
 
+    def description() -> FeedDescription:
+        return FeedDescription(
+            acquisition=source.acquisition, rate_hz=rate_hz, source=known.source if known else kind,
+            plate=known.plate if known else plate(), device=getattr(source, "device", None) or Device(),
+        )  # fmt: skip
+
+    return description
+
+
+def make_preroll(source: Source, settings: Settings, description: Callable[[], FeedDescription]) -> PreRoll:
+    """Return the keeper of the last seconds of a source's frames."""
+    known = getattr(source, "meta", None)
+
     def meta() -> Meta:
-        device = getattr(source, "device", None)
-        fresh = describe(source.acquisition, model.description.plate, rate_hz, source=kind, device=device)
+        d = description()
+        if d.plate is None:
+            raise SourceError("no plate is known without a model", "pre-roll", "touchd calibrate")
+        fresh = describe(d.acquisition, d.plate, d.rate_hz, source=d.source, device=d.device)
         return known.model_copy(update={"created": fresh.created}) if known else fresh
 
-    return PreRoll(source.acquisition, rate_hz, meta, settings.preroll)
+    return PreRoll(source.acquisition, description().rate_hz, meta, settings.preroll)
 
 
 def run(
@@ -219,14 +259,18 @@ def run(
             parts = open_parts(settings, stack)
         bus, model = parts.bus, parts.model
         assert bus is not None
-        assert model is not None
         # Last: the twin computes its plate for many seconds.
         source = stack.enter_context(closing(open_source(choice, settings, model)))
         sinks: list[Sink] = [bus, JsonlSink(sys.stdout)] if echo else [bus]
-        preroll = stack.enter_context(closing(make_preroll(source, settings, model, choice)))
+
+        def plate() -> Plate | None:
+            return service.pipeline.model.description.plate if service.pipeline.model else None
+
+        description = describer(source, settings, choice, plate)
+        preroll = stack.enter_context(closing(make_preroll(source, settings, description)))
         service = make_service(
-            source, sinks, settings, model,
-            manager=manager, preroll=preroll, control=parts.control, read_settings=read_settings,
+            source, sinks, settings, model, manager=manager, preroll=preroll, control=parts.control,
+            read_settings=read_settings, feed=FrameFeed(description),
         )  # fmt: skip
         stop_on_signals(service)
         if read_settings is not None:

@@ -30,14 +30,9 @@ class Health:
     pipeline : Pipeline
     messages : Messages
     settings : HealthSettings
-    model_name : str
-        Published in each message.
     """
 
-    def __init__(
-        self, source: Source, pipeline: Pipeline, messages: Messages, settings: HealthSettings, model_name: str
-    ) -> None:
-        self.model_name = model_name
+    def __init__(self, source: Source, pipeline: Pipeline, messages: Messages, settings: HealthSettings) -> None:
         self._live = source if isinstance(source, LiveSource) else None
         self._pipeline, self._messages = pipeline, messages
         self._latencies_us = np.zeros(_LATENCIES, np.float32)
@@ -49,6 +44,11 @@ class Health:
         """Change the period."""
         self.period_ns = round(settings.period_s * 1e9)
         """From one message to the next, ns."""
+
+    @property
+    def model_name(self) -> str:
+        """Name of the model in use; empty without one."""
+        return self._pipeline.model.description.name if self._pipeline.model else ""
 
     def add_latency(self, latency_us: float) -> None:
         """Count the latency of one frame with messages."""
@@ -88,8 +88,9 @@ class Health:
             version=__version__,
             clipped=tally.clipped,
             late=tally.late,
+            clock_ppm=round(tally.clock_ppm, 1),
             unheard={topic: count for topic, count in unheard.items() if count},
-            reason=reason or pipeline.fault or ("the screen is off" if pipeline.screen_off else None),
+            reason=reason or pipeline.fault or self._reason(),
         )
 
     def log_losses(self, health: HealthEvent) -> None:
@@ -100,6 +101,11 @@ class Health:
             if in_all > before:
                 log.warning(f"frames {name}", **{name: in_all - before, f"{name}_in_all": in_all})
                 self._logged[name] = in_all
+
+    def _reason(self) -> str | None:
+        if self._pipeline.model is None:
+            return "there is no model of this plate: touchd calibrate makes one"
+        return "the screen is off" if self._pipeline.screen_off else None
 
     def _take_latency(self) -> Latency:
         latencies_us = self._latencies_us[: min(self._sent, _LATENCIES)]

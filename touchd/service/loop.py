@@ -14,6 +14,7 @@ from touchd.frame import Frame
 from touchd.pipeline import Pipeline
 from touchd.service.control import Control
 from touchd.service.cpu_latency import Awake
+from touchd.service.frame_feed import FrameFeed
 from touchd.service.health import Health
 from touchd.service.messages import Messages
 from touchd.service.reload import Reloader
@@ -24,7 +25,9 @@ from touchd.sources.source import Change, LiveSource, Source
 
 STALL_NS = 1_000_000_000
 """A source that is no device has stalled after this time without a frame, ns."""
-_READY: tuple[State, ...] = ("streaming", "lost")
+_FLOWING: tuple[State, ...] = ("streaming", "uncalibrated")
+"""Frames flow."""
+_READY: tuple[State, ...] = (*_FLOWING, "lost")
 """Frames flow, or the device is awaited."""
 _TICK_NS = 4_000_000
 """Sinks are polled this often, and all else is done that is due: at usual rates after each frame. Polling costs a fifth
@@ -65,6 +68,8 @@ class Service:
         Where commands come from.
     reloader : Reloader, optional
         Reloads the configuration.
+    feed : FrameFeed, optional
+        Hands frames to programs that ask for them through `control`.
     """
 
     def __init__(
@@ -81,6 +86,7 @@ class Service:
         preroll: FrameKeeper | None = None,
         control: Control | None = None,
         reloader: Reloader | None = None,
+        feed: FrameFeed | None = None,
     ) -> None:
         self.pipeline = pipeline
         self._source, self._messages, self._sinks, self._health = source, messages, sinks, health
@@ -91,7 +97,9 @@ class Service:
         # A device reports its states; of any other source only the silence is known.
         self._live = source if isinstance(source, LiveSource) else None
         self._withheld: dict[str, int] = {}
+        self._feed = feed
         self._state: State = "starting"
+        self._flowing: State = "streaming" if pipeline.model else "uncalibrated"
         self._reason: str | None = None
         self._away = False
         self._stop = False
@@ -128,22 +136,26 @@ class Service:
             self._enter("stopping")
             self._awake.close()
             self._source.close()
+            if self._feed is not None:
+                self._feed.close()
             for sink in self._sinks:
                 sink.close()
 
     def _run_frames(self) -> None:
-        pipeline, preroll = self.pipeline, self._preroll
+        pipeline, preroll, feed = self.pipeline, self._preroll, self._feed
         for frame in frames_of(self._source, on_change=self._follow):
             if frame is None:
                 self._wait()
             else:
-                if self._state != "streaming":
-                    self._enter("streaming")
+                if self._state != self._flowing:
+                    self._enter(self._flowing)
                 result = pipeline.process(frame)
                 if (result.contacts or result.touches) and (events := self._messages.make(result, pipeline.spectrum)):
                     self._publish(events, frame.received_ns)
                 if preroll is not None:
                     preroll.keep(frame, result.contacts)
+                if feed is not None and feed.listeners:
+                    feed.send(frame)
                 self._finish(frame)
             if self._stop:
                 return
@@ -167,7 +179,7 @@ class Service:
         now_ns = self._clock()
         if self._live is not None:
             self._count_withheld(self._live, now_ns)
-        elif self._state == "streaming" and now_ns - self._seen_ns > STALL_NS:
+        elif self._state in _FLOWING and now_ns - self._seen_ns > STALL_NS:
             self._release(now_ns)
             self._enter("stalled")
         self._tick(now_ns)
@@ -191,12 +203,20 @@ class Service:
             self._publish_health()
         if self._control is not None and now_ns - self._control_ns >= _CONTROL_NS:
             self._control_ns = now_ns
-            for command in self._control.poll():
-                self._set_screen(off=command == "screen off", now_ns=now_ns)
+            self._obey(self._control, now_ns)
         if self._reload_asked:
             self._read_configuration()
         # Here, between frames: a stage, a sink or a source that hangs starves the watchdog.
         self._manager.beat(now_ns)
+
+    def _obey(self, control: Control, now_ns: int) -> None:
+        for command in control.poll():
+            if command == "reload":
+                self._reload_asked = True
+            elif command != "frames":
+                self._set_screen(off=command == "screen off", now_ns=now_ns)
+            elif self._feed is not None:
+                self._feed.add(control.listeners.pop(0))
 
     def _read_configuration(self) -> None:
         self._reload_asked = False
@@ -204,6 +224,7 @@ class Service:
             self._manager.reloading()
             self._reloader.reload()
             self._manager.reloaded()
+            self._flowing = "streaming" if self.pipeline.model else "uncalibrated"
 
     def _set_screen(self, *, off: bool, now_ns: int) -> None:
         before = self.pipeline.screen_off
@@ -233,7 +254,10 @@ class Service:
         elif self._away:
             self._away = False
             self.pipeline.reset()
-        self._enter(change.state, change.reason)
+        if change.state == "streaming":
+            self._enter(self._flowing, change.reason)
+        else:
+            self._enter(change.state, change.reason)
 
     def _enter(self, state: State, reason: str | None = None) -> None:
         say = log.warning if state in ("stalled", "lost") else log.info

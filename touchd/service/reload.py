@@ -1,4 +1,4 @@
-"""Reloads the configuration of a running daemon: which settings it applies, and which wait for a restart."""
+"""Reloads the configuration and the model of a running daemon: what it applies, and what waits for a restart."""
 
 from __future__ import annotations
 
@@ -12,10 +12,8 @@ from touchd.config.schema import Settings
 from touchd.errors import TouchdError
 from touchd.keypad import Layout
 
-RESTART_ONLY = frozenset(
-    {"device", "ni", "bus", "control", "realtime", "model.path", "model.atlas", "baseline.learn_frames"}
-)
-"""Tables and keys that a running daemon cannot change: what is open, bound, loaded or learned."""
+RESTART_ONLY = frozenset({"device", "ni", "bus", "control", "realtime", "baseline.learn_frames"})
+"""Tables and keys that a running daemon cannot change: what is open, bound or learned."""
 
 log = structlog.get_logger()
 

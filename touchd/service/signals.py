@@ -9,17 +9,25 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:  # `held` comes before all that takes its time to import
+if TYPE_CHECKING:  # `hold` comes before all that takes its time to import
     from touchd.service.loop import Service
     from touchd.service.preroll import PreRoll
 
 _HELD = (signal.SIGHUP, signal.SIGUSR1)
 
 
+def hold() -> set[int]:
+    """Let SIGHUP and SIGUSR1 wait until `deliver`: a daemon that starts would end of them. Return the mask before.
+
+    Those of the interpreter's own start, some 20 ms, still end it.
+    """
+    return signal.pthread_sigmask(signal.SIG_BLOCK, _HELD)
+
+
 @contextmanager
 def held() -> Iterator[None]:
-    """Let SIGHUP and SIGUSR1 wait, within this context, until `deliver`: a daemon that starts would end of them."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, _HELD)
+    """Let both wait, within this context, until `deliver`."""
+    before = hold()
     try:
         yield
     finally:

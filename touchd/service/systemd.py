@@ -9,10 +9,7 @@ import os
 import socket
 import time
 from collections.abc import Callable, Mapping
-
-import structlog
-
-log = structlog.get_logger()
+from typing import Any
 
 
 class Notifier:
@@ -44,7 +41,7 @@ class Notifier:
                 self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
                 self._socket.connect("\0" + address[1:] if address.startswith("@") else address)
             except OSError as error:
-                log.warning("the service manager cannot be reached", socket=address, error=error.strerror)
+                _log().warning("the service manager cannot be reached", socket=address, error=error.strerror)
                 self.close()
 
     @classmethod
@@ -97,9 +94,15 @@ class Notifier:
         try:
             self._socket.send(lines.encode())
         except OSError as error:
-            log.debug("the service manager did not hear", what=lines.partition("=")[0], error=error.strerror)
+            _log().debug("the service manager did not hear", what=lines.partition("=")[0], error=error.strerror)
             return False
         return True
+
+
+def _log() -> Any:
+    import structlog  # 18 MB, which a bridge does without
+
+    return structlog.get_logger()
 
 
 def _one_line(text: str) -> str:

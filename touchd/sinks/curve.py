@@ -13,7 +13,6 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-import structlog
 import zmq
 from zmq.auth import create_certificates
 
@@ -24,8 +23,6 @@ _KEY = re.compile(rb"""^\s*(public|secret)-key\s*=\s*"([0-9a-zA-Z.\-:+=^!/*?&<>(
 """A key's name, and 32 bytes in Z85, https://rfc.zeromq.org/spec/32/."""
 _LONGEST_BYTES = 65536
 """No key file is longer."""
-
-log = structlog.get_logger()
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,6 +128,9 @@ class ClientKeys:
     """
 
     def __init__(self, folder: Path) -> None:
+        import structlog  # 18 MB, which subscribers do without
+
+        self._log = structlog.get_logger()
         self._folder = folder
         self._files: dict[str, tuple[tuple[int, ...], bytes | None]] = {}
         self._keys: frozenset[bytes] = frozenset()
@@ -157,8 +157,8 @@ class ClientKeys:
             found = {}
         except OSError as error:
             if self.current:
-                log.error("the clients' keys cannot be looked at, those known stay in force",
-                          folder=str(self._folder), error=error.strerror)  # fmt: skip
+                self._log.error("the clients' keys cannot be looked at, those known stay in force",
+                                folder=str(self._folder), error=error.strerror)  # fmt: skip
             self.current = False
             return
         self.current = True
@@ -176,7 +176,7 @@ class ClientKeys:
             return load_public(self._folder / name)
         except BusError as error:
             if log_failure:
-                log.error("a client's key is skipped", error=str(error))
+                self._log.error("a client's key is skipped", error=str(error))
             return None
 
 

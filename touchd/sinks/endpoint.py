@@ -10,9 +10,12 @@ import socket
 import stat
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from touchd.config.schema import BusSettings
 from touchd.errors import AddressInUse, BusError, InsecureBind
+
+if TYPE_CHECKING:  # subscribers do without its 16 MB
+    from touchd.config.schema import BusSettings
 
 LOOPBACK = "tcp://127.0.0.1:5570"
 """Where a daemon publishes that nobody told where, without a service manager."""

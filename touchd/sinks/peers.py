@@ -31,7 +31,8 @@ MESSAGES_HZ = 16.0
 STALLED_S = 10.0
 """A connection whose peer has read nothing for this time is cut off: what waits for it is stale, and takes memory."""
 _LOOK_S = 1.0
-_MOST_EVENTS = 64  # read at once: a flood of connections must not delay a frame
+_SHARE = 0.25  # of the time since the last poll: a flood of connections must not delay a frame
+_MOST_EVENTS = 64  # read at once, after a pause
 _MONITORED = int(
     zmq.EVENT_ACCEPTED | zmq.EVENT_DISCONNECTED | zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL | zmq.EVENT_HANDSHAKE_FAILED_AUTH
 )
@@ -60,6 +61,8 @@ class _Peer:
     credit_s: float = 0.0
     subscribed: bool = False
     """Whether it ever subscribed."""
+    early: bool = False
+    """Whether the monitor has yet to say that it came."""
     unsent: bytes = b""
     """How much waits to be sent, as the kernel says it."""
     unsent_s: float = 0.0
@@ -95,7 +98,7 @@ class Peers:
         self._clock = clock
         self._peers: dict[int, _Peer] = {}
         self._wants: Counter[str] = Counter()
-        self._looked_s = clock()
+        self._looked_s = self._read_s = clock()
         self._cut_off = Throttle("subscriber cut off")
         self._refused = Throttle("subscriber refused")
         self._failed = False
@@ -122,8 +125,8 @@ class Peers:
             descriptor = int(message.get(_SRCFD))
         except zmq.ZMQError:
             return frozenset()  # libzmq's own, when the last subscriber of a prefix went: `poll` sees it go
-        if descriptor not in self._peers:
-            self._read_monitor()
+        if descriptor not in self._peers and self._read_monitor() and descriptor not in self._peers:
+            self._enter(descriptor, early=True)
         peer = self._peers.get(descriptor)
         if peer is None:
             return frozenset()
@@ -160,15 +163,18 @@ class Peers:
 
     # -- connections ------------------------------------------------------------------------------------
 
-    def _read_monitor(self) -> None:
+    def _read_monitor(self) -> bool:
+        """Take in who came and went, for a share of the time since the last call; return whether more may wait."""
+        before_s, self._read_s = self._read_s, self._clock()
         # The state costs a microsecond, a failed attempt to receive several.
         if not int(self._monitor.getsockopt(_EVENTS)) & _POLLIN:
-            return
+            return False
+        until_s = self._read_s + _SHARE * (self._read_s - before_s)
         for _ in range(_MOST_EVENTS):
             try:
                 event, _address = self._monitor.recv_multipart(_NOBLOCK)
             except zmq.Again:
-                return
+                return False
             kind, value = _EVENT.unpack(event)
             if kind == _ACCEPTED:
                 self._enter(value)
@@ -176,15 +182,22 @@ class Peers:
                 self._leave(value)
             else:  # the disconnection of the same connection follows
                 self._failed = True
+            if self._clock() > until_s:
+                break
+        return True
 
-    def _enter(self, descriptor: int) -> None:
+    def _enter(self, descriptor: int, *, early: bool = False) -> None:
+        known = self._peers.get(descriptor)
+        if known is not None and known.early:
+            known.early = False
+            return
         self._forget(descriptor)
         name, origin, stream = "gone already", "", True
         with suppress(OSError), _borrowed(descriptor) as connection:
             name, origin = _names(connection)
             stream = connection.family != socket.AF_UNIX
         now_s = self._clock()
-        newcomer = _Peer(descriptor, name, origin, now_s, stream, credit_s=now_s)
+        newcomer = _Peer(descriptor, name, origin, now_s, stream, credit_s=now_s, early=early)
         if len(self._peers) >= self._most:
             self._cut(self._choose(newcomer), f"there are more than {self._most}")
             if len(self._peers) >= self._most:

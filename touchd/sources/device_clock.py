@@ -57,6 +57,8 @@ class DeviceClock:
         """How much later than the quickest frames the last frame arrived."""
         self.fault: str | None = None
         """Why times are those of arrival, for a person; None while the device's clock is used."""
+        self.ppm = 0.0
+        """How much faster than this computer's the device's clock runs, parts per million; 0 before 4 s tell."""
         self._complete_ns = complete_ns
         self._epoch_ns: int | None = None
         self._restarts, self._restarted_ns = 0, -_RESTART_GAP_NS - 1
@@ -122,7 +124,7 @@ class DeviceClock:
         self._epoch_ns = device_ns
         self._minima: deque[_Point] = deque(maxlen=BUCKETS)
         self._bucket = 0
-        self._skew = 0.0
+        self._skew = self.ppm = 0.0
         # An integer, exact after any uptime; floats hold only how far the clocks have parted since.
         self._first_ns = received_ns - self._complete_ns
         # Height of the line at x = 0; and what is added to device time, which follows the line.
@@ -149,6 +151,7 @@ class DeviceClock:
             self._judge(high.x_ns - low.x_ns, high.y_ns - low.y_ns)
             if len(points) >= _FIT_BUCKETS:
                 skew = (high.y_ns - low.y_ns) / (high.x_ns - low.x_ns)
+                self.ppm = -1e6 * skew / (1 + skew)
                 self._skew = min(max(skew, -MAX_SKEW), MAX_SKEW)
         self._intercept_ns = min(y - self._skew * x for x, y in points)
 

@@ -226,6 +226,7 @@ class DaqSource:
         if clock.fault != self._clock_fault:
             self._enter_streaming(clock)
         tally.clipped += frame.clipped
+        tally.clock_ppm = clock.ppm
         tally.late += clock.delay_ns * self._settings.rate_hz > 1_000_000_000
         self._ring.put(frame.counts, number, t_ns, received_ns)
         tally.behind = self._ring.dropped

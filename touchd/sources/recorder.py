@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.errors import OutputError
+from touchd.files import writing
 from touchd.frame import Acquisition, Frame, Plate
 from touchd.recording import format as recording
 from touchd.recording.data import Device, Meta, Recording
@@ -220,7 +221,7 @@ def write_blocks(path: Path, meta: Meta, blocks: list[Block], *, epoch_ns: int =
 
 def _prepare(path: Path, single: bool) -> None:
     """Check the path now, not after an hour of recording."""
-    try:
+    with writing(path):
         if os.path.lexists(path):
             raise OutputError("exists already", str(path), "choose another name, or delete it first")
         if not path.parent.is_dir():
@@ -229,6 +230,3 @@ def _prepare(path: Path, single: bool) -> None:
             raise OutputError("the folder may not be written", str(path.parent), "check its permissions")
         if not single:
             path.mkdir(mode=0o700)
-    except (OSError, ValueError) as error:
-        reason = (error.strerror if isinstance(error, OSError) else None) or str(error)
-        raise OutputError(f"cannot be written ({reason})", str(path), "check folder, space and permissions") from error

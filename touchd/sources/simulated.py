@@ -5,14 +5,12 @@ from __future__ import annotations
 import queue
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 from touchd.errors import SimulationError
-from touchd.frame import Counts, Frame, Plate
+from touchd.frame import Counts, Frame
 from touchd.sources.source import EndOfStream
-from touchd.twin.electronics import Electronics
 from touchd.twin.instrument import Instrument
-from touchd.twin.scenes.one_finger import Key
 from touchd.twin.simulate import DEFAULT_PLATE, meta_of, stage_scene, stream
 
 _AHEAD = 2
@@ -32,16 +30,14 @@ class SimulatedSource:
     scene : str
         One of `touchd.twin.scenes.catalogue.SCENES`.
     seed : int
-    rate_hz : float, optional
-        Frames a second; by default the scene's own, 125 or 100.
     frames : int, optional
         Frames of one lap; by default as many as the scene needs.
     paced : bool
         Return each frame when it is due; otherwise as soon as it is computed.
     loop : bool
         Restart at the end. Sequence and time continue.
-    plate, instrument, electronics, finger, keys, code
-        As for `simulate_scene`.
+    instrument : Instrument, optional
+        By default that of the default plate.
     clock : callable
         Monotonic time, ns.
     sleep : callable
@@ -58,24 +54,15 @@ class SimulatedSource:
         scene: str,
         *,
         seed: int = 0,
-        rate_hz: float | None = None,
         frames: int | None = None,
         paced: bool = True,
         loop: bool = True,
-        plate: Plate = DEFAULT_PLATE,
         instrument: Instrument | None = None,
-        electronics: Electronics | None = None,
-        finger: str | None = None,
-        keys: Sequence[Key] | None = None,
-        code: str | None = None,
         clock: Callable[[], int] = time.monotonic_ns,
         sleep: Callable[[float], None] = time.sleep,
     ) -> None:
-        self._stage = stage_scene(
-            scene, instrument.plate if instrument else plate, seed=seed, frames=frames, rate_hz=rate_hz,
-            electronics=electronics, finger=finger, keys=keys, code=code,
-        )  # fmt: skip
-        self._instrument = instrument or Instrument(plate)
+        self._stage = stage_scene(scene, instrument.plate if instrument else DEFAULT_PLATE, seed=seed, frames=frames)
+        self._instrument = instrument or Instrument(DEFAULT_PLATE)
         self.acquisition = self._instrument.acquisition
         self.meta = meta_of(self._instrument, self._stage.rate_hz, self._stage.notes)
         self._seed, self._paced, self._loop = seed, paced, loop

@@ -43,7 +43,7 @@ class Change(NamedTuple):
 
 @dataclass(slots=True)
 class Tally:
-    """Frames of a device that the source did not pass on, by reason; no number falls.
+    """Frames of a device that the source did not pass on, by reason; no count falls.
 
     Each frame counts once: it is read, or in one of `lost`, `corrupt`, `behind` and `withheld`.
     """
@@ -60,6 +60,8 @@ class Tally:
     """Passed on although the ADC clipped."""
     late: int = 0
     """Passed on although they came more than a frame period later than the quickest frames."""
+    clock_ppm: float = 0.0
+    """How much faster than this computer's the device's clock runs, parts per million; 0 before it is known."""
 
 
 @runtime_checkable

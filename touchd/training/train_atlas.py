@@ -14,6 +14,7 @@ from touchd.evaluation.dataset import Split, digest, make_dataset, split
 from touchd.evaluation.model_scores import Judgement, scores
 from touchd.localization.atlas import Atlas, atlas_path, save_atlas
 from touchd.localization.model import Model
+from touchd.localization.model_file import put_model
 from touchd.recording.data import Recording
 from touchd.training.data.inspection import degrees_of_freedom, inspect
 from touchd.training.data.one_temperature import at_one_temperature
@@ -21,7 +22,6 @@ from touchd.training.field.dispersion import dispersion_of, fitted_note
 from touchd.training.field.learn import Learned, learn_thoroughly
 from touchd.training.field.make_atlas import Calibration, informative, make_atlas, signal_over_noise, try_atlas
 from touchd.training.field.regression import Floats, touches_of
-from touchd.training.network.export import put_model
 from touchd.training.network.loop import Progress
 from touchd.training.network.recipe import RECIPES
 from touchd.training.train_network import Result, Warn, train

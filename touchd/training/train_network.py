@@ -63,11 +63,6 @@ class Result:
     parts: Split
     duration_s: float
 
-    @property
-    def curve_mm(self) -> list[float]:
-        """Validation RMSE by epoch, mm."""
-        return self.curve.validation_mm
-
 
 def train(
     recording: Recording,

@@ -6,7 +6,6 @@ import contextlib
 import hashlib
 import json
 import os
-import tempfile
 import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -14,6 +13,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from touchd.errors import OutputError
+from touchd.files import replacing
 
 Arrays = dict[str, NDArray[np.float64]]
 
@@ -42,15 +44,8 @@ def remember(name: str, parameters: Mapping[str, Any], compute: Callable[[], Arr
     except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile):
         pass  # absent or damaged: compute
     arrays = compute()
-    with contextlib.suppress(OSError):
-        _write(path, arrays)
+    with contextlib.suppress(OSError, OutputError):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with replacing(path) as made:
+            np.savez(made, **arrays)  # type: ignore[arg-type]  # numpy's stub confuses the names with allow_pickle
     return arrays
-
-
-def _write(path: Path, arrays: Arrays) -> None:
-    """Write into a temporary folder, then rename, so that another process sees the whole file or none."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=path.parent, prefix=".part-") as scratch:
-        made = Path(scratch) / path.name
-        np.savez(made, **arrays)  # type: ignore[arg-type]  # numpy's stub confuses the names with allow_pickle
-        os.replace(made, path)

@@ -25,7 +25,7 @@ from touchd.twin.physics.contact import size_of
 from touchd.twin.physics.finger import Contact, patches
 from touchd.twin.physics.mounting import FREE, Mounting, mounted_modes
 from touchd.twin.physics.response import Response
-from touchd.twin.physics.transducer import Layout, default_layout, loaded_modes
+from touchd.twin.physics.transducer import Layout, LoadedModes, default_layout, loaded_modes
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -61,6 +61,8 @@ class Instrument:
         What holds the plate.
     tilts : sequence of (deg, dB), optional
         Tilt of each receiver's phase and gain along the chirp's band, from its middle to its upper end.
+    modes : LoadedModes, optional
+        Modes of plate and discs, by other physics than the twin's; real ones take `loss`, complex ones have theirs.
 
     Raises
     ------
@@ -78,6 +80,7 @@ class Instrument:
         tail_period_s: float | None = None,
         mounting: Mounting = FREE,
         tilts: Sequence[tuple[float, float]] = (),
+        modes: LoadedModes | None = None,
     ) -> None:
         self.plate = plate
         self.layout = layout or default_layout(plate)
@@ -102,7 +105,9 @@ class Instrument:
         grid_hz = np.arange(self._record // 2 + 1) * a.sample_rate_hz / self._record
         nu = 2 * np.pi * grid_hz - 1j * max(self._decay_per_s, 1e-3)
         highest_hz = a.sample_rate_hz / 2
-        if mounting == FREE:
+        if modes is not None:
+            self.response = Response(plate, modes, nu, 0.0 if np.iscomplexobj(modes.w) else loss)
+        elif mounting == FREE:
             self.response = Response(plate, loaded_modes(plate, self.layout, highest_hz), nu, loss)
         else:
             self.response = Response(plate, mounted_modes(plate, self.layout, mounting, loss, highest_hz), nu, 0.0)

@@ -110,7 +110,7 @@ def test_a_wrong_touch_would_be_seen(taps: Recording, atlas_model: Model) -> Non
     ),
     seed=st.integers(0, 2**32 - 1),
 )  # fmt: skip
-@settings(deadline=None, max_examples=8)
+@settings(max_examples=8)
 def test_several_faults_one_after_the_other_break_nothing(
     plan: list[tuple[Case, int]], seed: int, taps: Recording, atlas_model: Model
 ) -> None:
@@ -143,7 +143,7 @@ SCALES = st.sampled_from([0.0, 1e-42, 1e-38, 1e-30, 1e-10, 1.0, 1e3, 8e6])
 
 
 @given(start=st.tuples(ANYWHERE, ANYWHERE), scale=SCALES, seed=st.integers(0, 2**32 - 1))
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 def test_any_frame_from_any_start_is_fitted_on_the_plate(
     start: tuple[float, float], scale: float, seed: int, atlas_model: Model
 ) -> None:

@@ -34,7 +34,7 @@ EARLY_SIGMAS = 0.5
 
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from([1.0, 30.0, 3000.0, 32767.0]))
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 def test_the_networks_features_are_those_of_rfft_in_float64(seed: int, size: float) -> None:
     residual = (size * np.random.default_rng(seed).uniform(-1, 1, RIG.shape)).astype(np.float32)
     features = FrequencyFeatures(RIG)
@@ -45,7 +45,7 @@ def test_the_networks_features_are_those_of_rfft_in_float64(seed: int, size: flo
 
 
 @given(st.floats(8, 112), st.floats(8, 82), st.integers(0, 2**32 - 1))
-@settings(deadline=None, max_examples=20)
+@settings(max_examples=20)
 def test_the_reference_goes_where_another_solver_goes(x_mm: float, y_mm: float, seed: int) -> None:
     """One that moves places and strengths together, and eliminates nothing; and both have the same field."""
     for mine, its in zip(reference.field(ATLAS, x_mm, y_mm), look_up(ATLAS, x_mm, y_mm), strict=True):

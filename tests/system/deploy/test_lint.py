@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,7 @@ from tests.processes import PATIENCE_S, ROOT
 
 DEPLOY = ROOT / "deploy"
 UNIT = DEPLOY / "touchd.service"
+UNITS = [UNIT, DEPLOY / "touchd-input.service", DEPLOY / "touchd-tuio.service"]
 RULES = DEPLOY / "60-touchd.rules"
 HIGHEST_EXPOSURE = 1.5
 SCRIPTS = sorted(
@@ -31,9 +33,9 @@ def output_of(*command: object, code: int | None = 0) -> str:
     return said
 
 
-def installed(folder: Path, text: str) -> Path:
-    """The unit in a folder of its own, with the daemon where this computer has a program."""
-    path = folder / "touchd.service"
+def installed(folder: Path, text: str, name: str = "touchd.service") -> Path:
+    """A unit in a folder of its own, with the daemon where this computer has a program."""
+    path = folder / name
     path.write_text(text.replace("/usr/bin/touchd", "/bin/true"))
     return path
 
@@ -41,10 +43,12 @@ def installed(folder: Path, text: str) -> Path:
 # -- unit ----------------------------------------------------------------------------------------------
 
 
-def test_the_unit_is_right_in_every_key(tmp_path: Path) -> None:
+@pytest.mark.parametrize("unit", UNITS, ids=lambda unit: unit.stem)
+def test_the_unit_is_right_in_every_key(tmp_path: Path, unit: Path) -> None:
     analyze = need_tool("systemd-analyze", "systemd")
     # It prints what it does not know and exits with 0: any output is a complaint.
-    assert output_of(analyze, "verify", "--man=no", installed(tmp_path, UNIT.read_text())) == ""
+    installed(tmp_path, UNIT.read_text())  # the others name it
+    assert output_of(analyze, "verify", "--man=no", installed(tmp_path, unit.read_text(), unit.name)) == ""
 
 
 def test_a_wrong_key_in_the_unit_would_be_found(tmp_path: Path) -> None:
@@ -61,8 +65,9 @@ def exposure(path: Path) -> float:
     return float(found[1])
 
 
-def test_the_sandbox_is_tight(tmp_path: Path) -> None:
-    assert exposure(installed(tmp_path, UNIT.read_text())) <= HIGHEST_EXPOSURE
+@pytest.mark.parametrize("unit", UNITS, ids=lambda unit: unit.stem)
+def test_the_sandbox_is_tight(tmp_path: Path, unit: Path) -> None:
+    assert exposure(installed(tmp_path, unit.read_text())) <= HIGHEST_EXPOSURE
 
 
 def test_a_unit_without_its_sandbox_would_be_found(tmp_path: Path) -> None:
@@ -86,7 +91,7 @@ def udev_says(folder: Path, rules: str) -> str:
     need(subprocess.run([unshare, "--mount", "true"], capture_output=True).returncode == 0, "private mounts need root")
     (folder / "rules.d").mkdir()
     (folder / "rules.d" / "60-touchd.rules").write_text(rules)
-    (folder / "group").write_text(Path("/etc/group").read_text() + "touchd-dev:x:64999:\n")
+    (folder / "group").write_text(Path("/etc/group").read_text() + "touchd-dev:x:64999:\ntouchd-input:x:64998:\n")
     script = f"""
 set -e
 mount -t tmpfs none /run
@@ -130,7 +135,8 @@ def test_the_groups_of_unit_and_rules_are_made(tmp_path: Path) -> None:
     (tmp_path / "etc").mkdir()
     output_of(sysusers, f"--root={tmp_path}", DEPLOY / "sysusers.conf")
     made = {line.partition(":")[0] for line in (tmp_path / "etc/group").read_text().splitlines()}
-    assert made == set(" ".join(re.findall(r"(?m)^(?:Supplementary)?Groups?=(.*)", UNIT.read_text())).split())
+    said = "\n".join(unit.read_text() for unit in UNITS)
+    assert made == set(" ".join(re.findall(r"(?m)^(?:Supplementary)?Groups?=(.*)", said)).split())
     assert set(re.findall(r'GROUP="([^"]+)"', RULES.read_text())) <= made
 
 
@@ -142,3 +148,20 @@ def test_systemd_takes_every_line_of_the_temporary_files(tmp_path: Path) -> None
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: str(path.relative_to(ROOT)))
 def test_shellcheck_has_nothing_to_say(script: Path) -> None:
     assert output_of(need_tool("shellcheck", "shellcheck"), script) == ""
+
+
+# -- manual --------------------------------------------------------------------------------------------
+
+
+def test_the_manual_has_every_verb_and_option(tmp_path: Path) -> None:
+    """The manual page and the completions are made from the commands, and the shell takes them."""
+    from touchd.cli.main import VERBS
+
+    output_of(sys.executable, DEPLOY / "manual.py", tmp_path, "1.2.3")
+    page = (tmp_path / "usr/share/man/man1/touchd.1").read_text()
+    assert [line.split()[2] for line in page.splitlines() if line.startswith(".SS touchd ")] == sorted(VERBS)
+    assert {"\\-\\-simulate SCENE", "\\-\\-to HOST:PORT"} <= set(re.findall(r"(?m)^\.B (.*)", page))
+    assert '"touchd 1.2.3"' in page
+    completion = tmp_path / "usr/share/bash-completion/completions/touchd"
+    assert "complete -o nosort -F _touchd_completion touchd" in completion.read_text()
+    output_of("bash", "-n", completion)

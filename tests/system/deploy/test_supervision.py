@@ -8,6 +8,7 @@ import resource
 import signal
 import socket
 import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,7 +16,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.processes import PATIENCE_S, command, environment
+from tests.processes import PATIENCE_S, ROOT, command, environment
 from touchd.cli.demo import SESSION
 from touchd.client import Subscriber
 from touchd.event import TouchEvent
@@ -151,6 +152,35 @@ def test_signals_while_starting(tmp_path: Path, number: signal.Signals) -> None:
             daemon.hear_until("WATCHDOG=1")
         assert daemon.process.poll() is None
     assert done in daemon.log.read_text()
+
+
+AT_ONCE = """
+import importlib.abc, os, sys
+
+class Impatient(importlib.abc.MetaPathFinder):
+    def find_spec(self, name, path, target=None):
+        if name == "click":
+            os.kill(os.getpid(), NUMBER)
+
+sys.meta_path.insert(0, Impatient())
+from touchd.__main__ import run
+run()
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGHUP, signal.SIGUSR1])
+def test_signals_before_the_imports(tmp_path: Path, number: signal.Signals) -> None:
+    """A signal that comes before the command line is known waits for the daemon, and ends a verb."""
+    code, folder = AT_ONCE.replace("NUMBER", str(int(number))), {"TOUCHD_PREROLL__FOLDER": str(tmp_path / "rolls")}
+    daemon = ("--replay", SESSION, "--speed", "max", "--bind", f"ipc://{tmp_path}/bus")
+    ends = [
+        subprocess.run(
+            [sys.executable, "-c", code, *map(str, arguments)],
+            capture_output=True, cwd=ROOT, env=environment(**folder), timeout=PATIENCE_S, check=False,
+        ).returncode
+        for arguments in (daemon, ("config",))
+    ]  # fmt: skip
+    assert ends == [0, -number]
 
 
 def test_preroll_off(tmp_path: Path) -> None:

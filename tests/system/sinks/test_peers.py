@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ from tests.system.hostile.stranger import PATIENCE_S, connect, greeted, message,
 from touchd.config.schema import BusSettings
 from touchd.event import TOPICS, Contact, SpectrumEvent, TouchEvent
 from touchd.sinks import peers
-from touchd.sinks.peers import MOST_MESSAGES, MOST_SUBSCRIBED_BYTES, MOST_SUBSCRIPTIONS
+from touchd.sinks.peers import MOST_MESSAGES, MOST_SUBSCRIBED_BYTES, MOST_SUBSCRIPTIONS, Peers
 from touchd.sinks.zeromq import ZeromqSink
 
 Log = list[Any]
@@ -65,6 +66,63 @@ def until(sink: ZeromqSink, done: Callable[[], object]) -> None:
         assert time.monotonic() < give_up_s
         sink.poll()
         time.sleep(0.004)
+
+
+class Flood:
+    """A publisher for two, a slow clock, and more connections than it has looked at yet."""
+
+    def __init__(self, context: zmq.Context[zmq.Socket[bytes]], address: str, number: int) -> None:
+        self.now_s = 0.0
+        self.publisher = context.socket(zmq.XPUB)
+        self.publisher.setsockopt(zmq.XPUB_VERBOSER, 1)
+        self.peers = Peers(self.publisher, TOPICS, 2, self._clock)
+        self.publisher.bind(address)
+        self.connections = [greeted(address) for _ in range(number)]
+
+    def _clock(self) -> float:
+        self.now_s += 0.001
+        return self.now_s
+
+    def cut_by(self, elapsed_s: float) -> int:
+        """Poll after a time, and return how many connections are left."""
+        self.now_s += elapsed_s
+        self.peers.poll()
+        for one in [one for one in self.connections if ended(one)]:
+            self.connections.remove(one)
+            one.close()
+        return len(self.connections)
+
+    def close(self) -> None:
+        self.peers.close()
+        for one in self.connections:
+            one.close()
+        self.publisher.close(linger=0)
+
+
+@pytest.fixture
+def flood(tmp_path: Path) -> Iterator[Flood]:
+    with zmq.Context() as context, closing(Flood(context, f"ipc://{tmp_path}/flood", 100)) as flood:
+        yield flood
+
+
+def test_flood(flood: Flood) -> None:
+    """Connections take a quarter of the time between two frames, at any frame rate."""
+    left = [flood.cut_by(0.001 * elapsed_ms) for elapsed_ms in (8, 1, 1, 8)]
+    assert 92 <= left[-1] < 100
+    assert left[0] > left[2]
+    while flood.cut_by(1.0) > 2:
+        pass
+
+
+def test_subscriber_in_a_flood(flood: Flood) -> None:
+    """A subscription counts though the connections before it have not been looked at yet."""
+    flood.connections[-1].sendall(message(b"\x01touch"))
+    assert flood.publisher.poll(int(PATIENCE_S * 1000))
+    assert flood.peers.take(flood.publisher.recv(copy=False)) == {"touch"}
+    assert flood.peers.wanted == {"touch"}
+    while flood.cut_by(1.0) > 2:
+        pass
+    assert flood.peers.wanted == {"touch"}
 
 
 def ended(connection: socket.socket) -> bool:

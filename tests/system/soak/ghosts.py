@@ -67,19 +67,19 @@ def idle(_stage: Stage) -> None:
 def drift(stage: Stage) -> None:
     """Warm the plate and let it cool at up to 0.2 K a second, gains drifting along; tap now and then."""
     _drift(stage)
-    _tap(stage, 3.0)
+    taps(stage, 3.0)
 
 
 def interference(stage: Stage) -> None:
     """Switch tones on and off, in the chirp's band and beside it; tap now and then."""
     _tones(stage)
-    _tap(stage, 2.0)
+    taps(stage, 2.0)
 
 
 def drop(stage: Stage) -> None:
     """Let drops of 2-25 mg fall anywhere and be wiped off; tap now and then."""
     _drops(stage)
-    _tap(stage, 2.0)
+    taps(stage, 2.0)
 
 
 def palm(stage: Stage) -> None:
@@ -120,7 +120,7 @@ def mixed(stage: Stage) -> None:
     if rng.uniform() < 0.5:
         warming(stage)
     else:
-        _tap(stage, 2.0)
+        taps(stage, 2.0)
 
 
 SCENES: dict[str, Callable[[Stage], None]] = {
@@ -197,7 +197,7 @@ def _drops(stage: Stage) -> None:
         )  # fmt: skip
 
 
-def _tap(stage: Stage, pause_s: float) -> None:
+def taps(stage: Stage, pause_s: float) -> None:
     """Tap at random places with either finger, some seconds apart."""
     rng, at_s = stage.rng, IDLE_S + 2
     while True:

@@ -34,7 +34,7 @@ def test_origin(trained: Result, few: Recording) -> None:
     assert (about.head, about.domain, about.input, about.seed) == ("regression", "frequency", "residual", 4)
     assert (about.data_sha256, about.command, about.plate) == (digest(few), "as a test", few.meta.plate)
     assert about.scores["n"] == trained.scores["n"] == 30
-    assert len(trained.curve_mm) == 2
+    assert len(trained.curve.validation_mm) == 2
     assert sorted(path.name for path in trained.model.path.parent.iterdir()) == ["a.onnx"], "and nothing else"
 
 

@@ -135,24 +135,17 @@ def test_lasting_halt(daq: FakeDaq, read: Read) -> None:
     reader.until_frames(5)
 
 
-def test_start_refused(daq: FakeDaq, read: Read) -> None:
-    """A device that refuses START is lost, and tried again."""
-    daq.control_errors[Request.START] = errno.EPIPE
+@pytest.mark.parametrize(
+    ("request_", "number", "what"),
+    [(Request.START, errno.EPIPE, "START"), (Request.GET_INFO, errno.ETIMEDOUT, "does not answer GET_INFO")],
+)
+def test_request_fails(daq: FakeDaq, read: Read, request_: Request, number: int, what: str) -> None:
+    """A device that refuses START, or does not answer GET_INFO, is lost, and tried again."""
+    daq.control_errors[request_] = number
     steady(daq)
     reader = read()
     reader.until_state("lost")
-    assert "START" in reader.changes[-1].reason
-    daq.control_errors.clear()
-    reader.until_frames(5)
-
-
-def test_no_answer(daq: FakeDaq, read: Read) -> None:
-    """A device that does not answer GET_INFO is lost, and tried again."""
-    daq.control_errors[Request.GET_INFO] = errno.ETIMEDOUT
-    steady(daq)
-    reader = read()
-    reader.until_state("lost")
-    assert "does not answer GET_INFO" in reader.changes[-1].reason
+    assert what in reader.changes[-1].reason
     daq.control_errors.clear()
     reader.until_frames(5)
 

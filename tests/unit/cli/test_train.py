@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import pytest
 
-from touchd.cli.train import TimeLeft
+from touchd.cli.progress import TimeLeft
 
 
 def estimates(durations_s: Sequence[float]) -> list[tuple[float, float]]:

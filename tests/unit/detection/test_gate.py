@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from touchd.config.schema import GateSettings
@@ -139,7 +139,6 @@ def test_hysteresis() -> None:
 
 
 @given(st.lists(st.floats(0, 1e12), min_size=2, max_size=50), st.lists(st.floats(0, 1e12), max_size=50))
-@settings(max_examples=100, deadline=None)
 def test_any_energies(first: list[float], then: list[float]) -> None:
     """The threshold stays finite and above the noise."""
     gate = learned(np.array(first))

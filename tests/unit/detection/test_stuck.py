@@ -43,7 +43,7 @@ def noisy(rng: np.random.Generator, noise: float = 5.0) -> np.ndarray:
 
 
 @given(noise=st.floats(0.05, 3000), seed=st.integers(0, 2**32 - 1))
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 def test_noise(noise: float, seed: int) -> None:
     """Noise of any strength never counts as a repetition."""
     bench, rng = Bench(), np.random.default_rng(seed)
@@ -52,7 +52,7 @@ def test_noise(noise: float, seed: int) -> None:
 
 
 @given(first=st.integers(1, 40), count=st.integers(1, 20), seed=st.integers(0, 2**32 - 1))
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 def test_repetition(first: int, count: int, seed: int) -> None:
     """Every repetition of a frame is found, until the first other frame."""
     bench, rng = Bench(), np.random.default_rng(seed)
@@ -68,7 +68,7 @@ def test_repetition(first: int, count: int, seed: int) -> None:
 
 
 @given(length=st.integers(2, 8), first=st.integers(0, 20), noise=st.floats(0.3, 30), seed=st.integers(0, 2**32 - 1))
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 def test_cycle(length: int, first: int, noise: float, seed: int) -> None:
     """Frames that come again in a cycle are doubted within 8 frames, 16 if untouched, and found two rounds later."""
     for touched, within in ((True, LONGEST_CYCLE), (False, KEEP_EVERY)):

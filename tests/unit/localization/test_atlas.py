@@ -142,12 +142,12 @@ def test_none_at_all_is_refused(tmp_path: Path) -> None:
 
 
 def test_one_that_is_too_large_is_refused_and_leaves_nothing_behind(atlas: Atlas, tmp_path: Path) -> None:
-    """Noise cannot be compressed: five million halves of it are ten megabytes."""
-    noise = np.random.default_rng(1).random((210, 200, atlas.size), np.float32)
+    """Noise cannot be compressed: twenty million halves of it are forty megabytes."""
+    noise = np.random.default_rng(1).random((420, 400, atlas.size), np.float32)
     assert 2 * noise.size > MAX_BYTES
     path = tmp_path / "large.atlas.npz"
     path.write_bytes(b"the older one")
-    with pytest.raises(OutputError, match="more than 8"):
+    with pytest.raises(OutputError, match="more than 32"):
         save_atlas(replace(atlas, coefficients=noise), path)
     assert os.listdir(tmp_path) == [path.name]
     assert path.read_bytes() == b"the older one"

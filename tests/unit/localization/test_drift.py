@@ -34,7 +34,7 @@ STILL = after(untouched())
 
 
 @given(STRETCH, st.floats(-1e-7, 1e-7), GAINS)
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 def test_stretch_and_gains(stretch: float, delay_s: float, gains: list[float]) -> None:
     """Stretch and gains are recovered at any delay, the stretch within a tenth, as the operator is.
 
@@ -60,7 +60,7 @@ def test_plate_of_the_training() -> None:
 
 
 @given(STRETCH, GAINS, st.integers(2, 50))
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 def test_correction(stretch: float, gains: list[float], seed: int) -> None:
     """A correction leaves a quarter of what the stretch has changed, and nothing of the gains."""
     amplified = np.array(gains)[:, None]
@@ -96,7 +96,7 @@ def test_plate_directions() -> None:
 
 
 @given(st.lists(st.integers(1, 2_000_000_000), min_size=1, max_size=20))
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 def test_time_constant(steps_ns: list[int]) -> None:
     """After t seconds of updates at any times, a steady change is followed but for exp(-t / 0.3 s)."""
     drift, drifted, t_ns = STILL, 0.01 * untouched(), 10**15
@@ -125,7 +125,7 @@ def test_due() -> None:
 
 
 @given(st.integers(0, 3), STRETCH)
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 def test_dead_channel(dead: int, stretch: float) -> None:
     """A dead channel is found, and the others show the stretch."""
     gains = np.where(np.arange(4) == dead, 1e-3, 1.0)
@@ -163,7 +163,6 @@ def test_no_temperature(baseline: np.ndarray) -> None:
 
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from([1e-20, 1e-3, 1.0, 32768.0]), st.integers(-(10**12), 10**12))
-@settings(deadline=None, max_examples=50)
 def test_any_numbers(seed: int, size: float, elapsed_ns: int) -> None:
     """Stretch, gains and bins are finite, for any baseline, residual and time."""
     rng = np.random.default_rng(seed)

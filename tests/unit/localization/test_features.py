@@ -43,7 +43,6 @@ def test_the_matrix_is_the_windowed_fft_to_the_last_digits_of_float64() -> None:
     counts=hnp.arrays(np.int16, (4, 250)),
     scale=st.floats(1e-3, 1e3),
 )
-@settings(max_examples=50, deadline=None)
 def test_float32_features_are_those_of_float64_to_a_millionth_of_the_signal(counts: np.ndarray, scale: float) -> None:
     signal = (counts * scale).astype(np.float32)
     out = np.empty(392, np.float32)
@@ -59,7 +58,7 @@ def test_float32_features_are_those_of_float64_to_a_millionth_of_the_signal(coun
     rate_hz=st.sampled_from([100e3, 200e3, 250e3, 500e3, 1e6]),
 )
 @example(channels=1, samples=38, rate_hz=100e3)  # bin 19 lies on 50 kHz, where a rounded spacing misses it
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_any_acquisition_has_its_band_strictly_inside_the_chirps(channels: int, samples: int, rate_hz: float) -> None:
     acquisition = Acquisition(channels=channels, samples=samples, sample_rate_hz=rate_hz, chirp=Chirp())
     f_hz = band_bins(acquisition) * rate_hz / samples

@@ -99,7 +99,7 @@ def test_folding_leaves_no_normalisation_and_the_same_function() -> None:
     folded = fold(network)
     assert not any(isinstance(m, torch.nn.BatchNorm1d) for m in folded.modules())
     for mine, theirs in zip(folded(features), network(features), strict=True):
-        torch.testing.assert_close(mine, theirs, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(mine.detach().numpy(), theirs.detach().numpy(), rtol=1e-9, atol=1e-9)
 
 
 def test_bound_buffers_give_what_a_batch_gives(regression: Model) -> None:
@@ -113,7 +113,6 @@ def test_bound_buffers_give_what_a_batch_gives(regression: Model) -> None:
 
 
 @given(hnp.arrays(np.float32, (392,), elements=st.floats(-(2.0**30), 2.0**30, width=32)))
-@settings(max_examples=100, deadline=None)
 def test_whatever_it_is_fed_a_model_answers_with_a_place_on_the_plate(regression: Model, features: np.ndarray) -> None:
     regression.features[0] = features
     estimate = regression.estimate()
@@ -152,8 +151,8 @@ def test_a_louder_touch_is_at_the_same_place() -> None:
     network = PositionNetwork(392, (200.0, 150.0)).eval()
     with torch.inference_mode():
         quiet, loud = (network.normalise(torch.from_numpy(features * gain)[None]) for gain in (1, 1000))
-    torch.testing.assert_close(quiet[0], loud[0])
-    torch.testing.assert_close(loud[1] - quiet[1], torch.full((1, 1), float(np.log(1000))))
+    np.testing.assert_allclose(quiet[0], loud[0], rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(loud[1] - quiet[1], np.log(1000), rtol=1e-5)
 
 
 def test_a_grid_head_answers_with_the_centre_of_its_zone(tmp_path: Path) -> None:
@@ -262,7 +261,7 @@ def test_another_atlas_is_refused(atlas_model: Model, tmp_path: Path) -> None:
 
 
 @given(at=st.integers(0, 10_000), keep=st.booleans())
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_a_damaged_model_is_refused_or_whole(
     regression: Model, tmp_path_factory: pytest.TempPathFactory, at: int, keep: bool
 ) -> None:

@@ -90,7 +90,7 @@ def test_white_noise(count: int, seed: int) -> None:
 
 
 @given(st.floats(0.1, 100), st.sets(st.integers(0, 3), max_size=3))
-@settings(deadline=None, max_examples=20)
+@settings(max_examples=20)
 def test_noise_energy(deviation: float, dead: set[int]) -> None:
     """Noise energy and variance are those of the channels in use."""
     model = model_of(deviation, dead=tuple(dead))

@@ -126,8 +126,8 @@ def test_worth() -> None:
     def fit(count: int, left: float) -> Fit:
         return replace(no_fit(left), positions_mm=[(0.0, 0.0)] * count)
 
-    assert is_worth(fit(2, 40.0), fit(1, 100.0), 0.0)
-    assert not is_worth(fit(2, 45.0), fit(1, 100.0), 0.0)
-    assert not is_worth(fit(3, 40.0), fit(1, 100.0), 0.0), "two have to explain more than one"
-    assert is_worth(fit(1, 99.0), fit(1, 100.0), 0.0)
+    assert is_worth(fit(2, 40.0), fit(1, 100.0), 0.0, 200.0)
+    assert not is_worth(fit(2, 45.0), fit(1, 100.0), 0.0, 200.0)
+    assert not is_worth(fit(3, 40.0), fit(1, 100.0), 0.0, 200.0), "two have to explain more than one"
+    assert is_worth(fit(1, 99.0), fit(1, 100.0), 0.0, 200.0)
     assert apart_mm(fit(1, 0.0)) == apart_mm(fit(0, 0.0)) == math.inf

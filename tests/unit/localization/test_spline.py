@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.fields import COUNTS, PLATE, Field, in_double, make_atlas
@@ -31,7 +31,6 @@ def check(into: np.ndarray, x_mm: float, y_mm: float, atol: float) -> None:
 
 
 @given(ANYWHERE, ANYWHERE)
-@settings(deadline=None)
 def test_any_position(x_mm: float, y_mm: float) -> None:
     """Every position, a number or not, has one inside whose field is known."""
     spline, into = splines()
@@ -43,7 +42,6 @@ def test_any_position(x_mm: float, y_mm: float) -> None:
 
 @pytest.mark.parametrize(("dtype", "rounding"), [(np.float32, 2e-6), (np.float64, 1e-13)])
 @given(at=INSIDE)
-@settings(deadline=None)
 def test_definition(dtype: type, rounding: float, at: tuple[float, float]) -> None:
     """Field and slopes at the nearest point of the raster are those of the definition, to rounding."""
     spline, into = splines(dtype)
@@ -53,7 +51,6 @@ def test_definition(dtype: type, rounding: float, at: tuple[float, float]) -> No
 
 
 @given(st.lists(INSIDE, min_size=1, max_size=6), st.data())
-@settings(deadline=None)
 def test_any_order(positions: list[tuple[float, float]], data: st.DataObject) -> None:
     """Positions may come again and in any order: of cells that are cached, that were, and that never were."""
     spline, into = splines()

@@ -37,9 +37,7 @@ from touchd.recording.format import Reader, check, read, write
 META = Meta(
     sample_rate_hz=250e3, bits=16, full_scale_v=10.0, frame_rate_hz=125.0, plate=Plate(width_mm=400.0, height_mm=300.0)
 )
-FILE_SETTINGS = settings(
-    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow]
-)
+FILE_SETTINGS = settings(suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 
 
 def make(n: int = 6, *, first: int = 0, contacts: int | None = 1, meta: Meta = META) -> Recording:

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 import structlog
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from touchd.config.schema import LogSettings
@@ -179,7 +179,6 @@ def holds_private(value: Any) -> bool:
     return isinstance(value, list) and any(map(holds_private, value))
 
 
-@settings(max_examples=100, deadline=None)
 @given(st.dictionaries(st.sampled_from([*sorted(PRIVATE), "payload"]), values))
 def test_whatever_is_logged_nothing_private_is_left(event: dict[str, Any]) -> None:
     assert not holds_private(redact(None, "info", event))

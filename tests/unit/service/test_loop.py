@@ -121,7 +121,7 @@ class Bench:
         sinks = [self.sink, self.other]
         messages = Messages(Settings(), wants_of(sinks))
         self.pipeline = Pipeline(recording.acquisition, model, Settings())
-        health = Health(self.source, self.pipeline, messages, HealthSettings(period_s=period_s), "the model")
+        health = Health(self.source, self.pipeline, messages, HealthSettings(period_s=period_s))
         self.service = Service(self.source, self.pipeline, messages, sinks, health, clock=self.clock, awake=awake)
 
     def _heard(self, event: Event) -> None:
@@ -187,7 +187,7 @@ def test_counts(make: Callable[..., Bench], circle: list[Frame]) -> None:
     assert last.inferred == counters.inferred > 0
     assert last.frames == last.inferred + sum(counters.skipped.values())
     assert last.noise > 0
-    assert (last.model, last.device) == ("the model", Settings().device.name)
+    assert (last.model, last.device) == ("best", Settings().device.name)
     touched_s = counters.inferred * PERIOD_NS * 1e-9
     assert touched_s <= last.baseline_age_s < 3, "the baseline stands still under a finger"
 
@@ -356,9 +356,10 @@ def test_tally(live: Callable[[Sequence[Step]], Bench], circle: list[Frame]) -> 
     bench = live([Change("streaming", "frames arrive"), *circle[:40], *circle[60:80]])
     assert isinstance(bench.source, Live)
     bench.source.tally = Tally(lost=3, corrupt=4, behind=13, withheld={"test_pattern": 5}, clipped=6, late=7)
+    bench.source.tally.clock_ppm = -2512.34
     bench.service.run()
     last = bench.sink.health[-1]
-    assert (last.lost, last.corrupt, last.clipped, last.late) == (3, 4, 6, 7)
+    assert (last.lost, last.corrupt, last.clipped, last.late, last.clock_ppm) == (3, 4, 6, 7, -2512.3)
     assert (last.skipped["behind"], last.skipped["test_pattern"]) == (13, 5)
     assert "repeated" not in last.skipped
 

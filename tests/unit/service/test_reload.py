@@ -48,7 +48,7 @@ def test_no_change() -> None:
 
 
 def test_compare() -> None:
-    """Thresholds, pre-roll and log change at once; what is open, bound, loaded or learned waits for a restart."""
+    """Thresholds, model, pre-roll and log change at once; what is open, bound or learned waits for a restart."""
     new = settings(
         {
             "tracker": {"dead_band_mm": 2.0},
@@ -62,16 +62,17 @@ def test_compare() -> None:
     )
     changes = compare(Settings(), new)
     assert set(changes.taken) == {
-        "tracker.dead_band_mm", "log.level", "model.min_confidence", "preroll.seconds", "baseline.absorb_s",
+        "tracker.dead_band_mm", "log.level", "model.path", "model.atlas", "model.min_confidence", "preroll.seconds",
+        "baseline.absorb_s",
     }  # fmt: skip
     assert set(changes.waiting) == {
-        "bus.bind", "device.rate_hz", "model.path", "model.atlas", "baseline.learn_frames",
+        "bus.bind", "device.rate_hz", "baseline.learn_frames",
     }  # fmt: skip
     expected = settings(
         {
             "tracker": {"dead_band_mm": 2.0},
             "log": {"level": "error"},
-            "model": {"min_confidence": 0.9},
+            "model": {"path": "another.onnx", "atlas": False, "min_confidence": 0.9},
             "preroll": {"seconds": 0.0},
             "baseline": {"absorb_s": 5.0},
         }
@@ -160,7 +161,7 @@ def test_wrong_file(run: Callable[[str], Run], model: Model, scene_file: Callabl
     pipeline = run("idle").pipeline
     messages = Messages(Settings(), all_but_spectra)
     source = ReplaySource(scene_file("idle"))
-    health = Health(source, pipeline, messages, HealthSettings(), "the model")
+    health = Health(source, pipeline, messages, HealthSettings())
     reloader = make_reloader(Settings(), lambda: load(path), model, pipeline, messages, health)
     reloader.reload()
     assert health.period_ns == 500_000_000
@@ -227,7 +228,7 @@ def test_taken_is_true(
         run = Run(scene, each, "circle")
         run.feed(90)
         messages = Messages(Settings(), all_but_spectra)
-        health = Health(ReplaySource(scene_file("circle")), run.pipeline, messages, HealthSettings(), "the model")
+        health = Health(ReplaySource(scene_file("circle")), run.pipeline, messages, HealthSettings())
         preroll = PreRoll(scene("circle").acquisition, 125.0, lambda: scene("circle").meta, new.preroll)
         make_reloader(Settings(), lambda: new, each, run.pipeline, messages, health, preroll).reload()
         contacts = [run.feed(until) for until in range(91, 140)]

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.optimize import linear_sum_assignment
 
@@ -187,7 +187,6 @@ _touches = st.lists(
 
 
 @given(st.lists(_touches, max_size=60))
-@settings(max_examples=60, deadline=None)
 def test_any_touches(frames: list[list[Touch]]) -> None:
     """Each contact goes down once and up once."""
     stroke = Stroke()
@@ -207,7 +206,6 @@ def test_any_touches(frames: list[list[Touch]]) -> None:
 
 
 @given(st.lists(st.tuples(st.floats(0, 200), st.floats(0, 200), st.floats(1e-6, 10)), min_size=1, max_size=50))
-@settings(max_examples=100, deadline=None)
 def test_filter_box(points: list[tuple[float, float, float]]) -> None:
     """The filter stays inside the box of its inputs."""
     filtered = OneEuro(points[0][0], points[0][1], 4.0, 0.2)

@@ -9,10 +9,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from touchd.errors import OutputError
 from touchd.evaluation.replay_scores import found_contacts
 from touchd.evaluation.truth import true_touches
 from touchd.event import TouchEvent
+from touchd.files import replacing
 from touchd.recording.data import Meta, Recording
 
 TRUTH = "#b0b7bf"
@@ -84,7 +84,6 @@ def save(figure: Figure, path: Path) -> None:
     OutputError
         The file cannot be written.
     """
-    try:
-        figure.savefig(path, dpi=110, metadata={"Software": None} if path.suffix == ".png" else None)
-    except (OSError, ValueError) as error:
-        raise OutputError(f"cannot be written ({error})", str(path), "name a .png in an existing folder") from error
+    kind = path.suffix.removeprefix(".") or "png"
+    with replacing(path, fix="name a .png in an existing folder") as file:
+        figure.savefig(file, format=kind, dpi=110, metadata={"Software": None} if kind == "png" else None)

@@ -17,8 +17,9 @@ from touchd.detection.detector import Detection
 from touchd.lab.benchmark.loop import PERIOD_NS
 from touchd.lab.benchmark.scenes import Block
 from touchd.localization.atlas import Atlas
-from touchd.localization.atlas_localizer import FOLLOW_STEPS, AtlasLocalizer
+from touchd.localization.atlas_localizer import AtlasLocalizer
 from touchd.localization.features import make_features, windowed_dft
+from touchd.localization.following import FOLLOW_STEPS
 from touchd.localization.landing import FIRST_STEPS
 from touchd.localization.model import Model
 from touchd.outcome import Outcome

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import shutil
-import tempfile
-from collections.abc import Sequence
 from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from touchd.config.schema import RealtimeSettings
-from touchd.errors import OutputError
 from touchd.evaluation.plots.session import COLOURS, save
+from touchd.files import replacing, writing
 from touchd.lab.benchmark import results, tables
 from touchd.lab.benchmark.results import BareTimes, DaemonResult, Run
 from touchd.lab.reproduction.paper import HEADS, KEYPAD_MS, REGRESSION_MS
@@ -26,31 +22,25 @@ GROUPS = {
 }
 PAPER = "#555555"
 ESTIMATOR = ("estimator", "p50 us", "p99.9 us", "x bare", "median mm", "p95 mm", "missed")
-DAEMON = ("scene", "frames/s", "ends at", "p50 us", "p99.9 us", "CPU", "frames/CPU s")
+DAEMON = ("scene", "frames/s", "ends at", "p50 us", "p99.9 us", "CPU")
 VARIANTS = ("grid10", "keypad", "time")
 """Estimators that only the terminal and the stored run show."""
 
 
 def write(run: Run, folder: Path) -> None:
-    """Create page, plot and results in a temporary folder, then move them into `folder`.
+    """Write page, plot and results into `folder`.
 
     Raises
     ------
     OutputError
         A file cannot be written.
     """
-    try:
-        with tempfile.TemporaryDirectory(dir=folder, prefix=".benchmarks.") as made:
-            save(draw_errors(run), Path(made) / "errors.png")
-            results.store(run, Path(made) / "benchmarks.json")
-            (Path(made) / "benchmarks.md").write_text(page(run), "utf-8")
-            (folder / PICTURES).mkdir(exist_ok=True)
-            for name in (f"{PICTURES}/errors.png", "benchmarks.json", "benchmarks.md"):
-                shutil.move(Path(made) / Path(name).name, folder / name)
-    except OSError as error:
-        raise OutputError(
-            f"cannot be written ({error.strerror})", str(folder), "check the folder and its space"
-        ) from error
+    with writing(folder / PICTURES):
+        (folder / PICTURES).mkdir(exist_ok=True)
+    save(draw_errors(run), folder / PICTURES / "errors.png")
+    results.store(run, folder / "benchmarks.json")
+    with replacing(folder / "benchmarks.md") as file:
+        file.write(page(run).encode())
 
 
 def page(run: Run) -> str:
@@ -58,24 +48,21 @@ def page(run: Run) -> str:
     estimators = tuple(one for one in run.estimators if one.group in GROUPS and one.name not in VARIANTS)
     shown = run.model_copy(update={"daemon": _decisive(run), "estimators": estimators})
     return template.render(
-        TEMPLATE, run=run, shown=shown, pictures=PICTURES, times=_times, awake_from_hz=RealtimeSettings().awake_from_hz,
-        budgets=_markdown(tables.budget_table(run)), estimators=_markdown(tables.estimator_table(shown), ESTIMATOR),
-        daemon=_markdown(tables.daemon_table(shown), DAEMON), skips=_markdown(tables.skip_table(run)),
+        TEMPLATE, run=run, shown=shown, pictures=PICTURES, times=_times,
+        budgets=tables.budget_table(run).markdown(),
+        estimators=tables.estimator_table(shown).pick(columns=ESTIMATOR).markdown(),
+        daemon=tables.daemon_table(shown).pick(columns=DAEMON).markdown(), skips=tables.skip_table(run).markdown(),
     )  # fmt: skip
 
 
 def _decisive(run: Run) -> tuple[DaemonResult, ...]:
-    """Return of each scene the first rate and full speed."""
+    """Return each scene at its first rate."""
     first = {cell.scene: cell for cell in reversed(run.daemon)}
-    return tuple(cell for cell in run.daemon if cell.rate_hz is None or cell is first[cell.scene])
+    return tuple(cell for cell in run.daemon if cell is first[cell.scene])
 
 
 def _times(one: BareTimes) -> str:
     return f"p50 {one.p50:,.0f}, p99 {one.p99:,.0f}, p99.9 {one.p999:,.0f}"
-
-
-def _markdown(found: tables.Table, columns: Sequence[str] = ()) -> str:
-    return template.Table(found.headings, found.rows).pick(columns=columns).markdown()
 
 
 def draw_errors(run: Run) -> Figure:

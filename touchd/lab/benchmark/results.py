@@ -7,7 +7,8 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from touchd.errors import ConfigError, OutputError
+from touchd.errors import ConfigError
+from touchd.files import replacing
 from touchd.lab.benchmark.machine import Machine
 from touchd.lab.benchmark.stopwatch import Spread
 
@@ -191,12 +192,8 @@ def store(run: Run, path: Path) -> None:
     OutputError
         The file cannot be written.
     """
-    try:
-        path.write_text(run.model_dump_json(indent=1) + "\n", "utf-8")
-    except OSError as error:
-        raise OutputError(
-            f"cannot be written ({error.strerror})", str(path), "check the folder and its space"
-        ) from error
+    with replacing(path) as file:
+        file.write(run.model_dump_json(indent=1).encode() + b"\n")
 
 
 def percentiles(times: Spread) -> dict[str, float]:

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from touchd.lab.benchmark.results import DaemonResult, EstimatorResult, Run
 from touchd.lab.reproduction.paper import HEADS, KEYPAD_MS, REGRESSION_MS
+from touchd.training.report.template import Table
 
 
 class Budget(NamedTuple):
@@ -60,14 +61,6 @@ BUDGETS = (
 """Limits of a frame's cost relative to the bare network, and of latency, throughput, start and memory."""
 
 
-class Table(NamedTuple):
-    """Headings and rows of text; the first column holds names."""
-
-    title: str
-    headings: tuple[str, ...]
-    rows: list[list[str]]
-
-
 def estimator_table(run: Run) -> Table:
     """Return time, error and cost of every estimator, with the paper's times."""
     headings = ("estimator", "p50 us", "p99 us", "p99.9 us", "max us", "x bare", "floor us", "RMSE mm", "median mm",
@@ -78,7 +71,7 @@ def estimator_table(run: Run) -> Table:
     mean_mm = HEADS["R", "frequency"].mean_mm
     rows.append([f"paper: regression, mean error {mean_mm:g} mm", number(1e3 * REGRESSION_MS), *["-"] * 11])
     rows.append(["paper: keypad", number(1e3 * KEYPAD_MS), *["-"] * 11])
-    return Table("Run time against error", headings, rows)
+    return Table(headings, rows, "Run time against error")
 
 
 def _estimator_row(one: EstimatorResult) -> list[str]:
@@ -93,7 +86,7 @@ def daemon_table(run: Run) -> Table:
     """Return the daemon's latency and load by scene and rate."""
     headings = ("scene", "frames/s", "ends at", "p50 us", "p99 us", "p99.9 us", "handed p50 us", "x bare", "CPU",
                 "frames/CPU s", "MB", "GC pauses, longest us", "lost")  # fmt: skip
-    return Table("The daemon, from a frame complete to where it ends", headings, [_cell_row(c) for c in run.daemon])
+    return Table(headings, [_cell_row(c) for c in run.daemon], "The daemon, from a frame complete to where it ends")
 
 
 def _cell_row(cell: DaemonResult) -> list[str]:
@@ -116,7 +109,7 @@ def share_table(run: Run) -> Table:
         [scene, *(f"{cell.skipped.get(why, 0):.1%}" for why in reasons), f"{cell.inferred:.1%}"]
         for scene, cell in seen.items()
     ]
-    return Table("What became of the frames", ("scene", *reasons, "network"), rows)
+    return Table(("scene", *reasons, "network"), rows, "What became of the frames")
 
 
 def skip_table(run: Run) -> Table:
@@ -125,7 +118,7 @@ def skip_table(run: Run) -> Table:
         [one.name, one.scene, number(one.with_us), number(one.without_us), f"{one.saved:.0%}", one.same]
         for one in run.skips
     ]
-    return Table("What each skip saves", ("skip", "scene", "with, us", "without, us", "saved", "events"), rows)
+    return Table(("skip", "scene", "with, us", "without, us", "saved", "events"), rows, "What each skip saves")
 
 
 def budget_table(run: Run) -> Table:
@@ -137,7 +130,7 @@ def budget_table(run: Run) -> Table:
             bound = "at least" if budget.least else "at most"
             verdict = "held" if budget.holds(value) else "not held"
             rows.append([budget.what, f"{bound} {budget.limit:,g} {budget.unit}", number(value), verdict])
-    return Table("Budgets", ("what", "budget", "measured", ""), rows)
+    return Table(("what", "budget", "measured", ""), rows, "Budgets")
 
 
 def comparison_table(run: Run, other: Run) -> Table:
@@ -150,7 +143,7 @@ def comparison_table(run: Run, other: Run) -> Table:
             name, f"{now:.2f}", "-" if then is None else f"{then:.2f}",
             "-" if not then else f"{now / then - 1:+.0%}",
         ])  # fmt: skip
-    return Table("Ratios to the bare network", ("what", "now", "stored", "change"), rows)
+    return Table(("what", "now", "stored", "change"), rows, "Ratios to the bare network")
 
 
 def _ratios(run: Run) -> dict[str, float]:

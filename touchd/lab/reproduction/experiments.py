@@ -10,36 +10,43 @@ import tempfile
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from touchd.evaluation.dataset import Dataset, make_dataset, split, thin
-from touchd.evaluation.model_scores import judge
+from touchd.evaluation.model_scores import Judgement, judge
 from touchd.keypad import Layout
 from touchd.lab.benchmark.stopwatch import Stopwatch, spread
 from touchd.lab.dictionary import Correlation, Nearest
-from touchd.localization.features import Domain, band_bins
+from touchd.localization.features import Domain
 from touchd.localization.model import Model
 from touchd.recording.data import Recording
+from touchd.training.field.dispersion import frequencies
 from touchd.training.network.recipe import RECIPES
 
 Rows = NDArray[np.float32]
-Data = dict[str, Any]
 
 TIMED = 300
 """Number of touches located one by one to measure the time of one."""
 
 
+class Trial(NamedTuple):
+    """What an experiment found on the test part."""
+
+    judged: Judgement
+    model: bytes = b""
+    """File of the trained model."""
+    size_bytes: int = 0
+    """Size of a dictionary."""
+
+
 def trained(
     recording: Recording, *, recipe: str, grid: int = 0, layout: Layout | None = None, seed: int = 0,
     share: float = 1.0, epochs: int | None = None,
-) -> Data:  # fmt: skip
-    """Train a network by a recipe on a share of the training part.
-
-    Returns what `located` says of the test part, and the model as bytes.
-    """
+) -> Trial:  # fmt: skip
+    """Train a network by a recipe on a share of the training part, and judge it on the test part."""
     from touchd.training.train_network import train
 
     with tempfile.TemporaryDirectory() as folder:
@@ -51,36 +58,31 @@ def trained(
         content = path.read_bytes()
     data = make_dataset(recording, model.description.domain)
     test = split(len(data), seed).test
-    return located(model, inputs_of(data, model)[test], data.position_mm[test]) | {"model": content}
+    return Trial(judge(model, inputs_of(data, model)[test], data.position_mm[test], noise_energy=0.0), content)
 
 
-def looked_up(recording: Recording, *, method: str, residual: bool, seed: int = 0, share: float = 1.0) -> Data:
+def looked_up(recording: Recording, *, method: str, residual: bool, seed: int = 0, share: float = 1.0) -> Trial:
     """Locate the test part by a dictionary of the training part: `method` is "kNN" or "GCC".
 
-    Features are the frames' spectra, as in the paper, or those of the residuals. Returns `place_mm` and `truth_mm` of
-    the test part, and the dictionary's size in `bytes`.
+    Features are the frames' spectra, as in the paper, or those of the residuals.
     """
     data = make_dataset(recording)
     parts = thin(split(len(data), seed), share)
     features = data.residual if residual else data.signal
     estimator = dictionary(data, features, parts.train, method)
-    return {
-        "place_mm": estimator.locate(features[parts.test]),
-        "truth_mm": data.position_mm[parts.test],
-        "bytes": estimator.bytes,
-    }
+    unknown = np.full(len(parts.test), np.nan)
+    place_mm = estimator.locate(features[parts.test]).astype(np.float64)
+    return Trial(Judgement(data.position_mm[parts.test], place_mm, unknown, unknown), size_bytes=estimator.bytes)
 
 
 def dictionary(data: Dataset, features: Rows, train: NDArray[np.int64], method: str) -> Nearest | Correlation:
     """Return the estimator "kNN" or "GCC" with the training touches of a dataset."""
     if method == "kNN":
         return Nearest(features[train], data.position_mm[train])
-    a = data.acquisition
-    f_hz = band_bins(a) * a.sample_rate_hz / a.samples
-    return Correlation(features[train], data.position_mm[train], a.channels, f_hz)
+    return Correlation(features[train], data.position_mm[train], data.acquisition.channels, frequencies(data))
 
 
-def judged(models: Mapping[str, bytes], recording: Recording) -> dict[str, Data]:
+def judged(models: Mapping[str, bytes], recording: Recording) -> dict[str, Judgement]:
     """Locate a recording's touches by each model, frame by frame."""
     sets: dict[Domain, Dataset] = {}
     found = {}
@@ -89,7 +91,7 @@ def judged(models: Mapping[str, bytes], recording: Recording) -> dict[str, Data]
         domain = model.description.domain
         if domain not in sets:
             sets[domain] = make_dataset(recording, domain)
-        found[name] = located(model, inputs_of(sets[domain], model), sets[domain].position_mm)
+        found[name] = judge(model, inputs_of(sets[domain], model), sets[domain].position_mm, noise_energy=0.0)
     return found
 
 
@@ -126,13 +128,6 @@ def loaded(model: bytes) -> Model:
 def inputs_of(data: Dataset, model: Model) -> Rows:
     """Return the dataset's features (n, inputs) that the model expects."""
     return data.residual if model.description.input == "residual" else data.signal
-
-
-def located(model: Model, features: Rows, truth_mm: Rows) -> Data:
-    """Return `place_mm` and `truth_mm` of touches (n, 2), and the estimated `class` of a classifier (n,)."""
-    judged = judge(model, features, truth_mm, noise_energy=0.0)
-    found = {"truth_mm": truth_mm, "place_mm": judged.position_mm}
-    return found if judged.found_class is None else found | {"class": judged.found_class}
 
 
 def _median_us(locate: Callable[[int], object], touches: NDArray[np.int64]) -> float:

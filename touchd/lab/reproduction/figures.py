@@ -13,7 +13,7 @@ from touchd.evaluation.plots.session import COLOURS, TRUTH, save
 from touchd.lab.reproduction import paper, plan
 from touchd.lab.reproduction.experiments import loaded
 from touchd.lab.reproduction.run import CIRCLE_HEADS, Results
-from touchd.lab.reproduction.scores import distance_mm, error_scores, keypad_scores, keys
+from touchd.lab.reproduction.scores import keypad_scores
 
 DOMAIN_STYLE = {"frequency": (COLOURS[0], "o"), "time": (COLOURS[3], "s")}
 PAPER = "black"
@@ -46,7 +46,7 @@ def _heads(results: Results) -> Figure:
         axes = figure.add_subplot(1, 2, number + 1)
         for domain in plan.DOMAINS:
             colour, marker = DOMAIN_STYLE[domain]
-            mean = {head: error_scores(found[plan.head_name(head, domain)])["mean_mm"] for head in plan.HEADS}
+            mean = {head: found[plan.head_name(head, domain)].judged.distance_mm.mean() for head in plan.HEADS}
             grids = [mean[f"C-{n}"] for n in plan.GRIDS]
             axes.plot(plan.GRIDS, grids, color=colour, marker=marker, ms=5, lw=1.5, label=f"C-N, {domain}")
             axes.axhline(mean["R"], color=colour, ls=":", lw=1.8, label=f"R, {domain}")
@@ -64,24 +64,25 @@ def _heads(results: Results) -> Figure:
 
 
 def _keypad(results: Results) -> Figure:
-    data = results.full[plan.keypad_name(1.0, plan.KEYPAD_SEEDS[0])]
-    found, truth = keys(data, results.layout)
-    unknown = np.full(len(found), np.nan)
-    judged = Judgement(data["truth_mm"], data["place_mm"], unknown, unknown, truth, found, len(results.layout.key))
-    return draw_confusion(judged, loaded(data["model"]).description)
+    trial = results.full[plan.keypad_name(1.0, plan.KEYPAD_SEEDS[0])]
+    return draw_confusion(trial.judged, loaded(trial.model).description)
 
 
 def _learning(results: Results) -> Figure:
     figure = Figure(figsize=(6.2, 4.0), layout="constrained")
     axes = figure.add_subplot()
     shares = np.array(plan.SHARES)
+
+    def accuracy_of(judged: Judgement) -> float:
+        return keypad_scores(judged, results.layout)["accuracy"]
+
     contenders = (
         ("network", plan.keypad_name, COLOURS[0], "o"),
         ("kNN (k = 1)", lambda share, seed: plan.lookup_name("kNN", share, seed), COLOURS[1], "s"),
     )
     for number, (label, name, colour, marker) in enumerate(contenders):
         accuracy = 100 * np.array([
-            [keypad_scores(results.full[name(share, seed)], results.layout)["accuracy"] for seed in plan.KEYPAD_SEEDS]
+            [accuracy_of(results.full[name(share, seed)].judged) for seed in plan.KEYPAD_SEEDS]
             for share in plan.SHARES
         ])  # fmt: skip
         mean, spread = accuracy.mean(axis=1), accuracy.std(axis=1)
@@ -90,7 +91,7 @@ def _learning(results: Results) -> Figure:
         where = [100 * share for share in paper.KEYPAD_LEARNING]
         axes.plot(where, reported, "*", color=colour, mec="black", ms=12, label=f"the paper's {label.split()[0]}")
     if not results.given:
-        better = keypad_scores(results.full[plan.BETTER_KEYPAD], results.layout)["accuracy"]
+        better = accuracy_of(results.full[plan.BETTER_KEYPAD].judged)
         axes.plot(20, 100 * better, "D", color=COLOURS[2], ms=8, label="touchd's keypad")
     axes.set(xlabel="share of the training touches (%)", ylabel="accuracy of the keypad (%)", xticks=100 * shares)
     axes.grid(alpha=0.25)
@@ -101,11 +102,11 @@ def _learning(results: Results) -> Figure:
 def _circle(results: Results) -> Figure:
     figure = Figure(figsize=(10.5, 3.4), layout="constrained")
     for number, name in enumerate((*CIRCLE_HEADS, "touchd")):
-        data = results.circle[name]
+        judged = results.circle[name]
         axes = figure.add_subplot(1, 4, number + 1)
-        axes.plot(*data["truth_mm"].T, color=TRUTH, lw=6, solid_capstyle="round", label="true path")
-        axes.plot(*data["place_mm"].T, ".", color=COLOURS[0], ms=3, label="estimated, each frame alone")
-        title = f"{name}: mean {distance_mm(data).mean():.1f} mm"
+        axes.plot(*judged.true_mm.T, color=TRUTH, lw=6, solid_capstyle="round", label="true path")
+        axes.plot(*judged.position_mm.T, ".", color=COLOURS[0], ms=3, label="estimated, each frame alone")
+        title = f"{name}: mean {judged.distance_mm.mean():.1f} mm"
         axes.set(xlim=(0, 200), ylim=(200, 0), aspect="equal", xlabel="x (mm)", title=title)
         axes.grid(alpha=0.25)
         if number == 0:
@@ -120,12 +121,12 @@ def _errors(results: Results) -> Figure:
     models = figure.add_subplot(1, 2, 1)
     contenders = {name: results.held_out[name, "silicone"] for name in ("regression", "int8", "small")}
     contenders |= {
-        "kNN on residuals": results.full[plan.dictionary_name("kNN", True)],
-        "GCC on residuals": results.full[plan.dictionary_name("GCC", True)],
-        "the paper's R on the twin": results.full[plan.head_name("R", "frequency")],
+        "kNN on residuals": results.full[plan.dictionary_name("kNN", True)].judged,
+        "GCC on residuals": results.full[plan.dictionary_name("GCC", True)].judged,
+        "the paper's R on the twin": results.full[plan.head_name("R", "frequency")].judged,
     }
-    for number, (name, data) in enumerate(contenders.items()):
-        models.ecdf(distance_mm(data), color=COLOURS[number], lw=1.6, label=name)
+    for number, (name, judged) in enumerate(contenders.items()):
+        models.ecdf(judged.distance_mm, color=COLOURS[number], lw=1.6, label=name)
     models.set(title="silicone finger", ylabel="share of touches")
     kinds = figure.add_subplot(1, 2, 2)
     labels = {
@@ -133,8 +134,7 @@ def _errors(results: Results) -> Figure:
         "noise": "noise 20 dB worse",
     }  # fmt: skip
     for number, (kind, label) in enumerate(labels.items()):
-        found = distance_mm(results.held_out["regression", kind])
-        kinds.ecdf(found, color=COLOURS[number], lw=1.6, label=label)
+        kinds.ecdf(results.held_out["regression", kind].distance_mm, color=COLOURS[number], lw=1.6, label=label)
     kinds.set(title="the shipped network")
     for axes in (models, kinds):
         axes.set(xlabel="error (mm)", xscale="log", xlim=(0.01, 50), ylim=(0, 1))

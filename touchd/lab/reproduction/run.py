@@ -9,10 +9,11 @@ from typing import Any
 
 from touchd.errors import ModelMissing
 from touchd.evaluation.dataset import digest as dataset_digest
+from touchd.evaluation.model_scores import Judgement
 from touchd.jobs import Job, Shared, digest, run
 from touchd.keypad import Layout
 from touchd.lab.reproduction import plan
-from touchd.lab.reproduction.experiments import Data, judged, raced
+from touchd.lab.reproduction.experiments import Trial, judged, raced
 from touchd.lab.reproduction.paper import CENTRAL_MM
 from touchd.lab.reproduction.sets import central, simulated
 from touchd.localization.model import default_model_path
@@ -47,12 +48,12 @@ class Results:
     recording: Recording
     given: bool
     """Whether the recording is the user's, not the twin's."""
-    full: Mapping[str, Data] = field(default_factory=dict)
-    central: Mapping[str, Data] = field(default_factory=dict)
-    other: Mapping[str, Data] = field(default_factory=dict)
-    held_out: dict[tuple[str, str], Data] = field(default_factory=dict)
+    full: Mapping[str, Trial] = field(default_factory=dict)
+    central: Mapping[str, Trial] = field(default_factory=dict)
+    other: Mapping[str, Trial] = field(default_factory=dict)
+    held_out: dict[tuple[str, str], Judgement] = field(default_factory=dict)
     """By model and kind of touches."""
-    circle: dict[str, Data] = field(default_factory=dict)
+    circle: dict[str, Judgement] = field(default_factory=dict)
     """By model."""
     took_us: dict[str, float] = field(default_factory=dict)
 
@@ -77,7 +78,7 @@ def reproduce(
     middle = touches if recording is not None else simulated("central", scale.touches, CENTRAL_SEED)
     results = Results(scale, layout, touches, given)
 
-    def batch(jobs: list[Job], recording: Recording) -> dict[str, Data]:
+    def batch(jobs: list[Job], recording: Recording) -> dict[str, Trial]:
         # Identify a recording by its content, not by its time.
         identity = digest([dataset_digest(recording), recording.meta.plate, recording.acquisition])
         return run(jobs, shared={"recording": Shared(recording, identity)}, progress=progress, **how)
@@ -85,7 +86,7 @@ def reproduce(
     jobs = plan.head_jobs(seed, scale.epochs) + plan.keypad_jobs(seed, scale.epochs, layout)
     results.full = batch(jobs + plan.better_jobs(seed, scale.epochs, layout), touches)
     results.central = batch(plan.head_jobs(seed, scale.epochs), central(middle, CENTRAL_MM))
-    paper_keypad = results.full[plan.keypad_name(1.0, plan.KEYPAD_SEEDS[0])]["model"]
+    paper_keypad = results.full[plan.keypad_name(1.0, plan.KEYPAD_SEEDS[0])].model
     progress("timing", 0, 1)
     results.took_us = raced(touches, paper_keypad, plan.SHARES, seed)
     if given:
@@ -102,9 +103,9 @@ def _judge(results: Results, models: Path, progress: Progress) -> None:
         if not path.is_file():
             raise ModelMissing("no such model", str(path), "train it, or name the folder of the models: --models")
     shipped = {name: path.read_bytes() for name, path in paths.items()}
-    shipped[plan.BETTER_KEYPAD] = results.full[plan.BETTER_KEYPAD]["model"]
-    other = {plan.OTHER_PLATE: results.other[plan.OTHER_PLATE]["model"]}
-    drawn = {head: results.full[plan.head_name(head, "frequency")]["model"] for head in CIRCLE_HEADS}
+    shipped[plan.BETTER_KEYPAD] = results.full[plan.BETTER_KEYPAD].model
+    other = {plan.OTHER_PLATE: results.other[plan.OTHER_PLATE].model}
+    drawn = {head: results.full[plan.head_name(head, "frequency")].model for head in CIRCLE_HEADS}
     drawn["touchd"] = shipped["regression"]
     count = results.scale.held_out
     sets = [

@@ -7,8 +7,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from touchd import __version__
+from touchd.evaluation.metrics import position_scores
 from touchd.lab.reproduction import paper, plan
-from touchd.lab.reproduction.experiments import Data
+from touchd.lab.reproduction.experiments import Trial
 from touchd.lab.reproduction.paper import Reported
 from touchd.lab.reproduction.report import Figures
 from touchd.lab.reproduction.run import (
@@ -22,7 +23,7 @@ from touchd.lab.reproduction.run import (
     TRAINING_SEED,
     Results,
 )
-from touchd.lab.reproduction.scores import distance_mm, error_scores, keypad_scores, zone_accuracy
+from touchd.lab.reproduction.scores import keypad_scores, zone_accuracy
 from touchd.training.report.template import Table
 
 STATISTICS = ("rmse_mm", "mean_mm", "sd_mm", "median_mm", "p95_mm", "max_mm")
@@ -32,7 +33,7 @@ HEADINGS = ("RMSE", "mean", "sd", "median", "p95", "max")
 def figures(results: Results, command: str) -> Figures:
     """Return all facts and tables of a run of `command`."""
     took_us = results.took_us
-    keypad = keypad_scores(results.full[plan.keypad_name(1.0, plan.KEYPAD_SEEDS[0])], results.layout)
+    keypad = keypad_scores(results.full[plan.keypad_name(1.0, plan.KEYPAD_SEEDS[0])].judged, results.layout)
     facts: dict[str, object] = {
         "version": __version__, "command": command, "source": _source(results), "given": results.given,
         "keys": len(results.layout.key), "seeds": len(plan.KEYPAD_SEEDS),
@@ -75,15 +76,15 @@ def _reported(value: Reported | None) -> str:
     return f"{value.mean_mm:.1f} ± {value.sd_mm:.1f}"
 
 
-def _heads(found: Mapping[str, Data], size_mm: tuple[float, float]) -> Table:
+def _heads(found: Mapping[str, Trial], size_mm: tuple[float, float]) -> Table:
     """Return the table of one area's heads."""
     rows = []
     for domain in plan.DOMAINS:
         for head in plan.HEADS:
-            data = found[plan.head_name(head, domain)]
+            judged = found[plan.head_name(head, domain)].judged
             grid = int(head[2:]) if head != "R" else 0
-            scores = error_scores(data)
-            accuracy = f"{zone_accuracy(data, grid, size_mm):.1%}" if grid else "-"
+            scores = position_scores(judged.error_mm)
+            accuracy = f"{zone_accuracy(judged, grid, size_mm):.1%}" if grid else "-"
             perfect = f"{paper.perfect_mean_mm(size_mm[0], grid):.1f}" if grid and size_mm[0] == size_mm[1] else "-"
             rows.append(
                 [f"{head}, {domain}", *(f"{scores[key]:.1f}" for key in STATISTICS), accuracy, perfect,
@@ -97,7 +98,7 @@ def _shares(results: Results) -> Table:
     rows = []
     for share in plan.SHARES:
         network, knn = (
-            [keypad_scores(results.full[name(share, seed)], layout)["accuracy"] for seed in plan.KEYPAD_SEEDS]
+            [keypad_scores(results.full[name(share, seed)].judged, layout)["accuracy"] for seed in plan.KEYPAD_SEEDS]
             for name in (plan.keypad_name, lambda share, seed: plan.lookup_name("kNN", share, seed))
         )
         reported = paper.KEYPAD_LEARNING.get(share)
@@ -117,12 +118,12 @@ def _dictionaries(results: Results) -> Table:
     rows = []
     for method in ("kNN", "GCC"):
         for residual in (False, True):
-            data = results.full[plan.dictionary_name(method, residual)]
-            scores = error_scores(data)
-            keypad = keypad_scores(data, results.layout)
+            trial = results.full[plan.dictionary_name(method, residual)]
+            scores = position_scores(trial.judged.error_mm)
+            keypad = keypad_scores(trial.judged, results.layout)
             rows.append([
                 plan.dictionary_name(method, residual), *(f"{scores[key]:.2f}" for key in STATISTICS),
-                f"{keypad['accuracy']:.1%}", f"{data['bytes'] / 1e6:.1f}",
+                f"{keypad['accuracy']:.1%}", f"{trial.size_bytes / 1e6:.1f}",
                 f"{results.took_us[f'{method} 1']:.0f}",
             ])  # fmt: skip
     return Table(("estimator", *HEADINGS, "keypad", "dictionary, MB", "one touch, us"), rows)
@@ -131,7 +132,7 @@ def _dictionaries(results: Results) -> Table:
 def _circle(results: Results) -> Table:
     rows = []
     for name in (*CIRCLE_HEADS, "touchd"):
-        scores = error_scores(results.circle[name])
+        scores = position_scores(results.circle[name].error_mm)
         reported = paper.CIRCLE.get(name)
         said = "-" if reported is None else _reported(reported)
         said = "over 10, sd 5.4" if name == "C-5" else said
@@ -141,7 +142,7 @@ def _circle(results: Results) -> Table:
 
 def _beaten(results: Results) -> Table:
     held = results.held_out
-    mean = {key: error_scores(data)["mean_mm"] for key, data in held.items()}
+    mean = {key: judged.distance_mm.mean() for key, judged in held.items()}
     keypad = keypad_scores(held["keypad", "silicone"], results.layout)
     fifth = keypad_scores(held[plan.BETTER_KEYPAD, "silicone"], results.layout)
     rows = [
@@ -160,13 +161,13 @@ def _beaten(results: Results) -> Table:
 
 def _details(results: Results) -> Table:
     details = []
-    for (name, kind), data in results.held_out.items():
-        scores = error_scores(data)
+    for (name, kind), judged in results.held_out.items():
+        scores = position_scores(judged.error_mm)
         # A grid has zones instead of keys, and the layout does not fit the other plate.
         keyed = kind != "other" and not name.startswith("grid")
-        keys = keypad_scores(data, results.layout)["accuracy"] if keyed else None
+        keys = keypad_scores(judged, results.layout)["accuracy"] if keyed else None
         details.append([
-            name, kind, *(f"{scores[key]:.2f}" for key in STATISTICS), f"{(distance_mm(data) > 5).mean():.2%}",
+            name, kind, *(f"{scores[key]:.2f}" for key in STATISTICS), f"{(judged.distance_mm > 5).mean():.2%}",
             "-" if keys is None else f"{keys:.2%}",
         ])  # fmt: skip
     return Table(("model", "touches", *HEADINGS, "over 5 mm", "keys"), details)

@@ -12,8 +12,7 @@ from scipy.optimize import minimize
 from touchd.evaluation.dataset import BASELINE_NOISE, Dataset
 from touchd.localization.atlas import Atlas
 from touchd.localization.features import windowed_dft
-from touchd.training.field.place import Placed, place
-from touchd.training.field.regression import Complex, Floats
+from touchd.training.field.place import Floats, Placed, place
 
 Spectra = NDArray[np.complexfloating]
 
@@ -67,7 +66,7 @@ def level_of(
 
 
 def noisy_levels(
-    atlas: Atlas, dataset: Dataset, values: Complex, true_mm: Floats, label_noise_mm: float
+    atlas: Atlas, dataset: Dataset, values: Spectra, true_mm: Floats, label_noise_mm: float
 ) -> list[tuple[float, Level]]:
     """Locate touches at their own noise and at added noise; return each level with its signal-to-noise ratio in dB."""
     a, bins = dataset.acquisition, np.array(atlas.description.bins)

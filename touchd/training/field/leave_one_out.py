@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
-from touchd.training.field.place import linearise
+from touchd.training.field.place import Linearised, linearise
 from touchd.training.field.regression import Array, Complex, Floats, Prior, Regression, Touches, each
 
 LEAST_LABEL_NOISE_MM = 0.05
@@ -25,6 +25,8 @@ LEAST_LABEL_NOISE_MM = 0.05
 MOST_MM = 1.5
 """A touch located farther from its label is in a wrong valley, or has a wrong label: it keeps the label, and counts as
 this far off."""
+CHI2_MEDIAN = 0.84
+"""Median over mean of chi squared with four degrees of freedom: of two axes and four channels, unequally sure."""
 REGION = 1200
 """Number of touches that choose the prior; the cost grows with its cube."""
 INNER_SHARE = 0.88
@@ -67,15 +69,41 @@ def displacements(
         return np.asarray(field * amplitude[None, :, b, None] * np.float32(regression.scale[b]))
 
     field = np.stack(each(one, range(len(bins))), axis=-1)  # (3, n, channels, bins)
+    channels = field.shape[2]
     values = regression.touches.values[:, :, bins].reshape(field.shape[1], -1).astype(np.complex128)
-    _, residual_energy, gradient, fisher_information = linearise(
-        values, *field.reshape(3, len(values), -1).astype(np.complex128)
-    )
-    fisher_information += 1e-30 * np.eye(2)
+    u, by_x, by_y = field.reshape(3, len(values), -1).astype(np.complex128)
+    near = linearise(values, u, by_x, by_y, channels)
+    fisher_information = near.fisher_information.sum(axis=1) + 1e-30 * np.eye(2)
+    gradient = near.gradient.sum(axis=1)
     by_mm = np.linalg.solve(fisher_information, gradient[:, :, None])[:, :, 0]
-    unexplained = residual_energy - np.einsum("ni,ni->n", gradient, by_mm)
+    unexplained = near.residual_energy - np.einsum("ni,ni->n", gradient, by_mm)
     variance = np.maximum(unexplained, 1e-30) / max(2 * values.shape[1] - 4, 1)
-    return Displaced(np.asarray(by_mm), np.linalg.inv(fisher_information) * variance[:, None, None])
+    covariance = np.linalg.inv(fisher_information) * variance[:, None, None]
+    return Displaced(np.asarray(by_mm), covariance + _jitter_covariance(near, by_mm, covariance))
+
+
+def _jitter_covariance(near: Linearised, by_mm: Floats, covariance: Floats) -> Floats:
+    """Return the covariance of displacements due to errors that are independent in each channel, (n, 2, 2), mm^2.
+
+    A label error displaces a touch alike in all channels. What displaces it in each channel apart (a receiver's jitter,
+    a scan's) is alike in all bins of a channel, so that the noise of single bins does not tell it. Its variance per
+    axis follows from the jackknife over channels (Efron and Stein, Annals of Statistics 9:586, 1981).
+    """
+    channels, eye = near.gradient.shape[1], np.eye(2)
+    if channels < 3:
+        return np.zeros_like(covariance)
+    parts, whole = near.fisher_information, near.fisher_information.sum(axis=1, keepdims=True) + 1e-30 * eye
+    others = whole - parts + 1e-30 * eye
+    without_mm = np.linalg.solve(others, (near.gradient.sum(axis=1, keepdims=True) - near.gradient)[..., None])[..., 0]
+    spread = np.square(without_mm - by_mm[:, None]).sum(axis=(1, 2)) * (channels - 1) / channels
+    # How a displacement of channel j moves the estimate (share), and the one without channel c (apart).
+    share = np.linalg.solve(whole, parts)
+    apart = np.linalg.solve(others[:, :, None], parts[:, None]) * (1 - np.eye(channels))[:, :, None, None]
+    expected = np.square(apart - share[:, None]).sum(axis=(1, 2, 3, 4)) * (channels - 1) / channels
+    sure = np.linalg.norm(by_mm, axis=1) < MOST_MM
+    excess = spread[sure] / expected[sure] - np.trace(covariance, axis1=1, axis2=2)[sure] / expected[sure]
+    variance = max(float(np.median(excess)) / CHI2_MEDIAN, 0.0) if sure.any() else 0.0
+    return np.asarray(variance * np.einsum("ncij,nckj->nik", share, share))
 
 
 def predicted_by_others(regression: Regression, b: int, amplitude: Complex, inverse: Array) -> Complex:

@@ -41,27 +41,35 @@ class Placed:
 
 
 class Linearised(NamedTuple):
-    """n touches near assumed positions, with the amplitude eliminated."""
+    """n touches near assumed positions, with the amplitude eliminated; c parts of their values."""
 
     amplitude: Complex
     """Shape (n,)."""
     residual_energy: Floats
     """Shape (n,)."""
     gradient: Floats
-    """Of half the explained energy by position, shape (n, 2)."""
+    """Share of each part in that of half the explained energy by position, shape (n, c, 2)."""
     fisher_information: Floats
-    """Shape (n, 2, 2)."""
+    """Share of each part, shape (n, c, 2, 2)."""
 
 
-def linearise(values: Complex, u: Complex, by_x: Complex, by_y: Complex) -> Linearised:
-    """Fit the amplitudes of touches (n, m) to the field `u` at assumed positions, with derivatives `by_x`, `by_y`."""
+def linearise(values: Complex, u: Complex, by_x: Complex, by_y: Complex, parts: int = 1) -> Linearised:
+    """Fit the amplitudes of touches (n, m) to the field `u` at assumed positions, with derivatives `by_x`, `by_y`.
+
+    Parameters
+    ----------
+    values, u, by_x, by_y : array, shape (n, m)
+    parts : int
+        In how many equal parts of the values gradient and information are summed.
+    """
     power = np.maximum(np.square(np.abs(u)).sum(axis=1), 1e-30)
     amplitude = (u.conj() * values).sum(axis=1) / power
     left = values - amplitude[:, None] * u
     moved = amplitude[:, None, None] * np.stack([by_x, by_y], axis=1)
     moved -= ((moved @ u.conj()[:, :, None]) / power[:, None, None]) * u[:, None, :]
-    gradient = (moved.conj() @ left[:, :, None])[:, :, 0].real
-    fisher_information = (moved.conj() @ moved.transpose(0, 2, 1)).real
+    moved = moved.reshape(len(values), 2, parts, -1).swapaxes(1, 2)
+    gradient = (moved.conj() @ left.reshape(len(values), parts, -1, 1))[..., 0].real
+    fisher_information = (moved.conj() @ moved.swapaxes(2, 3)).real
     return Linearised(amplitude, np.square(np.abs(left)).sum(axis=1), gradient, fisher_information)
 
 
@@ -108,11 +116,11 @@ def place(atlas: Atlas, values: NDArray[np.complexfloating], start_mm: Floats, s
 def _place(field: FieldMap, values: Complex, position_mm: Floats, steps: int) -> tuple[Floats, Complex, Floats, Floats]:
     for _ in range(steps):
         _, _, gradient, fisher_information = linearise(values, *field.look_up(position_mm))
-        damped = fisher_information * (1 + _DAMPING * np.eye(2)) + 1e-30 * np.eye(2)
-        move_mm = np.linalg.solve(damped, gradient[:, :, None])[:, :, 0]
+        damped = fisher_information[:, 0] * (1 + _DAMPING * np.eye(2)) + 1e-30 * np.eye(2)
+        move_mm = np.linalg.solve(damped, gradient[:, 0, :, None])[:, :, 0]
         length_mm = np.linalg.norm(move_mm, axis=1, keepdims=True)
         move_mm *= np.minimum(1.0, LONGEST_STEP_MM / np.maximum(length_mm, 1e-12))
         position_mm = np.clip(position_mm + move_mm, field.low_mm, field.high_mm)
     amplitude, residual_energy, _, fisher_information = linearise(values, *field.look_up(position_mm))
     energy = np.maximum(np.square(np.abs(values)).sum(axis=1), 1e-30)
-    return position_mm, amplitude, fisher_information, residual_energy / energy
+    return position_mm, amplitude, fisher_information[:, 0], residual_energy / energy

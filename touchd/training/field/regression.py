@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.linalg import blas, cho_factor, cho_solve, lapack
 from threadpoolctl import threadpool_limits
 
-from touchd.evaluation.dataset import BASELINE_NOISE, Dataset
+from touchd.evaluation.dataset import BASELINE_NOISE, Dataset, complex_bins
 from touchd.training.field.kernel import WHITE_SHARE, Kernel, distances
 
 Array = NDArray[np.float32]
@@ -58,8 +58,7 @@ class Prior:
 def touches_of(dataset: Dataset, indices: NDArray[np.int64]) -> Touches:
     """Return the touches of a dataset with these indices, in the frequency domain."""
     a = dataset.acquisition
-    parts = dataset.residual[indices].reshape(len(indices), a.channels, 2, -1)
-    values = (parts[:, :, 0] + 1j * parts[:, :, 1]).astype(np.complex64)
+    values = complex_bins(dataset.residual[indices], a.channels).astype(np.complex64)
     noise = BASELINE_NOISE * dataset.noise**2 * float(np.square(np.hanning(a.samples)).sum())
     return Touches(dataset.position_mm[indices].astype(np.float64), values, noise)
 

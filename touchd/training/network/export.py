@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import os
 import tempfile
 import warnings
 from pathlib import Path
@@ -14,8 +13,9 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from touchd.errors import OutputError, TrainingError
+from touchd.errors import TrainingError
 from touchd.localization.model import METADATA_KEY, Description, Model
+from touchd.localization.model_file import put_model
 from touchd.training.network.network import Network
 
 OPSET = 17
@@ -57,20 +57,6 @@ def write_model(graph: onnx.ModelProto, path: Path) -> Model:
         The file cannot be written.
     """
     return put_model(graph.SerializeToString(), path)
-
-
-def put_model(content: bytes, path: Path) -> Model:
-    """Write an ONNX file's bytes to `path` atomically, and load it; see `write_model` for errors."""
-    try:
-        with tempfile.NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", delete=False) as file:
-            file.write(content)
-        Path(file.name).chmod(0o644)
-        os.replace(file.name, path)
-    except OSError as error:
-        raise OutputError(
-            f"cannot be written ({error.strerror})", str(path), "check the folder and its space"
-        ) from error
-    return Model(path)
 
 
 def check_export(network: Network, model: Model, features: NDArray[np.float32]) -> float:

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import csv
+import io
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+from touchd.files import replacing
 
 
 class Table(NamedTuple):
@@ -15,6 +18,7 @@ class Table(NamedTuple):
 
     headings: Sequence[str]
     rows: Sequence[Sequence[str]]
+    title: str = ""
 
     def pick(self, names: Sequence[str] = (), columns: Sequence[str] = ()) -> Table:
         """Return the rows of some names, and some of the columns; all by default."""
@@ -53,8 +57,10 @@ def table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 def write_csv(path: Path, found: Table) -> None:
     """Write a table as CSV, its headings in the first line."""
-    with path.open("w", newline="", encoding="utf-8") as file:
-        csv.writer(file, lineterminator="\n").writerows([found.headings, *found.rows])
+    text = io.StringIO(newline="")
+    csv.writer(text, lineterminator="\n").writerows([found.headings, *found.rows])
+    with replacing(path) as file:
+        file.write(text.getvalue().encode())
 
 
 def read_csv(path: Path) -> Table:

@@ -34,6 +34,12 @@ MATERIALS = {
 """Handbook values at room temperature."""
 
 
+class ElasticPlate(Plate):
+    """A plate with elastic constants of its own; `material` is only their name."""
+
+    elastic: Material
+
+
 class Stiffness(NamedTuple):
     """A Mindlin plate's stiffnesses and inertias per unit of area."""
 
@@ -48,13 +54,15 @@ class Stiffness(NamedTuple):
 
 
 def material_of(plate: Plate) -> Material:
-    """Look up a plate's material.
+    """Return a plate's own elastic constants, or look them up by the material's name.
 
     Raises
     ------
     SimulationError
         The twin does not know the material.
     """
+    if isinstance(plate, ElasticPlate):
+        return plate.elastic
     try:
         return MATERIALS[plate.material.lower()]
     except KeyError:

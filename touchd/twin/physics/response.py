@@ -38,15 +38,15 @@ class Response:
     modes : LoadedModes
     nu_rad_s : array_like of shape (F,)
         Angular frequencies, real or complex; a negative imaginary part damps the time signal.
-    loss : float
+    loss : array_like of shape () or (F,)
         Loss factor of the mounted plate; 0 with complex modes, which have it.
     """
 
-    def __init__(self, plate: Plate, modes: LoadedModes, nu_rad_s: ArrayLike, loss: float) -> None:
+    def __init__(self, plate: Plate, modes: LoadedModes, nu_rad_s: ArrayLike, loss: ArrayLike) -> None:
         self.plate = plate
         self.modes = modes
         self.nu_rad_s = np.asarray(nu_rad_s, dtype=np.complex128)
-        H = 1 / (modes.omega_rad_s**2 * (1 + 1j * loss) - self.nu_rad_s[:, None] ** 2)
+        H = 1 / (modes.omega_rad_s**2 * (1 + 1j * np.reshape(loss, (-1, 1))) - self.nu_rad_s[:, None] ** 2)
         # Where shapes are real, stacking the parts makes one real product of what would be two.
         self._real = not np.iscomplexobj(modes.w)
         self._kernel = np.concatenate([H.real, H.imag]) if self._real else H

@@ -13,7 +13,7 @@ from touchd.frame import Plate
 from touchd.twin.cache import remember
 from touchd.twin.physics import legendre
 from touchd.twin.physics.material import material_of
-from touchd.twin.physics.plate import Modes, polynomials_for, size_m, solve
+from touchd.twin.physics.plate import MANY_POLYNOMIALS, Modes, polynomials_for, size_m, solve
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -25,6 +25,9 @@ BASIS_HZ = 3.0
 """Modes of the bare plate up to this many times the highest frequency carry the discs' masses."""
 KEPT_HZ = 2.0
 """Modes of the loaded plate up to this many times the highest frequency are kept."""
+BASIS_OF_MANY_HZ, KEPT_OF_MANY_HZ = 1.6, 1.3
+"""The same for a plate that needs more than `MANY_POLYNOMIALS`: it has thousands of modes more, and hears less of
+them, as it is soft and lossy."""
 
 
 class Layout(BaseModel):
@@ -39,6 +42,8 @@ class Layout(BaseModel):
     diameter_mm: float = Field(default=6.0, gt=0)
     mass_g: float = Field(default=0.43, ge=0)
     """Mass of each disc: 6 mm by 2 mm of PZT."""
+    stiffness_n_m: float = Field(default=0.0, ge=0)
+    """Resistance of each to the mean rotation around its rim, N m per rad."""
 
     @property
     def centres_mm(self) -> Floats:
@@ -90,29 +95,31 @@ def loaded_modes(plate: Plate, layout: Layout, frequency_hz: float = 125e3) -> L
     parameters = parameters_of(plate, layout, frequency_hz)
 
     def compute() -> dict[str, Floats]:
-        modes = solve(plate, parameters["counts"], BASIS_HZ * frequency_hz)
-        return load(modes, plate, layout, KEPT_HZ * frequency_hz)._asdict()
+        modes = solve(plate, parameters["counts"], parameters["basis"] * frequency_hz)
+        return load(modes, plate, layout, parameters["kept"] * frequency_hz)._asdict()
 
     return LoadedModes(**remember("plate", parameters, compute))
 
 
 def parameters_of(plate: Plate, layout: Layout, frequency_hz: float) -> dict[str, Any]:
     """Return all that the modes of a plate with discs depend on, as JSON types."""
+    # Converged at four fifths of the highest frequency, where the emission ends (100 of 125 kHz).
+    counts = polynomials_for(plate, 0.8 * frequency_hz)
+    many = max(counts) > MANY_POLYNOMIALS
     return {
         "version": VERSION,
         "plate": plate.model_dump(),
         "material": material_of(plate),
         "layout": layout.model_dump(),
         "frequency_hz": frequency_hz,
-        # Converged at four fifths of the highest frequency, where the emission ends (100 of 125 kHz).
-        "counts": polynomials_for(plate, 0.8 * frequency_hz),
-        "basis": BASIS_HZ,
-        "kept": KEPT_HZ,
+        "counts": counts,
+        "basis": BASIS_OF_MANY_HZ if many else BASIS_HZ,
+        "kept": KEPT_OF_MANY_HZ if many else KEPT_HZ,
     }
 
 
 def load(modes: Modes, plate: Plate, layout: Layout, below_hz: float = np.inf) -> LoadedModes:
-    """Add the discs' masses to a bare plate's modes.
+    """Add the discs' masses and stiffnesses to a bare plate's modes.
 
     In modal coordinates each mass is a rank-one change of the unit mass matrix. The loaded plate's modes are exact
     within the given ones, and no later computation needs the update.
@@ -132,7 +139,8 @@ def load(modes: Modes, plate: Plate, layout: Layout, below_hz: float = np.inf) -
     U, sigma, _ = np.linalg.svd(B, full_matrices=False)
     root = (U * ((1 + sigma**2) ** -0.5 - 1)) @ U.T
     root[np.diag_indices(n)] += 1
-    squared, V = np.linalg.eigh((root * modes.omega_rad_s**2) @ root)
+    stiffened = root @ discs * np.sqrt(layout.stiffness_n_m)
+    squared, V = np.linalg.eigh((root * modes.omega_rad_s**2) @ root + stiffened @ stiffened.T)
     omega = np.sqrt(np.maximum(squared, 0.0))
     omega[:3] = 0.0  # the rigid motions stay
     V = (root @ V[:, omega < 2 * np.pi * below_hz]).T

@@ -4,15 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from touchd.lab.reproduction.report import Figures, load, page, store
+from touchd.lab.reproduction.report import Figures, load, store
 from touchd.training.report.template import Table
-
-DOCS = Path(__file__).resolve().parents[4] / "docs"
-
-
-def test_page_in_docs() -> None:
-    """The page in docs/ is that of the figures beside it."""
-    assert (DOCS / "reproduction.md").read_text() == page(load(DOCS / "reproduction"), "reproduction")
 
 
 def test_figures_are_read_as_stored(tmp_path: Path) -> None:

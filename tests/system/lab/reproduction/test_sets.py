@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
-from touchd.evaluation.model_scores import labels_of
+from touchd.evaluation.model_scores import Judgement, labels_of
 from touchd.keypad import PHONE, load_layout
 from touchd.lab.reproduction import paper
 from touchd.lab.reproduction.scores import keypad_scores, zone_accuracy
@@ -18,6 +19,14 @@ from touchd.twin.simulate import simulate_touches
 
 LAYOUT = load_layout(PHONE)
 KEYS = len(LAYOUT.key)
+
+
+def judgement(
+    true_mm: NDArray[np.float64], position_mm: NDArray[np.float64], found_class: NDArray[np.int64] | None = None
+) -> Judgement:
+    """Estimates of which only the positions are known, and the classes of a classifier."""
+    unknown = np.full(len(true_mm), np.nan)
+    return Judgement(true_mm.astype(np.float32), position_mm, unknown, unknown, found_class=found_class)
 
 
 @pytest.fixture(scope="module")
@@ -54,10 +63,10 @@ def test_the_central_square_is_a_plate_of_its_own(touches: Recording) -> None:
 def test_accuracy_is_the_share_on_the_confusion_matrixs_diagonal(n: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     truth_mm, found = rng.uniform(0, 200, (n, 2)), rng.integers(0, 13, n)
-    data = {"truth_mm": truth_mm, "place_mm": np.zeros((n, 2)), "class": found}
+    judged = judgement(truth_mm, np.zeros((n, 2)), found)
     matrix = np.zeros((KEYS + 1, KEYS + 1), int)
     np.add.at(matrix, (labels_of(truth_mm, LAYOUT), found), 1)
-    scores = keypad_scores(data, LAYOUT)
+    scores = keypad_scores(judged, LAYOUT)
     assert scores["accuracy"] == pytest.approx(np.trace(matrix) / n)
     off = matrix[:KEYS, :KEYS].sum() - np.trace(matrix[:KEYS, :KEYS])
     assert scores["key_to_key_errors"] == off
@@ -71,5 +80,5 @@ def test_a_zone_is_right_where_its_middle_is_nearest(n: int, grid: int, seed: in
     wrong = rng.uniform(size=n) < 0.3
     other_mm = (own_mm + 100 / grid) % 100
     place_mm = np.where(wrong[:, None], other_mm, own_mm)
-    accuracy = zone_accuracy({"truth_mm": truth_mm, "place_mm": place_mm}, grid, (100.0, 100.0))
+    accuracy = zone_accuracy(judgement(truth_mm, place_mm), grid, (100.0, 100.0))
     assert accuracy == pytest.approx(1 - wrong.mean())

@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 
 from tests.unit.training.waves import Waves, touch
-from touchd.training.field.leave_one_out import displacements, left_out, predicted_by_others
+from touchd.training.field.leave_one_out import (
+    Displaced,
+    displacements,
+    label_noise_mm,
+    left_out,
+    predicted_by_others,
+)
 from touchd.training.field.regression import Prior, Regression, Touches, each
 
 K = np.array([0.2, 0.25, 0.3])
@@ -58,3 +64,25 @@ def test_a_touch_with_a_wrong_label_is_seen_where_it_was() -> None:
     found = displacements(regression, amplitude, bins, inverses).by_mm[chosen]
     left_mm = np.linalg.norm(found + moved_mm, axis=1)
     assert np.median(left_mm) < 0.25 * np.median(np.linalg.norm(moved_mm, axis=1))
+
+
+def seen(per_channel_mm: float, labels_mm: float) -> float:
+    """The label error that is found where each channel sees a touch elsewhere, and labels are off."""
+    rng, k = np.random.default_rng(8), np.linspace(0.2, 0.3, 12)
+    waves, at_mm = Waves(k, 4, 5), rng.uniform(0, 60, (400, 2))
+    jitter_mm = per_channel_mm * rng.normal(size=(4, 400, 2))
+    values = np.stack([waves.at(at_mm + jitter_mm[c])[:, c] for c in range(4)], axis=1)
+    label_mm = at_mm + labels_mm * rng.normal(size=at_mm.shape)
+    regression = Regression(Touches(label_mm, values.astype(np.complex64), 1e-4), Prior(k, ridge=1e-2))
+    amplitude, bins = np.ones((400, 12), np.complex64), np.arange(12)
+    inverses = each(lambda b: regression.inverse(b, amplitude[:, b]), bins)
+    displaced = displacements(regression, amplitude, bins, inverses)
+    inner = np.abs(label_mm - 30).max(axis=1) < 24
+    return label_noise_mm(Displaced(displaced.by_mm[inner], displaced.covariance[inner]))
+
+
+def test_what_the_channels_see_apart_is_no_error_of_the_label() -> None:
+    """Where each channel sees a touch displaced for itself, the labels are not blamed; where they are off, they are."""
+    assert seen(per_channel_mm=0.0, labels_mm=0.2) == pytest.approx(0.2, rel=0.25)
+    assert seen(per_channel_mm=0.2, labels_mm=0.0) < 0.03
+    assert seen(per_channel_mm=0.2, labels_mm=0.2) == pytest.approx(0.2, rel=0.35)

@@ -1,0 +1,44 @@
+"""`touchd tuio` in a process of its own, from the bus to a UDP socket."""
+
+from __future__ import annotations
+
+import signal
+import socket
+from pathlib import Path
+
+from tests.processes import PATIENCE_S, end, started, touchd
+from tests.system.bridges.rig import SCREEN, daemon, down
+from tests.unit.bridges.events import contact
+from tests.unit.bridges.tuioclient import Client
+
+
+def test_cursors(tmp_path: Path) -> None:
+    """Touches become cursors; silence of the daemon, and SIGTERM, remove them."""
+    client = Client()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp, daemon(tmp_path) as bus:
+        udp.bind(("127.0.0.1", 0))
+        udp.settimeout(PATIENCE_S)
+        port = udp.getsockname()[1]
+        with started("tuio", "--to", f"127.0.0.1:{port}", "--bus", bus.address, **SCREEN) as bridge:
+            bus.wait()
+            bus.touch(down(1, 100.0, 25.0))
+            while not client.rows:
+                client.take(udp.recv(2000))
+            assert next(iter(client.rows.values()))[:2] == (0.5, 0.25)
+            while client.rows:
+                client.take(udp.recv(2000))
+            bus.touch(down(2))
+            while not client.rows:
+                client.take(udp.recv(2000))
+            bridge.send_signal(signal.SIGTERM)
+            while client.rows:
+                bus.touch(contact(2, "hold"))
+                client.take(udp.recv(2000))
+            assert end(bridge).code == 0
+
+
+def test_beyond_loopback() -> None:
+    """Another computer is refused without `insecure`, before anything is sent."""
+    refused = touchd("tuio", "--to", "192.0.2.1:3333", TOUCHD_INPUT__SCREEN_MM="0,0,200,100")
+    assert refused.code == 42
+    assert "tuio.insecure" in refused.err

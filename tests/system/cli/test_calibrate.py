@@ -1,0 +1,208 @@
+"""`touchd calibrate`: from an untouched plate and PLATE.toml to a model that finds touches."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.command_line import touchd
+from touchd.calibration import calibrate
+from touchd.errors import (
+    OutputError,
+    PlateFileInvalid,
+    PlateMismatch,
+    PlatePoor,
+    PlateTouched,
+    RecordingMissing,
+    SignalClipped,
+    TouchdError,
+)
+from touchd.frame import Plate
+from touchd.localization.model import Model
+from touchd.localization.model_file import previous_path
+from touchd.recording.data import Recording
+from touchd.recording.format import write
+from touchd.twin.instrument import Instrument
+from touchd.twin.physics.transducer import Layout
+from touchd.twin.simulate import simulate_scene, simulate_touches
+
+SAID = """
+[plate]
+width_mm = 110.2
+height_mm = 89.9
+thickness_mm = 5.01
+material = "glass"
+
+[discs]
+diameter_mm = 6
+emitter_mm = [20.4, 49.8]
+receivers_mm = [[12.3, 11.8], [97.6, 18.4], [85.3, 77.7]]
+"""
+"""What a ruler says of the plate below: each length is off."""
+
+
+@pytest.fixture(scope="module")
+def small() -> Instrument:
+    layout = Layout(emitter_mm=(20, 50), receivers_mm=((12, 12), (98, 18), (85, 78)))
+    return Instrument(Plate(width_mm=110, height_mm=90, thickness_mm=5), layout=layout, loss=6e-3)
+
+
+@pytest.fixture(scope="module")
+def idle(small: Instrument) -> Recording:
+    return simulate_scene("idle", instrument=small, seed=4, frames=100)
+
+
+@pytest.fixture(scope="module")
+def home(small: Instrument, idle: Recording, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with an untouched recording, PLATE.toml, touches, and the model that was made of the first two."""
+    home = tmp_path_factory.mktemp("calibrate")
+    write(home / "idle.npz", idle)
+    write(home / "touches.npz", simulate_touches(60, instrument=small, seed=5, margin_mm=3.0))
+    (home / "PLATE.toml").write_text(SAID)
+    done = touchd("calibrate", "idle.npz", "-o", "plate.onnx", "--plate", "PLATE.toml", "--json", cwd=home)
+    assert done.code == 0, done.err
+    (home / "said.json").write_text(done.out)
+    return home
+
+
+def test_whole_way(home: Path) -> None:
+    """Never touched, measured with a ruler: touches all over the plate, up to its edges, are found to 0.1 mm."""
+    done = touchd("evaluate", "plate.onnx", "touches.npz", "--json", cwd=home)
+    assert done.code == 0
+    scores = json.loads(done.out)
+    print({name: scores[name] for name in ("median_mm", "p95_mm", "max_mm")})
+    assert scores["by_fingers"]["1"]["missed"] == 0
+    assert scores["median_mm"] < 0.1
+    assert scores["max_mm"] < 1.0
+
+
+def test_json(home: Path) -> None:
+    """Verdict, expected error, reasons and parameters: each with what was said, what fits, and its standard error."""
+    said = json.loads((home / "said.json").read_text())
+    assert said["verdict"] == "good"
+    assert 0 < said["expected_mm"] < 0.5
+    assert said["reasons"] == []
+    found = {p["name"]: p for p in said["parameters"]}
+    assert found["emitter x"]["said"] == 20.4
+    assert abs(found["emitter x"]["fitted"] - 20.0) < 0.1
+    assert 0 < found["emitter x"]["standard_error"] < 0.5
+
+
+def test_report(home: Path) -> None:
+    """Beside the model lies a page with response, residual, parameters and expected error."""
+    page = (home / "plate.report" / "report.md").read_text()
+    assert "# plate.onnx: good" in page
+    assert "| thickness | mm | 5.01 |" in page
+    for picture in ("response.png", "residual.png", "expected-error.png"):
+        assert picture in page
+        assert (home / "plate.report" / picture).read_bytes().startswith(b"\x89PNG")
+
+
+def test_usable_as_others(home: Path) -> None:
+    """Doctor takes the model as a trained one, and compares the plate with the reference beside it."""
+    doctor = touchd(
+        "doctor", "--replay", "idle.npz", "--seconds", "0.7", "--json", cwd=home,
+        TOUCHD_MODEL__PATH=str(home / "plate.onnx"), TOUCHD_BUS__BIND=f'["ipc://{home}/bus"]',
+    )  # fmt: skip
+    checks = {check["check"]: check for check in json.loads(doctor.out)["checks"]}
+    assert checks["model"]["level"] == "ok"
+    assert checks["baseline"]["level"] == "ok"
+
+
+@pytest.fixture
+def fitted(monkeypatch: pytest.MonkeyPatch, home: Path) -> Callable[[str], None]:
+    """Have the fit come out with a verdict, at once."""
+    model = Model(home / "plate.onnx")
+    assert model.atlas is not None
+    real = calibrate.fit_plate
+    found: list[object] = []
+
+    def judge(verdict: str) -> None:
+        def fit(*arguments: object) -> object:
+            if not found:
+                found.append(real(*arguments))  # type: ignore[arg-type]
+            return replace(found[0], verdict=verdict, reasons=("4 mm fits better: measure it again",))  # type: ignore[type-var]
+
+        monkeypatch.setattr(calibrate, "fit_plate", fit)
+
+    return judge
+
+
+def test_poor(home: Path, tmp_path: Path, fitted: Callable[[str], None]) -> None:
+    """A poor fit has a status of its own and its reasons, and writes no model unless forced; the old one is kept."""
+    fitted("poor")
+    (tmp_path / "m.onnx").write_bytes((home / "plate.onnx").read_bytes())
+    before = (tmp_path / "m.onnx").read_bytes()
+    options = ("calibrate", home / "idle.npz", "-o", tmp_path / "m.onnx", "--plate", home / "PLATE.toml", "--json")
+    done = touchd(*options)
+    assert done.code == PlatePoor.exit_code
+    assert "4 mm fits better" in done.err
+    said = json.loads(done.out)
+    assert (said["verdict"], said["model"]) == ("poor", None)
+    assert (tmp_path / "m.onnx").read_bytes() == before
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["m.onnx", "m.poor.report"]
+    done = touchd(*options, "--force", "--no-report")
+    assert done.code == PlatePoor.exit_code
+    assert json.loads(done.out)["model"] == str(tmp_path / "m.onnx")
+    assert Model(tmp_path / "m.onnx").atlas is not None
+    assert previous_path(tmp_path / "m.onnx").read_bytes() == before
+
+
+def clipped(idle: Recording) -> Recording:
+    frames = np.clip(idle.frames.astype(int) * 20, -32768, 32767).astype(np.int16)
+    return replace(idle, frames=frames)
+
+
+def touched(idle: Recording) -> Recording:
+    frames = idle.frames.copy()
+    frames[40:] += (0.05 * idle.frames[40:, :, ::-1]).astype(np.int16)
+    return replace(idle, frames=frames)
+
+
+def other_plate(idle: Recording) -> Recording:
+    return replace(idle, meta=idle.meta.model_copy(update={"plate": Plate(width_mm=300, height_mm=200)}))
+
+
+def channel_less(idle: Recording) -> Recording:
+    return replace(idle, meta=idle.meta.model_copy(update={"receivers_mm": None}), frames=idle.frames[:, :2])
+
+
+HOSTILE: dict[str, tuple[Callable[[Recording], Recording] | None, str, type[TouchdError]]] = {
+    "clipped": (clipped, SAID, SignalClipped),
+    "a finger on it": (touched, SAID, PlateTouched),
+    "another plate": (other_plate, SAID, PlateMismatch),
+    "a channel less": (channel_less, SAID, PlateMismatch),
+    "metres": (None, SAID.replace("[20.4, 49.8]", "[0.0204, 0.0498]"), PlateFileInvalid),
+    "a disc outside": (None, SAID.replace("97.6", "120.0"), PlateFileInvalid),
+    "no TOML": (None, "[plate\n", PlateFileInvalid),
+    "deep": (None, "a = " + "[" * 5000, PlateFileInvalid),
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_hostile(name: str, idle: Recording, tmp_path: Path) -> None:
+    """What cannot be calibrated is refused with its own status and one line, before anything is written."""
+    spoil, said, error = HOSTILE[name]
+    write(tmp_path / "r.npz", spoil(idle) if spoil else idle)
+    (tmp_path / "PLATE.toml").write_text(said)
+    done = touchd("calibrate", "r.npz", "-o", "m.onnx", "--plate", "PLATE.toml", cwd=tmp_path)
+    assert done.code == error.exit_code, done.err
+    assert " -> " in done.err
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["PLATE.toml", "r.npz"]
+
+
+def test_names(idle: Recording, tmp_path: Path) -> None:
+    """A model's name, its folder and the recording are checked first."""
+    write(tmp_path / "r.npz", idle)
+    (tmp_path / "PLATE.toml").write_text(SAID)
+    for arguments, error in (
+        (("r.npz", "-o", "m.bin"), OutputError), (("r.npz", "-o", "no/m.onnx"), OutputError),
+        (("none.npz", "-o", "m.onnx"), RecordingMissing),
+    ):  # fmt: skip
+        done = touchd("calibrate", *arguments, "--plate", "PLATE.toml", cwd=tmp_path)
+        assert done.code == error.exit_code, done.err

@@ -1,0 +1,114 @@
+"""Touches reach the screen where its user sees them, and only those that are meant for it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from tests.unit.bridges.events import MS, contact
+from touchd.bridges.area import Area
+from touchd.config.bridges import InputSettings
+from touchd.errors import ConfigError
+from touchd.event import Contact
+
+
+def area(**changed: Any) -> Area:
+    return Area(InputSettings(screen_mm=(10, 20, 100, 50), **changed))
+
+
+def at(
+    one: Area, x_mm: float, y_mm: float, t_ns: int = 0, number: int = 1, kind: str | None = None
+) -> tuple[float, float] | None:
+    down: Any = contact(1, "move", x_mm, y_mm)
+    if kind is not None:
+        down = Kind(down, kind)
+    found = one.places({number: down}, t_ns)
+    return (found[number].x_mm, found[number].y_mm) if found else None
+
+
+class Kind:
+    """A contact that says what touches."""
+
+    def __init__(self, inner: Contact, kind: str) -> None:
+        self.x_mm, self.y_mm, self.vx_mm_s, self.vy_mm_s = inner.x_mm, inner.y_mm, 0.0, 0.0
+        self.kind = kind
+
+
+# The plate's corners of the screen, clockwise from the top left: where the picture's corners are.
+CORNERS = [(10, 20), (110, 20), (110, 70), (10, 70)]
+
+
+@pytest.mark.parametrize("rotate", [0, 90, 180, 270])
+def test_corners(rotate: int) -> None:
+    """A picture turned clockwise has its top-left corner at the plate's next corner, and its own width and height."""
+    one = area(rotate=rotate)
+    wide, high = (100, 50) if rotate % 180 == 0 else (50, 100)
+    assert list(one.size_mm) == [wide, high]
+    turned = CORNERS[rotate // 90 :] + CORNERS[: rotate // 90]  # from the picture's top-left one
+    for number, (corner, seen) in enumerate(zip(turned, [(0, 0), (wide, 0), (wide, high), (0, high)], strict=True)):
+        assert at(one, *corner, number=number) == seen
+
+
+@pytest.mark.parametrize(("rotate", "velocity", "angle_deg"), [(0, (3, 4), 30), (90, (4, -3), -60),
+                                                               (180, (-3, -4), 30), (270, (-4, 3), -60)])  # fmt: skip
+def test_directions(rotate: int, velocity: tuple[float, float], angle_deg: float) -> None:
+    """Velocities and the contact's axis turn with the picture."""
+    down: Any = Kind(contact(1, "move", 50, 50), "finger")
+    down.vx_mm_s, down.vy_mm_s, down.angle_deg = 3.0, 4.0, 30.0
+    place = area(rotate=rotate).places({1: down}, 0)[1]
+    assert (place.vx_mm_s, place.vy_mm_s) == velocity
+    assert place.angle_deg == pytest.approx(angle_deg)
+
+
+def test_beginning_outside() -> None:
+    """A touch that begins outside is dropped, also when it moves onto the screen."""
+    one = area()
+    assert at(one, 5, 30) is None
+    assert at(one, 50, 30) is None
+    assert at(one, 50, 30, number=2) == (40, 10)
+
+
+def test_leaving() -> None:
+    """A touch that leaves stays at the border, or lifts for good, as asked."""
+    one = area()
+    assert at(one, 50, 30) == (40, 10)
+    assert at(one, 5, 30) == (0, 10)
+    assert at(one, 50, 30) == (40, 10)
+    one = area(border="lift")
+    assert at(one, 50, 30) == (40, 10)
+    assert at(one, 5, 30) is None
+    assert at(one, 50, 30) is None
+
+
+def test_edge() -> None:
+    """With an edge zone, touches that begin in it are dropped; one may slide into it."""
+    one = area(edge_mm=5)
+    assert at(one, 13, 30) is None
+    assert at(one, 16, 30, number=2) == (6, 10)
+    assert at(one, 11, 30, number=2) == (1, 10)
+
+
+def test_short_touches() -> None:
+    """With a least time, a touch counts once it has stayed for that time."""
+    one = area(min_contact_s=0.2)
+    assert at(one, 50, 30) is None
+    assert at(one, 50, 30, 199 * MS) is None
+    assert at(one, 50, 30, 200 * MS) == (40, 10)
+    assert at(one, 50, 30, 201 * MS, number=2) is None
+
+
+def test_kinds() -> None:
+    """A palm, water or an object is no touch; one that turns into it lifts and stays so."""
+    one = area()
+    assert at(one, 50, 30, kind="palm") is None
+    assert at(one, 50, 30, kind="finger") == (40, 10), "a palm that was a finger after all"
+    assert at(one, 50, 30, kind="water") is None
+    assert at(one, 50, 30, kind="finger") is None
+    assert at(area(ignore=()), 50, 30, kind="palm") == (40, 10)
+
+
+def test_no_screen() -> None:
+    """Without a mapping nothing starts, and the error says what to do."""
+    with pytest.raises(ConfigError, match="touchd map"):
+        Area(InputSettings())

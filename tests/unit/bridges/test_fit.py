@@ -1,0 +1,112 @@
+"""The mapping of the screen: found from a few touches, and refused if they do not fit."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.unit.bridges.events import contact
+from touchd.bridges.area import Area
+from touchd.bridges.fit import CROSSES, Touched, fit
+from touchd.cli.map import page_of, with_lines
+from touchd.config.bridges import InputSettings
+from touchd.errors import BridgeError, OutputError
+
+SCREENS = st.builds(
+    lambda x, y, w, h, rotate: InputSettings(screen_mm=(x, y, w, h), rotate=rotate),
+    st.floats(-50, 200), st.floats(-50, 200), st.floats(40, 600), st.floats(40, 600),
+    st.sampled_from([0, 90, 180, 270]),
+)  # fmt: skip
+
+
+def on_plate(screen: InputSettings, across: float, along: float) -> tuple[float, float]:
+    """Where a place of the picture lies on the plate, from `Area` alone: it is linear."""
+    area = Area(screen)
+    x0, y0, wide, high = screen.screen_mm
+    corners = {}
+    for n, (x, y) in enumerate([(0.25, 0.25), (0.75, 0.25), (0.25, 0.75)]):
+        place = area.places({n + 1: contact(1, "down", x0 + x * wide, y0 + y * high)}, 0)[n + 1]
+        corners[n] = (place.x_mm / area.size_mm[0], place.y_mm / area.size_mm[1])
+    (u0, v0), (ux, vx), (uy, vy) = corners[0], corners[1], corners[2]
+    a, b, c, d = ux - u0, uy - u0, vx - v0, vy - v0
+    det = 2 * (a * d - b * c)
+    p = 0.25 + ((across - u0) * d - (along - v0) * b) / det
+    q = 0.25 + ((along - v0) * a - (across - u0) * c) / det
+    return x0 + p * wide, y0 + q * high
+
+
+@given(SCREENS, st.integers(4, 9), st.integers(0, 2**32))
+def test_fit(screen: InputSettings, count: int, seed: int) -> None:
+    """Four to nine touches that miss by 1 mm give the screen's rectangle and rotation, and say how far off they are."""
+    touches = []
+    for n, (across, along) in enumerate(CROSSES[:count]):
+        x, y = on_plate(screen, across, along)
+        angle = seed * 2.399 + n * 1.7
+        touches.append(Touched(across, along, x + math.cos(angle), y + math.sin(angle)))
+    found = fit(touches)
+    assert found.rotate == screen.rotate
+    assert found.screen_mm == pytest.approx(screen.screen_mm, abs=4.0)
+    assert 0.0 <= found.residual_mm <= 1.01
+
+
+def test_exact() -> None:
+    """Touches without error give the rectangle exactly."""
+    screen = InputSettings(screen_mm=(12.0, 30.0, 160.0, 90.0), rotate=270)
+    found = fit([Touched(u, v, *on_plate(screen, u, v)) for u, v in CROSSES[:4]])
+    assert found.screen_mm == (12.0, 30.0, 160.0, 90.0)
+    assert (found.rotate, found.residual_mm) == (270, 0.0)
+
+
+def square() -> list[Touched]:
+    return [Touched(u, v, 200 * u, 100 * v) for u, v in CROSSES[:4]]
+
+
+@pytest.mark.parametrize("bad", ["mirrored", "swapped", "missed", "one place", "few"])
+def test_a_bad_mapping_is_refused(bad: str) -> None:
+    """Touches that no screen explains are refused, with what to do."""
+    touches = square()
+    if bad == "mirrored":
+        touches = [one._replace(x_mm=200 - one.x_mm) for one in touches]
+    elif bad == "swapped":
+        touches[0], touches[1] = (touches[0]._replace(x_mm=touches[1].x_mm, y_mm=touches[1].y_mm),
+                                  touches[1]._replace(x_mm=touches[0].x_mm, y_mm=touches[0].y_mm))  # fmt: skip
+    elif bad == "missed":
+        touches[2] = touches[2]._replace(x_mm=touches[2].x_mm + 20)
+    elif bad == "one place":
+        touches = [one._replace(x_mm=50.0, y_mm=50.0) for one in touches]
+    else:
+        touches = touches[:3]
+    with pytest.raises(BridgeError) as refused:
+        fit(touches)
+    assert refused.value.fix
+
+
+LINES = {"screen_mm": "[1, 2, 30, 40]", "rotate": "90"}
+
+
+def test_the_file_keeps_all_else() -> None:
+    """Only the keys of the mapping change; comments, order and other tables stay."""
+    text = "# mine\n[bus]\n# rotate = 3\nhigh_water_mark = 5\n\n[input] # here\n# Default: 0\nrotate = 0\n\n[log]\n"
+    changed = with_lines(text, LINES)
+    assert changed == text.replace("rotate = 0\n", "rotate = 90\n").replace(
+        "[input] # here\n", "[input] # here\nscreen_mm = [1, 2, 30, 40]\n"
+    )
+    assert with_lines(changed, LINES) == changed
+    assert with_lines("", LINES) == "[input]\nrotate = 90\nscreen_mm = [1, 2, 30, 40]\n"
+    assert with_lines("# mine\n", LINES) == "# mine\n\n[input]\nrotate = 90\nscreen_mm = [1, 2, 30, 40]\n"
+
+
+def test_an_unusual_file_is_left() -> None:
+    """A list over several lines is not broken: the user is asked to write the lines by hand."""
+    with pytest.raises(OutputError, match="by hand"):
+        with_lines("[input]\nscreen_mm = [\n 1, 2,\n 3, 4]\n", LINES)
+
+
+def test_the_page_has_the_crosses() -> None:
+    """The page shows each cross where the fit takes it to be."""
+    page = page_of(CROSSES[:4])
+    for n, (x, y) in enumerate(CROSSES[:4], 1):
+        assert f'left: {x:.0%}; top: {y:.0%}"><b>{n}</b>' in page

@@ -1,0 +1,99 @@
+"""Fingers become the events that the kernel's multi-touch protocol asks for."""
+
+from __future__ import annotations
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.unit.bridges.events import contact
+from tests.unit.bridges.kernel import Kernel
+from touchd.bridges import slots
+from touchd.bridges.area import Place
+from touchd.bridges.slots import EMPTY, Finger, Slots, encode, finger, lift_all
+
+FINGER = st.builds(
+    Finger, st.integers(0, 20000), st.integers(0, 20000), st.integers(1, 1000),
+    st.none() | st.tuples(st.integers(1, 10000), st.integers(1, 10000), st.integers(-90, 90)),
+)  # fmt: skip
+# Few numbers, so that fingers stay, go and come again in any order; more of them than slots.
+FRAMES = st.lists(st.dictionaries(st.integers(65530, 65545), FINGER, max_size=8), max_size=30)
+
+
+def values(number: int, one: Finger) -> dict[str, int]:
+    size = dict(zip(("major", "minor", "angle"), one.size, strict=True)) if one.size else {}
+    return {"id": number & 0xFFFF, "x": one.x, "y": one.y, "pressure": one.pressure, **size}
+
+
+@given(FRAMES)
+def test_slots_equal_fingers(frames: list[dict[int, Finger]]) -> None:
+    """After each frame the kernel's slots hold the fingers that are down, each in its own slot, and nobody else."""
+    kernel, held = Kernel(), EMPTY
+    for fingers in frames:
+        before = held
+        frame, held = encode(held, fingers)
+        kernel.write(frame)
+        shown = {number for number in held if number is not None}
+        assert shown <= fingers.keys()
+        assert {n for n in before if n in fingers} - {None} <= shown, "who has a slot keeps it"
+        assert len(shown) == min(len(fingers), sum(n is None or n in fingers for n in before)), "no slot stays empty"
+        for slot, number in enumerate(held):
+            if number is not None:
+                there = kernel.live[slot]
+                assert there | values(number, fingers[number]) == there
+        report = kernel.reports[-1]
+        assert len(report.fingers) == len(shown)
+        assert report.touched == bool(shown)
+        if shown:
+            oldest = fingers[min(shown)]
+            assert report.pointer == (oldest.x, oldest.y, oldest.pressure)
+        else:
+            assert report.pointer[2] == 0
+    assert kernel.writes == len(kernel.reports) == len(frames), "one write and one SYN_REPORT a frame"
+
+
+@given(FRAMES)
+def test_lift_all(frames: list[dict[int, Finger]]) -> None:
+    """The frame that lifts all empties every slot, whoever has it."""
+    kernel, held = Kernel(), EMPTY
+    for fingers in frames:
+        frame, held = encode(held, fingers)
+        kernel.write(frame)
+    kernel.write(lift_all())
+    assert kernel.live == {}
+    assert not kernel.reports[-1].touched
+
+
+def test_a_slot_waits_a_frame() -> None:
+    """A finger that comes while another goes gets another slot, so that no reader takes both for one."""
+    full: Slots = (1, 2, 3, 4, 5)
+    at = Finger(1, 2, 3)
+    _, held = encode(full, {2: at, 3: at, 4: at, 5: at, 6: at})
+    assert held == (None, 2, 3, 4, 5)
+    _, held = encode(held, {2: at, 3: at, 4: at, 5: at, 6: at})
+    assert held == (6, 2, 3, 4, 5)
+
+
+def test_units() -> None:
+    """Positions are hundredths of a millimetre, pressure is force in thousandths and never 0."""
+    down = contact(1, "down")
+    place = Place(12.34, 56.78, 0.0, 0.0, 0.0, down)
+    assert finger(place, sized=False) == Finger(1234, 5678, 500)
+    down.force = 0.0
+    assert finger(place, sized=False).pressure == 1
+    down.force = 7.0
+    assert finger(place, sized=False).pressure == slots.PRESSURE_MAX
+
+
+class Sized:
+    """A contact that says how large it is."""
+
+    force, major_mm, minor_mm = 0.5, 12.0, 8.0
+
+
+def test_size() -> None:
+    """The contact's axes are lengths, its orientation the long axis against the screen's y axis, clockwise."""
+    for angle_deg, orientation in ((90.0, 0), (-90.0, 0), (45.0, -45), (-80.0, 10), (100.0, 10)):
+        place = Place(1.0, 1.0, 0.0, 0.0, angle_deg, Sized())  # type: ignore[arg-type]  # an event of a newer daemon
+        assert finger(place, sized=True).size == (1200, 800, orientation)
+    unknown = Place(1.0, 1.0, 0.0, 0.0, 0.0, contact(1))
+    assert finger(unknown, sized=True).size == (1, 1, -90), "never 0 while down"

@@ -1,0 +1,134 @@
+"""TUIO clients see the fingers that are down, whatever the network and restarts do."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pythonosc.osc_bundle import OscBundle
+
+from tests.unit.bridges.events import MS, contact
+from tests.unit.bridges.tuioclient import Client
+from touchd.bridges.area import Place
+from touchd.bridges.tuio import BLOB, CURSOR, Frames
+from touchd.cli.tuio import destination
+from touchd.errors import ConfigError, InsecureBind
+
+SIZE_MM = (200.0, 100.0)
+
+
+def place(x_mm: float, y_mm: float, vx_mm_s: float = 0.0, vy_mm_s: float = 0.0) -> Place:
+    return Place(x_mm, y_mm, vx_mm_s, vy_mm_s, 0.0, contact(1))
+
+
+def frames(now_ns: int = 5_000 * MS) -> Frames:
+    return Frames("touchd:plate@127.0.0.1", SIZE_MM, now_ns)
+
+
+def decoded(packet: bytes) -> list[tuple[str, list[Any]]]:
+    return [(message.address, list(message.params)) for message in OscBundle(packet)]
+
+
+def test_a_frame() -> None:
+    """A frame is one bundle for now: source, who is alive, where each is in shares, and the frame's number."""
+    one = frames()
+    one.frame({1: place(100, 25, 300, 400)}, 0)
+    (packet,) = one.frame({1: place(150, 75, 600, 800), 2: place(0, 100)}, 10 * MS)
+    assert packet.startswith(b"#bundle\0\0\0\0\0\0\0\0\1")
+    speed = [math.hypot(1.5, 4.0), math.hypot(3.0, 8.0)]
+    *head, first, second, last = decoded(packet)
+    assert head == [(CURSOR, ["source", "touchd:plate@127.0.0.1"]), (CURSOR, ["alive", 5001, 5002])]
+    assert first[1][:2] == ["set", 5001]
+    assert first[1][2:] == pytest.approx([0.75, 0.75, 3.0, 8.0, (speed[1] - speed[0]) / 0.01], rel=1e-6)
+    assert second == (CURSOR, ["set", 5002, 0.0, 1.0, 0.0, 0.0, 0.0])
+    assert last == (CURSOR, ["fseq", 5002])
+
+
+class Sized:
+    """A contact that says how large it is."""
+
+    major_mm, minor_mm = 12.0, 8.0
+
+
+def test_blobs() -> None:
+    """A contact with a size is a blob too, with its axes in shares and the angle of the long one."""
+    sized = Place(100, 50, 0.0, 0.0, -45.0, Sized())  # type: ignore[arg-type]  # an event of a newer daemon
+    cursors, blobs = frames().frame({1: sized, 2: place(1, 1)}, 0)
+    assert len(decoded(cursors)) == 5
+    messages = decoded(blobs)
+    assert messages[1] == (BLOB, ["alive", 5001]), "who has no size is no blob"
+    row = messages[2][1]
+    assert row[2:] == pytest.approx(
+        [0.5, 0.5, math.radians(315), 0.06, 0.08, math.pi / 4 * 0.06 * 0.08, 0, 0, 0, 0, 0], rel=1e-6
+    )
+
+
+def test_size_of_a_frame() -> None:
+    """The most contacts that a daemon tells apart fit into one datagram of any network."""
+    most = {n: Place(1, 1, 1, 1, 1, Sized()) for n in range(10)}  # type: ignore[arg-type]  # as above
+    assert all(len(packet) <= 1472 for packet in frames().frame(most, 0))
+
+
+PLACES = st.dictionaries(st.integers(1, 6), st.builds(place, st.floats(0, 200), st.floats(0, 100)), max_size=5)
+STEPS = st.lists(st.tuples(PLACES, st.booleans(), st.sampled_from(["", "", "", "killed", "stopped"])), max_size=25)
+
+
+@given(STEPS, st.data())
+def test_loss_order_and_restarts(steps: list[tuple[dict[int, Place], bool, str]], data: st.DataObject) -> None:
+    """Packets are lost, overtake each other and come twice, the bridge is killed and stopped: once a packet of the
+    last frame arrives, the client has the fingers that are down, and none of a session that ended comes back."""
+    client, source, now_ms = Client(), frames(), 5_000
+    under_way, last, first = source.boundary(), source.frame({}, 0), 5_000
+    for places, lost, end in steps:
+        now_ms += 8
+        packets = source.frame(places, now_ms * MS)
+        last = packets
+        if end:
+            packets = packets + (source.boundary() if end == "stopped" else [])
+            now_ms += 500
+            source, first = frames(now_ms * MS), now_ms
+            packets += source.boundary()
+            last = source.frame({}, now_ms * MS)
+        under_way += [] if lost else packets
+        if under_way:
+            window = under_way[:4]
+            chosen = data.draw(st.integers(0, len(window) - 1))
+            client.take(window[chosen])
+            if data.draw(st.booleans()):
+                under_way.pop(chosen)
+    final = steps[-1][0] if steps and not steps[-1][2] else {}
+    for packet in last:
+        client.take(packet)
+    assert {session - first for session in client.rows} == set(final)
+    for number, one in final.items():
+        row = client.rows[first + number]
+        assert row[:2] == pytest.approx((one.x_mm / SIZE_MM[0], one.y_mm / SIZE_MM[1]), abs=1e-6)
+
+
+def test_a_killed_bridge_leaves_no_cursor() -> None:
+    """A bridge that was killed with a finger down, and starts again: the old cursor goes, the new ones are seen."""
+    client, source = Client(), frames()
+    for k in range(60):
+        client.take(source.frame({1: place(k, 10)}, k * 8 * MS)[0])
+    again = frames(5_600 * MS)
+    for packet in again.boundary():
+        client.take(packet)
+    assert client.rows == {}
+    for k in range(40):
+        client.take(again.frame({1: place(k, 20)}, k * 8 * MS)[0])
+    assert (client.added, client.removed, client.late) == ([5001, 5601], [5001], 0)
+
+
+def test_destination() -> None:
+    """Loopback is allowed, any other address only if somebody said so; the rest is refused with an example."""
+    assert destination("127.0.0.1:3333", insecure=False) == ("127.0.0.1", 3333)
+    assert destination("[::1]:3333", insecure=False) == ("::1", 3333)
+    assert destination("192.0.2.7:3333", insecure=True) == ("192.0.2.7", 3333)
+    with pytest.raises(InsecureBind, match=r"tuio\.insecure = true"):
+        destination("192.0.2.7:3333", insecure=False)
+    for bad in ("", "3333", ":3333", "127.0.0.1", "127.0.0.1:", "127.0.0.1:0", "127.0.0.1:99999", "127.0.0.1:x"):
+        with pytest.raises(ConfigError, match="HOST:PORT"):
+            destination(bad, insecure=False)

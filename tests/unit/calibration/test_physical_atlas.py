@@ -1,0 +1,154 @@
+"""The atlas and the scan of a plate, from physics."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import onnx
+import pytest
+
+from tests.unit.calibration.plates import LAYOUT, PLATE, exact_fit
+from touchd.calibration.physical_atlas import Grid, grid_of, make_physical_atlas
+from touchd.calibration.physical_field import PhysicalField
+from touchd.calibration.plate_fit import PlateFit
+from touchd.calibration.start_scan import make_graph, make_scan, scan
+from touchd.evaluation.cramer_rao import twin_values
+from touchd.localization.atlas import Atlas, load_atlas, save_atlas
+from touchd.localization.features import windowed_dft
+from touchd.localization.model import Description, Model
+from touchd.training.field.place import FieldMap, place
+from touchd.twin.instrument import Instrument
+from touchd.twin.physics.finger import Contact
+
+
+@pytest.fixture(scope="module")
+def instrument() -> Instrument:
+    return Instrument(PLATE, layout=LAYOUT)
+
+
+@pytest.fixture(scope="module")
+def fit(instrument: Instrument) -> PlateFit:
+    return exact_fit(instrument)
+
+
+@pytest.fixture(scope="module")
+def field(fit: PlateFit) -> PhysicalField:
+    return PhysicalField(fit)
+
+
+@pytest.fixture(scope="module")
+def atlas(fit: PlateFit) -> Atlas:
+    noise = 1e-3 * float(np.sqrt(np.square(fit.measured).mean()))
+    return make_physical_atlas(fit, noise, data_sha256="some", command="touchd calibrate")
+
+
+def places(low: float, high: float, count: int = 60) -> np.ndarray:
+    """Positions whose distance from the nearest edge is between two lengths, mm."""
+    size = np.array([PLATE.width_mm, PLATE.height_mm])
+    drawn = np.random.default_rng(5).uniform(0, size, (100_000, 2))
+    edge = np.minimum(drawn, size - drawn).min(axis=1)
+    return drawn[(edge >= low) & (edge <= high)][:count]
+
+
+def missed(atlas: Atlas, field: PhysicalField, position_mm: np.ndarray) -> np.ndarray:
+    """Share of the exact field's energy that the atlas misses at each position."""
+    d = atlas.description
+    kept = np.array(d.bins) - d.bins[0]
+    first = d.bins[0] - 51  # the band begins at bin 51
+    exact = field.at(position_mm)[..., first + kept].reshape(len(position_mm), -1)
+    found = FieldMap(atlas).look_up(position_mm)[0]
+    return np.asarray(np.square(np.abs(found - exact)).sum(axis=1) / np.square(np.abs(exact)).sum(axis=1))
+
+
+def test_field_is_the_twins(instrument: Instrument, field: PhysicalField) -> None:
+    """With the twin's parameters the field is what the twin computes, near fields included."""
+    at = places(2.6, 30.0, 20)
+    exact = twin_values(instrument, [Contact(x, y, 20.0, "silicone") for x, y in at.tolist()])
+    assert np.linalg.norm(field.at(at) - exact) < 1e-6 * np.linalg.norm(exact)
+
+
+@pytest.mark.parametrize(("low", "high", "most"), [(6.0, 50.0, 3e-5), (0.0, 6.0, 2e-4)])
+def test_atlas_between_nodes(atlas: Atlas, field: PhysicalField, low: float, high: float, most: float) -> None:
+    """Off its nodes, and up to the edge, the atlas misses less of the field than another contact area changes."""
+    share = missed(atlas, field, places(low, high))
+    assert np.median(share) < most
+    assert share.max() < 20 * most
+
+
+@pytest.mark.parametrize("length_mm", [100.0, 99.99, 250.3, 7.6])
+def test_grid(length_mm: float) -> None:
+    """Every place on the plate has its four nodes, and every node enough samples: a smooth function comes back."""
+    grid: Grid = grid_of(length_mm, 2.5)
+    assert grid.nodes_mm[1] <= 0
+    assert grid.nodes_mm[-3] >= length_mm
+    assert grid.samples_mm.min() == 0
+    assert grid.samples_mm.max() == length_mm
+    coefficients = grid.solve @ np.cos(0.2 * grid.samples_mm)
+    assert np.abs(coefficients).max() < 2
+
+
+def test_atlas_is_a_file_as_others(atlas: Atlas, tmp_path: Path) -> None:
+    """It is saved and loaded as a learned one, and covers the plate from edge to edge."""
+    path = tmp_path / "plate.atlas.npz"
+    save_atlas(atlas, path)
+    d = load_atlas(path).description
+    assert (d.low_mm, d.high_mm) == ((0.0, 0.0), (PLATE.width_mm, PLATE.height_mm))
+    assert d.data_sha256 == "some"
+
+
+def test_sigma(atlas: Atlas, field: PhysicalField, fit: PlateFit) -> None:
+    """Two thirds of the errors of touches with another area, in noise, are within the standard error of the atlas."""
+    at, d = places(3.0, 45.0, 200), atlas.description
+    kept = np.array(d.bins)
+    noise = 0.01 * np.sqrt(np.square(fit.measured).mean())
+    W = windowed_dft(fit.acquisition, kept)
+    drawn = np.random.default_rng(1).normal(size=(len(at), *fit.acquisition.shape)) * noise @ W
+    values = field.at(at, 16.0)[..., kept - 51] + drawn[..., : len(kept)] + 1j * drawn[..., len(kept) :]
+    placed = place(atlas, values, at)
+    variance = d.noise_scale * noise**2 * np.square(np.hanning(fit.acquisition.samples)).sum() / 2
+    variance += d.field_scale * atlas.error.mean() * np.square(np.abs(placed.amplitude)) / 2
+    sigma = np.sqrt(variance[:, None] * np.diagonal(np.linalg.inv(placed.fisher_information), axis1=1, axis2=2))
+    assert 0.5 < (np.abs(placed.position_mm - at) < sigma).mean() < 0.85
+
+
+@pytest.fixture(scope="module")
+def model(atlas: Atlas, tmp_path_factory: pytest.TempPathFactory) -> Model:
+    d = atlas.description
+    description = Description(
+        name="calibrated", head="regression", domain="frequency", input="residual", acquisition=d.acquisition,
+        plate=d.plate, data_sha256="some",
+    )  # fmt: skip
+    graph = make_graph(make_scan(atlas), description)
+    onnx.checker.check_model(graph, full_check=True)
+    path = tmp_path_factory.mktemp("scan") / "plate.onnx"
+    path.write_bytes(graph.SerializeToString())
+    return Model(path)
+
+
+def test_graph_is_the_reference(atlas: Atlas, model: Model) -> None:
+    """The ONNX graph says what the same scan in NumPy says, for fingers, noise and nothing."""
+    rng = np.random.default_rng(2)
+    field = FieldMap(atlas).look_up(places(0.0, 50.0, 40))[0].reshape(40, 3, 1, -1)
+    features = np.zeros((40, 3, 2, 49))
+    features[..., np.array(atlas.description.bins) - 51] = np.concatenate([field.real, field.imag], axis=2)
+    frames = np.concatenate([features.reshape(40, -1), rng.normal(size=(40, 3 * 98)), np.zeros((1, 3 * 98))])
+    said = model.run(frames.astype(np.float32))
+    position_mm, sigma_mm, confidence = scan(make_scan(atlas), frames)
+    assert np.abs(said["position_mm"][:-1] - position_mm[:-1]).max() < 1e-3
+    assert np.abs(said["sigma_mm"] - sigma_mm).max() < 1e-3
+    assert np.abs(said["confidence"] - confidence).max() < 1e-3
+
+
+def test_scan_starts_fingers(field: PhysicalField, model: Model) -> None:
+    """The scan comes as near to another contact than the atlas' as Gauss-Newton needs, in all but a few wrong valleys;
+    noise is no finger."""
+    at = places(2.6, 50.0, 80)
+    bins = field.at(at, 60.0, "human")
+    said = model.run(np.concatenate([bins.real, bins.imag], axis=2).reshape(80, -1).astype(np.float32))
+    off_mm = np.linalg.norm(said["position_mm"] - at, axis=1)
+    assert np.quantile(off_mm, 0.9) < 2.3, "half a diagonal of the grid"
+    assert (off_mm > 4.0).mean() < 0.03
+    assert said["confidence"].min() > 0.5
+    noise = np.random.default_rng(3).normal(size=(80, 3 * 98)).astype(np.float32)
+    assert model.run(noise)["confidence"].max() < 0.5

@@ -1,0 +1,83 @@
+from __future__ import annotations
+
+from copy import deepcopy
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from touchd.calibration.plate_file import PlateFile, check_plate_file, read_plate_file
+from touchd.errors import PlateFileInvalid
+
+CONTENT: dict[str, Any] = {
+    "plate": {"width_mm": 200, "height_mm": 150, "thickness_mm": 5, "material": "glass"},
+    "discs": {"diameter_mm": 6, "emitter_mm": [30, 100], "receivers_mm": [[15, 15], [185, 20]]},
+}
+
+
+def changed(table: str, **keys: Any) -> dict[str, Any]:
+    content = deepcopy(CONTENT)
+    content[table].update(keys)
+    return {name: {key: value for key, value in part.items() if value is not ...} for name, part in content.items()}
+
+
+def read(table: str, **keys: Any) -> PlateFile:
+    return check_plate_file(changed(table, **keys))
+
+
+def test_uncertainties_have_the_defaults_of_a_ruler_and_a_caliper() -> None:
+    """A file without uncertainties is read with those of a ruler and a caliper."""
+    said = check_plate_file(CONTENT)
+    p, d = said.plate, said.discs
+    assert (p.width_uncertainty_mm, p.height_uncertainty_mm, p.thickness_uncertainty_mm) == (0.3, 0.3, 0.03)
+    assert d.uncertainty_mm == 1
+
+
+def test_the_twin_takes_it() -> None:
+    """Plate and discs reach the twin with their material's constants."""
+    said = read("plate", material=..., young_gpa=70, poisson=0.2, density_kg_m3=2400)
+    assert said.twin_plate().elastic == (70e9, 0.2, 2400)
+    assert said.layout().centres_mm.tolist() == [[30, 100], [15, 15], [185, 20]]
+
+
+def test_an_edge_is_one_word_or_a_table() -> None:
+    """`edge` names what holds all sides, or each."""
+    assert read("plate", edge="tape").plate.edges.top == "tape"
+    assert read("plate", edge={"left": "pads"}).plate.edges.model_dump() == {
+        "left": "pads", "right": "free", "top": "free", "bottom": "free",
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("table", "keys", "said"),
+    [
+        ("plate", {"width_mm": 0.2}, "plate.width_mm.*metres.*millimetres"),
+        ("plate", {"thickness_mm": 0.005}, "plate.thickness_mm.*millimetres"),
+        ("plate", {"thickness_mm": 60}, "plate.thickness_mm"),
+        ("discs", {"emitter_mm": [0.03, 0.1]}, "discs.emitter_mm.*metres"),
+        ("discs", {"diameter_mm": 0.006}, "discs.diameter_mm.*metres"),
+        ("discs", {"receivers_mm": [[15, 15], [199, 20]]}, "discs.receivers_mm.1.*edge"),
+        ("discs", {"receivers_mm": [[15, 15], [18, 17]]}, "discs.receivers_mm.1.*receivers_mm.0"),
+        ("plate", {"material": "cheese"}, "cheese.*glass, aluminium"),
+        ("plate", {"material": ...}, "material is missing"),
+        ("plate", {"young_gpa": 70}, "name and constants"),
+        ("plate", {"edge": "glued"}, "edge.*use one of free, pads"),
+        ("plate", {"colour": "red"}, "plate.colour.*known keys: width_mm"),
+        ("plate", {"height_mm": ...}, "plate.height_mm.*measure it"),
+        ("plate", {"width_mm": float("nan")}, "plate.width_mm"),
+    ],
+)
+def test_mistakes(table: str, keys: dict[str, Any], said: str) -> None:
+    """A mistake is refused with its key and what to do."""
+    with pytest.raises(PlateFileInvalid, match=said):
+        read(table, **keys)
+
+
+def test_files(tmp_path: Path) -> None:
+    """A missing file and broken TOML are explained."""
+    path = tmp_path / "PLATE.toml"
+    with pytest.raises(PlateFileInvalid, match="check the path"):
+        read_plate_file(path)
+    path.write_text("[plate\n")
+    with pytest.raises(PlateFileInvalid, match="not valid TOML"):
+        read_plate_file(path)

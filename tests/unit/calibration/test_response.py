@@ -1,0 +1,100 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from touchd.calibration.disc_response import DiscResponse, Discs, Loss
+from touchd.calibration.reduced_plate import SHAPE_NAMES, ReducedPlate, Shape, shape_of
+from touchd.twin.physics.material import MATERIALS, ElasticPlate, Material
+from touchd.twin.physics.plate import solve
+from touchd.twin.physics.response import Response
+from touchd.twin.physics.transducer import Layout, load
+
+Complex = NDArray[np.complex128]
+
+GLASS = MATERIALS["glass"]
+PLATE = ElasticPlate(width_mm=70, height_mm=60, thickness_mm=5, elastic=GLASS)
+NU = 2 * np.pi * np.linspace(40e3, 105e3, 40) - 6500j
+PLACES_MM = np.array([[15.0, 40.0], [10.0, 11.0], [58.0, 12.0]])
+MASS_KG, STIFFNESS_N_M = 0.43e-3, 9000.0
+LOSS = Loss(5e-3, 0.3, 2 * np.pi * 75e3)
+DISCS = Discs(PLACES_MM * 1e-3, 3e-3, MASS_KG / GLASS.rho_kg_m3, STIFFNESS_N_M / GLASS.E_pa)
+
+
+@pytest.fixture(scope="module")
+def plate() -> ReducedPlate:
+    return ReducedPlate(PLATE)
+
+
+def near(plate: ReducedPlate) -> Shape:
+    """A plate beside the reference."""
+    s = plate.reference
+    return s._replace(h=1.003 * s.h, width=1.002 * s.width, speed2=1.01 * s.speed2)
+
+
+def test_it_is_the_twins(plate: ReducedPlate) -> None:
+    """The response between the discs is the twin's, with masses and stiffnesses."""
+    layout = Layout(
+        emitter_mm=(15, 40), receivers_mm=((10, 11), (58, 12)), mass_g=MASS_KG * 1e3, stiffness_n_m=STIFFNESS_N_M
+    )
+    modes = load(solve(PLATE, plate.counts, 300e3), PLATE, layout)
+    expected = Response(PLATE, modes, NU, LOSS.at(NU)).untouched()
+    found = DiscResponse(plate, plate.reference, DISCS, LOSS, NU).untouched()
+    found = found / (GLASS.rho_kg_m3 * 5e-3 * 70e-3 * 60e-3)  # per mass of the plate
+    assert np.abs(found - expected).max() < 2e-3 * np.abs(expected).max()
+
+
+def test_another_plate_in_the_references_modes(plate: ReducedPlate) -> None:
+    """Modes of a plate half a percent away are those of its own eigenproblem, to 5e-4."""
+    other = ElasticPlate(width_mm=70.2, height_mm=59.9, thickness_mm=5.02, elastic=Material(73e9, 0.235, 2490.0))
+    found = np.sqrt(np.sort(plate.solve(shape_of(other)).omega2))
+    exact = solve(other, plate.counts, 105e3).omega_rad_s
+    np.testing.assert_allclose(found[3 : len(exact)], exact[3:], rtol=5e-4)
+
+
+def differences(plate: ReducedPlate, name: str) -> Complex:
+    """The derivative by central differences."""
+    s = near(plate)
+
+    def response(shape: Shape = s, discs: Discs = DISCS, loss: Loss = LOSS) -> Complex:
+        return DiscResponse(plate, shape, discs, loss, NU).untouched()
+
+    def central(at: Callable[[float], Complex], step: float) -> Complex:
+        return np.asarray((at(step) - at(-step)) / (2 * step))
+
+    if name in SHAPE_NAMES:
+        value = getattr(s, name)
+        return central(lambda d: response(s._replace(**{name: value + d})), 1e-5 * value)
+    if name == "loss":
+        return central(lambda d: response(loss=LOSS._replace(factor=LOSS.factor * np.exp(d))), 1e-3)
+    if name == "slope":
+        return central(lambda d: response(loss=LOSS._replace(slope=LOSS.slope + d)), 1e-3)
+    field = {"mass": "mass_kg_m3", "stiffness": "stiffness_m3", "radius": "radius_m"}.get(name)
+    if field:
+        value = getattr(DISCS, field)
+        return central(lambda d: response(discs=DISCS._replace(**{field: value + d})), 1e-4 * value)
+    unit = np.zeros((3, 2))
+    unit[int(name[1]), "xy".index(name[0])] = 1.0
+    return central(lambda d: response(discs=DISCS._replace(centres_m=DISCS.centres_m + d * unit)), 1e-6)
+
+
+NAMES = (*SHAPE_NAMES, "loss", "slope", "mass", "stiffness", "radius", "x0", "y0", "x1", "y1", "x2", "y2")
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_derivatives(plate: ReducedPlate, name: str) -> None:
+    """Each analytic derivative is that of central differences."""
+    found = DiscResponse(plate, near(plate), DISCS, LOSS, NU).slopes({name})[name]
+    expected = differences(plate, name)
+    assert np.abs(found - expected).max() < 1e-4 * np.abs(expected).max()
+
+
+def test_any_two_discs(plate: ReducedPlate) -> None:
+    """The way between two discs sounds alike in both directions, and from the emitter it is the response."""
+    response = DiscResponse(plate, plate.reference, DISCS, LOSS, NU)
+    between = response.between()
+    np.testing.assert_allclose(between, between.transpose(1, 0, 2), atol=1e-9 * np.abs(between).max())
+    np.testing.assert_array_equal(between[0, 1:], response.untouched())

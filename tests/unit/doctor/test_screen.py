@@ -1,0 +1,68 @@
+"""`touchd doctor` says whether the touch screen works, and what to do where it does not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from touchd.bridges import uinput
+from touchd.config.schema import Settings
+from touchd.doctor import screen
+from touchd.doctor.screen import check_screen
+
+MAPPED = {"screen_mm": (10, 20, 160, 90), "residual_mm": 0.8}
+
+
+@pytest.fixture(autouse=True)
+def system(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A computer without uinput, as the files that are looked at."""
+    monkeypatch.setattr(uinput, "NODE", tmp_path / "uinput")
+    monkeypatch.setattr(uinput, "DEVICES", tmp_path / "devices")
+    monkeypatch.setattr(screen, "UDEV", tmp_path / "udev")
+    monkeypatch.setattr(screen, "BUS", tmp_path / "bus")
+    return tmp_path
+
+
+def levels(**settings: Any) -> dict[str, str]:
+    findings = check_screen(Settings.model_validate({"input": settings}))
+    assert all(finding.fix or finding.level == "ok" for finding in findings)
+    return {finding.check: finding.level for finding in findings}
+
+
+def device(folder: Path, udev: str | None) -> None:
+    (folder / "devices/input7/event5").mkdir(parents=True)
+    (folder / "devices/input7/phys").write_text("touchd/touchd\n")
+    (folder / "devices/input7/event5/dev").write_text("13:69\n")
+    if udev is not None:
+        (folder / "udev").mkdir()
+        (folder / "udev/c13:69").write_text(udev)
+
+
+def test_nobody_asked_for_a_screen() -> None:
+    """Without a screen nothing is said of it."""
+    assert levels() == {}
+
+
+def test_uinput(system: Path) -> None:
+    """A kernel without uinput fails; one that has it passes; beside a running daemon the screen is missed."""
+    assert levels(**MAPPED) == {"mapping": "ok", "uinput": "failure"}
+    (system / "uinput").touch()
+    assert levels(**MAPPED) == {"mapping": "ok", "uinput": "ok"}
+    (system / "bus").touch()
+    assert levels(**MAPPED) == {"mapping": "ok", "uinput": "ok", "screen": "warning"}
+
+
+def test_udev(system: Path) -> None:
+    """A device that udev has tagged passes, one that it has not fails."""
+    device(system, "E:ID_INPUT=1\nE:ID_INPUT_TOUCHSCREEN=1\n")
+    assert levels(**MAPPED) == {"mapping": "ok", "screen": "ok"}
+    (system / "udev/c13:69").unlink()
+    assert levels(**MAPPED) == {"mapping": "ok", "screen": "failure"}
+
+
+@pytest.mark.parametrize(("residual_mm", "level"), [(0.0, "ok"), (0.8, "ok"), (2.0, "warning"), (4.0, "failure")])
+def test_residual(residual_mm: float, level: str) -> None:
+    """A mapping that its touches missed by much is named."""
+    assert levels(screen_mm=(10, 20, 160, 90), residual_mm=residual_mm)["mapping"] == level

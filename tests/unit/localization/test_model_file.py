@@ -1,0 +1,62 @@
+"""A model is replaced whole, and the one before it is kept."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from touchd.errors import ModelInvalid, ModelMissing
+from touchd.localization.atlas import atlas_path
+from touchd.localization.model import Model, default_model_path
+from touchd.localization.model_file import install, previous_path, rollback
+
+SHIPPED = default_model_path()
+SMALL = SHIPPED.with_name("small.onnx")
+
+
+@pytest.fixture
+def target(tmp_path: Path) -> Path:
+    return tmp_path / "state" / "model.onnx"
+
+
+def test_install(target: Path) -> None:
+    """A model comes with its atlas, into a folder that may be missing; the first one has no previous one."""
+    assert install(SHIPPED, target).atlas is not None
+    assert not previous_path(target).exists()
+    assert sorted(path.name for path in target.parent.iterdir()) == [
+        "model.atlas.npz", "model.onnx", "model.untouched.npz"
+    ]  # fmt: skip
+
+
+def test_rollback(target: Path) -> None:
+    """The previous model comes back with its own atlas, and a second rollback undoes the first."""
+    install(SHIPPED, target)
+    install(SMALL, target)
+    assert Model(target).description.name == "small"
+    assert not atlas_path(target).exists(), "the atlas of the other model"
+    assert rollback(target).atlas is not None
+    assert rollback(target).description.name == "small"
+
+
+def test_nothing_to_go_back_to(target: Path) -> None:
+    """Without a previous model the one in use stays."""
+    install(SMALL, target)
+    with pytest.raises(ModelMissing, match="no previous model"):
+        rollback(target)
+    assert Model(target).description.name == "small"
+
+
+def test_unusable(target: Path, tmp_path: Path) -> None:
+    """What is no model, or has another model's atlas, replaces nothing."""
+    install(SMALL, target)
+    (wrong := tmp_path / "wrong.onnx").write_bytes(b"not a model")
+    with pytest.raises(ModelInvalid):
+        install(wrong, target)
+    shutil.copy(SHIPPED.with_name("keypad.onnx"), other := tmp_path / "other.onnx")
+    atlas_path(other).write_bytes(b"PK half an atlas")
+    with pytest.raises(ModelInvalid):
+        install(other, target)
+    assert Model(target).description.name == "small"
+    assert [path.name for path in target.parent.iterdir()] == ["model.onnx"]

@@ -1,0 +1,115 @@
+"""Where the screen lies on the plate, and which of the plate's contacts are meant for it."""
+
+from __future__ import annotations
+
+from enum import Enum
+from typing import TYPE_CHECKING
+
+from msgspec import Struct
+
+from touchd.bridges.following import Down
+from touchd.errors import ConfigError
+from touchd.event import Contact
+
+if TYPE_CHECKING:  # a bridge does without pydantic's 20 MB
+    from touchd.config.bridges import InputSettings
+
+
+class Place(Struct, gc=False):
+    """A finger on the screen: millimetres from the top-left corner of its picture, x right, y down."""
+
+    x_mm: float
+    y_mm: float
+    vx_mm_s: float
+    vy_mm_s: float
+    angle_deg: float
+    """Of the contact's long axis, from x towards y, -90 to 90; 0 where it is unknown."""
+    contact: Contact
+
+
+class _Fate(Enum):
+    WAITING = 0
+    SHOWN = 1
+    DROPPED = 2
+
+
+class Area:
+    """The screen's rectangle on the plate.
+
+    `rotate` says how far the picture is turned clockwise on the plate: at 90 its top is at the plate's right, at 180
+    at the bottom, at 270 at the left.
+
+    Raises
+    ------
+    ConfigError
+        `input.screen_mm` is not set.
+    """
+
+    def __init__(self, settings: InputSettings) -> None:
+        if not settings.screen_mm:
+            raise ConfigError(
+                "nobody knows where the screen lies on the plate", "input.screen_mm",
+                "run `touchd map`, or write [x, y, width, height] of the visible screen, mm",
+            )  # fmt: skip
+        self._settings = settings
+        left_mm, top_mm, wide_mm, high_mm = settings.screen_mm
+        right_mm, bottom_mm = left_mm + wide_mm, top_mm + high_mm
+        self._turns = settings.rotate // 90
+        corners = ((left_mm, top_mm), (right_mm, top_mm), (right_mm, bottom_mm), (left_mm, bottom_mm))
+        self._corner_mm = corners[self._turns]  # the picture's top-left one, on the plate
+        self.size_mm = (high_mm, wide_mm) if self._turns % 2 else (wide_mm, high_mm)
+        """Width and height of the picture."""
+        self._fates: dict[int, tuple[_Fate, int]] = {}  # and the time of its first message, ns
+
+    def places(self, down: Down, t_ns: int) -> dict[int, Place]:
+        """Return the fingers on the screen.
+
+        | a contact | is |
+        |---|---|
+        | begins outside, or within `edge_mm` of the border | dropped for its whole life |
+        | is younger than `min_contact_s`, or of an ignored kind | not shown yet |
+        | leaves the screen | clamped to it, or dropped if `border` is `lift` |
+        | turns into an ignored kind while it is shown | dropped |
+        """
+        settings, found = self._settings, {}
+        fates: dict[int, tuple[_Fate, int]] = {}
+        for number, contact in down.items():
+            place = self._place(contact)
+            fate, since_ns = self._fates.get(number) or self._begin(place, t_ns)
+            ignored = getattr(contact, "kind", None) in settings.ignore
+            if fate is _Fate.WAITING and not ignored and t_ns - since_ns >= settings.min_contact_s * 1e9:
+                fate = _Fate.SHOWN
+            elif fate is _Fate.SHOWN and ignored:
+                fate = _Fate.DROPPED
+            if settings.border == "lift" and not self._holds(place):
+                fate = _Fate.DROPPED
+            if fate is _Fate.SHOWN:
+                place.x_mm = min(max(place.x_mm, 0.0), self.size_mm[0])
+                place.y_mm = min(max(place.y_mm, 0.0), self.size_mm[1])
+                found[number] = place
+            fates[number] = fate, since_ns
+        self._fates = fates
+        return found
+
+    def _begin(self, place: Place, t_ns: int) -> tuple[_Fate, int]:
+        return _Fate.WAITING if self._holds(place, self._settings.edge_mm) else _Fate.DROPPED, t_ns
+
+    def _holds(self, place: Place, margin_mm: float = 0.0) -> bool:
+        wide_mm, high_mm = self.size_mm
+        return margin_mm <= place.x_mm <= wide_mm - margin_mm and margin_mm <= place.y_mm <= high_mm - margin_mm
+
+    def _place(self, contact: Contact) -> Place:
+        x_mm, y_mm = self._corner_mm
+        across, down = self._turned(contact.x_mm - x_mm, contact.y_mm - y_mm)
+        angle_deg = half_turn((getattr(contact, "angle_deg", None) or 0.0) - 90 * self._turns)
+        return Place(across, down, *self._turned(contact.vx_mm_s, contact.vy_mm_s), angle_deg, contact)
+
+    def _turned(self, x: float, y: float) -> tuple[float, float]:
+        """Return a vector of the plate as one of the picture."""
+        turns = self._turns
+        return (x, y) if turns == 0 else (y, -x) if turns == 1 else (-x, -y) if turns == 2 else (-y, x)
+
+
+def half_turn(angle_deg: float) -> float:
+    """Return the angle of an axis, which has no direction, between -90 and 90 degrees."""
+    return (angle_deg + 90.0) % 180.0 - 90.0

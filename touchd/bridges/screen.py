@@ -1,0 +1,108 @@
+"""Shows the fingers on a touch screen of the kernel's, or the keys of a keypad as key codes."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from touchd.bridges import slots
+from touchd.bridges.area import Area
+from touchd.bridges.following import Down
+from touchd.event import KeyEvent
+
+
+class Writer(Protocol):
+    """Takes frames of input events."""
+
+    def write(self, frame: bytes) -> None:
+        """Take one frame."""
+
+    def close(self) -> None:
+        """Take no more."""
+
+
+class Screen:
+    """A touch screen.
+
+    Parameters
+    ----------
+    area : Area
+        Where the screen lies on the plate.
+    device : Writer
+    sized : bool
+        Whether the device has the axes of a contact's size.
+    """
+
+    topics = ("touch", "health")
+
+    def __init__(self, area: Area, device: Writer, *, sized: bool) -> None:
+        self._area, self._device, self._sized = area, device, sized
+        self._slots = slots.EMPTY
+
+    def show(self, down: Down, t_ns: int) -> None:
+        """Write one frame, unless nothing is on the screen, and nothing was."""
+        places = self._area.places(down, t_ns)
+        if not places and self._slots == slots.EMPTY:
+            return
+        fingers = {number: slots.finger(place, sized=self._sized) for number, place in places.items()}
+        frame, self._slots = slots.encode(self._slots, fingers)
+        self._device.write(frame)
+
+    def press(self, event: KeyEvent) -> None:
+        """Ignore a key: the program below the finger gets a touch."""
+
+    def idle(self, now_ns: int) -> None:
+        """Do nothing: the kernel keeps the state."""
+
+    def close(self) -> None:
+        """Lift all fingers and remove the device."""
+        try:
+            self._device.write(slots.lift_all())
+        finally:
+            self._device.close()
+
+
+KEY_ESC, KEY_BACKSPACE = 1, 14
+_DIGITS = dict(zip("7894561230", (71, 72, 73, 75, 76, 77, 79, 80, 81, 82), strict=True))  # KEY_KP7 to KEY_KP0
+KEY_CODES = {
+    **_DIGITS, "*": 55, "+": 78, "-": 74, ".": 83, ",": 121, "/": 98, "=": 117, "#": 0x20B,
+    "enter": 96, "ok": 96, "cancel": KEY_ESC, "clear": KEY_BACKSPACE, "c": KEY_BACKSPACE, "x": KEY_ESC,
+}  # fmt: skip
+"""Key codes of linux/input-event-codes.h by the name of a layout's key, in small letters."""
+
+
+class Keypad:
+    """A keypad: the keys of `keypad.layout` as key codes. A key without a code is left out."""
+
+    topics = ("touch", "key", "health")
+
+    def __init__(self, device: Writer) -> None:
+        self._device = device
+        self._held: set[int] = set()
+
+    def show(self, down: Down, t_ns: int) -> None:  # noqa: ARG002 - only its emptiness matters
+        """Release all keys if no finger is down."""
+        if not down:
+            for code in sorted(self._held):
+                self._write(code, 0)
+            self._held.clear()
+
+    def press(self, event: KeyEvent) -> None:
+        """Write a press or a release."""
+        code = KEY_CODES.get(event.key.lower())
+        if code is None or (event.phase == "press") == (code in self._held):
+            return
+        self._held ^= {code}
+        self._write(code, int(event.phase == "press"))
+
+    def idle(self, now_ns: int) -> None:
+        """Do nothing: the kernel keeps the state."""
+
+    def close(self) -> None:
+        """Release all keys and remove the device."""
+        try:
+            self.show({}, 0)
+        finally:
+            self._device.close()
+
+    def _write(self, code: int, value: int) -> None:
+        self._device.write(slots.pack((slots.EV_KEY, code, value), (slots.EV_SYN, slots.SYN_REPORT, 0)))

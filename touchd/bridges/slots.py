@@ -1,0 +1,104 @@
+"""Fingers as the bytes of the kernel's multi-touch protocol B: a pure function.
+
+Source: Linux, Documentation/input/multi-touch-protocol.rst, and linux/input-event-codes.h.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping
+
+from msgspec import Struct
+
+from touchd.bridges.area import Place, half_turn
+
+EV_SYN, EV_KEY, EV_ABS = 0, 1, 3
+SYN_REPORT = 0
+BTN_TOUCH = 0x14A
+ABS_X, ABS_Y, ABS_PRESSURE = 0x00, 0x01, 0x18
+ABS_MT_SLOT, ABS_MT_TRACKING_ID, ABS_MT_PRESSURE = 0x2F, 0x39, 0x3A
+ABS_MT_POSITION_X, ABS_MT_POSITION_Y = 0x35, 0x36
+ABS_MT_TOUCH_MAJOR, ABS_MT_TOUCH_MINOR, ABS_MT_ORIENTATION = 0x30, 0x31, 0x34
+PER_MM = 100
+"""Units of a position or length: hundredths of a millimetre."""
+PRESSURE_MAX = 1000
+SIZE_MAX = 100 * PER_MM
+SLOTS = 5
+"""Most fingers at once, as libinput names them; further ones wait for a free slot."""
+LIFTED = -1
+Slots = tuple[int | None, ...]
+"""The number of the finger in each slot."""
+EMPTY: Slots = (None,) * SLOTS
+_event = struct.Struct("@llHHi").pack  # struct input_event; the kernel sets the time
+
+
+class Finger(Struct, gc=False):
+    """One finger in the device's units."""
+
+    x: int
+    y: int
+    pressure: int
+    """1 to `PRESSURE_MAX`: 0 would be no touch."""
+    size: tuple[int, int, int] | None = None
+    """Long and short axis, and the angle of the long one from the y axis, clockwise, -90 to 90 degrees."""
+
+
+def finger(place: Place, *, sized: bool) -> Finger:
+    """Return a finger in the device's units; `sized` adds its contact's size, as far as it is known."""
+    contact = place.contact
+    pressure = min(max(round(contact.force * PRESSURE_MAX), 1), PRESSURE_MAX)
+    return Finger(round(place.x_mm * PER_MM), round(place.y_mm * PER_MM), pressure, _size(place) if sized else None)
+
+
+def _size(place: Place) -> tuple[int, int, int]:
+    major_mm, minor_mm = (getattr(place.contact, name, None) or 0.0 for name in ("major_mm", "minor_mm"))
+    major, minor = (min(max(round(length * PER_MM), 1), SIZE_MAX) for length in (major_mm, minor_mm))
+    return major, minor, round(half_turn(place.angle_deg - 90.0))
+
+
+def encode(slots: Slots, fingers: Mapping[int, Finger]) -> tuple[bytes, Slots]:
+    """Return one frame of events for the fingers that are down now, and who has which slot after it.
+
+    Lifts come first, then the fingers, then the one finger of programs that know no slots, the oldest; SYN_REPORT ends
+    the frame. A slot that this frame frees is taken by no finger of this frame: a reader that looks at each frame's
+    end alone would take both for one.
+    """
+    events: list[tuple[int, int, int]] = []
+    after = list(slots)
+    free = [slot for slot, number in enumerate(slots) if number is None]
+    for slot, number in enumerate(slots):
+        if number is not None and number not in fingers:
+            events += (EV_ABS, ABS_MT_SLOT, slot), (EV_ABS, ABS_MT_TRACKING_ID, LIFTED)
+            after[slot] = None
+    for number, one in fingers.items():
+        if number not in slots:
+            if not free:
+                continue
+            slot = free.pop(0)
+            after[slot] = number
+            events += (EV_ABS, ABS_MT_SLOT, slot), (EV_ABS, ABS_MT_TRACKING_ID, number & 0xFFFF)
+        else:
+            events.append((EV_ABS, ABS_MT_SLOT, slots.index(number)))
+        events += (EV_ABS, ABS_MT_POSITION_X, one.x), (EV_ABS, ABS_MT_POSITION_Y, one.y)
+        events.append((EV_ABS, ABS_MT_PRESSURE, one.pressure))
+        if one.size is not None:
+            codes = (ABS_MT_TOUCH_MAJOR, ABS_MT_TOUCH_MINOR, ABS_MT_ORIENTATION)
+            events += [(EV_ABS, code, value) for code, value in zip(codes, one.size, strict=True)]
+    held = [number for number in after if number is not None]
+    events.append((EV_KEY, BTN_TOUCH, int(bool(held))))
+    if held:
+        oldest = fingers[min(held)]
+        events += (EV_ABS, ABS_X, oldest.x), (EV_ABS, ABS_Y, oldest.y)
+    events.append((EV_ABS, ABS_PRESSURE, oldest.pressure if held else 0))
+    events.append((EV_SYN, SYN_REPORT, 0))
+    return pack(*events), tuple(after)
+
+
+def pack(*events: tuple[int, int, int]) -> bytes:
+    """Return the bytes of events, each its type, code and value."""
+    return b"".join([_event(0, 0, *event) for event in events])
+
+
+def lift_all() -> bytes:
+    """Return the frame that empties every slot, whoever has it."""
+    return encode(tuple(range(SLOTS)), {})[0]

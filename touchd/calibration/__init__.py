@@ -1,0 +1,1 @@
+"""Fit plate and discs to the untouched response, so that no robot need touch the plate."""

@@ -1,0 +1,127 @@
+"""From an untouched recording to a model: fit the plate, make its atlas and its scan, write both with a reference."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchd.calibration.physical_atlas import make_physical_atlas
+from touchd.calibration.plate_file import PlateFile
+from touchd.calibration.plate_fit import PlateFit, Progress, fit_plate
+from touchd.calibration.start_scan import make_graph, make_scan
+from touchd.calibration.untouched import Untouched, untouched_mean
+from touchd.errors import OutputError
+from touchd.evaluation.dataset import BASELINE_NOISE, digest
+from touchd.localization.atlas import Atlas, atlas_path, save_atlas
+from touchd.localization.model import Description, Model
+from touchd.localization.model_file import install, put_model
+from touchd.recording.data import Recording
+from touchd.recording.format import write
+from touchd.training.field.place import FieldMap, linearise
+
+Floats = NDArray[np.float64]
+
+REFERENCE_FRAMES = 100
+"""Frames kept beside the model, with which `touchd doctor` compares the plate."""
+GRID = 48
+"""Places along each side of the map of the expected error."""
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A plate fitted to a recording."""
+
+    recording: Recording
+    said: PlateFile
+    untouched: Untouched
+    fit: PlateFit
+    duration_s: float
+
+    @property
+    def noise_counts(self) -> float:
+        """Standard deviation of a sample's noise, ADC counts."""
+        return float(np.sqrt(np.square(self.untouched.noise).mean() * self.untouched.frames))
+
+
+@dataclass(frozen=True)
+class Calibrated:
+    """A fitted plate with its model."""
+
+    model: Model
+    atlas: Atlas
+    duration_s: float
+
+
+def fit_recording(recording: Recording, said: PlateFile, progress: Progress = lambda _stage, _share: None) -> Fitted:
+    """Fit the plate that PLATE.toml describes to a recording that nobody touches; see `fit_plate` for errors."""
+    started_s = time.monotonic()
+    untouched = untouched_mean(recording, said)
+    fit = fit_plate(said, untouched, progress)
+    return Fitted(recording, said, untouched, fit, time.monotonic() - started_s)
+
+
+def make_model(
+    fitted: Fitted, path: Path, *, command: str = "", progress: Progress = lambda _stage, _share: None
+) -> Calibrated:
+    """Make the atlas and the scan of a fitted plate, and put both in the place of the model at `path`.
+
+    Nothing is replaced before all files are complete and load; the old model is kept, see `install`.
+
+    Raises
+    ------
+    OutputError
+        A file cannot be written.
+    """
+    started_s = time.monotonic()
+    sha256 = digest(fitted.recording)
+    atlas = make_physical_atlas(
+        fitted.fit, fitted.noise_counts, data_sha256=sha256, command=command, progress=progress
+    )  # fmt: skip
+    description = Description(
+        name="calibrated", head="regression", domain="frequency", input="residual",
+        acquisition=atlas.description.acquisition, plate=atlas.description.plate, data_sha256=sha256, command=command,
+        scores={"expected_mm": round(fitted.fit.expected_mm, 4)},
+    )  # fmt: skip
+    graph = make_graph(make_scan(atlas), description)
+    try:
+        with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as scratch:
+            fresh = Path(scratch) / path.name
+            save_atlas(atlas, atlas_path(fresh))
+            write(fresh.with_suffix(".untouched.npz"), _reference(fitted))
+            put_model(graph.SerializeToString(), fresh)
+            model = install(fresh, path)
+    except OSError as error:
+        raise OutputError(
+            f"cannot be written ({error.strerror})", str(path), "check the folder and its space"
+        ) from error
+    return Calibrated(model, atlas, time.monotonic() - started_s)
+
+
+def expected_error_mm(fitted: Fitted, atlas: Atlas) -> Floats:
+    """Return the expected error of a light touch over the plate, shape (rows, columns), mm.
+
+    The root mean square distance of the Cramer-Rao bound in the plate's noise, with the field's own error.
+    """
+    d = atlas.description
+    x_mm, y_mm = ((np.arange(GRID) + 0.5) / GRID * side for side in (d.plate.width_mm, d.plate.height_mm))
+    places = np.stack(np.meshgrid(x_mm, y_mm), axis=-1).reshape(-1, 2)
+    u, by_x, by_y = FieldMap(atlas).look_up(places)
+    window = float(np.square(np.hanning(d.acquisition.samples)).sum()) / 2
+    noise = BASELINE_NOISE * fitted.noise_counts**2 * window
+    variance = d.noise_scale * noise + d.field_scale * float(atlas.error.mean()) / 2
+    spread = np.linalg.inv(linearise(u, u, by_x, by_y).fisher_information[:, 0])
+    return np.asarray(np.sqrt(variance * np.trace(spread, axis1=1, axis2=2)).reshape(GRID, GRID))
+
+
+def _reference(fitted: Fitted) -> Recording:
+    """Return the first untouched frames, as a recording of the fitted plate."""
+    whole, few = fitted.recording, slice(REFERENCE_FRAMES)
+    return replace(
+        whole, frames=whole.frames[few], sequence=whole.sequence[few], timestamp_ns=whole.timestamp_ns[few],
+        contacts_mm=None, force_n=None, temperature_c=None,
+    )  # fmt: skip

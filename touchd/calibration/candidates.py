@@ -1,0 +1,143 @@
+"""Other plates and wirings than those said, tried where a fit is poor: swapped cables, another thickness or material.
+
+Each is tried on the first arrivals, at low frequencies, where a small eigenproblem does; the best is then fitted whole.
+"""
+
+from __future__ import annotations
+
+from itertools import permutations
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchd.calibration.parameters import Reader
+from touchd.calibration.plate_file import PlateFile
+from touchd.calibration.reduced_plate import ReducedPlate
+from touchd.calibration.stages import window_of
+from touchd.calibration.untouched import Untouched
+from touchd.calibration.untouched_model import UntouchedModel
+from touchd.twin.physics.material import MATERIALS
+
+Floats = NDArray[np.float64]
+
+THICKNESSES_MM = (1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0)
+"""What is sold."""
+MOST_FACTOR = 1.8
+"""Largest ratio of another thickness to the one said."""
+FIRST_SHARE, HIGHEST = 0.3, 0.4
+"""Part of the frame that is compared, and the part of the chirp's band that it has, with the window's end."""
+SPEEDS = np.linspace(-0.03, 0.03, 7)
+MOST_PERMUTED = 5
+"""Discs up to which any order is tried; of more, any two may be swapped."""
+BETTER = 0.7
+"""A candidate leaves less than this share of what was said leaves."""
+
+
+class Candidate(NamedTuple):
+    """Another plate, or other wires."""
+
+    said: PlateFile
+    what: str
+    """For a person: what fits instead of what was said."""
+    left: float
+    """Share of the first arrivals' energy that it leaves."""
+
+
+def candidates(said: PlateFile, untouched: Untouched, most: int = 2) -> list[Candidate]:
+    """Return the candidates that fit the first arrivals best, better than what was said, best first."""
+    tried = [_try(plate, what, untouched) for plate, what in [(said, ""), *_other_plates(said)]]
+    usual = _as_said(said, untouched)
+    found = [c for c in tried if c.what and c.left < BETTER * usual]
+    return sorted(found, key=lambda c: c.left)[:most]
+
+
+def material_like(speed_m_s: float, poisson: float) -> str | None:
+    """Return the material with about this wave speed (root of Young's modulus over density) and Poisson's ratio."""
+    for name, m in MATERIALS.items():
+        if abs(np.sqrt(m.E_pa / m.rho_kg_m3) / speed_m_s - 1) < 0.02 and abs(m.nu - poisson) < 0.03:
+            return name
+    return None
+
+
+def _other_plates(said: PlateFile) -> list[tuple[PlateFile, str]]:
+    plate = said.plate
+    found = []
+    for thickness_mm in THICKNESSES_MM:
+        ratio = thickness_mm / plate.thickness_mm
+        if 1.05 < max(ratio, 1 / ratio) <= MOST_FACTOR:
+            changed = plate.model_copy(update={"thickness_mm": thickness_mm})
+            what = f"a thickness of {thickness_mm:g} mm fits, not {plate.thickness_mm:g} mm: measure it again"
+            found.append((said.model_copy(update={"plate": changed}), what))
+    for name in MATERIALS:
+        if name != (plate.material or "").lower():
+            constants = {"young_gpa": None, "poisson": None, "density_kg_m3": None}
+            changed = plate.model_copy(update={"material": name} | constants)
+            what = f"{name} fits, not {plate.material or 'the constants given'}: correct the material"
+            found.append((said.model_copy(update={"plate": changed}), what))
+    return found
+
+
+def _misfits(said: PlateFile, untouched: Untouched) -> Floats:
+    """Return what the way between any two discs leaves of each channel, at each speed, shape (speeds, D, D, R)."""
+    reader = Reader(said, untouched.acquisition)
+    chirp = untouched.acquisition.chirp
+    low, high = sorted((chirp.start_hz, chirp.stop_hz))
+    plate = ReducedPlate(reader.plate(reader.start), low + HIGHEST * (high - low))
+    model = UntouchedModel(plate, reader, untouched.acquisition)
+    window = window_of(untouched.mean.shape[1], FIRST_SHARE)
+    found = []
+    for speed in SPEEDS:
+        p = reader.start.copy()
+        p[reader.index(("speed",))] += speed
+        found.append(model.pair_misfits(p, untouched.mean, window))
+    return np.array(found)
+
+
+def _as_said(said: PlateFile, untouched: Untouched) -> float:
+    misfits, live = _misfits(said, untouched), ~untouched.dead
+    channels = np.flatnonzero(live)
+    return float(min(misfit[0, channels + 1, channels].mean() for misfit in misfits))
+
+
+def _try(said: PlateFile, what: str, untouched: Untouched) -> Candidate:
+    """Return the best wiring of a plate; a dead channel keeps its place."""
+    misfits, live = _misfits(said, untouched), ~untouched.dead
+    D = misfits.shape[1]
+    best_left, best_order = np.inf, tuple(range(D))
+    for misfit in misfits:
+        for order in _orders(D):
+            left = float(np.mean([misfit[order[0], order[c + 1], c] for c in np.flatnonzero(live)]))
+            # A wiring other than the one said must pay: a symmetric layout has several that are alike.
+            left *= 1.0 if order == tuple(range(D)) else 1.1
+            if left < best_left:
+                best_left, best_order = left, order
+    if best_order == tuple(range(D)):
+        return Candidate(said, what, best_left)
+    places = [said.discs.emitter_mm, *said.discs.receivers_mm]
+    discs = said.discs.model_copy(
+        update={"emitter_mm": places[best_order[0]], "receivers_mm": tuple(places[k] for k in best_order[1:])}
+    )
+    return Candidate(
+        said.model_copy(update={"discs": discs}), "; ".join(filter(None, (what, _wiring(best_order)))), best_left
+    )
+
+
+def _wiring(order: tuple[int, ...]) -> str:
+    names = ["the emitter", *(f"channel {c}" for c in range(len(order) - 1))]
+    wrong = [f"{names[i]} at the place of {names[k]}" for i, k in enumerate(order) if i != k]
+    return f"swapped cables fit: {', '.join(wrong)}; swap them, or correct PLATE.toml"
+
+
+def _orders(count: int) -> list[tuple[int, ...]]:
+    """Return the wirings tried: which place each of emitter and channels has."""
+    if count <= MOST_PERMUTED:
+        return list(permutations(range(count)))
+    plain = list(range(count))
+    found = [tuple(plain)]
+    for i in range(count):
+        for j in range(i):
+            swapped = plain.copy()
+            swapped[i], swapped[j] = swapped[j], swapped[i]
+            found.append(tuple(swapped))
+    return found

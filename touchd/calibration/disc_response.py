@@ -1,0 +1,235 @@
+"""Response between the discs of a plate, and its derivatives by everything that a fit may change.
+
+A disc is its mean deflection, which carries its mass, and the mean outward rotation around its rim, by which it drives
+and senses and which its bending stiffness resists. With the receptances G between these vectors on the free plate, the
+loaded plate follows from Woodbury's identity with a matrix of twice the number of discs at each frequency, so that no
+disc needs an eigenproblem of its own.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchd.calibration.reduced_plate import SHAPE_NAMES, ReducedPlate, Shape
+from touchd.twin.physics import legendre
+
+Floats = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+LEAST_RATIO = 0.05
+"""Of frequency over the band's middle: below it the loss stays as it is."""
+_PLACE_STEP_M = 1e-6
+
+
+class Discs(NamedTuple):
+    """The discs of a plate: D of them, the emitter first."""
+
+    centres_m: Floats
+    """Shape (D, 2)."""
+    radius_m: float
+    mass_kg_m3: float
+    """Mass of each over the plate's density, m^3."""
+    stiffness_m3: float
+    """Resistance of each to the rotation around its rim, over the plate's Young's modulus, m^3."""
+
+
+class Loss(NamedTuple):
+    """Loss factor (f / f0)^slope times `factor`."""
+
+    factor: float
+    slope: float
+    middle_rad_s: float
+
+    def at(self, nu_rad_s: Complex) -> Floats:
+        """Return the loss factor at angular frequencies."""
+        return np.asarray(self.factor * np.maximum(nu_rad_s.real / self.middle_rad_s, LEAST_RATIO) ** self.slope)
+
+
+def disc_vectors(plate: ReducedPlate, size: tuple[float, float], discs: Discs) -> Floats:
+    """Return the discs' values in the reference's modes, shape (n, 2 D): rotations around rims, then deflections."""
+    w, psi_x, psi_y = plate.fields
+    unit = np.sqrt(size[0] * size[1])
+    rims = [legendre.rim_average(centre, discs.radius_m, size, plate.counts) for centre in discs.centres_m]
+    flat_x, flat_y = (np.stack([rim[i].ravel() for rim in rims], axis=1) for i in (0, 1))
+    radii = np.full(len(discs.centres_m), discs.radius_m)
+    under = legendre.disc_average(discs.centres_m, radii, size, plate.counts).reshape(len(radii), -1)
+    return np.asarray(unit * np.concatenate([psi_x @ flat_x + psi_y @ flat_y, w @ under.T], axis=1))
+
+
+class DiscResponse:
+    """Response of a plate with discs at complex angular frequencies: F frequencies, R receivers.
+
+    Parameters
+    ----------
+    plate : ReducedPlate
+    shape : Shape
+    discs : Discs
+    loss : Loss
+    nu_rad_s : complex array of shape (F,)
+    """
+
+    def __init__(self, plate: ReducedPlate, shape: Shape, discs: Discs, loss: Loss, nu_rad_s: Complex) -> None:
+        self._plate, self._shape, self._discs, self._loss, self._nu = plate, shape, discs, loss, nu_rad_s
+        self._bare = plate.solve(shape)
+        self._phi = self._turned(disc_vectors(plate, (shape.width, shape.height), discs))
+        stiff = 1 + 1j * loss.at(nu_rad_s)
+        self._H = 1 / (self._bare.omega2[:, None] * stiff - nu_rad_s**2)  # (n, F)
+        D = len(discs.centres_m)
+        volume = shape.h * shape.width * shape.height
+        self._load = np.empty((len(nu_rad_s), 2 * D), dtype=complex)  # of each vector, per mass of the plate
+        self._load[:, :D] = discs.stiffness_m3 * shape.speed2 / volume * stiff[:, None]
+        self._load[:, D:] = -(nu_rad_s[:, None] ** 2) * discs.mass_kg_m3 / volume
+        free = self._receptance(self._phi, self._phi)
+        turn = np.linalg.solve(np.eye(2 * D) + self._load[:, :, None] * free, np.eye(2 * D)[None])
+        self._turn = turn
+        """What of each force remains, shape (F, 2 D, 2 D): the loaded plate's G is G times this."""
+        self._G = free @ turn
+
+    def untouched(self) -> Complex:
+        """Return the response of each receiver, shape (R, F)."""
+        D = len(self._discs.centres_m)
+        return np.asarray(self._G[:, 0, 1:D].T)
+
+    def between(self) -> Complex:
+        """Return the response between any two discs, shape (D, D, F)."""
+        D = len(self._discs.centres_m)
+        return np.asarray(self._G[:, :D, :D].transpose(1, 2, 0))
+
+    def slopes(self, names: set[str]) -> dict[str, Complex]:
+        """Return the derivatives (R, F) by the named parameters.
+
+        Names are those of `Shape`, `loss`, `slope` (both by the logarithm, or the exponent), `mass`, `stiffness`,
+        `radius`, and `x0`, `y0`, `x1` .. of the discs' centres, in SI units.
+        """
+        found: dict[str, Complex] = {}
+        D = len(self._discs.centres_m)
+        moves = {f"{axis}{k}": (k, i) for k in range(D) for i, axis in enumerate("xy")}
+        wanted = {name: moves[name] for name in moves if name in names}
+        found.update(self._by_place(wanted))
+        if "radius" in names:
+            d = self._discs
+            step = 1e-3 * d.radius_m
+            found["radius"] = self._by_vectors(
+                self._difference(d._replace(radius_m=d.radius_m + step), d._replace(radius_m=d.radius_m - step), step)
+            )
+        volume = self._shape.h * self._shape.width * self._shape.height
+        if "mass" in names:
+            rate = -(self._nu**2) / volume
+            found["mass"] = -rate * np.einsum("fd,frd->rf", self._G[:, 0, D:], self._G[:, 1:D, D:])
+        if "stiffness" in names:
+            rate = self._shape.speed2 / volume * (1 + 1j * self._loss.at(self._nu))
+            found["stiffness"] = -rate * np.einsum("fd,frd->rf", self._G[:, 0, :D], self._G[:, 1:D, :D])
+        if names & {"loss", "slope", *SHAPE_NAMES}:
+            found.update(self._by_plate(names))
+        return found
+
+    def _turned(self, values: Floats) -> Floats:
+        """Turn values in the reference's modes (n, k) into the plate's, class by class."""
+        split = self._plate.to_classes(values)
+        return np.concatenate([turn.T @ part for turn, part in zip(self._bare.turns, split, strict=True)])
+
+    def _receptance(self, one: Floats, other: Floats) -> Complex:
+        """Return the free plate's receptance between vectors (n, a) and (n, b), shape (F, a, b)."""
+        pairs = (one[:, :, None] * other[:, None, :]).reshape(len(one), -1)
+        flat = self._H.real.T @ pairs + 1j * (self._H.imag.T @ pairs)
+        return np.asarray(flat).reshape(-1, one.shape[1], other.shape[1])
+
+    def _difference(self, up: Discs, down: Discs, step: float) -> Floats:
+        size = (self._shape.width, self._shape.height)
+        change = disc_vectors(self._plate, size, up) - disc_vectors(self._plate, size, down)
+        return self._turned(change / (2 * step))
+
+    def _by_vectors(self, change: Floats) -> Complex:
+        """Return the derivative (R, F) by a change of all discs' vectors, shape (n, 2 D)."""
+        D = len(self._discs.centres_m)
+        # Between a changed vector and the loaded plate's answer to each old one.
+        across = self._receptance(change, self._phi) @ self._turn  # (F, 2 D changed, 2 D)
+        total = across[:, 0, 1:D] + across[:, 1:D, 0]
+        for kind in range(2 * D):
+            load = self._load[:, kind, None]
+            e, r = self._G[:, 0, kind, None], self._G[:, 1:D, kind]
+            total = total - load * (across[:, kind, 0, None] * r + e * across[:, kind, 1:D])
+        return np.asarray(total.T)
+
+    def _by_place(self, wanted: dict[str, tuple[int, int]]) -> dict[str, Complex]:
+        """Return the derivatives by the discs' places: only the moved disc's two vectors change."""
+        if not wanted:
+            return {}
+        d, D = self._discs, len(self._discs.centres_m)
+        found: dict[str, Complex] = {}
+        for axis in {axis for _, axis in wanted.values()}:
+            step = np.zeros(2)
+            step[axis] = _PLACE_STEP_M
+            change = self._difference(
+                d._replace(centres_m=d.centres_m + step), d._replace(centres_m=d.centres_m - step), _PLACE_STEP_M
+            )
+            across = self._receptance(change, self._phi) @ self._turn
+            for name, (k, along) in wanted.items():
+                if along != axis:
+                    continue
+                total = np.zeros((len(self._nu), D - 1), dtype=complex)
+                if k == 0:
+                    total += across[:, 0, 1:D]
+                else:
+                    total[:, k - 1] += across[:, k, 0]
+                for kind in (k, D + k):
+                    load = self._load[:, kind, None]
+                    e, r = self._G[:, 0, kind, None], self._G[:, 1:D, kind]
+                    total -= load * (across[:, kind, 0, None] * r + e * across[:, kind, 1:D])
+                found[name] = total.T
+        return found
+
+    def _by_plate(self, names: set[str]) -> dict[str, Complex]:
+        """Return the derivatives by wave speed, thickness, Poisson's ratio, width, height and loss."""
+        D = len(self._discs.centres_m)
+        # The loaded plate's answer to each disc's rotation in its free modes, shape (D, n, F).
+        x = np.stack([self._H * (self._phi @ self._turn[:, :, d].T) for d in range(D)])
+        found: dict[str, Complex] = {}
+        squares = self._bare.omega2[:, None]
+        stiff = 1 + 1j * self._loss.at(self._nu)
+        strain = np.stack([(x[0] * squares * x[r]).sum(axis=0) for r in range(1, D)])
+        G, load = self._G, self._load
+        held = np.einsum("fk,fk,frk->rf", load, G[:, 0], G[:, 1:D])  # x_e times the loads' operator times x_r
+        strain = stiff * strain + np.einsum("fk,fk,frk->rf", load[:, :D], G[:, 0, :D], G[:, 1:D, :D])
+        by_loss = -1j * self._loss.at(self._nu) / stiff * strain
+        if "loss" in names:
+            found["loss"] = by_loss
+        if "slope" in names:
+            found["slope"] = by_loss * np.log(np.maximum(self._nu.real / self._loss.middle_rad_s, LEAST_RATIO))
+        for name in names & set(SHAPE_NAMES):
+            value = getattr(self._shape, name)
+            if name == "speed2":
+                found[name] = -strain / value
+                continue
+            total = np.zeros((D - 1, len(self._nu)), dtype=complex)
+            start = 0
+            slopes = self._plate.slopes(self._shape, name)
+            for (K, spin), turn, each in zip(slopes, self._bare.turns, self._plate.classes, strict=True):
+                part = slice(start, start := start + len(turn))
+                K = turn.T @ K @ turn
+                y = stiff * _product(K, x[0, part])
+                if spin:
+                    y -= self._nu**2 * spin * _product(turn.T @ each.rotary @ turn, x[0, part])
+                total -= np.stack([(y * x[r, part]).sum(axis=0) for r in range(1, D)])
+            if name in ("h", "width", "height"):
+                total += held / value  # the loads are per mass of the plate
+            if name in ("width", "height"):
+                total += self._by_vectors(self._stretched(name))
+            found[name] = total
+        return found
+
+    def _stretched(self, name: str) -> Floats:
+        """Return the derivative of the discs' vectors by the plate's width or height."""
+        step = 1e-5 * getattr(self._shape, name)
+        parts = []
+        for sign in (1, -1):
+            s = self._shape._replace(**{name: getattr(self._shape, name) + sign * step})
+            parts.append(disc_vectors(self._plate, (s.width, s.height), self._discs))
+        return self._turned((parts[0] - parts[1]) / (2 * step))
+
+
+def _product(real: Floats, other: Complex) -> Complex:
+    return np.asarray(real @ other.real + 1j * (real @ other.imag))

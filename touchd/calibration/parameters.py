@@ -1,0 +1,151 @@
+"""The unknowns of a plate fit: names, units, what was said, and how surely a person knows it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchd.calibration.disc_response import Discs, Loss
+from touchd.calibration.plate_file import PlateFile
+from touchd.calibration.reduced_plate import Shape, shape_of
+from touchd.frame import Acquisition
+from touchd.twin.physics.material import ElasticPlate, Material, material_of
+from touchd.twin.physics.transducer import Layout
+
+Floats = NDArray[np.float64]
+
+STIFFNESS_M3 = 1e-7
+"""Unit of a disc's bending stiffness over the plate's Young's modulus: 6 mm of 2 mm PZT bonded to 5 mm glass have 2."""
+LOSSES = {"pmma": 0.03, "aluminium": 2e-3, "steel": 2e-3}
+"""Typical loss factors of mounted plates with bonded discs; of others `LOSS`."""
+LOSS = 5e-3
+SPEED_PRIOR, POISSON_PRIOR = 0.02, 0.02
+"""Standard deviations of handbook values: of the logarithm of the wave speed, and of Poisson's ratio."""
+LOSS_PRIOR, SLOPE_PRIOR, MASS_PRIOR, SIZE_PRIOR, STIFFNESS_PRIOR = 0.7, 0.5, 0.3, 0.05, 2.0
+
+FIRST = ("speed", "thickness", "loss")
+PLATE = ("speed", "thickness", "loss", "poisson", "width", "height", "slope")
+DISCS = ("mass", "radius", "stiffness")
+LOGARITHMS = frozenset({"speed", "thickness", "loss", "mass", "radius"})
+
+
+class Unknown(NamedTuple):
+    """One number of the fit's vector."""
+
+    name: str
+    label: str
+    unit: str
+    start: float
+    prior: float
+    """Standard deviation of what was said, in the vector's unit."""
+
+
+def unknowns_of(said: PlateFile) -> tuple[Unknown, ...]:
+    """Return the fit's unknowns for a plate: logarithms of positive numbers, lengths in mm."""
+    p, d = said.plate, said.discs
+    found = [
+        Unknown("speed", "wave speed", "m/s", 0.0, SPEED_PRIOR),
+        Unknown("thickness", "thickness", "mm", 0.0, p.thickness_uncertainty_mm / p.thickness_mm),
+        Unknown("loss", "loss factor", "", np.log(LOSSES.get((p.material or "").lower(), LOSS)), LOSS_PRIOR),
+        Unknown("poisson", "Poisson's ratio", "", p.elastic.nu, POISSON_PRIOR),
+        Unknown("width", "width", "mm", p.width_mm, p.width_uncertainty_mm),
+        Unknown("height", "height", "mm", p.height_mm, p.height_uncertainty_mm),
+        Unknown("slope", "slope of the loss", "", 0.0, SLOPE_PRIOR),
+        Unknown("mass", "disc mass", "g", 0.0, MASS_PRIOR),
+        Unknown("radius", "disc diameter", "mm", 0.0, SIZE_PRIOR),
+        Unknown("stiffness", "disc stiffness", "1e-7 m^3", 0.0, STIFFNESS_PRIOR),
+    ]
+    places = said.layout().centres_mm
+    for k, place in enumerate(places):
+        disc = f"receiver {k}" if k else "emitter"
+        for axis, value in zip("xy", place, strict=True):
+            found.append(Unknown(f"{axis}{k}", f"{disc} {axis}", "mm", float(value), d.uncertainty_mm))
+    return tuple(found)
+
+
+class Guess(NamedTuple):
+    """A vector of the unknowns, read as plate, discs and loss."""
+
+    shape: Shape
+    discs: Discs
+    loss: Loss
+
+
+class Reader:
+    """Reads vectors of a plate's unknowns."""
+
+    def __init__(self, said: PlateFile, acquisition: Acquisition) -> None:
+        self.unknowns = unknowns_of(said)
+        self.names = tuple(unknown.name for unknown in self.unknowns)
+        self.start = np.array([unknown.start for unknown in self.unknowns])
+        self.prior = np.array([unknown.prior for unknown in self.unknowns])
+        self._at = {name: i for i, name in enumerate(self.names)}
+        self._plate, self._layout = said.twin_plate(), said.layout()
+        self._said = shape_of(self._plate)
+        chirp = acquisition.chirp
+        self._middle = np.pi * (chirp.start_hz + chirp.stop_hz)
+
+    def index(self, names: tuple[str, ...]) -> NDArray[np.intp]:
+        """Return where names stand in a vector."""
+        return np.array([self._at[name] for name in names])
+
+    @property
+    def places(self) -> tuple[str, ...]:
+        """Names of the discs' coordinates."""
+        return self.names[len(PLATE) + len(DISCS) :]
+
+    def read(self, p: Floats) -> Guess:
+        """Return what a vector says, in SI units."""
+        v = dict(zip(self.names, p.tolist(), strict=True))
+        s, layout = self._said, self._layout
+        shape = Shape(
+            s.speed2 * np.exp(2 * v["speed"]), s.h * np.exp(v["thickness"]), v["poisson"],
+            v["width"] * 1e-3, v["height"] * 1e-3,
+        )  # fmt: skip
+        discs = Discs(
+            p[self._at["x0"] :].reshape(-1, 2) * 1e-3,
+            layout.diameter_mm / 2e3 * np.exp(v["radius"]),
+            layout.mass_g * 1e-3 / material_of(self._plate).rho_kg_m3 * np.exp(v["mass"]),
+            STIFFNESS_M3 * v["stiffness"],
+        )
+        return Guess(shape, discs, Loss(float(np.exp(v["loss"])), v["slope"], self._middle))
+
+    def chain(self, guess: Guess) -> dict[str, tuple[str, float]]:
+        """Return, for each unknown, the name of the response's derivative and the factor to it."""
+        shape, discs = guess.shape, guess.discs
+        found = {
+            "speed": ("speed2", 2 * shape.speed2), "thickness": ("h", shape.h), "loss": ("loss", 1.0),
+            "poisson": ("nu", 1.0), "width": ("width", 1e-3), "height": ("height", 1e-3), "slope": ("slope", 1.0),
+            "mass": ("mass", discs.mass_kg_m3), "radius": ("radius", discs.radius_m),
+            "stiffness": ("stiffness", STIFFNESS_M3),
+        }  # fmt: skip
+        return found | {name: (name, 1e-3) for name in self.places}
+
+    def plate(self, p: Floats) -> ElasticPlate:
+        """Return the plate of a vector; the density is the one said, as only the wave speed counts."""
+        shape, rho = self.read(p).shape, material_of(self._plate).rho_kg_m3
+        return ElasticPlate(
+            width_mm=shape.width * 1e3, height_mm=shape.height * 1e3, thickness_mm=shape.h * 1e3,
+            material=self._plate.material, elastic=Material(shape.speed2 * rho, shape.nu, rho),
+        )  # fmt: skip
+
+    def layout(self, p: Floats) -> Layout:
+        """Return the discs of a vector."""
+        guess, rho = self.read(p), material_of(self._plate).rho_kg_m3
+        discs = guess.discs
+        places = [(float(x), float(y)) for x, y in 1e3 * discs.centres_m]
+        return Layout(
+            emitter_mm=places[0], receivers_mm=tuple(places[1:]), diameter_mm=2e3 * discs.radius_m,
+            mass_g=1e3 * rho * discs.mass_kg_m3,
+            stiffness_n_m=max(rho * guess.shape.speed2 * discs.stiffness_m3, 0.0),
+        )  # fmt: skip
+
+    def shown(self, p: Floats) -> Floats:
+        """Return the vector in the units that a person reads."""
+        plate, layout, loss = self.plate(p), self.layout(p), self.read(p).loss
+        m = plate.elastic
+        first = [np.sqrt(m.E_pa / m.rho_kg_m3), plate.thickness_mm, loss.factor, m.nu, plate.width_mm, plate.height_mm]
+        return np.array([*first, loss.slope, layout.mass_g, layout.diameter_mm, p[self._at["stiffness"]],
+                         *p[self._at["x0"] :]])  # fmt: skip

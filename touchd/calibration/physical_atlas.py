@@ -1,0 +1,180 @@
+"""Make the field atlas of a fitted plate from physics, without a touch.
+
+The splines are fitted by least squares to the exact field on the plate: at each node, on the edges, and at half steps
+in the outermost cells, where the nodes beyond the edge have no sample of their own. The field's error and the scales of
+the standard error come from touches drawn on the fitted plate, of other contact areas, in noise.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchd.calibration.physical_field import PhysicalField
+from touchd.calibration.plate_fit import PlateFit, Progress
+from touchd.evaluation.dataset import BASELINE_NOISE
+from touchd.frame import Plate
+from touchd.localization.atlas import Atlas, AtlasDescription
+from touchd.localization.features import band_bins, windowed_dft
+from touchd.training.field.error_scale import LEVELS_DB, Level, calibrate, field_error, level_of
+from touchd.training.field.place import FieldMap, place
+from touchd.twin.physics.dispersion import mindlin_wavenumber
+
+Floats = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+STEPS_PER_WAVE = 3.9
+"""Nodes per shortest wavelength of the field, which is half the plate's: 2.5 mm on 5 mm glass. There the splines miss
+2e-6 of the field's energy, 3e-5 at the edges; another contact area changes 3e-4 of it (twin)."""
+SPARED = 0.01
+"""Share of the signal that the weakest, omitted bins contain together."""
+AREAS_MM2 = (12.0, 28.0)
+"""Contact areas of the touches that tell the field's error."""
+DRAWN = 300
+_DENSE_CELLS = 2
+_SEED = 0xF1E1D
+
+
+class Drawn(NamedTuple):
+    """Touches drawn on the fitted plate: n of them, R receivers, b bins."""
+
+    position_mm: Floats
+    """Shape (n, 2)."""
+    values: Complex
+    """Exact bins without noise, shape (n, R, b)."""
+
+
+class Grid(NamedTuple):
+    """One axis of the splines."""
+
+    nodes_mm: Floats
+    samples_mm: Floats
+    """Where the field is computed, all on the plate."""
+    solve: Floats
+    """Maps samples to coefficients, shape (nodes, samples)."""
+
+
+def grid_of(length_mm: float, step_mm: float) -> Grid:
+    """Return the nodes and samples along a side, from one node beyond the plate to two beyond."""
+    cells = int(np.ceil(length_mm / step_mm))
+    first_mm = (length_mm - cells * step_mm) / 2 - step_mm
+    nodes = first_mm + step_mm * np.arange(cells + 4)
+    outer = (np.arange(_DENSE_CELLS) + 0.5) * step_mm
+    samples = np.unique(np.clip(np.concatenate([nodes, nodes[1] + outer, nodes[cells + 1] - outer]), 0.0, length_mm))
+    apart = np.abs(samples[:, None] - nodes) / step_mm
+    near = 2 / 3 - apart**2 + apart**3 / 2
+    values = np.where(apart < 1, near, np.maximum(2 - apart, 0.0) ** 3 / 6)
+    solve = np.linalg.pinv(values, rcond=1e-6)
+    return Grid(*(np.asarray(array, np.float64) for array in (nodes, samples, solve)))
+
+
+def make_physical_atlas(
+    fit: PlateFit,
+    noise_counts: float,
+    *,
+    data_sha256: str = "",
+    command: str = "",
+    progress: Progress = lambda _stage, _share: None,
+) -> Atlas:
+    """Return the atlas of a fitted plate.
+
+    Parameters
+    ----------
+    fit : PlateFit
+    noise_counts : float
+        Standard deviation of a sample's noise, ADC counts.
+    data_sha256, command : str
+        For the description.
+    progress : callable
+        Receives "field" and the share that is done.
+    """
+    a, plate = fit.acquisition, plate_of(fit)
+    field = PhysicalField(fit)
+    f_hz = band_bins(a) * a.sample_rate_hz / a.samples
+    wavenumber_rad_m = mindlin_wavenumber(fit.plate, f_hz)
+    step_mm = round(1e3 * np.pi / float(wavenumber_rad_m[-1]) / STEPS_PER_WAVE, 2)
+    x, y = grid_of(plate.width_mm, step_mm), grid_of(plate.height_mm, step_mm)
+    drawn = draw(field, np.array([plate.width_mm, plate.height_mm]))
+    kept = informative(drawn.values)
+    rows = []
+    for done, y_mm in enumerate(y.samples_mm):
+        places = np.stack([x.samples_mm, np.full_like(x.samples_mm, y_mm)], axis=1)
+        rows.append(np.tensordot(x.solve, field.at(places)[..., kept], 1).astype(np.complex64))
+        progress("field", (done + 1) / len(y.samples_mm))
+    nodes = np.tensordot(y.solve.astype(np.float32), np.stack(rows), 1)  # (rows, columns, R, bins)
+    coefficients = np.stack([nodes.real, nodes.imag], axis=3).reshape(*nodes.shape[:2], -1)
+    description = AtlasDescription(
+        acquisition=a, plate=plate, bins=tuple(map(int, band_bins(a)[kept])), step_mm=step_mm,
+        origin_mm=(float(x.nodes_mm[0]), float(y.nodes_mm[0])), low_mm=(0.0, 0.0),
+        high_mm=(plate.width_mm, plate.height_mm), data_sha256=data_sha256, command=command,
+        wavenumber_rad_m=tuple(wavenumber_rad_m.round(3).tolist()),
+    )  # fmt: skip
+    plain = Atlas(
+        description, np.ascontiguousarray(coefficients, np.float32), fit.measured.astype(np.float32),
+        np.zeros((a.channels, len(kept)), np.float32),
+    )  # fmt: skip
+    return calibrated(plain, fit, Drawn(drawn.position_mm, drawn.values[..., kept]), noise_counts)
+
+
+def plate_of(fit: PlateFit) -> Plate:
+    """Return a fitted plate as models describe it, to a micrometre."""
+    p = fit.plate
+    return Plate(
+        width_mm=round(p.width_mm, 3), height_mm=round(p.height_mm, 3), thickness_mm=round(p.thickness_mm, 3),
+        material=p.material,
+    )  # fmt: skip
+
+
+def draw(field: PhysicalField, size_mm: Floats) -> Drawn:
+    """Draw touches of other areas than the atlas' all over the plate."""
+    rng = np.random.default_rng(_SEED)
+    areas = np.linspace(*AREAS_MM2, 5)
+    margin_mm = np.sqrt(AREAS_MM2[1] / np.pi)
+    position_mm = rng.uniform(margin_mm, size_mm - margin_mm, (DRAWN, 2))
+    parts = np.array_split(position_mm, len(areas))
+    values = [field.at(part, area) for part, area in zip(parts, areas.tolist(), strict=True)]
+    return Drawn(position_mm, np.concatenate(values))
+
+
+def informative(values: Complex) -> NDArray[np.int64]:
+    """Return the bins of touches (n, R, bins) that contain all but `SPARED` of their energy, in order."""
+    power = np.square(np.abs(values)).mean(axis=(0, 1))
+    order = np.argsort(power)
+    return np.sort(order[np.cumsum(power[order]) > SPARED * power.sum()])
+
+
+def calibrated(plain: Atlas, fit: PlateFit, drawn: Drawn, noise_counts: float) -> Atlas:
+    """Return the atlas with the field's error, and with scales so that 68 % of the errors are within sigma.
+
+    What the fit leaves of the untouched response it leaves of a wave; the field is a product of two.
+    """
+    map_of = FieldMap(plain)
+    placed = place(plain, drawn.values, drawn.position_mm)
+    predicted = map_of.look_up(placed.position_mm)[0].reshape(drawn.values.shape)
+    excess = max(fit.unexplained - fit.noise_share, 0.0)
+    power = np.square(np.abs(predicted)).mean(axis=0)
+    error = field_error(drawn.values, predicted, placed.amplitude, 0.0) + 2 * excess * power
+    levels, mean = noisy_levels(plain, fit, drawn, noise_counts), float(error.mean())
+    noise_scale, field_scale = calibrate(levels, mean)
+    description = plain.description.model_copy(update={"noise_scale": noise_scale, "field_scale": field_scale})
+    return Atlas(description, plain.coefficients, plain.baseline, error.astype(np.float32))
+
+
+def noisy_levels(atlas: Atlas, fit: PlateFit, drawn: Drawn, noise_counts: float) -> list[Level]:
+    """Locate drawn touches in the plate's own noise, and in more."""
+    a, bins = fit.acquisition, np.array(atlas.description.bins)
+    to_bins = windowed_dft(a, bins)
+    signal = float(np.sqrt(np.square(fit.measured - fit.measured.mean(axis=1, keepdims=True)).mean()))
+    own_db = 20 * np.log10(signal / max(noise_counts, 1e-3))
+    rng = np.random.default_rng(_SEED)
+    levels = []
+    for db in (own_db, *(level for level in LEVELS_DB if level < own_db - 1)):
+        deviation = np.sqrt(BASELINE_NOISE) * signal * 10 ** (-db / 20)
+        noise = deviation * rng.normal(size=(len(drawn.values), *a.shape)) @ to_bins
+        values = drawn.values + noise[..., : len(bins)] + 1j * noise[..., len(bins) :]
+        placed = place(atlas, values, drawn.position_mm)
+        variance = deviation**2 * float(np.square(np.hanning(a.samples)).sum()) / 2
+        levels.append(level_of(placed, drawn.position_mm, variance))
+    return levels

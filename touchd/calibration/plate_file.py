@@ -1,0 +1,200 @@
+"""PLATE.toml: what a person measures of plate and discs with a ruler and a caliper."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal, get_args
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from touchd.errors import PlateFileInvalid
+from touchd.twin.physics.material import MATERIALS, ElasticPlate, Material
+from touchd.twin.physics.transducer import Layout
+
+Edge = Literal["free", "pads", "tape", "clamped"]
+Millimetres = Annotated[float, Field(gt=0, le=1e5)]
+
+LEAST_SIDE_MM = 10.0
+"""A shorter side is a length in metres or centimetres."""
+LEAST_THICKNESS_MM = 0.1
+"""The same for a thickness."""
+
+
+class _Table(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class Edges(_Table):
+    """What holds each side of the plate."""
+
+    left: Edge = "free"
+    right: Edge = "free"
+    top: Edge = "free"
+    bottom: Edge = "free"
+
+
+class PlateSaid(_Table):
+    """The table `[plate]`."""
+
+    width_mm: Millimetres
+    """Along x, to the right."""
+    height_mm: Millimetres
+    """Along y, down."""
+    thickness_mm: Millimetres
+    material: str | None = None
+    """A name of `MATERIALS`; else the three constants below."""
+    young_gpa: float | None = Field(default=None, gt=0, le=2000)
+    poisson: float | None = Field(default=None, ge=0, lt=0.5)
+    density_kg_m3: float | None = Field(default=None, gt=0, le=30_000)
+    width_uncertainty_mm: float = Field(default=0.3, gt=0, le=100)
+    height_uncertainty_mm: float = Field(default=0.3, gt=0, le=100)
+    thickness_uncertainty_mm: float = Field(default=0.03, gt=0, le=10)
+    edge: Edge | Edges = "free"
+
+    @property
+    def edges(self) -> Edges:
+        """What holds each side."""
+        if isinstance(self.edge, Edges):
+            return self.edge
+        return Edges(left=self.edge, right=self.edge, top=self.edge, bottom=self.edge)
+
+    @property
+    def elastic(self) -> Material:
+        """Elastic constants: the material's, or those given."""
+        if self.young_gpa is not None and self.poisson is not None and self.density_kg_m3 is not None:
+            return Material(self.young_gpa * 1e9, self.poisson, self.density_kg_m3)
+        return MATERIALS[(self.material or "").lower()]
+
+
+class DiscsSaid(_Table):
+    """The table `[discs]`."""
+
+    diameter_mm: Millimetres
+    emitter_mm: tuple[float, float]
+    receivers_mm: tuple[tuple[float, float], ...] = Field(min_length=1)
+    """In the order of the channels."""
+    uncertainty_mm: float = Field(default=1.0, gt=0, le=50)
+
+
+class PlateFile(_Table):
+    """What PLATE.toml says."""
+
+    plate: PlateSaid
+    discs: DiscsSaid
+
+    def twin_plate(self) -> ElasticPlate:
+        """Return the plate as the twin takes it."""
+        p = self.plate
+        return ElasticPlate(
+            width_mm=p.width_mm, height_mm=p.height_mm, thickness_mm=p.thickness_mm,
+            material=p.material or "custom", elastic=p.elastic,
+        )  # fmt: skip
+
+    def layout(self) -> Layout:
+        """Return the discs as the twin takes them."""
+        d = self.discs
+        return Layout(emitter_mm=d.emitter_mm, receivers_mm=d.receivers_mm, diameter_mm=d.diameter_mm)
+
+
+def read_plate_file(path: Path) -> PlateFile:
+    """Read PLATE.toml.
+
+    Raises
+    ------
+    PlateFileInvalid
+        The file is missing or no TOML, a key is unknown, missing or out of range, the material is unknown, lengths are
+        not in millimetres, or a disc reaches over the edge.
+    """
+    try:
+        content = tomllib.loads(path.read_bytes().decode())
+    except OSError as error:
+        raise PlateFileInvalid(f"cannot be read ({error.strerror})", str(path), "check the path") from error
+    except (ValueError, RecursionError) as error:
+        raise PlateFileInvalid(f"is not valid TOML ({error})", str(path), "correct this line") from error
+    return check_plate_file(content, str(path))
+
+
+def check_plate_file(content: dict[str, Any], where: str = "PLATE.toml") -> PlateFile:
+    """Check the tables of a PLATE.toml; `where` names it in the error. Raises as `read_plate_file` does."""
+    try:
+        said = PlateFile.model_validate(content)
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in first["loc"])
+        raise PlateFileInvalid(
+            f"{first['msg'][:1].lower()}{first['msg'][1:]}", f"{where}: {key}", _fix(first["type"], first["loc"])
+        ) from error
+    _check_material(said.plate, where)
+    _check_lengths(said, where)
+    _check_places(said, where)
+    return said
+
+
+def _fix(kind: str, place: tuple[int | str, ...]) -> str:
+    if kind == "missing":
+        return "measure it, in mm, and add the key"
+    if kind == "extra_forbidden":
+        table = {"plate": PlateSaid, "discs": DiscsSaid}.get(str(place[0]))
+        return f"remove it; known keys: {', '.join(table.model_fields)}" if table and len(place) > 1 else "remove it"
+    if "edge" in place:
+        return f"use one of {', '.join(get_args(Edge))}"
+    return "correct this key"
+
+
+def _check_material(plate: PlateSaid, where: str) -> None:
+    constants = (plate.young_gpa, plate.poisson, plate.density_kg_m3)
+    names = ", ".join(MATERIALS)
+    if plate.material is None and None in constants:
+        raise PlateFileInvalid(
+            "the material is missing", f"{where}: plate.material",
+            f"name one of {names}, or give young_gpa, poisson and density_kg_m3",
+        )  # fmt: skip
+    if plate.material is not None and any(constant is not None for constant in constants):
+        raise PlateFileInvalid(
+            "has a name and constants", f"{where}: plate.material", "keep either the name or the three constants"
+        )
+    if plate.material is not None and plate.material.lower() not in MATERIALS:
+        raise PlateFileInvalid(
+            f"unknown material {plate.material!r}", f"{where}: plate.material",
+            f"use one of {names}, or give young_gpa, poisson and density_kg_m3",
+        )  # fmt: skip
+
+
+def _check_lengths(said: PlateFile, where: str) -> None:
+    """Refuse lengths that can only be metres or centimetres."""
+    plate, discs = said.plate, said.discs
+    fix = "write every length in millimetres"
+    for key, length_mm in (("width_mm", plate.width_mm), ("height_mm", plate.height_mm)):
+        if length_mm < LEAST_SIDE_MM:
+            raise PlateFileInvalid(f"{length_mm:g} mm is no plate: metres?", f"{where}: plate.{key}", fix)
+    if plate.thickness_mm < LEAST_THICKNESS_MM or plate.thickness_mm > min(plate.width_mm, plate.height_mm) / 4:
+        raise PlateFileInvalid(
+            f"{plate.thickness_mm:g} mm is no thickness of a {plate.width_mm:g} x {plate.height_mm:g} mm plate",
+            f"{where}: plate.thickness_mm", fix,
+        )  # fmt: skip
+    if discs.diameter_mm < LEAST_THICKNESS_MM:
+        raise PlateFileInvalid(f"{discs.diameter_mm:g} mm is no disc: metres?", f"{where}: discs.diameter_mm", fix)
+    for key, place in _places(discs):
+        if 0 < max(place) < 1 and min(place) >= 0:
+            raise PlateFileInvalid(f"({place[0]:g}, {place[1]:g}) looks like metres", f"{where}: discs.{key}", fix)
+
+
+def _check_places(said: PlateFile, where: str) -> None:
+    """Refuse discs that reach over the edge or into each other."""
+    plate, radius = said.plate, said.discs.diameter_mm / 2
+    places = _places(said.discs)
+    for number, (key, (x, y)) in enumerate(places):
+        if not (radius <= x <= plate.width_mm - radius and radius <= y <= plate.height_mm - radius):
+            raise PlateFileInvalid(
+                f"a disc of {2 * radius:g} mm at ({x:g}, {y:g}) reaches over the edge of the "
+                f"{plate.width_mm:g} x {plate.height_mm:g} mm plate",
+                f"{where}: discs.{key}", "measure from the top left corner, x to the right and y down",
+            )  # fmt: skip
+        for other, (x2, y2) in places[:number]:
+            if (x - x2) ** 2 + (y - y2) ** 2 < (2 * radius) ** 2:
+                raise PlateFileInvalid(f"lies on {other}", f"{where}: discs.{key}", "measure both again")
+
+
+def _places(discs: DiscsSaid) -> list[tuple[str, tuple[float, float]]]:
+    return [("emitter_mm", discs.emitter_mm)] + [(f"receivers_mm.{i}", p) for i, p in enumerate(discs.receivers_mm)]

@@ -1,0 +1,167 @@
+"""Fit plate and discs to the untouched response."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchd.calibration.candidates import candidates, material_like
+from touchd.calibration.disc_response import Loss
+from touchd.calibration.least_squares import State
+from touchd.calibration.parameters import LOGARITHMS, Reader
+from touchd.calibration.plate_file import PlateFile
+from touchd.calibration.stages import run_stages
+from touchd.calibration.untouched import Untouched
+from touchd.calibration.untouched_model import UntouchedModel, band
+from touchd.calibration.verdict import USABLE_LEFT, Evidence, Parameter, Verdict, judge
+from touchd.frame import Acquisition
+from touchd.twin.physics.dispersion import mindlin_wavenumber
+from touchd.twin.physics.material import ElasticPlate
+from touchd.twin.physics.response import Response
+from touchd.twin.physics.transducer import Layout, loaded_modes
+
+Floats = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+AT_PRIOR = 2.0
+"""A parameter this many of its standard deviations from what was said has been pulled there by the data."""
+Progress = Callable[[str, float], object]
+"""Receives the stage's name and the share of the whole work that is done, 0 .. 1."""
+
+
+@dataclass(frozen=True)
+class PlateFit:
+    """A fitted plate: R receivers, S samples, F frequencies."""
+
+    plate: ElasticPlate
+    layout: Layout
+    acquisition: Acquisition
+    loss: float
+    """Loss factor at the middle of the chirp."""
+    loss_slope: float
+    """Exponent of the frequency in the loss factor."""
+    gains: Complex
+    """Coefficients of each channel's complex gain, shape (R, 3), in powers of `band`; counts per unit of response."""
+    parameters: tuple[Parameter, ...]
+    verdict: Verdict
+    expected_mm: float
+    """Expected median error of a touch with a physical atlas of this plate."""
+    reasons: tuple[str, ...]
+    """Why the verdict is not better, each with the next thing to do."""
+    undecided: tuple[str, ...]
+    """What an untouched plate cannot tell, each with what settles it."""
+    scale_error: float
+    """Standard error of the absolute scale, which the ruler alone gives, relative."""
+    unexplained: float
+    """Share of the untouched energy that the fit leaves."""
+    noise_share: float
+    """Share of the untouched energy that is the mean frame's noise."""
+    measured: Floats
+    """Untouched mean frame, shape (R, S), ADC counts."""
+    fitted: Floats
+    """The same as the fitted plate gives it."""
+
+    def gain(self, frequency_hz: Floats) -> Complex:
+        """Return each channel's complex gain at frequencies (F,), shape (R, F), counts."""
+        x = band(self.acquisition, frequency_hz)
+        return np.asarray(self.gains @ np.stack([x**k for k in range(self.gains.shape[1])]))
+
+    def response(self, nu_rad_s: Complex) -> Response:
+        """Return the fitted plate's response at complex angular frequencies (F,)."""
+        modes = loaded_modes(self.plate, self.layout, self.acquisition.sample_rate_hz / 2)
+        chirp = self.acquisition.chirp
+        loss = Loss(self.loss, self.loss_slope, np.pi * (chirp.start_hz + chirp.stop_hz))
+        return Response(self.plate, modes, nu_rad_s, loss.at(nu_rad_s))
+
+    def residual(self) -> tuple[Floats, Floats]:
+        """Return frequencies (F,), Hz, and the share of each channel's energy left there, shape (R, F)."""
+        spectrum = np.abs(np.fft.rfft(self.measured - self.fitted, axis=1)) ** 2
+        energy = (np.abs(np.fft.rfft(self.measured, axis=1)) ** 2).sum(axis=1, keepdims=True)
+        hz = np.fft.rfftfreq(self.measured.shape[1], 1 / self.acquisition.sample_rate_hz)
+        return hz, spectrum / np.maximum(energy, np.finfo(float).tiny)
+
+
+def fit_plate(said: PlateFile, recording_mean: Untouched, progress: Progress = lambda _stage, _share: None) -> PlateFit:
+    """Fit plate, discs and gains to the untouched response.
+
+    Parameters
+    ----------
+    said : PlateFile
+    recording_mean : Untouched
+        The mean untouched frame, of `touchd.calibration.untouched`.
+    progress : callable, optional
+
+    Raises
+    ------
+    CalibrationError
+        The recording does not fit the plate, or too few channels live.
+    """
+    fit = _fit(said, recording_mean, lambda share: progress("fit", 0.6 * share))
+    if fit.unexplained - fit.noise_share > USABLE_LEFT:
+        for candidate in candidates(said, recording_mean):
+            other = _fit(candidate.said, recording_mean, lambda share: progress("candidates", share), candidate.what)
+            if other.unexplained < min(fit.unexplained, USABLE_LEFT):
+                return other
+    progress("fit", 1.0)
+    return fit
+
+
+def _fit(said: PlateFile, untouched: Untouched, progress: Callable[[float], object], found: str = "") -> PlateFit:
+    """Fit one plate; `found` says what it has other than PLATE.toml."""
+    reader = Reader(said, untouched.acquisition)
+    state, model = run_stages(reader, untouched, progress)
+    return describe(reader, untouched, state, model, (found,) if found else ())
+
+
+def describe(
+    reader: Reader, untouched: Untouched, state: State, model: UntouchedModel, found: tuple[str, ...] = ()
+) -> PlateFit:
+    """Return a finished fit with parameters, standard errors and verdict; `found` is what else was found."""
+    measured, p = untouched.mean, state.p
+    fitted = model.signals(p, state.fitted.gains)
+    parameters = _parameters(reader, state)
+    plate, loss, dead = reader.plate(p), reader.read(p).loss, untouched.dead
+    energy = np.where(dead, np.nan, (measured**2).sum(axis=1))
+    left = ((measured - fitted) ** 2).sum(axis=1) / energy
+    noise_share = float(np.nanmean(untouched.noise**2 * measured.shape[1] / energy))
+    chirp = untouched.acquisition.chirp
+    k = float(mindlin_wavenumber(plate, (chirp.start_hz + chirp.stop_hz) / 2))
+    scale_error = _scale_error(reader, state)
+    named = material_like(np.sqrt(plate.elastic.E_pa / plate.elastic.rho_kg_m3), plate.elastic.nu)
+    if named and named != plate.material.lower() and any(q.at_prior for q in parameters[:4]):
+        found = (*found, f"{named} fits, not {plate.material}: correct the material")
+    evidence = Evidence(
+        left, noise_share, np.sqrt(noise_share * untouched.frames), 2e3 * np.pi / k, parameters,
+        scale_error * np.hypot(plate.width_mm, plate.height_mm) / 2, found,
+    )  # fmt: skip
+    judgement = judge(evidence)
+    return PlateFit(
+        plate=plate, layout=reader.layout(p), acquisition=untouched.acquisition, loss=loss.factor,
+        loss_slope=loss.slope, gains=state.fitted.gains, parameters=parameters, verdict=judgement.verdict,
+        expected_mm=judgement.expected_mm, reasons=judgement.reasons, undecided=judgement.undecided,
+        scale_error=scale_error, unexplained=float(np.nanmean(left)), noise_share=noise_share,
+        measured=measured, fitted=fitted,
+    )  # fmt: skip
+
+
+def _parameters(reader: Reader, state: State) -> tuple[Parameter, ...]:
+    said, found = reader.shown(reader.start), reader.shown(state.p)
+    error = np.zeros(len(found))
+    error[reader.index(state.names)] = np.sqrt(np.diag(state.covariance))
+    moved = np.abs(state.p - reader.start) > AT_PRIOR * reader.prior
+    # What the vector holds as a logarithm has a relative error.
+    relative = np.array([unknown.name in LOGARITHMS for unknown in reader.unknowns])
+    error = np.where(relative, error * found, error)
+    return tuple(
+        Parameter(unknown.label, unknown.unit, float(a), float(b), float(e), bool(m))
+        for unknown, a, b, e, m in zip(reader.unknowns, said, found, error, moved, strict=True)
+    )
+
+
+def _scale_error(reader: Reader, state: State) -> float:
+    """Return the standard error of the mean of the logarithms of width and height."""
+    at = [state.names.index(name) for name in ("width", "height")]
+    share = 0.5 / state.p[reader.index(("width", "height"))]
+    return float(np.sqrt(share @ state.covariance[np.ix_(at, at)] @ share))

@@ -1,0 +1,178 @@
+"""The free plate near a reference plate: its eigenproblem in the reference's modes.
+
+Strain and kinetic energy of Mindlin's plate are sums of thirteen forms that depend on the modes alone, times factors
+that depend on wave speed, thickness, Poisson's ratio, width and height alone. In coordinates scaled by width and height
+the modes of one plate are a basis for those of all similar ones, so another plate costs an eigenproblem of a few
+hundred unknowns, and a parameter's derivative a product with a small matrix.
+
+Energies are per mass of the plate: a mode has the mass 1 if it carries the plate's whole mass.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchd.twin.physics import legendre
+from touchd.twin.physics.material import ElasticPlate, material_of, stiffness_of
+from touchd.twin.physics.plate import LEAST_MARGIN, MANY_POLYNOMIALS, Modes, polynomials_for, solve
+
+Floats = NDArray[np.float64]
+Forms = list[Floats]
+
+BASIS, BASIS_OF_MANY = 3.0, 1.8
+"""Modes up to this many times the highest frequency are the basis; fewer where a plate has thousands."""
+
+
+class Shape(NamedTuple):
+    """What the modes of a free plate depend on."""
+
+    speed2: float
+    """Young's modulus over density, m^2/s^2."""
+    h: float
+    """Thickness, m."""
+    nu: float
+    width: float
+    """Width and height, m."""
+    height: float
+
+
+SHAPE_NAMES = Shape._fields
+
+
+def shape_of(plate: ElasticPlate) -> Shape:
+    """Return what the modes of a plate depend on."""
+    m = material_of(plate)
+    return Shape(m.E_pa / m.rho_kg_m3, plate.thickness_mm * 1e-3, m.nu, plate.width_mm * 1e-3, plate.height_mm * 1e-3)
+
+
+def _stiff_factors(s: Shape) -> Floats:
+    """Return the factors of the strain energy's twelve forms."""
+    bend = s.speed2 * s.h**2 / (12 * (1 - s.nu**2))
+    twist = bend * (1 - s.nu) / 2
+    shear = 5 / (6 - s.nu) * s.speed2 / (2 * (1 + s.nu))
+    W, H = s.width, s.height
+    return np.array([
+        bend / W**2, bend / H**2, 2 * bend * s.nu / (W * H), twist / H**2, twist / W**2, 2 * twist / (W * H),
+        shear / W**2, 2 * shear / W, shear, shear / H**2, 2 * shear / H, shear,
+    ])  # fmt: skip
+
+
+class _Class(NamedTuple):
+    """The basis modes of one parity: n modes."""
+
+    rows: NDArray[np.intp]
+    """Which of the modes, shape (n,)."""
+    stiff: Forms
+    """Twelve forms of the strain energy, each (n, n)."""
+    rotary: Floats
+    """Form of the rotations' kinetic energy; that of the deflection follows from the reference's unit mass."""
+
+
+class BareModes(NamedTuple):
+    """Modes of the free plate in the reference's modes."""
+
+    omega2: Floats
+    """Squares of angular frequencies, shape (n,), class by class."""
+    turns: list[Floats]
+    """For each class, the modes in the reference's, shape (n, n): column k is mode k."""
+
+
+class ReducedPlate:
+    """Free plates of constants near a reference plate's.
+
+    Parameters
+    ----------
+    plate : ElasticPlate
+        The reference.
+    highest_hz : float
+        End of the band that is to be exact.
+    """
+
+    def __init__(self, plate: ElasticPlate, highest_hz: float = 100e3) -> None:
+        self.reference = shape_of(plate)
+        self.counts = polynomials_for(plate, highest_hz, LEAST_MARGIN)
+        basis = BASIS_OF_MANY if max(self.counts) > MANY_POLYNOMIALS - 10 else BASIS
+        modes = solve(plate, self.counts, basis * highest_hz)
+        unit = np.sqrt(stiffness_of(plate).mass)
+        n = len(modes.omega_rad_s)
+        self.fields = tuple(unit * field.reshape(n, -1) for field in modes[1:])
+        """Coefficients of w, psi_x and psi_y in products of polynomials on the unit square, each (n, nx ny)."""
+        self.classes = [_forms(modes, unit, rows) for rows in _parities(modes)]
+        self._last: tuple[Shape, BareModes] | None = None
+
+    def solve(self, shape: Shape) -> BareModes:
+        """Return the modes of another plate; where the wave speed alone is another, they are the last ones'."""
+        unit = shape._replace(speed2=self.reference.speed2)
+        if self._last is None or self._last[0] != unit:
+            self._last = unit, self._solve(unit)
+        modes = self._last[1]
+        return modes._replace(omega2=modes.omega2 * (shape.speed2 / unit.speed2))
+
+    def _solve(self, shape: Shape) -> BareModes:
+        factors, spin = _stiff_factors(shape), (shape.h**2 - self.reference.h**2) / 12
+        omega2, turns = [], []
+        for each in self.classes:
+            K = _sum(each.stiff, factors)
+            mass = spin * each.rotary
+            mass[np.diag_indices(len(mass))] += 1
+            root = np.linalg.cholesky(mass)
+            half = np.linalg.solve(root, K)
+            squares, vectors = np.linalg.eigh(np.linalg.solve(root, half.T))
+            omega2.append(np.maximum(squares, 0.0))
+            turns.append(np.linalg.solve(root.T, vectors))
+        return BareModes(np.concatenate(omega2), turns)
+
+    def slopes(self, shape: Shape, name: str) -> list[tuple[Floats, float]]:
+        """Return, for each class, the derivative (n, n) of the stiffness, and the factor of `rotary` in the mass's."""
+        step = 1e-4 * getattr(shape, name)
+        up, down = (shape._replace(**{name: getattr(shape, name) + sign * step}) for sign in (1, -1))
+        factors = (_stiff_factors(up) - _stiff_factors(down)) / (2 * step)
+        return [(_sum(each.stiff, factors), shape.h / 6 if name == "h" else 0.0) for each in self.classes]
+
+    def to_classes(self, values: Floats) -> list[Floats]:
+        """Split values of the reference's modes, shape (n, ...), by class."""
+        return [values[each.rows] for each in self.classes]
+
+
+def _sum(forms: Forms, factors: Floats) -> Floats:
+    total = np.zeros_like(forms[0])
+    for form, factor in zip(forms, factors, strict=True):
+        total += factor * form
+    return total
+
+
+def _parities(modes: Modes) -> list[NDArray[np.intp]]:
+    """Return which modes' deflections are even or odd along x and y: four groups."""
+    energy = np.array([[(modes.w[:, px::2, py::2] ** 2).sum(axis=(1, 2)) for px in (0, 1)] for py in (0, 1)])
+    # A rocking mode has rotations too, and a mode's deflection is never zero.
+    which = energy.reshape(4, -1).argmax(axis=0)
+    return [np.flatnonzero(which == group) for group in range(4)]
+
+
+def _forms(modes: Modes, unit: float, rows: NDArray[np.intp]) -> _Class:
+    """Return the energies' forms between the modes of one class."""
+    w, px, py = (unit * field[rows] for field in modes[1:])
+    n, nx, ny = w.shape
+    dx, dy = legendre.derivative(1.0, nx), legendre.derivative(1.0, ny)
+
+    def x(field: Floats) -> Floats:
+        return np.asarray(np.einsum("ij,njk->nik", dx, field, optimize=True)).reshape(n, -1)
+
+    def y(field: Floats) -> Floats:
+        return np.asarray(field @ dy.T).reshape(n, -1)
+
+    def form(a: Floats, b: Floats) -> Floats:
+        product = a @ b.T
+        return product if a is b else (product + product.T) / 2
+
+    px_x, px_y, py_x, py_y, w_x, w_y = x(px), y(px), x(py), y(py), x(w), y(w)
+    flat_x, flat_y = px.reshape(n, -1), py.reshape(n, -1)
+    pairs = [
+        (px_x, px_x), (py_y, py_y), (px_x, py_y), (px_y, px_y), (py_x, py_x), (px_y, py_x),
+        (w_x, w_x), (w_x, flat_x), (flat_x, flat_x), (w_y, w_y), (w_y, flat_y), (flat_y, flat_y),
+    ]  # fmt: skip
+    stiff = [form(a, b) for a, b in pairs]
+    return _Class(rows, stiff, stiff[8] + stiff[11])

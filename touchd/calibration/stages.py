@@ -1,0 +1,90 @@
+"""The stages of a plate fit: from the wave speed and the first arrivals to all unknowns and the whole frame."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchd.calibration.least_squares import State, descend
+from touchd.calibration.parameters import DISCS, FIRST, PLATE, Reader
+from touchd.calibration.reduced_plate import ReducedPlate
+from touchd.calibration.untouched import Untouched
+from touchd.calibration.untouched_model import UntouchedModel
+
+Floats = NDArray[np.float64]
+
+EARLY, MIDDLE = 0.4, 0.7
+"""Shares of the frame in the first stages. The chirp rises, so that the first part is low in frequency and has few
+reflections: a start 3 % off in wave speed still descends to the right minimum."""
+SPEEDS = np.linspace(-0.04, 0.04, 17)
+"""Starts of the logarithm of the wave speed."""
+RIVAL = 1.5
+"""A second minimum of the scan is started from too while its misfit is less than this times the best one's."""
+MOVED_THICKNESS, MOVED_POISSON = 0.015, 0.03
+"""Changes beyond which the basis is computed again; up to them modes' frequencies are off by less than 1e-4."""
+
+
+def window_of(samples: int, share: float) -> Floats:
+    """Return weights of the first part of a frame, with a soft end, shape (S,)."""
+    if share >= 1:
+        return np.ones(samples)
+    end = share * samples
+    return np.clip((end - np.arange(samples)) / (0.2 * end), 0.0, 1.0)
+
+
+def run_stages(
+    reader: Reader,
+    untouched: Untouched,
+    progress: Callable[[float], object] = lambda _share: None,
+) -> tuple[State, UntouchedModel]:
+    """Fit all unknowns, and return the last state with its model; `progress` receives the share that is done."""
+    p = reader.start
+    live = ~untouched.dead
+    measured = np.where(live[:, None], untouched.mean, 0.0)
+    noise = np.maximum(untouched.noise, 1e-5 * np.sqrt((measured**2).mean()))
+    samples = measured.shape[1]
+    early, middle, whole = (window_of(samples, share) for share in (EARLY, MIDDLE, 1.0))
+    model = UntouchedModel(ReducedPlate(reader.plate(p)), reader, untouched.acquisition)
+    progress(0.2)
+    places = reader.places
+    best = None
+    for tried in _starts(model, reader, measured, early, p):
+        state = descend(model, reader, measured, noise, tried, ("speed", "loss"), early, 2)
+        state = descend(model, reader, measured, noise, state.p, ("speed", "loss", *places), early, 3)
+        if best is None or _left(state) < _left(best):
+            best = state
+    assert best is not None
+    progress(0.4)
+    state = descend(model, reader, measured, noise, best.p, (*FIRST, *places), middle, 3)
+    state = descend(model, reader, measured, noise, state.p, (*FIRST, *places), whole, 3)
+    progress(0.55)
+    state = descend(model, reader, measured, noise, state.p, (*PLATE, *places), whole, 4)
+    progress(0.7)
+    model = _recentred(model, reader, state.p, untouched)
+    progress(0.8)
+    return descend(model, reader, measured, noise, state.p, (*PLATE, *DISCS, *places), whole, 8), model
+
+
+def _left(state: State) -> float:
+    return float((state.fitted.residual**2).sum())
+
+
+def _starts(model: UntouchedModel, reader: Reader, measured: Floats, window: Floats, p: Floats) -> list[Floats]:
+    """Return the vectors, one or two, from whose wave speed the first arrivals fit best."""
+    tried = np.repeat(p[None], len(SPEEDS), axis=0)
+    tried[:, reader.index(("speed",))[0]] += SPEEDS
+    left = np.array([(model.fit(each, measured, window).residual ** 2).sum() for each in tried])
+    padded = np.concatenate([[np.inf], left, [np.inf]])
+    minima = np.flatnonzero((left <= padded[:-2]) & (left <= padded[2:]))
+    minima = minima[np.argsort(left[minima])][:2]
+    return [tried[i] for i in minima if left[i] < RIVAL * left[minima[0]]]
+
+
+def _recentred(model: UntouchedModel, reader: Reader, p: Floats, untouched: Untouched) -> UntouchedModel:
+    """Return the model with a basis of its own, where the fit has left the neighbourhood of the first one."""
+    here, there = model.plate.reference, reader.read(p).shape
+    if abs(np.log(there.h / here.h)) < MOVED_THICKNESS and abs(there.nu - here.nu) < MOVED_POISSON:
+        return model
+    return UntouchedModel(ReducedPlate(reader.plate(p)), reader, untouched.acquisition)

@@ -1,0 +1,138 @@
+"""The untouched mean frame of a recording that nobody touches."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchd.calibration.plate_file import PlateFile
+from touchd.errors import PlateMismatch, PlateTouched, PlateUnsteady, SignalClipped
+from touchd.frame import Acquisition
+from touchd.recording.data import Recording
+
+Floats = NDArray[np.float64]
+
+LEAST_FRAMES = 20
+BLOCKS = 8
+"""The recording's parts, whose medians tell drift from a finger."""
+MOST_DISTURBED = 0.2
+"""Share of frames that may be disturbed; a few taps or impulses are left out."""
+MOST_DRIFT = 3e-5
+"""Energy of the drift over the recording, relative to the signal: -45 dB, 1 K on glass."""
+CURVED = 0.04
+"""A drift's course leaves a line by this share of its energy at most; a finger's jump leaves four times as much."""
+MOST_APART = 0.05
+"""Relative difference between the recording's plate and PLATE.toml's that a ruler explains."""
+SILENT = 1e-3
+"""A channel with less than this share of the median channel's amplitude is dead."""
+CLIPPED = 2
+"""Counts from the end of the ADC's range that are clipped."""
+
+
+class Untouched(NamedTuple):
+    """The mean of a recording's undisturbed frames: R channels, S samples."""
+
+    mean: Floats
+    """ADC counts, shape (R, S)."""
+    noise: Floats
+    """Standard error of the mean in each channel, ADC counts, shape (R,)."""
+    frames: int
+    """How many frames went into it."""
+    acquisition: Acquisition
+
+    @property
+    def dead(self) -> NDArray[np.bool_]:
+        """Which channels hear nothing, shape (R,)."""
+        rms = np.sqrt((self.mean**2).mean(axis=1))
+        return np.asarray((rms <= SILENT * np.median(rms)) | (rms <= 3 * self.noise))
+
+
+def untouched_mean(recording: Recording, said: PlateFile) -> Untouched:
+    """Return the mean of the frames that nothing disturbs.
+
+    Raises
+    ------
+    PlateTouched, PlateUnsteady, SignalClipped, PlateMismatch
+        The recording cannot calibrate this plate.
+    """
+    _check_geometry(recording, said)
+    frames = recording.frames
+    if len(frames) < LEAST_FRAMES:
+        raise PlateUnsteady(f"{len(frames)} frames", "recording", f"record some ten seconds; {LEAST_FRAMES} at least")
+    _check_range(recording)
+    time = np.linspace(-0.5, 0.5, len(frames))
+    parts = np.array_split(np.arange(len(frames)), BLOCKS)
+    medians = np.array([np.median(frames[part], axis=0) for part in parts])
+    middle = np.array([time[part].mean() for part in parts])
+    mean = np.median(medians, axis=0)
+    slope = np.einsum("b,brs->rs", middle, medians - mean) / (middle**2).sum()
+    signal = float((mean**2).sum())
+    energy = _energy(frames, mean, slope, time)
+    usual = float(np.median(energy))
+    spread = 1.5 * float(np.median(np.abs(energy - usual)))
+    kept = energy <= usual + 8 * spread + 0.02 * usual
+    # A median of n frames has pi / 2 n of a frame's noise; sixteen times that is no chance.
+    blocks = ((medians - mean - middle[:, None, None] * slope) ** 2).sum(axis=(1, 2))
+    least = 16 * np.pi / 2 * usual / len(parts[0]) + mean.size / 4
+    drift = float((slope**2).sum())
+    jumped = float(blocks.max())
+    if jumped > least and jumped > CURVED * drift:
+        raise PlateTouched(
+            f"the response jumps by {_db(jumped / signal)}", "recording", "record again, with nothing on the plate"
+        )
+    if drift > MOST_DRIFT * signal and drift > least:
+        raise PlateUnsteady(
+            f"the response drifts by {_db(drift / signal)} from start to end", "recording",
+            "let the plate take the room's temperature, and record again",
+        )  # fmt: skip
+    if kept.mean() < 1 - MOST_DISTURBED:
+        raise PlateTouched(
+            f"{1 - kept.mean():.0%} of the frames are disturbed", "recording",
+            "record again, with nothing on the plate and no interference",
+        )  # fmt: skip
+    some = frames[kept]
+    noise = np.sqrt(np.maximum(some.var(axis=0).mean(axis=1) - (slope**2).mean(axis=1) / 12, 0.0) / len(some))
+    return Untouched(some.mean(axis=0), noise, len(some), recording.acquisition)
+
+
+def _energy(frames: NDArray[np.int16], mean: Floats, slope: Floats, time: Floats) -> Floats:
+    """Return each frame's distance from the mean and its drift, counts^2, shape (n,)."""
+    found = np.empty(len(frames))
+    for first in range(0, len(frames), 256):
+        part = slice(first, first + 256)
+        found[part] = ((frames[part] - mean - time[part, None, None] * slope) ** 2).sum(axis=(1, 2))
+    return found
+
+
+def _check_geometry(recording: Recording, said: PlateFile) -> None:
+    channels, receivers = recording.frames.shape[1], len(said.discs.receivers_mm)
+    if channels != receivers:
+        raise PlateMismatch(
+            f"{channels} channels, but {receivers} receivers in PLATE.toml", "recording",
+            "list each channel's receiver, in the order of the channels",
+        )  # fmt: skip
+    taken, plate = recording.meta.plate, said.plate
+    for key in ("width_mm", "height_mm"):
+        was, is_said = getattr(taken, key), getattr(plate, key)
+        if abs(was - is_said) > MOST_APART * is_said:
+            raise PlateMismatch(
+                f"{key} is {was:g}, but {is_said:g} in PLATE.toml", "recording",
+                "correct the wrong one: [plate] of the configuration, or PLATE.toml",
+            )  # fmt: skip
+
+
+def _check_range(recording: Recording) -> None:
+    bits = recording.meta.bits
+    low, high = -(2 ** (bits - 1)) + CLIPPED, 2 ** (bits - 1) - 1 - CLIPPED
+    typical = np.median(recording.frames[:: max(1, len(recording.frames) // 50)], axis=0)
+    clipped = np.flatnonzero(((typical <= low) | (typical >= high)).any(axis=1))
+    if clipped.size:
+        raise SignalClipped(
+            f"channel {clipped[0]} reaches the end of the ADC's range", "recording", "lower the gain, and record again"
+        )
+
+
+def _db(share: float) -> str:
+    return f"{10 * np.log10(share):.0f} dB of the signal"

@@ -1,0 +1,131 @@
+"""What the receivers hear of an untouched plate, with each channel's gain eliminated."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchd import chirp
+from touchd.calibration.disc_response import DiscResponse
+from touchd.calibration.parameters import Reader
+from touchd.calibration.reduced_plate import ReducedPlate
+from touchd.frame import Acquisition
+from touchd.twin.instrument import anti_alias
+
+Floats = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+GAIN_TERMS = 3
+"""Coefficients of a channel's complex gain in powers of the band."""
+_DAMPING = 13.0
+"""The record, of two frames, is damped by exp(-13), so that ringing beyond it does not wrap."""
+_RIDGE = 1e-6
+"""Of the gains' normal equations: a channel cannot have a gain where the plate has no response."""
+
+
+class Fitted(NamedTuple):
+    """A vector's misfit: R channels, S samples, P parameters."""
+
+    residual: Floats
+    """Measured less fitted, shape (R, S), weighted by the window."""
+    gains: Complex
+    """Shape (R, GAIN_TERMS)."""
+    slopes: Floats
+    """Derivative of the residual by the active parameters, shape (P, R, S); without gains' freedom."""
+
+
+def band(acquisition: Acquisition, frequency_hz: Floats) -> Floats:
+    """Map frequencies to -1 .. 1 over the chirp's band; beyond it to at most 1.3."""
+    low, high = sorted((acquisition.chirp.start_hz, acquisition.chirp.stop_hz))
+    return np.asarray(np.clip((frequency_hz - (low + high) / 2) / ((high - low) / 2), -1.3, 1.3))
+
+
+class UntouchedModel:
+    """Maps vectors of unknowns to the untouched signals.
+
+    Parameters
+    ----------
+    plate : ReducedPlate
+    reader : Reader
+    acquisition : Acquisition
+    """
+
+    def __init__(self, plate: ReducedPlate, reader: Reader, acquisition: Acquisition) -> None:
+        a = acquisition
+        self.plate, self._reader, self._a = plate, reader, a
+        self._record = 2 * a.samples
+        self._rate = a.sample_rate_hz
+        t = np.arange(a.samples) / self._rate
+        decay = _DAMPING * self._rate / self._record
+        hz = np.arange(a.samples + 1) * self._rate / self._record
+        self.nu_rad_s = 2 * np.pi * hz - 1j * decay
+        emission = chirp.spectrum(a.chirp, self.nu_rad_s) * anti_alias(self.nu_rad_s, self._rate)
+        x = band(a, hz)
+        self._emission = np.stack([emission * x**k for k in range(GAIN_TERMS)])  # (K, F)
+        self._undamp = np.exp(decay * t) * self._rate
+
+    def fit(self, p: Floats, measured: Floats, window: Floats, active: tuple[str, ...] = ()) -> Fitted:
+        """Return the misfit of a vector, and its derivatives by the `active` unknowns.
+
+        Parameters
+        ----------
+        p : array
+        measured : array of shape (R, S)
+        window : array of shape (S,)
+            Weight of each sample.
+        active : names of unknowns
+        """
+        guess = self._reader.read(p)
+        response = DiscResponse(self.plate, guess.shape, guess.discs, guess.loss, self.nu_rad_s)
+        heard = response.untouched()
+        scale = np.sqrt(np.mean(np.abs(heard) ** 2))
+        waves = heard[:, None] * self._emission / scale  # (R, K, F)
+        basis = np.concatenate([self._to_time(waves), self._to_time(1j * waves)], axis=1) * window  # (R, 2 K, S)
+        chain = self._reader.chain(guess)
+        by_name = response.slopes({chain[name][0] for name in active})
+        changes = [by_name[chain[name][0]] * (chain[name][1] / scale) for name in active]
+        y = measured * window
+        gains = np.empty((len(y), GAIN_TERMS), dtype=complex)
+        residual, slopes = np.empty_like(y), np.empty((len(active), *y.shape))
+        for c, B in enumerate(basis):
+            normal = B @ B.T
+            normal[np.diag_indices(len(normal))] += _RIDGE * np.trace(normal) / len(normal)
+            solver = np.linalg.solve(normal, B)
+            found = solver @ y[c]
+            residual[c] = y[c] - found @ B
+            gains[c] = found[:GAIN_TERMS] + 1j * found[GAIN_TERMS:]
+            if active:
+                moved = self._to_time(np.stack([change[c] for change in changes]) * (gains[c] @ self._emission))
+                moved *= window
+                slopes[:, c] = (moved @ solver.T) @ B - moved
+        return Fitted(residual, gains / scale, slopes)
+
+    def pair_misfits(self, p: Floats, measured: Floats, window: Floats) -> Floats:
+        """Return the share of each channel's energy that the way between any two discs leaves, shape (D, D, R)."""
+        guess = self._reader.read(p)
+        between = DiscResponse(self.plate, guess.shape, guess.discs, guess.loss, self.nu_rad_s).between()
+        D, y = len(between), measured * window
+        found = np.ones((D, D, len(y)))
+        energy = np.maximum((y**2).sum(axis=1), np.finfo(float).tiny)
+        for one in range(D):
+            for other in range(one):
+                B = self._basis(between[one, other]) * window
+                Q = np.linalg.qr(B.T)[0]
+                found[one, other] = found[other, one] = 1 - ((y @ Q) ** 2).sum(axis=1) / energy
+        return found
+
+    def _basis(self, heard: Complex) -> Floats:
+        """Return the signals of one response times each power of the band, real and imaginary, shape (2 K, S)."""
+        waves = heard * self._emission
+        return np.concatenate([self._to_time(waves), self._to_time(1j * waves)])
+
+    def signals(self, p: Floats, gains: Complex) -> Floats:
+        """Return the signals (R, S) of a vector with given gains (R, GAIN_TERMS)."""
+        guess = self._reader.read(p)
+        heard = DiscResponse(self.plate, guess.shape, guess.discs, guess.loss, self.nu_rad_s).untouched()
+        return self._to_time(heard * (gains @ self._emission))
+
+    def _to_time(self, spectrum: Complex) -> Floats:
+        return np.asarray(np.fft.irfft(spectrum, self._record, axis=-1)[..., : self._a.samples] * self._undamp)

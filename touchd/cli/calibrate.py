@@ -1,0 +1,152 @@
+"""`touchd calibrate`: make a model of a plate from its untouched response."""
+
+from __future__ import annotations
+
+import json
+import os
+from contextlib import closing
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from touchd.errors import OutputError, PlatePoor
+
+if TYPE_CHECKING:
+    from touchd.calibration.calibrate import Fitted
+    from touchd.calibration.plate_file import PlateFile
+    from touchd.config.schema import Settings
+    from touchd.recording.data import Recording
+    from touchd.sources.open import SourceChoice
+
+_STEPS = 100
+
+
+@click.command(name="calibrate", short_help="Make a model of a plate that nobody touches.")
+@click.argument("recording", type=click.Path(path_type=Path), required=False)
+@click.option("-o", "--output", type=click.Path(path_type=Path), required=True, help="The model to write (.onnx).")
+@click.option(
+    "--plate", "plate_file", type=click.Path(path_type=Path), required=True, metavar="PLATE.toml",
+    help="What you measured of plate and discs.",
+)  # fmt: skip
+@click.option("--ni", is_flag=True, help="Without RECORDING: take frames from NI hardware.")
+@click.option("--simulate", metavar="SCENE", help="Without RECORDING: take frames from a scene of the digital twin.")
+@click.option("--seconds", type=click.FloatRange(1.0), default=10.0, show_default=True, metavar="S",
+              help="Without RECORDING: how many seconds of frames to take.")  # fmt: skip
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@click.option("--no-report", is_flag=True, help="Write no report.")
+@click.option("--force", is_flag=True, help="Write the model of a poor fit, too.")
+@click.option("--config", "config", type=click.Path(path_type=Path), help="Configuration file (TOML).")
+@click.pass_context
+def command(
+    ctx: click.Context,
+    recording: Path | None,
+    output: Path,
+    plate_file: Path,
+    ni: bool,
+    simulate: str | None,
+    seconds: float,
+    as_json: bool,
+    no_report: bool,
+    force: bool,
+    config: Path | None,
+) -> None:
+    """Fit plate and discs to RECORDING, some ten seconds of frames that nobody touches, and write a model.
+
+    Without RECORDING the frames come from the running daemon, or else from the DAQ. No touch is needed. Beside the
+    model lie its field atlas, .atlas.npz, a reference for `touchd doctor`, .untouched.npz, and a folder named .report.
+    A model that was there is kept, as .previous.onnx. A poor fit writes no model, and exits with a status of its own.
+    """
+    from touchd.calibration.calibrate import fit_recording, make_model
+    from touchd.calibration.plate_file import read_plate_file
+    from touchd.calibration.report import write_calibration_report
+    from touchd.cli.progress import Bars
+    from touchd.config.load import load
+    from touchd.recording.format import read
+    from touchd.sources.open import SourceChoice
+    from touchd.training.report.report import PAGE
+
+    _check_output(output)
+    if recording is not None and (ni or simulate):
+        raise click.UsageError("name a RECORDING or a source, not both")
+    said = read_plate_file(plate_file)
+    if recording is not None:
+        frames = read(recording)
+    else:
+        choice = SourceChoice(simulate=simulate, speed=float("inf") if simulate else 1.0, ni=ni)
+        frames = _take(load(config or (ctx.obj or {}).get("config")), choice, said, seconds)
+    given = recording.name if recording else ""
+    line = f"touchd calibrate {given} -o {output.name} --plate {plate_file.name}".replace("  ", " ")
+    with Bars() as bars:
+
+        def progress(stage: str, share: float) -> None:
+            bars.update(stage, round(_STEPS * share), _STEPS)
+
+        def fitting(stage: str, share: float) -> None:
+            bars.update("plate", round(_STEPS * share), _STEPS, stage)
+
+        fitted = fit_recording(frames, said, fitting)
+        poor = fitted.fit.verdict == "poor"
+        made = None if poor and not force else make_model(fitted, output, command=line, progress=progress)
+    folder = None if no_report else write_calibration_report(fitted, made, output)
+    found = _result(fitted, output if made else None, folder)
+    click.echo(json.dumps(found) if as_json else _text(found, PAGE))
+    if poor:
+        what = "the fit is poor" if made else "the fit is poor, no model is written"
+        raise PlatePoor(what, str(output), "; ".join(fitted.fit.reasons) or "see the report")
+
+
+def _check_output(output: Path) -> None:
+    if output.suffix != ".onnx":
+        raise OutputError("not the name of a model", str(output), "choose a name that ends in .onnx")
+    if not os.access(output.parent, os.W_OK | os.X_OK):
+        raise OutputError("not a writable folder", str(output.parent), "create it, or choose another name")
+
+
+def _take(settings: Settings, choice: SourceChoice, said: PlateFile, seconds: float) -> Recording:
+    """Take frames of a source, as a recording."""
+    from touchd.doctor.host import expected_rate_hz, take
+    from touchd.frame import Plate
+    from touchd.recording.data import Recording
+    from touchd.service.frame_feed import open_running
+    from touchd.sources.open import open_source
+    from touchd.sources.recorder import describe
+
+    p = said.plate
+    plate = Plate(
+        width_mm=p.width_mm, height_mm=p.height_mm, thickness_mm=p.thickness_mm, material=p.material or "custom"
+    )
+    click.echo(f"taking {seconds:g} s of frames: do not touch the plate", err=True)
+    running = open_running(choice, settings)
+    with closing(running or open_source(choice, settings)) as source:
+        sample = take(source, seconds)
+        rate_hz = running.description.rate_hz if running else expected_rate_hz(source, settings.device)
+        meta = describe(source.acquisition, plate, rate_hz, source="calibrate")
+    return Recording(meta, sample.counts, sample.sequence, sample.t_ns - sample.t_ns[0])
+
+
+def _result(fitted: Fitted, model: Path | None, report: Path | None) -> dict[str, Any]:
+    fit = fitted.fit
+    return {
+        "verdict": fit.verdict, "expected_mm": fit.expected_mm, "reasons": list(fit.reasons),
+        "parameters": [parameter._asdict() for parameter in fit.parameters], "undecided": list(fit.undecided),
+        "scale_error": fit.scale_error, "unexplained": fit.unexplained,
+        "model": model and str(model), "report": report and str(report),
+    }  # fmt: skip
+
+
+def _text(found: dict[str, Any], page: str) -> str:
+    lines = [f"{found['verdict']}: expected median error of a touch {found['expected_mm']:.2f} mm"]
+    lines += [f"  {reason}" for reason in found["reasons"]]
+    lines.append(f"  {'':16} {'said':>10} {'fitted':>10} {'+-':>9}")
+    for p in found["parameters"]:
+        late = "  further off than PLATE.toml admits" if p["at_prior"] else ""
+        lines.append(
+            f"  {p['name']:16} {p['said']:10.5g} {p['fitted']:10.5g} {p['standard_error']:9.2g} {p['unit']}{late}"
+        )
+    lines += [f"  undecided: {what}" for what in found["undecided"]]
+    if found["model"]:
+        lines.append(f"{found['model']}: the model, with its atlas beside it")
+    if found["report"]:
+        lines.append(f"{Path(found['report']) / page}: response, residual, expected error and parameters")
+    return "\n".join(lines)

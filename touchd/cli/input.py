@@ -1,0 +1,35 @@
+"""`touchd input`: a touch screen of the kernel's, for every program of the desktop."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from touchd.bridges import uinput
+from touchd.bridges.area import Area
+from touchd.bridges.screen import KEY_CODES, Keypad, Screen
+from touchd.bridges.slots import BTN_TOUCH
+from touchd.cli.bridge import bus_option, serve
+from touchd.config.apart import load_apart
+
+
+@click.command(name="input", short_help="Be a touch screen for the desktop.")
+@bus_option
+@click.pass_obj
+def command(settings: dict[str, Path | None] | None, address: str | None) -> None:
+    """Make a multi-touch screen of the kernel's, and show it the touches that a running daemon publishes.
+
+    `[input]` in the configuration says where the screen lies on the plate: see `touchd map`. It takes the right to
+    open /dev/uinput, which touchd-input.service has.
+    """
+    found = load_apart((settings or {}).get("config"))
+    phys = uinput.phys_of(found.device.name)
+    if found.input.keypad:
+        keypad = uinput.Device(uinput.KEYPAD_NAME, phys, sorted(set(KEY_CODES.values())))
+        serve(address, Keypad(keypad), "a keypad")
+        return
+    area, sized = Area(found.input), found.model.contact_shapes
+    axes = uinput.screen_axes(area.size_mm, sized=sized)
+    device = uinput.Device(uinput.SCREEN_NAME, phys, (BTN_TOUCH,), axes)
+    serve(address, Screen(area, device, sized=sized), f"a touch screen of {area.size_mm[0]:g} x {area.size_mm[1]:g} mm")

@@ -1,0 +1,72 @@
+"""`touchd model`: install a model, or go back to the previous one; a running daemon takes it at once."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from touchd.config.load import load
+from touchd.config.schema import Settings
+from touchd.errors import BusError, OutputError
+from touchd.service.control import SERVICE_PATH, path_of, send
+
+
+@click.group(name="model", short_help="Install a model, or go back to the previous one.")
+@click.option("--config", "config", type=click.Path(path_type=Path), help="Configuration file (TOML).")
+@click.option(
+    "--socket", "socket_path", type=click.Path(path_type=Path), metavar="FILE",
+    help=f"The daemon's control socket.  [default: control.socket, or {SERVICE_PATH}]",
+)  # fmt: skip
+@click.pass_context
+def command(ctx: click.Context, config: Path | None, socket_path: Path | None) -> None:
+    """Change the model of the daemon.
+
+    The model is the file that model.path names, or else one in the service's state directory, or yours. A running
+    daemon takes it without a restart.
+    """
+    settings = load(config or (ctx.obj or {}).get("config"))
+    ctx.obj = settings, socket_path or path_of(settings.control) or SERVICE_PATH
+
+
+@command.command(name="install", short_help="Put a model in the place of the one in use.")
+@click.argument("file", type=click.Path(path_type=Path))
+@click.pass_obj
+def install_command(found: tuple[Settings, Path], file: Path) -> None:
+    """Copy FILE and the field atlas beside it in the place of the model in use, which is kept as the previous one."""
+    from touchd.localization.model_file import install
+
+    settings, socket_path = found
+    target = _target(settings)
+    name = install(file, target).description.name
+    click.echo(f"{target}: {name}; {_tell(socket_path)}")
+
+
+@command.command(name="rollback", short_help="Go back to the previous model.")
+@click.pass_obj
+def rollback_command(found: tuple[Settings, Path]) -> None:
+    """Exchange the model in use with the previous one; a second time undoes it."""
+    from touchd.localization.model_file import rollback
+
+    settings, socket_path = found
+    target = _target(settings)
+    name = rollback(target).description.name
+    click.echo(f"{target}: {name}; {_tell(socket_path)}")
+
+
+def _target(settings: Settings) -> Path:
+    from touchd.service.models import installed_path
+
+    target = settings.model.path or installed_path()
+    if target.suffix != ".onnx":
+        raise OutputError("not the name of a model", f"model.path {target}", "choose a name that ends in .onnx")
+    return target
+
+
+def _tell(socket_path: Path) -> str:
+    """Have a running daemon take the model, and say whether one does."""
+    try:
+        send(socket_path, "reload")
+    except BusError:
+        return "no daemon runs there, the next one takes it"
+    return "the running daemon takes it"

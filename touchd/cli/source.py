@@ -1,0 +1,43 @@
+"""The options that name a source of frames, for every command that reads some."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+
+Command = TypeVar("Command", bound=Callable[..., Any])
+
+
+def parse_speed(_ctx: click.Context, _param: click.Parameter, value: str) -> float:
+    """Convert a speed option to a number; `max` is infinite."""
+    if value == "max":
+        return float("inf")
+    try:
+        speed = float(value)
+    except ValueError:
+        speed = 0.0
+    if not 0 < speed < float("inf"):
+        raise click.BadParameter("a number above 0, or max")
+    return speed
+
+
+OPTIONS = (
+    click.option("--replay", type=click.Path(path_type=Path), help="Read frames from a recording: a file or a folder."),
+    click.option("--simulate", metavar="SCENE", help="Read frames from a scene of the digital twin, live."),
+    click.option("--ni", is_flag=True, help="Read frames from NI hardware: see [ni] in the configuration."),
+    click.option(
+        "--speed", default="1", callback=parse_speed, metavar="N|max", help="Speed of a replay.  [default: 1]"
+    ),
+    click.option("--loop", is_flag=True, help="Start again at the end of a recording or scene."),
+    click.option("--seed", default=0, help="Seed of a simulated scene.", show_default=True),
+)
+
+
+def source_options(command: Command) -> Command:
+    """Add the fields of `touchd.sources.open.SourceChoice` to a command, as options of their names."""
+    for add in reversed(OPTIONS):
+        command = add(command)
+    return command

@@ -1,0 +1,60 @@
+"""`touchd tuio`: touches for installations, as TUIO over UDP."""
+
+from __future__ import annotations
+
+import ipaddress
+import socket
+import time
+from pathlib import Path
+
+import click
+
+from touchd.bridges.area import Area
+from touchd.bridges.tuio import Tuio
+from touchd.cli.bridge import bus_option, serve
+from touchd.config.apart import load_apart
+from touchd.errors import ConfigError, InsecureBind
+
+
+@click.command(name="tuio", short_help="Send touches as TUIO 1.1.")
+@click.option("--to", metavar="HOST:PORT", help="Where to send them.  [default: tuio.to]")
+@bus_option
+@click.pass_obj
+def command(settings: dict[str, Path | None] | None, to: str | None, address: str | None) -> None:
+    """Send the touches that a running daemon publishes as TUIO 1.1 over UDP: /tuio/2Dcur, and /tuio/2Dblb with sizes.
+
+    Coordinates are shares of the screen that `[input]` in the configuration describes: see `touchd map`. An address
+    beyond loopback takes `tuio.insecure = true`, since TUIO has no encryption.
+    """
+    overrides = {"tuio": {"to": to}} if to else {}
+    found = load_apart((settings or {}).get("config"), overrides)
+    area = Area(found.input)
+    where = destination(found.tuio.to, insecure=found.tuio.insecure)
+    serve(address, Tuio(area, where, found.device.name, time.monotonic_ns()), f"TUIO to {found.tuio.to}")
+
+
+def destination(to: str, *, insecure: bool) -> tuple[str, int]:
+    """Return host and port.
+
+    Raises
+    ------
+    ConfigError
+        The text names none.
+    InsecureBind
+        They are beyond loopback, and nobody allowed that.
+    """
+    host, _, port = to.rpartition(":")
+    host = host.strip("[]")
+    try:
+        found = socket.getaddrinfo(host, int(port), type=socket.SOCK_DGRAM) if host else []
+    except (OSError, ValueError, OverflowError):
+        found = []
+    if not found or not 0 < int(port) < 65536:
+        raise ConfigError("is no HOST:PORT of UDP", f"tuio.to {to}", "write for example 127.0.0.1:3333")
+    reached = str(found[0][4][0])
+    if not insecure and not ipaddress.ip_address(reached.partition("%")[0]).is_loopback:
+        raise InsecureBind(
+            "is beyond loopback, where anybody can read what is touched", f"tuio.to {to}",
+            "send to 127.0.0.1, or set tuio.insecure = true",
+        )  # fmt: skip
+    return reached, int(port)

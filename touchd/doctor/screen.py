@@ -1,0 +1,64 @@
+"""Checks of `touchd doctor` on the touch screen: its mapping, the right to make it, and what udev says of it."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from touchd.bridges import uinput
+from touchd.bridges.fit import WORST_RMS_MM
+from touchd.config.schema import Settings
+from touchd.doctor.checks import Finding, grade
+from touchd.sinks.endpoint import SERVICE
+
+UDEV = Path("/run/udev/data")
+BUS = Path(SERVICE.removeprefix("ipc://"))
+_MAP = "touchd map, with touches in the middle of each cross"
+
+
+def check_screen(settings: Settings) -> list[Finding]:
+    """Return what concerns the touch screen; nothing where no screen is configured or made."""
+    found = uinput.devices_at(uinput.phys_of(settings.device.name))
+    if not settings.input.screen_mm and not settings.input.keypad and not found:
+        return []
+    findings = [] if settings.input.keypad else [_mapping(settings)]
+    if found:
+        return [*findings, _tagged(found[0])]
+    findings.append(_permitted())
+    if BUS.exists():
+        findings.append(Finding("screen", "warning", "the daemon runs, and no touch screen is there",
+                                "systemctl enable --now touchd-input; journalctl -u touchd-input"))  # fmt: skip
+    return findings
+
+
+def _mapping(settings: Settings) -> Finding:
+    if not settings.input.screen_mm:
+        return Finding("mapping", "failure", "input.screen_mm is not set", _MAP)
+    x, y, wide, high = settings.input.screen_mm
+    residual_mm = settings.input.residual_mm
+    level = grade(residual_mm, (WORST_RMS_MM / 2, WORST_RMS_MM))
+    text = f"{wide:g} x {high:g} mm at {x:g}, {y:g} mm of the plate, turned by {settings.input.rotate} degrees, "
+    text += f"{residual_mm:.2f} mm off the touches that measured it" if residual_mm else "written by hand, not measured"
+    return Finding("mapping", level, text, "" if level == "ok" else _MAP)
+
+
+def _permitted() -> Finding:
+    if not uinput.NODE.exists():
+        return Finding("uinput", "failure", f"there is no {uinput.NODE}", "modprobe uinput; a kernel that has it")
+    if not os.access(uinput.NODE, os.W_OK):
+        return Finding("uinput", "warning", f"this user may not open {uinput.NODE}",
+                       "none is needed if touchd-input.service makes the screen; else run as root")  # fmt: skip
+    return Finding("uinput", "ok", f"{uinput.NODE} may be opened")
+
+
+def _tagged(name: str) -> Finding:
+    """Check what udev has found the device to be: compositors go by it."""
+    for file in (uinput.DEVICES / name).glob("event*/dev"):
+        try:
+            said = (UDEV / f"c{file.read_text().strip()}").read_text()
+        except OSError:
+            continue
+        if "E:ID_INPUT_TOUCHSCREEN=1\n" in said or "E:ID_INPUT_KEY=1\n" in said:
+            return Finding("screen", "ok", f"{name} is there, and udev knows what it is: {file.parent.name}")
+    return Finding("screen", "failure", f"{name} is there, and udev has not tagged it: no compositor takes it",
+                   f"udevadm trigger --action=change /sys/class/input/{name}; is udev running?")  # fmt: skip

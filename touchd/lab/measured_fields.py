@@ -1,0 +1,229 @@
+"""Hold the field atlas' claims against wave fields that were measured on a real plate.
+
+The claims: a plate's wave has no spatial frequencies above its wavenumber k; the field of a bin, a product of two
+waves, none above 2 k; and `training.field.kernel` predicts the field between labelled touches better than a kernel
+that does not know k. The data are scans of a reverberant plate of aluminium and carbon fibre, 225 x 247 mm in steps of
+0.8 mm: https://github.com/BAMresearch/WavenumberAnalysis (GPL-3), of Lugovtsova et al., Damage Quantification in
+Aluminium-CFRP Composite Structures using Guided Wave Wavenumber Mapping, 2019. No finger touches that plate: the
+product of the wave and its own copy, turned and shifted, stands for a bin's field.
+
+    git clone https://github.com/BAMresearch/WavenumberAnalysis
+    python -m touchd.lab.measured_fields WavenumberAnalysis/Data --csv docs/accuracy/measured_fields.csv
+
+It needs the extras `train` and `dev` (for h5py).
+"""
+
+from __future__ import annotations
+
+import csv
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import click
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CloughTocher2DInterpolator, NearestNDInterpolator
+from scipy.linalg import eigh
+
+from touchd.errors import RecordingError
+from touchd.training.field.kernel import covariance, distances
+
+Floats = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+Covariance = Callable[[Floats], Floats]
+
+BAND_MARGIN = 1.15
+"""Power above this multiple of k counts as outside the band: `kernel.BAND_MARGIN`."""
+FREEDOM = 600.0
+"""Degrees of freedom A k^2 / pi of the part of the plate that is predicted."""
+TOUCHES_PER_FREEDOM = (0.5, 1.0, 2.0, 3.0)
+TESTED = 400
+"""Positions that are predicted."""
+RIDGES = np.geomspace(1e-5, 0.3, 14)
+LENGTHS = np.linspace(0.6, 1.8, 5)
+"""Lengths of the generic kernel that are tried, in 1/k."""
+SCALES = {"kernel": 1.0, "k_20_percent_low": 0.8, "k_25_percent_high": 1.25}
+
+
+@dataclass(frozen=True, slots=True)
+class WaveField:
+    """A wave at one frequency, scanned on a raster."""
+
+    values: Complex
+    """Shape (columns, rows)."""
+    step_mm: float
+    frequency_hz: float
+
+    @property
+    def wavenumber_per_mm(self) -> float:
+        """Where the spectrum's power per ring is largest, as a centroid over the ring, rad/mm."""
+        k, power = self.spectrum()
+        rings = np.arange(0.0, k.max(), 0.02)
+        of_ring, _ = np.histogram(k, rings, weights=power)
+        peak = rings[of_ring.argmax()] + 0.01
+        near = np.abs(k - peak) < 0.15 * peak
+        return float((k[near] * power[near]).sum() / power[near].sum())
+
+    def spectrum(self) -> tuple[Floats, Floats]:
+        """Return wavenumber (rad/mm) and power of the tapered field, both flat."""
+        tapered = self.values * np.outer(*(np.hanning(n) for n in self.values.shape))
+        power = np.square(np.abs(np.fft.fft2(tapered)))
+        k = np.hypot(*np.meshgrid(*(2 * np.pi * np.fft.fftfreq(n, self.step_mm) for n in power.shape), indexing="ij"))
+        return k.ravel(), power.ravel()
+
+    def share_above(self, wavenumber_per_mm: float) -> float:
+        """Return the share of the power above a wavenumber."""
+        k, power = self.spectrum()
+        return float(power[k > wavenumber_per_mm].sum() / power.sum())
+
+    def product(self) -> WaveField:
+        """Return the wave times its copy, turned by 180 degrees and shifted by a third of the plate."""
+        columns, rows = self.values.shape
+        turned = np.roll(self.values[::-1, ::-1], (columns // 3, rows // 3), (0, 1))
+        both = (self.values * turned)[columns // 3 :, rows // 3 :]  # what no seam of the shift crosses
+        return WaveField(both, self.step_mm, self.frequency_hz)
+
+
+def read_field(path: Path) -> WaveField:
+    """Read the wave field of one file of the repository.
+
+    Raises
+    ------
+    RecordingError
+        If the file holds no such field.
+    """
+    import h5py  # only these files are HDF5
+
+    try:
+        with h5py.File(path) as file:
+            experiment = file["experiment"]
+            spectrum = experiment["spectrum/value"][()]
+            counts = experiment["N_POINT/value"][()].ravel().astype(int)
+            step_mm = 1e3 * float(experiment["dx/value"][0, 0])
+            frequency_hz = float(experiment["frequency/value"][0, 0])
+    except (OSError, KeyError) as error:
+        raise RecordingError(f"{path}: no scanned wave field ({error}); take the files Data_*_100kHz.mat") from error
+    shifted = (spectrum["real"] + 1j * spectrum["imag"]).T
+    values = np.asarray(np.fft.ifft2(np.fft.ifftshift(shifted)))
+    return WaveField(values[: counts[0], : counts[1]], step_mm, frequency_hz)
+
+
+def random_field(like: WaveField, noise: float, rng: np.random.Generator) -> WaveField:
+    """Return ideal random waves of the same k and raster, with white noise of this share of the power."""
+    k, shape = like.wavenumber_per_mm, like.values.shape
+    x, y = (np.arange(n) * like.step_mm for n in shape)
+    angles = rng.uniform(0, 2 * np.pi, 400)
+    strengths = rng.standard_normal((2, 400)).T @ [1, 1j]
+    values = (np.exp(1j * k * np.outer(x, np.cos(angles))) * strengths) @ np.exp(1j * k * np.outer(np.sin(angles), y))
+    white = rng.standard_normal((*shape, 2)) @ [1, 1j]
+    values += white * np.sqrt(noise * np.mean(np.abs(values) ** 2) / 2)
+    return WaveField(np.asarray(values), like.step_mm, like.frequency_hz)
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """Positions of a part of the plate whose wave is known, and others where it is asked for."""
+
+    known_mm: Floats
+    known: Complex
+    asked_mm: Floats
+    truth: Complex
+
+    @classmethod
+    def draw(cls, field: WaveField, wavenumber_per_mm: float, per_freedom: float, rng: np.random.Generator) -> Sample:
+        """Draw positions of the raster from a square of `FREEDOM` degrees of freedom."""
+        points = int(np.sqrt(FREEDOM * np.pi) / wavenumber_per_mm / field.step_mm)
+        left, low = (int(rng.integers(0, max(n - points, 0) + 1)) for n in field.values.shape)
+        part = field.values[left : left + points, low : low + points]
+        count = round(per_freedom * FREEDOM)
+        chosen = rng.permutation(part.size)[: count + TESTED]
+        at_mm = np.column_stack(np.unravel_index(chosen, part.shape)).astype(float) * field.step_mm
+        values = part.ravel()[chosen]
+        return cls(at_mm[:count], values[:count], at_mm[count:], values[count:])
+
+    def error(self, predicted: Complex) -> float:
+        """Return the relative RMS error of a prediction; 1 is that of knowing nothing."""
+        return float(np.sqrt(np.mean(np.abs(predicted - self.truth) ** 2) / np.mean(np.abs(self.truth) ** 2)))
+
+    def kernel_error(self, kernel: Covariance) -> float:
+        """Return the error of kernel ridge regression, the ridge by leave-one-out errors (as `leave_one_out`)."""
+        values, vectors = eigh(kernel(distances(self.known_mm, self.known_mm).astype(np.float64)))
+        turned, best = vectors.T @ self.known, (np.inf, self.known)
+        for ridge in RIDGES:
+            shrunk = 1 / (np.maximum(values, 0.0) + ridge)
+            weights = vectors @ (shrunk * turned)
+            left_out = float(np.mean(np.abs(weights / (np.square(vectors) @ shrunk)) ** 2))
+            if left_out < best[0]:
+                best = left_out, weights
+        return self.error(kernel(distances(self.known_mm, self.asked_mm).astype(np.float64)).T @ best[1])
+
+    def wave_error(self, wavenumber_per_mm: float, waves: int) -> float:
+        """Return the error of the atlas' own kernel."""
+        return self.kernel_error(partial(covariance, wavenumber_per_mm=wavenumber_per_mm, waves=waves))
+
+    def errors(self, wavenumber_per_mm: float) -> dict[str, float]:
+        """Return the error of each method that a product of two waves is predicted by."""
+        nearest = NearestNDInterpolator(self.known_mm, self.known)(self.asked_mm)
+        cubic = CloughTocher2DInterpolator(self.known_mm, self.known)(self.asked_mm)
+        generic = (partial(_gaussian, length_mm=length / wavenumber_per_mm) for length in LENGTHS)
+        return {
+            "nearest": self.error(nearest),
+            "cubic": self.error(np.where(np.isnan(cubic), nearest, cubic)),
+            "generic": min(map(self.kernel_error, generic)),  # the best length on the test: more than it could know
+            **{name: self.wave_error(scale * wavenumber_per_mm, 2) for name, scale in SCALES.items()},
+        }
+
+
+def measure(field: WaveField, repeats: int, seed: int) -> list[dict[str, float]]:
+    """Return one row per number of touches: the mean error of each method over parts of the plate."""
+    k, product = field.wavenumber_per_mm, field.product()
+    noise = field.share_above(BAND_MARGIN * k)
+    rows = []
+    for per_freedom in TOUCHES_PER_FREEDOM:
+        draws = []
+        for turn in range(repeats):
+            rng = np.random.default_rng([seed, turn])
+            draw = partial(Sample.draw, wavenumber_per_mm=k, per_freedom=per_freedom, rng=rng)
+            found = draw(product).errors(k)
+            found["ideal_waves"] = draw(random_field(field, noise, rng).product()).wave_error(k, 2)
+            found["one_wave"] = draw(field).wave_error(k, 1)
+            draws.append(found)
+        mean = {name: float(np.mean([draw[name] for draw in draws])) for name in draws[0]}
+        rows.append({"frequency_hz": field.frequency_hz, "touches_per_freedom": per_freedom} | mean)
+    return rows
+
+
+def _gaussian(r_mm: Floats, length_mm: float) -> Floats:
+    return np.exp(-np.square(r_mm / length_mm) / 2)
+
+
+@click.command(help=(__doc__ or "").split("\n")[0])
+@click.argument("folder", type=click.Path(exists=True, file_okay=False, path_type=Path))
+@click.option("--csv", "table", type=click.Path(path_type=Path), help="Write the table of errors to this file.")
+@click.option("--repeats", default=4, show_default=True, help="Parts of the plate over which errors are averaged.")
+@click.option("--seed", default=1, show_default=True)
+def main(folder: Path, table: Path | None, repeats: int, seed: int) -> None:
+    """Print the band limit and the errors of prediction for the scans in a folder."""
+    rows = []
+    for path in sorted(folder.glob("Data_AlSide_*.mat")):
+        field = read_field(path)
+        k = field.wavenumber_per_mm
+        wave, product = field.share_above(BAND_MARGIN * k), field.product().share_above(2 * BAND_MARGIN * k)
+        print(f"{path.name}: k = {k:.3f} rad/mm; above 1.15 k {wave:.2%}; of the product above 2.3 k {product:.2%}")
+        rows += measure(field, repeats, seed)
+        for row in rows[-len(TOUCHES_PER_FREEDOM) :]:
+            print("  " + "  ".join(f"{name} {value:.3g}" for name, value in row.items()), flush=True)
+    if not rows:
+        sys.exit(f"{folder}: no file Data_AlSide_*.mat; it should be the folder Data of the repository")
+    if table:
+        with table.open("w", newline="") as file:
+            writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
+            writer.writeheader()
+            writer.writerows([{name: f"{value:.4g}" for name, value in row.items()} for row in rows])
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,128 @@
+"""The plates: each with constants, places and physics that its PLATE.toml does not tell."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from touchd.calibration.plate_file import PlateFile, check_plate_file
+from touchd.frame import Plate
+from touchd.lab.plates.other_plate import Patch, missing, other_modes
+from touchd.twin.electronics import Electronics
+from touchd.twin.instrument import Instrument
+from touchd.twin.physics.material import ElasticPlate, Material
+from touchd.twin.physics.mounting import Mounting, attach
+from touchd.twin.physics.transducer import Layout, default_layout
+
+GLASS, ACRYLIC, ALUMINIUM = (
+    Material(71.1e9, 0.226, 2490.0),
+    Material(5.75e9, 0.337, 1185.0),
+    Material(69.2e9, 0.335, 2705.0),
+)
+GAINS = (1.1, -0.8, 0.95, 0.7)
+"""Gain of each channel; the second disc is inverted."""
+
+
+class Case(NamedTuple):
+    """A plate to prove a calibration on."""
+
+    size_mm: tuple[float, float, float]
+    """Width, height and thickness, as PLATE.toml says them; the true ones are off by what a ruler is."""
+    material: str = "glass"
+    elastic: Material = GLASS
+    loss: float = 6e-3
+    mounting: Mounting = Mounting()
+    tilts: tuple[tuple[float, float], ...] = ()
+    noise_db: float = 60.0
+    flaw: str = ""
+    """What the fit's physics lack altogether: `hole`, `rib` or `corner`."""
+    edge: str = "free"
+    said: tuple[tuple[str, object], ...] = ()
+    """Keys of `[plate]` that are said wrongly."""
+    swapped: bool = False
+    """Whether two receivers' cables are swapped."""
+    poor: bool = False
+    """Whether it must not come out good."""
+
+
+G220 = (220.0, 160.0, 5.0)
+CASES = {
+    "glass-200x200x5": Case((200.0, 200.0, 5.0)),
+    "glass-220x160x5": Case(G220),
+    "glass-250x210x4": Case((250.0, 210.0, 4.0)),
+    "glass-180x180x3": Case((180.0, 180.0, 3.0)),
+    "acrylic-190x140x6": Case((190.0, 140.0, 6.0), "pmma", ACRYLIC, 0.03),
+    "aluminium-300x200x3": Case((300.0, 200.0, 3.0), "aluminium", ALUMINIUM, 3e-3),
+    "pads": Case(G220, mounting=Mounting(left="pads", right="pads", top="pads", bottom="pads"), edge="pads"),
+    "tape": Case(G220, mounting=Mounting(left="tape"), edge="tape"),
+    "pane": Case(G220, mounting=Mounting(pane=True)),
+    "tilted": Case(G220, tilts=((15.0, 1.0), (-10.0, -0.5), (20.0, 1.5), (-5.0, 0.5))),
+    "40-db": Case(G220, noise_db=40.0),
+    "hole": Case(G220, flaw="hole", poor=True),
+    "rib": Case(G220, flaw="rib", poor=True),
+    "corner": Case(G220, flaw="corner", poor=True),
+    "clamped": Case(G220, mounting=Mounting(left="clamped"), poor=True),
+    "said-4-mm": Case(G220, said=(("thickness_mm", 4.0),), poor=True),
+    "said-aluminium": Case(G220, said=(("material", "aluminium"),), poor=True),
+    "swapped": Case(G220, swapped=True, poor=True),
+}
+
+
+class Made(NamedTuple):
+    """A case made: the true instrument, what PLATE.toml says, and the electronics."""
+
+    instrument: Instrument
+    said: PlateFile
+    electronics: Electronics
+
+
+def make(name: str, seed: int = 0) -> Made:
+    """Return a case; `seed` draws how the ruler errs."""
+    case = CASES[name]
+    rng = np.random.default_rng([seed, list(CASES).index(name)])
+    width, height, thickness = case.size_mm
+    # The plate itself keeps its constants for all seeds, so that its modes are computed once.
+    plate = ElasticPlate(
+        width_mm=width + 0.13, height_mm=height - 0.11, thickness_mm=thickness * 0.996,
+        material=case.material, elastic=case.elastic,
+    )  # fmt: skip
+    layout = default_layout(Plate(width_mm=width, height_mm=height))
+    modes = other_modes(plate, layout, [*_beads(layout), *_flaws(case, plate)])
+    attachments = case.mounting.on(plate)
+    if attachments:
+        modes = attach(modes, plate, attachments, case.loss, 75e3)
+    instrument = Instrument(plate, layout=layout, loss=case.loss, tilts=case.tilts, modes=modes)
+    wide = plate.width_mm + 0.15 * rng.standard_normal(), plate.height_mm + 0.15 * rng.standard_normal()
+    thick = plate.thickness_mm + 0.015 * rng.standard_normal()
+    places = layout.centres_mm + 0.5 * rng.standard_normal((5, 2))
+    places[1:] = places[[2, 1, 3, 4]] if case.swapped else places[1:]
+    said = {
+        "width_mm": round(wide[0], 1), "height_mm": round(wide[1], 1), "thickness_mm": round(thick, 2),
+        "material": case.material, "edge": case.edge,
+    }  # fmt: skip
+    content = {
+        "plate": said | dict(case.said),
+        "discs": {
+            "diameter_mm": layout.diameter_mm, "emitter_mm": places[0].round(1).tolist(),
+            "receivers_mm": places[1:].round(1).tolist(),
+        },
+    }  # fmt: skip
+    return Made(instrument, check_plate_file(content), Electronics(noise_db=case.noise_db, gains=GAINS))
+
+
+def _beads(layout: Layout) -> list[Patch]:
+    """Return a bead of solder and glue, 0.05 g, where each disc's cable leaves: physics that no fit has."""
+    return [Patch(float(x) + 5.0, float(y) + 1.0, 1.5, 1.5, mass_kg_m2=7.0) for x, y in layout.centres_mm]
+
+
+def _flaws(case: Case, plate: Plate) -> list[Patch]:
+    if case.flaw == "hole":
+        return [missing(plate, 0.9, x_mm=120.0, y_mm=70.0, half_x_mm=8.0, half_y_mm=8.0)]
+    if case.flaw == "corner":
+        return [missing(plate, 0.9, x_mm=15.0, y_mm=15.0, half_x_mm=15.0, half_y_mm=15.0, round=False, corner=True)]
+    if case.flaw == "rib":
+        # 10 x 5 mm of the same glass, bonded across the plate.
+        return [Patch(140.0, plate.height_mm / 2, 5.0, plate.height_mm / 2, 12.5, 12.5 * 25e-6, 9000.0, 1.5e8,
+                      round=False)]  # fmt: skip
+    return []

@@ -1,0 +1,103 @@
+"""The field of a contact with a size and a shape, between the atlas' nodes.
+
+About its middle the field of such a contact is z u + s b u + a u_xx + b u_yy + c u_xy, with b from -1 to 1 along the
+band. Of a contact whose shape (s, a, b, c over z) is known this is one field, which is looked up as quickly as u: the
+shape mixes the splines' weights, not the rows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from touchd.localization.atlas import Array, Atlas
+from touchd.localization.spline import CONTACT_PER_CELL, Position, Raster, spline_weights
+
+Shape = Sequence[complex]
+"""Slope along the band, and the second-order amplitudes (mm^2) along xx, yy and xy, all over the amplitude."""
+
+ORDERS = ((0, 0), (2, 0), (0, 2), (1, 1), (1, 0), (0, 1), (3, 0), (0, 3), (2, 1), (1, 2))
+"""Derivatives along x and y, in the order of `derivatives`: what a contact's field holds, then what its slopes hold."""
+U, XX, YY, XY, X, Y, XXX, YYY, XXY, XYY = range(10)
+TERMS = ((U, XX, YY, XY), (X, XXX, XYY, XXY), (Y, XXY, YYY, XYY))
+"""What the field, its slope by x and its slope by y hold: first of u, then of its second derivatives."""
+
+
+class ContactField(Raster):
+    """Evaluates the field of contacts.
+
+    Parameters
+    ----------
+    atlas : Atlas
+    into : array of shape (3, size)
+        Receives the field and its derivatives, as in `Spline`.
+    """
+
+    def __init__(self, atlas: Atlas, into: Array) -> None:
+        d, dtype, half = atlas.description, into.dtype, atlas.size // 2
+        channels, bins = d.acquisition.channels, np.array(d.bins, float)
+        middle, reach = (bins[0] + bins[-1]) / 2, max((bins[-1] - bins[0]) / 2, 1.0)
+        self.band: Array = np.tile((bins - middle) / reach, channels).astype(dtype)
+        """Place of each channel's bins in the band, -1 to 1, shape (size / 2,)."""
+        super().__init__(atlas, CONTACT_PER_CELL, (4, 16, half))
+        self._of_rows, self._of_columns = spline_weights(d.step_mm, into.dtype, ORDERS, CONTACT_PER_CELL)
+        self._weights = np.zeros(160, dtype)
+        self._by_order = self._weights.reshape(10, 16)
+        self._parts = np.zeros(9, dtype)
+        self._parts[0] = 1
+        self._terms = _terms(dtype)
+        self._mix = np.zeros(240, dtype)
+        self._mixture = self._mix.reshape(24, 10)
+        self._mixed = np.zeros((24, 16), dtype)
+        self._shares, self._halves = self._mixed.reshape(6, 64), into.reshape(6, half)
+
+    def derivatives(self, x_mm: float, y_mm: float, into: Array) -> Position:
+        """Evaluate u and its derivatives at the raster point nearest to a position inside, and return that point.
+
+        `into`, shape (2, 10, size / 2), receives real and imaginary parts of `ORDERS`, per mm.
+        """
+        position, around = self._weigh(x_mm, y_mm)
+        np.matmul(self._by_order, around[:2], into)
+        return position
+
+    def of_shape(self, x_mm: float, y_mm: float, shape: Shape) -> Position:
+        """Evaluate the field of a contact of amplitude 1, as `Spline.at` does that of a point."""
+        parts = self._parts
+        slope, xx, yy, xy = shape
+        parts[1], parts[2], parts[3], parts[4] = slope.real, slope.imag, xx.real, xx.imag
+        parts[5], parts[6], parts[7], parts[8] = yy.real, yy.imag, xy.real, xy.imag
+        parts.dot(self._terms, self._mix)
+        position, around = self._weigh(x_mm, y_mm)
+        self._mixture.dot(self._by_order, self._mixed)
+        self._shares.dot(around.reshape(64, -1), self._halves)
+        return position
+
+    def _weigh(self, x_mm: float, y_mm: float) -> tuple[Position, Array]:
+        """Set the weights of each derivative; return the raster point and the nodes around it."""
+        position, row, column, around = self._find(x_mm, y_mm)
+        np.multiply(self._of_rows[row], self._of_columns[column], self._weights)
+        return position, around
+
+    def _copy(self, nodes: Array, around: Array) -> None:
+        """Copy the nodes around a cell, shape (4, 4, 2, channels, bins): both parts, then both along the band."""
+        np.copyto(around[:2].reshape(2, *nodes.shape[:2], *nodes.shape[3:]), nodes.transpose(2, 0, 1, 3, 4))
+        np.multiply(around[:2], self.band, around[2:])
+
+
+def _terms(dtype: np.dtype[np.floating]) -> Array:
+    """Return how a shape's real and imaginary parts mix derivatives to fields, shape (9, 240).
+
+    Columns: field and slopes (3), their parts (2), the nodes' parts alone and along the band (4), derivative (10).
+    """
+    terms = np.zeros((9, 3, 2, 4, 10), dtype)
+    for field, (own, *second) in enumerate(TERMS):
+        # 1, the slope along the band, and the second derivatives.
+        for real, imaginary, nodes, order in (
+            (0, None, 0, own), (1, 2, 2, own), *((3 + 2 * k, 4 + 2 * k, 0, order) for k, order in enumerate(second))
+        ):  # fmt: skip
+            terms[real, field, (0, 1), (nodes, nodes + 1), order] = 1
+            if imaginary is not None:
+                terms[imaginary, field, 0, nodes + 1, order] = -1
+                terms[imaginary, field, 1, nodes, order] = 1
+    return terms.reshape(9, -1)

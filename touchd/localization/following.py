@@ -1,0 +1,137 @@
+"""Follow fingers from frame to frame: where they were going, with the shapes that they had."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from msgspec.structs import replace
+
+from touchd.localization.contact_field import Shape
+from touchd.localization.fit import Bins, Fit, Matrix, no_fit, sigmas_mm
+from touchd.localization.fit_criteria import CRITERIA
+from touchd.localization.gauss_newton import STILL_MM, GaussNewton, shapes_of
+from touchd.localization.landing import FIRST_STEPS
+from touchd.localization.multitouch import MultitouchSearch
+from touchd.localization.noise import NoiseModel
+from touchd.localization.prediction import Prediction
+from touchd.localization.spline import Position
+
+FOLLOW_STEPS, _SHAPE_STEPS = 3, 2
+
+
+_DOUBT_NS = 50_000_000
+"""Energy that other shapes explain in part belongs to another finger, unless a search has found none for this long."""
+
+
+class _Shapes(NamedTuple):
+    """Shapes of the fingers followed, as one frame had them."""
+
+    shapes: list[Shape]
+    shares: list[float]
+    """Of the information on each finger's position, what is left when its shape must be found too."""
+    excess: float
+    """More unexplained energy than this, as a share of the signal's, and the shapes are fitted again."""
+
+
+class Follower:
+    """Fits the fingers of the last frame in the next one.
+
+    Parameters
+    ----------
+    solver : GaussNewton
+    search : MultitouchSearch
+        Drops fingers that have lifted.
+    noise : NoiseModel
+    prediction : Prediction
+        Says where the fingers were going.
+    """
+
+    def __init__(
+        self, solver: GaussNewton, search: MultitouchSearch, noise: NoiseModel, prediction: Prediction
+    ) -> None:
+        self._solver, self._search, self._noise, self._prediction = solver, search, noise, prediction
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the fingers' shapes."""
+        self._known: _Shapes | None = None
+        self._last: Fit | None = None
+        self._doubted_ns: int | None = None
+
+    def update(self, bins: Bins, fit: Fit, excess: float) -> None:
+        """Take the fit of a frame, which leaves the share `excess`: its shapes are those of the frames to come."""
+        if fit is self._last:
+            return  # with the shapes that are known
+        self._last = fit
+        if not fit.shapes:
+            self._known = None
+            return
+        shapes = shapes_of(fit)
+        alone = self._solver.fit_known(bins, fit.positions_mm, 1, shapes)
+        shares = [
+            min((own / full) ** 2, 1.0)
+            for own, full in zip(
+                sigmas_mm(alone.fisher_information, 1.0), sigmas_mm(fit.fisher_information, 1.0), strict=True
+            )
+        ]
+        self._doubted_ns = None
+        self._known = _Shapes(shapes, shares, max(excess, 0.0) * CRITERIA.shape_older + CRITERIA.shape_worn)
+
+    def follow(self, bins: Bins, t_ns: int, signal: float) -> Fit:
+        """Fit the fingers of the last frame from where they were going, less those that have lifted."""
+        positions = self._prediction.ahead(t_ns)
+        fit = self._follow_shapes(bins, t_ns, positions, signal)
+        if len(positions) == 1:
+            return fit if fit.positions_mm else self._follow_point(bins, positions[0], signal)
+        if not fit.positions_mm:
+            fit = self._solver.fit_several(bins, positions, FOLLOW_STEPS - 1, STILL_MM / 4)
+        fit, dropped = self._search.prune(bins, fit, signal)
+        for count, k in enumerate(dropped):
+            self._prediction.remove(k, len(positions) - count)
+        return fit
+
+    def _follow_shapes(self, bins: Bins, t_ns: int, positions_mm: list[Position], signal: float) -> Fit:
+        """Fit fingers with the shapes they had, or fit those again; no fit unless their shapes explain the frame."""
+        known = self._known
+        if known is None or len(known.shapes) != len(positions_mm):
+            return no_fit(bins.energy)
+        fit = self._solver.fit_known(bins, positions_mm, FOLLOW_STEPS, known.shapes)
+        excess = self._noise.excess(fit.residual_energy, signal)
+        if excess > known.excess:
+            again = self._solver.fit_shapes(bins, fit, self._noise.noise_energy, _SHAPE_STEPS)
+            left = self._noise.excess(again.residual_energy, signal)
+            if left < max(known.excess, CRITERIA.shape_grown * excess) or (left < CRITERIA.good and self._waited(t_ns)):
+                return again
+            if excess > CRITERIA.fair:
+                return no_fit(bins.energy)
+        else:
+            self._doubted_ns = None
+        self._last = fit = replace(fit, fisher_information=_scaled(fit.fisher_information, known.shares))
+        return fit
+
+    def _waited(self, t_ns: int) -> bool:
+        """Return whether shapes have been in doubt for long enough for a search to find what else has come."""
+        if self._doubted_ns is None:
+            self._doubted_ns = t_ns
+        return not 0 <= t_ns - self._doubted_ns < _DOUBT_NS
+
+    def _follow_point(self, bins: Bins, position_mm: Position, signal: float) -> Fit:
+        """Fit one point from where it was going, or from where it was."""
+        fit = self._solver.fit_one(bins, *position_mm, FOLLOW_STEPS)
+        if self._noise.excess(fit.residual_energy, signal) < CRITERIA.fair:
+            return fit
+        # It may have turned sharply, or stopped: then it is nearer to where it was.
+        other = self._solver.fit_one(bins, *self._prediction.positions_mm[0], FIRST_STEPS)
+        return min(fit, other, key=lambda one: one.residual_energy)
+
+
+def _scaled(information: Matrix, shares: list[float]) -> Matrix:
+    """Return what is left of the information on positions, of each finger its share."""
+    if len(shares) == 1:
+        (share,), ((a, b), (_, c)) = shares, information
+        return (a * share, b * share), (b * share, c * share)
+    scales = [share**0.5 for share in shares for _ in "xy"]
+    return [
+        [one * value * other for value, other in zip(row, scales, strict=True)]
+        for row, one in zip(information, scales, strict=True)
+    ]

@@ -1,0 +1,90 @@
+"""Model files on disk: a model with what lies beside it, replaced as one, and the one before it."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from pathlib import Path
+
+from touchd.errors import ModelMissing
+from touchd.files import replacing, writing
+from touchd.localization.model import Model
+
+BESIDE = (".untouched.npz", ".atlas.npz", ".onnx")
+"""Suffixes of a model's files: reference of the untouched plate, field atlas, and the model, which is replaced last."""
+
+
+def previous_path(model: Path) -> Path:
+    """Return where the model that was replaced last is kept: `plate.previous.onnx` for `plate.onnx`."""
+    return model.with_suffix(".previous.onnx")
+
+
+def put_model(content: bytes, path: Path) -> Model:
+    """Write an ONNX file's bytes to `path` atomically, and load it.
+
+    Raises
+    ------
+    OutputError
+        The file cannot be written.
+    """
+    with replacing(path) as file:
+        file.write(content)
+    return Model(path)
+
+
+def install(source: Path, target: Path) -> Model:
+    """Put a model with what lies beside it in the place of another, which is kept as the previous one.
+
+    A source that is no usable model changes nothing.
+
+    Raises
+    ------
+    ModelError
+        The source is no usable model.
+    OutputError
+        The files cannot be written.
+    """
+    Model(source)
+    with writing(target):
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=target.parent, prefix=f".{target.name}.") as scratch:
+            fresh = Path(scratch) / target.name
+            _copy(source, fresh)
+            if target.exists():
+                _copy(target, kept := Path(scratch) / previous_path(target).name)
+                _move(kept, previous_path(target))
+            _move(fresh, target)
+    return Model(target)
+
+
+def rollback(target: Path) -> Model:
+    """Exchange a model with the previous one: a second rollback undoes the first.
+
+    Raises
+    ------
+    ModelError
+        There is no previous model, or it is unusable.
+    OutputError
+        The files cannot be written.
+    """
+    previous = previous_path(target)
+    if not previous.exists():
+        raise ModelMissing("there is no previous model", str(previous), "install a model first: touchd model install")
+    return install(previous, target)
+
+
+def _copy(model: Path, to: Path) -> None:
+    for suffix in BESIDE:
+        if model.with_suffix(suffix).exists():
+            shutil.copyfile(model.with_suffix(suffix), to.with_suffix(suffix))
+            to.with_suffix(suffix).chmod(0o644)
+
+
+def _move(model: Path, to: Path) -> None:
+    """Move a model's files onto another's; what the new one lacks is removed."""
+    for suffix in BESIDE:
+        if model.with_suffix(suffix).exists():
+            os.replace(model.with_suffix(suffix), to.with_suffix(suffix))
+        else:
+            to.with_suffix(suffix).unlink(missing_ok=True)

@@ -1,0 +1,177 @@
+"""Hands the daemon's frames to another program of the same user, such as `record`: one process owns the device.
+
+The program sends the command `frames` to the control socket, with one end of a pair of sockets. The daemon answers
+there with a description, then with each frame, one message each. It never waits: a program that is too slow loses
+frames, as their numbers tell.
+"""
+
+from __future__ import annotations
+
+import socket
+import struct
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import structlog
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from touchd.config.schema import Settings
+from touchd.errors import BusError
+from touchd.frame import Acquisition, Frame, Plate
+from touchd.recording.data import Device
+from touchd.service.control import SERVICE_PATH, path_of
+from touchd.sources.open import SourceChoice
+from touchd.sources.source import EndOfStream
+
+COMMAND = b"frames"
+MOST_LISTENERS = 4
+_BUFFER_BYTES = 4_000_000
+_ANSWER_S = 3.0
+_HEAD = struct.Struct("<qqq")
+"""Of a message: sequence, t_ns and received_ns; the counts follow, int16."""
+
+log = structlog.get_logger()
+
+
+class FeedDescription(BaseModel):
+    """What frames a daemon hands out."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
+
+    acquisition: Acquisition
+    rate_hz: float
+    source: str
+    plate: Plate | None = None
+    """None while the daemon is uncalibrated."""
+    device: Device = Device()
+
+
+class FrameFeed:
+    """The daemon's end.
+
+    Parameters
+    ----------
+    describe : callable
+        Returns the description of the frames as they are now.
+    """
+
+    def __init__(self, describe: Callable[[], FeedDescription]) -> None:
+        self._describe = describe
+        self.listeners: list[socket.socket] = []
+        """Programs that get each frame."""
+
+    def add(self, listener: socket.socket) -> None:
+        """Hand all further frames to a program."""
+        try:
+            if len(self.listeners) >= MOST_LISTENERS:
+                raise OSError(f"{MOST_LISTENERS} programs read already")
+            listener.setblocking(False)
+            listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER_BYTES)
+            listener.send(self._describe().model_dump_json().encode())
+        except OSError as error:
+            log.warning("no frames handed out", why=str(error))
+            listener.close()
+            return
+        self.listeners.append(listener)
+        log.info("frames are handed out: they can reveal a PIN", readers=len(self.listeners))
+
+    def send(self, frame: Frame) -> None:
+        """Send a frame to each program that can take it now."""
+        head = _HEAD.pack(frame.sequence, frame.t_ns, frame.received_ns)
+        counts = np.ascontiguousarray(frame.counts).data.cast("B")
+        for listener in self.listeners[:]:
+            try:
+                listener.sendmsg([head, counts])
+            except BlockingIOError:
+                continue  # too slow: it misses this frame
+            except OSError:
+                listener.close()
+                self.listeners.remove(listener)
+                log.info("frames are no longer handed out", readers=len(self.listeners))
+
+    def close(self) -> None:
+        """End all programs' streams."""
+        for listener in self.listeners:
+            listener.close()
+        self.listeners = []
+
+
+class DaemonSource:
+    """Frames of a running daemon, as a source.
+
+    Parameters
+    ----------
+    feed : socket
+        The program's end of the pair.
+
+    Raises
+    ------
+    BusError
+        The daemon does not answer: this user may not read its frames, or it is older than this program.
+    """
+
+    def __init__(self, feed: socket.socket) -> None:
+        self._feed = feed
+        feed.settimeout(_ANSWER_S)
+        try:
+            self.description = FeedDescription.model_validate_json(feed.recv(1 << 16))
+        except (OSError, ValidationError) as error:
+            feed.close()
+            raise BusError(
+                "the running daemon hands out no frames", "control.socket",
+                "run this as the daemon's own user or as root, or stop the daemon",
+            ) from error  # fmt: skip
+        self.acquisition = self.description.acquisition
+        self.device = self.description.device
+        self._bytes = _HEAD.size + 2 * self.acquisition.channels * self.acquisition.samples
+
+    def read(self, timeout_s: float) -> Frame | None:
+        """Return the next frame; None if none comes in time; EndOfStream once the daemon has ended."""
+        self._feed.settimeout(timeout_s)
+        try:
+            message = self._feed.recv(self._bytes)
+        except TimeoutError:
+            return None
+        except OSError as error:
+            raise EndOfStream from error
+        if len(message) != self._bytes:
+            raise EndOfStream
+        counts = np.frombuffer(message, np.int16, offset=_HEAD.size).reshape(self.acquisition.shape)
+        return Frame(counts, *_HEAD.unpack_from(message))
+
+    def close(self) -> None:
+        """Leave the daemon."""
+        self._feed.close()
+
+
+def open_running(choice: SourceChoice, settings: Settings) -> DaemonSource | None:
+    """Return the frames of the running daemon, unless another source than the DAQ was chosen; None without a daemon."""
+    return open_daemon(path_of(settings.control) or SERVICE_PATH) if choice == SourceChoice() else None
+
+
+def open_daemon(control: Path) -> DaemonSource | None:
+    """Ask the daemon that listens at a control socket for its frames; None if there is none.
+
+    Raises
+    ------
+    BusError
+        A daemon is there, but hands out no frames.
+    """
+    mine, its = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    mine.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER_BYTES)
+    try:
+        with its, socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as sender:
+            sender.settimeout(_ANSWER_S)
+            sender.connect(str(control))
+            socket.send_fds(sender, [COMMAND], [its.fileno()])
+    except (FileNotFoundError, ConnectionRefusedError):
+        mine.close()
+        return None
+    except OSError as error:
+        mine.close()
+        raise BusError(
+            f"the running daemon cannot be asked for frames ({error.strerror or error})", str(control),
+            "run this as the daemon's own user or as root",
+        ) from error  # fmt: skip
+    return DaemonSource(mine)

@@ -1,0 +1,90 @@
+"""Which model the daemon uses, and whether its files have changed since."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+
+from touchd.config.schema import Settings
+from touchd.errors import ModelMismatch
+from touchd.localization.atlas import atlas_path
+from touchd.localization.model import Model, default_model_path
+
+_SERVICE_STATE = Path("/var/lib/touchd")
+Signature = tuple[object, ...]
+
+
+def installed_path() -> Path:
+    """Return where `touchd model install` puts a model: the service's state directory, or else the user's.
+
+    Root, who manages the service, has the service's.
+    """
+    if managed := os.environ.get("STATE_DIRECTORY"):
+        return Path(managed.partition(":")[0]) / "model.onnx"
+    if os.geteuid() == 0 and _SERVICE_STATE.is_dir():
+        return _SERVICE_STATE / "model.onnx"
+    home = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
+    return Path(home) / "touchd" / "model.onnx"
+
+
+def model_path(settings: Settings) -> Path:
+    """Return the path of the model in use: the one that the settings name, else the installed or the shipped one."""
+    if settings.model.path is not None:
+        return settings.model.path
+    installed = installed_path()
+    return installed if os.path.isfile(installed) else default_model_path()  # unlike Path.is_file it never raises
+
+
+def load_model(settings: Settings) -> Model:
+    """Load the model in use; ModelMissing if there is none."""
+    return Model(model_path(settings), atlas=settings.model.atlas)
+
+
+class ModelInUse:
+    """The model of a daemon, loaded again once its files have changed.
+
+    Parameters
+    ----------
+    settings : Settings
+    model : Model, optional
+        The one in use; None while the daemon is uncalibrated.
+    """
+
+    def __init__(self, settings: Settings, model: Model | None) -> None:
+        self.model = model
+        self._signature = self._fresh = _signature(settings)
+
+    def load(self, settings: Settings) -> Model | None:
+        """Return the model for these settings: the one in use unless its path or its files have changed.
+
+        Raises
+        ------
+        ModelError
+            The files are unusable, compute with other numbers, or those of a model in use have vanished.
+        """
+        self._fresh = _signature(settings)
+        if self._fresh == self._signature or (self.model is None and not os.path.isfile(model_path(settings))):
+            return self.model
+        model = load_model(settings)
+        if model.dtype != (self.model.dtype if self.model else np.float32):
+            raise ModelMismatch("it computes with other numbers", str(model.path), "restart the daemon")
+        return model
+
+    def take(self, model: Model | None) -> None:
+        """Note that a model that `load` returned is in use."""
+        self.model, self._signature = model, self._fresh
+
+
+def _signature(settings: Settings) -> Signature:
+    """Return what tells the files of a model from others at the same path."""
+    path = model_path(settings)
+    found: list[object] = [path, settings.model.atlas]
+    for file in (path, atlas_path(path)):
+        try:
+            stat = file.stat()
+            found.append((stat.st_ino, stat.st_mtime_ns, stat.st_size))
+        except OSError:
+            found.append(None)
+    return tuple(found)
