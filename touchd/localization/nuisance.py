@@ -168,7 +168,7 @@ def _refit(bins: Bins, fit: Fit, solver: GaussNewton, noise_energy: float) -> Fi
     """Fit the fingers of a fit to other bins of the same frame."""
     positions = fit.positions_mm
     if fit.shapes:
-        shaped = solver.fit_shapes(bins, positions, noise_energy, STEPS)
+        shaped = solver.fit_shapes(bins, fit, noise_energy, STEPS)
         if shaped.positions_mm:
             return replace(shaped, points_energy=fit.points_energy)
     return (

@@ -44,7 +44,7 @@ def blank(residual: np.ndarray, impulses: Impulses = KNOWING) -> tuple[int, ...]
 def hit(residual: np.ndarray, start: int, values: list[float], seed: int) -> np.ndarray:
     """Add an impulse of these values, with another gain in each channel."""
     gain = np.random.default_rng(seed).uniform(0.5, 1.5, (RIG.channels, 1)).astype(np.float32)
-    residual[:, start : start + len(values)] += gain * np.float32(values)
+    residual[:, start : start + len(values)] += gain * np.array(values, np.float32)
     return residual
 
 
