@@ -100,6 +100,9 @@ def daemon_help() -> str:
 def synopsis(command: click.Command, above: click.Context) -> str:
     """Return how a verb is written, with all its options: those in brackets may be left out."""
     context = click.Context(command, parent=above, info_name=command.name)
+    if isinstance(command, click.Group):
+        found = (command.get_command(context, name) for name in command.list_commands(context))
+        return "\n".join(synopsis(each, context) for each in found if each is not None)
     words = [context.command_path]
     for parameter in command.params:
         if isinstance(parameter, click.Option):
@@ -127,10 +130,9 @@ def vectors() -> str:
 
 
 def exit_codes() -> str:
-    """Return the table of exit statuses, from the tree at the top of `touchd.errors`; each message names its remedy."""
+    """Return the list of exit statuses, from the tree at the top of `touchd.errors`; each message names its remedy."""
     tree = re.findall(r"─ (\w+) +(\d+) +([^:\n]+)", errors.__doc__ or "")
-    lines = ["| status | class | when |", "|---|---|---|"]
-    return "\n".join([*lines, *(f"| {status} | `{name}` | {text} |" for name, status, text in tree)])
+    return "\n".join(f"- {status}, `{name}`: {text}" for name, status, text in tree)
 
 
 def results() -> str:

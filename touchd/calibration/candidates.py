@@ -30,6 +30,8 @@ FIRST_SHARE, HIGHEST = 0.3, 0.4
 SPEEDS = np.linspace(-0.03, 0.03, 7)
 MOST_PERMUTED = 5
 """Discs up to which any order is tried; of more, any two may be swapped."""
+ALIKE_SPEED, ALIKE_POISSON = 0.02, 0.06
+"""Relative difference of wave speed, and difference of Poisson's ratio, within which a fit is a material's."""
 BETTER = 0.7
 """A candidate leaves less than this share of what was said leaves."""
 
@@ -54,10 +56,12 @@ def candidates(said: PlateFile, untouched: Untouched, most: int = 2) -> list[Can
 
 def material_like(speed_m_s: float, poisson: float) -> str | None:
     """Return the material with about this wave speed (root of Young's modulus over density) and Poisson's ratio."""
-    for name, m in MATERIALS.items():
-        if abs(np.sqrt(m.E_pa / m.rho_kg_m3) / speed_m_s - 1) < 0.02 and abs(m.nu - poisson) < 0.03:
-            return name
-    return None
+    apart = {
+        name: np.hypot((np.sqrt(m.E_pa / m.rho_kg_m3) / speed_m_s - 1) / ALIKE_SPEED, (m.nu - poisson) / ALIKE_POISSON)
+        for name, m in MATERIALS.items()
+    }
+    nearest = min(apart, key=apart.__getitem__)
+    return nearest if apart[nearest] < 1 else None
 
 
 def _other_plates(said: PlateFile) -> list[tuple[PlateFile, str]]:

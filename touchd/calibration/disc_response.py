@@ -1,9 +1,10 @@
 """Response between the discs of a plate, and its derivatives by everything that a fit may change.
 
-A disc is its mean deflection, which carries its mass, and the mean outward rotation around its rim, by which it drives
-and senses and which its bending stiffness resists. With the receptances G between these vectors on the free plate, the
-loaded plate follows from Woodbury's identity with a matrix of twice the number of discs at each frequency, so that no
-disc needs an eigenproblem of its own.
+A disc is six means over it: the outward rotation around its rim, by which it drives and senses, and the two other
+rotations around it, which its bending stiffness resists; the deflection, which carries its mass, and the plate's two
+rotations, which move it in the plane, as it lies below the plate's middle. With the receptances G between these vectors
+on the free plate, the loaded plate follows from Woodbury's identity with a matrix of six times the number of discs at
+each frequency, so that no disc needs an eigenproblem of its own.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 
 from touchd.calibration.reduced_plate import SHAPE_NAMES, ReducedPlate, Shape
 from touchd.twin.physics import legendre
+from touchd.twin.physics.transducer import OTHER_BENDING
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -34,6 +36,8 @@ class Discs(NamedTuple):
     """Mass of each over the plate's density, m^3."""
     stiffness_m3: float
     """Resistance of each to the rotation around its rim, over the plate's Young's modulus, m^3."""
+    lever2_m2: float
+    """Square of its height below the plate's middle, m^2."""
 
 
 class Loss(NamedTuple):
@@ -49,14 +53,16 @@ class Loss(NamedTuple):
 
 
 def disc_vectors(plate: ReducedPlate, size: tuple[float, float], discs: Discs) -> Floats:
-    """Return the discs' values in the reference's modes, shape (n, 2 D): rotations around rims, then deflections."""
+    """Return the discs in the reference's modes, shape (n, 6 D): three rotations around each rim, then three means."""
     w, psi_x, psi_y = plate.fields
     unit = np.sqrt(size[0] * size[1])
     rims = [legendre.rim_average(centre, discs.radius_m, size, plate.counts) for centre in discs.centres_m]
-    flat_x, flat_y = (np.stack([rim[i].ravel() for rim in rims], axis=1) for i in (0, 1))
+    normal_x, normal_y = (np.stack([rim[i].ravel() for rim in rims], axis=1) for i in (0, 1))
+    xx, xy, yx, yy = psi_x @ normal_x, psi_x @ normal_y, psi_y @ normal_x, psi_y @ normal_y
     radii = np.full(len(discs.centres_m), discs.radius_m)
-    under = legendre.disc_average(discs.centres_m, radii, size, plate.counts).reshape(len(radii), -1)
-    return np.asarray(unit * np.concatenate([psi_x @ flat_x + psi_y @ flat_y, w @ under.T], axis=1))
+    under = legendre.disc_average(discs.centres_m, radii, size, plate.counts).reshape(len(radii), -1).T
+    means = (w @ under, psi_x @ under, psi_y @ under)
+    return np.asarray(unit * np.concatenate([xx + yy, xx - yy, xy + yx, *means], axis=1))
 
 
 class DiscResponse:
@@ -79,13 +85,19 @@ class DiscResponse:
         self._H = 1 / (self._bare.omega2[:, None] * stiff - nu_rad_s**2)  # (n, F)
         D = len(discs.centres_m)
         volume = shape.h * shape.width * shape.height
-        self._load = np.empty((len(nu_rad_s), 2 * D), dtype=complex)  # of each vector, per mass of the plate
-        self._load[:, :D] = discs.stiffness_m3 * shape.speed2 / volume * stiff[:, None]
-        self._load[:, D:] = -(nu_rad_s[:, None] ** 2) * discs.mass_kg_m3 / volume
+        # Loads of the vectors per mass of the plate, by what they are proportional to, shape (F, 6 D).
+        zero, one = np.zeros((len(nu_rad_s), D)), np.ones((len(nu_rad_s), D))
+        spring = shape.speed2 / volume * stiff[:, None] * one
+        inert = -(nu_rad_s[:, None] ** 2) / volume * one
+        self._per_stiffness = np.concatenate([spring, *[OTHER_BENDING * spring] * 2, *[zero] * 3], axis=1)
+        self._per_mass = np.concatenate([*[zero] * 3, inert, *[discs.lever2_m2 * inert] * 2], axis=1)
+        self._per_lever2 = discs.mass_kg_m3 * np.concatenate([*[zero] * 4, inert, inert], axis=1)
+        self._stiff_load = discs.stiffness_m3 * self._per_stiffness
+        self._load = self._stiff_load + discs.mass_kg_m3 * self._per_mass
         free = self._receptance(self._phi, self._phi)
-        turn = np.linalg.solve(np.eye(2 * D) + self._load[:, :, None] * free, np.eye(2 * D)[None])
+        turn = np.linalg.solve(np.eye(6 * D) + self._load[:, :, None] * free, np.eye(6 * D)[None])
         self._turn = turn
-        """What of each force remains, shape (F, 2 D, 2 D): the loaded plate's G is G times this."""
+        """What of each force remains, shape (F, 6 D, 6 D): the loaded plate's G is G times this."""
         self._G = free @ turn
 
     def untouched(self) -> Complex:
@@ -102,7 +114,7 @@ class DiscResponse:
         """Return the derivatives (R, F) by the named parameters.
 
         Names are those of `Shape`, `loss`, `slope` (both by the logarithm, or the exponent), `mass`, `stiffness`,
-        `radius`, and `x0`, `y0`, `x1` .. of the discs' centres, in SI units.
+        `lever2`, `radius`, and `x0`, `y0`, `x1` .. of the discs' centres, in SI units.
         """
         found: dict[str, Complex] = {}
         D = len(self._discs.centres_m)
@@ -115,16 +127,16 @@ class DiscResponse:
             found["radius"] = self._by_vectors(
                 self._difference(d._replace(radius_m=d.radius_m + step), d._replace(radius_m=d.radius_m - step), step)
             )
-        volume = self._shape.h * self._shape.width * self._shape.height
-        if "mass" in names:
-            rate = -(self._nu**2) / volume
-            found["mass"] = -rate * np.einsum("fd,frd->rf", self._G[:, 0, D:], self._G[:, 1:D, D:])
-        if "stiffness" in names:
-            rate = self._shape.speed2 / volume * (1 + 1j * self._loss.at(self._nu))
-            found["stiffness"] = -rate * np.einsum("fd,frd->rf", self._G[:, 0, :D], self._G[:, 1:D, :D])
+        loads = {"mass": self._per_mass, "stiffness": self._per_stiffness, "lever2": self._per_lever2}
+        found |= {name: -self._weighed(loads[name]) for name in loads if name in names}
         if names & {"loss", "slope", *SHAPE_NAMES}:
             found.update(self._by_plate(names))
         return found
+
+    def _weighed(self, load: Floats | Complex) -> Complex:
+        """Return the emitter's and each receiver's answer times loads (F, 6 D), summed over the vectors, (R, F)."""
+        D = len(self._discs.centres_m)
+        return np.asarray(np.einsum("fk,fk,frk->rf", load, self._G[:, 0], self._G[:, 1:D]))
 
     def _turned(self, values: Floats) -> Floats:
         """Turn values in the reference's modes (n, k) into the plate's, class by class."""
@@ -143,19 +155,19 @@ class DiscResponse:
         return self._turned(change / (2 * step))
 
     def _by_vectors(self, change: Floats) -> Complex:
-        """Return the derivative (R, F) by a change of all discs' vectors, shape (n, 2 D)."""
+        """Return the derivative (R, F) by a change of all discs' vectors, shape (n, 6 D)."""
         D = len(self._discs.centres_m)
         # Between a changed vector and the loaded plate's answer to each old one.
-        across = self._receptance(change, self._phi) @ self._turn  # (F, 2 D changed, 2 D)
+        across = self._receptance(change, self._phi) @ self._turn  # (F, 6 D changed, 6 D)
         total = across[:, 0, 1:D] + across[:, 1:D, 0]
-        for kind in range(2 * D):
+        for kind in range(6 * D):
             load = self._load[:, kind, None]
             e, r = self._G[:, 0, kind, None], self._G[:, 1:D, kind]
             total = total - load * (across[:, kind, 0, None] * r + e * across[:, kind, 1:D])
         return np.asarray(total.T)
 
     def _by_place(self, wanted: dict[str, tuple[int, int]]) -> dict[str, Complex]:
-        """Return the derivatives by the discs' places: only the moved disc's two vectors change."""
+        """Return the derivatives by the discs' places: only the moved disc's vectors change."""
         if not wanted:
             return {}
         d, D = self._discs, len(self._discs.centres_m)
@@ -175,7 +187,7 @@ class DiscResponse:
                     total += across[:, 0, 1:D]
                 else:
                     total[:, k - 1] += across[:, k, 0]
-                for kind in (k, D + k):
+                for kind in range(k, 6 * D, D):
                     load = self._load[:, kind, None]
                     e, r = self._G[:, 0, kind, None], self._G[:, 1:D, kind]
                     total -= load * (across[:, kind, 0, None] * r + e * across[:, kind, 1:D])
@@ -191,9 +203,7 @@ class DiscResponse:
         squares = self._bare.omega2[:, None]
         stiff = 1 + 1j * self._loss.at(self._nu)
         strain = np.stack([(x[0] * squares * x[r]).sum(axis=0) for r in range(1, D)])
-        G, load = self._G, self._load
-        held = np.einsum("fk,fk,frk->rf", load, G[:, 0], G[:, 1:D])  # x_e times the loads' operator times x_r
-        strain = stiff * strain + np.einsum("fk,fk,frk->rf", load[:, :D], G[:, 0, :D], G[:, 1:D, :D])
+        strain = stiff * strain + self._weighed(self._stiff_load)
         by_loss = -1j * self._loss.at(self._nu) / stiff * strain
         if "loss" in names:
             found["loss"] = by_loss
@@ -215,7 +225,7 @@ class DiscResponse:
                     y -= self._nu**2 * spin * _product(turn.T @ each.rotary @ turn, x[0, part])
                 total -= np.stack([(y * x[r, part]).sum(axis=0) for r in range(1, D)])
             if name in ("h", "width", "height"):
-                total += held / value  # the loads are per mass of the plate
+                total += self._weighed(self._load) / value  # the loads are per mass of the plate
             if name in ("width", "height"):
                 total += self._by_vectors(self._stretched(name))
             found[name] = total

@@ -18,16 +18,18 @@ Floats = NDArray[np.float64]
 
 STIFFNESS_M3 = 1e-7
 """Unit of a disc's bending stiffness over the plate's Young's modulus: 6 mm of 2 mm PZT bonded to 5 mm glass have 2."""
+DISC_THICKNESS_MM = 2.0
+"""A disc's middle lies half of its and half of the plate's thickness below the plate's."""
 LOSSES = {"pmma": 0.03, "aluminium": 2e-3, "steel": 2e-3}
 """Typical loss factors of mounted plates with bonded discs; of others `LOSS`."""
 LOSS = 5e-3
 SPEED_PRIOR, POISSON_PRIOR = 0.02, 0.02
 """Standard deviations of handbook values: of the logarithm of the wave speed, and of Poisson's ratio."""
-LOSS_PRIOR, SLOPE_PRIOR, MASS_PRIOR, SIZE_PRIOR, STIFFNESS_PRIOR = 0.7, 0.5, 0.3, 0.05, 2.0
+LOSS_PRIOR, SLOPE_PRIOR, MASS_PRIOR, SIZE_PRIOR, STIFFNESS_PRIOR, LEVER_PRIOR = 0.7, 0.5, 0.3, 0.05, 1.5, 1.0
 
 FIRST = ("speed", "thickness", "loss")
 PLATE = ("speed", "thickness", "loss", "poisson", "width", "height", "slope")
-DISCS = ("mass", "radius", "stiffness")
+DISCS = ("mass", "radius", "stiffness", "lever")
 LOGARITHMS = frozenset({"speed", "thickness", "loss", "mass", "radius"})
 
 
@@ -55,7 +57,8 @@ def unknowns_of(said: PlateFile) -> tuple[Unknown, ...]:
         Unknown("slope", "slope of the loss", "", 0.0, SLOPE_PRIOR),
         Unknown("mass", "disc mass", "g", 0.0, MASS_PRIOR),
         Unknown("radius", "disc diameter", "mm", 0.0, SIZE_PRIOR),
-        Unknown("stiffness", "disc stiffness", "1e-7 m^3", 0.0, STIFFNESS_PRIOR),
+        Unknown("stiffness", "disc stiffness", "1e-7 m^3", 1.0, STIFFNESS_PRIOR),
+        Unknown("lever", "disc lever, squared", "mm^2", 1.0, LEVER_PRIOR),
     ]
     places = said.layout().centres_mm
     for k, place in enumerate(places):
@@ -84,6 +87,7 @@ class Reader:
         self._at = {name: i for i, name in enumerate(self.names)}
         self._plate, self._layout = said.twin_plate(), said.layout()
         self._said = shape_of(self._plate)
+        self._lever2_m2 = ((said.plate.thickness_mm + DISC_THICKNESS_MM) / 2e3) ** 2
         chirp = acquisition.chirp
         self._middle = np.pi * (chirp.start_hz + chirp.stop_hz)
 
@@ -108,7 +112,8 @@ class Reader:
             p[self._at["x0"] :].reshape(-1, 2) * 1e-3,
             layout.diameter_mm / 2e3 * np.exp(v["radius"]),
             layout.mass_g * 1e-3 / material_of(self._plate).rho_kg_m3 * np.exp(v["mass"]),
-            STIFFNESS_M3 * v["stiffness"],
+            max(STIFFNESS_M3 * v["stiffness"], 0.0),
+            max(self._lever2_m2 * v["lever"], 0.0),
         )
         return Guess(shape, discs, Loss(float(np.exp(v["loss"])), v["slope"], self._middle))
 
@@ -119,15 +124,19 @@ class Reader:
             "speed": ("speed2", 2 * shape.speed2), "thickness": ("h", shape.h), "loss": ("loss", 1.0),
             "poisson": ("nu", 1.0), "width": ("width", 1e-3), "height": ("height", 1e-3), "slope": ("slope", 1.0),
             "mass": ("mass", discs.mass_kg_m3), "radius": ("radius", discs.radius_m),
-            "stiffness": ("stiffness", STIFFNESS_M3),
+            "stiffness": ("stiffness", STIFFNESS_M3), "lever": ("lever2", self._lever2_m2),
         }  # fmt: skip
         return found | {name: (name, 1e-3) for name in self.places}
 
     def plate(self, p: Floats) -> ElasticPlate:
-        """Return the plate of a vector; the density is the one said, as only the wave speed counts."""
+        """Return the plate of a vector, its sides to a micrometre, as models describe them.
+
+        The density is the one said, as only the wave speed counts.
+        """
         shape, rho = self.read(p).shape, material_of(self._plate).rho_kg_m3
         return ElasticPlate(
-            width_mm=shape.width * 1e3, height_mm=shape.height * 1e3, thickness_mm=shape.h * 1e3,
+            width_mm=round(shape.width * 1e3, 3), height_mm=round(shape.height * 1e3, 3),
+            thickness_mm=round(shape.h * 1e3, 6),
             material=self._plate.material, elastic=Material(shape.speed2 * rho, shape.nu, rho),
         )  # fmt: skip
 
@@ -139,7 +148,7 @@ class Reader:
         return Layout(
             emitter_mm=places[0], receivers_mm=tuple(places[1:]), diameter_mm=2e3 * discs.radius_m,
             mass_g=1e3 * rho * discs.mass_kg_m3,
-            stiffness_n_m=max(rho * guess.shape.speed2 * discs.stiffness_m3, 0.0),
+            stiffness_n_m=rho * guess.shape.speed2 * discs.stiffness_m3, lever_mm=1e3 * np.sqrt(discs.lever2_m2),
         )  # fmt: skip
 
     def shown(self, p: Floats) -> Floats:
@@ -148,4 +157,5 @@ class Reader:
         m = plate.elastic
         first = [np.sqrt(m.E_pa / m.rho_kg_m3), plate.thickness_mm, loss.factor, m.nu, plate.width_mm, plate.height_mm]
         return np.array([*first, loss.slope, layout.mass_g, layout.diameter_mm, p[self._at["stiffness"]],
+                         p[self._at["lever"]] * self._lever2_m2 * 1e6,
                          *p[self._at["x0"] :]])  # fmt: skip

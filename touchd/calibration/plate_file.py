@@ -51,6 +51,7 @@ class PlateSaid(_Table):
     height_uncertainty_mm: float = Field(default=0.3, gt=0, le=100)
     thickness_uncertainty_mm: float = Field(default=0.03, gt=0, le=10)
     edge: Edge | Edges = "free"
+    """What holds the sides. The fit leaves them free, and judges by what it then misses."""
 
     @property
     def edges(self) -> Edges:
@@ -135,7 +136,8 @@ def _fix(kind: str, place: tuple[int | str, ...]) -> str:
     if kind == "missing":
         return "measure it, in mm, and add the key"
     if kind == "extra_forbidden":
-        table = {"plate": PlateSaid, "discs": DiscsSaid}.get(str(place[0]))
+        tables: dict[str, type[_Table]] = {"plate": PlateSaid, "discs": DiscsSaid}
+        table = tables.get(str(place[0]))
         return f"remove it; known keys: {', '.join(table.model_fields)}" if table and len(place) > 1 else "remove it"
     if "edge" in place:
         return f"use one of {', '.join(get_args(Edge))}"

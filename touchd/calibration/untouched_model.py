@@ -59,8 +59,8 @@ class UntouchedModel:
         self._rate = a.sample_rate_hz
         t = np.arange(a.samples) / self._rate
         decay = _DAMPING * self._rate / self._record
-        hz = np.arange(a.samples + 1) * self._rate / self._record
-        self.nu_rad_s = 2 * np.pi * hz - 1j * decay
+        hz: Floats = np.arange(a.samples + 1) * self._rate / self._record
+        self.nu_rad_s: Complex = np.asarray(2 * np.pi * hz - 1j * decay, np.complex128)
         emission = chirp.spectrum(a.chirp, self.nu_rad_s) * anti_alias(self.nu_rad_s, self._rate)
         x = band(a, hz)
         self._emission = np.stack([emission * x**k for k in range(GAIN_TERMS)])  # (K, F)

@@ -30,11 +30,11 @@ def serve(address: str | None, output: Output, what: str) -> None:
     with closing(Notifier.from_environment()) as notifier:
 
         def goes_on(now_ns: int) -> bool:
+            notifier.ready()  # once it has subscribed
             notifier.beat(now_ns)
             return not stopped
 
-        click.echo(f"touchd: {what} is ready", err=True)
+        click.echo(f"touchd: {what} is there", err=True)
         notifier.status(what)
-        notifier.ready()
         run(address, output, goes_on)
         notifier.stopping()

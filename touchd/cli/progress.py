@@ -16,7 +16,8 @@ _KNOWN_SHARE = 0.05
 class TimeLeft:
     """Estimates the time left of a job in steps, from the mean of the steps but the slowest: a cold cache strikes once.
 
-    `rich` has one slow step stand for all that follow while few are done.
+    If the last fifth took longer than all on average, it counts instead: the steps of a field grow longer. `rich` has
+    one slow step stand for all that follow while few are done.
 
     Parameters
     ----------
@@ -26,22 +27,23 @@ class TimeLeft:
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
-        self._begin_s = self._last_s = clock()
+        self._last_s = clock()
         self._begun = 0
-        self._slowest_s = 0.0
+        self._took_s: list[float] = []
 
     def update(self, done: int, steps: int) -> str:
         """Return the time left once `done` of `steps` are done, for a person; empty while nobody can know."""
         now_s = self._clock()
         if not self._begun:
-            self._begin_s, self._begun = now_s, done
+            self._begun = done
         else:
-            self._slowest_s = max(self._slowest_s, now_s - self._last_s)
+            self._took_s.append(now_s - self._last_s)
         self._last_s = now_s
-        counted = done - self._begun - 1
-        if counted < max(2, _KNOWN_SHARE * steps) or done == steps:
+        if done - self._begun - 1 < max(2, _KNOWN_SHARE * steps) or done == steps:
             return ""
-        left_s = round((now_s - self._begin_s - self._slowest_s) / counted * (steps - done))
+        recent_s = self._took_s[-max(3, len(self._took_s) // 5) :]
+        step_s = max((sum(some_s) - max(some_s)) / (len(some_s) - 1) for some_s in (self._took_s, recent_s))
+        left_s = round(step_s * (steps - done))
         return f"{left_s // 3600}:{left_s // 60 % 60:02}:{left_s % 60:02} left"
 
 

@@ -17,6 +17,8 @@ from touchd.detection.detector import Detection
 from touchd.keypad import Layout
 from touchd.localization.atlas import Atlas
 from touchd.localization.classify import Classifier
+from touchd.localization.contact_kind import kind_of
+from touchd.localization.contact_size import ContactSize
 from touchd.localization.estimator import Estimator, TouchMaker
 from touchd.localization.fit import Bins, Fit, no_fit
 from touchd.localization.fit_criteria import CRITERIA
@@ -31,7 +33,7 @@ from touchd.localization.prediction import Prediction
 from touchd.localization.pursuit import Pursuit
 from touchd.localization.stillness import StillFinger
 from touchd.outcome import Outcome
-from touchd.touch import Touch
+from touchd.touch import Face, Touch
 
 NOISE_EVERY = 16
 """One of 16 untouched frames updates the noise model."""
@@ -60,6 +62,7 @@ class AtlasLocalizer:
         self._landing = Landing(self._estimator, self._solver, self._pursuit, self._noise)
         self._search = MultitouchSearch(self._solver, self._pursuit, self._noise)
         self._classifier = Classifier(atlas, self._noise)
+        self._size = ContactSize(atlas, self._noise)
         self._prediction = Prediction()
         self._follower = Follower(self._solver, self._search, self._noise, self._prediction)
         self._still = StillFinger(atlas, self._solver)
@@ -227,11 +230,20 @@ class AtlasLocalizer:
         fingers = self._classifier.fingers(fit, confidence, t_ns)
         self._departure = self._classifier.departure
         make = self._touch_maker.touch
+        faces = self._size.faces(fit) if fit.shapes else {}
+        tell = kind_of if self._solver.shapes else _no_kind
         # Change of the signal, as a share of its size, by a finger of amplitude 1.
         change = self._field_rms / self._plate.signal_rms
         return tuple(
             [
-                make(*position_mm, sigma_mm, confidence, amplitude * change)
+                make(
+                    *position_mm,
+                    sigma_mm,
+                    confidence,
+                    amplitude * change,
+                    face=(face := faces.get(position_mm)),
+                    kind=tell(amplitude, face),
+                )
                 for position_mm, sigma_mm, amplitude in fingers
                 if sigma_mm <= self._max_sigma_mm
             ]
@@ -259,3 +271,7 @@ class AtlasLocalizer:
         self._prediction.reset()
         self._follower.reset()
         return ()
+
+
+def _no_kind(_size: float, _face: Face | None) -> None:
+    """Contacts that are points have no kind."""

@@ -7,6 +7,8 @@ frame says                                            the contact becomes
 ====================================================  =======================================================
 abs(lead) > 2.0                                       DEPARTURE: a finger that the baseline held has lifted
 lead > 0.45, less 2.5 sigma of the phase              WATER
+an amplitude below 0.5: lead > 0.5, less 1.5 sigma    WATER; remembered if lead > 0.5 by 2.5 sigma
+the same where a finger was: lead > 0.5 by 1 sigma    WATER
 lead > 0.15 within 3 mm of water of the last 10 s     WATER, unless the fit is clear (below); then DRYING
 lead <= 0.15 there, where water lay for 0.1 s         DRYING, unless a finger has just come from beside it
 DRYING for 30 ms                                      FINGER
@@ -26,6 +28,7 @@ from typing import NamedTuple
 
 from touchd.localization.atlas import Atlas
 from touchd.localization.fit import Fit, sigmas_mm
+from touchd.localization.fit_criteria import CRITERIA
 from touchd.localization.noise import NoiseModel
 from touchd.localization.prediction import LONGEST_STEP_MM
 from touchd.localization.spline import Position
@@ -36,6 +39,9 @@ WATER_RAD = 0.45
 """Drops lead by about 0.6 rad, fingers by less than 0.3 (twin)."""
 PHASE_SIGMAS = 2.5
 """A finger's phase stays below `WATER_RAD` by this many standard errors: the phase of a faint drop scatters."""
+SMALL, SMALL_WATER_RAD = 0.5, 0.5
+"""Contacts of few square millimetres are mass too: gloved fingers of 3 to 8 mm^2 lead by 0.28 to 0.47 rad, drops of as
+small an amplitude by 0.51 to 0.68 (twin)."""
 STILL_WATER_RAD, WATER_MM, WATER_NS = 0.15, 3.0, 10_000_000_000
 """Within 3 mm of water seen in the last 10 s, a smaller lead is water too: that of a faint drop, or of a drop while a
 finger lands elsewhere, is ambiguous in single frames."""
@@ -52,6 +58,9 @@ MOST_WATER = 16
 CORNER_MM = 12.0
 """Two fingers closer than this to one corner of the touched part are not placed: beyond it the field is not known, and
 one finger there looks like two, one along either edge."""
+EDGE_MM, WAVE_MM = 12.0, 30.0
+"""A faint finger this near to an edge, with another within a wavelength, is not placed: the field is badly known there,
+and one finger looks like two on either side of it, or with a second one beside it."""
 TYPICAL = 0.5
 """Model error of half the touches, as a share of its mean: the mean is that of a few badly known places (twin)."""
 WELL_KNOWN = 0.6
@@ -101,6 +110,7 @@ class Classifier:
         self._noise = noise
         d = atlas.description
         self._field_scale = d.field_scale
+        self._low_mm, self._high_mm = d.low_mm, d.high_mm
         self._corners_mm = [(x, y) for x in (d.low_mm[0], d.high_mm[0]) for y in (d.low_mm[1], d.high_mm[1])]
         self.departure = False
         """Whether the last fit shows the negative of fingers alone."""
@@ -127,20 +137,23 @@ class Classifier:
         sizes, leads = list(map(abs, fit.amplitudes)), list(map(cmath.phase, fit.amplitudes))
         self.departure = min(map(abs, leads)) > DEPARTURE_RAD
         errors_mm = self._errors_mm(fit, sizes)
-        cornered = self._cornered(fit.positions_mm) if several else ()
+        doubtful = self._cornered(fit.positions_mm) | self._edged(fit) if several else ()
         fingers: list[Finger] = []
         drops: list[Drop] = []
         judged: list[Position] = []
         for k, position in enumerate(fit.positions_mm):
             drop = self._drop_at(position) if self._drops else None
             scatter = self._scatter_rad(fit.energies[k])
-            substance = self._substance(leads[k], scatter, drop, position, confidence, several=several)
+            small = sizes[k] < SMALL
+            limit = self._small_limit_rad(position, scatter) if small else WATER_RAD - scatter
+            substance = self._substance(leads[k], limit, scatter, drop, position, confidence, several=several)
             if substance is Substance.DEPARTURE:
                 continue
             judged.append(position)
             if substance is not Substance.FINGER:
-                drops.append(self._drop(position, substance, drop))
-            elif leads[k] > LAG_RAD and k not in cornered:
+                if drop is not None or not small or leads[k] > SMALL_WATER_RAD + scatter:
+                    drops.append(self._drop(position, substance, drop))
+            elif leads[k] > LAG_RAD and k not in doubtful:
                 fingers.append((position, errors_mm[k], sizes[k]))
         for one in self._drops:
             if one.until_ns > t_ns and all(math.dist(one.position_mm, position) >= WATER_MM for position in judged):
@@ -150,12 +163,20 @@ class Classifier:
         return fingers
 
     def _substance(
-        self, lead: float, scatter: float, drop: Drop | None, position_mm: Position, confidence: float, *, several: bool
+        self,
+        lead: float,
+        limit: float,
+        scatter: float,
+        drop: Drop | None,
+        position_mm: Position,
+        confidence: float,
+        *,
+        several: bool,
     ) -> Substance:
         """Return what a contact is: the table of this module."""
         if abs(lead) > DEPARTURE_RAD:
             return Substance.DEPARTURE
-        if lead >= WATER_RAD - scatter:
+        if lead >= limit:
             return Substance.WATER
         if drop is None:
             return Substance.FINGER
@@ -180,6 +201,11 @@ class Classifier:
             before.dry_since_ns if before is not None and goes_on else self.t_ns,
             self.t_ns + memory_ns,
         )
+
+    def _small_limit_rad(self, position_mm: Position, scatter: float) -> float:
+        """Return the lead from which a small contact is water: one that was a finger stays one for longer."""
+        sigma = scatter / PHASE_SIGMAS
+        return SMALL_WATER_RAD + (sigma if self._was_finger(position_mm, several=True) else -1.5 * sigma)
 
     def _scatter_rad(self, energy: float) -> float:
         """Return `PHASE_SIGMAS` standard errors of the phase: the noise over the contact's energy is its variance."""
@@ -214,3 +240,17 @@ class Classifier:
             if len(near) > 1:
                 found.update(near)
         return found
+
+    def _edged(self, fit: Fit) -> set[int]:
+        """Return which of several fingers are faint, near an edge, and within a wavelength of another."""
+        faint, places = CRITERIA.faint * self._noise.noise_energy, fit.positions_mm
+        return {
+            k
+            for k, (energy, place) in enumerate(zip(fit.energies, places, strict=True))
+            if energy < faint
+            and any(
+                at - low < EDGE_MM or high - at < EDGE_MM
+                for at, low, high in zip(place, self._low_mm, self._high_mm, strict=True)
+            )
+            and any(math.dist(place, other) < WAVE_MM for j, other in enumerate(places) if j != k)
+        }

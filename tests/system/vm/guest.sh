@@ -29,6 +29,27 @@ scenario() {
     found "$1-scenario" "${PIPESTATUS[0]}"
 }
 
+# libinput's view of all input devices, in NAME.events, until `unwatch`
+watch() {
+    stdbuf -oL libinput debug-events > "$1.events" 2>&1 &
+    libinput=$!
+    wait_for 60 grep -q DEVICE_ADDED "$1.events"
+}
+unwatch() { sleep 1; kill $libinput; wait $libinput 2> /dev/null; }
+# scene COMMAND...: to the bus that stands for the daemon's; returns when it is done
+scene() {
+    local command before
+    for command in "$@"; do
+        before=$(grep -c "\"done\"" screen.bus)
+        echo "$command" >&5
+        wait_for 180 more_done "$before" || say "not done: $command"
+    done
+}
+more_done() { [ "$(grep -c "\"done\"" screen.bus)" -gt "$1" ]; }
+bridge() { systemctl show touchd-input --property="$1" --value; }
+another_bridge() { [ "$(bridge MainPID)" != "$1" ] && [ "$(bridge ActiveState)" = active ]; }
+sees() { [ "$(grep -c "$2" "$1.events")" -ge "$3" ]; }
+
 ip link set lo up
 : > found.txt
 modprobe dummy_hcd
@@ -39,6 +60,55 @@ found installed $?
 # An emulated processor is slow: fewer frames, all else as shipped.
 sed -i 's/^rate_hz = 125$/rate_hz = 40/' /etc/touchd/touchd.toml
 found before-plug "$(show ActiveState)"
+
+say screen
+found screen-shipped "$(systemctl is-enabled touchd-input touchd-tuio 2>&1 | sort -u)"
+PYTHONPATH=/usr/lib/touchd python3 -B - << 'PYTHON'
+from pathlib import Path
+from touchd.cli.map import with_lines
+config = Path("/etc/touchd/touchd.toml")
+config.write_text(with_lines(config.read_text(), {"screen_mm": "[0.0, 0.0, 200.0, 200.0]"}))
+PYTHON
+mkfifo /run/screen-commands
+exec 5<> /run/screen-commands
+PYTHONPATH=/usr/lib/touchd python3 -B screenbus.py < /run/screen-commands > screen.bus 2> screen.err 5>&- &
+screenbus=$!
+wait_for 120 test -S /run/touchd/bus
+systemctl start --no-block touchd-input
+wait_for 240 another_bridge 0
+found screen-starts $?
+scene wait
+found screen-node "$(stat -c '%G %a' /dev/uinput)"
+found screen-user "$(ps -o user= -p "$(bridge MainPID)")"
+found screen-memory "$(sed -n 's/^VmRSS:[^0-9]*\([0-9]*\) kB/\1/p' "/proc/$(bridge MainPID)/status")"
+timeout 100 touchd input --bus ipc:///run/touchd/bus
+found screen-second $?
+libinput list-devices > screen.devices
+watch screen
+scene tap swipe pinch five corner tap
+unwatch
+say screen ends
+watch ends
+scene hold silence
+wait_for 30 sees ends TOUCH_UP 1
+found screen-silence $?
+scene hold
+before=$(bridge MainPID)
+kill -9 "$before"
+wait_for 180 another_bridge "$before"
+found screen-killed $?
+scene wait release hold
+before=$(bridge MainPID)
+kill -STOP "$before"
+wait_for 180 another_bridge "$before"
+found screen-frozen "$? $(journalctl -u touchd-input -o cat --no-pager | grep -c 'Watchdog timeout')"
+scene wait release hold
+systemctl stop touchd-input
+found screen-stopped "$(bridge Result)"
+unwatch
+exec 5>&-
+kill $screenbus
+rm -r /run/touchd
 
 say plug
 mkfifo /run/commands
@@ -74,6 +144,15 @@ wait_for 60 streaming
 touchd listen --topic touch --timeout 60 --json --count 1 > /dev/null
 found touched-again $?
 
+say screen on the plate
+systemctl start --no-block touchd-input
+wait_for 240 another_bridge 0
+watch plate
+touchd listen --topic touch --timeout 60 --json --count 200 > plate.bus
+found plate-heard $?
+unwatch
+systemctl enable --quiet touchd-input
+
 say unplug for good
 echo unplug >&3
 wait_for 30 lost
@@ -81,6 +160,7 @@ found lost $?
 found lost-active "$(show ActiveState)"
 systemctl stop touchd
 found stopped "$(show Result) $(show ExecMainStatus)"
+found screen-stops-too "$(bridge ActiveState)"
 
 say replug starts it again
 # For once so few frames count as many. A processor that is kept awake is emulated too: no longer than needed.
@@ -88,6 +168,9 @@ sed -i 's/^awake_from_hz = 500.0$/awake_from_hz = 30.0/' /etc/touchd/touchd.toml
 echo plug >&3
 wait_for 90 active
 found replug-starts $?
+wait_for 120 another_bridge 0
+found screen-starts-too $?
+systemctl disable --now --quiet touchd-input
 wait_for 90 keeps_awake
 found keeps-awake "$? $(stat -c '%G %a' /dev/cpu_dma_latency)"
 sed -i 's/^awake_from_hz = 30.0$/awake_from_hz = 500.0/' /etc/touchd/touchd.toml
@@ -117,5 +200,5 @@ found removed "$? $(systemctl show touchd -p LoadState --value) $(ls -d /usr/lib
 dpkg --purge touchd
 found purged "$? $(ls -d /etc/touchd /var/lib/touchd /var/lib/private/touchd 2> /dev/null)"
 kill $gadget 2> /dev/null
-journalctl -u touchd --no-pager > journal.log
+journalctl -u touchd -u touchd-input --no-pager > journal.log
 say end

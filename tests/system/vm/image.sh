@@ -28,7 +28,7 @@ mmdebstrap --quiet --variant=minbase --mode=root \
     --aptopt='Acquire::Languages "none"' \
     --dpkgopt='path-exclude=/usr/share/doc/*' --dpkgopt='path-exclude=/usr/share/man/*' \
     --dpkgopt='path-exclude=/usr/share/locale/*' \
-    --include=systemd,systemd-sysv,udev,kmod,dbus,python3,libusb-1.0-0,iproute2,procps \
+    --include=systemd,systemd-sysv,udev,kmod,dbus,python3,libusb-1.0-0,iproute2,procps,libinput-tools \
     "$suite" root $sources >&2
 rm -rf root/var/cache/apt/* root/var/lib/apt/lists/*
 
@@ -75,8 +75,8 @@ INIT
 chmod +x initrd/init
 (cd initrd && find . | cpio --quiet -o -H newc) | gzip -1 > initrd.img
 
-# --- root: modules of the USB device side and of USB/IP, and a target that runs what the host hands in.
-guest=(usbcore vhci_hcd dummy_hcd libcomposite usb_f_fs configfs autofs4)
+# --- root: modules of the USB device side, of USB/IP and of input devices, and a target that runs what the host hands in.
+guest=(usbcore vhci_hcd dummy_hcd libcomposite usb_f_fs configfs autofs4 uinput evdev)
 target=root/lib/modules/$release
 mkdir -p "$target" root/host
 for file in $(closure "${boot[@]}" "${guest[@]}"); do

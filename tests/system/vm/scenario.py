@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 import shutil
 import subprocess
 import time
@@ -19,6 +20,7 @@ from tests.needs import need, need_tool
 from tests.processes import ROOT
 from tests.system.usb.plate import write
 from tests.system.usb.test_mocked_kernel import STEPS
+from tests.system.vm.libinput import messages, same, seen, wanted, ways
 
 HERE = Path(__file__).parent
 CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "touchd-vm"
@@ -54,7 +56,12 @@ def host(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert built.returncode == 0, built.stderr
     shutil.copy(ROOT / built.stdout.split()[-1], folder)
     shutil.copy(HERE / "guest.sh", folder / "run.sh")
-    for file in (HERE / "usbipdaq.py", ROOT / "tests/system/usb/client.py", ROOT / "tests/system/usb/player.py"):
+    for file in (
+        HERE / "usbipdaq.py",
+        HERE / "screenbus.py",
+        ROOT / "tests/system/usb/client.py",
+        ROOT / "tests/system/usb/player.py",
+    ):
         shutil.copy(file, folder)
     write(folder)
     return folder
@@ -67,8 +74,10 @@ def found(image: Path, host: Path) -> Found:
     boot = ["timeout", str(BOOT_S), "bash", str(HERE / "boot.sh"), str(image), str(host)]
     done = subprocess.run(boot, capture_output=True, text=True)
     print(f"the machine ran for {time.monotonic() - began_s:.0f} s")
-    logs = [host / name for name in ("console.log", "out.log", "journal.log", "gadget.err", "usbip.err", "usbip.log")]
-    log = "\n".join([done.stderr, *(path.read_text(errors="replace") for path in logs if path.exists())])
+    names = ("console.log", "out.log", "journal.log", "gadget.err", "usbip.err", "usbip.log",
+             "screen.err", "screen.events", "ends.events", "plate.events")  # fmt: skip
+    logs = [path.read_text(errors="replace") for name in names if (path := host / name).exists()]
+    log = "\n".join([done.stderr, *logs])
     print(log)
     status = host / "status"
     assert status.exists(), f"the machine did not come to its end: {log}"
@@ -112,6 +121,65 @@ def test_without_the_device_it_waits_and_a_stopped_one_is_started_by_plugging_in
 def test_a_connection_that_breaks_without_a_word_costs_no_restart(found: Found) -> None:
     assert found["usbip-starts"] == "0"
     assert (found["pulled-lost"], found["pulled-streams"]) == ("0", "0 same-process")
+
+
+def test_a_touch_screen_is_what_libinput_takes_it_for(found: Found, host: Path) -> None:
+    """Shipped disabled; started, it is a touch screen of the right size, under a user of its own that has uinput."""
+    assert found["screen-shipped"] == "disabled"
+    assert found["screen-starts"] == "0"
+    assert found["screen-node"] == "touchd-input 660"
+    assert found["screen-user"] not in ("", "root", "0")
+    assert int(found["screen-memory"]) < 40_000
+    assert found["screen-second"] == "92"
+    listed = (host / "screen.devices").read_text().split("Device: ")
+    (screen,) = [device for device in listed if device.strip().startswith("touchd screen")]
+    assert re.search(r"Capabilities: +touch", screen)
+    assert re.search(r"Size: +200x200mm", screen)
+    assert re.search(r"Calibration: +identity", screen)
+    assert re.search(r"touchd screen .* size 200x200mm ntouches 5", (host / "screen.events").read_text())
+
+
+def test_libinput_sees_what_the_bus_has(host: Path, found: Found) -> None:
+    """Taps, a swipe, a pinch and five fingers: each frame in order, each place within a tenth of a millimetre."""
+    assert found["screen-starts"] == "0"
+    bus = wanted(messages((host / "screen.bus").read_text()))
+    libinput = seen((host / "screen.events").read_text())
+    assert len(libinput) > 30
+    assert len({event.slot for frame in libinput for event in frame}) == 5
+    assert [frame for frame, other in zip(libinput, bus, strict=False) if not same(frame, other)] == []
+
+
+def test_no_finger_stays_down(found: Found, host: Path) -> None:
+    """Silence of the daemon lifts; a killed and a frozen bridge take the device with them, and are there again, and
+    the finger that lay there all along presses nothing; a stopped one lifts first."""
+    assert found["screen-silence"] == "0"
+    assert found["screen-killed"] == "0"
+    assert found["screen-frozen"] == "0 1"
+    assert found["screen-stopped"] == "success"
+    text = (host / "ends.events").read_text()
+    course = re.findall(r"(TOUCH_DOWN|TOUCH_UP|TOUCH_CANCEL|DEVICE_ADDED|DEVICE_REMOVED)[^\n]*", text)
+    own = course[course.index("TOUCH_DOWN") :]
+    gone = ["DEVICE_REMOVED", "DEVICE_ADDED"]
+    lifted = [kind.replace("TOUCH_CANCEL", "TOUCH_UP") for kind in own]
+    tap = ["TOUCH_DOWN", "TOUCH_UP"]
+    assert lifted == [*tap, *tap, *gone, *tap, *gone, *tap, "DEVICE_REMOVED"]
+
+
+def test_touches_on_the_plate_reach_libinput(found: Found, host: Path) -> None:
+    """From the DAQ on USB to libinput: each whole touch that the bus had, from down to up, as the bus had it."""
+    assert found["plate-heard"] == "0"
+    bus = ways(wanted(messages((host / "plate.bus").read_text())))
+    libinput = ways(seen((host / "plate.events").read_text()))
+    assert len(bus) > 1
+    at = [next((n for n, other in enumerate(libinput, 1) if same(way, other)), 0) for way in bus]
+    assert 0 not in at
+    assert at == sorted(at)
+
+
+def test_the_touch_screen_lives_and_ends_with_the_daemon(found: Found) -> None:
+    """Enabled, it starts whenever the daemon does, by plugging in too, and stops with it."""
+    assert found["screen-stops-too"] == "inactive"
+    assert found["screen-starts-too"] == "0"
 
 
 def test_the_package_removes_and_purges_cleanly(found: Found) -> None:

@@ -17,11 +17,11 @@ Complex = NDArray[np.complex128]
 
 GLASS = MATERIALS["glass"]
 PLATE = ElasticPlate(width_mm=70, height_mm=60, thickness_mm=5, elastic=GLASS)
-NU = 2 * np.pi * np.linspace(40e3, 105e3, 40) - 6500j
+NU: Complex = np.asarray(2 * np.pi * np.linspace(40e3, 105e3, 40) - 6500j, np.complex128)
 PLACES_MM = np.array([[15.0, 40.0], [10.0, 11.0], [58.0, 12.0]])
-MASS_KG, STIFFNESS_N_M = 0.43e-3, 9000.0
+MASS_KG, STIFFNESS_N_M, LEVER_MM = 0.43e-3, 9000.0, 3.5
 LOSS = Loss(5e-3, 0.3, 2 * np.pi * 75e3)
-DISCS = Discs(PLACES_MM * 1e-3, 3e-3, MASS_KG / GLASS.rho_kg_m3, STIFFNESS_N_M / GLASS.E_pa)
+DISCS = Discs(PLACES_MM * 1e-3, 3e-3, MASS_KG / GLASS.rho_kg_m3, STIFFNESS_N_M / GLASS.E_pa, LEVER_MM**2 * 1e-6)
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +38,11 @@ def near(plate: ReducedPlate) -> Shape:
 def test_it_is_the_twins(plate: ReducedPlate) -> None:
     """The response between the discs is the twin's, with masses and stiffnesses."""
     layout = Layout(
-        emitter_mm=(15, 40), receivers_mm=((10, 11), (58, 12)), mass_g=MASS_KG * 1e3, stiffness_n_m=STIFFNESS_N_M
+        emitter_mm=(15, 40),
+        receivers_mm=((10, 11), (58, 12)),
+        mass_g=MASS_KG * 1e3,
+        stiffness_n_m=STIFFNESS_N_M,
+        lever_mm=LEVER_MM,
     )
     modes = load(solve(PLATE, plate.counts, 300e3), PLATE, layout)
     expected = Response(PLATE, modes, NU, LOSS.at(NU)).untouched()
@@ -72,7 +76,7 @@ def differences(plate: ReducedPlate, name: str) -> Complex:
         return central(lambda d: response(loss=LOSS._replace(factor=LOSS.factor * np.exp(d))), 1e-3)
     if name == "slope":
         return central(lambda d: response(loss=LOSS._replace(slope=LOSS.slope + d)), 1e-3)
-    field = {"mass": "mass_kg_m3", "stiffness": "stiffness_m3", "radius": "radius_m"}.get(name)
+    field = {"mass": "mass_kg_m3", "stiffness": "stiffness_m3", "radius": "radius_m", "lever2": "lever2_m2"}.get(name)
     if field:
         value = getattr(DISCS, field)
         return central(lambda d: response(discs=DISCS._replace(**{field: value + d})), 1e-4 * value)
@@ -81,7 +85,7 @@ def differences(plate: ReducedPlate, name: str) -> Complex:
     return central(lambda d: response(discs=DISCS._replace(centres_m=DISCS.centres_m + d * unit)), 1e-6)
 
 
-NAMES = (*SHAPE_NAMES, "loss", "slope", "mass", "stiffness", "radius", "x0", "y0", "x1", "y1", "x2", "y2")
+NAMES = (*SHAPE_NAMES, "loss", "slope", "mass", "stiffness", "lever2", "radius", "x0", "y0", "x1", "y1", "x2", "y2")
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -48,6 +48,13 @@ def test_uneven_steps() -> None:
     assert all(0 < estimate < 1.5 * true + 1 for estimate, true in found[:-1])
 
 
+def test_growing_steps() -> None:
+    """Half-way through steps that grow to 17 times the first, two fifths of the time left show; it was a fifth."""
+    found = estimates([0.1 * 1.0095**i for i in range(300)])
+    estimate, true = found[len(found) // 2]
+    assert estimate > 0.4 * true
+
+
 def test_nothing_to_know() -> None:
     """Nothing is said of the first steps, and nothing at the end."""
     assert estimates([1.0]) == estimates([1.0, 1.0]) == []

@@ -304,6 +304,15 @@ def test_corner() -> None:
     assert at([rig.touch((*beside, 1 + 0j), (85, 60, 1)) for _ in range(30)][-1], beside, (85, 60))
 
 
+def test_faint_pair_at_an_edge() -> None:
+    """Two faint fingers near each other at an edge may be one between them; one is placed, and so are strong ones."""
+    x, _ = ATLAS.description.low_mm
+    one, other = (x + 3.0, 35.0), (x + 3.0, 55.0)
+    assert not Rig(noise=10.0).touch((*one, 0.3), (*other, 0.3))
+    assert at(Rig(noise=10.0).touch((*one, 0.3)), one, within_mm=2)
+    assert at(Rig(noise=10.0).touch((*one, 1), (*other, 1)), one, other, within_mm=2)
+
+
 def test_sharp_turn() -> None:
     """A finger that turns sharply at more than 1 m/s is tracked."""
     rig = Rig()

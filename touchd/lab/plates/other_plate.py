@@ -73,11 +73,17 @@ def other_modes(plate: Plate, layout: Layout, patches: list[Patch], frequency_hz
 
     def compute() -> dict[str, Floats]:
         wide = max(counts) > 80
-        modes = solve(plate, counts, (1.6 if wide else BASIS) * frequency_hz)
+        modes = _bare(plate, counts, (1.6 if wide else BASIS) * frequency_hz)
         every = [*disc_patches(layout), *patches]
         return _patched(modes, plate, layout, every, (1.4 if wide else KEPT) * frequency_hz)._asdict()
 
     return LoadedModes(**remember("other", key, compute))
+
+
+def _bare(plate: Plate, counts: tuple[int, int], below_hz: float) -> Modes:
+    """Return the modes of the free plate; cached on disk, as many cases share it."""
+    key = {"plate": plate.model_dump(), "material": material_of(plate), "counts": counts, "below_hz": below_hz}
+    return Modes(**remember("bare", key, lambda: solve(plate, counts, below_hz)._asdict()))
 
 
 def _patched(modes: Modes, plate: Plate, layout: Layout, patches: list[Patch], below_hz: float) -> LoadedModes:

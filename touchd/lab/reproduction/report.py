@@ -12,7 +12,6 @@ from touchd.training.report.template import Table, read_csv, render, write_csv
 
 TEMPLATE = Path(__file__).with_name("report.md.j2")
 SHOWN_HEADS, SHOWN_SHARES = ("R", "C-10"), ("100%", "20%")
-SHOWN_DICTIONARIES = ("kNN on residuals", "GCC on residuals")
 
 
 class Figures(NamedTuple):
@@ -25,11 +24,9 @@ class Figures(NamedTuple):
 def page(found: Figures, folder: str) -> str:
     """Return the page, with its plots and whole tables in `folder` beside it: of each table the decisive rows."""
     tables = found.tables
-    errors = ("median", "p95", "keypad", "one touch, us")
     shown = {
         "heads": _heads(tables["full-plate"], tables["central"]),
         "shares": tables["shares"].pick(SHOWN_SHARES),
-        "dictionaries": tables["dictionaries"].pick(SHOWN_DICTIONARIES, ("estimator", *errors)),
     }
     if "circle" in tables:
         shown["circle"] = tables["circle"].pick(columns=("model", "mean", "sd", "paper: mean ± sd"))

@@ -18,9 +18,12 @@ from touchd.twin.physics.plate import MANY_POLYNOMIALS, Modes, polynomials_for, 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-VERSION = 1
+VERSION = 2
 """Version of the algorithm; increase it when the same rig gives other modes, to invalidate files on disk."""
 
+OTHER_BENDING = 0.54
+"""A disc's resistance to the other two rotations around its rim over that to the outward one: (1 - nu) / (1 + nu) for
+PZT's nu of 0.3."""
 BASIS_HZ = 3.0
 """Modes of the bare plate up to this many times the highest frequency carry the discs' masses."""
 KEPT_HZ = 2.0
@@ -44,6 +47,8 @@ class Layout(BaseModel):
     """Mass of each disc: 6 mm by 2 mm of PZT."""
     stiffness_n_m: float = Field(default=0.0, ge=0)
     """Resistance of each to the mean rotation around its rim, N m per rad."""
+    lever_mm: float = Field(default=0.0, ge=0)
+    """Height of each disc's middle below the plate's: the plate's rotations move it in the plane."""
 
     @property
     def centres_mm(self) -> Floats:
@@ -135,12 +140,21 @@ def load(modes: Modes, plate: Plate, layout: Layout, below_hz: float = np.inf) -
         [modes.psi_x.reshape(n, -1) @ x.ravel() + modes.psi_y.reshape(n, -1) @ y.ravel() for x, y in rims], axis=1
     )
     # M = 1 + B B'; its inverse root differs from 1 only in the span of B.
-    B = w @ under.reshape(len(centres), -1).T * np.sqrt(layout.mass_g * 1e-3)
+    psi_x, psi_y, flat = modes.psi_x.reshape(n, -1), modes.psi_y.reshape(n, -1), under.reshape(len(centres), -1).T
+    lever = layout.lever_mm * 1e-3
+    moved = np.concatenate([w @ flat, lever * (psi_x @ flat), lever * (psi_y @ flat)], axis=1)
+    B = (moved if lever else w @ flat) * np.sqrt(layout.mass_g * 1e-3)
     U, sigma, _ = np.linalg.svd(B, full_matrices=False)
     root = (U * ((1 + sigma**2) ** -0.5 - 1)) @ U.T
     root[np.diag_indices(n)] += 1
-    stiffened = root @ discs * np.sqrt(layout.stiffness_n_m)
-    squared, V = np.linalg.eigh((root * modes.omega_rad_s**2) @ root + stiffened @ stiffened.T)
+    stiffness = (root * modes.omega_rad_s**2) @ root
+    if layout.stiffness_n_m:
+        normal_x, normal_y = (np.stack([rim[i].ravel() for rim in rims], axis=1) for i in (0, 1))
+        other = [psi_x @ normal_x - psi_y @ normal_y, psi_x @ normal_y + psi_y @ normal_x]
+        bent = np.concatenate([discs, *(np.sqrt(OTHER_BENDING) * rotation for rotation in other)], axis=1)
+        stiffened = root @ bent * np.sqrt(layout.stiffness_n_m)
+        stiffness += stiffened @ stiffened.T
+    squared, V = np.linalg.eigh(stiffness)
     omega = np.sqrt(np.maximum(squared, 0.0))
     omega[:3] = 0.0  # the rigid motions stay
     V = (root @ V[:, omega < 2 * np.pi * below_hz]).T

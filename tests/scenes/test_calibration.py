@@ -1,0 +1,121 @@
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from touchd.calibration.plate_file import PlateFile, check_plate_file
+from touchd.calibration.plate_fit import PlateFit, fit_plate
+from touchd.calibration.untouched import Untouched
+from touchd.errors import CalibrationError
+from touchd.lab.plates.other_plate import Patch, missing, other_modes
+from touchd.twin.instrument import Instrument
+from touchd.twin.physics.material import ElasticPlate, Material
+from touchd.twin.physics.transducer import Layout
+
+TRUE = ElasticPlate(width_mm=90.1, height_mm=69.9, thickness_mm=4.98, elastic=Material(71.3e9, 0.226, 2490.0))
+LAYOUT = Layout(emitter_mm=(17.0, 36.0), receivers_mm=((9.0, 8.0), (80.0, 9.0), (79.0, 60.0), (8.0, 61.0)))
+OFF_MM = np.array([[0.4, -0.3], [-0.5, 0.2], [0.3, 0.5], [0.1, -0.6], [-0.4, 0.3]])
+"""How the ruler errs."""
+GAINS = np.array([1.1, 0.7, 0.9, 1.3])
+NOISE = 2.0
+FRAMES = 300
+
+
+def said(order: tuple[int, ...] = (0, 1, 2, 3, 4), **plate: Any) -> PlateFile:
+    """PLATE.toml, with the discs' places in another order."""
+    places = (LAYOUT.centres_mm + OFF_MM)[list(order)].tolist()
+    facts = {"width_mm": 90, "height_mm": 70, "thickness_mm": 5, "material": "glass"} | plate
+    return check_plate_file({
+        "plate": facts, "discs": {"diameter_mm": 6, "emitter_mm": places[0], "receivers_mm": places[1:]},
+    })  # fmt: skip
+
+
+def heard(*patches: Patch, gains: NDArray[np.float64] = GAINS) -> Untouched:
+    """The untouched mean frame of a plate whose discs are stiff, and have beads of solder beside them."""
+    beads = [Patch(float(x) + 5, float(y), 1.5, 1.5, mass_kg_m2=4.0) for x, y in LAYOUT.centres_mm]
+    modes = other_modes(TRUE, LAYOUT, [*beads, *patches])
+    instrument = Instrument(TRUE, layout=LAYOUT, loss=7e-3, modes=modes)
+    signal = 10_000 * gains[:, None] * instrument.untouched([22.0])[0]
+    error = NOISE / np.sqrt(FRAMES)
+    noisy = signal + error * np.random.default_rng(0).standard_normal(signal.shape)
+    return Untouched(noisy, np.full(4, error), FRAMES, instrument.acquisition)
+
+
+@pytest.fixture(scope="module")
+def fit() -> PlateFit:
+    return fit_plate(said(), heard())
+
+
+def places_off_mm(fit: PlateFit) -> float:
+    """RMS error of the discs' places, less the scale, which the ruler alone tells."""
+    true, found = LAYOUT.centres_mm, fit.layout.centres_mm
+    scale = (found * true).sum() / (true**2).sum()
+    return float(np.sqrt(np.mean((found / scale - true) ** 2)))
+
+
+def test_a_free_plate(fit: PlateFit) -> None:
+    """From a ruler's places, 0.4 mm off, the discs of another simulator's plate are found six times closer."""
+    assert np.sqrt(np.mean(OFF_MM**2)) > 0.35
+    assert places_off_mm(fit) < 0.06
+    assert fit.verdict == "good"
+    assert fit.unexplained < 2e-3
+
+
+def test_standard_errors(fit: PlateFit) -> None:
+    """What is known is within three standard errors, and the scale's is that of a ruler."""
+    by_name = {parameter.name: parameter for parameter in fit.parameters}
+    true = {"width": 90.1, "height": 69.9, "thickness": 4.98, "Poisson's ratio": 0.226, "loss factor": 7e-3}
+    for name, value in true.items():
+        assert abs(by_name[name].fitted - value) < 3 * by_name[name].standard_error + 0.01 * abs(value), name
+    assert 5e-4 < fit.scale_error < 0.3 / 70
+
+
+def test_an_inverted_disc(fit: PlateFit) -> None:
+    """A disc upside down changes a gain and nothing else."""
+    other = fit_plate(said(), heard(gains=GAINS * [1, -1, 1, 1]))
+    np.testing.assert_allclose(other.layout.centres_mm, fit.layout.centres_mm, atol=1e-3)
+    assert other.verdict == fit.verdict
+
+
+def test_a_dead_channel() -> None:
+    """A dead channel is named; the others carry the fit."""
+    fit = fit_plate(said(), heard(gains=GAINS * [1, 1, 0, 1]))
+    assert fit.verdict == "usable"
+    assert any("channel 2 is dead" in reason for reason in fit.reasons)
+    assert places_off_mm(fit) < 0.5
+
+
+def test_no_channel_hears_anything() -> None:
+    """Silence is refused with what to check."""
+    with pytest.raises(CalibrationError, match="emitter's cable"):
+        fit_plate(said(), heard(gains=0 * GAINS))
+
+
+def test_swapped_cables(fit: PlateFit) -> None:
+    """Two cables swapped are found and named, and the fit is that of the right order."""
+    other = fit_plate(said((0, 2, 1, 3, 4)), heard())
+    assert other.verdict == "usable"
+    assert any("channel 0 at the place of channel 1" in reason for reason in other.reasons)
+    np.testing.assert_allclose(other.layout.centres_mm, fit.layout.centres_mm, atol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("plate", "reason"),
+    [({"thickness_mm": 4}, "a thickness of 5 mm fits"), ({"material": "aluminium"}, "glass fits, not aluminium")],
+)
+def test_a_wrong_plate(plate: dict[str, Any], reason: str) -> None:
+    """A wrong thickness or material is named with the one that fits."""
+    fit = fit_plate(said(**plate), heard())
+    assert fit.verdict != "good"
+    assert any(reason in each for each in fit.reasons)
+
+
+def test_a_hole() -> None:
+    """A plate with a hole is not good, and the reason says what to check."""
+    hole = missing(TRUE, 0.9, x_mm=50.0, y_mm=30.0, half_x_mm=6.0, half_y_mm=6.0)
+    fit = fit_plate(said(), heard(hole))
+    assert fit.verdict != "good"
+    assert "without holes" in fit.reasons[0]
