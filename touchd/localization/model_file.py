@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 import tempfile
 from pathlib import Path
 
@@ -77,8 +76,8 @@ def rollback(target: Path) -> Model:
 def _copy(model: Path, to: Path) -> None:
     for suffix in BESIDE:
         if model.with_suffix(suffix).exists():
-            shutil.copyfile(model.with_suffix(suffix), to.with_suffix(suffix))
-            to.with_suffix(suffix).chmod(0o644)
+            with replacing(to.with_suffix(suffix)) as file:
+                file.write(model.with_suffix(suffix).read_bytes())
 
 
 def _move(model: Path, to: Path) -> None:

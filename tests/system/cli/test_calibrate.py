@@ -12,6 +12,9 @@ import pytest
 
 from tests.command_line import touchd
 from touchd.calibration import calibrate
+from touchd.calibration.plate_file import PlateFile
+from touchd.calibration.plate_fit import PlateFit, Progress, fit_plate
+from touchd.calibration.untouched import Untouched
 from touchd.errors import (
     OutputError,
     PlateFileInvalid,
@@ -115,27 +118,21 @@ def test_usable_as_others(home: Path) -> None:
 
 
 @pytest.fixture
-def fitted(monkeypatch: pytest.MonkeyPatch, home: Path) -> Callable[[str], None]:
-    """Have the fit come out with a verdict, at once."""
-    model = Model(home / "plate.onnx")
-    assert model.atlas is not None
-    real = calibrate.fit_plate
-    found: list[object] = []
+def poor(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have the fit come out poor, after one fit that counts for all."""
+    known: list[PlateFit] = []
 
-    def judge(verdict: str) -> None:
-        def fit(*arguments: object) -> object:
-            if not found:
-                found.append(real(*arguments))  # type: ignore[arg-type]
-            return replace(found[0], verdict=verdict, reasons=("4 mm fits better: measure it again",))  # type: ignore[type-var]
+    def fit(said: PlateFile, mean: Untouched, progress: Progress) -> PlateFit:
+        if not known:
+            known.append(fit_plate(said, mean, progress))
+        return replace(known[0], verdict="poor", reasons=("4 mm fits better: measure it again",))
 
-        monkeypatch.setattr(calibrate, "fit_plate", fit)
-
-    return judge
+    monkeypatch.setattr(calibrate, "fit_plate", fit)
 
 
-def test_poor(home: Path, tmp_path: Path, fitted: Callable[[str], None]) -> None:
+@pytest.mark.usefixtures("poor")
+def test_poor(home: Path, tmp_path: Path) -> None:
     """A poor fit has a status of its own and its reasons, and writes no model unless forced; the old one is kept."""
-    fitted("poor")
     (tmp_path / "m.onnx").write_bytes((home / "plate.onnx").read_bytes())
     before = (tmp_path / "m.onnx").read_bytes()
     options = ("calibrate", home / "idle.npz", "-o", tmp_path / "m.onnx", "--plate", home / "PLATE.toml", "--json")

@@ -45,7 +45,6 @@ def folder(tmp_path: Path) -> Iterator[Path]:
 
 
 SETUPS: dict[str, tuple[str, Callable[[Path], Tables]]] = {
-    "no model": ("model", lambda _: {"model": {"path": "/nowhere.onnx"}}),
     "no ONNX": ("model", lambda f: {"model": {"path": f / "text"}}),
     "another atlas": ("model", lambda f: {"model": {"path": f / "m.onnx"}}),
     "address in use": ("bus", lambda f: {"bus": {"bind": [f"ipc://{f}/taken"]}}),
@@ -98,7 +97,7 @@ def test_good(folder: Path) -> None:
         open_parts(settings, stack)
 
 
-@pytest.mark.parametrize("name", ["no model", "insecure", "no control group", "keys that overlap"])
+@pytest.mark.parametrize("name", ["no ONNX", "insecure", "no control group", "keys that overlap"])
 def test_before_the_source(folder: Path, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """A wrong setting is refused before the source opens, whose plate may take many seconds to compute."""
     monkeypatch.setattr(daemon, "open_source", lambda *_: pytest.fail("the source was opened"))

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.processes import PATIENCE_S, end, started, touchd
+from tests.processes import PATIENCE_S, ROOT, end, started, touchd
 from touchd.cli.demo import SESSION
 from touchd.client import Subscriber
 from touchd.event import Event, HealthEvent, TouchEvent
@@ -37,14 +37,15 @@ def is_touch(event: Event) -> bool:
 def test_first_run(tmp_path: Path) -> None:
     """It starts uncalibrated and places nothing, hands its frames to `record`, takes a model that is installed, keeps
     it when another comes, and goes back, all in one life."""
-    address, variables = f"ipc://{tmp_path}/bus", {
+    address = f"ipc://{tmp_path}/bus"
+    variables = {
         "TOUCHD_CONTROL__SOCKET": str(tmp_path / "control"), "TOUCHD_HEALTH__PERIOD_S": "0.1",
         "TOUCHD_MODEL__PATH": str(tmp_path / "plate.onnx"),
     }  # fmt: skip
     options = ("--replay", SESSION, "--speed", "3", "--loop", "--bind", address, "--await-subscriber", PATIENCE_S)
 
     def model(*arguments: object) -> str:
-        done = touchd("model", *arguments, **variables)
+        done = touchd("model", *arguments, cwd=ROOT, patience_s=PATIENCE_S, **variables)
         assert done.code == 0, done.err
         return done.out
 
@@ -59,7 +60,7 @@ def test_first_run(tmp_path: Path) -> None:
         assert isinstance(last, HealthEvent)
         assert "touchd calibrate" in (last.reason or "")
         taken = tmp_path / "taken.npz"
-        done = touchd("record", "-o", taken, "--frames", "100", **variables)
+        done = touchd("record", "-o", taken, "--frames", "100", cwd=ROOT, patience_s=PATIENCE_S, **variables)
         assert done.code == 0, done.err
         known = {frame.tobytes() for frame in read(SESSION).frames}
         frames = read(taken).frames

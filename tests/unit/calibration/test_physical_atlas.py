@@ -48,7 +48,7 @@ def places(low: float, high: float, count: int = 60) -> np.ndarray:
     size = np.array([PLATE.width_mm, PLATE.height_mm])
     drawn = np.random.default_rng(5).uniform(0, size, (100_000, 2))
     edge = np.minimum(drawn, size - drawn).min(axis=1)
-    return drawn[(edge >= low) & (edge <= high)][:count]
+    return np.asarray(drawn[(edge >= low) & (edge <= high)][:count])
 
 
 def missed(atlas: Atlas, field: PhysicalField, position_mm: np.ndarray) -> np.ndarray:

@@ -121,7 +121,7 @@ def test_a_bomb_is_refused(whole: Path, tmp_path: Path) -> None:
     """A file whose arrays are far larger than any atlas is refused before they are read."""
     with np.load(whole) as archive:
         parts = dict(archive)
-    parts["coefficients"] = np.zeros((600, 600, 120), np.float16)
+    parts["coefficients"] = np.zeros((700, 700, 120), np.float16)
     np.savez_compressed(tmp_path / "bomb.atlas.npz", **parts)
     with pytest.raises(ModelInvalid, match=r"claims .* bytes of arrays"):
         load_atlas(tmp_path / "bomb.atlas.npz")
