@@ -76,7 +76,7 @@ class Area:
         for number, contact in down.items():
             place = self._place(contact)
             fate, since_ns = self._fates.get(number) or self._begin(place, t_ns)
-            ignored = getattr(contact, "kind", None) in settings.ignore
+            ignored = contact.kind in settings.ignore
             if fate is _Fate.WAITING and not ignored and t_ns - since_ns >= settings.min_contact_s * 1e9:
                 fate = _Fate.SHOWN
             elif fate is _Fate.SHOWN and ignored:
@@ -101,7 +101,7 @@ class Area:
     def _place(self, contact: Contact) -> Place:
         x_mm, y_mm = self._corner_mm
         across, down = self._turned(contact.x_mm - x_mm, contact.y_mm - y_mm)
-        angle_deg = half_turn((getattr(contact, "angle_deg", None) or 0.0) - 90 * self._turns)
+        angle_deg = half_turn((contact.angle_deg or 0.0) - 90 * self._turns)
         return Place(across, down, *self._turned(contact.vx_mm_s, contact.vy_mm_s), angle_deg, contact)
 
     def _turned(self, x: float, y: float) -> tuple[float, float]:

@@ -54,7 +54,7 @@ def finger(place: Place) -> Finger:
 
 
 def _size(place: Place) -> tuple[int, int, int]:
-    major_mm, minor_mm = (getattr(place.contact, name, None) for name in ("major_mm", "minor_mm"))
+    major_mm, minor_mm = place.contact.major_mm, place.contact.minor_mm
     if not major_mm or not minor_mm:
         return UNKNOWN_SIZE
     major, minor = (min(max(round(length * PER_MM), 1), SIZE_MAX) for length in (major_mm, minor_mm))

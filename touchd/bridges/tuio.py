@@ -87,7 +87,7 @@ class Frames:
             change = (speed - before) * 1e9 / (t_ns - before_ns) if t_ns > before_ns else 0.0
             speeds[number] = speed, t_ns
             cursors[session] = [*at, *velocity, change]
-            major_mm, minor_mm = (getattr(place.contact, name, None) for name in ("major_mm", "minor_mm"))
+            major_mm, minor_mm = place.contact.major_mm, place.contact.minor_mm
             if major_mm and minor_mm:
                 angle = math.radians(place.angle_deg % 360.0)
                 extent = [major_mm / wide_mm, minor_mm / high_mm]

@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from msgspec.structs import replace
 
 from tests.unit.bridges.events import MS, contact
 from touchd.bridges.area import Area
 from touchd.config.bridges import InputSettings
 from touchd.errors import ConfigError
-from touchd.event import Contact
 
 
 def area(**changed: Any) -> Area:
@@ -20,19 +20,9 @@ def area(**changed: Any) -> Area:
 def at(
     one: Area, x_mm: float, y_mm: float, t_ns: int = 0, number: int = 1, kind: str | None = None
 ) -> tuple[float, float] | None:
-    down: Any = contact(1, "move", x_mm, y_mm)
-    if kind is not None:
-        down = Kind(down, kind)
+    down = replace(contact(1, "move", x_mm, y_mm), kind=kind)
     found = one.places({number: down}, t_ns)
     return (found[number].x_mm, found[number].y_mm) if found else None
-
-
-class Kind:
-    """A contact that says what touches."""
-
-    def __init__(self, inner: Contact, kind: str) -> None:
-        self.x_mm, self.y_mm, self.vx_mm_s, self.vy_mm_s = inner.x_mm, inner.y_mm, 0.0, 0.0
-        self.kind = kind
 
 
 # The plate's corners of the screen, clockwise from the top left: where the picture's corners are.
@@ -54,8 +44,7 @@ def test_corners(rotate: int) -> None:
                                                                (180, (-3, -4), 30), (270, (-4, 3), -60)])  # fmt: skip
 def test_directions(rotate: int, velocity: tuple[float, float], angle_deg: float) -> None:
     """Velocities and the contact's axis turn with the picture."""
-    down: Any = Kind(contact(1, "move", 50, 50), "finger")
-    down.vx_mm_s, down.vy_mm_s, down.angle_deg = 3.0, 4.0, 30.0
+    down = replace(contact(1, "move", 50, 50), vx_mm_s=3.0, vy_mm_s=4.0, angle_deg=30.0)
     place = area(rotate=rotate).places({1: down}, 0)[1]
     assert (place.vx_mm_s, place.vy_mm_s) == velocity
     assert place.angle_deg == pytest.approx(angle_deg)

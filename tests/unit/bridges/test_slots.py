@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from tests.unit.bridges.events import contact
 from tests.unit.bridges.kernel import Kernel
@@ -84,16 +85,11 @@ def test_units() -> None:
     assert finger(place).pressure == slots.PRESSURE_MAX
 
 
-class Sized:
-    """A contact that says how large it is."""
-
-    force, major_mm, minor_mm = 0.5, 12.0, 8.0
-
-
 def test_size() -> None:
     """The contact's axes are lengths, its orientation the long axis against the screen's y axis, clockwise."""
+    sized = replace(contact(1), major_mm=12.0, minor_mm=8.0)
     for angle_deg, orientation in ((90.0, 0), (-90.0, 0), (45.0, -45), (-80.0, 10), (100.0, 10)):
-        place = Place(1.0, 1.0, 0.0, 0.0, angle_deg, Sized())  # type: ignore[arg-type]  # an event of a newer daemon
+        place = Place(1.0, 1.0, 0.0, 0.0, angle_deg, sized)
         assert finger(place).size == (1200, 800, orientation)
     unknown = Place(1.0, 1.0, 0.0, 0.0, 0.0, contact(1))
     assert finger(unknown).size == (1, 1, 0), "never 0 while down"

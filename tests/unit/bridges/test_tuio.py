@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec.structs import replace
 from pythonosc.osc_bundle import OscBundle
 
 from tests.unit.bridges.events import MS, contact
@@ -47,15 +48,12 @@ def test_a_frame() -> None:
     assert last == (CURSOR, ["fseq", 5002])
 
 
-class Sized:
-    """A contact that says how large it is."""
-
-    major_mm, minor_mm = 12.0, 8.0
+SIZED = replace(contact(1), major_mm=12.0, minor_mm=8.0)
 
 
 def test_blobs() -> None:
     """A contact with a size is a blob too, with its axes in shares and the angle of the long one."""
-    sized = Place(100, 50, 0.0, 0.0, -45.0, Sized())  # type: ignore[arg-type]  # an event of a newer daemon
+    sized = Place(100, 50, 0.0, 0.0, -45.0, SIZED)
     cursors, blobs = frames().frame({1: sized, 2: place(1, 1)}, 0)
     assert len(decoded(cursors)) == 5
     messages = decoded(blobs)
@@ -68,7 +66,7 @@ def test_blobs() -> None:
 
 def test_size_of_a_frame() -> None:
     """The most contacts that a daemon tells apart fit into one datagram of any network."""
-    most = {n: Place(1, 1, 1, 1, 1, Sized()) for n in range(10)}  # type: ignore[arg-type]  # as above
+    most = {n: Place(1, 1, 1, 1, 1, SIZED) for n in range(10)}
     assert all(len(packet) <= 1472 for packet in frames().frame(most, 0))
 
 
