@@ -16,7 +16,6 @@ WORSE = (
     ("10 K warmer than in training", "temperature", "10"),
     ("1 K warmer than the baseline", "stale", "1"),
     ("channel 0 at half its gain", "gain", "0.5"),
-    ("10 ns of trigger jitter", "jitter", "10"),
     ("channels 0 and 1 dead", "dead", "0+1"),
     ("trained on 1000 touches", "learning", "1000"),
 )
@@ -31,9 +30,9 @@ INPUTS = (
     "signal to noise: 30 dB",
 )
 TONES = ("-50 dB, within the band", "-40 dB, within the band")
-TOUCHES = ("700", "1500", "3200", "4483")
+TOUCHES = ("700", "1500", "4483")
 CONDITIONS = (
-    "one finger, silicone", "human fingers, 40-100 mm^2", "the plate 10 K warmer", "two fingers, 15 mm apart or more",
+    "one finger, silicone", "human fingers, 40-100 mm^2", "two fingers, 15 mm apart or more",
     "five fingers, 25 mm apart or more", "five human fingers, 25 mm apart or more",
 )  # fmt: skip
 

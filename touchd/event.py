@@ -36,6 +36,21 @@ class Contact(Struct, gc=False, omit_defaults=True):
     vy_mm_s: float
     key: str | None = None
     """The key under the contact; only in keypad mode."""
+    area_mm2: float | None = None
+    """Area of the contact; this and what follows are absent where they cannot be told."""
+    major_mm: float | None = None
+    """Long axis, from end to end."""
+    minor_mm: float | None = None
+    """Short axis."""
+    angle_deg: float | None = None
+    """Of the long axis, from +x towards +y, -90..90; absent of a face too round to tell."""
+    sigma_area_mm2: float | None = None
+    """Standard errors of these."""
+    sigma_major_mm: float | None = None
+    sigma_minor_mm: float | None = None
+    sigma_angle_deg: float | None = None
+    kind: str | None = None
+    """`finger`, `thumb` or `glove`; a later release may know more."""
 
 
 class TouchEvent(Struct, gc=False):

@@ -13,6 +13,7 @@ from msgspec import Struct
 
 from touchd.config.schema import Settings
 from touchd.detection.detector import Detection, Detector, Notify
+from touchd.detection.impulses import Impulses
 from touchd.event import Contact
 from touchd.frame import Acquisition, Frame
 from touchd.keypad import Layout
@@ -73,7 +74,8 @@ class Pipeline:
         self.model = model
         self.counters = Counters()
         self._acquisition = acquisition
-        self.detector = Detector(acquisition.shape, settings, notify, model.dtype if model else np.float32)
+        dtype = model.dtype if model else np.float32
+        self.detector = Detector(acquisition.shape, settings, notify, dtype, Impulses(acquisition, dtype))
         self._localizer = make_localizer(model, settings, layout)
         self._tracker = Tracker(settings.tracker)
         self._keys = Keys()

@@ -2,7 +2,29 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 from msgspec import Struct
+
+Kind = Literal["finger", "thumb", "glove"]
+
+
+class Face(Struct, gc=False, frozen=True):
+    """The second moments of a contact's face: those of an ellipse of semi-axes a and b, turned by an angle t.
+
+    They are linear in what is measured, so they can be averaged; `touchd.tracking.ellipse` makes axes of them.
+    """
+
+    mean_mm2: float
+    """(a^2 + b^2) / 2."""
+    along_mm2: float
+    """(a^2 - b^2) / 2 cos 2t: how far the face is longer along x than along y."""
+    diagonal_mm2: float
+    """(a^2 - b^2) / 2 sin 2t: how far it is longer along x = y than across."""
+    mean_sigma_mm2: float
+    """Standard error of `mean_mm2`."""
+    oval_sigma_mm2: float
+    """Standard error of `along_mm2` and of `diagonal_mm2`, each."""
 
 
 class Touch(Struct, gc=False, frozen=True):
@@ -18,3 +40,7 @@ class Touch(Struct, gc=False, frozen=True):
     """0..1: the change of the signal, in full scales."""
     key: str | None = None
     """The key under the finger, in keypad mode."""
+    face: Face | None = None
+    """Size and shape, if they can be told."""
+    kind: Kind | None = None
+    """What kind of finger it is in this frame, if that can be told."""

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from touchd.calibration.plate_file import PlateFile, check_plate_file
 from touchd.calibration.plate_fit import PlateFit, fit_plate
 from touchd.calibration.untouched import Untouched
+from touchd.errors import CalibrationError
 from touchd.lab.plates.other_plate import Patch, missing, other_modes
 from touchd.twin.instrument import Instrument
 from touchd.twin.physics.material import ElasticPlate, Material
@@ -85,6 +86,12 @@ def test_a_dead_channel() -> None:
     assert fit.verdict == "usable"
     assert any("channel 2 is dead" in reason for reason in fit.reasons)
     assert places_off_mm(fit) < 0.5
+
+
+def test_no_channel_hears_anything() -> None:
+    """Silence is refused with what to check."""
+    with pytest.raises(CalibrationError, match="emitter's cable"):
+        fit_plate(said(), heard(gains=0 * GAINS))
 
 
 def test_swapped_cables(fit: PlateFit) -> None:

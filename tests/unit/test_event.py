@@ -39,6 +39,9 @@ CONTACT = st.builds(
     vx_mm_s=NUMBER,
     vy_mm_s=NUMBER,
     key=st.none() | AWKWARD,
+    area_mm2=st.none() | NUMBER,
+    angle_deg=st.none() | NUMBER,
+    sigma_major_mm=st.none() | NUMBER,
 )
 TOUCH = st.builds(TouchEvent, **HEAD, frame=COUNT, contacts=st.lists(CONTACT, max_size=3), latency_us=NUMBER)
 KEY = st.builds(KeyEvent, **HEAD, key=AWKWARD, phase=st.sampled_from(["press", "release"]), confidence=NUMBER)
@@ -115,6 +118,17 @@ def test_keys_of_a_later_release_are_ignored() -> None:
 def test_a_contact_outside_keypad_mode_has_no_key() -> None:
     event = TouchEvent("plate", 1, 2, "now", 3, [Contact(1, "down", 1.0, 2.0, 0.5, 1.0, 0.9, 0.0, 0.0)])
     assert b'"key"' not in encode(event)
+
+
+def test_size() -> None:
+    """A contact whose size cannot be told is, byte for byte, one of before contacts had a size."""
+    contact = Contact(1, "down", 1.0, 2.0, 0.5, 1.0, 0.9, 0.0, 0.0)
+    before = b'{"id":1,"phase":"down","x_mm":1.0,"y_mm":2.0,"force":0.5,"sigma_mm":1.0,"confidence":0.9,'
+    before += b'"vx_mm_s":0.0,"vy_mm_s":0.0}'
+    assert msgspec.json.encode(contact) == before
+    assert msgspec.json.decode(before, type=Contact) == contact
+    sized = msgspec.structs.replace(contact, area_mm2=80.0, sigma_area_mm2=3.0)
+    assert msgspec.json.encode(sized) == before[:-1] + b',"area_mm2":80.0,"sigma_area_mm2":3.0}'
 
 
 NOT_UTF_8 = encode(TouchEvent("plate", 1, 2, "now", 3, [])).replace(b"plate", b"pl\xffte")

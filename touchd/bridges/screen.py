@@ -28,14 +28,12 @@ class Screen:
     area : Area
         Where the screen lies on the plate.
     device : Writer
-    sized : bool
-        Whether the device has the axes of a contact's size.
     """
 
     topics = ("touch", "health")
 
-    def __init__(self, area: Area, device: Writer, *, sized: bool) -> None:
-        self._area, self._device, self._sized = area, device, sized
+    def __init__(self, area: Area, device: Writer) -> None:
+        self._area, self._device = area, device
         self._slots = slots.EMPTY
 
     def show(self, down: Down, t_ns: int) -> None:
@@ -43,7 +41,7 @@ class Screen:
         places = self._area.places(down, t_ns)
         if not places and self._slots == slots.EMPTY:
             return
-        fingers = {number: slots.finger(place, sized=self._sized) for number, place in places.items()}
+        fingers = {number: slots.finger(place) for number, place in places.items()}
         frame, self._slots = slots.encode(self._slots, fingers)
         self._device.write(frame)
 

@@ -19,10 +19,13 @@ ABS_X, ABS_Y, ABS_PRESSURE = 0x00, 0x01, 0x18
 ABS_MT_SLOT, ABS_MT_TRACKING_ID, ABS_MT_PRESSURE = 0x2F, 0x39, 0x3A
 ABS_MT_POSITION_X, ABS_MT_POSITION_Y = 0x35, 0x36
 ABS_MT_TOUCH_MAJOR, ABS_MT_TOUCH_MINOR, ABS_MT_ORIENTATION = 0x30, 0x31, 0x34
+_SIZE = ABS_MT_TOUCH_MAJOR, ABS_MT_TOUCH_MINOR, ABS_MT_ORIENTATION
 PER_MM = 100
 """Units of a position or length: hundredths of a millimetre."""
 PRESSURE_MAX = 1000
 SIZE_MAX = 100 * PER_MM
+UNKNOWN_SIZE = 1, 1, 0
+"""Axes of a contact that does not say them: lengths of 0 would be no touch."""
 SLOTS = 5
 """Most fingers at once, as libinput names them; further ones wait for a free slot."""
 LIFTED = -1
@@ -39,19 +42,21 @@ class Finger(Struct, gc=False):
     y: int
     pressure: int
     """1 to `PRESSURE_MAX`: 0 would be no touch."""
-    size: tuple[int, int, int] | None = None
+    size: tuple[int, int, int] = UNKNOWN_SIZE
     """Long and short axis, and the angle of the long one from the y axis, clockwise, -90 to 90 degrees."""
 
 
-def finger(place: Place, *, sized: bool) -> Finger:
-    """Return a finger in the device's units; `sized` adds its contact's size, as far as it is known."""
+def finger(place: Place) -> Finger:
+    """Return a finger in the device's units."""
     contact = place.contact
     pressure = min(max(round(contact.force * PRESSURE_MAX), 1), PRESSURE_MAX)
-    return Finger(round(place.x_mm * PER_MM), round(place.y_mm * PER_MM), pressure, _size(place) if sized else None)
+    return Finger(round(place.x_mm * PER_MM), round(place.y_mm * PER_MM), pressure, _size(place))
 
 
 def _size(place: Place) -> tuple[int, int, int]:
-    major_mm, minor_mm = (getattr(place.contact, name, None) or 0.0 for name in ("major_mm", "minor_mm"))
+    major_mm, minor_mm = (getattr(place.contact, name, None) for name in ("major_mm", "minor_mm"))
+    if not major_mm or not minor_mm:
+        return UNKNOWN_SIZE
     major, minor = (min(max(round(length * PER_MM), 1), SIZE_MAX) for length in (major_mm, minor_mm))
     return major, minor, round(half_turn(place.angle_deg - 90.0))
 
@@ -81,9 +86,7 @@ def encode(slots: Slots, fingers: Mapping[int, Finger]) -> tuple[bytes, Slots]:
             events.append((EV_ABS, ABS_MT_SLOT, slots.index(number)))
         events += (EV_ABS, ABS_MT_POSITION_X, one.x), (EV_ABS, ABS_MT_POSITION_Y, one.y)
         events.append((EV_ABS, ABS_MT_PRESSURE, one.pressure))
-        if one.size is not None:
-            codes = (ABS_MT_TOUCH_MAJOR, ABS_MT_TOUCH_MINOR, ABS_MT_ORIENTATION)
-            events += [(EV_ABS, code, value) for code, value in zip(codes, one.size, strict=True)]
+        events += [(EV_ABS, code, value) for code, value in zip(_SIZE, one.size, strict=True)]
     held = [number for number in after if number is not None]
     events.append((EV_KEY, BTN_TOUCH, int(bool(held))))
     if held:

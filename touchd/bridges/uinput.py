@@ -39,10 +39,10 @@ def phys_of(device: str) -> str:
     return f"touchd/{device}"
 
 
-def screen_axes(size_mm: tuple[float, float], *, sized: bool) -> list[Axis]:
+def screen_axes(size_mm: tuple[float, float]) -> list[Axis]:
     """Return the axes of a touch screen. A maximum of exactly the size makes libinput report the size."""
     x, y = (round(length * slots.PER_MM) for length in size_mm)
-    axes = [
+    return [
         (slots.ABS_MT_SLOT, 0, slots.SLOTS - 1, 0),
         (slots.ABS_MT_TRACKING_ID, 0, 0xFFFF, 0),
         (slots.ABS_MT_POSITION_X, 0, x, slots.PER_MM),
@@ -51,13 +51,10 @@ def screen_axes(size_mm: tuple[float, float], *, sized: bool) -> list[Axis]:
         (slots.ABS_X, 0, x, slots.PER_MM),
         (slots.ABS_Y, 0, y, slots.PER_MM),
         (slots.ABS_PRESSURE, 0, slots.PRESSURE_MAX, 0),
+        (slots.ABS_MT_TOUCH_MAJOR, 0, slots.SIZE_MAX, slots.PER_MM),
+        (slots.ABS_MT_TOUCH_MINOR, 0, slots.SIZE_MAX, slots.PER_MM),
+        (slots.ABS_MT_ORIENTATION, -90, 90, 0),
     ]
-    if sized:
-        axes += [
-            (code, 0, slots.SIZE_MAX, slots.PER_MM) for code in (slots.ABS_MT_TOUCH_MAJOR, slots.ABS_MT_TOUCH_MINOR)
-        ]
-        axes.append((slots.ABS_MT_ORIENTATION, -90, 90, 0))
-    return axes
 
 
 class Device:

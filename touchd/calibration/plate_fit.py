@@ -17,6 +17,7 @@ from touchd.calibration.stages import run_stages
 from touchd.calibration.untouched import Untouched
 from touchd.calibration.untouched_model import UntouchedModel, band
 from touchd.calibration.verdict import USABLE_LEFT, Evidence, Parameter, Verdict, judge
+from touchd.errors import CalibrationError
 from touchd.frame import Acquisition
 from touchd.twin.physics.dispersion import mindlin_wavenumber
 from touchd.twin.physics.material import ElasticPlate
@@ -96,9 +97,13 @@ def fit_plate(said: PlateFile, recording_mean: Untouched, progress: Progress = l
     Raises
     ------
     CalibrationError
-        The recording does not fit the plate, or too few channels live.
+        No channel hears the chirp.
     """
-    fit = _fit(said, recording_mean, lambda share: progress("fit", 0.6 * share))
+    if recording_mean.dead.all():
+        raise CalibrationError(
+            "no channel hears the chirp", "recording", "check the emitter's cable and amplifier, and record again"
+        )
+    fit = _fit(said, recording_mean, lambda share: progress("fit", share))
     if fit.unexplained - fit.noise_share > USABLE_LEFT:
         for candidate in candidates(said, recording_mean):
             other = _fit(candidate.said, recording_mean, lambda share: progress("candidates", share), candidate.what)

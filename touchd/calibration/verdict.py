@@ -12,7 +12,7 @@ Verdict = Literal["good", "usable", "poor"]
 
 EXACT = 0.0013
 """Median error of a touch with exact physics and without noise, wavelengths: 0.03 mm on 5 mm glass."""
-NOISE = 0.6
+NOISE = 1.0
 """Median error by noise, wavelengths times the RMS of a frame's noise relative to the signal."""
 MODEL = 0.04
 """Median error by physics that the fit lacks, wavelengths times the root of the energy that it leaves."""
@@ -20,6 +20,8 @@ GOOD_LEFT, USABLE_LEFT = 0.01, 0.12
 """Most energy that a good and a usable fit leave, beyond noise."""
 GOOD_MM, USABLE_MM = 0.2, 1.0
 """Largest expected error of a good and a usable fit, mm."""
+NOT_SAID = ("loss", "slope", "disc")
+"""Names of parameters that nobody measures begin so: no reason to doubt a fit."""
 ODD_CHANNEL = 10.0
 """A channel that leaves this many times the share of the median channel is odd."""
 
@@ -76,7 +78,7 @@ def judge(evidence: Evidence) -> Judgement:
     usual = float(np.median(live)) if live.size else 1.0
     odd = [c for c, share in enumerate(e.left) if share > ODD_CHANNEL * usual and share > GOOD_LEFT]
     reasons += [f"channel {c} does not fit as the others do: check its disc and its place" for c in odd]
-    pulled = [p for p in e.parameters if p.at_prior]
+    pulled = [p for p in e.parameters if p.at_prior and not p.name.startswith(NOT_SAID)]
     reasons += [
         f"{p.name}: {p.said:.4g} {p.unit} was said, {p.fitted:.4g} fits: measure it again".replace("  ", " ")
         for p in pulled

@@ -29,7 +29,6 @@ def command(settings: dict[str, Path | None] | None, address: str | None) -> Non
         keypad = uinput.Device(uinput.KEYPAD_NAME, phys, sorted(set(KEY_CODES.values())))
         serve(address, Keypad(keypad), "a keypad")
         return
-    area, sized = Area(found.input), found.model.contact_shapes
-    axes = uinput.screen_axes(area.size_mm, sized=sized)
-    device = uinput.Device(uinput.SCREEN_NAME, phys, (BTN_TOUCH,), axes)
-    serve(address, Screen(area, device, sized=sized), f"a touch screen of {area.size_mm[0]:g} x {area.size_mm[1]:g} mm")
+    area = Area(found.input)
+    device = uinput.Device(uinput.SCREEN_NAME, phys, (BTN_TOUCH,), uinput.screen_axes(area.size_mm))
+    serve(address, Screen(area, device), f"a touch screen of {area.size_mm[0]:g} x {area.size_mm[1]:g} mm")

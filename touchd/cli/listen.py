@@ -13,7 +13,7 @@ from pathlib import Path
 import click
 
 from touchd.client import Subscriber
-from touchd.event import TOPICS, Event, HealthEvent, KeyEvent, TouchEvent, encode
+from touchd.event import TOPICS, Contact, Event, HealthEvent, KeyEvent, TouchEvent, encode
 
 
 @click.command(name="listen", short_help="Print the events of a running touchd.")
@@ -99,7 +99,8 @@ def describe(event: Event) -> Iterator[str]:
             if c.phase != "hold":
                 yield (
                     f"{at} {c.phase:4} #{c.id:<4} {c.x_mm:7.2f} {c.y_mm:7.2f} mm  force {c.force:4.2f}"
-                    f"  sigma {c.sigma_mm:4.2f} mm  confidence {c.confidence:4.2f}" + (f"  {c.key}" if c.key else "")
+                    f"  sigma {c.sigma_mm:4.2f} mm  confidence {c.confidence:4.2f}{_size(c)}"
+                    + (f"  {c.key}" if c.key else "")
                 )
     elif isinstance(event, KeyEvent):
         yield f"{at} {event.phase:7} {event.key}  confidence {event.confidence:4.2f}"
@@ -113,6 +114,14 @@ def describe(event: Event) -> Iterator[str]:
     else:
         peak = max((abs(value) for value in event.features), default=0.0)
         yield f"{at} frame {event.frame}  {len(event.features)} features  largest {peak:.1f}"
+
+
+def _size(contact: Contact) -> str:
+    """Return area, axes and direction, as far as they are told."""
+    of = {"area": (contact.area_mm2, "mm2"), "long": (contact.major_mm, "mm"), "wide": (contact.minor_mm, "mm"),
+          "at": (contact.angle_deg, "deg")}  # fmt: skip
+    size = "".join(f"  {name} {value:.1f} {unit}" for name, (value, unit) in of.items() if value is not None)
+    return size + (f"  {contact.kind}" if contact.kind else "")
 
 
 def _printable(line: str) -> str:

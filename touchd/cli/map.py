@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import tomllib
 from collections.abc import Iterator
@@ -16,6 +15,7 @@ from touchd.client import Subscriber
 from touchd.config.apart import load_apart
 from touchd.errors import BusTimeout, OutputError
 from touchd.event import TouchEvent
+from touchd.files import replacing, writing
 
 _PATIENCE_S = 120.0
 _PAGE = """\
@@ -53,7 +53,8 @@ def command(
     browser. The file that --config names takes the mapping, or /etc/touchd/touchd.toml. Restart `touchd input` then.
     """
     if page is not None:
-        _write(page, page_of(CROSSES[:touches]))
+        with writing(page):
+            page.write_text(page_of(CROSSES[:touches]))
         click.echo(f"open {page} on the screen, in full screen, and run: touchd map --touches {touches}")
         return
     config = (settings or {}).get("config")
@@ -72,7 +73,9 @@ def command(
     click.echo("[input]\n" + "\n".join(f"{key} = {value}" for key, value in lines.items()))
     if not dry_run:
         path = config or _default_config()
-        _write(path, with_lines(path.read_text() if path.exists() else "", lines, str(path)))
+        text = with_lines(path.read_text() if path.exists() else "", lines, str(path))
+        with replacing(path, mode=path.stat().st_mode & 0o777 if path.exists() else 0o644) as file:
+            file.write(text.encode())
         click.echo(f"written to {path}; now: systemctl restart touchd-input touchd-tuio")
 
 
@@ -136,13 +139,3 @@ def page_of(crosses: tuple[tuple[float, float], ...]) -> str:
     """Return a page with numbered crosses."""
     made = [f'<i style="left: {x:.0%}; top: {y:.0%}"><b>{n}</b></i>' for n, (x, y) in enumerate(crosses, 1)]
     return _PAGE.format(crosses="\n".join(made))
-
-
-def _write(path: Path, text: str) -> None:
-    try:
-        new = path.with_name(f".{path.name}.new")
-        new.write_text(text)
-        new.chmod(path.stat().st_mode if path.exists() else 0o644)
-        os.replace(new, path)
-    except OSError as error:
-        raise OutputError(f"cannot be written ({error.strerror})", str(path), "check folder and permissions") from error

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from touchd.config.schema import BaselineSettings
+from touchd.detection.jitter import delay_direction
 from touchd.frame import Counts
 
 Signal = NDArray[np.floating]
@@ -47,12 +48,17 @@ class Baseline:
         self._step = np.zeros(shape, dtype)
         self._weight = np.zeros((), dtype)
         self._energy = np.zeros((), dtype)
+        self._delay: Signal | None = None
+        self.delay_energy = 0.0
+        """Energy of the residual that is a delay of the trigger; 0 unless it jitters."""
         self._silenced: list[int] = []
         self._t_ns = 0
         self._elapsed_ns = 0
         self.configure(settings)
         self._patience = _PATIENCE_WINDOWS * settings.learn_frames
         self._window: Signal = np.zeros((settings.learn_frames, *shape), dtype)
+        self.window = self._window
+        """The frames learned from, shape (n, channels, samples)."""
         self._filled = 0
         self._tried = 0
 
@@ -87,24 +93,38 @@ class Baseline:
         if self._filled < len(frames):
             return None
         np.mean(frames, axis=0, out=self.mean)
-        residuals = (frames - self.mean).reshape(len(frames), -1)
-        energies: NDArray[np.float64] = np.einsum("ij,ij->i", residuals, residuals, dtype=np.float64)
-        # The mean was taken from these very frames, which makes their residuals too small by 1/n.
-        energies *= len(frames) / (len(frames) - 1)
+        residuals = frames - self.mean
+        energies = _energies(residuals)
         if not _steady(residuals, energies) and self._tried < self._patience:
             half = len(frames) // 2
             frames[: len(frames) - half] = frames[half:].copy()
             self._filled = len(frames) - half
             return None
         self.reset()
-        return energies
+        self.window = frames
+        self._delay, self.delay_energy = delay_direction(self.mean, residuals), 0.0
+        return energies if self._delay is None else _energies(residuals, self._delay)
+
+    def leave_out(self, hit: NDArray[np.bool_]) -> NDArray[np.float64]:
+        """Learn from the window without the frames that impulses have hit, shape (learn_frames,), unless most are.
+
+        Returns
+        -------
+        ndarray of shape (n,)
+            The residual energies of the frames learned from.
+        """
+        self.window = self.window[~hit] if 2 * hit.sum() < len(hit) else self.window
+        np.mean(self.window, axis=0, out=self.mean)
+        residuals = self.window - self.mean
+        self._delay, self.delay_energy = delay_direction(self.mean, residuals), 0.0
+        return _energies(residuals, self._delay)
 
     def learned(self) -> Signal:
-        """Return the residuals of the frames learned from, shape (learn_frames, channels, samples)."""
-        return np.asarray(self._window - self.mean)
+        """Return the residuals of the frames learned from, shape (up to learn_frames, channels, samples)."""
+        return np.asarray(self.window - self.mean)
 
     def subtract(self, counts: Counts, t_ns: int) -> float:
-        """Put the frame less the mean into `residual`, and return its energy (counts squared)."""
+        """Put the frame less the mean into `residual`, and return the latter's `residual_energy` (counts squared)."""
         self._elapsed_ns = t_ns - self._t_ns
         self._t_ns = t_ns
         # One conversion, then floats alone: to mix them in one call takes twice as long, and memory each time.
@@ -112,8 +132,16 @@ class Baseline:
         _subtract(self.signal, self.mean, self.residual)
         for channel in self._silenced:
             self.residual[channel] = 0
+        return self.residual_energy()
+
+    def residual_energy(self) -> float:
+        """Return the energy of `residual` but for a delay of the trigger, if it jitters; counts squared."""
         self._flat.dot(self._flat, self._energy)
         energy: float = self._energy.item()
+        if self._delay is not None:
+            self._flat.dot(self._delay, self._energy)
+            self.delay_energy = self._energy.item() ** 2
+            energy = max(energy - self.delay_energy, 0.0)
         return energy
 
     def energy(self) -> float:
@@ -132,12 +160,23 @@ class Baseline:
         _add(self.mean, self._step, self.mean)
 
 
+def _energies(residuals: Signal, delay: Signal | None = None) -> NDArray[np.float64]:
+    """Return the energies of residuals, (n, channels, samples), against their own mean, without their delay."""
+    flat = residuals.reshape(len(residuals), -1)
+    energies: NDArray[np.float64] = np.einsum("ij,ij->i", flat, flat, dtype=np.float64)
+    if delay is not None:
+        energies -= np.square(flat @ delay)
+    # The mean was taken from these very frames, which makes their residuals too small by 1/n.
+    energies *= len(flat) / (len(flat) - 1)
+    return energies
+
+
 def _steady(residuals: Signal, energies: NDArray[np.float64]) -> bool:
     """Return whether successive frames differ as much as frames far apart: neither drift nor touch between them.
 
     The ratio of von Neumann (Ann. Math. Stat. 12:367, 1941): about 1 for noise that is independent from frame to
     frame, near 0 for anything slow.
     """
-    successive = np.diff(residuals, axis=0)
+    successive = np.diff(residuals.reshape(len(residuals), -1), axis=0)
     noise = 0.5 * np.einsum("ij,ij->i", successive, successive, dtype=np.float64).mean()
     return bool(noise >= _STEADY_RATIO * energies.mean())

@@ -17,6 +17,7 @@ from numpy.typing import DTypeLike, NDArray
 from touchd.config.schema import Settings
 from touchd.detection.baseline import Baseline, Signal
 from touchd.detection.gate import Gate
+from touchd.detection.impulses import Impulses
 from touchd.detection.liveness import Liveness
 from touchd.detection.relearn import Relearn
 from touchd.detection.stuck import LONGEST_CYCLE, Stuck
@@ -44,7 +45,7 @@ class Detection(Struct, gc=False, frozen=True):
     """REPEATED, STUCK, LEARNING, UNTOUCHED or TOUCHED."""
     t_ns: int
     energy: float
-    """Of the residual, counts squared."""
+    """Of the residual, counts squared; without that of a delay where the trigger jitters."""
     noise_root: float
     noise_deviation: float
     """Mean and standard deviation of the cube root of the energy of untouched frames' residuals."""
@@ -62,6 +63,8 @@ class Detection(Struct, gc=False, frozen=True):
     """Residuals of the frames that the baseline was learned from, (n, channels, samples), once it is learned."""
     lost: int = 0
     """Frames missing before this one."""
+    hits: tuple[int, ...] = ()
+    """Starts of the runs of samples that an impulse has hit; the residual is zero there."""
 
     @property
     def noise_energy(self) -> float:
@@ -85,11 +88,19 @@ class Detector:
         Called when the baseline is relearned, with the reason and fields for the log.
     dtype : type
         Of all arrays.
+    impulses : Impulses, optional
+        Finds the samples that an impulse has hit; without it none are.
     """
 
     def __init__(
-        self, shape: tuple[int, int], settings: Settings, notify: Notify, dtype: DTypeLike = np.float32
+        self,
+        shape: tuple[int, int],
+        settings: Settings,
+        notify: Notify,
+        dtype: DTypeLike = np.float32,
+        impulses: Impulses | None = None,
     ) -> None:
+        self._impulses = impulses
         self.gate = Gate(settings.gate)
         self.liveness = Liveness()
         self._baseline = Baseline(shape, settings.baseline, dtype)
@@ -139,7 +150,7 @@ class Detector:
         if self._learning:
             return self._learning_frame(frame, lost)
         energy = baseline.subtract(frame.counts, frame.t_ns)
-        gate = self.gate
+        gate, was_open = self.gate, self.gate.is_open
         touched = gate.decide(energy)
         if stuck.doubtful or (touched and stuck.returns(energy)):
             self.miss(frame.t_ns, stuck.fault)
@@ -148,11 +159,17 @@ class Detector:
         else:
             self.liveness.measured_ns = frame.t_ns
         outcome, changed = _TOUCHED, False
+        hits: tuple[int, ...] = ()
         if not touched:
             outcome, changed = _UNTOUCHED, gate.update(energy)
+        elif self._impulses and (hits := self._impulses.blank(baseline.residual, energy)):
+            # Without them the plate may be untouched; its noise is not learned from such a frame.
+            energy, gate.is_open = baseline.residual_energy(), was_open
+            if not gate.decide(energy):
+                outcome = _UNTOUCHED
         return Detection(
             outcome, frame.t_ns, energy, gate.noise_root, gate.noise_deviation, baseline.signal, baseline.residual,
-            baseline.mean, self._live, changed, None, lost,
+            baseline.mean, self._live, changed, None, lost, hits,
         )  # fmt: skip
 
     def adapt(self, detection: Detection, found: bool, departure: bool, alive: bool, moved: bool = False) -> None:
@@ -176,6 +193,8 @@ class Detector:
                 self._relearn.reset()
             if not self.sequence % KEEP_EVERY:
                 self._stuck.keep(detection.signal)
+                if self._impulses:
+                    self._impulses.update(detection.residual)
             if not alive:
                 self._baseline.follow()
                 self.followed_ns = detection.t_ns
@@ -187,7 +206,8 @@ class Detector:
             # The plate has drifted while it was touched.
             self._baseline.follow(quickly=moved)
             self.followed_ns = detection.t_ns
-        reason = self._relearn.update(detection.t_ns, detection.residual, energy, finger, departure and not finger)
+        whole = energy + self._baseline.delay_energy
+        reason = self._relearn.update(detection.t_ns, detection.residual, whole, finger, departure and not finger)
         if reason is not None:
             level_db = 10 * math.log10(energy / self._signal_energy)
             self._notify(reason.value, {"frame": self.sequence, "level_db": round(level_db, 1)})
@@ -234,6 +254,8 @@ class Detector:
         energies = baseline.learn(frame.counts, frame.t_ns)
         learned = None
         if energies is not None:
+            if self._impulses and (hit := self._impulses.learn(baseline.window)).any():
+                energies = baseline.leave_out(hit)
             self.gate.learn(energies)
             self._relearn.reset()
             self._signal_energy = baseline.energy()

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from touchd.config.schema import Settings
 from touchd.detection.detector import Detection
+from touchd.detection.impulses import Impulses
 from touchd.errors import RecordingValues
 from touchd.evaluation.dataset import baseline_frames, beyond, noise_energy, noise_of, residual_of
 from touchd.evaluation.matching import Seen
@@ -127,15 +128,18 @@ def find_with(model: Model, atlas: Atlas | None, frames: TouchedFrames) -> Find:
     chosen = np.linspace(0, len(frames) - 1, min(len(frames), MEMORY_FRAMES)).astype(int).tolist()
     pairs = [frames.counts[frames.beside[i]].astype(np.float32) for i in chosen]
     noise = [(one - other) * np.float32(sqrt(3) / 2) for one, other in pairs if (one != other).any()]
+    impulses = Impulses(frames.acquisition, np.float32)
     if noise:
-        localizer.update(frames.baseline(0), np.array(noise))
+        hit = impulses.learn(np.array(noise))
+        localizer.update(frames.baseline(0), np.array(noise)[~hit])
     noise_root, live = float(np.cbrt(frames.noise_energy())), np.ones(frames.acquisition.channels, bool)
 
     def find(look: Look) -> Sequence[Touch]:
+        hits = impulses.blank(look.residual, float(np.square(look.residual).sum()))
         energy = float(np.square(look.residual, dtype=np.float64).sum())
         detection = Detection(
             Outcome.TOUCHED, 0, energy, noise_root, 0.0, look.counts.astype(np.float32), look.residual, look.baseline,
-            live,
+            live, hits=hits,
         )  # fmt: skip
         localizer.update(look.baseline)
         return localizer.localize(detection, alive=False, complete=True).touches

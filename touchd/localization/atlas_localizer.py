@@ -17,6 +17,8 @@ from touchd.detection.detector import Detection
 from touchd.keypad import Layout
 from touchd.localization.atlas import Atlas
 from touchd.localization.classify import Classifier
+from touchd.localization.contact_kind import kind_of
+from touchd.localization.contact_size import ContactSize
 from touchd.localization.estimator import Estimator, TouchMaker
 from touchd.localization.fit import Bins, Fit, no_fit
 from touchd.localization.fit_criteria import CRITERIA
@@ -60,6 +62,7 @@ class AtlasLocalizer:
         self._landing = Landing(self._estimator, self._solver, self._pursuit, self._noise)
         self._search = MultitouchSearch(self._solver, self._pursuit, self._noise)
         self._classifier = Classifier(atlas, self._noise)
+        self._size = ContactSize(atlas, self._noise)
         self._prediction = Prediction()
         self._follower = Follower(self._solver, self._search, self._noise, self._prediction)
         self._still = StillFinger(atlas, self._solver)
@@ -121,7 +124,7 @@ class AtlasLocalizer:
             self._set_channels(detection.live)
         t_ns = detection.t_ns
         self._search.update(t_ns)
-        if self._found.touches and self._rests(detection.residual):
+        if self._found.touches and not detection.hits and self._rests(detection.residual):
             self._prediction.rest(t_ns)
             return self._found
         tracked = bool(self._prediction.positions_mm)
@@ -144,7 +147,7 @@ class AtlasLocalizer:
         inferred = False
         self._touched = True
         self._departure = self._plate_moved = False
-        bins = self._plate.bins(detection.residual)
+        bins = self._plate.bins(detection.residual, detection.hits)
         signal = bins.energy - noise.noise_energy
         # Most tracked fingers are far above noise and drift: that is quickly asked.
         if not (tracked and signal > noise.noise_energy + self._drift.energy) and self._is_untouched(
@@ -158,8 +161,10 @@ class AtlasLocalizer:
         else:
             inferred = True
             fit = self._landing.fit(detection, bins, signal)
+        bins, fit = self._settle(bins, fit)
         if not fit.shapes:
-            fit = self._solver.with_shapes(bins, fit, noise.noise_energy)
+            bins, fit = self._settle(bins, self._solver.with_shapes(bins, fit, noise.noise_energy))
+        signal = bins.energy - noise.noise_energy
         excess = noise.excess(fit.residual_energy, signal)
         if (
             tracked
@@ -172,11 +177,13 @@ class AtlasLocalizer:
             # be lost while the search takes its time.
             limited = not complete and (not tracked or (len(fit.positions_mm) == 1 and excess < CRITERIA.fair))
             if not search.pending and self._plate.drop_silent(detection):
-                bins = self._plate.bins(detection.residual)
+                bins = self._plate.bins(detection.residual, detection.hits)
                 signal = bins.energy - noise.noise_energy
                 fit = self._solver.fit_one(bins, *fit.positions_mm[0], FIRST_STEPS) if fit.positions_mm else fit
             else:
                 fit, known = search.search(bins, fit, signal, tracked=tracked, limited=limited)
+                bins, fit = self._settle(bins, fit)
+                signal = bins.energy - noise.noise_energy
                 if not known:
                     self._prediction.forget_velocities()
             excess = noise.excess(fit.residual_energy, signal)
@@ -223,11 +230,19 @@ class AtlasLocalizer:
         fingers = self._classifier.fingers(fit, confidence, t_ns)
         self._departure = self._classifier.departure
         make = self._touch_maker.touch
+        faces = self._size.faces(fit) if fit.shapes else {}
         # Change of the signal, as a share of its size, by a finger of amplitude 1.
         change = self._field_rms / self._plate.signal_rms
         return tuple(
             [
-                make(*position_mm, sigma_mm, confidence, amplitude * change)
+                make(
+                    *position_mm,
+                    sigma_mm,
+                    confidence,
+                    amplitude * change,
+                    face=(face := faces.get(position_mm)),
+                    kind=kind_of(amplitude, face),
+                )
                 for position_mm, sigma_mm, amplitude in fingers
                 if sigma_mm <= self._max_sigma_mm
             ]
@@ -238,7 +253,12 @@ class AtlasLocalizer:
         if not self._still.armed:
             return False
         self._drift.correct(residual, self._still.vector)
+        self._plate.nuisance.align(self._still.vector)
         return self._still.holds(2 * (1 + CRITERIA.noise_margin) * self._noise.noise_energy)
+
+    def _settle(self, bins: Bins, fit: Fit) -> tuple[Bins, Fit]:
+        """Give fingers back what the frame's delay and hit samples took from them."""
+        return self._plate.nuisance.settle(bins, fit, self._solver, self._noise.noise_energy)
 
     def _set_channels(self, live: NDArray[np.bool_]) -> None:
         self._live = live
@@ -246,6 +266,7 @@ class AtlasLocalizer:
         self._still.reset()
 
     def _lose(self) -> tuple[Touch, ...]:
+        self._plate.nuisance.forget_fingers()
         self._prediction.reset()
         self._follower.reset()
         return ()

@@ -7,6 +7,8 @@ frame says                                            the contact becomes
 ====================================================  =======================================================
 abs(lead) > 2.0                                       DEPARTURE: a finger that the baseline held has lifted
 lead > 0.45, less 2.5 sigma of the phase              WATER
+an amplitude below 0.5: lead > 0.5, less 1.5 sigma    WATER; remembered if lead > 0.5 by 2.5 sigma
+the same where a finger was: lead > 0.5 by 1 sigma    WATER
 lead > 0.15 within 3 mm of water of the last 10 s     WATER, unless the fit is clear (below); then DRYING
 lead <= 0.15 there, where water lay for 0.1 s         DRYING, unless a finger has just come from beside it
 DRYING for 30 ms                                      FINGER
@@ -37,6 +39,9 @@ WATER_RAD = 0.45
 """Drops lead by about 0.6 rad, fingers by less than 0.3 (twin)."""
 PHASE_SIGMAS = 2.5
 """A finger's phase stays below `WATER_RAD` by this many standard errors: the phase of a faint drop scatters."""
+SMALL, SMALL_WATER_RAD = 0.5, 0.5
+"""Contacts of few square millimetres are mass too: gloved fingers of 3 to 8 mm^2 lead by 0.28 to 0.47 rad, drops of as
+small an amplitude by 0.51 to 0.68 (twin)."""
 STILL_WATER_RAD, WATER_MM, WATER_NS = 0.15, 3.0, 10_000_000_000
 """Within 3 mm of water seen in the last 10 s, a smaller lead is water too: that of a faint drop, or of a drop while a
 finger lands elsewhere, is ambiguous in single frames."""
@@ -139,12 +144,15 @@ class Classifier:
         for k, position in enumerate(fit.positions_mm):
             drop = self._drop_at(position) if self._drops else None
             scatter = self._scatter_rad(fit.energies[k])
-            substance = self._substance(leads[k], scatter, drop, position, confidence, several=several)
+            small = sizes[k] < SMALL
+            limit = self._small_limit_rad(position, scatter) if small else WATER_RAD - scatter
+            substance = self._substance(leads[k], limit, scatter, drop, position, confidence, several=several)
             if substance is Substance.DEPARTURE:
                 continue
             judged.append(position)
             if substance is not Substance.FINGER:
-                drops.append(self._drop(position, substance, drop))
+                if drop is not None or not small or leads[k] > SMALL_WATER_RAD + scatter:
+                    drops.append(self._drop(position, substance, drop))
             elif leads[k] > LAG_RAD and k not in doubtful:
                 fingers.append((position, errors_mm[k], sizes[k]))
         for one in self._drops:
@@ -155,12 +163,20 @@ class Classifier:
         return fingers
 
     def _substance(
-        self, lead: float, scatter: float, drop: Drop | None, position_mm: Position, confidence: float, *, several: bool
+        self,
+        lead: float,
+        limit: float,
+        scatter: float,
+        drop: Drop | None,
+        position_mm: Position,
+        confidence: float,
+        *,
+        several: bool,
     ) -> Substance:
         """Return what a contact is: the table of this module."""
         if abs(lead) > DEPARTURE_RAD:
             return Substance.DEPARTURE
-        if lead >= WATER_RAD - scatter:
+        if lead >= limit:
             return Substance.WATER
         if drop is None:
             return Substance.FINGER
@@ -185,6 +201,11 @@ class Classifier:
             before.dry_since_ns if before is not None and goes_on else self.t_ns,
             self.t_ns + memory_ns,
         )
+
+    def _small_limit_rad(self, position_mm: Position, scatter: float) -> float:
+        """Return the lead from which a small contact is water: one that was a finger stays one for longer."""
+        sigma = scatter / PHASE_SIGMAS
+        return SMALL_WATER_RAD + (sigma if self._was_finger(position_mm, several=True) else -1.5 * sigma)
 
     def _scatter_rad(self, energy: float) -> float:
         """Return `PHASE_SIGMAS` standard errors of the phase: the noise over the contact's energy is its variance."""

@@ -64,6 +64,8 @@ class Drift:
         """Channels without a signal."""
         self.signal_energy = 1.0
         """Of the untouched plate's bins, counts squared."""
+        self.delay = np.zeros(self._size)
+        """What a delay of a second adds to the untouched plate's bins, shape (size,)."""
 
     def set_baseline(self, baseline: Array) -> None:
         """Compare the untouched plate, (channels, samples), with the one in training."""
@@ -115,6 +117,11 @@ class Drift:
         self._moved = True
 
     @property
+    def matrix(self) -> Array:
+        """What takes samples to bins, shape (samples, 2 * bins)."""
+        return self._matrix
+
+    @property
     def directions(self) -> Array:
         """Orthonormal directions in which the untouched plate can move, shape (up to 2 + channels, size)."""
         return self._directions
@@ -157,6 +164,7 @@ class Drift:
             bins, stretched = bins * self._scale, stretched * self._scale
         self.signal_energy = max(float(np.square(bins).sum()), 1.0)
         bins[self.dead] = stretched[self.dead] = 0.0
+        self.delay = delayed(bins, self._omega_rad_s).ravel()
         directions = plate_directions(bins, stretched, self._omega_rad_s)
         self._directions = directions.astype(self._dtype)
         self._along = np.zeros(len(directions), self._dtype)

@@ -9,7 +9,7 @@ from touchd.detection.detector import Detection
 from touchd.keypad import Layout
 from touchd.localization.features import make_features, noise_to_signal
 from touchd.localization.model import Estimate, Model
-from touchd.touch import Touch
+from touchd.touch import Face, Kind, Touch
 
 
 class Estimator:
@@ -71,9 +71,17 @@ class TouchMaker:
         self._full_scale, self._layout = settings.tracker.force_full_scale, layout
 
     def touch(
-        self, x_mm: float, y_mm: float, sigma_mm: float, confidence: float, change: float, key: str | None = None
+        self,
+        x_mm: float,
+        y_mm: float,
+        sigma_mm: float,
+        confidence: float,
+        change: float,
+        key: str | None = None,
+        face: Face | None = None,
+        kind: Kind | None = None,
     ) -> Touch:
         """Return a touch; `change` is that of the signal as a share of its size, `key` what the network says."""
         if self._layout:
             key = self._layout.at(x_mm, y_mm)
-        return Touch(x_mm, y_mm, sigma_mm, confidence, min(1.0, change / self._full_scale), key)
+        return Touch(x_mm, y_mm, sigma_mm, confidence, min(1.0, change / self._full_scale), key, face, kind)

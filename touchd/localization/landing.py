@@ -62,7 +62,10 @@ class Landing:
         if not poor and not (faint and noise.is_alike):
             return False
         ceiling = noise.noise_energy + CRITERIA.rival * left if poor else noise.ceiling
-        return any(
-            other.residual_energy < ceiling and math.dist(other.positions_mm[0], fit.positions_mm[0]) > AMBIGUOUS_MM
-            for other in self._fit_candidates(bins)
-        )
+        for other in self._fit_candidates(bins):
+            if math.dist(other.positions_mm[0], fit.positions_mm[0]) > AMBIGUOUS_MM:
+                # A contact with a shape is compared with one that may have a shape, too.
+                rival = self._solver.with_shapes(bins, other, noise.noise_energy) if fit.shapes else other
+                if rival.residual_energy < ceiling:
+                    return True
+        return False

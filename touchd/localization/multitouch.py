@@ -118,7 +118,7 @@ class MultitouchSearch:
     def prune(self, bins: Bins, fit: Fit, signal: float) -> tuple[Fit, list[int]]:
         """Return a fit without the fingers that explain next to nothing, and the indices of those, one by one.
 
-        Nor does a faint one explain anything if the plate's own movement explains it nearly as well.
+        Nor does a faint one explain anything if the plate's own movement explains it as well.
         """
         dropped = []
         noise_energy = self._noise.noise_energy
@@ -127,7 +127,7 @@ class MultitouchSearch:
             energy, unexplained = fit.energies[weakest], fit.residual_energy - noise_energy
             is_weak = energy <= CRITERIA.weak * max(unexplained, CRITERIA.enough * signal)
             is_faint = energy < CRITERIA.faint * noise_energy
-            if not is_weak and not (is_faint and self._is_movement(bins, fit, weakest)):
+            if not is_weak and not (is_faint and self._moved_energy(bins, fit, weakest) < fit.residual_energy):
                 break
             dropped.append(weakest)
             fit = self._fit(bins, _without(fit.positions_mm, weakest))
@@ -171,14 +171,17 @@ class MultitouchSearch:
 
     def _without_movement(self, bins: Bins, fit: Fit) -> Fit:
         """Return a fit without further fingers that the plate's own movement explains nearly as well."""
+        noise_energy = self._noise.noise_energy
         for k in range(len(fit.positions_mm) - 1, -1, -1):
-            if len(fit.positions_mm) > 1 and self._is_movement(bins, fit, k):
+            if len(fit.positions_mm) < 2:
+                break
+            most = max(fit.residual_energy - noise_energy, 0.0) / CRITERIA.worth + 1.25 * noise_energy
+            if self._moved_energy(bins, fit, k) < most:
                 fit = self._fit(bins, _without(fit.positions_mm, k))
         return fit
 
-    def _is_movement(self, bins: Bins, fit: Fit, k: int) -> bool:
-        """Return whether noise and the plate's own movement explain finger `k` of a fit nearly as well."""
-        noise_energy = self._noise.noise_energy
+    def _moved_energy(self, bins: Bins, fit: Fit, k: int) -> float:
+        """Return what a fit leaves if the plate's own movement takes the place of finger `k`, counts squared."""
         rest = replace(
             fit,
             positions_mm=_without(fit.positions_mm, k),
@@ -186,8 +189,7 @@ class MultitouchSearch:
             shapes=_without(fit.shapes, k),
         )
         left = self._solver.residual(bins, rest)
-        remains = float(left @ left) - self._noise.plate_energy(left) - noise_energy
-        return remains < max(fit.residual_energy - noise_energy, 0.0) / CRITERIA.worth + noise_energy / 4
+        return float(left @ left) - self._noise.plate_energy(left)
 
     def _fit(self, bins: Bins, positions_mm: list[Position]) -> Fit:
         """Fit contacts of unknown shape from positions nearby."""

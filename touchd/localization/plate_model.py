@@ -17,6 +17,7 @@ from touchd.localization.atlas import Array, Atlas
 from touchd.localization.drift import Drift
 from touchd.localization.fit import Bins
 from touchd.localization.noise import NoiseModel
+from touchd.localization.nuisance import Nuisance, hit_rows
 from touchd.localization.tones import WATCH_EVERY, Tones
 
 COMPARE_NS = 1_000_000_000
@@ -37,6 +38,7 @@ class PlateModel:
         dtype = atlas.coefficients.dtype
         self.drift = Drift(atlas)
         self.noise = NoiseModel(atlas)
+        self.nuisance = Nuisance(atlas.size, dtype)
         self._tones = Tones(atlas.description.acquisition.channels, len(atlas.description.bins), dtype)
         self._fingerless_frames = 0
         self._vector: Array = np.zeros(atlas.size, dtype)
@@ -54,8 +56,12 @@ class PlateModel:
             self.set_baseline(baseline)
             return
         self.noise.reset()
+        self.nuisance.reset()
         self._tones.reset()
         self.set_baseline(baseline)
+        for residual in residuals:
+            self.drift.correct(residual, self._vector)
+            self.nuisance.learn(self._vector)
         for residual in residuals:
             self.hear(residual)
         self._select()
@@ -74,6 +80,7 @@ class PlateModel:
     def hear(self, residual: Signal) -> None:
         """Update the noise model with an untouched frame's residual, shape (channels, samples)."""
         self.drift.correct(residual, self._vector)
+        self.nuisance.hear(self._vector)
         if self.noise.update(self._vector):
             self._select()
 
@@ -113,18 +120,28 @@ class PlateModel:
         silent = self.drift.silent(detection.residual, detection.baseline)
         if not silent.any() or silent.all() or not (silent & self.noise.channels).any():
             return False
-        self.noise.set_channels(self.noise.channels & ~silent & self._live, self.drift.directions, self._tones.quiet)
+        self._use(self.noise.channels & ~silent & self._live)
         return True
 
-    def bins(self, residual: Signal) -> Bins:
-        """Return the bins of a residual, shape (channels, samples); valid until the next call."""
+    def bins(self, residual: Signal, hits: tuple[int, ...] = ()) -> Bins:
+        """Return the bins of a residual, shape (channels, samples); valid until the next call.
+
+        `hits` are the starts of runs of samples that an impulse has hit. Delay and hit samples are taken out, and with
+        them some of the fingers until `nuisance.settle`.
+        """
         vector, mask = self._vector, self.noise.mask
         self.drift.correct(residual, vector)
         if mask is not None:
             np.multiply(vector, mask, vector)
+        if hits or self.nuisance.engaged:
+            self.nuisance.remove(vector, hit_rows(self.drift.matrix, hits, len(residual)), mask)
         vector.dot(vector, self._energy)
         return Bins(vector, mask, self._energy.item())
 
     def _select(self) -> None:
         """Leave out dead channels, and bins that drown in noise."""
-        self.noise.set_channels(~self.drift.dead & self._live, self.drift.directions, self._tones.quiet)
+        self._use(~self.drift.dead & self._live)
+
+    def _use(self, channels: NDArray[np.bool_]) -> None:
+        self.noise.set_channels(channels, self.drift.directions, self._tones.quiet)
+        self.nuisance.set_delay(self.drift.delay, self.noise.mask)

@@ -5,13 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import hypot, sqrt
 
+from msgspec import structs
 from msgspec.structs import replace
 
 from touchd.config.schema import TrackerSettings
 from touchd.event import Contact
 from touchd.touch import Touch
 from touchd.tracking.assignment import assign
+from touchd.tracking.ellipse import FaceAverage, ellipse_of
 from touchd.tracking.one_euro import OneEuro
+from touchd.tracking.steady_kind import SteadyKind
 
 _NEVER = 1e9  # mm: finite, as the assignment asks
 _RELEASE_FRAMES = 2
@@ -24,10 +27,11 @@ _DEAD_SIGMAS = 1.5
 class Track:
     """One finger from its first frame to its last."""
 
-    __slots__ = ("contact", "filter", "missing", "seen")
+    __slots__ = ("contact", "face", "filter", "kind", "missing", "seen")
 
     def __init__(self, touch: Touch, settings: TrackerSettings) -> None:
         self.filter = OneEuro(touch.x_mm, touch.y_mm, settings.min_cutoff_hz, settings.beta)
+        self.face, self.kind = FaceAverage(touch.face), SteadyKind(touch.kind)
         self.seen = 1
         self.missing = 0
         self.contact: Contact | None = None  # until it is confirmed
@@ -112,6 +116,10 @@ class Tracker:
     def _advance(self, track: Track, touch: Touch, elapsed_s: float) -> bool:
         track.missing = 0
         track.filter.update(touch.x_mm, touch.y_mm, elapsed_s, touch.sigma_mm)
+        if touch.face is not None or track.face.face is not None:
+            track.face.update(touch.face, elapsed_s)
+        if touch.kind is not None:
+            track.kind.update(touch.kind, elapsed_s)
         contact = track.contact
         if contact is None:
             track.seen += 1
@@ -161,8 +169,7 @@ class Tracker:
         quiet_ns = t_ns - self._reported_ns
         # Below 0 the clock stepped back: it may never catch up.
         due = due or quiet_ns < 0 or quiet_ns + round(elapsed_s * 1e9) > _REFRESH_NS
-        # Copies: a message must not change once it is made.
-        contacts = [replace(track.contact) for track in self.tracks if track.contact is not None] if due else []
+        contacts = [_copy(track.contact, track) for track in self.tracks if track.contact] if due else []
         if self._missed:
             self._missed = False
             self.tracks = [track for track in self.tracks if _lives(track)]
@@ -170,6 +177,12 @@ class Tracker:
         if contacts:
             self._reported_ns = t_ns
         return contacts
+
+
+def _copy(contact: Contact, track: Track) -> Contact:
+    """Return a contact with what can be told of its face; a message must not change once it is made."""
+    face, kind = track.face.face, track.kind.kind
+    return replace(contact, kind=kind, **(structs.asdict(ellipse_of(face)) if face is not None else {}))
 
 
 def _is_within_reach(costs: list[float]) -> bool:

@@ -81,7 +81,7 @@ def kills(count: int, seed: int = 0) -> int:
     rng = random.Random(seed)
     stuck, now_ns, frames = 0, 0, taps(rng)
     kernel = Kernel()
-    following, screen = Following(), Screen(Area(SETTINGS), kernel, sized=False)
+    following, screen = Following(), Screen(Area(SETTINGS), kernel)
     for _ in range(count):
         for _ in range(rng.randrange(8)):
             now_ns += 8 * MS
@@ -98,7 +98,7 @@ def kills(count: int, seed: int = 0) -> int:
             screen.close() if who == "bridge, asked" else kernel.close()
             stuck += bool(kernel.live)
             kernel = Kernel()
-            following, screen = Following(), Screen(Area(SETTINGS), kernel, sized=False)
+            following, screen = Following(), Screen(Area(SETTINGS), kernel)
         now_ns += 300 * MS
         if following.check(now_ns):
             screen.show(following.down, now_ns)

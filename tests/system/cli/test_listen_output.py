@@ -69,6 +69,15 @@ def test_person(sink: ZeromqSink) -> None:
     ]
 
 
+def test_size(sink: ZeromqSink) -> None:
+    """A person sees the size of a contact as far as it is told."""
+    listen = Listen(sink, "--count", "1")
+    sized = Contact(4, "move", 12.34, 56.78, 0.5, 1.5, 0.99, 0.0, 0.0, area_mm2=81.25, major_mm=11.6, angle_deg=-30.04)
+    publish(sink, TouchEvent("plate", 1, 1, WALL, 1, [sized]))
+    _, out, _ = listen.end()
+    assert out.strip().endswith("confidence 0.99  area 81.2 mm2  long 11.6 mm  at -30.0 deg")
+
+
 def test_json(sink: ZeromqSink) -> None:
     """A script gets the events as lines of JSON."""
     listen = Listen(sink, "--json", "--count", "2")

@@ -38,14 +38,14 @@ watch() {
 unwatch() { sleep 1; kill $libinput; wait $libinput 2> /dev/null; }
 # scene COMMAND...: to the bus that stands for the daemon's; returns when it is done
 scene() {
-    local command done
+    local command before
     for command in "$@"; do
-        done=$(grep -c done screen.bus)
+        before=$(grep -c "\"done\"" screen.bus)
         echo "$command" >&5
-        wait_for 180 more_done "$done" || say "not done: $command"
+        wait_for 180 more_done "$before" || say "not done: $command"
     done
 }
-more_done() { [ "$(grep -c done screen.bus)" -gt "$1" ]; }
+more_done() { [ "$(grep -c "\"done\"" screen.bus)" -gt "$1" ]; }
 bridge() { systemctl show touchd-input --property="$1" --value; }
 another_bridge() { [ "$(bridge MainPID)" != "$1" ] && [ "$(bridge ActiveState)" = active ]; }
 sees() { [ "$(grep -c "$2" "$1.events")" -ge "$3" ]; }
@@ -74,7 +74,8 @@ exec 5<> /run/screen-commands
 PYTHONPATH=/usr/lib/touchd python3 -B screenbus.py < /run/screen-commands > screen.bus 2> screen.err 5>&- &
 screenbus=$!
 wait_for 120 test -S /run/touchd/bus
-systemctl start touchd-input
+systemctl start --no-block touchd-input
+wait_for 240 another_bridge 0
 found screen-starts $?
 scene wait
 found screen-node "$(stat -c '%G %a' /dev/uinput)"
@@ -144,7 +145,8 @@ touchd listen --topic touch --timeout 60 --json --count 1 > /dev/null
 found touched-again $?
 
 say screen on the plate
-systemctl start touchd-input
+systemctl start --no-block touchd-input
+wait_for 240 another_bridge 0
 watch plate
 touchd listen --topic touch --timeout 60 --json --count 200 > plate.bus
 found plate-heard $?

@@ -13,14 +13,14 @@ from touchd.bridges.slots import EMPTY, Finger, Slots, encode, finger, lift_all
 
 FINGER = st.builds(
     Finger, st.integers(0, 20000), st.integers(0, 20000), st.integers(1, 1000),
-    st.none() | st.tuples(st.integers(1, 10000), st.integers(1, 10000), st.integers(-90, 90)),
+    st.tuples(st.integers(1, 10000), st.integers(1, 10000), st.integers(-90, 90)),
 )  # fmt: skip
 # Few numbers, so that fingers stay, go and come again in any order; more of them than slots.
 FRAMES = st.lists(st.dictionaries(st.integers(65530, 65545), FINGER, max_size=8), max_size=30)
 
 
 def values(number: int, one: Finger) -> dict[str, int]:
-    size = dict(zip(("major", "minor", "angle"), one.size, strict=True)) if one.size else {}
+    size = dict(zip(("major", "minor", "angle"), one.size, strict=True))
     return {"id": number & 0xFFFF, "x": one.x, "y": one.y, "pressure": one.pressure, **size}
 
 
@@ -77,11 +77,11 @@ def test_units() -> None:
     """Positions are hundredths of a millimetre, pressure is force in thousandths and never 0."""
     down = contact(1, "down")
     place = Place(12.34, 56.78, 0.0, 0.0, 0.0, down)
-    assert finger(place, sized=False) == Finger(1234, 5678, 500)
+    assert finger(place) == Finger(1234, 5678, 500)
     down.force = 0.0
-    assert finger(place, sized=False).pressure == 1
+    assert finger(place).pressure == 1
     down.force = 7.0
-    assert finger(place, sized=False).pressure == slots.PRESSURE_MAX
+    assert finger(place).pressure == slots.PRESSURE_MAX
 
 
 class Sized:
@@ -94,6 +94,6 @@ def test_size() -> None:
     """The contact's axes are lengths, its orientation the long axis against the screen's y axis, clockwise."""
     for angle_deg, orientation in ((90.0, 0), (-90.0, 0), (45.0, -45), (-80.0, 10), (100.0, 10)):
         place = Place(1.0, 1.0, 0.0, 0.0, angle_deg, Sized())  # type: ignore[arg-type]  # an event of a newer daemon
-        assert finger(place, sized=True).size == (1200, 800, orientation)
+        assert finger(place).size == (1200, 800, orientation)
     unknown = Place(1.0, 1.0, 0.0, 0.0, 0.0, contact(1))
-    assert finger(unknown, sized=True).size == (1, 1, -90), "never 0 while down"
+    assert finger(unknown).size == (1, 1, 0), "never 0 while down"

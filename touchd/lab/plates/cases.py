@@ -17,9 +17,10 @@ from touchd.twin.physics.transducer import Layout, default_layout
 
 GLASS, ACRYLIC, ALUMINIUM = (
     Material(71.1e9, 0.226, 2490.0),
-    Material(5.75e9, 0.337, 1185.0),
+    Material(3.25e9, 0.346, 1185.0),
     Material(69.2e9, 0.335, 2705.0),
 )
+ACRYLIC_SAID = (("material", None), ("young_gpa", 3.3), ("poisson", 0.34), ("density_kg_m3", 1190.0))
 GAINS = (1.1, -0.8, 0.95, 0.7)
 """Gain of each channel; the second disc is inverted."""
 
@@ -52,7 +53,7 @@ CASES = {
     "glass-220x160x5": Case(G220),
     "glass-250x210x4": Case((250.0, 210.0, 4.0)),
     "glass-180x180x3": Case((180.0, 180.0, 3.0)),
-    "acrylic-190x140x6": Case((190.0, 140.0, 6.0), "pmma", ACRYLIC, 0.03),
+    "acrylic-190x140x6": Case((190.0, 140.0, 6.0), "acrylic", ACRYLIC, 0.03, said=ACRYLIC_SAID),
     "aluminium-300x200x3": Case((300.0, 200.0, 3.0), "aluminium", ALUMINIUM, 3e-3),
     "pads": Case(G220, mounting=Mounting(left="pads", right="pads", top="pads", bottom="pads"), edge="pads"),
     "tape": Case(G220, mounting=Mounting(left="tape"), edge="tape"),

@@ -1,0 +1,37 @@
+"""A subscriber learns how large a finger's contact is, how long, which way it lies, and whose it is."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from tests.scenes.stages import play
+from touchd.twin.instrument import Instrument
+from touchd.twin.simulate import DEFAULT_PLATE, stage_scene
+
+
+@pytest.mark.parametrize(("finger", "kind"), [("fingertip", "finger"), ("thumb", "thumb")])
+def test_size(finger: str, kind: str, instrument: Instrument) -> None:
+    """In a circle area, long axis and direction are right to 10 %, 1 mm and 10 degrees at the median."""
+    stage = stage_scene("circle", DEFAULT_PLATE, seed=14, finger=finger, frames=300)
+    off, kinds = [], []
+    for event in play(stage, instrument, 14).touches:
+        down = [k for k, x_mm in enumerate(stage.x_mm) if np.isfinite(x_mm[event.frame])]
+        if not down or len(event.contacts) != 1:
+            continue
+        contact, (ratio, angle_rad) = event.contacts[0], (row[event.frame] for row in stage.ovals[down[0]])
+        area_mm2 = stage.area_mm2[down[0]][event.frame]
+        kinds.append(contact.kind)
+        if contact.area_mm2 is None or contact.major_mm is None or contact.angle_deg is None:
+            continue
+        turn_deg = (contact.angle_deg - math.degrees(angle_rad) + 90) % 180 - 90
+        major_mm = 2 * math.sqrt(area_mm2 * ratio / math.pi)
+        off.append((contact.area_mm2 / area_mm2 - 1, contact.major_mm - major_mm, turn_deg))
+    medians = np.median(np.abs(off), axis=0)
+    print(f"{finger}: {len(off)} of {len(kinds)} told, medians {medians}")
+    assert len(off) > len(kinds) / 2
+    assert (medians < (0.10, 1.0, 10.0)).all()
+    assert set(kinds) <= {None, kind}
+    assert kinds.count(kind) > len(kinds) / 2

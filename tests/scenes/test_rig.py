@@ -1,0 +1,40 @@
+"""A trigger that jitters and electromagnetic impulses neither hide taps nor make touches."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.scenes.stages import empty_stage, play, score
+from touchd.twin.electronics import Electronics, Impulses
+from touchd.twin.instrument import Instrument
+from touchd.twin.simulate import DEFAULT_PLATE, stage_scene
+
+RIGS = {
+    "jitter": Electronics(jitter_s=20e-9),
+    "impulses": Electronics(impulses=Impulses(share=0.2)),
+    "both": Electronics(jitter_s=20e-9, impulses=Impulses(share=0.2)),
+}
+
+
+@pytest.mark.parametrize("finger", ["robot", "fingertip"])
+@pytest.mark.parametrize("rig", RIGS)
+def test_taps(rig: str, finger: str, instrument: Instrument) -> None:
+    """Each tap is found once, where it is, and nothing else."""
+    stage = stage_scene("tap", DEFAULT_PLATE, seed=17, finger=finger, electronics=RIGS[rig])
+    result = score(stage, play(stage, instrument, 17))
+    error_mm = np.linalg.norm(result.error_mm, axis=1)
+    print(f"{rig} {finger}: {result.found} of {result.touches}, median {np.median(error_mm):.3f} mm")
+    assert (result.missed, result.ghosts, result.split) == (0, 0, 0)
+    assert np.median(error_mm) < 0.3
+
+
+@pytest.mark.parametrize("rig", RIGS)
+def test_idle(rig: str, instrument: Instrument) -> None:
+    """Twenty seconds of an untouched plate bring no touch; of 500 impulses nine in ten open no gate."""
+    stage = empty_stage(20.0)
+    stage.electronics = RIGS[rig]
+    outcome = play(stage, instrument)
+    print(f"{rig}: {outcome.counters}")
+    assert outcome.touches == []
+    assert outcome.counters.inferred < 50

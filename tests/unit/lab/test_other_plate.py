@@ -1,0 +1,28 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from touchd.lab.plates.other_plate import missing, other_modes
+from touchd.twin.physics.material import MATERIALS, ElasticPlate
+from touchd.twin.physics.plate import solve
+from touchd.twin.physics.transducer import Layout
+
+PLATE = ElasticPlate(width_mm=50, height_mm=40, thickness_mm=5, elastic=MATERIALS["glass"])
+LAYOUT = Layout(emitter_mm=(12, 20), receivers_mm=((38, 8),), diameter_mm=1e-3)
+WHOLE = {"x_mm": 25.0, "y_mm": 20.0, "half_x_mm": 25.0, "half_y_mm": 20.0, "round": False}
+
+
+@pytest.mark.parametrize(("stiff", "heavy"), [(True, False), (False, True), (True, True)])
+def test_a_patch_as_large_as_the_plate(stiff: bool, heavy: bool) -> None:
+    """A patch that takes a fifth of the whole plate's stiffness or mass changes all frequencies as closed form says."""
+    patch = missing(PLATE, 0.2, **WHOLE)
+    if not stiff:
+        patch = patch._replace(bending_n_m=0.0, shear_n_m=0.0)
+    if not heavy:
+        patch = patch._replace(mass_kg_m2=0.0, rotary_kg=0.0)
+    found = other_modes(PLATE, LAYOUT, [patch], 60e3).omega_rad_s
+    expected = solve(PLATE, (24, 22), 120e3).omega_rad_s * np.sqrt((0.8 if stiff else 1) / (0.8 if heavy else 1))
+    count = min(len(found), len(expected))
+    assert count > 10
+    np.testing.assert_allclose(found[3:count], expected[3:count], rtol=1e-4)

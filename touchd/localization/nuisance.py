@@ -1,0 +1,201 @@
+"""What is in a frame besides fingers and white noise, in known directions: a common delay, samples hit by an impulse.
+
+A trigger that comes late adds the time derivative of the untouched signal; a blanked sample may have had any value. The
+amounts s are unknown in each frame. `remove` takes out the frame's whole part in these directions Q, and with it some
+of the fingers'. Once fingers are fitted, `settle` puts theirs back and fits again: alternating least squares for the
+amounts and the fingers. It converges within two rounds unless a finger looks like a delay, as one on the emitter does;
+Aitken's step helps there. How much the trigger jitters, the untouched frames tell; the delay is shrunk accordingly, and
+left alone where it is below noise.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from msgspec.structs import replace
+from numpy.typing import NDArray
+
+from touchd.detection.impulses import WIDTH
+from touchd.localization.atlas import Array
+from touchd.localization.fit import Bins, Fit
+from touchd.localization.gauss_newton import GaussNewton
+
+ACTIVE = 16.0
+"""Power along the delay, over that of noise, from which it is removed: 0.5 ns of jitter at 60 dB."""
+MEMORY_FRAMES = 256
+ROUNDS = 4
+"""Most rounds of `settle`; still touches take one or two."""
+ENOUGH = 1.0
+"""A round that would move the bins by less than this, in deviations of a value's noise, is not worth a fit."""
+STEPS = 3
+_FASTEST = 0.9
+"""Largest ratio of successive rounds that Aitken's step extrapolates."""
+_WEAK = 1e-3
+"""Combinations of hit samples that show less than this in the bins are not told from noise."""
+
+
+class Nuisance:
+    """Removes delay and hit samples from bins, and gives fingers back what is theirs.
+
+    Parameters
+    ----------
+    size : int
+        Of the bins, channels * 2 * bins.
+    dtype : type
+    """
+
+    active: bool
+    """Whether the trigger jitters by more than noise hides."""
+
+    def __init__(self, size: int, dtype: np.dtype[np.floating]) -> None:
+        self._delay: Array = np.zeros(size, dtype)
+        self._keep = np.zeros(0, dtype)  # share of each direction that is removed
+        self._directions: Array = np.zeros((0, size), dtype)
+        self._returned: Array = np.zeros(0, dtype)
+        self._followed = 0.0  # the fingers' own part along the delay in the last frame
+        self._settled = 0.0  # what was left along it then
+        self._energy = np.zeros((), dtype)
+        self.reset()
+
+    @property
+    def engaged(self) -> bool:
+        """Whether the next frame has a delay to remove, or the last one had hit samples."""
+        return self.active or len(self._directions) > 0
+
+    def set_delay(self, direction: Array, mask: Array | None) -> None:
+        """Take the derivative of the untouched bins by time, any length, shape (size,)."""
+        delay = direction if mask is None else direction * mask
+        norm = float(np.linalg.norm(delay))
+        self._delay = (delay / norm if norm > 0 else np.zeros_like(delay)).astype(self._delay.dtype)
+
+    def reset(self) -> None:
+        """Forget how much the trigger jitters."""
+        self._power, self._white, self._last, self._frames = 0.0, 0.0, 0.0, 0
+        self.active = False
+
+    def forget_fingers(self) -> None:
+        """Expect no finger in the next frame."""
+        self._followed = 0.0
+
+    def learn(self, vector: Array) -> float:
+        """Update the jitter by the bins of an untouched frame; return their part along the delay."""
+        self._delay.dot(vector, self._energy)
+        along: float = self._energy.item()
+        vector.dot(vector, self._energy)
+        self._frames = min(self._frames + 1, MEMORY_FRAMES)
+        white = (self._energy.item() - along * along) / len(vector)
+        # Against the last frame: a plate that warms moves this way too, but slowly.
+        step, self._last = along - self._last, along
+        if self._frames > 1:
+            self._power += (step * step / 2 - self._power) / (self._frames - 1)
+        self._white += (white - self._white) / self._frames
+        self.active = self._power > ACTIVE * self._white > 0
+        return along
+
+    def hear(self, vector: Array) -> None:
+        """Update the jitter by the bins of an untouched frame; if there is any, take the delay out of them."""
+        along = self.learn(vector)
+        if self.active:
+            vector -= along * self._delay
+
+    def remove(self, vector: Array, runs: list[Array], mask: Array | None) -> None:
+        """Take delay and hit samples out of the bins of a frame, in place.
+
+        Parameters
+        ----------
+        vector : array of shape (size,)
+        runs : list of arrays of shape (k, size)
+            What each hit run of samples can add to the bins.
+        mask : array of shape (size,), optional
+        """
+        delay = self._delay[None] if self.active else self._delay[None][:0]
+        self._directions = delay
+        self._keep = np.full(len(delay), 1 - self._white / max(self._power, 1e-30), vector.dtype)
+        if runs:
+            table = np.concatenate(runs) if mask is None else np.concatenate(runs) * mask
+            table = table - (table @ delay.T) @ delay
+            _, size, rows = np.linalg.svd(table, full_matrices=False)
+            rows = rows[size > _WEAK * size[0]].astype(vector.dtype)
+            self._directions = np.concatenate([delay, rows])
+            self._keep = np.concatenate([self._keep, np.ones(len(rows), vector.dtype)])
+        if not len(self._directions):
+            return
+        self._returned = np.zeros_like(self._keep)
+        if self.active:
+            self._returned[0] = self._followed
+        vector -= (self._keep * (self._directions @ vector) - self._returned) @ self._directions
+
+    def settle(self, bins: Bins, fit: Fit, solver: GaussNewton, noise_energy: float) -> tuple[Bins, Fit]:
+        """Return bins in which the fingers are whole, and their fit.
+
+        Parameters
+        ----------
+        bins : Bins
+            Whose vector `remove` has changed; it is changed again.
+        fit : Fit
+        solver : GaussNewton
+        noise_energy : float
+            Mean noise energy of the bins, counts squared.
+        """
+        if not len(self._directions) or not fit.positions_mm:
+            return bins, fit
+        before: NDArray[np.floating] | None = None
+        for _ in range(ROUNDS):
+            explained = self._directions @ (bins.vector - solver.residual(bins, fit))
+            step = self._keep * explained - self._returned
+            size = float(step @ step)
+            if size <= ENOUGH**2 * self._white:
+                break
+            ratio = 0.0 if before is None else float(step @ before) / float(before @ before)
+            before = step
+            step = step / (1 - min(max(ratio, 0.0), _FASTEST))
+            self._returned = self._returned + step
+            vector = bins.vector
+            vector += step @ self._directions
+            vector.dot(vector, self._energy)
+            bins = Bins(vector, bins.mask, self._energy.item())
+            fit = _refit(bins, fit, solver, noise_energy)
+        if self.active:
+            self._followed, self._settled = float(self._returned[0]), float(self._delay.dot(bins.vector))
+        return bins, fit
+
+    def align(self, vector: Array) -> None:
+        """Give the bins of a frame, in place, the delay of the frame settled last: they can then be compared."""
+        if self.active:
+            vector += (self._settled - self._delay.dot(vector)) * self._delay
+
+
+def _refit(bins: Bins, fit: Fit, solver: GaussNewton, noise_energy: float) -> Fit:
+    """Fit the fingers of a fit to other bins of the same frame."""
+    positions = fit.positions_mm
+    if fit.shapes:
+        shaped = solver.fit_shapes(bins, fit, noise_energy, STEPS)
+        if shaped.positions_mm:
+            return replace(shaped, points_energy=fit.points_energy)
+    return (
+        solver.fit_one(bins, *positions[0], STEPS)
+        if len(positions) == 1
+        else (solver.fit_several(bins, positions, STEPS))
+    )
+
+
+def hit_rows(matrix: Array, starts: tuple[int, ...], channels: int) -> list[Array]:
+    """Return what runs of `WIDTH` hit samples can add to the bins: for each run and channel, rows of shape (k, size).
+
+    Parameters
+    ----------
+    matrix : array of shape (samples, 2 * bins)
+        From samples to bins.
+    starts : tuple of int
+        First sample of each run.
+    channels : int
+    """
+    rows = []
+    whole = float(np.linalg.norm(matrix, axis=1).max())
+    for start in starts:
+        _, size, shapes = np.linalg.svd(matrix[start : start + WIDTH], full_matrices=False)
+        shapes = shapes[size > _WEAK * whole]
+        for channel in range(channels):
+            run = np.zeros((len(shapes), channels, matrix.shape[1]), matrix.dtype)
+            run[:, channel] = shapes
+            rows.append(run.reshape(len(shapes), -1))
+    return rows
