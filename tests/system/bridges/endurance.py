@@ -55,7 +55,7 @@ def taps(rng: random.Random) -> Iterator[list[Contact]]:
 
 def through_the_bus(folder: Path, frames: int, seed: int = 0) -> tuple[int, int]:
     """Send frames to a bridge's process; return how many reports differ from their frame, and how many are missing."""
-    with daemon(folder) as bus, bridge(folder, bus) as screen:
+    with daemon(folder) as bus, bridge(folder, bus, PATIENT="1") as screen:
         source, expected = taps(random.Random(seed)), deque[Places]()
         sent = seen = wrong = 0
         deadline_s = time.monotonic() + PATIENCE_S
@@ -111,7 +111,7 @@ def kills(count: int, seed: int = 0) -> int:
 
 def latency_us(folder: Path, messages: int) -> tuple[list[float], list[float]]:
     """Return the times of the same messages until a subscriber has them, and until their events can be read, us."""
-    with daemon(folder) as bus, bridge(folder, bus) as screen:
+    with daemon(folder) as bus, bridge(folder, bus, PATIENT="1") as screen:
         code = "import sys; from tests.system.bridges.endurance import listen; listen(sys.argv[1], int(sys.argv[2]))"
         alone = subprocess.Popen([sys.executable, "-c", code, bus.address, str(messages)], stdout=subprocess.PIPE,
                                  text=True, cwd=ROOT, env=environment())  # fmt: skip
@@ -124,8 +124,7 @@ def latency_us(folder: Path, messages: int) -> tuple[list[float], list[float]]:
 
 def _one(bus: Daemon, screen: Bridge, k: int) -> float:
     time.sleep(0.008)
-    phase: Phase = "down" if k == 0 else "move"
-    sent_ns = bus.touch(contact(1, phase, k % 200, 50.0))
+    sent_ns = bus.touch(*([contact(k, "up")] if k else []), contact(k + 1, "down", k % 200, 50.0))
     select.select([screen.reader], [], [], PATIENCE_S)
     read_ns = time.monotonic_ns()
     screen.pump()

@@ -1,16 +1,20 @@
 """`touchd input` with a pipe in the place of /dev/uinput: run as `python -m tests.system.bridges.fakeuinput PIPE ...`.
 
-Of the kernel only opening, ioctl and the folder of devices are replaced; the rest is the command as it is.
+Of the kernel only opening, ioctl and the folder of devices are replaced; the rest is the command as it is. With the
+variable PATIENT it lifts nothing in silence and drops no old message: a computer that is busy stands still for longer.
 """
 
 from __future__ import annotations
 
 import fcntl
+import os
 import sys
+from functools import partial
 from pathlib import Path
 
-from touchd.bridges import uinput
+from touchd.bridges import bridge, following, uinput
 from touchd.cli.main import main
+from touchd.client import Subscriber
 
 
 def ioctl(_fd: int, request: int, argument: object = 0) -> int:
@@ -24,5 +28,8 @@ def ioctl(_fd: int, request: int, argument: object = 0) -> int:
 if __name__ == "__main__":
     uinput.NODE = Path(sys.argv[1])
     uinput.DEVICES = uinput.NODE.parent / "devices"
+    if os.environ.get("PATIENT"):
+        following.SILENCE_NS = 10**12
+        vars(bridge)["Subscriber"] = partial(Subscriber, max_age_s=None)
     fcntl.ioctl = ioctl  # type: ignore[assignment]  # has overloads
     sys.exit(main(sys.argv[2:]))

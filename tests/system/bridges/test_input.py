@@ -15,7 +15,7 @@ from tests.unit.bridges.events import contact
 
 def test_touches_reach_the_kernel(tmp_path: Path) -> None:
     """A tap, and two fingers, reach the kernel as the bus had them."""
-    with daemon(tmp_path) as bus, bridge(tmp_path, bus) as screen:
+    with daemon(tmp_path) as bus, bridge(tmp_path, bus, PATIENT="1") as screen:
         bus.touch(down(1))
         bus.touch(contact(1, "move", 51.0, 60.5, 0.25), down(2, 150.0, 20.0))
         bus.touch(contact(1, "up"), contact(2, "move", 150.0, 21.0))
