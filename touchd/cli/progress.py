@@ -28,17 +28,18 @@ class TimeLeft:
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
         self._last_s = clock()
-        self._begun = 0
+        self._begun = self._done = 0
         self._took_s: list[float] = []
 
     def update(self, done: int, steps: int) -> str:
         """Return the time left once `done` of `steps` are done, for a person; empty while nobody can know."""
         now_s = self._clock()
         if not self._begun:
-            self._begun = done
-        else:
-            self._took_s.append(now_s - self._last_s)
-        self._last_s = now_s
+            self._begun = self._done = done
+            self._last_s = now_s
+        elif steps_done := done - self._done:  # several at once share their time
+            self._took_s += [(now_s - self._last_s) / steps_done] * steps_done
+            self._done, self._last_s = done, now_s
         if done - self._begun - 1 < max(2, _KNOWN_SHARE * steps) or done == steps:
             return ""
         recent_s = self._took_s[-max(3, len(self._took_s) // 5) :]

@@ -18,8 +18,8 @@ from touchd.localization.gauss_newton import GaussNewton, shapes_of
 from touchd.localization.spline import Position
 
 MOST_FINGERS = 5
-SCAN_MM = 5.0
-"""Spacing of the scan: half of it, on the diagonal, is within reach of Gauss-Newton."""
+SCAN_NODES = 2
+"""Spacing of the scan, 5 mm on 5 mm glass: half of it, on the diagonal, is within reach of Gauss-Newton."""
 _CANDIDATES = 3
 _BLOCKS, _BLOCK_COST = 6, 0.7
 """A scan runs in 6 blocks, each of which takes as long as 0.7 fits."""
@@ -55,7 +55,7 @@ class Pursuit:
     def __init__(self, atlas: Atlas, solver: GaussNewton) -> None:
         self.solver = solver
         d, dtype = atlas.description, atlas.coefficients.dtype
-        every = max(1, round(SCAN_MM / d.step_mm))
+        every = SCAN_NODES
         nodes = atlas.coefficients
         # The value at a node is (1, 4, 1)/6 of the coefficients along either axis.
         lines = (nodes[:-2] + 4 * nodes[1:-1] + nodes[2:])[1:-1:every] / 6

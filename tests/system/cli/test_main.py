@@ -23,9 +23,15 @@ def run(program: str, *arguments: object) -> Ended:
 
 
 @pytest.mark.parametrize(
-    ("verb", "package"), [("train", "torch"), ("train", "rich"), ("train", "scipy"), ("draw", "matplotlib")]
+    ("verb", "package", "extra"),
+    [
+        ("train", "torch", "train"),
+        ("train", "rich", "calibrate"),
+        ("train", "scipy", "calibrate"),
+        ("draw", "matplotlib", "calibrate"),
+    ],
 )
-def test_missing_packages(verb: str, package: str, tmp_path: Path) -> None:
+def test_missing_packages(verb: str, package: str, extra: str, tmp_path: Path) -> None:
     """A verb whose packages are missing says in one line what to install, and writes nothing."""
     recording = tmp_path / "a.npz"
     recording.touch()
@@ -44,7 +50,7 @@ sys.exit(main(sys.argv[1:]))
     (line,) = ended.err.splitlines()
     assert line.startswith("touchd: ")
     assert package in line
-    assert line.endswith(f" -> in a clone of touchd: {sys.executable} -m pip install '.[train]'")
+    assert line.endswith(f" -> in a clone of touchd: {sys.executable} -m pip install '.[{extra}]'")
     assert list(tmp_path.iterdir()) == [recording]
 
 

@@ -59,3 +59,14 @@ def test_nothing_to_know() -> None:
     """Nothing is said of the first steps, and nothing at the end."""
     assert estimates([1.0]) == estimates([1.0, 1.0]) == []
     assert len(estimates([1.0] * 100)) == 93
+
+
+def test_left_by_leaps() -> None:
+    """A job that tells of many steps at once, or of the same one twice, has its time left, too."""
+    now_s = 0.0
+    left = TimeLeft(lambda: now_s)
+    said = []
+    for done in (0, 10, 10, 30, 60):
+        said.append(left.update(done, 100))
+        now_s += 10.0
+    assert said[-1] == "0:00:24 left", "50 steps took 30 s, the slowest left out"
