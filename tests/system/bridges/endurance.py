@@ -31,7 +31,8 @@ from touchd.config.bridges import InputSettings
 from touchd.event import Contact, Phase
 
 SETTINGS = InputSettings(screen_mm=(0, 0, 200, 100))
-IN_FLIGHT = 100
+IN_FLIGHT = 30
+"""Frames that fit into the pipe, 64 KiB, which the kernel's uinput does not have: there a write never waits."""
 Places = list[tuple[int, int]]
 
 
