@@ -18,6 +18,7 @@ from touchd.keypad import Layout
 from touchd.localization.atlas import Atlas
 from touchd.localization.classify import Classifier
 from touchd.localization.contact_kind import kind_of
+from touchd.localization.contact_model import elongation
 from touchd.localization.contact_size import ContactSize
 from touchd.localization.estimator import Estimator, TouchMaker
 from touchd.localization.fit import Bins, Fit, no_fit
@@ -161,9 +162,9 @@ class AtlasLocalizer:
         else:
             inferred = True
             fit = self._landing.fit(detection, bins, signal)
-        bins, fit = self._settle(bins, fit)
+        bins, fit = self._settle(detection, bins, fit)
         if not fit.shapes:
-            bins, fit = self._settle(bins, self._solver.with_shapes(bins, fit, noise.noise_energy))
+            bins, fit = self._settle(detection, bins, self._solver.with_shapes(bins, fit, noise.noise_energy))
         signal = bins.energy - noise.noise_energy
         excess = noise.excess(fit.residual_energy, signal)
         if (
@@ -182,7 +183,7 @@ class AtlasLocalizer:
                 fit = self._solver.fit_one(bins, *fit.positions_mm[0], FIRST_STEPS) if fit.positions_mm else fit
             else:
                 fit, known = search.search(bins, fit, signal, tracked=tracked, limited=limited)
-                bins, fit = self._settle(bins, fit)
+                bins, fit = self._settle(detection, bins, fit)
                 signal = bins.energy - noise.noise_energy
                 if not known:
                     self._prediction.forget_velocities()
@@ -196,6 +197,9 @@ class AtlasLocalizer:
         by_plate = doubtful and bins.energy - noise.plate_energy(bins.vector) < fit.residual_energy
         by_palms = excess > CRITERIA.poor and signal > CRITERIA.most_poor * self._drift.signal_energy and not tracked
         if by_plate or by_palms or not confidence >= min_confidence or (search.pending and not tracked):
+            return self._lose(), inferred
+        # Shapes that no finger has make up for wrong positions.
+        if fit.shapes and not tracked and excess > CRITERIA.good and elongation(fit) > CRITERIA.most_elongation:
             return self._lose(), inferred
         if len(fit.positions_mm) == 1 and not tracked and self._landing.is_ambiguous(bins, fit, signal, faint=faint):
             return self._lose(), inferred
@@ -256,8 +260,11 @@ class AtlasLocalizer:
         self._plate.nuisance.align(self._still.vector)
         return self._still.holds(2 * (1 + CRITERIA.noise_margin) * self._noise.noise_energy)
 
-    def _settle(self, bins: Bins, fit: Fit) -> tuple[Bins, Fit]:
-        """Give fingers back what the frame's delay and hit samples took from them."""
+    def _settle(self, detection: Detection, bins: Bins, fit: Fit) -> tuple[Bins, Fit]:
+        """Give fingers back what the frame's delay and hit samples took from them; too few fingers cannot tell it."""
+        lacking = fit.residual_energy > CRITERIA.half_confidence * bins.energy + self._noise.noise_energy
+        if lacking and not detection.hits:
+            return bins, fit
         return self._plate.nuisance.settle(bins, fit, self._solver, self._noise.noise_energy)
 
     def _set_channels(self, live: NDArray[np.bool_]) -> None:

@@ -157,6 +157,11 @@ def size_mm2(fit: Fit) -> float:
     )
 
 
+def elongation(fit: Fit) -> float:
+    """Return the largest difference of second moments over their sum in a fit: up to 0.55 of one finger (twin)."""
+    return max(math.hypot(abs(xx - yy), abs(xy)) / max(abs(xx + yy), 1e-30) for _, xx, yy, xy in fit.shapes)
+
+
 def _mix() -> Complex:
     """Return how amplitudes mix rows to the slopes by x and by y, shape (5, 2 * 8).
 

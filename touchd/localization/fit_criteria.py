@@ -59,6 +59,8 @@ class FitCriteria:
     """A followed finger's shape is fitted again once it leaves this many times what it left when it was fitted, ..."""
     shape_worn: float = 0.001
     """... and this share more."""
+    most_elongation: float = 0.5
+    """Of a fit that is not good: faint fingers at an edge, misplaced by more than 10 mm, have 0.5 to 5 (twin)."""
     shapes_apart_mm: float = 9.0
     """Two contacts with shapes that are closer than this are one: so much wider than a point is a child's finger."""
     plate: float = 0.06

@@ -27,6 +27,8 @@ ROUNDS = 4
 ENOUGH = 1.0
 """A round that would move the bins by less than this, in deviations of a value's noise, is not worth a fit."""
 STEPS = 3
+FINGERS_SHARE = 0.005
+"""Share of their energy that fingers have along the delay: five fingertips up to 0.05, one near the emitter more."""
 _FASTEST = 0.9
 """Largest ratio of successive rounds that Aitken's step extrapolates."""
 _WEAK = 1e-3
@@ -121,8 +123,13 @@ class Nuisance:
             return
         self._returned = np.zeros_like(self._keep)
         if self.active:
-            self._returned[0] = self._followed
+            self._returned[0] = self._followed or self._expected(vector)
         vector -= (self._keep * (self._directions @ vector) - self._returned) @ self._directions
+
+    def _expected(self, vector: Array) -> float:
+        """Return the part along the delay that is the fingers' if nothing is known of them."""
+        along, own = float(self._delay @ vector), FINGERS_SHARE * float(vector @ vector)
+        return float(self._keep[0]) * along * own / (own + self._power)
 
     def settle(self, bins: Bins, fit: Fit, solver: GaussNewton, noise_energy: float) -> tuple[Bins, Fit]:
         """Return bins in which the fingers are whole, and their fit.
