@@ -198,8 +198,9 @@ class AtlasLocalizer:
         by_palms = excess > CRITERIA.poor and signal > CRITERIA.most_poor * self._drift.signal_energy and not tracked
         if by_plate or by_palms or not confidence >= min_confidence or (search.pending and not tracked):
             return self._lose(), inferred
-        # Shapes that no finger has make up for wrong positions.
-        if fit.shapes and not tracked and excess > CRITERIA.good and elongation(fit) > CRITERIA.most_elongation:
+        # Shapes that no finger has make up for wrong positions: of several, where the field is badly known.
+        several = fit.shapes and len(fit.positions_mm) > 1
+        if several and not tracked and excess > CRITERIA.good and elongation(fit) > CRITERIA.most_elongation:
             return self._lose(), inferred
         if len(fit.positions_mm) == 1 and not tracked and self._landing.is_ambiguous(bins, fit, signal, faint=faint):
             return self._lose(), inferred

@@ -58,14 +58,14 @@ class Landing:
         """
         noise = self._noise
         left = fit.residual_energy - noise.noise_energy
+        if left > CRITERIA.good * signal:
+            # Shapes may make up for a wrong position: points are compared with points.
+            left = max(left, fit.points_energy - noise.noise_energy)
         poor = left > CRITERIA.poor * signal
         if not poor and not (faint and noise.is_alike):
             return False
         ceiling = noise.noise_energy + CRITERIA.rival * left if poor else noise.ceiling
-        for other in self._fit_candidates(bins):
-            if math.dist(other.positions_mm[0], fit.positions_mm[0]) > AMBIGUOUS_MM:
-                # A contact with a shape is compared with one that may have a shape, too.
-                rival = self._solver.with_shapes(bins, other, noise.noise_energy) if fit.shapes else other
-                if rival.residual_energy < ceiling:
-                    return True
-        return False
+        return any(
+            other.residual_energy < ceiling and math.dist(other.positions_mm[0], fit.positions_mm[0]) > AMBIGUOUS_MM
+            for other in self._fit_candidates(bins)
+        )
