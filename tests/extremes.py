@@ -70,6 +70,8 @@ def any_settings(draw: st.DrawFn) -> Settings:
             low, high = ends(field)
             between = st.integers if field.annotation is int else st.floats
             value = draw(st.sampled_from([low, high, field.default]) | between(low, high))  # type: ignore[arg-type]  # its bounds are numbers here
+            for step in (step for limit in field.metadata if (step := getattr(limit, "multiple_of", None))):
+                value -= value % step
         keys[key] = value
     if tables["ni"]["amplitude_v"] > tables["ni"]["output_limit_v"]:
         del tables["ni"]["amplitude_v"], tables["ni"]["output_limit_v"]

@@ -47,7 +47,8 @@ class Daemon:
 
     def reload(self, read: Settings) -> None:
         """Reload; a line of the log at level error is a reload that failed."""
-        self._read = read.model_copy(update={"keypad": Settings().keypad})  # whose file may be missing
+        files = {"keypad": Settings().keypad, "model": read.model.model_copy(update={"path": None})}
+        self._read = read.model_copy(update=files)  # whose files may be missing
         with capture_logs() as entries:
             self._reloader.reload()
         assert [entry for entry in entries if entry["log_level"] == "error"] == []

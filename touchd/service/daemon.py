@@ -263,8 +263,11 @@ def run(
         source = stack.enter_context(closing(open_source(choice, settings, model)))
         sinks: list[Sink] = [bus, JsonlSink(sys.stdout)] if echo else [bus]
 
+        service: Service | None = None
+
         def plate() -> Plate | None:
-            return service.pipeline.model.description.plate if service.pipeline.model else None
+            used = service.pipeline.model if service else model
+            return used.description.plate if used else None
 
         description = describer(source, settings, choice, plate)
         preroll = stack.enter_context(closing(make_preroll(source, settings, description)))

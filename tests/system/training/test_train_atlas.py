@@ -124,7 +124,7 @@ def test_unknown_material(result: AtlasResult, touches: Recording, tmp_path: Pat
     assert sum("unobtainium" in note for note in found.notes) == 1
     known, fitted = (np.array(one.atlas.description.wavenumber_rad_m)[:36] for one in (result, found))
     np.testing.assert_allclose(fitted, known, rtol=0.1)
-    assert "fitted to the touches" in (write_atlas_report(found, strange.meta, ["a"]) / "report.md").read_text()
+    assert "predicts the touches best" in (write_atlas_report(found, strange.meta, ["a"]) / "report.md").read_text()
 
 
 def test_label_noise(touches: Recording, tmp_path: Path) -> None:
