@@ -14,6 +14,8 @@ from touchd.keypad import Layout
 
 RESTART_ONLY = frozenset({"device", "ni", "bus", "control", "realtime", "baseline.learn_frames"})
 """Tables and keys that a running daemon cannot change: what is open, bound or learned."""
+BRIDGES = frozenset({"input", "tuio"})
+"""Tables of the bridges, which are processes of their own: a daemon has no use for them."""
 
 log = structlog.get_logger()
 
@@ -37,7 +39,7 @@ def compare(running: Settings, read: Settings) -> Changes:
     values = running.model_dump()
     for table, key, _ in fields():
         new = getattr(getattr(read, table), key)
-        if new == getattr(getattr(running, table), key):
+        if table in BRIDGES or new == getattr(getattr(running, table), key):
             continue
         if table in RESTART_ONLY or f"{table}.{key}" in RESTART_ONLY:
             waiting.append(f"{table}.{key}")

@@ -24,7 +24,7 @@ from touchd.service.daemon import make_reloader
 from touchd.service.health import Health
 from touchd.service.messages import Messages, all_but_spectra
 from touchd.service.preroll import PreRoll
-from touchd.service.reload import RESTART_ONLY, Changes, Reloader, compare
+from touchd.service.reload import BRIDGES, RESTART_ONLY, Changes, Reloader, compare
 from touchd.sources.replay import ReplaySource
 
 PERIOD_NS = 8_000_000
@@ -238,5 +238,7 @@ def test_taken_is_true(
         preroll.request("test")
         preroll.close()
         reached |= read
-    changeable = {f"{table}.{key}" for table, key, _ in fields() if not {table, f"{table}.{key}"} & RESTART_ONLY}
+    changeable = {
+        f"{table}.{key}" for table, key, _ in fields() if not {table, f"{table}.{key}"} & (RESTART_ONLY | BRIDGES)
+    }
     assert reached == changeable
