@@ -25,9 +25,8 @@ from bisect import bisect
 from math import hypot, sqrt
 
 import numpy as np
-from numpy.typing import NDArray
 
-from touchd.localization.atlas import Array, Atlas
+from touchd.localization.atlas import Atlas
 from touchd.localization.fit import Fit
 from touchd.localization.noise import NoiseModel
 from touchd.localization.spline import Position
@@ -64,13 +63,11 @@ class ContactSize:
 
     def __init__(self, atlas: Atlas, noise: NoiseModel) -> None:
         d = atlas.description
-        self._noise, self._nodes = noise, atlas.coefficients
-        self._parts = d.acquisition.channels, 2, len(d.bins)
+        self._noise = noise
+        self._values = atlas.size
         self._origin_mm, self._step_mm = d.origin_mm, d.step_mm
-        self._band = np.tile(np.linspace(-1, 1, len(d.bins)), d.acquisition.channels)
         self._turn = cmath.rect(1.0, -PHASE_RAD)
-        self._mask: Array | None = None
-        self._spreads: dict[tuple[int, int], tuple[float, float]] = {}
+        self._spreads = _spreads(atlas, self._turn)
 
     def faces(self, fit: Fit) -> dict[Position, Face]:
         """Return the faces of a fit's contacts by position, without those that cannot be told."""
@@ -93,48 +90,63 @@ class ContactSize:
         return found
 
     def _spread(self, position_mm: Position) -> tuple[float, float]:
-        """Return the variances of both moments by noise of unit variance at amplitude 1, at the nearest node."""
-        mask = self._noise.mask
-        if mask is not self._mask:
-            self._mask = mask
-            self._spreads.clear()
-        column, row = (
-            min(max(round((at - low) / self._step_mm), 1), most - 2)
-            for at, low, most in zip(position_mm, self._origin_mm, self._nodes.shape[1::-1], strict=True)
-        )
-        spread = self._spreads.get((column, row))
-        if spread is None:
-            spread = self._spreads[column, row] = self._spread_at(column, row)
-        return spread
+        """Return the variances of both moments by noise of unit variance at amplitude 1, near a position.
 
-    def _spread_at(self, column: int, row: int) -> tuple[float, float]:
-        """Invert the Fisher information of x, y and the five amplitudes of one contact at a node.
-
-        Fingers nearby share their information; that is left out, as what the fit of several leaves is larger.
+        Bins that are left out count as if they told as much as others.
         """
-        near = self._nodes[row - 1 : row + 2, column - 1 : column + 2].reshape(9, -1)
-        weights = [
-            np.multiply.outer(_STENCILS[j], _STENCILS[i]).ravel() / self._step_mm ** (i + j) for i, j in _DERIVATIVES
-        ]
-        fields = np.array(weights) @ near
-        if self._mask is not None:
-            fields = fields * self._mask
-        parts = fields.reshape(-1, *self._parts)
-        x, y, u, *second = (parts[:, :, 0] + 1j * parts[:, :, 1]).reshape(len(fields), -1)
-        amplitudes = [u, u * self._band, *second]
-        columns: NDArray[np.complex128] = np.array([x, y, *(turn * one for one in amplitudes for turn in (1, 1j))])
-        information = (columns.conj() @ columns.T).real
-        # The parts of a_xx, a_yy and a_xy are the last six unknowns.
-        mean = np.zeros(len(columns))
-        mean[-6:-2] = np.tile([self._turn.real / 2, -self._turn.imag / 2], 2)
-        along, diagonal = np.zeros_like(mean), np.zeros_like(mean)
-        along[[-6, -4]], diagonal[-2] = (0.5, -0.5), 0.5
-        try:
-            spread = np.linalg.inv(information)
-        except np.linalg.LinAlgError:
-            return np.inf, np.inf  # a field of zeros, as of a plate without channels
-        of_mean, of_along, of_diagonal = (float(one @ spread @ one) for one in (mean, along, diagonal))
-        return of_mean, (of_along + of_diagonal) / 2
+        rows = self._spreads
+        x, y = (
+            min(max((at - low) / self._step_mm, 0.0), most - 1.001)
+            for at, low, most in zip(position_mm, self._origin_mm, (len(rows[0]), len(rows)), strict=True)
+        )
+        column, row = int(x), int(y)
+        x, y = x - column, y - row
+        share = self._values / max(self._noise.active_bins, 1)
+        mean, oval = (
+            share * ((1 - y) * ((1 - x) * one + x * two) + y * ((1 - x) * three + x * four))
+            for one, two, three, four in zip(
+                rows[row][column], rows[row][column + 1], rows[row + 1][column], rows[row + 1][column + 1], strict=True
+            )
+        )
+        return mean, oval
+
+
+def _spreads(atlas: Atlas, turn: complex) -> list[list[tuple[float, float]]]:
+    """Invert the Fisher information of x, y and the five amplitudes of one contact at every node of an atlas.
+
+    Return the variances of both moments by noise of unit variance at amplitude 1, for each row of nodes and column.
+    Fingers nearby share their information; that is left out, as what the fit of several leaves is larger.
+    """
+    d, nodes = atlas.description, atlas.coefficients
+    channels, bins = d.acquisition.channels, len(d.bins)
+    stencils = _STENCILS.astype(nodes.dtype)
+    band = np.tile(np.linspace(-1, 1, bins), channels).astype(nodes.dtype)
+    # The parts of a_xx, a_yy and a_xy are the last six of twelve unknowns.
+    wanted = np.zeros((3, 12))
+    wanted[0, -6:-2] = np.tile([turn.real / 2, -turn.imag / 2], 2)
+    wanted[1, [-6, -4]], wanted[2, -2] = (0.5, -0.5), 0.5
+    found = []
+    for row in range(len(nodes)):
+        above = np.clip(np.arange(row - 1, row + 2), 0, len(nodes) - 1)
+        along_y = np.tensordot(stencils, nodes[above], 1)  # (orders, columns, size)
+        beside = np.clip(np.arange(nodes.shape[1])[:, None] + (-1, 0, 1), 0, nodes.shape[1] - 1)
+        fields = np.stack(
+            [np.einsum("k,nks->ns", stencils[i], along_y[j][beside]) / d.step_mm ** (i + j) for i, j in _DERIVATIVES],
+            axis=1,
+        )
+        parts = fields.reshape(len(fields), len(_DERIVATIVES), channels, 2, bins)
+        x, y, u, *second = (
+            (parts[..., 0, :] + np.complex64(1j) * parts[..., 1, :]).reshape(*fields.shape[:2], -1).swapaxes(0, 1)
+        )
+        columns = np.stack([x, y, *(turned * one for one in (u, u * band, *second) for turned in (1, 1j))], axis=1)
+        information = (columns.conj() @ columns.swapaxes(1, 2)).real.astype(np.float64)
+        # A field of zeros, as of a plate without channels, tells nothing.
+        empty = ~(np.linalg.matrix_rank(information) == information.shape[-1])
+        information[empty] = np.eye(information.shape[-1])
+        spread = np.einsum("ki,nij,kj->nk", wanted, np.linalg.inv(information), wanted)
+        spread[empty] = np.inf
+        found.append([(mean, (along + diagonal) / 2) for mean, along, diagonal in spread.tolist()])
+    return found
 
 
 def _interpolate(at: float, x: tuple[float, ...], y: tuple[float, ...]) -> tuple[float, float]:

@@ -97,5 +97,5 @@ def test_dead_channels() -> None:
     whole = size.faces(fit)[AT]
     mask = np.ones(ATLAS.size)
     mask[: ATLAS.size // 2] = 0
-    noise.mask = mask
+    noise.mask, noise.active_bins = mask, ATLAS.size // 2
     assert size.faces(fit)[AT].mean_sigma_mm2 > 1.2 * whole.mean_sigma_mm2
