@@ -35,9 +35,10 @@ for glibc in $(seq 17 28); do platforms+=(--platform "manylinux_2_${glibc}_$mach
 # --- the program
 pip() { "$python" -m pip --quiet --disable-pip-version-check --no-input "$@"; }
 pip wheel --no-deps --no-build-isolation --wheel-dir "$work" .
+wheel=("$work"/touchd-*.whl)
 pip install --target "$stage/usr/lib/touchd" --no-compile --only-binary :all: \
     --implementation cp --python-version "3.$minor" "${platforms[@]}" \
-    --constraint requirements.lock --no-warn-conflicts "$work"/touchd-*.whl"[calibrate]"
+    --constraint requirements.lock --no-warn-conflicts "${wheel[0]}[calibrate]"
 # Not needed to run: console scripts, which name this computer's interpreter, tests, and tools to build or convert.
 rm -rf "$stage"/usr/lib/touchd/{bin,share,onnxruntime/{transformers,tools,quantization,datasets},numpy/{distutils,f2py}}
 # Of the extra `calibrate`: interpreters of ONNX graphs, and examples.
