@@ -94,10 +94,13 @@ class ContactModel:
             # What the last step changes, to second order and to first: no need to look again.
             unexplained -= float(gradient @ move)
             amplitudes = amplitudes - solved[:, :-1] @ (slopes.T @ move)
-        energies = []
+        energies, turns = [], []
         for k in range(0, own, _AMPLITUDES):
             part = amplitudes[k : k + _AMPLITUDES]
-            energies.append(float((part.conj() @ normal[k : k + _AMPLITUDES, k : k + _AMPLITUDES] @ part).real))
+            along = normal[k : k + _AMPLITUDES, k : k + _AMPLITUDES] @ part
+            energies.append(float((part.conj() @ along).real))
+            as_point, alone = complex(along[0]), complex(normal[k, k] * part[0])
+            turns.append(as_point / alone if alone else 1 + 0j)
         per_contact = amplitudes.reshape(count, _AMPLITUDES).tolist()
         return Fit(
             at,
@@ -106,6 +109,7 @@ class ContactModel:
             information.tolist(),
             max(unexplained, 0.0),
             [[slope, *second] for _, *second, slope in per_contact],
+            turns,
         )
 
     def _load(self, bins: Bins, count: int) -> None:

@@ -43,6 +43,8 @@ class Fit(Struct, gc=False, frozen=True):
     """Energy that the fingers do not explain, ADC counts squared."""
     shapes: list[list[complex]] = []
     """Of each finger what `contact_model` adds: slope along the band, u_xx, u_yy, u_xy; [] of points."""
+    turns: list[complex] = []
+    """Of each finger with a shape, its amplitude as a point's over its own, on average over the bins; [] of points."""
     points_energy: float = 0.0
     """What as many points leave, of a fit with shapes."""
 

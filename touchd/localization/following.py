@@ -27,6 +27,8 @@ class _Shapes(NamedTuple):
     """Shapes of the fingers followed, as one frame had them."""
 
     shapes: list[Shape]
+    turns: list[complex]
+    """As in their fit."""
     shares: list[float]
     """Of the information on each finger's position, what is left when its shape must be found too."""
     excess: float
@@ -75,7 +77,7 @@ class Follower:
             )
         ]
         self._doubted_ns = None
-        self._known = _Shapes(shapes, shares, max(excess, 0.0) * CRITERIA.shape_older + CRITERIA.shape_worn)
+        self._known = _Shapes(shapes, fit.turns, shares, max(excess, 0.0) * CRITERIA.shape_older + CRITERIA.shape_worn)
 
     def follow(self, bins: Bins, t_ns: int, signal: float) -> Fit:
         """Fit the fingers of the last frame from where they were going, less those that have lifted."""
@@ -106,7 +108,8 @@ class Follower:
                 return no_fit(bins.energy)
         else:
             self._doubted_ns = None
-        self._last = fit = replace(fit, fisher_information=_scaled(fit.fisher_information, known.shares))
+        information = _scaled(fit.fisher_information, known.shares)
+        self._last = fit = replace(fit, fisher_information=information, turns=known.turns)
         return fit
 
     def _waited(self, t_ns: int) -> bool:

@@ -79,7 +79,7 @@ def _place(touch: Touch) -> tuple[float, float]:
 def _early_mm(look: Look, one: Touch, other: Touch, atlas: Atlas) -> float:
     """How far two places of one finger are from the minimum of the frame, together."""
     features = reference.atlas_features(look.residual, reference.plate_of(look.baseline, atlas), atlas)
-    fit = reference.refine(atlas, features - look.drifted, np.array(look.places_mm), look.mask)
+    fit = converged(look, features, atlas)
     which = min(range(len(look.places_mm)), key=lambda k: dist(look.places_mm[k], _place(one)))
     return dist(fit.places_mm[which], _place(one)) + dist(fit.places_mm[which], _place(other))
 
@@ -106,11 +106,19 @@ def _against_reference(result: Agreement, looks: list[Look], atlas: Atlas) -> No
             result.truncation_sigmas = max(result.truncation_sigmas, distance_mm / sigma_mm)
 
 
+def converged(look: Look, features: reference.Floats, atlas: Atlas) -> reference.Fit:
+    """The minimum that a frame's places go to, of the same model: points, shapes known before, or shapes of its own."""
+    data, places = features - look.drifted, np.array(look.places_mm)
+    if look.shapes is None or look.known:
+        return reference.refine(atlas, data, places, look.mask, shapes=look.shapes)
+    return reference.refine_shapes(atlas, data, places, look.mask, look.variance)
+
+
 def truncations(look: Look, features: reference.Floats, atlas: Atlas) -> Iterator[tuple[float, float]]:
     """Of each finger of a frame, how far it is from the converged minimum (mm), and its sigma (mm)."""
     if not look.touches:
         return
-    fit = reference.refine(atlas, features - look.drifted, np.array(look.places_mm), look.mask)
+    fit = converged(look, features, atlas)
     for touch in look.touches:
         which = min(range(len(look.places_mm)), key=lambda k: dist(look.places_mm[k], _place(touch)))
         yield dist(fit.places_mm[which], _place(touch)), touch.sigma_mm

@@ -8,6 +8,7 @@ on until it stands still.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -26,6 +27,15 @@ Complex = NDArray[np.complex128]
 
 CONVERGED_MM = 1e-9
 MOST_STEPS = 200
+PRIOR = np.array([
+    [-1.2 * np.exp(0.4j) / 2.0, 0, 0.5 / 2.0, 0.5 / 2.0, 0],
+    [0, 0, 0.5 / 1.2, -0.5 / 1.2, 0],
+    [0, 0, 0, 0, 1 / 1.2],
+    [0, 1 / 0.2, 0, 0, 0],
+])  # fmt: skip
+"""How far a contact's five amplitudes are from tissue's, in standard deviations, over the first of them."""
+
+Orders = Sequence[tuple[int, int]]
 
 
 def band(acquisition: Acquisition) -> NDArray[np.int64]:
@@ -132,26 +142,53 @@ def network(path: Path, features: Floats) -> dict[str, Floats]:
 
 def field(atlas: Atlas, x_mm: float, y_mm: float) -> tuple[Complex, Complex, Complex]:
     """The atlas' field and its derivatives by x and y, per mm, each of shape (channels * bins,)."""
-    d = atlas.description
-    (wx, dx), (wy, dy) = (
-        _splines((at - origin) / d.step_mm, count)
-        for at, origin, count in zip((x_mm, y_mm), d.origin_mm, atlas.coefficients.shape[1::-1], strict=True)
-    )
-    rows, columns = np.flatnonzero(wy), np.flatnonzero(wx)
-    nodes = atlas.coefficients[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1].astype(np.float64)
-    wx, dx, wy, dy = wx[columns], dx[columns] / d.step_mm, wy[rows], dy[rows] / d.step_mm
-    u, u_x, u_y = (_complex(np.einsum("r,c,rcm->m", *w, nodes), atlas) for w in ((wy, wx), (wy, dx), (dy, wx)))
+    u, u_x, u_y = derivatives(atlas, x_mm, y_mm, ((0, 0), (1, 0), (0, 1)))
     return u, u_x, u_y
 
 
-def _splines(at: float, count: int) -> tuple[Floats, Floats]:
-    """Cubic B-splines about the nodes 0 .. count - 1, and their slopes."""
+def derivatives(atlas: Atlas, x_mm: float, y_mm: float, orders: Orders) -> list[Complex]:
+    """Derivatives of the atlas' field of these orders along x and y, per mm, each of shape (channels * bins,)."""
+    d = atlas.description
+    along_x, along_y = (
+        [_splines((at - origin) / d.step_mm, count, order) / d.step_mm**order for order in range(4)]
+        for at, origin, count in zip((x_mm, y_mm), d.origin_mm, atlas.coefficients.shape[1::-1], strict=True)
+    )
+    rows, columns = np.flatnonzero(along_y[0]), np.flatnonzero(along_x[0])
+    nodes = atlas.coefficients[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1].astype(np.float64)
+    return [
+        _complex(np.einsum("r,c,rcm->m", along_y[by_y][rows], along_x[by_x][columns], nodes), atlas)
+        for by_x, by_y in orders
+    ]
+
+
+def _splines(at: float, count: int, order: int) -> Floats:
+    """Cubic B-splines about the nodes 0 .. count - 1, or a derivative of them."""
     off = at - np.arange(count)
-    far = np.abs(off)
-    value = np.where(far < 1, 2 / 3 - far**2 * (1 - far / 2), np.where(far < 2, (2 - far) ** 3 / 6, 0.0))
-    slope = np.where(far < 1, 1.5 * far**2 - 2 * far, np.where(far < 2, -((2 - far) ** 2) / 2, 0.0)) * np.sign(off)
-    slope = np.where(value > 0, slope, 0.0)
-    return value, slope
+    far, sign = np.abs(off), np.where(off < 0, -1.0, 1.0)
+    near, outer = [
+        (2 / 3 - far**2 * (1 - far / 2), (2 - far) ** 3 / 6),
+        ((1.5 * far**2 - 2 * far) * sign, -((2 - far) ** 2) / 2 * sign),
+        (3 * far - 2, 2 - far),
+        (3 * sign, -sign),
+    ][order]
+    return np.where(far < 1, near, np.where(far < 2, outer, 0.0))
+
+
+def contact_rows(atlas: Atlas, x_mm: float, y_mm: float) -> tuple[Complex, Complex, Complex]:
+    """What the five amplitudes of a contact with a shape multiply, and its slopes by x and y.
+
+    Each of shape (5, channels * bins): u, u along the band, u_xx, u_yy, u_xy.
+    """
+    d = atlas.description
+    bins = np.array(d.bins, float)
+    band = 2 * (bins - bins[0]) / max(bins[-1] - bins[0], 1) - 1
+    along = np.tile(band, d.acquisition.channels)
+    parts = []
+    for x, y in ((0, 0), (1, 0), (0, 1)):
+        u, *second = derivatives(atlas, x_mm, y_mm, [(x + i, y + j) for i, j in ((0, 0), (2, 0), (0, 2), (1, 1))])
+        parts.append(np.stack([u, along * u, *second]))
+    rows, rows_x, rows_y = parts
+    return rows, rows_x, rows_y
 
 
 def _complex(features: Floats, atlas: Atlas) -> Complex:
@@ -173,14 +210,60 @@ class Fit:
 
 
 def refine(
-    atlas: Atlas, features: Floats, places_mm: Floats, mask: NDArray[np.bool_] | None = None, steps: int = MOST_STEPS
+    atlas: Atlas,
+    features: Floats,
+    places_mm: Floats,
+    mask: NDArray[np.bool_] | None = None,
+    steps: int = MOST_STEPS,
+    shapes: Complex | None = None,
 ) -> Fit:
     """Gauss-Newton from places (c, 2) nearby, in at most so many steps, until none is longer than 1e-9 mm.
 
     The strengths' part in what is measured is projected out: with Q an orthonormal basis of all u_k and i u_k, what
     remains of the frame is (1 - Q Q^T) d, and so are the slopes. No product is accumulated beforehand, and no
-    normal equations are formed: both are solved by orthogonal factors.
+    normal equations are formed: both are solved by orthogonal factors. `shapes`, (c, 4), are the contacts', if known.
     """
+
+    def look(number: int, x_mm: float, y_mm: float) -> tuple[Complex, ...]:
+        if shapes is None:
+            return tuple(part[None] for part in field(atlas, x_mm, y_mm))
+        mix = np.array([[1, *shapes[number]]])
+        return tuple(mix @ part for part in contact_rows(atlas, x_mm, y_mm))
+
+    return _descend(atlas, features, places_mm, mask, steps, look)
+
+
+def refine_shapes(
+    atlas: Atlas,
+    features: Floats,
+    places_mm: Floats,
+    mask: NDArray[np.bool_] | None,
+    variance: float,
+    steps: int = MOST_STEPS,
+) -> Fit:
+    """The same of contacts with unknown shapes: five amplitudes each, the prior on them as rows of their own.
+
+    `variance` is that of a value's noise. Where fingers leave more than that, it is what they leave that weighs the
+    prior.
+    """
+    left = 0.0
+    for _ in range(20):
+        weigh = max(variance, left / atlas.size)
+        fit = _descend(atlas, features, places_mm, mask, steps, lambda _, x, y: contact_rows(atlas, x, y), weigh)
+        places_mm = fit.places_mm
+        if abs(fit.left - left) < 1e-9 * fit.left:
+            break
+        left = fit.left
+    return fit
+
+
+Look = Callable[[int, float, float], tuple[Complex, ...]]
+
+
+def _descend(
+    atlas: Atlas, features: Floats, places_mm: Floats, mask: NDArray[np.bool_] | None, steps: int, look: Look,
+    weigh: float | None = None,
+) -> Fit:  # fmt: skip
     d = atlas.description
     keep = np.ones(atlas.size // 2, bool) if mask is None else _complex(mask.astype(float), atlas).real > 0
     data = _complex(features, atlas)[keep]
@@ -188,18 +271,27 @@ def refine(
     size_mm = np.array([d.plate.width_mm, d.plate.height_mm])
     done = 0
     while True:
-        looked = [tuple(part[keep] for part in field(atlas, x, y)) for x, y in places.tolist()]
-        system = np.stack([column for u, _, _ in looked for column in (u, 1j * u)], axis=1)
-        real = np.concatenate([system.real, system.imag])
-        target = np.concatenate([data.real, data.imag])
-        solved = np.linalg.lstsq(real, target, rcond=None)[0]
-        z = solved[::2] + 1j * solved[1::2]
+        looked = [tuple(part[:, keep] for part in look(k, x, y)) for k, (x, y) in enumerate(places.tolist())]
+        columns, target = np.concatenate([rows for rows, _, _ in looked]).T, data
+        each = len(looked[0][0])
+        if weigh is not None:
+            prior = np.zeros((len(looked), 4, columns.shape[1]), complex)
+            for k, (rows, _, _) in enumerate(looked):
+                size = abs(np.vdot(rows[0], data)) / np.vdot(rows[0], rows[0]).real
+                prior[k, :, k * each : (k + 1) * each] = np.sqrt(2 * weigh) / size * PRIOR
+            prior = prior.reshape(-1, columns.shape[1])
+            columns, target = np.concatenate([columns, prior]), np.concatenate([data, np.zeros(len(prior))])
+        system = np.stack([part for column in columns.T for part in (column, 1j * column)], axis=1)
+        real, wanted = np.concatenate([system.real, system.imag]), np.concatenate([target.real, target.imag])
+        solved = np.linalg.lstsq(real, wanted, rcond=None)[0]
+        z = (solved[::2] + 1j * solved[1::2]).reshape(len(looked), each)
         basis = np.linalg.qr(real)[0]
-        rest = target - basis @ (basis.T @ target)
-        fit = Fit(places.copy(), z, float(rest @ rest), done)
+        rest = wanted - basis @ (basis.T @ wanted)
+        fit = Fit(places.copy(), z[:, 0], float(rest @ rest), done)
         if done == steps:
             return fit
-        slopes = np.stack([s * along for s, (_, *both) in zip(z, looked, strict=True) for along in both], axis=1)
+        slopes = np.stack([own @ along for own, (_, *both) in zip(z, looked, strict=True) for along in both], axis=1)
+        slopes = np.concatenate([slopes, np.zeros((len(target) - len(data), slopes.shape[1]))])
         slopes = np.concatenate([slopes.real, slopes.imag])
         slopes -= basis @ (basis.T @ slopes)
         move = np.linalg.lstsq(slopes, rest, rcond=None)[0].reshape(-1, 2)

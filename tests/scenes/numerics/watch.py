@@ -15,6 +15,8 @@ from touchd.detection.detector import Detection
 from touchd.event import Event, TouchEvent
 from touchd.frame import Frame
 from touchd.localization.atlas_localizer import AtlasLocalizer
+from touchd.localization.fit import Bins, Fit
+from touchd.localization.gauss_newton import shapes_of
 from touchd.localization.model import Model, default_model_path
 from touchd.pipeline import Pipeline
 from touchd.recording.data import Recording
@@ -42,6 +44,12 @@ class Look:
     """Which of them are listened to, shape (size,); None for all."""
     places_mm: list[tuple[float, float]]
     """Of all that was fitted, water too."""
+    shapes: NDArray[np.complex128] | None
+    """Of the contacts, over their strengths, shape (c, 4); None of points."""
+    known: bool
+    """Whether those were the shapes of an earlier frame."""
+    variance: float
+    """Of a value's noise, as it weighs the prior on shapes."""
     touches: tuple[Touch, ...]
 
 
@@ -92,11 +100,19 @@ class _Watch:
 
     number: int = -1
     looks: list[Look] = field(default_factory=list)
+    shapes: NDArray[np.complex128] | None = None
+    known: bool = False
 
 
 def _watch(localizer: AtlasLocalizer) -> _Watch:
     """Have each fit of a localizer leave what it was given and what it made of it."""
     watch, place, plate, drift = _Watch(), localizer._place, localizer._plate, localizer._drift
+    follower, update = localizer._follower, localizer._follower.update
+
+    def accepted(bins: Bins, fit: Fit, excess: float) -> None:
+        watch.shapes = np.array(shapes_of(fit), np.complex128) if fit.shapes else None
+        watch.known = fit is follower._last
+        update(bins, fit, excess)
 
     def watched(detection: Detection, min_confidence: float, complete: bool) -> tuple[tuple[Touch, ...], bool]:
         residual = detection.residual
@@ -108,10 +124,12 @@ def _watch(localizer: AtlasLocalizer) -> _Watch:
         watch.looks.append(
             Look(
                 watch.number, residual.copy(), plate._baseline.copy(), features, -nothing,
-                None if mask is None else mask > 0, at, touches,
+                None if mask is None else mask > 0, at,
+                watch.shapes, watch.known, plate.noise.noise_energy / len(features), touches,
             )
         )  # fmt: skip
         return touches, inferred
 
+    follower.update = accepted  # type: ignore[method-assign]
     localizer._place = watched  # type: ignore[method-assign]  # to see each fit, and only that
     return watch
