@@ -275,11 +275,11 @@ def _descend(
         columns, target = np.concatenate([rows for rows, _, _ in looked]).T, data
         each = len(looked[0][0])
         if weigh is not None:
-            prior = np.zeros((len(looked), 4, columns.shape[1]), complex)
+            priors = np.zeros((len(looked), 4, columns.shape[1]), complex)
             for k, (rows, _, _) in enumerate(looked):
                 size = abs(np.vdot(rows[0], data)) / np.vdot(rows[0], rows[0]).real
-                prior[k, :, k * each : (k + 1) * each] = np.sqrt(2 * weigh) / size * PRIOR
-            prior = prior.reshape(-1, columns.shape[1])
+                priors[k, :, k * each : (k + 1) * each] = np.sqrt(2 * weigh) / size * PRIOR
+            prior = priors.reshape(-1, columns.shape[1])
             columns, target = np.concatenate([columns, prior]), np.concatenate([data, np.zeros(len(prior))])
         system = np.stack([part for column in columns.T for part in (column, 1j * column)], axis=1)
         real, wanted = np.concatenate([system.real, system.imag]), np.concatenate([target.real, target.imag])
