@@ -134,9 +134,12 @@ class Classifier:
         self._drops = [one for one in self._drops if one.until_ns > t_ns or one.until_ns == self.t_ns]
         self.t_ns = t_ns
         several = len(fit.positions_mm) > 1
-        # The limits are those of points. On a transducer a shape turns the amplitude by up to 0.15 rad.
-        sizes = list(map(abs, fit.amplitudes))
-        leads = list(map(cmath.phase, map(mul, fit.amplitudes, fit.turns) if fit.turns else fit.amplitudes))
+        sizes, leads = list(map(abs, fit.amplitudes)), list(map(cmath.phase, fit.amplitudes))
+        # The limits are those of points: on a transducer a shape turns the amplitude by up to 0.15 rad. The shape of a
+        # small contact is little known, and so is its turn.
+        for k, turn in enumerate(fit.turns):
+            if sizes[k] >= SMALL:
+                leads[k] = cmath.phase(fit.amplitudes[k] * turn)
         self.departure = min(map(abs, leads)) > DEPARTURE_RAD
         errors_mm = self._errors_mm(fit, sizes)
         doubtful = self._cornered(fit.positions_mm) | self._edged(fit) if several else ()
