@@ -95,7 +95,9 @@ def test_one_outcome_a_frame(stream: list[tuple[str, int]], skip_gate: bool, see
     assert counters.repeated == outcomes[Outcome.REPEATED]
     assert counters.inferred == outcomes[Outcome.INFERRED]
     assert counters.skipped == {
-        name: outcomes[outcome] for outcome, name in SKIPPED.items() if outcomes[outcome] or name not in ("frozen", "uncalibrated")
+        name: outcomes[outcome]
+        for outcome, name in SKIPPED.items()
+        if outcomes[outcome] or name not in ("frozen", "uncalibrated")
     }
     assert counters.frames + counters.repeated == outcomes.total()
     assert counters.lost == lost
