@@ -128,7 +128,9 @@ class Nuisance:
 
     def _expected(self, vector: Array) -> float:
         """Return the part along the delay that is the fingers' if nothing is known of them."""
-        along, own = float(self._delay @ vector), FINGERS_SHARE * float(vector @ vector)
+        along = float(self._delay @ vector)
+        # What lies along the delay may be the trigger's alone, and says nothing of fingers.
+        own = FINGERS_SHARE * max(float(vector @ vector) - along * along, 0.0)
         return float(self._keep[0]) * along * own / (own + self._power)
 
     def settle(self, bins: Bins, fit: Fit, solver: GaussNewton, noise_energy: float) -> tuple[Bins, Fit]:
