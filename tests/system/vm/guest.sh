@@ -148,7 +148,7 @@ say screen on the plate
 systemctl start --no-block touchd-input
 wait_for 240 another_bridge 0
 watch plate
-touchd listen --topic touch --timeout 60 --json --count 200 > plate.bus
+touchd listen --topic touch --timeout 60 --json --count 400 > plate.bus
 found plate-heard $?
 unwatch
 systemctl enable --quiet touchd-input

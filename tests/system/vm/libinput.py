@@ -50,13 +50,16 @@ def messages(text: str) -> list[Contacts]:
 
 
 def wanted(bus: list[Contacts]) -> list[list[Event]]:
-    """The frames that libinput should see of these messages."""
+    """The frames that libinput should see of these messages; a touch that began before the first of them presses
+    nothing."""
     slots: dict[int, tuple[int, float, float]] = {}
     frames = []
     for contacts in bus:
         free = [slot for slot in range(5) if slot not in {taken[0] for taken in slots.values()}]
         frame = []
         for number, phase, x, y in contacts:
+            if number not in slots and phase != "down":
+                continue
             if phase == "up":
                 frame.append(Event("UP", slots.pop(number)[0]))
             elif number not in slots:
