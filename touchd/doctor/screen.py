@@ -6,6 +6,7 @@ import os
 from pathlib import Path
 
 from touchd.bridges import uinput
+from touchd.bridges.dark import connected, read
 from touchd.bridges.fit import WORST_RMS_MM
 from touchd.config.schema import Settings
 from touchd.doctor.checks import Finding, grade
@@ -14,7 +15,6 @@ from touchd.sinks.endpoint import SERVICE
 UDEV = Path("/run/udev/data")
 BUS = Path(SERVICE.removeprefix("ipc://"))
 PROCESSES = Path("/proc")
-CONNECTORS = Path("/sys/class/drm")
 COMPOSITORS = {
     "Xorg": "xinput map-to-output 'touchd screen' {output}, after each rotation",
     "weston": 'a udev rule with ENV{{WL_OUTPUT}}="{output}"',
@@ -78,12 +78,8 @@ def _tagged(name: str) -> Finding:
 
 def _compositor() -> Finding:
     """Say which compositor takes the touches, and on which output it shows them."""
-    names = sorted(COMPOSITORS.keys() & {_text(file) for file in PROCESSES.glob("[0-9]*/comm")})
-    outputs = sorted(
-        status.parent.name.split("-", 1)[1]  # card0-HDMI-A-1
-        for status in CONNECTORS.glob("card*-*/status")
-        if _text(status) == "connected"
-    )
+    names = sorted(COMPOSITORS.keys() & {read(file) for file in PROCESSES.glob("[0-9]*/comm")})
+    outputs = [folder.name.split("-", 1)[1] for folder in connected()]
     text = f"{', '.join(names) or 'none that touchd knows'}; connected outputs: {', '.join(outputs) or 'none'}"
     if not names:
         return Finding("compositor", "warning", text, f"start one of {', '.join(COMPOSITORS)}")
@@ -93,11 +89,3 @@ def _compositor() -> Finding:
         fix = "; ".join(f"{name}: {COMPOSITORS[name]}" for name in names).format(output=outputs[0])
         return Finding("compositor", "warning", f"{text}; one of them lies below the plate", fix)
     return Finding("compositor", "ok", text)
-
-
-def _text(file: Path) -> str:
-    """Return what a small file holds; nothing if it is gone."""
-    try:
-        return file.read_text(errors="replace").strip()
-    except OSError:
-        return ""
