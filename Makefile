@@ -47,7 +47,7 @@ vm-test: setup test-packages vm-packages
 
 # The touch screen under Weston and Xorg, as a page in Chromium hears it; ten minutes, and ten more for a new machine.
 kiosk-test: setup test-packages vm-packages
-	$(BIN)/python -m pytest -s -o faulthandler_timeout=1500 tests/system/kiosk/scenario.py $(ARGS)
+	$(BIN)/python -m pytest -s -o faulthandler_timeout=3600 tests/system/kiosk/scenario.py $(ARGS)
 
 lint: setup
 	$(BIN)/ruff check .

@@ -60,7 +60,7 @@ def found(host: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Foun
                "-qmp", f"unix:{monitor},server,nowait")  # fmt: skip
     logs = ("screen.err", "pageserver.err", "weston.log", "weston.out", "xorg.out", "chromium.out", "page.log")
     try:
-        yield boot(made("kiosk"), host, logs, *options)
+        yield boot(made("kiosk"), host, logs, *options, limit_s=3000)
     finally:
         ended.set()
         pictures.join()

@@ -49,10 +49,10 @@ def handed_in(folder: Path, script: Path, *files: Path) -> Path:
     return folder
 
 
-def boot(image: Path, host: Path, logs: tuple[str, ...], *options: str) -> Found:
+def boot(image: Path, host: Path, logs: tuple[str, ...], *options: str, limit_s: int = BOOT_S) -> Found:
     """Let the machine run its script; what it found, by name. Its logs are printed."""
     began_s = time.monotonic()
-    command = ["timeout", str(BOOT_S), "bash", str(HERE / "boot.sh"), str(image), str(host), *options]
+    command = ["timeout", str(limit_s), "bash", str(HERE / "boot.sh"), str(image), str(host), *options]
     done = subprocess.run(command, capture_output=True, text=True, stdin=subprocess.DEVNULL)
     print(f"the machine ran for {time.monotonic() - began_s:.0f} s")
     names = ("console.log", "out.log", "journal.log", *logs)
