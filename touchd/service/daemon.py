@@ -32,6 +32,7 @@ from touchd.service.messages import Messages, wants_of
 from touchd.service.models import ModelInUse
 from touchd.service.models import load_model as load_model
 from touchd.service.preroll import PreRoll
+from touchd.service.rate import ScanRate
 from touchd.service.reload import Reloader
 from touchd.service.signals import deliver, reload_on_hangup, save_on_signal, stop_on_signals
 from touchd.service.systemd import Notifier
@@ -158,7 +159,7 @@ def make_service(
     return Service(
         source, pipeline, messages, sinks, health, clock=clock, manager=manager,
         awake=Awake(settings.realtime.awake_from_hz), preroll=preroll, control=control, reloader=reloader,
-        feed=feed,
+        feed=feed, rate=ScanRate(source, settings.device),
     )  # fmt: skip
 
 
