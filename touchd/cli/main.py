@@ -39,7 +39,7 @@ VERBS = {
 }
 EXTRAS = {"torch": "train", "sklearn": "train", "dask": "train", "distributed": "train", "scipy": "calibrate",
           "onnx": "calibrate", "matplotlib": "calibrate", "rich": "calibrate", "jinja2": "calibrate",
-          "nidaqmx": "ni",
+          "nidaqmx": "ni", "alsaaudio": "audio",
           }  # fmt: skip
 
 

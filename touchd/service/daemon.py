@@ -201,12 +201,11 @@ def describer(
 ) -> Callable[[], FeedDescription]:
     """Return what describes a source's frames to those who record them; `plate` returns the model's plate."""
     known = getattr(source, "meta", None)
-    kind = "simulated" if choice.simulate else "replay" if choice.replay else "ni" if choice.ni else "usb"
     rate_hz = known.frame_rate_hz if known else float(settings.device.rate_hz)
 
     def description() -> FeedDescription:
         return FeedDescription(
-            acquisition=source.acquisition, rate_hz=rate_hz, source=known.source if known else kind,
+            acquisition=source.acquisition, rate_hz=rate_hz, source=known.source if known else choice.kind,
             plate=known.plate if known else plate(), device=getattr(source, "device", None) or Device(),
         )  # fmt: skip
 
