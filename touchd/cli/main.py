@@ -18,6 +18,7 @@ from touchd.errors import ConfigError, MissingExtra, ModelMissing, TouchdError
 VERBS = {
     "benchmark": "Measure run time, latency and position error.",
     "calibrate": "Make a model of a plate that nobody touches.",
+    "check": "Judge a model on anybody's touches.",
     "config": "Print the effective configuration.",
     "demo": "Replay the shipped recording and summarise it.",
     "doctor": "Check the whole set-up.",
