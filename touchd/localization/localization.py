@@ -32,6 +32,10 @@ UNTOUCHED = Localization(Outcome.UNTOUCHED)
 class Localizer(Protocol):
     """Places fingers, frame by frame."""
 
+    @property
+    def stretch(self) -> float | None:
+        """Relative rise of the plate's resonances since training; None where it cannot be told."""
+
     def configure(self, settings: Settings, layout: Layout | None) -> None:
         """Take other thresholds and keys; fingers are found again in the next frame."""
 

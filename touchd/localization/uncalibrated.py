@@ -15,6 +15,8 @@ _NOTHING = Localization(Outcome.UNCALIBRATED)
 class Uncalibrated:
     """Places no finger; see `Localizer`."""
 
+    stretch: float | None = None
+
     def configure(self, settings: Settings, layout: Layout | None) -> None:
         """Take nothing."""
 
