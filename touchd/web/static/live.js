@@ -9,11 +9,10 @@ export function mount(root, page) {
   const plate = new PlateView(texts), status = new Status(texts, feed);
   const panels = [new Fingers(texts), new Figures(texts), new Budget(texts), new Noise(texts), new LatencyChart(texts),
     new Spectrum(texts, feed)];
-  const footer = element('p', { class: 'footer' }), age = element('span', { class: 'footer-age' });
+  const footer = element('span'), age = element('span');
   const side = element('div', { class: 'side', tabindex: 0, role: 'region', 'aria-label': texts.figures.title },
-    status.root, element('div', { class: 'panels' }, ...panels.map(panel => panel.root)), footer);
+    status.root, element('div', { class: 'panels' }, ...panels.map(panel => panel.root)), element('div', { class: 'footer' }, footer, age));
   root.append(plate.root, side);
-  footer.after(age);
   const hidden = () => page.hello.shows_keys === false && (feed.last.plate?.keys.length ?? 0) > 0;
   const ends = [
     feed.on('hello', hello => plate.set('screen', hello.screen_mm)),

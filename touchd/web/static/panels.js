@@ -133,14 +133,14 @@ class Chart {
   }
 
   make(again = false) {
-    const { clientWidth: width } = this.holder, height = 150;
+    const { clientWidth: width } = this.holder, height = innerHeight >= 900 ? 230 : 150;
     if (!width) return;
     if (this.plot && !again) { this.plot.setSize({ width, height }); return; }
     this.plot?.destroy();
     const axis = { stroke: colour('muted'), grid: { stroke: colour('grid'), width: 1 }, ticks: { show: false }, font: '11px system-ui, sans-serif' };
     const { x, y, series } = this.options();
     this.plot = new uPlot({
-      width, height, legend: { show: false }, cursor: { show: false }, padding: [8, 8, 0, 0],
+      width, height, legend: { show: false }, cursor: { show: false }, padding: [8, 16, 0, 0],
       scales: { x: { time: false }, y: { range: (_plot, _low, high) => [0, Math.max(high * 1.1, 1e-3)] } },
       axes: [{ ...axis, ...x, size: 26 }, { ...axis, ...y, size: 44 }], series: [{}, ...series],
     }, this.data ?? [[], ...series.map(() => [])], this.holder);
@@ -171,7 +171,7 @@ export class LatencyChart {
     this.chart = new Chart(this.root, () => ({
       x: { values: (_plot, at) => at.map(s => `${-s}`), label: past, labelSize: 16, labelFont: '11px system-ui, sans-serif', size: 40 },
       y: {},
-      series: [{ stroke: colour('line-1'), width: 1.5 }, { stroke: colour('line-2'), width: 1.5 }],
+      series: ['line-1', 'line-2'].map(name => ({ stroke: colour(name), width: 1.5, points: { show: false } })),
     }));
   }
 
@@ -229,7 +229,7 @@ export class Spectrum {
     this.chart = new Chart(this.root, () => ({
       x: { label: texts.spectrum.frequency, labelSize: 16, labelFont: '11px system-ui, sans-serif', size: 40 },
       y: {},
-      series: Array.from({ length: this.channels }, (_, n) => ({ stroke: colour(`finger-${n % 5}`), width: 1.25 })),
+      series: Array.from({ length: this.channels }, (_, n) => ({ stroke: colour(`finger-${n % 5}`), width: 1.25, points: { show: false } })),
     }));
     // The daemon makes spectra only while this is in sight.
     this.sight = new IntersectionObserver(([entry]) => {

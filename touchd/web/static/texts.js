@@ -64,5 +64,24 @@ export const texts = {
   footer: (version, model, source) => `touchd ${version} · model ${model || '–'} · source ${source || '–'}`,
   age: ms => `data ${ms} ms old`,
 
+  check: {
+    title: 'Examination',
+    hint: 'Checks bus, model, device, frames and computer. Leave the plate untouched meanwhile.',
+    start: 'Examine', again: 'Examine again', running: 'Examining …',
+    progress: n => `${n} checks done`,
+    verdict: (all, failures, warnings) =>
+      failures ? `${failures} of ${all} checks failed` : warnings ? `No failure, ${warnings} warnings` : `All ${all} checks passed`,
+    levels: { ok: '✓ ok', warning: '! warning', failure: '✕ failure' },
+    fix: 'What to do:',
+    failed: 'That did not work: touchd web did not do it.',
+    bundle: {
+      title: 'Support bundle',
+      hint: 'A file for whoever helps you: configuration without keys, five minutes of health, the examination, the last lines of the log.',
+      recording: 'Add five seconds of frames. Whoever has them can work out a PIN that is typed meanwhile.',
+      button: 'Download',
+      making: 'Gathering …', recording_now: 'Recording five seconds …', done: 'Done: touchd-support.zip',
+    },
+  },
+
   units: { ms: 'ms', us: 'µs', s: 's', per_s: '/s', counts: 'counts', kelvin: 'K', ppm: 'ppm', percent: '%', mm: 'mm' },
 };
