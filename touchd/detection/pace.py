@@ -37,5 +37,6 @@ class Pace:
         self._steps.clear()
         self.doubtful = False
         """Whether the last step was another one."""
-        self.period_ns = period_ns
-        self.low_ns, self.high_ns = period_ns / _LIKE, period_ns * _LIKE
+        self.period_ns: int = period_ns
+        self.low_ns: float = period_ns / _LIKE
+        self.high_ns: float = period_ns * _LIKE

@@ -14,7 +14,7 @@ from touchd.frame import Frame
 from touchd.pipeline import Pipeline
 from touchd.service.control import Control
 from touchd.service.cpu_latency import Awake
-from touchd.service.frame_feed import FrameFeed
+from touchd.service.frame_feed import FeedDescription, FrameFeed
 from touchd.service.health import Health
 from touchd.service.messages import Messages
 from touchd.service.rate import ScanRate
@@ -72,7 +72,8 @@ class Service:
     feed : FrameFeed, optional
         Hands frames to programs that ask for them through `control`.
     rate : ScanRate, optional
-        Lowers the source's rate while the plate is untouched.
+    describe : callable, optional
+        Returns what is measured, for messages about the plate; without it there are none.
     """
 
     def __init__(
@@ -91,6 +92,7 @@ class Service:
         reloader: Reloader | None = None,
         feed: FrameFeed | None = None,
         rate: ScanRate | None = None,
+        describe: Callable[[], FeedDescription] | None = None,
     ) -> None:
         self.pipeline = pipeline
         self._source, self._messages, self._sinks, self._health = source, messages, sinks, health
@@ -101,7 +103,7 @@ class Service:
         # A device reports its states; of any other source only the silence is known.
         self._live = source if isinstance(source, LiveSource) else None
         self._withheld: dict[str, int] = {}
-        self._feed, self._rate = feed, rate
+        self._feed, self._rate, self._describe = feed, rate, describe
         self._state: State = "starting"
         self._flowing: State = "streaming" if pipeline.model else "uncalibrated"
         self._reason: str | None = None
@@ -129,6 +131,7 @@ class Service:
         log.info("starting", model=self._health.model_name, version=__version__)
         self._seen_ns = self._clock()
         self._publish_health()
+        self._publish_plate()
         try:
             if not self._stop:
                 self._run_frames()
@@ -232,6 +235,7 @@ class Service:
             self._reloader.reload()
             self._manager.reloaded()
             self._flowing = "streaming" if self.pipeline.model else "uncalibrated"
+            self._publish_plate()
 
     def _set_screen(self, *, off: bool, now_ns: int) -> None:
         before = self.pipeline.screen_off
@@ -263,10 +267,7 @@ class Service:
         elif self._away:
             self._away = False
             self.pipeline.reset()
-        if change.state == "streaming":
-            self._enter(self._flowing, change.reason)
-        else:
-            self._enter(change.state, change.reason)
+        self._enter(self._flowing if change.state == "streaming" else change.state, change.reason)
 
     def _enter(self, state: State, reason: str | None = None) -> None:
         say = log.warning if state in ("stalled", "lost") else log.info
@@ -281,6 +282,13 @@ class Service:
             sink.publish(event, now_ns)
         self._tell_manager(event)
         self._health.log_losses(event)
+
+    def _publish_plate(self) -> None:
+        if self._describe is not None:
+            now_ns = self._clock()
+            event = self._messages.plate(self._describe(), self.pipeline.layout, now_ns)
+            for sink in self._sinks:
+                sink.publish(event, now_ns)
 
     def _tell_manager(self, health: HealthEvent) -> None:
         self._manager.status(
