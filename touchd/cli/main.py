@@ -18,6 +18,7 @@ from touchd.errors import ConfigError, MissingExtra, ModelMissing, TouchdError
 VERBS = {
     "benchmark": "Measure run time, latency and position error.",
     "calibrate": "Make a model of a plate that nobody touches.",
+    "check": "Judge a model on anybody's touches.",
     "config": "Print the effective configuration.",
     "demo": "Replay the shipped recording and summarise it.",
     "doctor": "Check the whole set-up.",
@@ -36,10 +37,11 @@ VERBS = {
     "simulate": "Write a recording made by the digital twin.",
     "train": "Train a model on a labelled recording.",
     "tuio": "Send touches as TUIO 1.1.",
+    "web": "Look at the plate in a browser.",
 }
 EXTRAS = {"torch": "train", "sklearn": "train", "dask": "train", "distributed": "train", "scipy": "calibrate",
           "onnx": "calibrate", "matplotlib": "calibrate", "rich": "calibrate", "jinja2": "calibrate",
-          "nidaqmx": "ni", "alsaaudio": "audio",
+          "nidaqmx": "ni", "alsaaudio": "audio", "starlette": "web", "uvicorn": "web", "websockets": "web",
           }  # fmt: skip
 
 

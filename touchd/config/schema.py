@@ -22,6 +22,10 @@ class DeviceSettings(Section):
     product_id: int = Field(0x0001, ge=0, le=0xFFFF, description="USB product id.")
     serial: str = Field("", description="USB serial number; empty takes the first device found.")
     rate_hz: int = Field(125, ge=1, le=65535, description="Frame rate asked of the device, Hz.")
+    idle_rate_hz: int = Field(
+        50, ge=1, le=65535, description="The same once the plate has been untouched for 2 s, Hz, if the device can "
+        "change it; not above `rate_hz`. With the screen off it is 10.",
+    )  # fmt: skip
     stall_s: float = Field(
         1.0,
         ge=0.05,
@@ -70,11 +74,13 @@ class GateSettings(Section):
     """Detection: whether the plate is touched."""
 
     false_alarm_rate: float = Field(
-        1e-7, ge=LEAST_RATE, lt=0.1, description="Probability per frame that noise alone opens the gate."
-    )
+        1e-7, ge=LEAST_RATE, lt=0.1, description="Probability per frame that noise alone opens the gate, at 125 "
+        "frames/s; at other rates it is as rare per time.",
+    )  # fmt: skip
     noise_frames: int = Field(
-        1000, ge=10, le=1_000_000, description="Untouched frames over which the noise is averaged."
-    )
+        1000, ge=10, le=1_000_000, description="Untouched frames over which the noise is averaged, at 125 "
+        "frames/s; at other rates it is the same time.",
+    )  # fmt: skip
 
 
 class SkipSettings(Section):

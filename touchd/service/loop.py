@@ -14,9 +14,10 @@ from touchd.frame import Frame
 from touchd.pipeline import Pipeline
 from touchd.service.control import Control
 from touchd.service.cpu_latency import Awake
-from touchd.service.frame_feed import FrameFeed
+from touchd.service.frame_feed import FeedDescription, FrameFeed
 from touchd.service.health import Health
 from touchd.service.messages import Messages
+from touchd.service.rate import ScanRate
 from touchd.service.reload import Reloader
 from touchd.service.runner import frames_of
 from touchd.service.systemd import Notifier
@@ -70,6 +71,9 @@ class Service:
         Reloads the configuration.
     feed : FrameFeed, optional
         Hands frames to programs that ask for them through `control`.
+    rate : ScanRate, optional
+    describe : callable, optional
+        Returns what is measured, for messages about the plate; without it there are none.
     """
 
     def __init__(
@@ -87,6 +91,8 @@ class Service:
         control: Control | None = None,
         reloader: Reloader | None = None,
         feed: FrameFeed | None = None,
+        rate: ScanRate | None = None,
+        describe: Callable[[], FeedDescription] | None = None,
     ) -> None:
         self.pipeline = pipeline
         self._source, self._messages, self._sinks, self._health = source, messages, sinks, health
@@ -97,7 +103,7 @@ class Service:
         # A device reports its states; of any other source only the silence is known.
         self._live = source if isinstance(source, LiveSource) else None
         self._withheld: dict[str, int] = {}
-        self._feed = feed
+        self._feed, self._rate, self._describe = feed, rate, describe
         self._state: State = "starting"
         self._flowing: State = "streaming" if pipeline.model else "uncalibrated"
         self._reason: str | None = None
@@ -125,6 +131,7 @@ class Service:
         log.info("starting", model=self._health.model_name, version=__version__)
         self._seen_ns = self._clock()
         self._publish_health()
+        self._publish_plate()
         try:
             if not self._stop:
                 self._run_frames()
@@ -142,7 +149,7 @@ class Service:
                 sink.close()
 
     def _run_frames(self) -> None:
-        pipeline, preroll, feed = self.pipeline, self._preroll, self._feed
+        pipeline, preroll, feed, rate = self.pipeline, self._preroll, self._feed, self._rate
         for frame in frames_of(self._source, on_change=self._follow):
             if frame is None:
                 self._wait()
@@ -154,7 +161,10 @@ class Service:
                     self._publish(events, frame.received_ns)
                 if preroll is not None:
                     preroll.keep(frame, result.contacts)
-                if feed is not None and feed.listeners:
+                wanted = feed is not None and bool(feed.listeners)
+                if rate is not None:
+                    rate.update(frame.t_ns, result.outcome, wanted)
+                if wanted and feed is not None:
                     feed.send(frame)
                 self._finish(frame)
             if self._stop:
@@ -225,12 +235,15 @@ class Service:
             self._reloader.reload()
             self._manager.reloaded()
             self._flowing = "streaming" if self.pipeline.model else "uncalibrated"
+            self._publish_plate()
 
     def _set_screen(self, *, off: bool, now_ns: int) -> None:
         before = self.pipeline.screen_off
         result = self.pipeline.set_screen(off=off)
         self._publish(self._messages.make(result, self.pipeline.spectrum), now_ns)
         if self.pipeline.screen_off != before:
+            if self._rate is not None and before:
+                self._rate.wake()
             log.info("screen", state="off" if off else "on")
             self._publish_health()
 
@@ -254,10 +267,7 @@ class Service:
         elif self._away:
             self._away = False
             self.pipeline.reset()
-        if change.state == "streaming":
-            self._enter(self._flowing, change.reason)
-        else:
-            self._enter(change.state, change.reason)
+        self._enter(self._flowing if change.state == "streaming" else change.state, change.reason)
 
     def _enter(self, state: State, reason: str | None = None) -> None:
         say = log.warning if state in ("stalled", "lost") else log.info
@@ -272,6 +282,13 @@ class Service:
             sink.publish(event, now_ns)
         self._tell_manager(event)
         self._health.log_losses(event)
+
+    def _publish_plate(self) -> None:
+        if self._describe is not None:
+            now_ns = self._clock()
+            event = self._messages.plate(self._describe(), self.pipeline.layout, now_ns)
+            for sink in self._sinks:
+                sink.publish(event, now_ns)
 
     def _tell_manager(self, health: HealthEvent) -> None:
         self._manager.status(

@@ -131,6 +131,9 @@ class AudioDaq:
         self._measure()
         return self._withhold()
 
+    def set_rate(self, rate_hz: int) -> None:
+        """Do nothing: the chirp's period is the frame's, and a response in steady state belongs to it."""
+
     def stop(self) -> None:
         """Do nothing: the card plays until it is closed."""
 
