@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 from touchd.errors import SimulationError
 from touchd.frame import Counts, Frame
-from touchd.sources.source import EndOfStream
+from touchd.sources.source import EndOfStream, touching
 from touchd.twin.instrument import Instrument
 from touchd.twin.simulate import DEFAULT_PLATE, meta_of, stage_scene, stream
 
@@ -73,6 +73,7 @@ class SimulatedSource:
         self._next = 0  # in the block
         self._frame = 0  # in the lap
         self._lap = 0
+        self._truth, _ = self._stage.truth()
         self._sequence: list[int] = self._stage.sequence.tolist()
         self._blocks: queue.Queue[Counts | Exception] = queue.Queue(_AHEAD)
         self._closed = threading.Event()
@@ -115,6 +116,10 @@ class SimulatedSource:
         if self._frame == len(self._sequence):
             self._frame, self._lap = 0, self._lap + 1
         return Frame(counts, sequence, t_ns, now_ns)
+
+    def truth(self) -> list[tuple[float, float]]:
+        """Return the places of the fingers in the frame that was read last, mm."""
+        return touching(self._truth, self._frame - 1)
 
     def close(self) -> None:
         """Stop computing; further calls do nothing."""

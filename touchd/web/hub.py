@@ -20,11 +20,11 @@ from touchd.client import Subscriber
 from touchd.errors import BusError, BusTimeout
 from touchd.event import Event, HealthEvent, PlateEvent, encode
 
-TOPICS = ("touch", "health", "plate")
+TOPICS = ("touch", "health", "plate", "truth")
 """What every browser gets."""
 ASKED = ("spectrum",)
 """What the daemon makes only while a browser asks for it."""
-PRIVATE = frozenset({"touch", "spectrum"})
+PRIVATE = frozenset({"touch", "spectrum", "truth"})
 """A PIN could be read from these."""
 MOST_CLIENTS = 32
 HISTORY = 300

@@ -57,6 +57,13 @@ export class PlateView {
     this.draw();
   }
 
+  // Where the fingers really are: [[x, y], ...], mm.
+  setTruth({ contacts_mm, frame }) {
+    this.truth = contacts_mm;
+    this.truthFrame = frame;
+    this.draw();
+  }
+
   clear() {
     this.contacts = [];
     this.truth = [];
@@ -241,7 +248,7 @@ export class PlateView {
     const g = this.graphics;
     g.strokeStyle = colour('truth');
     g.lineWidth = 2;
-    for (const { x_mm, y_mm } of this.truth) {
+    for (const [x_mm, y_mm] of this.truth) {
       const x = this.x(x_mm), y = this.y(y_mm);
       g.beginPath();
       g.moveTo(x - 7, y - 7);
