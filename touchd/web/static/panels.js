@@ -45,7 +45,7 @@ export class Fingers {
   touch(message) {
     const { contacts } = message;
     const now = performance.now(), down = contacts.filter(c => c.phase !== 'up');
-    if (now - this.drawn < CHART_MS && down.length === this.body.childElementCount) return; // nobody reads faster
+    if (!message.now && now - this.drawn < CHART_MS && down.length === this.body.childElementCount) return; // nobody reads faster
     this.drawn = now;
     this.none.hidden = down.length > 0;
     this.table.hidden = down.length === 0;
@@ -61,7 +61,7 @@ export class Fingers {
     const { units, fingers } = this.texts;
     say(id, `${c.id}`);
     id.className = `ink-${c.id % 5}`;
-    say(place, `${number(c.x_mm, 1)}, ${number(c.y_mm, 1)} ${units.mm}`);
+    say(place, `${number(c.x_mm, 1)}, ${number(c.y_mm, 1)}`);
     say(sigma, `± ${number(c.sigma_mm, 2)} ${units.mm}`);
     say(force, `${number(100 * c.force)} ${units.percent}`);
     say(kind, `${c.key ? `${c.key} · ` : ''}${fingers.kinds[c.kind] ?? c.kind ?? fingers.unknown}`);

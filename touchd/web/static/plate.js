@@ -99,9 +99,9 @@ export class PlateView {
       return;
     }
     const { width_mm: w, height_mm: h } = this.plate;
-    const scale = Math.min((wide - RULER_PX - 12) / w, (high - RULER_PX - 12) / h);
+    const scale = Math.min((wide - RULER_PX - 20) / w, (high - RULER_PX - 12) / h);
     this.scale = scale;
-    this.left = (wide - RULER_PX - w * scale) / 2 + RULER_PX;
+    this.left = (wide - RULER_PX - 12 - w * scale) / 2 + RULER_PX;
     this.top = (high - RULER_PX - h * scale) / 2 + RULER_PX;
     this.paintPane(w, h);
     this.paintKeys();
