@@ -20,11 +20,11 @@ from touchd.client import Subscriber
 from touchd.errors import BusError, BusTimeout
 from touchd.event import Event, HealthEvent, PlateEvent, encode
 
-TOPICS = ("touch", "health", "plate")
+TOPICS = ("touch", "health", "plate", "truth")
 """What every browser gets."""
 ASKED = ("spectrum",)
 """What the daemon makes only while a browser asks for it."""
-PRIVATE = frozenset({"touch", "spectrum"})
+PRIVATE = frozenset({"touch", "spectrum", "truth"})
 """A PIN could be read from these."""
 MOST_CLIENTS = 32
 HISTORY = 300
@@ -51,6 +51,11 @@ class Client:
         self.skipped += topic in self._slots
         self._slots[topic] = payload
         self.wake.set()
+
+    def drop(self, topics: frozenset[str]) -> None:
+        """Empty the slots of some topics."""
+        for topic in topics:
+            self._slots.pop(topic, None)
 
     def take(self) -> list[bytes]:
         """Return what waits, and empty the slots."""
@@ -192,6 +197,13 @@ class Hub:
             self.keypad = bool(event.keys)
         elif isinstance(event, HealthEvent):
             self.history.append(payload)
+            if event.state in ("starting", "stopping"):
+                self.keypad = None  # it says anew what it is
+        if not self._may_show("touch"):
+            for client in self._clients:
+                client.drop(PRIVATE)
+            for topic in PRIVATE:
+                self._last.pop(topic, None)
         self._offer(event.type, payload, keep=event.type != "spectrum")
 
     def _offer(self, topic: str, payload: bytes, *, keep: bool) -> None:

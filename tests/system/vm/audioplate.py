@@ -1,7 +1,7 @@
-"""A plate between playback and capture of the kernel's loopback card: in the virtual machine, on the side of the plate.
+"""A plate between playback and capture of the kernel's loopback card, in the virtual machine.
 
-`python audioplate.py RESPONSES.npz`: it convolves what is played with the plate's response, under the finger that a line
-of standard input names: `touch 3`, `release`. It ends when the card goes.
+`python audioplate.py RESPONSES.npz`: it convolves what is played with the plate's response, under the finger that a
+line of standard input names: `touch 3`, `release`. It ends when the card goes.
 """
 
 from __future__ import annotations
