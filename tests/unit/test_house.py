@@ -20,7 +20,7 @@ FLOORS = (
     ("doctor", "gadget"),
     ("evaluation",),
     ("training", "calibration"),
-    ("lab", "cli"),
+    ("lab", "web", "cli"),
 )
 """From the ground up. A room may import from a lower floor, and from a room that stands before it on its own."""
 ONLY = {

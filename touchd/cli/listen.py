@@ -13,7 +13,7 @@ from pathlib import Path
 import click
 
 from touchd.client import Subscriber
-from touchd.event import TOPICS, Contact, Event, HealthEvent, KeyEvent, TouchEvent, encode
+from touchd.event import TOPICS, Contact, Event, HealthEvent, KeyEvent, PlateEvent, TouchEvent, encode
 
 
 @click.command(name="listen", short_help="Print the events of a running touchd.")
@@ -110,6 +110,11 @@ def describe(event: Event) -> Iterator[str]:
             f"{at} {event.state:9} {event.frames} frames, {event.inferred} inferred, {skipped} skipped,"
             f" {event.lost} lost, {event.corrupt} corrupt  until sent p99 {event.latency_us.p99:.0f} us"
             f"  noise {event.noise:.2f}" + (f"  reason: {event.reason}" if event.reason else "")
+        )
+    elif isinstance(event, PlateEvent):
+        yield (
+            f"{at} plate {event.width_mm:g} x {event.height_mm:g} mm  {event.rate_hz:g} Hz  {event.channels} channels"
+            f"  {len(event.keys)} keys  source {event.source}"
         )
     else:
         peak = max((abs(value) for value in event.features), default=0.0)

@@ -37,10 +37,11 @@ VERBS = {
     "simulate": "Write a recording made by the digital twin.",
     "train": "Train a model on a labelled recording.",
     "tuio": "Send touches as TUIO 1.1.",
+    "web": "Look at the plate in a browser.",
 }
 EXTRAS = {"torch": "train", "sklearn": "train", "dask": "train", "distributed": "train", "scipy": "calibrate",
           "onnx": "calibrate", "matplotlib": "calibrate", "rich": "calibrate", "jinja2": "calibrate",
-          "nidaqmx": "ni",
+          "nidaqmx": "ni", "starlette": "web", "uvicorn": "web", "websockets": "web",
           }  # fmt: skip
 
 

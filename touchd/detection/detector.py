@@ -217,6 +217,11 @@ class Detector:
         """Return the RMS of an untouched frame against the baseline, ADC counts; 0 before it is known."""
         return math.sqrt(self.gate.noise_energy / self._baseline.residual.size)
 
+    def noise_channels(self) -> list[float]:
+        """Return the RMS of each channel of the last residual, ADC counts."""
+        rms: list[float] = np.sqrt(np.square(self._baseline.residual).mean(axis=1)).round(3).tolist()
+        return rms
+
     def miss(self, t_ns: int, fault: str) -> None:
         """Take the time of a frame that is no measurement; `fault` says what it is, for a person."""
         if self.liveness.is_silent(t_ns, fault):

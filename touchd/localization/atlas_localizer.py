@@ -138,6 +138,11 @@ class AtlasLocalizer:
         outcome = Outcome.INFERRED if inferred else Outcome.TRACKED if tracked else Outcome.FAINT
         return Localization(outcome, touches, self._departure, self._plate_moved)
 
+    @property
+    def stretch(self) -> float | None:
+        """Relative rise of the plate's resonances since training."""
+        return self._drift.stretch
+
     def spectrum(self, detection: Detection) -> list[float]:
         """Return the network's input for a frame."""
         return self._estimator.spectrum(detection)

@@ -90,6 +90,8 @@ class NetworkLocalizer:
         The keys, in keypad mode.
     """
 
+    stretch: float | None = None
+
     def __init__(self, model: Model, settings: Settings, layout: Layout | None) -> None:
         self._estimator = Estimator(model)
         self._still = StillFrame(model.description.acquisition.shape, settings.skip.still_false_alarm_rate, model.dtype)

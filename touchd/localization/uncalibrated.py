@@ -16,6 +16,7 @@ class Uncalibrated:
     """Places no finger; see `Localizer`."""
 
     model_fit: float | None = None
+    stretch: float | None = None
 
     def configure(self, settings: Settings, layout: Layout | None) -> None:
         """Take nothing."""

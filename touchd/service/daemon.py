@@ -134,6 +134,7 @@ def make_service(
     control: Control | None = None,
     read_settings: Callable[[], Settings] | None = None,
     feed: FrameFeed | None = None,
+    describe: Callable[[], FeedDescription] | None = None,
 ) -> Service:
     """Return the service between a source and sinks, which it closes at the end of `run`.
 
@@ -147,6 +148,8 @@ def make_service(
         Optional parts of the service.
     read_settings : callable, optional
         Reads the configuration, for `Service.reload`.
+    describe : callable, optional
+        Returns what is measured, for messages about the plate.
     """
     pipeline = Pipeline(source.acquisition, model, settings, layout_of(settings, model), log_notice)
     messages = Messages(settings, wants_of(sinks))
@@ -158,7 +161,7 @@ def make_service(
     return Service(
         source, pipeline, messages, sinks, health, clock=clock, manager=manager,
         awake=Awake(settings.realtime.awake_from_hz), preroll=preroll, control=control, reloader=reloader,
-        feed=feed,
+        feed=feed, describe=describe,
     )  # fmt: skip
 
 
@@ -207,6 +210,7 @@ def describer(
         return FeedDescription(
             acquisition=source.acquisition, rate_hz=rate_hz, source=known.source if known else kind,
             plate=known.plate if known else plate(), device=getattr(source, "device", None) or Device(),
+            emitter_mm=known.emitter_mm if known else None, receivers_mm=(known.receivers_mm if known else None) or (),
         )  # fmt: skip
 
     return description
@@ -273,7 +277,7 @@ def run(
         preroll = stack.enter_context(closing(make_preroll(source, settings, description)))
         service = make_service(
             source, sinks, settings, model, manager=manager, preroll=preroll, control=parts.control,
-            read_settings=read_settings, feed=FrameFeed(description),
+            read_settings=read_settings, feed=FrameFeed(description), describe=description,
         )  # fmt: skip
         stop_on_signals(service)
         if read_settings is not None:

@@ -87,6 +87,8 @@ class Health:
             baseline_age_s=max(0.0, (stream_ns - pipeline.followed_ns) * 1e-9),
             model=self.model_name,
             version=__version__,
+            noise_channels=pipeline.noise_channels(),
+            stretch_ppm=msgspec.UNSET if (stretch := pipeline.stretch) is None else round(stretch * 1e6, 1),
             clipped=tally.clipped,
             late=tally.late,
             clock_ppm=round(tally.clock_ppm, 1),

@@ -14,7 +14,7 @@ from touchd.frame import Frame
 from touchd.pipeline import Pipeline
 from touchd.service.control import Control
 from touchd.service.cpu_latency import Awake
-from touchd.service.frame_feed import FrameFeed
+from touchd.service.frame_feed import FeedDescription, FrameFeed
 from touchd.service.health import Health
 from touchd.service.messages import Messages
 from touchd.service.reload import Reloader
@@ -70,6 +70,8 @@ class Service:
         Reloads the configuration.
     feed : FrameFeed, optional
         Hands frames to programs that ask for them through `control`.
+    describe : callable, optional
+        Returns what is measured, for messages about the plate; without it there are none.
     """
 
     def __init__(
@@ -87,6 +89,7 @@ class Service:
         control: Control | None = None,
         reloader: Reloader | None = None,
         feed: FrameFeed | None = None,
+        describe: Callable[[], FeedDescription] | None = None,
     ) -> None:
         self.pipeline = pipeline
         self._source, self._messages, self._sinks, self._health = source, messages, sinks, health
@@ -97,7 +100,7 @@ class Service:
         # A device reports its states; of any other source only the silence is known.
         self._live = source if isinstance(source, LiveSource) else None
         self._withheld: dict[str, int] = {}
-        self._feed = feed
+        self._feed, self._describe = feed, describe
         self._state: State = "starting"
         self._flowing: State = "streaming" if pipeline.model else "uncalibrated"
         self._reason: str | None = None
@@ -125,6 +128,7 @@ class Service:
         log.info("starting", model=self._health.model_name, version=__version__)
         self._seen_ns = self._clock()
         self._publish_health()
+        self._publish_plate()
         try:
             if not self._stop:
                 self._run_frames()
@@ -225,6 +229,7 @@ class Service:
             self._reloader.reload()
             self._manager.reloaded()
             self._flowing = "streaming" if self.pipeline.model else "uncalibrated"
+            self._publish_plate()
 
     def _set_screen(self, *, off: bool, now_ns: int) -> None:
         before = self.pipeline.screen_off
@@ -272,6 +277,13 @@ class Service:
             sink.publish(event, now_ns)
         self._tell_manager(event)
         self._health.log_losses(event)
+
+    def _publish_plate(self) -> None:
+        if self._describe is not None:
+            now_ns = self._clock()
+            event = self._messages.plate(self._describe(), self.pipeline.layout, now_ns)
+            for sink in self._sinks:
+                sink.publish(event, now_ns)
 
     def _tell_manager(self, health: HealthEvent) -> None:
         self._manager.status(

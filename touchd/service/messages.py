@@ -8,8 +8,10 @@ from datetime import UTC, datetime
 from itertools import count
 
 from touchd.config.schema import Settings
-from touchd.event import TOPICS, Contact, Event, KeyEvent, SpectrumEvent, TouchEvent
+from touchd.event import TOPICS, Contact, Event, KeyEvent, PlateEvent, PlateKey, SpectrumEvent, TouchEvent
+from touchd.keypad import Layout
 from touchd.pipeline import Result
+from touchd.service.frame_feed import FeedDescription
 from touchd.sinks.sink import Sink
 
 _NOTHING: list[Event] = []
@@ -66,6 +68,16 @@ class Messages:
             else:
                 self.unheard["spectrum"] += 1
         return events
+
+    def plate(self, d: FeedDescription, layout: Layout | None, t_ns: int) -> PlateEvent:
+        """Return the message that says what is measured, by its description and the keys."""
+        a = d.acquisition
+        size = (d.plate.width_mm, d.plate.height_mm) if d.plate else (0.0, 0.0)
+        keys = [PlateKey(k.name, k.x_mm, k.y_mm, k.width_mm, k.height_mm) for k in (layout.key if layout else ())]
+        return PlateEvent(
+            *self.stamp("plate", t_ns), *size, d.rate_hz, a.channels, a.samples, a.sample_rate_hz,
+            (a.chirp.start_hz, a.chirp.stop_hz), d.source, d.emitter_mm, list(d.receivers_mm), keys,
+        )  # fmt: skip
 
     def stamp(self, topic: str, t_ns: int) -> tuple[str, int, int, str]:
         """Return what each message begins with: the device, the topic's next number, `t_ns` and the wall time."""
