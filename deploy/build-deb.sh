@@ -38,7 +38,7 @@ pip wheel --no-deps --no-build-isolation --wheel-dir "$work" .
 wheel=("$work"/touchd-*.whl)
 pip install --target "$stage/usr/lib/touchd" --no-compile --only-binary :all: \
     --implementation cp --python-version "3.$minor" "${platforms[@]}" \
-    --constraint requirements.lock --no-warn-conflicts "${wheel[0]}[calibrate]"
+    --constraint requirements.lock --no-warn-conflicts "${wheel[0]}[calibrate,web]"
 # Not needed to run: console scripts, which name this computer's interpreter, tests, and tools to build or convert.
 rm -rf "$stage"/usr/lib/touchd/{bin,share,onnxruntime/{transformers,tools,quantization,datasets},numpy/{distutils,f2py}}
 # Of the extra `calibrate`: interpreters of ONNX graphs, and examples.
@@ -51,7 +51,7 @@ install -D -m 755 deploy/debian/launcher "$stage/usr/bin/touchd"
 
 # --- the service
 install -d "$stage/lib/systemd/system"
-install -m 644 deploy/touchd.service deploy/touchd-input.service deploy/touchd-tuio.service "$stage/lib/systemd/system"
+install -m 644 deploy/touchd{,-input,-tuio,-web}.service "$stage/lib/systemd/system"
 install -D -m 644 deploy/60-touchd.rules "$stage/lib/udev/rules.d/60-touchd.rules"
 install -D -m 644 deploy/sysusers.conf "$stage/usr/lib/sysusers.d/touchd.conf"
 install -D -m 644 deploy/tmpfiles.conf "$stage/usr/lib/tmpfiles.d/touchd.conf"

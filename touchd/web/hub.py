@@ -52,6 +52,11 @@ class Client:
         self._slots[topic] = payload
         self.wake.set()
 
+    def drop(self, topics: frozenset[str]) -> None:
+        """Empty the slots of some topics."""
+        for topic in topics:
+            self._slots.pop(topic, None)
+
     def take(self) -> list[bytes]:
         """Return what waits, and empty the slots."""
         waiting, self._slots = list(self._slots.values()), {}
@@ -192,6 +197,13 @@ class Hub:
             self.keypad = bool(event.keys)
         elif isinstance(event, HealthEvent):
             self.history.append(payload)
+            if event.state in ("starting", "stopping"):
+                self.keypad = None  # it says anew what it is
+        if not self._may_show("touch"):
+            for client in self._clients:
+                client.drop(PRIVATE)
+            for topic in PRIVATE:
+                self._last.pop(topic, None)
         self._offer(event.type, payload, keep=event.type != "spectrum")
 
     def _offer(self, topic: str, payload: bytes, *, keep: bool) -> None:

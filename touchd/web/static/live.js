@@ -32,7 +32,7 @@ export function mount(root, page) {
       if (message.state !== 'streaming') plate.setContacts([]);
     }),
     feed.on('spectrum', message => { for (const panel of panels) panel.spectrum?.(message); }),
-    feed.on('batch', () => say(age, feed.dataAgeMs >= 0 && feed.dataAgeMs < 60_000 ? texts.age(Math.round(feed.dataAgeMs)) : '')),
+    feed.on('batch', () => say(age, feed.dataAgeMs !== null ? texts.age(Math.round(feed.dataAgeMs)) : '')),
     status.onStale(stale => {
       plate.set('stale', stale);
       root.classList.toggle('stale', stale);

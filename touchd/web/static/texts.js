@@ -19,6 +19,7 @@ export const texts = {
   no_server: ['No connection', 'touchd web does not answer. The page keeps trying.'],
   no_daemon: ['No daemon', 'No daemon publishes on this bus. systemctl status touchd'],
   silent: s => [`No data for ${s} s`, 'The daemon says nothing. What is shown is old.'],
+  late: s => [`Late by ${s} s`, 'The computer is too busy to keep up with the frames.'],
   keypad_hidden: 'Keypad: touches are not shown, since they tell the PIN.',
 
   plate: {
@@ -32,7 +33,7 @@ export const texts = {
   fingers: {
     title: 'Fingers',
     none: 'No finger on the plate.',
-    columns: ['', 'Position', 'Std. error', 'Force', 'Kind', 'Off truth'],
+    columns: ['No.', 'Position', 'Std. error', 'Force', 'Kind', 'Off truth'],
     kinds: { finger: 'finger', thumb: 'thumb', glove: 'glove', palm: 'palm', water: 'water', object: 'object' },
     unknown: '–',
   },
