@@ -32,6 +32,7 @@ _STEPS = 100
 @click.option("--taps", "taps_file", type=click.Path(path_type=Path), metavar="RECORDING",
               help="Taps at roughly known places, contacts_mm: they tell a mirrored or turned drawing.")  # fmt: skip
 @click.option("--ni", is_flag=True, help="Without RECORDING: take frames from NI hardware.")
+@click.option("--audio", metavar="DEVICE", help="Without RECORDING: take frames from an audio interface.")
 @click.option("--simulate", metavar="SCENE", help="Without RECORDING: take frames from a scene of the digital twin.")
 @click.option("--seconds", type=click.FloatRange(1.0), default=10.0, show_default=True, metavar="S",
               help="Without RECORDING: how many seconds of frames to take.")  # fmt: skip
@@ -47,6 +48,7 @@ def command(
     plate_file: Path,
     taps_file: Path | None,
     ni: bool,
+    audio: str | None,
     simulate: str | None,
     seconds: float,
     as_json: bool,
@@ -70,14 +72,14 @@ def command(
     from touchd.training.report.report import PAGE
 
     _check_output(output)
-    if recording is not None and (ni or simulate):
+    if recording is not None and (ni or simulate or audio is not None):
         raise click.UsageError("name a RECORDING or a source, not both")
     said = read_plate_file(plate_file)
     taps = read(taps_file) if taps_file else None
     if recording is not None:
         frames = read(recording)
     else:
-        choice = SourceChoice(simulate=simulate, speed=float("inf") if simulate else 1.0, ni=ni)
+        choice = SourceChoice(simulate=simulate, speed=float("inf") if simulate else 1.0, ni=ni, audio=audio)
         frames = _take(load(config or (ctx.obj or {}).get("config")), choice, said, seconds)
     given = recording.name if recording else ""
     line = f"touchd calibrate {given} -o {output.name} --plate {plate_file.name}".replace("  ", " ")

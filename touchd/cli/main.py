@@ -41,7 +41,7 @@ VERBS = {
 }
 EXTRAS = {"torch": "train", "sklearn": "train", "dask": "train", "distributed": "train", "scipy": "calibrate",
           "onnx": "calibrate", "matplotlib": "calibrate", "rich": "calibrate", "jinja2": "calibrate",
-          "nidaqmx": "ni", "starlette": "web", "uvicorn": "web", "websockets": "web",
+          "nidaqmx": "ni", "alsaaudio": "audio", "starlette": "web", "uvicorn": "web", "websockets": "web",
           }  # fmt: skip
 
 

@@ -64,9 +64,9 @@ def check_start(settings: Settings, listen_s: float = 2.5, *, running: bool = Fa
     for name, text in opened.items():
         error = refused.get(name)
         if error is not None and health and isinstance(error, AddressInUse):
-            text = f"{error.where}: a daemon publishes there, in state {health.state}"
+            daemon = f"{error.where}: a daemon publishes there, in state {health.state}"
             fix = "stop it before the checks: systemctl stop touchd"
-            findings.append(Finding(name, "ok", text) if running else Finding(name, "warning", text, fix))
+            findings.append(Finding(name, "ok", daemon) if running else Finding(name, "warning", daemon, fix))
         elif error is not None:
             findings.append(failure(name, error))
         elif text:

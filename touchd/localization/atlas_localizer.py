@@ -37,8 +37,8 @@ from touchd.localization.stillness import StillFinger
 from touchd.outcome import Outcome
 from touchd.touch import Touch
 
-NOISE_EVERY = 16
-"""One of 16 untouched frames updates the noise model."""
+NOISE_NS = 128_000_000
+"""Of untouched frames: one in this time updates the noise model."""
 
 
 class AtlasLocalizer:
@@ -72,7 +72,7 @@ class AtlasLocalizer:
         self._found = UNTOUCHED
         self._touched = False  # whether a frame was fitted since the last untouched one
         self._departure = self._plate_moved = False
-        self._untouched_frames = 0
+        self._untouched_ns = 0  # since the noise model was updated
         self._live: NDArray[np.bool_] | None = None
         self.configure(settings, layout)
 
@@ -113,8 +113,9 @@ class AtlasLocalizer:
                 self._drift.reset()
         if detection.noise_changed:
             self._noise.restart()
-        self._untouched_frames += 1
-        if not self._untouched_frames % NOISE_EVERY:
+        self._untouched_ns += detection.period_ns
+        if self._untouched_ns >= NOISE_NS:
+            self._untouched_ns = 0
             self._plate.follow(detection)
             self._plate.hear(detection.residual)
             self._classifier.dry()

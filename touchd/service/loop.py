@@ -17,6 +17,7 @@ from touchd.service.cpu_latency import Awake
 from touchd.service.frame_feed import FeedDescription, FrameFeed
 from touchd.service.health import Health
 from touchd.service.messages import Messages
+from touchd.service.rate import ScanRate
 from touchd.service.reload import Reloader
 from touchd.service.runner import frames_of
 from touchd.service.systemd import Notifier
@@ -70,6 +71,7 @@ class Service:
         Reloads the configuration.
     feed : FrameFeed, optional
         Hands frames to programs that ask for them through `control`.
+    rate : ScanRate, optional
     describe : callable, optional
         Returns what is measured, for messages about the plate; without it there are none.
     """
@@ -89,6 +91,7 @@ class Service:
         control: Control | None = None,
         reloader: Reloader | None = None,
         feed: FrameFeed | None = None,
+        rate: ScanRate | None = None,
         describe: Callable[[], FeedDescription] | None = None,
     ) -> None:
         self.pipeline = pipeline
@@ -100,7 +103,7 @@ class Service:
         # A device reports its states; of any other source only the silence is known.
         self._live = source if isinstance(source, LiveSource) else None
         self._withheld: dict[str, int] = {}
-        self._feed, self._describe = feed, describe
+        self._feed, self._rate, self._describe = feed, rate, describe
         self._state: State = "starting"
         self._flowing: State = "streaming" if pipeline.model else "uncalibrated"
         self._reason: str | None = None
@@ -146,7 +149,7 @@ class Service:
                 sink.close()
 
     def _run_frames(self) -> None:
-        pipeline, preroll, feed = self.pipeline, self._preroll, self._feed
+        pipeline, preroll, feed, rate = self.pipeline, self._preroll, self._feed, self._rate
         for frame in frames_of(self._source, on_change=self._follow):
             if frame is None:
                 self._wait()
@@ -158,7 +161,10 @@ class Service:
                     self._publish(events, frame.received_ns)
                 if preroll is not None:
                     preroll.keep(frame, result.contacts)
-                if feed is not None and feed.listeners:
+                wanted = feed is not None and bool(feed.listeners)
+                if rate is not None:
+                    rate.update(frame.t_ns, result.outcome, wanted)
+                if wanted and feed is not None:
                     feed.send(frame)
                 self._finish(frame)
             if self._stop:
@@ -236,6 +242,8 @@ class Service:
         result = self.pipeline.set_screen(off=off)
         self._publish(self._messages.make(result, self.pipeline.spectrum), now_ns)
         if self.pipeline.screen_off != before:
+            if self._rate is not None and before:
+                self._rate.wake()
             log.info("screen", state="off" if off else "on")
             self._publish_health()
 
@@ -259,10 +267,7 @@ class Service:
         elif self._away:
             self._away = False
             self.pipeline.reset()
-        if change.state == "streaming":
-            self._enter(self._flowing, change.reason)
-        else:
-            self._enter(change.state, change.reason)
+        self._enter(self._flowing if change.state == "streaming" else change.state, change.reason)
 
     def _enter(self, state: State, reason: str | None = None) -> None:
         say = log.warning if state in ("stalled", "lost") else log.info

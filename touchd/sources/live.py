@@ -35,6 +35,7 @@ from touchd.sources.source import Change, EndOfStream, Tally
 
 _JOIN_S = 0.5
 """`close` waits this long for a thread that a wedged device holds: the service must end within 1 s of SIGTERM."""
+_STALL_FRAMES = 3  # that a stalled device has left out, however low its rate
 _MAX_DOUBLINGS = 10  # of the delay between connections; by far enough to reach `max_retry_s`
 
 log = structlog.get_logger()
@@ -94,6 +95,9 @@ class DaqSource:
         self._settings, self._waits, self._clock = settings, waits, clock
         self._search = DeviceSearch(candidates, settings, check)
         self._stall_ns = round(settings.stall_s * 1e9)
+        self._rate_hz = settings.rate_hz
+        self._streaming: Daq | None = None
+        self._commanding = threading.Lock()  # of `_streaming`: no device is closed while it is commanded
         self._ring: FrameRing[Change] = FrameRing(settings.queue_frames, acquisition.shape)
         self._numbering = Numbering()
         self._state: State = "starting"
@@ -133,6 +137,14 @@ class DaqSource:
         """Take the changes of state that come before the next waiting frame."""
         return self._ring.marks()
 
+    def set_rate(self, rate_hz: int) -> None:
+        """Ask the device for this rate at once; a device that has one rate alone keeps it."""
+        with self._commanding:
+            self._rate_hz = rate_hz
+            if self._streaming is not None:
+                with contextlib.suppress(DaqGone):  # the thread that reads finds out
+                    self._streaming.set_rate(rate_hz)
+
     def close(self) -> None:
         """Stop the device's stream and release the device; further calls do nothing."""
         self._closing.set()
@@ -149,6 +161,8 @@ class DaqSource:
                     # Before `close`, which may take its time: contacts are lifted now.
                     self._enter("lost", str(gone))
                 finally:
+                    with self._commanding:
+                        self._streaming = None
                     daq.close()
         except TouchdError as error:
             self._error = error
@@ -196,7 +210,7 @@ class DaqSource:
                 if self._fruitless:
                     self._fruitless = 0
                     self._search.keep()
-            elif now_ns - seen_ns > self._stall_ns:
+            elif now_ns - seen_ns > max(self._stall_ns, _STALL_FRAMES * 1e9 / self._rate_hz):
                 self._enter("stalled", f"no frame for {self._settings.stall_s:g} s")
                 if restarted:
                     log.warning("resetting the device")
@@ -211,6 +225,10 @@ class DaqSource:
     def _start(self, daq: Daq) -> None:
         daq.start(self._settings.rate_hz)
         self._numbering.restart()
+        with self._commanding:
+            self._streaming = daq
+            if self._rate_hz != self._settings.rate_hz:
+                daq.set_rate(self._rate_hz)
 
     def _take(self, frame: DaqFrame, clock: DeviceClock, received_ns: int) -> None:
         """Number, date, count and queue a frame."""

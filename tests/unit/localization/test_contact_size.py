@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 
 import numpy as np
 import pytest
@@ -25,7 +26,9 @@ AT = (60.0, 45.0)
 PHASE = st.floats(-math.pi, math.pi)
 
 
+@cache
 def size_of_noise(variance: float) -> ContactSize:
+    """Sizes at a noise floor; their table takes milliseconds."""
     noise = NoiseModel(ATLAS)
     noise.variance, noise.ceiling, noise.active_bins = variance, variance * ATLAS.size, ATLAS.size
     return ContactSize(ATLAS, noise)

@@ -32,6 +32,9 @@ class Stubborn:
         if self.starts <= self._failures:
             raise DaqGone("it refuses START")
 
+    def set_rate(self, rate_hz: int) -> None:
+        pass
+
     def stop(self) -> None:
         pass
 
