@@ -16,6 +16,7 @@ class Pace:
 
     def __init__(self) -> None:
         self._steps: list[int] = []
+        self.low_ns = self.high_ns = 0.0
         self._set(USUAL_NS)
 
     def update(self, step_ns: int) -> bool:
