@@ -157,8 +157,6 @@ class DaqSource:
         self._lending.close()
         self._thread.join(_JOIN_S)
 
-    # -- the thread -------------------------------------------------------------------------------
-
     def _run(self) -> None:
         try:
             while (daq := self._connect()) is not None:
