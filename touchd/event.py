@@ -138,6 +138,9 @@ class HealthEvent(Struct, gc=False):
     """How much faster than this computer's the device's clock runs, parts per million; 0 before it is known."""
     unheard: dict[str, int] = {}
     """Messages that were not made because nobody was subscribed, by topic."""
+    model_fit: float | msgspec.UnsetType = msgspec.UNSET
+    """Share of a touch's energy that the model explains, 0..1: median of the last 64 touches; absent before 8 and
+    without a field atlas. Below 0.98 the plate calls for another calibration."""
     reason: str | None = None
     """Why the device is in this state, or what is wrong with its frames, for a person; last, see `encode`."""
 

@@ -12,6 +12,7 @@ import numpy as np
 from msgspec import Struct
 
 from touchd.config.schema import Settings
+from touchd.detection.baseline import Signal
 from touchd.detection.detector import Detection, Detector, Notify
 from touchd.detection.impulses import Impulses
 from touchd.event import Contact
@@ -171,6 +172,12 @@ class Pipeline:
         return self._localizer.spectrum(self._detection) if self._detection else []
 
     @property
+    def residual(self) -> Signal:
+        """Return the last frame less its baseline, shape (channels, samples), valid until the next one."""
+        assert self._detection is not None  # after a frame
+        return self._detection.residual
+
+    @property
     def stretch(self) -> float | None:
         """Relative rise of the plate's resonances since training; None without a field atlas."""
         return self._localizer.stretch
@@ -190,6 +197,11 @@ class Pipeline:
     def followed_ns(self) -> int:
         """Time of the last frame that moved the baseline."""
         return self.detector.followed_ns
+
+    @property
+    def model_fit(self) -> float | None:
+        """Share of a touch's energy that the model explains, 0..1, median of the last touches; None if unknown."""
+        return self._localizer.model_fit
 
     @property
     def fault(self) -> str | None:

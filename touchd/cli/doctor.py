@@ -26,6 +26,7 @@ _COLOURS = {"ok": "green", "warning": "yellow", "failure": "red"}
 @click.option("--replay", type=click.Path(path_type=Path), help="Check the frames of a recording, not of the DAQ.")
 @click.option("--simulate", metavar="SCENE", help="Check the frames of a twin's scene, not of the DAQ.")
 @click.option("--ni", is_flag=True, help="Check the frames of NI hardware, not of the DAQ on USB.")
+@click.option("--audio", metavar="DEVICE", help="Check the frames of an audio interface.")
 @click.option("--seed", default=0, help="Seed of a simulated scene.", show_default=True)
 @click.option("--seconds", type=click.FloatRange(0.5), default=3.0, show_default=True, metavar="S",
               help="How many seconds of frames to take.")  # fmt: skip
@@ -41,6 +42,7 @@ def command(
     replay: Path | None,
     simulate: str | None,
     ni: bool,
+    audio: str | None,
     seed: int,
     seconds: float,
     reference: Path | None,
@@ -59,7 +61,7 @@ def command(
 
     settings = load(config or (ctx.obj or {}).get("config"))
     configure(settings.log.model_copy(update={"level": "error"}))
-    choice = SourceChoice(replay, simulate, float("inf"), seed=seed, ni=ni)
+    choice = SourceChoice(replay, simulate, float("inf"), seed=seed, ni=ni, audio=audio)
     findings = []
     for finding in _examine(settings, choice, seconds, reference):
         findings.append(finding)
@@ -101,7 +103,7 @@ def _examine(settings: Settings, choice: SourceChoice, seconds: float, reference
     yield from check_screen(settings)
     if any(finding.check in ("model", "keypad") and finding.level == "failure" for finding in findings):
         return
-    if running is None and choice.replay is None and choice.simulate is None and not choice.ni:
+    if running is None and choice.kind == "usb":
         device = doctorusb.examine(settings.device)
         yield from device
         if any(finding.level == "failure" for finding in device):

@@ -103,6 +103,9 @@ class NetworkLocalizer:
         self._has_sigma = model.description.head == "regression"
         self.configure(settings, layout)
 
+    model_fit: float | None = None
+    """A network cannot tell how well it fits."""
+
     def configure(self, settings: Settings, layout: Layout | None) -> None:
         """Take other thresholds and keys; fingers are found again in the next frame."""
         self._min_confidence, self._keep_confidence = settings.model.min_confidence, settings.model.keep_confidence

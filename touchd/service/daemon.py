@@ -32,6 +32,7 @@ from touchd.service.messages import Messages, wants_of
 from touchd.service.models import ModelInUse
 from touchd.service.models import load_model as load_model
 from touchd.service.preroll import PreRoll
+from touchd.service.rate import ScanRate
 from touchd.service.reload import Reloader
 from touchd.service.signals import deliver, reload_on_hangup, save_on_signal, stop_on_signals
 from touchd.service.systemd import Notifier
@@ -161,7 +162,7 @@ def make_service(
     return Service(
         source, pipeline, messages, sinks, health, clock=clock, manager=manager,
         awake=Awake(settings.realtime.awake_from_hz), preroll=preroll, control=control, reloader=reloader,
-        feed=feed, describe=describe,
+        feed=feed, rate=ScanRate(source, settings.device), describe=describe,
     )  # fmt: skip
 
 
@@ -203,12 +204,11 @@ def describer(
 ) -> Callable[[], FeedDescription]:
     """Return what describes a source's frames to those who record them; `plate` returns the model's plate."""
     known = getattr(source, "meta", None)
-    kind = "simulated" if choice.simulate else "replay" if choice.replay else "ni" if choice.ni else "usb"
     rate_hz = known.frame_rate_hz if known else float(settings.device.rate_hz)
 
     def description() -> FeedDescription:
         return FeedDescription(
-            acquisition=source.acquisition, rate_hz=rate_hz, source=known.source if known else kind,
+            acquisition=source.acquisition, rate_hz=rate_hz, source=known.source if known else choice.kind,
             plate=known.plate if known else plate(), device=getattr(source, "device", None) or Device(),
             emitter_mm=known.emitter_mm if known else None, receivers_mm=(known.receivers_mm if known else None) or (),
         )  # fmt: skip

@@ -93,6 +93,7 @@ class Health:
             late=tally.late,
             clock_ppm=round(tally.clock_ppm, 1),
             unheard={topic: count for topic, count in unheard.items() if count},
+            model_fit=msgspec.UNSET if (fit := pipeline.model_fit) is None else round(fit, 4),
             reason=reason or pipeline.fault or self._reason(),
         )
 

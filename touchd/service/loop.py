@@ -9,7 +9,7 @@ from typing import Protocol
 import structlog
 
 from touchd import __version__
-from touchd.event import Contact, Event, HealthEvent, State
+from touchd.event import Contact, Event, State
 from touchd.frame import Frame
 from touchd.pipeline import Pipeline
 from touchd.service.control import Control
@@ -17,6 +17,7 @@ from touchd.service.cpu_latency import Awake
 from touchd.service.frame_feed import FeedDescription, FrameFeed
 from touchd.service.health import Health
 from touchd.service.messages import Messages
+from touchd.service.rate import ScanRate
 from touchd.service.reload import Reloader
 from touchd.service.runner import frames_of
 from touchd.service.systemd import Notifier
@@ -27,8 +28,6 @@ STALL_NS = 1_000_000_000
 """A source that is no device has stalled after this time without a frame, ns."""
 _FLOWING: tuple[State, ...] = ("streaming", "uncalibrated")
 """Frames flow."""
-_READY: tuple[State, ...] = (*_FLOWING, "lost")
-"""Frames flow, or the device is awaited."""
 _TICK_NS = 4_000_000
 """Sinks are polled this often, and all else is done that is due: at usual rates after each frame. Polling costs a fifth
 of an idle frame."""
@@ -70,6 +69,7 @@ class Service:
         Reloads the configuration.
     feed : FrameFeed, optional
         Hands frames to programs that ask for them through `control`.
+    rate : ScanRate, optional
     describe : callable, optional
         Returns what is measured, for messages about the plate; without it there are none.
     """
@@ -89,6 +89,7 @@ class Service:
         control: Control | None = None,
         reloader: Reloader | None = None,
         feed: FrameFeed | None = None,
+        rate: ScanRate | None = None,
         describe: Callable[[], FeedDescription] | None = None,
     ) -> None:
         self.pipeline = pipeline
@@ -100,7 +101,7 @@ class Service:
         # A device reports its states; of any other source only the silence is known.
         self._live = source if isinstance(source, LiveSource) else None
         self._withheld: dict[str, int] = {}
-        self._feed, self._describe = feed, describe
+        self._feed, self._rate, self._describe = feed, rate, describe
         self._state: State = "starting"
         self._flowing: State = "streaming" if pipeline.model else "uncalibrated"
         self._reason: str | None = None
@@ -146,7 +147,7 @@ class Service:
                 sink.close()
 
     def _run_frames(self) -> None:
-        pipeline, preroll, feed = self.pipeline, self._preroll, self._feed
+        pipeline, preroll, feed, rate = self.pipeline, self._preroll, self._feed, self._rate
         labelled = self._source if isinstance(self._source, Labelled) else None
         for frame in frames_of(self._source, on_change=self._follow):
             if frame is None:
@@ -161,7 +162,10 @@ class Service:
                     self._hand(true, frame.received_ns)
                 if preroll is not None:
                     preroll.keep(frame, result.contacts)
-                if feed is not None and feed.listeners:
+                wanted = feed is not None and bool(feed.listeners)
+                if rate is not None:
+                    rate.update(frame.t_ns, result.outcome, wanted)
+                if wanted and feed is not None:
                     feed.send(frame)
                 self._finish(frame)
             if self._stop:
@@ -239,6 +243,8 @@ class Service:
         result = self.pipeline.set_screen(off=off)
         self._publish(self._messages.make(result, self.pipeline.spectrum), now_ns)
         if self.pipeline.screen_off != before:
+            if self._rate is not None and before:
+                self._rate.wake()
             log.info("screen", state="off" if off else "on")
             self._publish_health()
 
@@ -265,10 +271,7 @@ class Service:
         elif self._away:
             self._away = False
             self.pipeline.reset()
-        if change.state == "streaming":
-            self._enter(self._flowing, change.reason)
-        else:
-            self._enter(change.state, change.reason)
+        self._enter(self._flowing if change.state == "streaming" else change.state, change.reason)
 
     def _enter(self, state: State, reason: str | None = None) -> None:
         say = log.warning if state in ("stalled", "lost") else log.info
@@ -280,19 +283,10 @@ class Service:
         now_ns = self._health_ns = self._clock()
         event = self._health.message(now_ns, self._stream_ns, self._state, self._reason)
         self._hand(event, now_ns)
-        self._tell_manager(event)
+        self._manager.tell(event)
         self._health.log_losses(event)
 
     def _publish_plate(self) -> None:
         if self._describe is not None:
             now_ns = self._clock()
             self._hand(self._messages.plate(self._describe(), self.pipeline.layout, now_ns), now_ns)
-
-    def _tell_manager(self, health: HealthEvent) -> None:
-        self._manager.status(
-            f"{health.state}: {health.reason}"
-            if health.reason and health.state != "streaming"
-            else f"{health.state}: {health.frames} frames, {health.lost} lost, {health.corrupt} corrupt"
-        )
-        if health.state in _READY:
-            self._manager.ready()

@@ -68,6 +68,15 @@ class Tally:
 
 
 @runtime_checkable
+class AdjustableSource(Protocol):
+    """A source whose frame rate can be changed. Times tell the rate; numbers go on without a gap."""
+
+    def set_rate(self, rate_hz: int) -> None:
+        """Ask for this rate from the next frame on; a device that has one rate alone keeps it."""
+        ...
+
+
+@runtime_checkable
 class LiveSource(Source, Protocol):
     """A source with a device behind it, which can be lost and found again."""
 
