@@ -36,7 +36,7 @@ for glibc in $(seq 17 28); do platforms+=(--platform "manylinux_2_${glibc}_$mach
 pip() { "$python" -m pip --quiet --disable-pip-version-check --no-input "$@"; }
 pip wheel --no-deps --no-build-isolation --wheel-dir "$work" .
 wheel=("$work"/touchd-*.whl)
-extras=calibrate
+extras=calibrate,web
 # pyalsaaudio has no wheel: it is compiled here, for this Python on this computer alone.
 if [ "$("$python" -c 'import platform, sys; print(sys.version_info.minor, platform.machine())')" = "$minor $machine" ]; then
     pip wheel --no-deps --constraint requirements.lock --wheel-dir "$work" pyalsaaudio
@@ -60,7 +60,7 @@ install -D -m 755 deploy/debian/launcher "$stage/usr/bin/touchd"
 
 # --- the service
 install -d "$stage/lib/systemd/system"
-install -m 644 deploy/touchd.service deploy/touchd-input.service deploy/touchd-tuio.service "$stage/lib/systemd/system"
+install -m 644 deploy/touchd{,-input,-tuio,-web}.service "$stage/lib/systemd/system"
 install -D -m 644 deploy/60-touchd.rules "$stage/lib/udev/rules.d/60-touchd.rules"
 install -D -m 644 deploy/sysusers.conf "$stage/usr/lib/sysusers.d/touchd.conf"
 install -D -m 644 deploy/tmpfiles.conf "$stage/usr/lib/tmpfiles.d/touchd.conf"

@@ -12,6 +12,8 @@ test)
     wanted="python3-venv gcc libc6-dev libasound2-dev python3-dev libzmq3-dev umockdev gir1.2-umockdev-1.0 python3-gi libusb-1.0-0"
     # What is shipped for the system is checked by the system's own tools.
     wanted="$wanted systemd udev shellcheck python3"
+    # The page in a browser, with letters in it.
+    wanted="$wanted chromium fonts-dejavu-core"
     ;;
 vm) wanted="python3 qemu-system-x86 mmdebstrap busybox-static e2fsprogs kmod cpio" ;;
 *) echo "usage: $0 run|test|vm" >&2; exit 2 ;;
