@@ -27,7 +27,8 @@ from touchd.recording.format import read  # noqa: E402 - as above
 from touchd.service.log import configure  # noqa: E402 - as above
 from touchd.sources.audio import AudioDaq  # noqa: E402 - as above
 from touchd.sources.daq import DaqAbsent  # noqa: E402 - as above
-from touchd.sources.live import DaqSource, Waits  # noqa: E402 - as above
+from touchd.sources.live import DaqSource  # noqa: E402 - as above
+from touchd.sources.waits import Waits  # noqa: E402 - as above
 
 PERIOD, BANK = 2000, 61
 SETTINGS = AudioSettings(sample_rate_hz=250_000, band_hz=(50e3, 100e3), chirp_s=1e-3)
@@ -111,7 +112,7 @@ def run(count: int, xrun_every: int = 5003, unplug_every: int = 20_011) -> Resul
     source = DaqSource(
         lambda: iter([lambda: AudioDaq(card.open(), SETTINGS, session.acquisition, reference, card.clock)]),
         DeviceSettings(queue_frames=200), session.acquisition, lambda _: None,
-        waits=Waits(0.01, 1e-3, 2e-3), clock=card.clock,
+        waits=Waits(0.01, 1e-3, 2e-3), clock=card.clock, direct=False,
     )  # fmt: skip
     # What each period looks like once it is cut: the nearest says which one a frame is.
     whole = np.zeros((BANK, len(mean), PERIOD))
