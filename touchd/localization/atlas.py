@@ -81,9 +81,9 @@ class AtlasDescription(BaseModel):
         return windowed_dft(self.acquisition, np.array(self.bins)) * np.tile(self.bin_weights, 2)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class Atlas:
-    """A loaded atlas."""
+    """A loaded atlas; tables made of it are kept as long as it is."""
 
     description: AtlasDescription
     coefficients: Array
