@@ -1,7 +1,7 @@
 """Expected error of a fingertip over a plate for a layout of its discs, and a search for a better layout.
 
 The error by noise is the Cramer-Rao bound of a touch whose amplitude is unknown, on the free plate that PLATE.toml
-describes. Discs' masses are left out: all layouts share one set of modes, so that a layout costs a few products. Model
+describes. Discs weigh on the bare plate's modes by Woodbury's identity, so that a layout costs a few products. Model
 error comes on top, alike for all layouts; one with a smaller bound leaves more room for it.
 """
 
@@ -17,6 +17,7 @@ from touchd import chirp
 from touchd.calibration.parameters import LOSS, LOSSES
 from touchd.calibration.plate_file import PlateFile
 from touchd.calibration.verdict import EXACT
+from touchd.evaluation.dataset import BASELINE_NOISE
 from touchd.frame import Acquisition
 from touchd.localization.features import windowed_dft
 from touchd.training.field.place import linearise
@@ -70,6 +71,15 @@ class Plan(NamedTuple):
         return tuple(np.percentile(self.error_mm, (50, WORST, 100)).tolist())
 
 
+class Way(NamedTuple):
+    """A disc on the bare plate: n modes, F frequencies."""
+
+    vectors: Floats
+    """Its rim's rotation and its mean deflection in the modes, shape (2, n)."""
+    fields: Complex
+    """Receptances of both to all places, and their slopes by x and y, shape (2, 3, F, places)."""
+
+
 def bound_mm(u: Complex, by_x: Complex, by_y: Complex, variance: float) -> Floats:
     """Return the RMS distance, mm, of touches with the field `u` (n, m) and its slopes in noise of this variance."""
     spread = np.linalg.inv(linearise(u, u, by_x, by_y).fisher_information[:, 0])
@@ -91,12 +101,13 @@ class PlateMap:
     def __init__(self, said: PlateFile, acquisition: Acquisition, noise_db: float = NOISE_DB) -> None:
         self._a, self._noise = acquisition, 10 ** (-noise_db / 20)
         self._plate, self._said = said.twin_plate(), said
+        record = Record(acquisition)
         top_hz = acquisition.chirp.band_hz[1]
         modes = solve(self._plate, polynomials_for(self._plate, top_hz), 1.3 * top_hz)
         self._counts = modes.w.shape[1:]
         n = len(modes.omega_rad_s)
         self._w, *self._psi = (field.reshape(n, -1) for field in modes[1:])
-        record = Record(acquisition)
+        self._load = -(record.nu_rad_s**2) * said.layout().mass_g * 1e-3
         nu = record.nu_rad_s
         loss = LOSSES.get((said.plate.material or "").lower(), LOSS)
         self._kernel = 1 / (modes.omega_rad_s[:, None] ** 2 * (1 + 1j * loss) - nu**2)  # (n, F)
@@ -110,8 +121,8 @@ class PlateMap:
         self._exact_mm = EXACT * wave_mm
         self._place()
         shapes = self._shapes(self._places_mm)
-        load = (1j * nu * impedance(FINGER, nu, AREA_MM2))[:, None]
-        self._taken = -load / (1 + load * (self._kernel.T @ shapes**2))  # (F, places)
+        self._finger = (1j * nu * impedance(FINGER, nu, AREA_MM2))[:, None]
+        self._alone = self._kernel.T @ shapes**2  # (F, places)
         self._moved = [shapes] + [
             (self._shapes(self._places_mm + step) - self._shapes(self._places_mm - step)) / (2 * STEP_MM)
             for step in STEP_MM * np.eye(2)
@@ -132,41 +143,49 @@ class PlateMap:
         under = legendre.disc_average(1e-3 * places_mm, radius, size_m(self._plate), self._counts, (3, 8))
         return np.asarray(self._w @ under.reshape(len(places_mm), -1).T)
 
-    def ways(self, centre_mm: Floats) -> tuple[list[Complex], Complex]:
-        """Return a disc's receptances to all places, with their slopes by x and y, each (F, places), and its modes."""
+    def way(self, centre_mm: Floats) -> Way:
+        """Return what a disc at a place has to do with all others."""
         size, radius = size_m(self._plate), 5e-4 * self._said.discs.diameter_mm
         x, y = (rim.ravel() for rim in legendre.rim_average(1e-3 * centre_mm, radius, size, self._counts))
-        disc = self._psi[0] @ x + self._psi[1] @ y
-        return [self._kernel.T @ (disc[:, None] * shapes) for shapes in self._moved], disc
+        under = legendre.disc_average(1e-3 * centre_mm[None], np.array([radius]), size, self._counts).ravel()
+        vectors = np.stack([self._psi[0] @ x + self._psi[1] @ y, self._w @ under])
+        return Way(vectors, np.stack([[self._kernel.T @ (v[:, None] * m) for m in self._moved] for v in vectors]))
 
-    def plan(self, discs_mm: Places, known: list[tuple[list[Complex], Complex]] | None = None) -> Plan:
-        """Return the map of a layout; `known` are the `ways` of its discs."""
-        known = known or [self.ways(place) for place in discs_mm]
-        (e, e_x, e_y), emitter = known[0]
-        fields: list[list[Complex]] = [[], [], []]
-        heard = []
-        for (r, r_x, r_y), receiver in known[1:]:
-            for field, product in zip(fields, (e * r, e_x * r + e * r_x, e_y * r + e * r_y), strict=True):
-                spectrum = self._emission[:, None] * self._taken * product
-                field.append(np.concatenate([spectrum.real, spectrum.imag]).T @ self._to_bins)
-            heard.append(self._to_time(self._emission * (self._kernel.T @ (emitter * receiver))))
-        # Each channel's gain is set for its own signal.
-        level = np.sqrt(np.square(heard).mean(axis=1))
-        u, by_x, by_y = (
-            np.concatenate([part / size for part, size in zip(field, level, strict=True)], axis=1) for field in fields
+    def plan(self, discs_mm: Places, ways: list[Way] | None = None) -> Plan:
+        """Return the map of a layout; `ways` are those of its discs."""
+        ways = ways or [self.way(place) for place in discs_mm]
+        rims, under = (np.stack([way.vectors[i] for way in ways]) for i in (0, 1))  # (D, n)
+        # Forces of the discs' masses: what each rim, and each place, finds in its way.
+        between, to_rims = (
+            np.einsum("nf,in,jn->fij", self._kernel, under, other, optimize=True) for other in (under, rims)
         )
-        variance = 1.5 * self._noise**2 * float(np.square(self._a.window).sum()) / 2
-        return Plan(
-            np.asarray(discs_mm, float),
-            bound_mm(u, by_x, by_y, variance).reshape(self.rows, self.columns),
-            self._exact_mm,
-        )
+        masses = np.linalg.inv(np.eye(len(ways)) / self._load[:, None, None] + between)
+        to_places = np.stack([way.fields[1] for way in ways], axis=2).transpose(1, 2, 0, 3)  # (F, D, 3, places)
+        held = np.einsum("fij,fjkp->fikp", masses, to_places, optimize=True)
+        alone = self._alone - (to_places[:, :, 0] * held[:, :, 0]).sum(axis=1)
+        taken = self._emission[:, None] * -self._finger / (1 + self._finger * alone)
+        fields = [
+            way.fields[0] - np.einsum("fi,fikp->kfp", to_rims[:, :, d], held) for d, way in enumerate(ways)
+        ]  # each (3, F, places)
+        e, e_x, e_y = fields[0]
+        parts, heard = [], []
+        straight = np.einsum("nf,n,dn->fd", self._kernel, rims[0], rims[1:], optimize=True)
+        straight = straight - np.einsum("fi,fij,fjd->fd", to_rims[:, :, 0], masses, to_rims[:, :, 1:], optimize=True)
+        for (r, r_x, r_y), way in zip(fields[1:], straight.T, strict=True):
+            products = np.stack([e * r, e_x * r + e * r_x, e_y * r + e * r_y]) * taken
+            parts.append(np.concatenate([products.real, products.imag], axis=1).swapaxes(1, 2) @ self._to_bins)
+            heard.append(self._to_time(self._emission * way))
+        u, by_x, by_y = np.concatenate(parts, axis=2)
+        white = float(np.square(self._a.window).sum()) / 2
+        variance = BASELINE_NOISE * self._noise**2 * float(np.square(heard).mean()) * white
+        error_mm = bound_mm(u, by_x, by_y, variance).reshape(self.rows, self.columns)
+        return Plan(np.asarray(discs_mm, float), error_mm, self._exact_mm)
 
     def suggest(self, plan: Plan, moves: int = MOVES, progress: Progress = lambda _share: None) -> Plan:
         """Return a layout at least as good: discs move one at a time, by ever shorter random steps."""
         rng = np.random.default_rng(0)
         discs, best = plan.discs_mm.copy(), plan
-        known = [self.ways(place) for place in discs]
+        known = [self.way(place) for place in discs]
         size = np.array([self._plate.width_mm, self._plate.height_mm])
         margin, apart = (each * self._said.discs.diameter_mm for each in (EDGE_DIAMETERS, APART_DIAMETERS))
         for move in range(moves):
@@ -178,7 +197,7 @@ class PlateMap:
                 if np.linalg.norm(others - tried, axis=1).min() < apart or is_mirrored(tried, others, size):
                     continue
                 places, ways = discs.copy(), list(known)
-                places[k], ways[k] = tried, self.ways(tried)
+                places[k], ways[k] = tried, self.way(tried)
                 other = self.plan(places, ways)
                 if other.quantiles_mm[1] < best.quantiles_mm[1]:
                     discs, known, best = places, ways, other
