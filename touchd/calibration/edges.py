@@ -59,6 +59,19 @@ class Edges(NamedTuple):
     """Values by name, of `names_of`."""
     middle_rad_s: float
 
+    def turned(self, orientation: int) -> Edges:
+        """Return the edges of a plate that is mirrored left to right (bit 0), top to bottom (bit 1), or both."""
+        other = dict(zip(SIDES, SIDES, strict=True))
+        for axis in (0, 1):
+            if orientation & (1 << axis):
+                one, two = SIDES[2 * axis : 2 * axis + 2]
+                other |= {one: two, two: one}
+        values = {f"{other[name.split()[0]]} {name.split()[1]}": value for name, value in self.values.items()}
+        return self._replace(kinds={other[side]: kind for side, kind in self.kinds.items()}, values=values)
+
+
+FREE = Edges({}, {}, 1.0)
+
 
 class Lines(NamedTuple):
     """The lines along held edges, in E vectors: the deflection along a line in Legendre's polynomials."""

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from touchd.calibration.candidates import candidates, material_like, soft_edges
 from touchd.calibration.disc_response import Loss
-from touchd.calibration.edges import Edges, attachments
+from touchd.calibration.edges import FREE, Edges, attachments
 from touchd.calibration.least_squares import State
 from touchd.calibration.parameters import LOGARITHMS, Reader
 from touchd.calibration.plate_file import PlateFile
@@ -67,7 +67,7 @@ class PlateFit:
     """Untouched mean frame, shape (R, S), ADC counts."""
     fitted: Floats
     """The same as the fitted plate gives it."""
-    edges: Edges | None = None
+    edges: Edges = FREE
     """What holds the sides."""
 
     def gain(self, frequency_hz: Floats) -> Complex:
@@ -77,9 +77,9 @@ class PlateFit:
 
     def response(self, nu_rad_s: Complex) -> Response:
         """Return the fitted plate's response at complex angular frequencies (F,)."""
-        modes = loaded_modes(self.plate, self.layout, self.acquisition.sample_rate_hz / 2)
+        modes = loaded_modes(self.plate, self.layout, self.acquisition.highest_hz)
         chirp = self.acquisition.chirp
-        if self.edges and self.edges.kinds:
+        if self.edges.kinds:
             held = attachments(self.edges, self.plate)
             modes = attach(modes, self.plate, held, 0.0, self.edges.middle_rad_s / (2 * np.pi))
         loss = Loss(self.loss, self.loss_slope, np.pi * (chirp.start_hz + chirp.stop_hz))

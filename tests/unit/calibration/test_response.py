@@ -28,7 +28,7 @@ DISCS = Discs(PLACES_MM * 1e-3, 3e-3, MASS_KG / GLASS.rho_kg_m3, STIFFNESS_N_M /
 
 @pytest.fixture(scope="module")
 def plate() -> ReducedPlate:
-    return ReducedPlate(PLATE)
+    return ReducedPlate(PLATE, 100e3)
 
 
 EDGES = Edges(
@@ -81,6 +81,19 @@ def test_held_edges_are_the_twins(plate: ReducedPlate) -> None:
     mass = GLASS.rho_kg_m3 * 5e-3 * 70e-3 * 60e-3
     assert np.abs(found / mass - expected).max() < 5e-3 * np.abs(expected).max()
     assert np.abs(free / mass - expected).max() > 0.3 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize("orientation", [0, 1, 2, 3])
+def test_a_turned_plate(plate: ReducedPlate, orientation: int) -> None:
+    """Discs and held edges mirrored together sound the same."""
+    size_m = np.array([plate.reference.width, plate.reference.height])
+    flipped = np.array([bool(orientation & 1), bool(orientation & 2)])
+    centres_m = np.where(flipped, size_m - DISCS.centres_m, DISCS.centres_m)
+    found = []
+    for discs, edges in ((DISCS, EDGES), (DISCS._replace(centres_m=centres_m), EDGES.turned(orientation))):
+        held = lines_along(plate, edges.kinds), edges
+        found.append(DiscResponse(plate, plate.reference, discs, LOSS, NU, held).untouched())
+    np.testing.assert_allclose(found[1], found[0], atol=1e-6 * np.abs(found[0]).max())
 
 
 def differences(plate: ReducedPlate, name: str) -> Complex:
