@@ -92,7 +92,7 @@ def test_mixed(folder: Path) -> None:
     found, alone = scores(SHIPPED, folder / "both.npz"), scores(SHIPPED, folder / "one.npz")
     # The noise is that of the whole recording, and weighs the prior on the contacts' shapes: some 1 % of a score.
     expected = {name: alone[name] for name in POSITIONS}
-    assert {name: found[name] for name in POSITIONS} == pytest.approx(expected, rel=0.03)
+    assert {name: found[name] for name in POSITIONS} == pytest.approx(expected, rel=0.01)
     assert {key: part["n"] for key, part in found["by_fingers"].items()} == {"1": 60, "2": 60}
 
 

@@ -100,5 +100,6 @@ def test_dead_channels() -> None:
     mask[: ATLAS.size // 2] = 0
     noise.mask, noise.active_bins = mask, ATLAS.size // 2
     (half,) = size.faces(fit)
-    assert whole and half
+    assert whole is not None
+    assert half is not None
     assert half.mean_sigma_mm2 > 1.2 * whole.mean_sigma_mm2
