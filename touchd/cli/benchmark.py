@@ -37,6 +37,11 @@ WIDTH = 150
     "--also", type=click.Path(path_type=Path), multiple=True, metavar="FILE",
     help="Benchmark this model for the example rig too; repeatable.",
 )  # fmt: skip
+@click.option("--steady", is_flag=True, help="Measure steady rates alone: processor time, wake-ups, stages.")
+@click.option(
+    "--against", type=click.Path(path_type=Path, exists=True, file_okay=False), metavar="FOLDER",
+    help="With --steady: another checkout of touchd, run in turns with this one.",
+)  # fmt: skip
 def command(
     quick: bool,
     stored: Path | None,
@@ -45,6 +50,8 @@ def command(
     given: Path | None,
     models: Path | None,
     also: tuple[Path, ...],
+    steady: bool,
+    against: Path | None,
 ) -> None:
     """Measure run time, latency and position error.
 
@@ -55,6 +62,9 @@ def command(
     # Set before numpy is imported; child processes inherit it. Thread pools would add waiting times to the results.
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ[name] = "1"
+    if steady or against:
+        _measure_steady(quick, against)
+        return
     from rich.console import Console
 
     from touchd.lab.benchmark import results
@@ -71,6 +81,21 @@ def command(
 
         write(run, docs)
         click.echo(f"{docs / 'benchmarks.md'}: written, with its plots and results")
+
+
+def _measure_steady(quick: bool, against: Path | None) -> None:
+    from touchd.lab.benchmark import steady
+    from touchd.lab.benchmark.scenes import make_loop
+    from touchd.twin.instrument import Instrument
+    from touchd.twin.simulate import DEFAULT_PLATE
+
+    instrument = Instrument(DEFAULT_PLATE)
+    loops = {scene: make_loop(scene, instrument) for scene in steady.SCENES}
+    cells = steady.CELLS[:3] if quick else steady.CELLS
+    found = steady.measure(
+        loops, cells, against=against, turns=1 if quick else 5, progress=lambda what: click.echo(what, err=True)
+    )
+    click.echo("\n".join(steady.lines(found)))
 
 
 def _measured(quick: bool, models: Path | None, also: tuple[Path, ...]) -> Run:

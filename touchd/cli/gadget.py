@@ -81,7 +81,7 @@ def command(
 def info_of(acquisition: Acquisition) -> Info:
     """Return the GET_INFO reply for this acquisition."""
     from touchd import __version__
-    from touchd.sources.usb_protocol import Info
+    from touchd.sources.usb_protocol import Capability, Info
 
     chirp = acquisition.chirp
     major, minor, patch = (int(part) for part in __version__.split(".")[:3])
@@ -98,6 +98,7 @@ def info_of(acquisition: Acquisition) -> Info:
         max_frame_rate_hz=max(1, min(1000, int(acquisition.sample_rate_hz / acquisition.samples))),
         min_frame_rate_hz=1,
         firmware=(major, minor, patch),
+        capabilities=Capability.SET_RATE,
     )
 
 

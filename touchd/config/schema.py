@@ -7,10 +7,11 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, Field, ValidationInfo, field_validator
+from pydantic import AfterValidator, Field
 
 from touchd.config.bridges import InputSettings, TuioSettings
 from touchd.config.kinds import LEAST_RATE, Endpoint, Group, OptionalPath, Section, refuse_key
+from touchd.config.rigs import AudioSettings, NiSettings
 
 
 class DeviceSettings(Section):
@@ -21,6 +22,10 @@ class DeviceSettings(Section):
     product_id: int = Field(0x0001, ge=0, le=0xFFFF, description="USB product id.")
     serial: str = Field("", description="USB serial number; empty takes the first device found.")
     rate_hz: int = Field(125, ge=1, le=65535, description="Frame rate asked of the device, Hz.")
+    idle_rate_hz: int = Field(
+        50, ge=1, le=65535, description="The same once the plate has been untouched for 2 s, Hz, if the device can "
+        "change it; not above `rate_hz`. With the screen off it is 10.",
+    )  # fmt: skip
     stall_s: float = Field(
         1.0,
         ge=0.05,
@@ -30,28 +35,6 @@ class DeviceSettings(Section):
     queue_frames: int = Field(
         64, ge=2, le=10000, description="Most frames that wait while the computer is busy; then the oldest are dropped."
     )
-
-
-class NiSettings(Section):
-    """A rig of NI hardware, which --ni takes instead of a DAQ on USB. Not tried on hardware."""
-
-    inputs: str = Field("cDAQ1Mod1/ai0:3", description="Analog inputs, one for each receiver.", min_length=1)
-    output: str = Field("cDAQ1Mod2/ao0", description="Analog output that plays the chirp.", min_length=1)
-    trigger: str = Field(
-        "", description="Terminal that starts the inputs; empty is the start trigger of the output's chassis."
-    )
-    amplitude_v: float = Field(5.0, gt=0, le=10, description="Amplitude of the chirp, V.")
-    output_limit_v: float = Field(
-        10.0, gt=0, le=100, description="Highest voltage of the output, V, not below `amplitude_v`."
-    )
-
-    @field_validator("output_limit_v")
-    @classmethod
-    def _admits_the_amplitude(cls, limit_v: float, info: ValidationInfo) -> float:
-        amplitude_v = info.data.get("amplitude_v", 0.0)
-        if amplitude_v > limit_v:
-            raise ValueError(f"is {limit_v:g} V, below ni.amplitude_v, {amplitude_v:g} V")
-        return limit_v
 
 
 class ModelSettings(Section):
@@ -91,11 +74,13 @@ class GateSettings(Section):
     """Detection: whether the plate is touched."""
 
     false_alarm_rate: float = Field(
-        1e-7, ge=LEAST_RATE, lt=0.1, description="Probability per frame that noise alone opens the gate."
-    )
+        1e-7, ge=LEAST_RATE, lt=0.1, description="Probability per frame that noise alone opens the gate, at 125 "
+        "frames/s; at other rates it is as rare per time.",
+    )  # fmt: skip
     noise_frames: int = Field(
-        1000, ge=10, le=1_000_000, description="Untouched frames over which the noise is averaged."
-    )
+        1000, ge=10, le=1_000_000, description="Untouched frames over which the noise is averaged, at 125 "
+        "frames/s; at other rates it is the same time.",
+    )  # fmt: skip
 
 
 class SkipSettings(Section):
@@ -242,6 +227,7 @@ class Settings(Section):
 
     device: DeviceSettings = DeviceSettings()
     ni: NiSettings = NiSettings()
+    audio: AudioSettings = AudioSettings()
     model: ModelSettings = ModelSettings()
     baseline: BaselineSettings = BaselineSettings()
     gate: GateSettings = GateSettings()

@@ -19,6 +19,7 @@ from touchd.detection.baseline import Baseline, Signal
 from touchd.detection.gate import Gate
 from touchd.detection.impulses import Impulses
 from touchd.detection.liveness import Liveness
+from touchd.detection.pace import USUAL_NS, Pace
 from touchd.detection.relearn import Relearn
 from touchd.detection.stuck import LONGEST_CYCLE, Stuck
 from touchd.frame import Frame
@@ -31,6 +32,8 @@ DRIFT_SHARE = 1e-5
 KEEP_EVERY = 16
 """Stuck channels and cycles: the detector watches another channel and keeps another frame after every 16th untouched
 frame; another channel after every touched frame, and another frame after every 8th."""
+_HEAR_NS = 128_000_000
+"""The noise outside the band is followed this often."""
 
 _NO_FRAME = -(2**62)
 _TOUCHED, _UNTOUCHED = Outcome.TOUCHED, Outcome.UNTOUCHED  # bound once: they are asked for in every frame
@@ -63,6 +66,8 @@ class Detection(Struct, gc=False, frozen=True):
     """Residuals of the frames that the baseline was learned from, (n, channels, samples), once it is learned."""
     lost: int = 0
     """Frames missing before this one."""
+    period_ns: int = USUAL_NS
+    """From frame to frame at the present rate."""
     hits: tuple[int, ...] = ()
     """Starts of the runs of samples that an impulse has hit; the residual is zero there."""
 
@@ -109,6 +114,8 @@ class Detector:
         self._live = ~self._stuck.channels
         self._stuck_channels = self._stuck.channels
         self._notify = notify
+        self._pace = Pace()
+        self._hear_every = _HEAR_NS // USUAL_NS  # frames
         self._learning = True
         self._signal_energy = 1.0
         self.sequence = _NO_FRAME
@@ -138,6 +145,10 @@ class Detector:
             if lost < 0:
                 self.miss(frame.t_ns, "the DAQ's frame number stands still or runs back")
                 return self._without_measurement(Outcome.REPEATED, frame, 0)
+        pace, step_ns = self._pace, frame.t_ns - self._last_ns
+        if (pace.doubtful or not pace.low_ns < step_ns < pace.high_ns) and not lost and pace.update(step_ns):
+            self.gate.set_period(pace.period_ns)
+            self._hear_every = max(1, round(_HEAR_NS / pace.period_ns))
         self.sequence, self._last_ns = frame.sequence, frame.t_ns
         baseline, stuck = self._baseline, self._stuck
         if stuck.repeats(frame.counts, baseline.signal):
@@ -169,7 +180,7 @@ class Detector:
                 outcome = _UNTOUCHED
         return Detection(
             outcome, frame.t_ns, energy, gate.noise_root, gate.noise_deviation, baseline.signal, baseline.residual,
-            baseline.mean, self._live, changed, None, lost, hits,
+            baseline.mean, self._live, changed, None, lost, pace.period_ns, hits,
         )  # fmt: skip
 
     def adapt(self, detection: Detection, found: bool, departure: bool, alive: bool, moved: bool = False) -> None:
@@ -193,8 +204,8 @@ class Detector:
                 self._relearn.reset()
             if not self.sequence % KEEP_EVERY:
                 self._stuck.keep(detection.signal)
-                if self._impulses:
-                    self._impulses.update(detection.residual)
+            if self._impulses and not self.sequence % self._hear_every:
+                self._impulses.update(detection.residual)
             if not alive:
                 self._baseline.follow()
                 self.followed_ns = detection.t_ns
@@ -216,6 +227,11 @@ class Detector:
     def noise_counts(self) -> float:
         """Return the RMS of an untouched frame against the baseline, ADC counts; 0 before it is known."""
         return math.sqrt(self.gate.noise_energy / self._baseline.residual.size)
+
+    def noise_channels(self) -> list[float]:
+        """Return the RMS of each channel of the last residual, ADC counts."""
+        rms: list[float] = np.sqrt(np.square(self._baseline.residual).mean(axis=1)).round(3).tolist()
+        return rms
 
     def miss(self, t_ns: int, fault: str) -> None:
         """Take the time of a frame that is no measurement; `fault` says what it is, for a person."""

@@ -10,14 +10,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.config.schema import GateSettings
+from touchd.detection.pace import USUAL_NS
 
 _CHANGED_FRAMES, _LEARN_FRAMES = 48, 32
 """The noise level has stepped if 48 frames in a row hold less than its mean, or more: by chance once in 2^47. The gate
-relearns it from the last 32 of them, since the first may have seen it change."""
+relearns it from the last 32 of them, since the first may have seen it change. Evidence counts frames, at any rate."""
 _SET_SHARE = 128
 """The gate sets its thresholds after every 128th part of the frames that the noise is known from."""
 _CLOSE_RATIO = 0.5
 """Hysteresis: the gate closes at this share of the excess that opens it."""
+_FEWEST_FRAMES, _MOST_ALARMS = 10, 0.1
+"""Limits of memory and rate, whatever the frame rate: those of the settings."""
 _CHANGED = 1.25
 """`update` reports a step of the noise energy by this factor or more."""
 
@@ -28,7 +31,8 @@ class Gate:
     The cube root of an energy (a sum of squares) is very nearly normal, for any degrees of
     freedom (Wilson and Hilferty, PNAS 17:684, 1931). So the mean and the deviation of that root over
     untouched frames give the threshold for a stated false-alarm rate a frame, for white noise and for
-    coloured noise (trigger jitter, interference) alike.
+    coloured noise (trigger jitter, interference) alike. Rate and memory are those of 125 frames a second; at another
+    rate of frames both hold for the same time.
     """
 
     def __init__(self, settings: GateSettings, set_share: int = _SET_SHARE) -> None:
@@ -45,7 +49,13 @@ class Gate:
         self._reported_energy = 0.0
         self._last: deque[float] = deque(maxlen=_LEARN_FRAMES)
         self.is_open = False
+        self._periods = 1.0
         self._set_parameters(settings)
+
+    def set_period(self, period_ns: int) -> None:
+        """Take the time from frame to frame: alarms stay as rare per time, and the memory as long."""
+        self._periods = period_ns / USUAL_NS
+        self.configure(self._settings)
 
     def configure(self, settings: GateSettings) -> None:
         """Take another false-alarm rate and memory; the noise estimate stays."""
@@ -109,8 +119,9 @@ class Gate:
         return self._open_above
 
     def _set_parameters(self, settings: GateSettings) -> None:
-        self._quantile = NormalDist().inv_cdf(1.0 - settings.false_alarm_rate)
-        self._memory = settings.noise_frames
+        self._settings = settings
+        self._quantile = -NormalDist().inv_cdf(min(settings.false_alarm_rate * self._periods, _MOST_ALARMS))
+        self._memory = max(_FEWEST_FRAMES, round(settings.noise_frames / self._periods))
 
     def _know(self, frames: int) -> None:
         """Set the weight and the margin of an estimate from this many frames."""

@@ -11,7 +11,17 @@ import time
 from collections.abc import Callable, Iterator
 
 from touchd.errors import GadgetError
-from touchd.sources.usb_protocol import Flag, Header, Info, Request, Status, build_frame, build_info, build_status
+from touchd.sources.usb_protocol import (
+    Capability,
+    Flag,
+    Header,
+    Info,
+    Request,
+    Status,
+    build_frame,
+    build_info,
+    build_status,
+)
 
 BACKLOG = 8
 """Frames that the device keeps for a late host; then it drops the oldest."""
@@ -78,6 +88,15 @@ class Gadget:
                 return None
             self.rate_hz, self._chirp_ns = value, self._clock()
             self.running = True
+            return b""
+        if kind == _VENDOR_OUT and request == Request.SET_RATE and self.info.capabilities & Capability.SET_RATE:
+            if not (self.running and self.info.min_frame_rate_hz <= value <= self.info.max_frame_rate_hz):
+                return None
+            now_ns = self._clock()
+            if self._chirp_ns > now_ns:  # the frame in hand is finished
+                last_ns = self._chirp_ns - 1_000_000_000 // self.rate_hz
+                self._chirp_ns = max(now_ns, last_ns + 1_000_000_000 // value)
+            self.rate_hz = value
             return b""
         if kind == _VENDOR_OUT and request == Request.STOP:
             self.running = False

@@ -9,26 +9,25 @@ from typing import Protocol
 import structlog
 
 from touchd import __version__
-from touchd.event import Contact, Event, HealthEvent, State
+from touchd.event import Contact, Event, State
 from touchd.frame import Frame
 from touchd.pipeline import Pipeline
 from touchd.service.control import Control
 from touchd.service.cpu_latency import Awake
-from touchd.service.frame_feed import FrameFeed
+from touchd.service.frame_feed import FeedDescription, FrameFeed
 from touchd.service.health import Health
 from touchd.service.messages import Messages
+from touchd.service.rate import ScanRate
 from touchd.service.reload import Reloader
 from touchd.service.runner import frames_of
 from touchd.service.systemd import Notifier
 from touchd.sinks.sink import Sink
-from touchd.sources.source import Change, LiveSource, Source
+from touchd.sources.source import Change, Labelled, LiveSource, Source
 
 STALL_NS = 1_000_000_000
 """A source that is no device has stalled after this time without a frame, ns."""
 _FLOWING: tuple[State, ...] = ("streaming", "uncalibrated")
 """Frames flow."""
-_READY: tuple[State, ...] = (*_FLOWING, "lost")
-"""Frames flow, or the device is awaited."""
 _TICK_NS = 4_000_000
 """Sinks are polled this often, and all else is done that is due: at usual rates after each frame. Polling costs a fifth
 of an idle frame."""
@@ -70,6 +69,9 @@ class Service:
         Reloads the configuration.
     feed : FrameFeed, optional
         Hands frames to programs that ask for them through `control`.
+    rate : ScanRate, optional
+    describe : callable, optional
+        Returns what is measured, for messages about the plate; without it there are none.
     """
 
     def __init__(
@@ -87,6 +89,8 @@ class Service:
         control: Control | None = None,
         reloader: Reloader | None = None,
         feed: FrameFeed | None = None,
+        rate: ScanRate | None = None,
+        describe: Callable[[], FeedDescription] | None = None,
     ) -> None:
         self.pipeline = pipeline
         self._source, self._messages, self._sinks, self._health = source, messages, sinks, health
@@ -97,7 +101,7 @@ class Service:
         # A device reports its states; of any other source only the silence is known.
         self._live = source if isinstance(source, LiveSource) else None
         self._withheld: dict[str, int] = {}
-        self._feed = feed
+        self._feed, self._rate, self._describe = feed, rate, describe
         self._state: State = "starting"
         self._flowing: State = "streaming" if pipeline.model else "uncalibrated"
         self._reason: str | None = None
@@ -125,6 +129,7 @@ class Service:
         log.info("starting", model=self._health.model_name, version=__version__)
         self._seen_ns = self._clock()
         self._publish_health()
+        self._publish_plate()
         try:
             if not self._stop:
                 self._run_frames()
@@ -142,7 +147,8 @@ class Service:
                 sink.close()
 
     def _run_frames(self) -> None:
-        pipeline, preroll, feed = self.pipeline, self._preroll, self._feed
+        pipeline, preroll, feed, rate = self.pipeline, self._preroll, self._feed, self._rate
+        labelled = self._source if isinstance(self._source, Labelled) else None
         for frame in frames_of(self._source, on_change=self._follow):
             if frame is None:
                 self._wait()
@@ -152,9 +158,14 @@ class Service:
                 result = pipeline.process(frame)
                 if (result.contacts or result.touches) and (events := self._messages.make(result, pipeline.spectrum)):
                     self._publish(events, frame.received_ns)
+                if labelled is not None and (true := self._messages.truth(frame, labelled)) is not None:
+                    self._hand(true, frame.received_ns)
                 if preroll is not None:
                     preroll.keep(frame, result.contacts)
-                if feed is not None and feed.listeners:
+                wanted = feed is not None and bool(feed.listeners)
+                if rate is not None:
+                    rate.update(frame.t_ns, result.outcome, wanted)
+                if wanted and feed is not None:
                     feed.send(frame)
                 self._finish(frame)
             if self._stop:
@@ -225,12 +236,15 @@ class Service:
             self._reloader.reload()
             self._manager.reloaded()
             self._flowing = "streaming" if self.pipeline.model else "uncalibrated"
+            self._publish_plate()
 
     def _set_screen(self, *, off: bool, now_ns: int) -> None:
         before = self.pipeline.screen_off
         result = self.pipeline.set_screen(off=off)
         self._publish(self._messages.make(result, self.pipeline.spectrum), now_ns)
         if self.pipeline.screen_off != before:
+            if self._rate is not None and before:
+                self._rate.wake()
             log.info("screen", state="off" if off else "on")
             self._publish_health()
 
@@ -241,10 +255,13 @@ class Service:
 
     def _publish(self, events: Sequence[Event], received_ns: int) -> None:
         for event in events:
-            for sink in self._sinks:
-                sink.publish(event, received_ns)
+            self._hand(event, received_ns)
         if events:
             self._health.add_latency((self._clock() - received_ns) * 1e-3)
+
+    def _hand(self, event: Event, received_ns: int) -> None:
+        for sink in self._sinks:
+            sink.publish(event, received_ns)
 
     def _follow(self, change: Change) -> None:
         """Enter the state of a device; one that was away has its plate relearned."""
@@ -254,10 +271,7 @@ class Service:
         elif self._away:
             self._away = False
             self.pipeline.reset()
-        if change.state == "streaming":
-            self._enter(self._flowing, change.reason)
-        else:
-            self._enter(change.state, change.reason)
+        self._enter(self._flowing if change.state == "streaming" else change.state, change.reason)
 
     def _enter(self, state: State, reason: str | None = None) -> None:
         say = log.warning if state in ("stalled", "lost") else log.info
@@ -268,16 +282,11 @@ class Service:
     def _publish_health(self) -> None:
         now_ns = self._health_ns = self._clock()
         event = self._health.message(now_ns, self._stream_ns, self._state, self._reason)
-        for sink in self._sinks:
-            sink.publish(event, now_ns)
-        self._tell_manager(event)
+        self._hand(event, now_ns)
+        self._manager.tell(event)
         self._health.log_losses(event)
 
-    def _tell_manager(self, health: HealthEvent) -> None:
-        self._manager.status(
-            f"{health.state}: {health.reason}"
-            if health.reason and health.state != "streaming"
-            else f"{health.state}: {health.frames} frames, {health.lost} lost, {health.corrupt} corrupt"
-        )
-        if health.state in _READY:
-            self._manager.ready()
+    def _publish_plate(self) -> None:
+        if self._describe is not None:
+            now_ns = self._clock()
+            self._hand(self._messages.plate(self._describe(), self.pipeline.layout, now_ns), now_ns)

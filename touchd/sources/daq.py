@@ -56,6 +56,9 @@ class Daq(Protocol):
     def start(self, rate_hz: int) -> None:
         """Begin the stream, or restart it, and discard what an earlier stream left behind."""
 
+    def set_rate(self, rate_hz: int) -> None:
+        """Go on at another rate, as far as the device can; from any thread, while another one reads."""
+
     def stop(self) -> None:
         """End the stream."""
 

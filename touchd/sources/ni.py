@@ -21,7 +21,7 @@ from nidaqmx.errors import DaqError, DaqNotFoundError, DaqNotSupportedError
 from numpy.typing import NDArray
 
 from touchd.chirp import waveform
-from touchd.config.schema import NiSettings
+from touchd.config.rigs import NiSettings
 from touchd.errors import ConfigError, SourceError
 from touchd.frame import Acquisition
 from touchd.recording.data import Device
@@ -93,19 +93,30 @@ class NiDaq:
         self._counts: NDArray[np.int16] = np.zeros(acquisition.shape, np.int16)
         self._rest: NDArray[np.int16] = np.zeros((acquisition.channels, period - acquisition.samples), np.int16)
         self._period_s, self._frame = 1 / rate_hz, 0
+        self._periods, self._every = 0, 1
 
     def read(self, timeout_s: float) -> DaqFrame | None:
         """Return the next frame as soon as its last sample is taken."""
         timeout_s = max(timeout_s, 3 * self._period_s)
         try:
-            if self._frame and self._rest.size:  # from the end of the last frame to the beginning of this one
+            every = self._every if self._frame else 0
+            if self._frame and self._rest.size:  # from the end of the last frame to the beginning of the next one
                 self._reader.read_int16(self._rest, self._rest.shape[1], timeout_s)
+            for _ in range(every - 1):
+                self._reader.read_int16(self._counts, self._counts.shape[1], timeout_s)
+                if self._rest.size:
+                    self._reader.read_int16(self._rest, self._rest.shape[1], timeout_s)
             self._reader.read_int16(self._counts, self._counts.shape[1], timeout_s)
         except DaqError as error:
             # A time-out, too, may come within a frame: only a new start finds the beginning of one.
             raise DaqGone(f"reading fails ({error.error_code})") from error
         sequence, self._frame = self._frame, self._frame + 1
-        return DaqFrame(self._counts, sequence, round(sequence * self._period_s * 1e6), clipped=self._clipped())
+        self._periods += every
+        return DaqFrame(self._counts, sequence, round(self._periods * self._period_s * 1e6), clipped=self._clipped())
+
+    def set_rate(self, rate_hz: int) -> None:
+        """Pass on every n-th frame: the output's buffer goes on unchanged, and is sampled at its own rate."""
+        self._every = max(1, round(1 / (rate_hz * self._period_s)))
 
     def stop(self) -> None:
         """End both tasks."""

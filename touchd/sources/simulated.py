@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import queue
 import threading
 import time
@@ -9,7 +10,7 @@ from collections.abc import Callable
 
 from touchd.errors import SimulationError
 from touchd.frame import Counts, Frame
-from touchd.sources.source import EndOfStream
+from touchd.sources.source import EndOfStream, touching
 from touchd.twin.instrument import Instrument
 from touchd.twin.simulate import DEFAULT_PLATE, meta_of, stage_scene, stream
 
@@ -23,7 +24,7 @@ class SimulatedSource:
 
     A frame's `t_ns` is the clock at the first frame plus the scene's own time, so events do not depend on the speed of
     this computer. The first lap is bit for bit what `simulate_scene` returns for the seed; later laps repeat the scene
-    with other noise.
+    with other noise. At a lower rate (`set_rate`) the source leaves out the frames between.
 
     Parameters
     ----------
@@ -73,6 +74,10 @@ class SimulatedSource:
         self._next = 0  # in the block
         self._frame = 0  # in the lap
         self._lap = 0
+        self._last_ns = 0
+        self._omitted = 0  # frames left out because of the rate: no number counts them
+        self._period_ns, self._wanted_ns = 0.0, -math.inf  # of the rate asked for, and time of the next frame
+        self._truth, _ = self._stage.truth()
         self._sequence: list[int] = self._stage.sequence.tolist()
         self._blocks: queue.Queue[Counts | Exception] = queue.Queue(_AHEAD)
         self._closed = threading.Event()
@@ -93,15 +98,20 @@ class SimulatedSource:
             raise EndOfStream
         now_ns = self._clock()
         deadline_ns = now_ns + round(min(max(timeout_s, 0.0), _MAX_WAIT_S) * 1e9)
-        if not self._take_block((deadline_ns - now_ns) / 1e9):
-            return None
-        assert self._block is not None
-        if self._epoch_ns is None:  # after the first block is computed, so that its frames are not late
-            self._epoch_ns = self._clock()
-        laps_ahead = self._lap * (self._sequence[-1] + 1 - self._sequence[0])
-        sequence = laps_ahead + self._sequence[self._frame]
-        t_ns = self._epoch_ns + round((sequence - self._sequence[0]) * 1e9 / self._stage.rate_hz)
-        now_ns = self._clock()
+        while True:
+            if not self._take_block((deadline_ns - now_ns) / 1e9):
+                return None
+            assert self._block is not None
+            if self._epoch_ns is None:  # after the first block is computed, so that its frames are not late
+                self._epoch_ns = self._clock()
+            laps_ahead = self._lap * (self._sequence[-1] + 1 - self._sequence[0])
+            sequence = laps_ahead + self._sequence[self._frame]
+            t_ns = self._epoch_ns + round((sequence - self._sequence[0]) * 1e9 / self._stage.rate_hz)
+            now_ns = self._clock()
+            if t_ns >= self._wanted_ns - 0.5e9 / self._stage.rate_hz:
+                break
+            self._advance()
+            self._omitted += 1
         if self._paced:
             due_ns = t_ns + self._complete_ns
             while now_ns < min(due_ns, deadline_ns):
@@ -110,11 +120,22 @@ class SimulatedSource:
             if now_ns < due_ns:
                 return None
         counts = self._block[self._next]
-        self._next += 1
-        self._frame += 1
-        if self._frame == len(self._sequence):
-            self._frame, self._lap = 0, self._lap + 1
-        return Frame(counts, sequence, t_ns, now_ns)
+        self._advance()
+        self._last_ns = t_ns
+        if self._period_ns:
+            self._wanted_ns = max(self._wanted_ns, t_ns - self._period_ns) + self._period_ns
+        return Frame(counts, sequence - self._omitted, t_ns, now_ns)
+
+    def set_rate(self, rate_hz: int) -> None:
+        """Return the frames nearest to this rate; all from the scene's own rate on."""
+        self._period_ns, self._wanted_ns = 0.0, -math.inf
+        if rate_hz < self._stage.rate_hz:
+            self._period_ns = 1e9 / rate_hz
+            self._wanted_ns = self._last_ns + self._period_ns
+
+    def truth(self) -> list[tuple[float, float]]:
+        """Return the places of the fingers in the frame that was read last, mm."""
+        return touching(self._truth, self._frame - 1)
 
     def close(self) -> None:
         """Stop computing; further calls do nothing."""
@@ -125,6 +146,12 @@ class SimulatedSource:
             except queue.Empty:
                 break
         self._thread.join()
+
+    def _advance(self) -> None:
+        self._next += 1
+        self._frame += 1
+        if self._frame == len(self._sequence):
+            self._frame, self._lap = 0, self._lap + 1
 
     def _take_block(self, timeout_s: float) -> bool:
         """Take the next block if the last one is used up; return False if none came in time."""

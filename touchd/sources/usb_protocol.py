@@ -26,7 +26,7 @@ SEQUENCE_SPAN: Final = 1 << 32
 _INFO_MAGIC: Final = b"TDAQ"
 _FRAME_MAGIC: Final = b"TDFR"
 _FRAME_VERSION: Final = 1
-_INFO = struct.Struct("<4sHHBBHIIIIIIHHI20x")
+_INFO = struct.Struct("<4sHHBBHIIIIIIHHII16x")
 _STATUS = struct.Struct("<QIIhB13x")
 _HEADER = struct.Struct("<4sBBHIBBHQhHI")
 _CRC_OFFSET = 28
@@ -41,6 +41,13 @@ class Request(IntEnum):
     START = 0x02
     STOP = 0x03
     GET_STATUS = 0x04
+    SET_RATE = 0x05
+
+
+class Capability(IntFlag):
+    """Bits of `capabilities`: what a device can beyond the rest of the protocol."""
+
+    SET_RATE = 1
 
 
 class Flag(IntFlag):
@@ -73,6 +80,8 @@ class Info:
     min_frame_rate_hz: int = 1
     firmware: tuple[int, int, int] = (0, 0, 0)
     """Major, minor, patch."""
+    capabilities: int = 0
+    """Bits of `Capability`; 0 of a device older than the field."""
 
     @property
     def frame_bytes(self) -> int:
@@ -112,6 +121,7 @@ def build_info(info: Info) -> bytes:
         _INFO_MAGIC, PROTOCOL, HEADER_BYTES, info.channels, info.bits, info.samples, info.sample_rate_hz,
         info.dac_rate_hz, info.chirp_start_hz, info.chirp_stop_hz, info.chirp_us, info.full_scale_mv,
         info.max_frame_rate_hz, info.min_frame_rate_hz, major << 16 | minor << 8 | patch,
+        info.capabilities,
     )  # fmt: skip
 
 
@@ -126,7 +136,7 @@ def parse_info(data: bytes) -> Info:
     if len(data) < INFO_BYTES or data[:4] != _INFO_MAGIC:
         raise ProtocolFault(f"GET_INFO answers {len(data)} bytes that begin with {data[:4].hex() or 'nothing'}")
     (_, protocol, header_bytes, channels, bits, samples, sample_rate_hz, dac_rate_hz, start_hz, stop_hz, chirp_us,
-     full_scale_mv, max_rate_hz, min_rate_hz, firmware) = _INFO.unpack_from(data)  # fmt: skip
+     full_scale_mv, max_rate_hz, min_rate_hz, firmware, capabilities) = _INFO.unpack_from(data)  # fmt: skip
     if protocol != PROTOCOL or header_bytes != HEADER_BYTES:
         raise ProtocolFault(f"the device speaks protocol {protocol} with headers of {header_bytes} bytes")
     for name, value in {"channels": channels, "samples": samples, "sample_rate_hz": sample_rate_hz,
@@ -140,7 +150,7 @@ def parse_info(data: bytes) -> Info:
         raise ProtocolFault(f"GET_INFO says frame rates from {min_rate_hz} to {max_rate_hz} Hz")
     return Info(
         channels, samples, sample_rate_hz, bits, dac_rate_hz, start_hz, stop_hz, chirp_us, full_scale_mv, max_rate_hz,
-        min_rate_hz, (firmware >> 16, firmware >> 8 & 0xFF, firmware & 0xFF),
+        min_rate_hz, (firmware >> 16, firmware >> 8 & 0xFF, firmware & 0xFF), capabilities,
     )  # fmt: skip
 
 

@@ -19,7 +19,16 @@ from pydantic import ValidationError
 from touchd.frame import Acquisition, Chirp
 from touchd.recording.data import Device
 from touchd.sources.daq import DaqFrame, DaqGone
-from touchd.sources.usb_protocol import SEQUENCE_SPAN, Flag, FrameReader, Header, Info, ProtocolFault, Request
+from touchd.sources.usb_protocol import (
+    SEQUENCE_SPAN,
+    Capability,
+    Flag,
+    FrameReader,
+    Header,
+    Info,
+    ProtocolFault,
+    Request,
+)
 
 HALT_PAUSE_S = 0.01
 """Pause after a halt is cleared, so that an endpoint that stays halted does not keep a processor busy."""
@@ -96,7 +105,7 @@ class UsbDaq:
 
     @cached_property
     def _view(self) -> memoryview:
-        return memoryview(self._buffer)
+        return memoryview(self._buffer).toreadonly()
 
     @property
     def corrupt(self) -> int:
@@ -114,6 +123,13 @@ class UsbDaq:
         except RequestRefused as error:
             raise DaqGone(f"it {error}") from error
         self._started = True
+
+    def set_rate(self, rate_hz: int) -> None:
+        """Go on at another rate, within the device's limits; a device without SET_RATE keeps its own."""
+        if self._connection.info.capabilities & Capability.SET_RATE:
+            rate_hz = min(max(rate_hz, self.min_rate_hz), self.max_rate_hz)
+            with contextlib.suppress(RequestRefused):  # a device may refuse while it does not stream
+                self._connection.command(Request.SET_RATE, rate_hz)
 
     def stop(self) -> None:
         """End the stream."""

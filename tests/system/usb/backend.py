@@ -136,6 +136,9 @@ class FakeDaq:
             return self.answer[:size]
         if request == Request.GET_STATUS:
             return build_status(Status(running=self.running))[:size]
+        if request == Request.SET_RATE:
+            self.rate_hz = value
+            return b""
         self.running = request == Request.START
         if self.running:
             self.rate_hz = value

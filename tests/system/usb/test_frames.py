@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import errno
 import threading
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
 
 from tests.system.usb.backend import FakeBus, FakeDaq, steady
-from tests.system.usb.reader import QUICK, Read, wait
+from tests.system.usb.reader import INFO, QUICK, Read, wait
 from touchd.sources.source import LiveSource
 from touchd.sources.usb_protocol import Flag, Info, Request
 from touchd.sources.usb_stream import acquisition_of
@@ -41,6 +42,22 @@ def test_rate(daq: FakeDaq, read: Read) -> None:
     steady(daq)
     read(rate_hz=500).until_frames(1)
     assert (Request.START, 500) in daq.requests
+
+
+@pytest.mark.parametrize("capabilities", [0, 1])
+def test_other_rate(bus: FakeBus, read: Read, capabilities: int) -> None:
+    """SET_RATE asks for another rate while frames come, and again once the stream restarts; not without it."""
+    daq = bus.daqs[0] = FakeDaq(replace(INFO, capabilities=capabilities))
+    steady(daq)
+    reader = read(stall_s=0.1)
+    reader.until_frames(5)
+    reader.source.set_rate(50)
+    reader.until(lambda: [name for name, _ in daq.requests].count(Request.START) == 2)
+    reader.until_frames(10)
+    assert daq.rate_hz == (50 if capabilities else 125)
+    asked = [value for name, value in daq.requests if name in (Request.START, Request.SET_RATE)]
+    assert asked[:4] == ([125, 50, 125, 50] if capabilities else [125, 125])
+    assert reader.sequence == list(range(10))
 
 
 def test_leftovers(daq: FakeDaq, read: Read) -> None:

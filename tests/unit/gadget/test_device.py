@@ -13,7 +13,9 @@ from touchd.errors import GadgetError
 from touchd.gadget.device import BACKLOG, COMMANDS, Gadget
 from touchd.sources.usb_protocol import Flag, FrameReader, Header, Info, Request, parse_info, parse_status
 
-INFO = Info(channels=2, samples=250, sample_rate_hz=250_000, min_frame_rate_hz=10, max_frame_rate_hz=1000)
+INFO = Info(
+    channels=2, samples=250, sample_rate_hz=250_000, min_frame_rate_hz=10, max_frame_rate_hz=1000, capabilities=1
+)
 IN, OUT = 0xC0, 0x40
 PERIOD_NS = 10_000_000
 COMPLETE_NS = 1_000_000
@@ -173,3 +175,35 @@ def test_frames_beyond_the_protocol(changed: dict[str, Any]) -> None:
     """Frames that GET_INFO cannot describe are refused."""
     with pytest.raises(GadgetError, match="do not fit the protocol"):
         Gadget(replace(Info(channels=4, samples=250, sample_rate_hz=250_000), **changed), iter([]))
+
+
+def test_set_rate(gadget: Gadget, clock: Clock) -> None:
+    """SET_RATE arms the timer at once: the next chirp is one new period after the last, or now if that has passed."""
+    start(gadget)
+    clock.now_ns += COMPLETE_NS
+    first, _ = fetch(gadget)
+    assert gadget.control(OUT, Request.SET_RATE, 50, 0) == b""
+    assert gadget.wait_s() == pytest.approx(0.020)
+    clock.now_ns += 12_000_000
+    assert gadget.control(OUT, Request.SET_RATE, 100, 0) == b""
+    assert gadget.wait_s() == pytest.approx(0.001), "the period has passed: a chirp begins now"
+    clock.now_ns += 500_000
+    assert gadget.control(OUT, Request.SET_RATE, 500, 0) == b""
+    assert gadget.wait_s() == pytest.approx(0.0005), "the frame in hand is finished"
+    clock.now_ns += 500_000
+    second, _ = fetch(gadget)
+    assert (second.sequence, second.timestamp_us - first.timestamp_us) == (1, 13_000)
+    assert gadget.wait_s() == pytest.approx(0.002)
+    assert gadget.overruns == 0
+
+
+def test_set_rate_refused(clock: Clock) -> None:
+    """SET_RATE is stalled beyond the limits, while stopped, and by a device without the capability."""
+    gadget = Gadget(INFO, iter([]), clock)
+    assert gadget.control(OUT, Request.SET_RATE, 50, 0) is None
+    start(gadget)
+    assert gadget.control(OUT, Request.SET_RATE, 9, 0) is None
+    older = Gadget(replace(INFO, capabilities=0), iter([]), clock)
+    start(older)
+    assert older.control(OUT, Request.SET_RATE, 50, 0) is None
+    assert older.rate_hz == 100

@@ -24,7 +24,8 @@ from nidaqmx.task.triggering import StartTrigger, Triggers
 from numpy.typing import NDArray
 
 from touchd.chirp import waveform
-from touchd.config.schema import DeviceSettings, NiSettings
+from touchd.config.rigs import NiSettings
+from touchd.config.schema import DeviceSettings
 from touchd.errors import ConfigError, SourceError
 from touchd.frame import Acquisition
 from touchd.sources.daq import DaqAbsent, DaqGone
@@ -270,4 +271,18 @@ def test_reset(rig: Rig) -> None:
     daq = started()
     daq.reset()
     rig.device.reset_device.assert_called_once_with()
+    daq.close()
+
+
+@pytest.mark.usefixtures("rig")
+def test_lower_rate() -> None:
+    """At a lower rate it passes on every n-th chirp, and times tell."""
+    daq = started()
+    assert daq.read(0.1) is not None
+    daq.set_rate(50)
+    found = [daq.read(0.1) for _ in range(2)]
+    daq.set_rate(125)
+    found.append(daq.read(0.1))
+    assert [(one.sequence, one.timestamp_us) for one in found if one] == [(1, 16_000), (2, 32_000), (3, 40_000)]
+    np.testing.assert_array_equal(found[-1].counts[0] if found[-1] else [], np.arange(250) + 2000 * 5)
     daq.close()

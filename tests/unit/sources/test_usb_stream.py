@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 from array import array
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -191,3 +192,17 @@ def test_refused_requests() -> None:
     with pytest.raises(DaqGone, match="it refuses START"):
         UsbDaq(cable).start(125)
     UsbDaq(cable).stop()
+
+
+def test_rate(monkeypatch: pytest.MonkeyPatch) -> None:
+    """SET_RATE is sent within the device's limits, and never to a device without it."""
+    cable = Cable()
+    UsbDaq(cable).set_rate(50)
+    assert cable.asked == []
+    monkeypatch.setattr(Cable, "info", replace(INFO, capabilities=1, min_frame_rate_hz=20))
+    daq = UsbDaq(cable)
+    daq.set_rate(50)
+    daq.set_rate(10)
+    cable.refuses = (Request.SET_RATE,)
+    daq.set_rate(30)
+    assert cable.asked == ["SET_RATE 50", "SET_RATE 20", "SET_RATE 30"]

@@ -76,6 +76,7 @@ class Stage:
         area_mm2: float | None = None,
         creep: float = 0.0,
         column: int = 0,
+        land_s: float | None = None,
     ) -> None:
         """Add a contact that comes down at `start_s` and lifts at `stop_s`.
 
@@ -96,8 +97,11 @@ class Stage:
             Share by which the area keeps growing over tens of seconds.
         column : int
             Label column of the contact.
+        land_s : float, optional
+            Time in which the area grows.
         """
         rise_s, fall_s = self.rng.uniform(0.010, 0.030, 2)
+        rise_s = rise_s if land_s is None else land_s
         time_s = self.time_s
         on = (time_s >= start_s) & (time_s < stop_s)
         t = time_s[on] - start_s

@@ -1,0 +1,99 @@
+"""The frame rate follows the plate: few frames while it is untouched, all as soon as it is not."""
+
+from __future__ import annotations
+
+from touchd.config.schema import DeviceSettings
+from touchd.outcome import Outcome
+from touchd.service.rate import QUIET_NS, SCREEN_OFF_HZ, ScanRate
+from touchd.sources.source import Source
+
+UNTOUCHED, TOUCHED, OFF = Outcome.UNTOUCHED, Outcome.FAINT, Outcome.SCREEN_OFF
+BEGIN_NS = 10**12
+
+
+class Adjustable:
+    """A source that keeps the rates it is asked for."""
+
+    def __init__(self) -> None:
+        self.asked: list[int] = []
+
+    def set_rate(self, rate_hz: int) -> None:
+        self.asked.append(rate_hz)
+
+
+def made(source: object, **settings: int) -> ScanRate:
+    rate = ScanRate(source, DeviceSettings(**settings))  # type: ignore[arg-type]
+    rate.update(BEGIN_NS, Outcome.LEARNING)
+    return rate
+
+
+def test_untouched() -> None:
+    """After 2 s without a touch the rate falls, and is asked for once."""
+    source = Adjustable()
+    rate = made(source)
+    for after_ns in (0, QUIET_NS - 1):
+        rate.update(BEGIN_NS + after_ns, UNTOUCHED)
+    assert source.asked == []
+    for after_ns in (QUIET_NS, QUIET_NS + 1):
+        rate.update(BEGIN_NS + after_ns, UNTOUCHED)
+    assert source.asked == [50]
+
+
+def test_first_touch() -> None:
+    """The first frame that opens the gate brings all frames, whatever is found in it."""
+    for outcome in (Outcome.FAINT, Outcome.INFERRED, Outcome.LEARNING, Outcome.STUCK, Outcome.UNCALIBRATED):
+        source = Adjustable()
+        rate = made(source)
+        rate.update(BEGIN_NS + QUIET_NS, UNTOUCHED)
+        rate.update(BEGIN_NS + QUIET_NS + 1, outcome)
+        rate.update(BEGIN_NS + QUIET_NS + 2, UNTOUCHED)
+        assert source.asked == [50, 125]
+
+
+def test_screen() -> None:
+    """With the screen off few frames keep the baseline; switching it on brings all of them at once."""
+    source = Adjustable()
+    rate = made(source)
+    rate.update(BEGIN_NS, OFF)
+    assert source.asked == [SCREEN_OFF_HZ]
+    rate.wake()
+    rate.update(BEGIN_NS + 1, UNTOUCHED)
+    assert source.asked == [SCREEN_OFF_HZ, 125]
+
+
+def test_listener() -> None:
+    """A program that records gets all frames, of an untouched plate too."""
+    source = Adjustable()
+    rate = made(source)
+    rate.update(BEGIN_NS + QUIET_NS, UNTOUCHED)
+    rate.update(BEGIN_NS + QUIET_NS + 1, UNTOUCHED, wanted=True)
+    assert source.asked == [50, 125]
+
+
+def test_limits() -> None:
+    """No rate is above the full one."""
+    source = Adjustable()
+    rate = made(source, rate_hz=8)
+    rate.update(BEGIN_NS + QUIET_NS, UNTOUCHED)
+    rate.update(BEGIN_NS + QUIET_NS, OFF)
+    assert source.asked == []
+
+
+def test_clock_back() -> None:
+    """A clock that steps back does not keep the rate up."""
+    source = Adjustable()
+    rate = made(source)
+    rate.update(BEGIN_NS - QUIET_NS, UNTOUCHED)
+    assert source.asked == [50]
+
+
+def test_one_rate() -> None:
+    """A source that has one rate keeps it."""
+
+    class Fixed:
+        def read(self, timeout_s: float) -> None: ...
+
+    source: Source = Fixed()  # type: ignore[assignment]
+    rate = made(source)
+    rate.update(BEGIN_NS + QUIET_NS, UNTOUCHED)
+    rate.wake()

@@ -1,0 +1,220 @@
+"""One daemon at a steady rate, behind the real USB reader, in a process of its own.
+
+Run as a script under the `PYTHONPATH` of any tree of touchd, so it uses only what older trees have too. It prints one
+line of JSON.
+"""
+
+from __future__ import annotations
+
+import functools
+import json
+import os
+import resource
+import sys
+import threading
+import time
+from array import array
+from collections.abc import Callable, Iterator
+from itertools import chain, cycle
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from touchd.config.schema import LogSettings, Settings
+from touchd.service import realtime
+from touchd.service.daemon import load_model, make_service
+from touchd.service.log import configure
+from touchd.service.preroll import PreRoll
+from touchd.sinks.zeromq import ZeromqSink
+from touchd.sources.live import DaqSource
+from touchd.sources.recorder import describe
+from touchd.sources.usb_protocol import Header, Info, Request, build_frame
+from touchd.sources.usb_stream import UsbDaq
+
+
+class Device:
+    """A `Connection` of the USB room: frames come when they are due; building them is counted apart."""
+
+    packet_bytes, serial = 512, "bench"
+
+    def __init__(self, frames: np.ndarray, lead: int) -> None:
+        channels, samples = frames.shape[1:]
+        try:
+            self.info = Info(channels, samples, 250_000, capabilities=1)
+        except TypeError:  # a tree of before
+            self.info = Info(channels, samples, 250_000)
+        bodies = [frame.T.astype("<i2").tobytes() for frame in frames]
+        there = bodies[lead:]
+        self._bodies: Iterator[bytes] = chain(bodies[:lead], cycle([*there, *there[-2:0:-1]]))
+        self._rate_hz, self._chirp_ns, self._sequence = 0, 0, 0
+        self.own_cpu_s = 0.0
+        self.due_ns: list[int] = []
+        self.go = threading.Event()
+        """Set once the daemon takes frames: the finger comes down after the plate is learned."""
+
+    def command(self, request: Request, value: int = 0) -> None:
+        """Start, or change the rate."""
+        if request.name in ("START", "SET_RATE"):
+            self._rate_hz = value
+
+    def fill(self, buffer: array[int], timeout_ms: int) -> int | None:  # noqa: ARG002 - a frame is always due
+        """Return the next frame when it is due."""
+        before_s = time.thread_time()
+        if not self._rate_hz:
+            return None
+        if not self.due_ns:
+            self.go.wait()
+            self._chirp_ns = time.monotonic_ns()
+        header = Header(self._sequence, self._chirp_ns // 1000)
+        transfer = build_frame(self.info, header, next(self._bodies))
+        buffer[: len(transfer)] = array("B", transfer)
+        due_ns = self._chirp_ns + 1_000_000
+        self.due_ns.append(due_ns)
+        self._sequence += 1
+        self._chirp_ns += 1_000_000_000 // self._rate_hz
+        self.own_cpu_s += time.thread_time() - before_s
+        while (left_ns := due_ns - time.monotonic_ns()) > 0:
+            time.sleep(left_ns * 1e-9)
+        return len(transfer)
+
+    def clear_halt(self) -> None:
+        """Nothing is halted."""
+
+    def reset(self) -> None:
+        """Nothing is reset."""
+
+    def close(self) -> None:
+        """End."""
+        self._rate_hz = 0
+
+
+class Handed(PreRoll):
+    """The pre-roll, which has each frame last: it notes when."""
+
+    done: list[tuple[int, int, int]]
+
+    def keep(self, frame: Any, contacts: Any) -> None:
+        """Note number, arrival and now; then keep the frame."""
+        self.done.append((frame.sequence, frame.received_ns, time.monotonic_ns()))
+        super().keep(frame, contacts)
+
+
+def switches() -> dict[str, int]:
+    """Return how often each thread has been switched to, by name."""
+    found: dict[str, int] = {}
+    for task in Path("/proc/self/task").iterdir():
+        lines = dict(line.split(":", 1) for line in (task / "status").read_text().splitlines())
+        count = int(lines["voluntary_ctxt_switches"]) + int(lines["nonvoluntary_ctxt_switches"])
+        name = f"{lines['Name'].strip()}" if int(task.name) != os.getpid() else "main"
+        found[name] = found.get(name, 0) + count
+    return found
+
+
+def timed(owner: Any, name: str, stage: str, times: dict[str, list[int]]) -> None:
+    """Replace a method by one that notes the time of each call."""
+    call: Callable[..., Any] = getattr(owner, name)
+    taken = times.setdefault(stage, [])
+
+    @functools.wraps(call)
+    def noted(*args: Any, **kwargs: Any) -> Any:
+        before_ns = time.perf_counter_ns()
+        try:
+            return call(*args, **kwargs)
+        finally:
+            taken.append(time.perf_counter_ns() - before_ns)
+
+    setattr(owner, name, noted)
+
+
+def run(task: dict[str, Any]) -> dict[str, Any]:
+    """Run the daemon, and return what it cost from `warm_s` on."""
+    configure(LogSettings(level="error"))
+    if task["cpus"]:
+        os.sched_setaffinity(0, task["cpus"])
+    settings = Settings.model_validate(task["settings"])
+    model = load_model(settings)
+    stored = np.load(task["frames"])
+    device = Device(stored["frames"], int(stored["lead"]))
+    daq = UsbDaq(device)
+    source = DaqSource(lambda: iter([lambda: daq]), settings.device, daq.acquisition, lambda _: None)
+    bus = ZeromqSink(settings.bus)
+    meta = describe(source.acquisition, model.description.plate, settings.device.rate_hz, source="bench", device=None)
+    preroll = Handed(source.acquisition, settings.device.rate_hz, lambda: meta, settings.preroll)
+    preroll.done = []
+    times: dict[str, list[int]] = {}
+    service = make_service(source, [bus], settings, model, preroll=preroll)
+    if task["stages"]:
+        pipeline = service.pipeline
+        for owner, name, stage in (
+            (daq, "_decode", "usb decode"), (source, "_take", "usb to ring"), (pipeline.detector, "detect", "detect"),
+            (pipeline.detector, "adapt", "adapt"), (pipeline._localizer, "localize", "localize"),
+            (pipeline._localizer, "observe", "observe"), (pipeline._tracker, "track", "track"),
+            (service._messages, "make", "message"), (bus, "publish", "bus"), (bus, "poll", "bus poll"),
+            (preroll, "keep", "pre-roll"),
+        ):  # fmt: skip
+            timed(owner, name, stage, times)
+    realtime.freeze()
+    if task["subscriber"]:
+        bus.wait_for_subscriber(20.0)
+    begin: dict[str, Any] = {}
+
+    def sample() -> dict[str, Any]:
+        usage = resource.getrusage(resource.RUSAGE_SELF)
+        return {
+            "cpu_s": time.process_time() - device.own_cpu_s, "wall_s": time.monotonic(), "switches": switches(),
+            "faults": usage.ru_minflt, "frames": len(preroll.done), "stages": {k: len(v) for k, v in times.items()},
+        }  # fmt: skip
+
+    clock, keep = time.monotonic, preroll.keep
+    since_s = clock()
+    device.go.set()
+
+    def watched(frame: Any, contacts: Any) -> None:
+        keep(frame, contacts)
+        now_s = clock()
+        if not begin and now_s - since_s >= task["warm_s"]:
+            begin.update(sample())
+        elif begin and now_s - begin["wall_s"] >= task["seconds"]:
+            service.stop()
+
+    preroll.keep = watched  # type: ignore[method-assign]
+    ended: dict[str, Any] = {}
+    leave = service._release  # called first at the end, before threads and sockets are closed
+
+    def left(now_ns: int) -> None:
+        ended.update({} if ended else sample())
+        leave(now_ns)
+
+    service._release = left  # type: ignore[method-assign]
+    service.run()
+    return _result(begin, ended, preroll.done, device.due_ns, times)
+
+
+def _result(
+    begin: dict[str, Any], ended: dict[str, Any], done: list[tuple[int, int, int]], due_ns: list[int],
+    times: dict[str, list[int]],
+) -> dict[str, Any]:  # fmt: skip
+    wall_s, frames = ended["wall_s"] - begin["wall_s"], ended["frames"] - begin["frames"]
+    counted = done[begin["frames"] : ended["frames"]]
+    wake_us = [(received - due_ns[number]) * 1e-3 for number, received, _ in counted]
+    handed_us = [(at - received) * 1e-3 for _, received, at in counted]
+    whole_us = [(at - due_ns[number]) * 1e-3 for number, _, at in counted]
+    threads = {
+        name: round((count - begin["switches"].get(name, 0)) / wall_s, 2) for name, count in ended["switches"].items()
+    }
+    return {
+        "frames_hz": frames / wall_s, "cpu_us_per_s": 1e6 * (ended["cpu_s"] - begin["cpu_s"]) / wall_s,
+        "cpu_us_per_frame": 1e6 * (ended["cpu_s"] - begin["cpu_s"]) / frames,
+        "wakeups_hz": sum(threads.values()), "threads_hz": threads,
+        "faults_hz": (ended["faults"] - begin["faults"]) / wall_s,
+        "wake_us": float(np.median(wake_us)), "handed_us": float(np.median(handed_us)),
+        "socket_us": float(np.median(whole_us)), "socket_p99_us": float(np.percentile(whole_us, 99)),
+        "stages_us": {
+            stage: round(sum(taken[begin["stages"][stage] :]) * 1e-3 / frames, 2) for stage, taken in times.items()
+        },
+    }  # fmt: skip
+
+
+if __name__ == "__main__":
+    print(json.dumps(run(json.loads(sys.argv[1]))))
