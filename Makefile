@@ -19,6 +19,7 @@ packages:
 test-packages:
 	@deploy/debian-packages.sh test
 	@sh docs/examples/install-node-zeromq.sh
+	@sh docs/examples/install-node-zeromq.sh tests/system/web
 
 demo: setup
 	@$(BIN)/touchd demo $(ARGS)

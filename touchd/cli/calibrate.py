@@ -29,6 +29,8 @@ _STEPS = 100
     "--plate", "plate_file", type=click.Path(path_type=Path), required=True, metavar="PLATE.toml",
     help="What you measured of plate and discs.",
 )  # fmt: skip
+@click.option("--taps", "taps_file", type=click.Path(path_type=Path), metavar="RECORDING",
+              help="Taps at roughly known places, contacts_mm: they tell a mirrored or turned drawing.")  # fmt: skip
 @click.option("--ni", is_flag=True, help="Without RECORDING: take frames from NI hardware.")
 @click.option("--audio", metavar="DEVICE", help="Without RECORDING: take frames from an audio interface.")
 @click.option("--simulate", metavar="SCENE", help="Without RECORDING: take frames from a scene of the digital twin.")
@@ -44,6 +46,7 @@ def command(
     recording: Path | None,
     output: Path,
     plate_file: Path,
+    taps_file: Path | None,
     ni: bool,
     audio: str | None,
     simulate: str | None,
@@ -72,6 +75,7 @@ def command(
     if recording is not None and (ni or simulate or audio is not None):
         raise click.UsageError("name a RECORDING or a source, not both")
     said = read_plate_file(plate_file)
+    taps = read(taps_file) if taps_file else None
     if recording is not None:
         frames = read(recording)
     else:
@@ -89,9 +93,15 @@ def command(
 
         fitted = fit_recording(frames, said, fitting)
         poor = fitted.fit.verdict == "poor"
-        made = None if poor and not force else make_model(fitted, output, command=line, progress=progress)
+        made = None if poor and not force else make_model(fitted, output, taps=taps, command=line, progress=progress)
+        fitted = made.fitted if made else fitted
     folder = None if no_report else write_calibration_report(fitted, made, output)
     found = _result(fitted, output if made else None, folder)
+    if made and (refined := made.refined):
+        found["taps"] = {
+            "taps": refined.taps, "used": refined.used, "orientation": refined.orientation or "as drawn",
+            "scatter_mm": refined.scatter_mm, "unexplained": refined.unexplained[1],
+        }  # fmt: skip
     click.echo(json.dumps(found) if as_json else _text(found, PAGE))
     if poor:
         what = "the fit is poor" if made else "the fit is poor, no model is written"
@@ -147,6 +157,11 @@ def _text(found: dict[str, Any], page: str) -> str:
             f"  {p['name']:16} {p['said']:10.5g} {p['fitted']:10.5g} {p['standard_error']:9.2g} {p['unit']}{late}"
         )
     lines += [f"  undecided: {what}" for what in found["undecided"]]
+    if taps := found.get("taps"):
+        lines.append(
+            f"{taps['used']} of {taps['taps']} taps fit, and scatter by {taps['scatter_mm']:.1f} mm; the drawing is "
+            f"{taps['orientation']}"
+        )
     if found["model"]:
         lines.append(f"{found['model']}: the model, with its atlas beside it")
     if found["report"]:

@@ -19,10 +19,17 @@ from touchd.service.systemd import Notifier
 @click.option("--origin", "origins", multiple=True, metavar="URL",
               help="Also serve pages of a reverse proxy at URL, for example https://plate.example.")  # fmt: skip
 @click.option("--keypad", is_flag=True, help="Show touches in keypad mode, too: whoever looks can read the PIN.")
+@click.option("--replay", type=click.Path(exists=True, path_type=Path), metavar="RECORDING",
+              help="Also show a recording, frame by frame.")  # fmt: skip
 @bus_option
 @click.pass_obj
 def command(
-    settings: dict[str, Path | None] | None, where: str, origins: tuple[str, ...], keypad: bool, address: str | None
+    settings: dict[str, Path | None] | None,
+    where: str,
+    origins: tuple[str, ...],
+    keypad: bool,
+    replay: Path | None,
+    address: str | None,
 ) -> None:
     """Serve a page that shows the plate live, and checks the set-up; print its address.
 
@@ -42,11 +49,11 @@ def command(
     with closing(bind(where)) as listening, closing(Notifier.from_environment()) as manager:
         host, port = listening.getsockname()[:2]
         shown = f"[{host}]" if ":" in host else host
-        access = Access(port, origins, watched=bool(keypad or origins))
+        access = Access(port, origins, watched=bool(keypad or origins or replay))
         control = Path(found.control.socket) if found.control.socket else SERVICE_PATH
         site = Site(
             access, Hub(address, shows_keys=keypad), config=config, address=address, control=control,
-            screen_mm=tuple(found.input.screen_mm), rotate=found.input.rotate,
+            screen_mm=tuple(found.input.screen_mm), rotate=found.input.rotate, replay=replay,
         )  # fmt: skip
         url = f"http://{shown}:{port}/#token={access.token}"
         serve(site, [listening], lambda: click.echo(f"touchd: open {url}"), manager)

@@ -28,6 +28,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from touchd.localization.atlas import Atlas
+from touchd.localization.contact_field import place_in_band
 from touchd.localization.fit import Fit
 from touchd.localization.noise import NoiseModel
 from touchd.localization.spline import Position
@@ -130,7 +131,7 @@ def _inverted(atlas: Atlas, turn: complex) -> Spreads:
     d, nodes = atlas.description, atlas.coefficients
     channels, bins = d.acquisition.channels, len(d.bins)
     stencils = _STENCILS.astype(nodes.dtype)
-    band = np.tile(np.linspace(-1, 1, bins), channels).astype(nodes.dtype)
+    band = place_in_band(atlas).astype(nodes.dtype)
     # The parts of a_xx, a_yy and a_xy are the last six of twelve unknowns.
     wanted = np.zeros((3, 12))
     wanted[0, -6:-2] = np.tile([turn.real / 2, -turn.imag / 2], 2)

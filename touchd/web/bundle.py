@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import io
 import platform
+import re
 import sys
 import tempfile
 import zipfile
@@ -17,6 +18,7 @@ from touchd.web.site import Site
 RECORDING_S = 5
 UNITS = ("touchd", "touchd-input", "touchd-tuio", "touchd-web")
 _LOG_LINES = 500
+_TOKEN = re.compile(r"#token=\S+")  # of an address that this server has printed
 _PATIENCE_S = 30.0
 MOST_RECORDING_BYTES = 64_000_000
 
@@ -66,7 +68,7 @@ async def log_lines() -> str:
         out, _ = await asyncio.wait_for(process.communicate(), _PATIENCE_S)
     except (OSError, TimeoutError) as error:
         return f"no log: {error!r}\n"
-    return out.decode(errors="replace")
+    return _TOKEN.sub("#token=...", out.decode(errors="replace"))
 
 
 async def record(site: Site) -> tuple[str, bytes]:

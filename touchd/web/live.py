@@ -9,7 +9,7 @@ import time
 from functools import partial
 
 from starlette.routing import BaseRoute, WebSocketRoute
-from starlette.websockets import WebSocket, WebSocketDisconnect
+from starlette.websockets import WebSocket
 
 from touchd.web.hub import Client, Hub
 from touchd.web.site import Site
@@ -35,13 +35,14 @@ async def _live(site: Site, socket: WebSocket) -> None:
     sender = asyncio.create_task(_send(site, socket, client))
     try:
         while True:
-            topics = _asked(await socket.receive_text())
+            said = await socket.receive()
+            if said["type"] == "websocket.disconnect":
+                return
+            topics = _asked(said.get("text") or "")
             if topics is None:
                 await socket.close(_NOT_UNDERSTOOD)
                 return
             site.hub.ask(client, topics)
-    except (WebSocketDisconnect, KeyError):  # KeyError: bytes where text belongs
-        pass
     finally:
         site.hub.leave(client)
         sender.cancel()
@@ -73,4 +74,5 @@ def batch(hub: Hub, client: Client) -> str:
     skipped, client.skipped = client.skipped, 0
     silent_s = "null" if hub.silent_s is None else f"{hub.silent_s:.3f}"
     messages = b",".join(client.take()).decode()
-    return f'{{"now_ns":{time.monotonic_ns()},"silent_s":{silent_s},"skipped":{skipped},"messages":[{messages}]}}'
+    now = f'"now_ns":{time.monotonic_ns()},"wall_ms":{time.time_ns() // 1_000_000}'
+    return f'{{{now},"silent_s":{silent_s},"skipped":{skipped},"messages":[{messages}]}}'

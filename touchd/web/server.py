@@ -5,10 +5,11 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import ipaddress
+import signal
 import socket
 import time
 from collections.abc import AsyncIterator, Callable, Iterable, Sequence
-from types import ModuleType
+from types import FrameType, ModuleType
 
 import structlog
 import uvicorn
@@ -17,11 +18,11 @@ from starlette.middleware import Middleware
 
 from touchd.errors import AddressInUse, ConfigError, InsecureBind
 from touchd.service.systemd import Notifier
-from touchd.web import check, live, pages
+from touchd.web import check, live, pages, replay
 from touchd.web.guards import Guard
 from touchd.web.site import Site
 
-VIEWS: tuple[ModuleType, ...] = (pages, live, check)
+VIEWS: tuple[ModuleType, ...] = (pages, live, replay, check)
 """Each with `routes(site)`."""
 _END_S = 2
 """Open WebSockets may hold up the end for as long."""
@@ -95,6 +96,12 @@ def serve(site: Site, listening: Sequence[socket.socket], ready: Callable[[], ob
     )  # fmt: skip
     server = uvicorn.Server(config)
 
+    def stop(_number: int, _frame: FrameType | None) -> None:
+        server.should_exit = True
+
+    for number in (signal.SIGTERM, signal.SIGINT):  # uvicorn raises again what it has caught: that is no failure
+        signal.signal(number, stop)
+
     async def run() -> None:
         served = asyncio.create_task(server.serve(list(listening)))
         told = False
@@ -107,6 +114,5 @@ def serve(site: Site, listening: Sequence[socket.socket], ready: Callable[[], ob
             await asyncio.wait([served], timeout=_BEAT_S if told else 0.01)
         await served
 
-    with contextlib.suppress(KeyboardInterrupt):
-        asyncio.run(run())
+    asyncio.run(run())
     manager.stopping()

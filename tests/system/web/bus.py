@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import sys
 import time
+from datetime import UTC, datetime
 from itertools import count
 
 import zmq
@@ -34,7 +35,7 @@ class Bus:
         self.wanted: set[str] = set()
 
     def stamp(self, topic: str) -> tuple[str, int, int, str]:
-        return "pane 1", next(self._seq[topic]), time.monotonic_ns(), "2026-01-01T00:00:00.000000Z"
+        return "pane 1", next(self._seq[topic]), time.monotonic_ns(), datetime.now(UTC).isoformat()
 
     def publish(self, event: Event) -> None:
         self._socket.send_multipart([event.type.encode(), encoded(event)])

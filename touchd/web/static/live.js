@@ -25,6 +25,10 @@ export function mount(root, page) {
       plate.setContacts(message.contacts);
       for (const panel of panels) panel.touch?.(message);
     }),
+    feed.on('truth', message => {
+      plate.setTruth(message);
+      for (const panel of panels) panel.truth?.(message);
+    }),
     feed.on('history', message => { for (const health of message.health) for (const panel of panels) panel.past?.(health); }),
     feed.on('health', message => {
       for (const panel of panels) panel.health?.(message);
@@ -32,7 +36,7 @@ export function mount(root, page) {
       if (message.state !== 'streaming') plate.setContacts([]);
     }),
     feed.on('spectrum', message => { for (const panel of panels) panel.spectrum?.(message); }),
-    feed.on('batch', () => say(age, feed.dataAgeMs >= 0 && feed.dataAgeMs < 60_000 ? texts.age(Math.round(feed.dataAgeMs)) : '')),
+    feed.on('batch', () => say(age, feed.dataAgeMs !== null ? texts.age(Math.round(feed.dataAgeMs)) : '')),
     status.onStale(stale => {
       plate.set('stale', stale);
       root.classList.toggle('stale', stale);

@@ -1,6 +1,13 @@
 // The WebSocket: connects again after a loss, closes while the page is hidden, hands out messages by type.
 const FIRST_WAIT_MS = 250, LONGEST_WAIT_MS = 8000;
+const SAME_CLOCK_MS = 1000;
 const SILENT_MS = 4000; // the server says something each second
+
+// How old a message is, ms; null if its computer's clock is not that of the server.
+function age(batch, message) {
+  const byClock = (batch.now_ns - message.t_ns) / 1e6, byWall = batch.wall_ms - Date.parse(message.wall);
+  return Math.abs(byClock - byWall) < SAME_CLOCK_MS ? Math.max(0, byClock) : null;
+}
 
 export class Feed {
   constructor() {
@@ -89,7 +96,7 @@ export class Feed {
     }
     for (const message of batch.messages) {
       this.stats.messages += 1;
-      if (message.type === 'touch') this.dataAgeMs = (batch.now_ns - message.t_ns) / 1e6;
+      if (message.type === 'touch') this.dataAgeMs = age(batch, message);
       this.last[message.type] = message;
       this.hand(message.type, message);
     }

@@ -1,6 +1,7 @@
 // What the daemon's state is, in letters for two metres. Silence is a state.
 import { element, say } from './dom.js';
 
+const LATE_MS = 1000;
 const SILENT_S = 3; // health comes each second
 const LEVELS = { streaming: 'ok', starting: 'busy', uncalibrated: 'warning', stalled: 'failure', lost: 'failure', stopping: 'failure' };
 
@@ -48,6 +49,7 @@ export class Status {
     if (health.state === 'stopping') return state('failure', texts.states.stopping);
     if (silent > SILENT_S) return state('failure', texts.silent(Math.floor(silent)));
     const [word, meaning] = texts.states[health.state] ?? [health.state, ''];
+    if (feed.dataAgeMs > LATE_MS && feed.last.touch?.contacts.length) return state('warning', texts.late((feed.dataAgeMs / 1000).toFixed(1)), false);
     const level = health.state === 'streaming' && health.reason ? 'warning' : LEVELS[health.state] ?? 'warning';
     return state(level, [word, health.reason ?? meaning], false);
   }

@@ -19,6 +19,7 @@ export const texts = {
   no_server: ['No connection', 'touchd web does not answer. The page keeps trying.'],
   no_daemon: ['No daemon', 'No daemon publishes on this bus. systemctl status touchd'],
   silent: s => [`No data for ${s} s`, 'The daemon says nothing. What is shown is old.'],
+  late: s => [`Late by ${s} s`, 'The computer is too busy to keep up with the frames.'],
   keypad_hidden: 'Keypad: touches are not shown, since they tell the PIN.',
 
   plate: {
@@ -32,7 +33,7 @@ export const texts = {
   fingers: {
     title: 'Fingers',
     none: 'No finger on the plate.',
-    columns: ['', 'Position', 'Std. error', 'Force', 'Kind', 'Off truth'],
+    columns: ['No.', 'Position, mm', 'Std. error', 'Force', 'Kind', 'Off truth'],
     kinds: { finger: 'finger', thumb: 'thumb', glove: 'glove', palm: 'palm', water: 'water', object: 'object' },
     unknown: '–',
   },
@@ -64,6 +65,19 @@ export const texts = {
   footer: (version, model, source) => `touchd ${version} · model ${model || '–'} · source ${source || '–'}`,
   age: ms => `data ${ms} ms old`,
 
+  replay: {
+    title: 'Recording',
+    busy: n => `Running the recording through the pipeline: ${n} frames`,
+    play: 'Play', pause: 'Pause', back: 'One frame back', on: 'One frame on', speed: 'Speed',
+    line: 'Time in the recording',
+    frame: (n, all, number) => `Frame ${n} of ${all}, number ${number}`,
+    keys: 'Space plays, the arrows step.',
+    outcomes: {
+      repeated: 'repeated', stuck: 'stuck', learning: 'learning the plate', screen_off: 'screen off', untouched: 'untouched',
+      touched: 'touched', faint: 'faint', still: 'still', tracked: 'followed', inferred: 'network', uncalibrated: 'no model',
+    },
+    failed: 'The recording cannot be shown.',
+  },
   check: {
     title: 'Examination',
     hint: 'Checks bus, model, device, frames and computer. Leave the plate untouched meanwhile.',
