@@ -16,8 +16,8 @@ _CHANGED_FRAMES, _LEARN_FRAMES = 48, 32
 """The noise level has stepped if 48 frames in a row hold less than its mean, or more: by chance once in 2^47. The gate
 relearns it from the last 32 of them, since the first may have seen it change. Evidence counts frames, at any rate."""
 _QUIET_FRAMES, _QUIET_SHARE = 12, 0.25
-"""If 12 frames in a row hold less than noise ever does, and less than this share of its mean, a loud tone has ended: the
-gate relearns the noise from them."""
+"""If 12 frames in a row hold less than noise ever does, and less than this share of its mean, a loud tone has ended:
+the gate relearns the noise from them."""
 _SET_SHARE = 128
 """The gate sets its thresholds after every 128th part of the frames that the noise is known from."""
 _CLOSE_RATIO = 0.5
@@ -84,7 +84,7 @@ class Gate:
         return self.is_open
 
     def is_too_quiet(self, energy: float) -> bool:
-        """Return whether untouched frames hold more energy (counts squared) than this at all but the false-alarm rate."""
+        """Return whether noise holds less than this energy (counts squared) as seldom as it opens the gate."""
         return energy < self._quiet_below
 
     def update(self, energy: float) -> bool:
