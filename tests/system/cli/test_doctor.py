@@ -145,7 +145,7 @@ def test_beside_the_daemon(tmp_path: Path, scene_file: Callable[[str], Path]) ->
     with started("--replay", scene_file("idle"), "--loop", **own):
         with Subscriber(f"ipc://{tmp_path}/bus", ("health",), PATIENCE_S) as events:
             next(event for event in events if isinstance(event, HealthEvent) and event.state == "streaming")
-        ended = touchd("doctor", "--lines", "--seconds", 1, **own)
+        ended = touchd("doctor", "--lines", "--seconds", 1, cwd=tmp_path, **own)
     checks = {check["check"]: check for check in map(json.loads, ended.out.splitlines())}
     assert {"frame rate", "noise", "baseline"} <= checks.keys(), checks
     assert "device" not in checks

@@ -102,7 +102,7 @@ def source_of(card: FakeCard, reference: np.ndarray | None, settings: AudioSetti
 
     source = DaqSource(
         lambda: iter([connect]), DeviceSettings(queue_frames=10_000), ACQUISITION, lambda _: None,
-        waits=Waits(0.01, 1e-3, 2e-3), clock=card.clock,
+        waits=Waits(0.01, 1e-3, 2e-3), clock=card.clock, direct=False,
     )  # fmt: skip
     try:
         yield source
