@@ -135,28 +135,32 @@ class AlsaCard:
             self._next = (self._next + written) % self._period
 
     def _open(self, kind: int, channels: int, buffer_s: float) -> Any:
-        """Return an open stream with at least so many channels."""
+        """Return an open stream with at least so many channels, in the first format that the card has."""
         block = round(BLOCK_S * self.rate_hz)
-        named = {"type": kind, "mode": alsaaudio.PCM_NONBLOCK, "device": self.name}
-        first = alsaaudio.PCM(**named)
-        try:
-            known = first.getformats().values()
-            wide = [count for count in first.getchannels() if count >= channels]
-        finally:
-            first.close()
-        usable = [form for form in _BYTES if form in known]
-        if not wide or not usable:
-            what = "fewer channels" if usable else "no format"
-            raise CardAbsent(f"{self.name} has {what} than are asked for ({channels})")
-        stream = alsaaudio.PCM(
-            **named, rate=self.rate_hz, channels=min(wide), format=usable[0], periodsize=block,
-            periods=round(buffer_s * self.rate_hz / block),
-        )  # fmt: skip
-        info = stream.info()
-        if (info["rate"], info["channels"], info["format"]) != (self.rate_hz, min(wide), usable[0]):
+        for sample in _BYTES:
+            # What it cannot set it leaves as it is; `getchannels` would count up to 2^32 on some plugins.
+            stream = alsaaudio.PCM(
+                type=kind, mode=alsaaudio.PCM_NONBLOCK, device=self.name, rate=self.rate_hz, channels=channels,
+                format=sample, periodsize=block, periods=round(buffer_s * self.rate_hz / block),
+            )  # fmt: skip
+            info = stream.info()
+            if info["format"] == sample:
+                break
             stream.close()
-            raise CardAbsent(f"{self.name} takes {info['rate']} samples a second, not {self.rate_hz}: set another rate")
+        else:
+            raise CardAbsent(f"{self.name} has no format of whole numbers")
+        if (wrong := _misfit(info, self.rate_hz, channels)) is not None:
+            stream.close()
+            raise CardAbsent(f"{self.name} {wrong}")
         return stream
+
+
+def _misfit(info: dict[str, Any], rate_hz: int, channels: int) -> str | None:
+    if info["rate"] != rate_hz:
+        return f"takes {info['rate']} samples a second, not {rate_hz}: set another audio.sample_rate_hz"
+    if info["channels"] < channels:
+        return f"has {info['channels']} channels, not {channels}"
+    return None
 
 
 def _upper(data: bytes, length: int, channels: int, width: int) -> Samples:

@@ -38,7 +38,8 @@ class Case(NamedTuple):
     noise_db: float = 60.0
     flaw: str = ""
     """What the fit's physics lack altogether: `hole`, `rib` or `corner`."""
-    edge: str = "free"
+    edge: str | dict[str, str] = "free"
+    """What PLATE.toml says of the mounting."""
     said: tuple[tuple[str, object], ...] = ()
     """Keys of `[plate]` that are said wrongly."""
     swapped: bool = False
@@ -58,7 +59,8 @@ CASES = {
     "acrylic-190x140x6": Case((190.0, 140.0, 6.0), "acrylic", ACRYLIC, 0.03, said=ACRYLIC_SAID),
     "aluminium-300x200x3": Case((300.0, 200.0, 3.0), "aluminium", ALUMINIUM, 3e-3),
     "pads": Case(G220, mounting=Mounting(left="pads", right="pads", top="pads", bottom="pads"), edge="pads"),
-    "tape": Case(G220, mounting=Mounting(left="tape"), edge="tape"),
+    "tape": Case(G220, mounting=Mounting(left="tape"), edge={"left": "tape"}),
+    "jaw": Case(G220, mounting=Mounting(left="clamped"), edge={"left": "clamped"}),
     "pane": Case(G220, mounting=Mounting(pane=True)),
     "tilted": Case(G220, tilts=((15.0, 1.0), (-10.0, -0.5), (20.0, 1.5), (-5.0, 0.5))),
     "40-db": Case(G220, noise_db=40.0),
