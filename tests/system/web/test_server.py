@@ -170,3 +170,8 @@ def test_taken(server: Web) -> None:
     """An address in use is said so."""
     ended = touchd("web", "--bind", f"127.0.0.1:{server.port}")
     assert ended.code == 41
+
+
+def test_no_recording() -> None:
+    """A recording that is not there is said so at the start."""
+    assert touchd("web", "--replay", "nowhere.npz").code == 21
