@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from touchd import chirp
 from touchd.calibration.disc_response import DiscResponse
-from touchd.calibration.parameters import Reader
+from touchd.calibration.edges import lines_along
+from touchd.calibration.parameters import Guess, Reader
 from touchd.calibration.reduced_plate import ReducedPlate
 from touchd.frame import Acquisition
 from touchd.twin.instrument import anti_alias
@@ -49,11 +50,14 @@ class UntouchedModel:
     plate : ReducedPlate
     reader : Reader
     acquisition : Acquisition
+    edges : bool
+        Whether held edges are in the model; without them it costs a third.
     """
 
-    def __init__(self, plate: ReducedPlate, reader: Reader, acquisition: Acquisition) -> None:
+    def __init__(self, plate: ReducedPlate, reader: Reader, acquisition: Acquisition, *, edges: bool = True) -> None:
         a = acquisition
         self.plate, self._reader = plate, reader
+        self._lines = lines_along(plate, reader.held) if edges and reader.held else None
         record = Record(a)
         self.nu_rad_s, self._to_time = record.nu_rad_s, record.to_time
         emission = chirp.spectrum(a.chirp, self.nu_rad_s) * anti_alias(self.nu_rad_s, a.sample_rate_hz)
@@ -72,7 +76,7 @@ class UntouchedModel:
         active : names of unknowns
         """
         guess = self._reader.read(p)
-        response = DiscResponse(self.plate, guess.shape, guess.discs, guess.loss, self.nu_rad_s)
+        response = self._response(guess)
         heard = response.untouched()
         scale = np.sqrt(np.mean(np.abs(heard) ** 2))
         waves = heard[:, None] * self._emission / scale  # (R, K, F)
@@ -99,7 +103,7 @@ class UntouchedModel:
     def pair_misfits(self, p: Floats, measured: Floats, window: Floats) -> Floats:
         """Return the share of each channel's energy that the way between any two discs leaves, shape (D, D, R)."""
         guess = self._reader.read(p)
-        between = DiscResponse(self.plate, guess.shape, guess.discs, guess.loss, self.nu_rad_s).between()
+        between = self._response(guess).between()
         D, y = len(between), measured * window
         found = np.ones((D, D, len(y)))
         energy = np.maximum((y**2).sum(axis=1), np.finfo(float).tiny)
@@ -110,6 +114,10 @@ class UntouchedModel:
                 found[one, other] = found[other, one] = 1 - ((y @ Q) ** 2).sum(axis=1) / energy
         return found
 
+    def _response(self, guess: Guess) -> DiscResponse:
+        held = (self._lines, guess.edges) if self._lines else None
+        return DiscResponse(self.plate, guess.shape, guess.discs, guess.loss, self.nu_rad_s, held)
+
     def _basis(self, heard: Complex) -> Floats:
         """Return the signals of one response times each power of the band, real and imaginary, shape (2 K, S)."""
         waves = heard * self._emission
@@ -118,5 +126,5 @@ class UntouchedModel:
     def signals(self, p: Floats, gains: Complex) -> Floats:
         """Return the signals (R, S) of a vector with given gains (R, GAIN_TERMS)."""
         guess = self._reader.read(p)
-        heard = DiscResponse(self.plate, guess.shape, guess.discs, guess.loss, self.nu_rad_s).untouched()
+        heard = self._response(guess).untouched()
         return self._to_time(heard * (gains @ self._emission))

@@ -121,6 +121,7 @@ class Detector:
         self.sequence = _NO_FRAME
         """Number of the last frame that was not repeated; before the first one, which may have any, far below 0."""
         self._last_ns = 0
+        self._alive = False
         self.followed_ns = 0
         """Time of the last frame that moved the baseline."""
         self.configure(settings)
@@ -163,6 +164,8 @@ class Detector:
         energy = baseline.subtract(frame.counts, frame.t_ns)
         gate, was_open = self.gate, self.gate.is_open
         touched = gate.decide(energy)
+        if self._alive and not touched and gate.is_too_quiet(energy):
+            touched = gate.is_open = True  # not the finger has lifted, but a tone has ended that was louder
         if stuck.doubtful or (touched and stuck.returns(energy)):
             self.miss(frame.t_ns, stuck.fault)
             if self.liveness.fault:
@@ -199,6 +202,7 @@ class Detector:
         moved : bool
             Whether its residual is the plate's own movement, which the baseline follows quickly.
         """
+        self._alive = alive
         if detection.outcome is _UNTOUCHED:
             if self._relearn.active:
                 self._relearn.reset()

@@ -12,7 +12,7 @@ from msgspec.structs import replace
 from tests.fields import BINS, Field, Finger, bins_of, in_double, make_atlas
 from touchd.localization.fit import Fit, no_fit
 from touchd.localization.gauss_newton import GaussNewton
-from touchd.localization.pursuit import Pursuit, apart_mm, is_worth
+from touchd.localization.pursuit import Pursuit, apart_mm, finish, is_worth
 
 FIELD = Field()
 ATLAS = make_atlas(FIELD)
@@ -58,6 +58,19 @@ def test_complete_fit(count: int) -> None:
         bins = bins_of(FIELD.frame(fingers, DEVIATION, seed))
         fit = SOLVER.fit_several(bins, [(x, y) for x, y, _ in fingers], 8)
         assert PURSUIT.add(bins, fit, NOISE).positions_mm == fit.positions_mm
+
+
+def test_swap() -> None:
+    """One of five that is at a wrong place is moved to where a finger is missing."""
+    for seed in range(5):
+        fingers = fingers_of(5, seed)
+        bins = bins_of(FIELD.frame(fingers, DEVIATION, seed))
+        wrong = max(
+            ((x, y) for x in (15.0, 60.0, 105.0) for y in (12.0, 45.0, 78.0)),
+            key=lambda place: min(math.dist(place, finger[:2]) for finger in fingers),
+        )
+        fit = SOLVER.fit_several(bins, [wrong, *(finger[:2] for finger in fingers[1:])], 4)
+        assert all_found(finish(PURSUIT._swap(bins, fit, NOISE)), fingers, 0.5)
 
 
 def test_second_finger() -> None:
