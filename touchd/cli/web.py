@@ -19,10 +19,17 @@ from touchd.service.systemd import Notifier
 @click.option("--origin", "origins", multiple=True, metavar="URL",
               help="Also serve pages of a reverse proxy at URL, for example https://plate.example.")  # fmt: skip
 @click.option("--keypad", is_flag=True, help="Show touches in keypad mode, too: whoever looks can read the PIN.")
+@click.option("--wizard", "wizard", type=click.Path(path_type=Path), metavar="FILE",
+              help="Socket of touchd wizard.  [default: the service's, or yours]")  # fmt: skip
 @bus_option
 @click.pass_obj
 def command(
-    settings: dict[str, Path | None] | None, where: str, origins: tuple[str, ...], keypad: bool, address: str | None
+    settings: dict[str, Path | None] | None,
+    where: str,
+    origins: tuple[str, ...],
+    keypad: bool,
+    wizard: Path | None,
+    address: str | None,
 ) -> None:
     """Serve a page that shows the plate live, and checks the set-up; print its address.
 
@@ -31,6 +38,7 @@ def command(
     """
     import structlog
 
+    from touchd.calibration.wizard.link import default_socket
     from touchd.web.guards import Access
     from touchd.web.hub import Hub
     from touchd.web.server import bind, serve
@@ -46,7 +54,7 @@ def command(
         control = Path(found.control.socket) if found.control.socket else SERVICE_PATH
         site = Site(
             access, Hub(address, shows_keys=keypad), config=config, address=address, control=control,
-            screen_mm=tuple(found.input.screen_mm), rotate=found.input.rotate,
+            screen_mm=tuple(found.input.screen_mm), rotate=found.input.rotate, wizard=wizard or default_socket(),
         )  # fmt: skip
         url = f"http://{shown}:{port}/#token={access.token}"
         serve(site, [listening], lambda: click.echo(f"touchd: open {url}"), manager)

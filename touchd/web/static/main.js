@@ -2,11 +2,12 @@
 import { element, post, say, themeChanged } from './dom.js';
 import { Feed } from './socket.js';
 import { texts } from './texts.js';
+import * as calibrate from './calibrate.js';
 import * as check from './check.js';
 import * as live from './live.js';
 
 // Each has `mount(root, page)`, which returns what ends it.
-const VIEWS = { live, check };
+const VIEWS = { live, calibrate, check };
 const TOKEN = '#token=';
 
 const views = document.getElementById('views'), root = document.getElementById('view');
