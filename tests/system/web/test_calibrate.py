@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from pathlib import Path
 
 import pytest
@@ -16,6 +16,7 @@ import pytest
 pytest.importorskip("playwright", reason="of the extra dev")
 
 from playwright.sync_api import Page, expect
+from playwright.sync_api import TimeoutError as Late
 
 from tests.needs import need
 from tests.processes import PATIENCE_S, ROOT, environment, started
@@ -92,14 +93,21 @@ def said(opened: Page, text: str) -> None:
     expect(opened.locator(".tapped")).to_contain_text(text)
 
 
+def frames(opened: Page) -> int:
+    """How many frames the daemon has taken in."""
+    found: int = opened.evaluate("touchd.feed.last.health.frames")
+    return found
+
+
 def tap_until_good(opened: Page, count: int) -> None:
     """Tap rings until so many taps are good."""
-    for _ in range(3):
+    for _ in range(10):
         before = opened.locator("circle.target").first.get_attribute("data-x")
         tap(opened)
-        opened.wait_for_function(
-            "before => document.querySelector('circle.target')?.dataset.x !== before", arg=before, timeout=PATIENCE_MS
-        )
+        with suppress(Late):  # on a busy computer a tap may be lost: the next one counts
+            opened.wait_for_function(
+                "before => document.querySelector('circle.target')?.dataset.x !== before", arg=before, timeout=10_000
+            )
         if f"{count} tap" in (opened.locator(".tapped").text_content() or ""):
             return
     raise AssertionError(opened.locator(".tapped").text_content())
@@ -162,11 +170,13 @@ def test_whole_wizard(tmp_path: Path, follow: str) -> None:
             tap(opened, 40)
             said(opened, "Too short")
             tap_until_good(opened, 2)
+            before = frames(opened)
             daemon.send_signal(signal.SIGKILL)
             daemon.wait(PATIENCE_S)
             stack.enter_context(rig.daemon())
             opened.wait_for_function(
-                "touchd.feed.last.health?.state === 'streaming' && touchd.feed.last.health.frames > 300"
+                "before => { const { frames } = touchd.feed.last.health; return frames > 150 && frames < before; }",
+                arg=before,
             )
             tap_until_good(opened, 3)
             expect(opened.get_by_text("Your taps scatter by")).to_be_visible()
