@@ -1,6 +1,6 @@
 """An audio interface without hardware, at the seam of the library: a plate stands between playback and capture.
 
-What is captured is what is played, filtered by the twin's response: whole periods at once, since what is played is
+What is captured is what is played, filtered by the twin's response: period by period, since what is played is
 periodic. The delay is drawn at each start, as whole samples and a fraction, and faults come on command.
 """
 
@@ -93,7 +93,7 @@ class FakeCard:
         self.starts += 1
         self.delay = float(self._rng.uniform(0, self._period))
         self._loop, self._next_loop, self._until = loop, loop, 0
-        self._captured = self._captured[:0]
+        self._captured = np.zeros((int(self.delay), self.inputs), np.int16)
         self.xrun = False
 
     def play(self, loop: Floats) -> None:
@@ -135,7 +135,7 @@ class FakeCard:
         ratio = np.where(np.abs(nominal) > 1e-9 * np.abs(nominal).max(), played / nominal, 0.0)
         if self.lowpass_hz is not None:
             ratio = ratio * (np.fft.rfftfreq(self._period, 1 / self.rate_hz) < self.lowpass_hz)
-        heard = moved(np.fft.irfft(spectrum * ratio, self._period), self.delay)
+        heard = moved(np.fft.irfft(spectrum * ratio, self._period), self.delay % 1)
         if self.disturbance:
             heard = heard + self.disturbance * self._rng.standard_normal(heard.shape)
         heard = heard[self.order] * self.gains[:, None]
@@ -145,3 +145,38 @@ class FakeCard:
 def openers(card: FakeCard, make: Callable[[FakeCard], object]) -> Callable[[], Iterator[Callable[[], object]]]:
     """Candidates of a source: the one card."""
     return lambda: iter([lambda: make(card.open())])
+
+
+class CableCard:
+    """A card with a cable from its output to its second input: a filter, noise, harmonics and crosstalk."""
+
+    def __init__(self, rate_hz: int = 48_000, *, inputs: int = 3, seed: int = 0) -> None:
+        self.name, self.rate_hz, self.inputs, self.ahead = "hw:CARD=Fake", rate_hz, inputs, rate_hz // 10
+        self.gains = np.array([0.001, 0.5, *[0.0] * (inputs - 2)])
+        self.noise, self.third, self.fraction = 1e-4, 1e-3, 0.25
+        self.lowpass_hz = 0.5 * rate_hz
+        self.xruns = 0
+        self._rng = np.random.default_rng(seed)
+
+    def start(self, loop: Floats) -> None:
+        shaped = loop + self.third * loop**3
+        spectrum = np.fft.rfft(shaped) * (np.fft.rfftfreq(len(loop), 1 / self.rate_hz) < self.lowpass_hz)
+        self.delay = int(self._rng.integers(100, 2000)) + self.fraction
+        self._heard = np.outer(self.gains, moved(np.fft.irfft(spectrum, len(loop)), self.delay))
+        self._at = 0
+
+    def play(self, loop: Floats) -> None:
+        raise NotImplementedError
+
+    def exchange(self, timeout_s: float) -> Samples | None:  # noqa: ARG002 - it never waits
+        if self.xruns:
+            self.xruns -= 1
+            raise CardXrun("samples were lost")
+        block = self.rate_hz // 100
+        at = (self._at + np.arange(block)) % self._heard.shape[1]
+        self._at += block
+        signal = self._heard[:, at].T + self.noise * self._rng.standard_normal((block, self.inputs))
+        return np.asarray(np.clip(np.rint(signal * 2**15), -(2**15), 2**15 - 1), np.int16)
+
+    def close(self) -> None:
+        pass

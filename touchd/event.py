@@ -197,8 +197,21 @@ class PlateEvent(Struct, gc=False):
     type: Literal["plate"] = "plate"
 
 
-Event = TouchEvent | KeyEvent | HealthEvent | SpectrumEvent | PlateEvent
-TOPICS = ("touch", "key", "health", "spectrum", "plate")
+class TruthEvent(Struct, gc=False):
+    """Where the fingers really are: of a scene or a labelled recording; only while somebody subscribes."""
+
+    device: str
+    seq: int
+    t_ns: int
+    wall: str
+    frame: int
+    contacts_mm: list[tuple[float, float]] = []
+    v: int = VERSION
+    type: Literal["truth"] = "truth"
+
+
+Event = TouchEvent | KeyEvent | HealthEvent | SpectrumEvent | PlateEvent | TruthEvent
+TOPICS = ("touch", "key", "health", "spectrum", "plate", "truth")
 
 _DECODERS: dict[str, msgspec.json.Decoder[Any]] = {
     "touch": msgspec.json.Decoder(TouchEvent),
@@ -206,6 +219,7 @@ _DECODERS: dict[str, msgspec.json.Decoder[Any]] = {
     "health": msgspec.json.Decoder(HealthEvent),
     "spectrum": msgspec.json.Decoder(SpectrumEvent),
     "plate": msgspec.json.Decoder(PlateEvent),
+    "truth": msgspec.json.Decoder(TruthEvent),
 }
 _to_json = msgspec.json.Encoder().encode
 

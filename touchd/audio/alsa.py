@@ -3,13 +3,14 @@
 Why not PortAudio (`sounddevice`): its blocking streams have four periods and no more, so blocks of 1 ms leave 3 ms
 before samples are lost; it lists cards once, when it is imported, opens each of them for that, and names them by a
 number that changes; after an xrun it restarts by itself. pyalsaaudio takes `hw:CARD=NAME`, which never resamples,
-blocks of 1 ms and buffers of 200 ms, reports each xrun by a return value, and waits on file descriptors. It does not
+blocks of 1 ms and buffers of 0.5 s, reports each xrun by a return value, and waits on file descriptors. It does not
 link playback and capture: their delay differs from start to start, and has to be found after each in any case.
 """
 
 from __future__ import annotations
 
 import contextlib
+import re
 import select
 from typing import Any
 
@@ -23,7 +24,7 @@ BLOCK_S = 1e-3
 """Samples are read in blocks of this: what it adds to the latency, at most."""
 AHEAD_S = 0.1
 """Playback is written this long before it is heard, so that a busy computer misses nothing; it adds no latency."""
-_CAPTURE_S = 0.3
+_CAPTURE_S = 0.5
 _BYTES = {
     alsaaudio.PCM_FORMAT_S32_LE: 4,
     alsaaudio.PCM_FORMAT_S24_3LE: 3,
@@ -53,9 +54,13 @@ class AlsaCard:
         self.name, self.rate_hz = name, rate_hz
         self._capture: Any = None
         self._playback: Any = None
+        # ALSA's library prints a line each time that a card is not there.
+        named = re.search(r"CARD=([^,]+)", name)
+        if named and named[1] not in alsaaudio.cards():
+            raise CardAbsent(f"there is no {name}: plug it in; arecord -L lists what is there")
         try:
             self._capture = self._open(alsaaudio.PCM_CAPTURE, inputs, _CAPTURE_S)
-            self._playback = self._open(alsaaudio.PCM_PLAYBACK, 1, AHEAD_S)
+            self._playback = self._open(alsaaudio.PCM_PLAYBACK, 2, AHEAD_S)
         except alsaaudio.ALSAAudioError as error:
             self.close()
             raise CardAbsent(_explain(error, name)) from error
@@ -172,6 +177,4 @@ def _explain(error: Exception, name: str) -> str:
     text = str(error)
     if "busy" in text:
         return f"{name} is in use by another program: end it, or take the card away from the sound server"
-    if "No such" in text:
-        return f"there is no {name}: plug it in; arecord -L lists what is there"
     return text

@@ -133,7 +133,7 @@ def expected_error_mm(fitted: Fitted, atlas: Atlas) -> Floats:
     x_mm, y_mm = ((np.arange(GRID) + 0.5) / GRID * side for side in (d.plate.width_mm, d.plate.height_mm))
     places = np.stack(np.meshgrid(x_mm, y_mm), axis=-1).reshape(-1, 2)
     u, by_x, by_y = FieldMap(atlas).look_up(places)
-    window = float(np.square(np.hanning(d.acquisition.samples)).sum()) / 2
+    window = float(np.square(d.to_bins).sum()) / (2 * len(d.bins))
     noise = BASELINE_NOISE * fitted.noise_counts**2 * window
     variance = d.noise_scale * noise + d.field_scale * float(atlas.error.mean()) / 2
     spread = np.linalg.inv(linearise(u, u, by_x, by_y).fisher_information[:, 0])

@@ -86,7 +86,7 @@ def _misfits(said: PlateFile, untouched: Untouched) -> Floats:
     """Return what the way between any two discs leaves of each channel, at each speed, shape (speeds, D, D, R)."""
     reader = Reader(said, untouched.acquisition)
     chirp = untouched.acquisition.chirp
-    low, high = sorted((chirp.start_hz, chirp.stop_hz))
+    low, high = chirp.band_hz
     plate = ReducedPlate(reader.plate(reader.start), low + HIGHEST * (high - low))
     model = UntouchedModel(plate, reader, untouched.acquisition)
     window = window_of(untouched.mean.shape[1], FIRST_SHARE)

@@ -71,7 +71,7 @@ class PlateFit:
 
     def response(self, nu_rad_s: Complex) -> Response:
         """Return the fitted plate's response at complex angular frequencies (F,)."""
-        modes = loaded_modes(self.plate, self.layout, self.acquisition.sample_rate_hz / 2)
+        modes = loaded_modes(self.plate, self.layout, self.acquisition.highest_hz)
         chirp = self.acquisition.chirp
         loss = Loss(self.loss, self.loss_slope, np.pi * (chirp.start_hz + chirp.stop_hz))
         return Response(self.plate, modes, nu_rad_s, loss.at(nu_rad_s))

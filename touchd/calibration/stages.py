@@ -12,6 +12,7 @@ from touchd.calibration.parameters import DISCS, FIRST, PLATE, Reader
 from touchd.calibration.reduced_plate import ReducedPlate
 from touchd.calibration.untouched import Untouched
 from touchd.calibration.untouched_model import UntouchedModel
+from touchd.frame import Acquisition
 
 Floats = NDArray[np.float64]
 
@@ -46,7 +47,7 @@ def run_stages(
     noise = np.maximum(untouched.noise, 1e-5 * np.sqrt((measured**2).mean()))
     samples = measured.shape[1]
     early, middle, whole = (window_of(samples, share) for share in (EARLY, MIDDLE, 1.0))
-    model = UntouchedModel(ReducedPlate(reader.plate(p)), reader, untouched.acquisition)
+    model = _model_near(reader, p, untouched.acquisition)
     progress(0.2)
     places = reader.places
     best = None
@@ -87,4 +88,9 @@ def _recentred(model: UntouchedModel, reader: Reader, p: Floats, untouched: Unto
     here, there = model.plate.reference, reader.read(p).shape
     if abs(np.log(there.h / here.h)) < MOVED_THICKNESS and abs(there.nu - here.nu) < MOVED_POISSON:
         return model
-    return UntouchedModel(ReducedPlate(reader.plate(p)), reader, untouched.acquisition)
+    return _model_near(reader, p, untouched.acquisition)
+
+
+def _model_near(reader: Reader, p: Floats, acquisition: Acquisition) -> UntouchedModel:
+    """Return the model with its basis at a vector."""
+    return UntouchedModel(ReducedPlate(reader.plate(p), acquisition.chirp.band_hz[1]), reader, acquisition)

@@ -13,14 +13,13 @@ from touchd.calibration.parameters import Reader
 from touchd.calibration.reduced_plate import ReducedPlate
 from touchd.frame import Acquisition
 from touchd.twin.instrument import anti_alias
+from touchd.twin.record import Record
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 GAIN_TERMS = 3
 """Coefficients of a channel's complex gain in powers of the band."""
-_DAMPING = 13.0
-"""The record, of two frames, is damped by exp(-13), so that ringing beyond it does not wrap."""
 _RIDGE = 1e-6
 """Of the gains' normal equations: a channel cannot have a gain where the plate has no response."""
 
@@ -38,7 +37,7 @@ class Fitted(NamedTuple):
 
 def band(acquisition: Acquisition, frequency_hz: Floats) -> Floats:
     """Map frequencies to -1 .. 1 over the chirp's band; beyond it to at most 1.3."""
-    low, high = sorted((acquisition.chirp.start_hz, acquisition.chirp.stop_hz))
+    low, high = acquisition.chirp.band_hz
     return np.asarray(np.clip((frequency_hz - (low + high) / 2) / ((high - low) / 2), -1.3, 1.3))
 
 
@@ -54,17 +53,12 @@ class UntouchedModel:
 
     def __init__(self, plate: ReducedPlate, reader: Reader, acquisition: Acquisition) -> None:
         a = acquisition
-        self.plate, self._reader, self._a = plate, reader, a
-        self._record = 2 * a.samples
-        self._rate = a.sample_rate_hz
-        t = np.arange(a.samples) / self._rate
-        decay = _DAMPING * self._rate / self._record
-        hz: Floats = np.arange(a.samples + 1) * self._rate / self._record
-        self.nu_rad_s: Complex = np.asarray(2 * np.pi * hz - 1j * decay, np.complex128)
-        emission = chirp.spectrum(a.chirp, self.nu_rad_s) * anti_alias(self.nu_rad_s, self._rate)
-        x = band(a, hz)
+        self.plate, self._reader = plate, reader
+        record = Record(a)
+        self.nu_rad_s, self._to_time = record.nu_rad_s, record.to_time
+        emission = chirp.spectrum(a.chirp, self.nu_rad_s) * anti_alias(self.nu_rad_s, a.sample_rate_hz)
+        x = band(a, record.hz)
         self._emission = np.stack([emission * x**k for k in range(GAIN_TERMS)])  # (K, F)
-        self._undamp = np.exp(decay * t) * self._rate
 
     def fit(self, p: Floats, measured: Floats, window: Floats, active: tuple[str, ...] = ()) -> Fitted:
         """Return the misfit of a vector, and its derivatives by the `active` unknowns.
@@ -126,6 +120,3 @@ class UntouchedModel:
         guess = self._reader.read(p)
         heard = DiscResponse(self.plate, guess.shape, guess.discs, guess.loss, self.nu_rad_s).untouched()
         return self._to_time(heard * (gains @ self._emission))
-
-    def _to_time(self, spectrum: Complex) -> Floats:
-        return np.asarray(np.fft.irfft(spectrum, self._record, axis=-1)[..., : self._a.samples] * self._undamp)

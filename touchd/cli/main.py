@@ -16,6 +16,7 @@ from touchd.cli.source import source_options
 from touchd.errors import ConfigError, MissingExtra, ModelMissing, TouchdError
 
 VERBS = {
+    "audio-check": "Measure an audio interface.",
     "benchmark": "Measure run time, latency and position error.",
     "calibrate": "Make a model of a plate that nobody touches.",
     "check": "Judge a model on anybody's touches.",
@@ -57,7 +58,7 @@ class Verbs(click.Group):
         """Return a verb's command, or None for an unknown name."""
         if cmd_name not in VERBS:
             return None
-        command: click.Command = importlib.import_module(f"touchd.cli.{cmd_name}").command
+        command: click.Command = importlib.import_module(f"touchd.cli.{cmd_name.replace('-', '_')}").command
         command.name = cmd_name
         return command
 

@@ -21,6 +21,8 @@ from touchd.service.systemd import Notifier
 @click.option("--keypad", is_flag=True, help="Show touches in keypad mode, too: whoever looks can read the PIN.")
 @click.option("--wizard", "wizard", type=click.Path(path_type=Path), metavar="FILE",
               help="Socket of touchd wizard.  [default: the service's, or yours]")  # fmt: skip
+@click.option("--replay", type=click.Path(exists=True, path_type=Path), metavar="RECORDING",
+              help="Also show a recording, frame by frame.")  # fmt: skip
 @bus_option
 @click.pass_obj
 def command(
@@ -29,6 +31,7 @@ def command(
     origins: tuple[str, ...],
     keypad: bool,
     wizard: Path | None,
+    replay: Path | None,
     address: str | None,
 ) -> None:
     """Serve a page that shows the plate live, and checks the set-up; print its address.
@@ -50,11 +53,12 @@ def command(
     with closing(bind(where)) as listening, closing(Notifier.from_environment()) as manager:
         host, port = listening.getsockname()[:2]
         shown = f"[{host}]" if ":" in host else host
-        access = Access(port, origins, watched=bool(keypad or origins))
+        access = Access(port, origins, watched=bool(keypad or origins or replay))
         control = Path(found.control.socket) if found.control.socket else SERVICE_PATH
         site = Site(
             access, Hub(address, shows_keys=keypad), config=config, address=address, control=control,
-            screen_mm=tuple(found.input.screen_mm), rotate=found.input.rotate, wizard=wizard or default_socket(),
+            screen_mm=tuple(found.input.screen_mm), rotate=found.input.rotate, replay=replay,
+            wizard=wizard or default_socket(),
         )  # fmt: skip
         url = f"http://{shown}:{port}/#token={access.token}"
         serve(site, [listening], lambda: click.echo(f"touchd: open {url}"), manager)

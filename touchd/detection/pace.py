@@ -14,6 +14,12 @@ _STEPS = 4
 class Pace:
     """The time from frame to frame. It stays as it is while frames come at about the same rate."""
 
+    period_ns: int
+    low_ns: float
+    high_ns: float
+    doubtful: bool
+    """Whether the last step was another one."""
+
     def __init__(self) -> None:
         self._steps: list[int] = []
         self._set(USUAL_NS)
@@ -36,7 +42,6 @@ class Pace:
     def _set(self, period_ns: int) -> None:
         self._steps.clear()
         self.doubtful = False
-        """Whether the last step was another one."""
-        self.period_ns: int = period_ns
-        self.low_ns: float = period_ns / _LIKE
-        self.high_ns: float = period_ns * _LIKE
+        self.period_ns = period_ns
+        self.low_ns = period_ns / _LIKE
+        self.high_ns = period_ns * _LIKE

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchd.localization.atlas import Array, Atlas
 from touchd.localization.spline import CONTACT_PER_CELL, Position, Raster, spline_weights
@@ -36,10 +37,7 @@ class ContactField(Raster):
 
     def __init__(self, atlas: Atlas, into: Array) -> None:
         d, dtype, half = atlas.description, into.dtype, atlas.size // 2
-        channels, bins = d.acquisition.channels, np.array(d.bins, float)
-        middle, reach = (bins[0] + bins[-1]) / 2, max((bins[-1] - bins[0]) / 2, 1.0)
-        self.band: Array = np.tile((bins - middle) / reach, channels).astype(dtype)
-        """Place of each channel's bins in the band, -1 to 1, shape (size / 2,)."""
+        self.band: Array = place_in_band(atlas).astype(dtype)
         super().__init__(atlas, CONTACT_PER_CELL, (4, 16, half))
         self._of_rows, self._of_columns = spline_weights(d.step_mm, into.dtype, ORDERS, CONTACT_PER_CELL)
         self._weights = np.zeros(160, dtype)
@@ -83,6 +81,13 @@ class ContactField(Raster):
         """Copy the nodes around a cell, shape (4, 4, 2, channels, bins): both parts, then both along the band."""
         np.copyto(around[:2].reshape(2, *nodes.shape[:2], *nodes.shape[3:]), nodes.transpose(2, 0, 1, 3, 4))
         np.multiply(around[:2], self.band, around[2:])
+
+
+def place_in_band(atlas: Atlas) -> NDArray[np.float64]:
+    """Return the place of each channel's bins in the band, -1 to 1, shape (size / 2,)."""
+    d, bins = atlas.description, np.array(atlas.description.bins, float)
+    middle, reach = (bins[0] + bins[-1]) / 2, max((bins[-1] - bins[0]) / 2, 1.0)
+    return np.tile((bins - middle) / reach, d.acquisition.channels)
 
 
 def _terms(dtype: np.dtype[np.floating]) -> Array:

@@ -9,7 +9,7 @@ from typing import Protocol
 import structlog
 
 from touchd import __version__
-from touchd.event import Contact, Event, HealthEvent, State
+from touchd.event import Contact, Event, State
 from touchd.frame import Frame
 from touchd.pipeline import Pipeline
 from touchd.service.control import Control
@@ -22,14 +22,12 @@ from touchd.service.reload import Reloader
 from touchd.service.runner import frames_of
 from touchd.service.systemd import Notifier
 from touchd.sinks.sink import Sink
-from touchd.sources.source import Change, LiveSource, Source
+from touchd.sources.source import Change, Labelled, LiveSource, Source
 
 STALL_NS = 1_000_000_000
 """A source that is no device has stalled after this time without a frame, ns."""
 _FLOWING: tuple[State, ...] = ("streaming", "uncalibrated")
 """Frames flow."""
-_READY: tuple[State, ...] = (*_FLOWING, "lost")
-"""Frames flow, or the device is awaited."""
 _TICK_NS = 4_000_000
 """Sinks are polled this often, and all else is done that is due: at usual rates after each frame. Polling costs a fifth
 of an idle frame."""
@@ -150,6 +148,7 @@ class Service:
 
     def _run_frames(self) -> None:
         pipeline, preroll, feed, rate = self.pipeline, self._preroll, self._feed, self._rate
+        labelled = self._source if isinstance(self._source, Labelled) else None
         for frame in frames_of(self._source, on_change=self._follow):
             if frame is None:
                 self._wait()
@@ -159,6 +158,8 @@ class Service:
                 result = pipeline.process(frame)
                 if (result.contacts or result.touches) and (events := self._messages.make(result, pipeline.spectrum)):
                     self._publish(events, frame.received_ns)
+                if labelled is not None and (true := self._messages.truth(frame, labelled)) is not None:
+                    self._hand(true, frame.received_ns)
                 if preroll is not None:
                     preroll.keep(frame, result.contacts)
                 wanted = feed is not None and bool(feed.listeners)
@@ -254,10 +255,13 @@ class Service:
 
     def _publish(self, events: Sequence[Event], received_ns: int) -> None:
         for event in events:
-            for sink in self._sinks:
-                sink.publish(event, received_ns)
+            self._hand(event, received_ns)
         if events:
             self._health.add_latency((self._clock() - received_ns) * 1e-3)
+
+    def _hand(self, event: Event, received_ns: int) -> None:
+        for sink in self._sinks:
+            sink.publish(event, received_ns)
 
     def _follow(self, change: Change) -> None:
         """Enter the state of a device; one that was away has its plate relearned."""
@@ -278,23 +282,11 @@ class Service:
     def _publish_health(self) -> None:
         now_ns = self._health_ns = self._clock()
         event = self._health.message(now_ns, self._stream_ns, self._state, self._reason)
-        for sink in self._sinks:
-            sink.publish(event, now_ns)
-        self._tell_manager(event)
+        self._hand(event, now_ns)
+        self._manager.tell(event)
         self._health.log_losses(event)
 
     def _publish_plate(self) -> None:
         if self._describe is not None:
             now_ns = self._clock()
-            event = self._messages.plate(self._describe(), self.pipeline.layout, now_ns)
-            for sink in self._sinks:
-                sink.publish(event, now_ns)
-
-    def _tell_manager(self, health: HealthEvent) -> None:
-        self._manager.status(
-            f"{health.state}: {health.reason}"
-            if health.reason and health.state != "streaming"
-            else f"{health.state}: {health.frames} frames, {health.lost} lost, {health.corrupt} corrupt"
-        )
-        if health.state in _READY:
-            self._manager.ready()
+            self._hand(self._messages.plate(self._describe(), self.pipeline.layout, now_ns), now_ns)

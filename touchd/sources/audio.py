@@ -43,7 +43,6 @@ _MOST_MOVES = 3
 _ALIVE = 0.5
 """Correlation with the reference above which a channel is watched."""
 _SILENT = 1e-4  # of the loudest channel's energy
-_LIMIT = 2**15 - 1
 
 log = structlog.get_logger()
 
@@ -223,9 +222,9 @@ class AudioDaq:
             self._time_us += max(gone - self._period_us, 0.0)
         margin = self._high_pass.margin
         raw = self._capture.take(margin, self.acquisition.samples + 2 * margin)[: self._discs]
-        clipped = bool(raw.max() >= _LIMIT or raw.min() <= -_LIMIT)
         counts = self._high_pass.apply(raw)
-        if lost := self._watch.lost(counts):
+        clipped = self._high_pass.is_clipped()
+        if lost := self._watch.lost(self._high_pass.filtered):
             which = ", ".join(str(self._settings.channels[i]) for i in lost)
             raise DaqGone(f"input {which} no longer hears the chirp as before: lost samples, a cable, a knob or a mute")
         sequence, time_us = self._sequence, round(self._time_us)

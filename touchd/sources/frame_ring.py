@@ -73,6 +73,15 @@ class FrameRing(Generic[Mark]):
             self._held = first.slot
         return Frame(self._views[first.slot], first.sequence, first.t_ns, first.received_ns)
 
+    def __bool__(self) -> bool:
+        """Return whether a frame or a mark waits."""
+        return bool(self._queue)
+
+    def wake(self) -> None:
+        """Let `take` return at once if it waits."""
+        with self._changed:
+            self._changed.notify()
+
     def marks(self) -> list[Mark]:
         """Take the marks that come before the next frame."""
         found: list[Mark] = []

@@ -17,7 +17,6 @@ import contextlib
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import structlog
 
@@ -30,32 +29,20 @@ from touchd.sources.daq import Candidates, Daq, DaqAbsent, DaqFrame, DaqGone
 from touchd.sources.device_clock import DeviceClock
 from touchd.sources.device_search import DeviceSearch, check_rate, open_first
 from touchd.sources.frame_ring import FrameRing
+from touchd.sources.lending import Lending
 from touchd.sources.numbering import Numbering
 from touchd.sources.source import Change, EndOfStream, Tally
+from touchd.sources.waits import WAITS, Waits
 
 _JOIN_S = 0.5
 """`close` waits this long for a thread that a wedged device holds: the service must end within 1 s of SIGTERM."""
+_DIRECT_HZ, _STEADY_FRAMES = 250, 8
+"""Up to this rate the caller of `read` reads the device itself once 8 frames have come: what it does with a frame takes
+less than the period, and the device keeps a few. At higher rates the thread reads on meanwhile."""
 _STALL_FRAMES = 3  # that a stalled device has left out, however low its rate
 _MAX_DOUBLINGS = 10  # of the delay between connections; by far enough to reach `max_retry_s`
 
 log = structlog.get_logger()
-
-
-@dataclass(frozen=True, slots=True)
-class Waits:
-    """How long the thread that reads the device waits, seconds."""
-
-    read_s: float = 0.1
-    """Timeout of a read: while no frame comes, the thread notices `close` this late."""
-    retry_s: float = 0.1
-    """Shortest interval between two looks for a device."""
-    max_retry_s: float = 0.5
-    """Longest interval; the intervals grow from look to look."""
-    hang_s: float = 10.0
-    """A thread that is silent this long hangs in the kernel, and only a new process helps."""
-
-
-WAITS = Waits()
 
 
 class DaqSource:
@@ -96,6 +83,10 @@ class DaqSource:
         self._search = DeviceSearch(candidates, settings, check)
         self._stall_ns = round(settings.stall_s * 1e9)
         self._rate_hz = settings.rate_hz
+        self._lending = Lending()
+        self._device_clock = DeviceClock(0)
+        self._corrupt = 0  # on earlier connections
+        self._seen_ns = 0
         self._streaming: Daq | None = None
         self._commanding = threading.Lock()  # of `_streaming`: no device is closed while it is commanded
         self._ring: FrameRing[Change] = FrameRing(settings.queue_frames, acquisition.shape)
@@ -123,7 +114,22 @@ class DaqSource:
         """
         if self._closing.is_set():
             raise EndOfStream
-        frame = self._ring.take(timeout_s)
+        lent = self._lending.lent
+        if lent is None or self._ring:
+            frame = self._ring.take(timeout_s)
+            lent = self._lending.lent
+            if frame is not None or lent is None or self._ring:
+                return self._checked(frame)
+        wait_s = max(timeout_s, _STALL_FRAMES / self._rate_hz)  # a loan does not end between two frames
+        found = self._lending.read(wait_s)
+        self.tally.corrupt = self._corrupt + lent.corrupt
+        if found is None:
+            return None
+        self._seen_ns = self._alive_ns = self._clock()
+        return self._take(found, self._seen_ns, direct=True)
+
+    def _checked(self, frame: Frame | None) -> Frame | None:
+        """Return what came from the thread, unless it can bring no more."""
         if frame is None and not self._thread.is_alive():
             raise self._error or ReaderFailed("the thread that reads the DAQ has ended", "device", "restart touchd")
         if frame is None and self._clock() - self._alive_ns > self._waits.hang_s * 1e9:
@@ -148,9 +154,8 @@ class DaqSource:
     def close(self) -> None:
         """Stop the device's stream and release the device; further calls do nothing."""
         self._closing.set()
+        self._lending.close()
         self._thread.join(_JOIN_S)
-
-    # -- the thread -------------------------------------------------------------------------------
 
     def _run(self) -> None:
         try:
@@ -194,30 +199,34 @@ class DaqSource:
         """Queue frames until the source is closed or the device is gone; restart, then reset a device that stalls."""
         self._start(daq)
         complete_ns = round(1e9 * daq.acquisition.samples / daq.acquisition.sample_rate_hz)
-        device_clock = DeviceClock(complete_ns, self._last_t_ns)
-        corrupt = self.tally.corrupt
-        restarted = False
-        seen_ns = self._clock()
+        self._device_clock = DeviceClock(complete_ns, self._last_t_ns)
+        self._corrupt = self.tally.corrupt
+        restarted, frames = False, 0
+        self._seen_ns = self._clock()
         while not self._closing.is_set():
             try:
                 frame = daq.read(self._waits.read_s)
             finally:
-                self.tally.corrupt = corrupt + daq.corrupt
+                self.tally.corrupt = self._corrupt + daq.corrupt
             now_ns = self._alive_ns = self._clock()
             if frame is not None:
-                self._take(frame, device_clock, now_ns)
-                seen_ns, restarted = now_ns, False
+                self._take(frame, now_ns)
+                self._seen_ns, restarted = now_ns, False
+                frames += 1
                 if self._fruitless:
                     self._fruitless = 0
                     self._search.keep()
-            elif now_ns - seen_ns > max(self._stall_ns, _STALL_FRAMES * 1e9 / self._rate_hz):
+                if frames >= _STEADY_FRAMES and self._settings.rate_hz <= _DIRECT_HZ:
+                    frames = 0
+                    self._lending.lend(daq, self._ring.wake)
+            elif now_ns - self._seen_ns > max(self._stall_ns, _STALL_FRAMES * 1e9 / self._rate_hz):
                 self._enter("stalled", f"no frame for {self._settings.stall_s:g} s")
                 if restarted:
                     log.warning("resetting the device")
                     daq.reset()
                     raise DaqGone("it was reset, since no frame came")
                 log.warning("restarting the stream")
-                seen_ns, restarted = now_ns, True
+                self._seen_ns, restarted = now_ns, True
                 self._start(daq)
         with contextlib.suppress(DaqGone):
             daq.stop()
@@ -230,8 +239,9 @@ class DaqSource:
             if self._rate_hz != self._settings.rate_hz:
                 daq.set_rate(self._rate_hz)
 
-    def _take(self, frame: DaqFrame, clock: DeviceClock, received_ns: int) -> None:
-        """Number, date, count and queue a frame."""
+    def _take(self, frame: DaqFrame, received_ns: int, *, direct: bool = False) -> Frame | None:
+        """Number, date, count and queue a frame; return it instead if it goes on directly and nothing waits."""
+        clock = self._device_clock
         if self._state != "streaming":
             self._enter_streaming(clock)
         tally = self.tally
@@ -239,15 +249,18 @@ class DaqSource:
         tally.lost += lost
         if frame.withheld:
             tally.withheld[frame.withheld] = tally.withheld.get(frame.withheld, 0) + 1
-            return
+            return None
         t_ns = self._last_t_ns = clock.map(frame.timestamp_us, received_ns)
         if clock.fault != self._clock_fault:
             self._enter_streaming(clock)
         tally.clipped += frame.clipped
         tally.clock_ppm = clock.ppm
         tally.late += clock.delay_ns * self._settings.rate_hz > 1_000_000_000
+        if direct and not self._ring:
+            return Frame(frame.counts, number, t_ns, received_ns)
         self._ring.put(frame.counts, number, t_ns, received_ns)
         tally.behind = self._ring.dropped
+        return None
 
     def _enter_streaming(self, clock: DeviceClock) -> None:
         if clock.fault and clock.fault != self._clock_fault:

@@ -105,7 +105,7 @@ class UsbDaq:
 
     @cached_property
     def _view(self) -> memoryview:
-        return memoryview(self._buffer)
+        return memoryview(self._buffer).toreadonly()
 
     @property
     def corrupt(self) -> int:

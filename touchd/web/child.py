@@ -23,11 +23,16 @@ def command(site: Site, *arguments: str) -> list[str]:
     return [sys.executable, "-c", start, *config, *arguments]
 
 
-@contextlib.asynccontextmanager
-async def started(site: Site, *arguments: str) -> AsyncIterator[asyncio.subprocess.Process]:
+def started(site: Site, *arguments: str) -> contextlib.AbstractAsyncContextManager[asyncio.subprocess.Process]:
     """Run a verb; whatever ends the block ends the process."""
+    return running(command(site, *arguments))
+
+
+@contextlib.asynccontextmanager
+async def running(line: list[str]) -> AsyncIterator[asyncio.subprocess.Process]:
+    """Run a command line; whatever ends the block ends the process."""
     process = await asyncio.create_subprocess_exec(
-        *command(site, *arguments), stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.PIPE,
+        *line, stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.PIPE,
         stderr=asyncio.subprocess.PIPE, env=os.environ | _QUIET, limit=MOST_LINE_BYTES,
     )  # fmt: skip
     try:

@@ -20,17 +20,18 @@ from touchd.client import Subscriber
 from touchd.errors import BusError, BusTimeout
 from touchd.event import Event, HealthEvent, PlateEvent, encode
 
-TOPICS = ("touch", "health", "plate")
+TOPICS = ("touch", "health", "plate", "truth")
 """What every browser gets."""
 ASKED = ("spectrum",)
 """What the daemon makes only while a browser asks for it."""
-PRIVATE = frozenset({"touch", "spectrum"})
+PRIVATE = frozenset({"touch", "spectrum", "truth"})
 """A PIN could be read from these."""
 MOST_CLIENTS = 32
 HISTORY = 300
 """Health messages kept: five minutes."""
 _SPECTRUM_S = 0.1
 _WAIT_S = 0.25
+_PACE_S = 0.012
 
 log = structlog.get_logger()
 
@@ -188,6 +189,8 @@ class Hub:
                     hand(self._take, event)
                 except RuntimeError:  # the loop has ended
                     return
+                if event.type == "touch":
+                    stopped.wait(_PACE_S)  # the next is the newest then: what no screen shows is not handed over
 
     def _take(self, event: Event) -> None:
         """Take an event into the slots of all browsers; runs in the server's loop."""

@@ -18,11 +18,11 @@ from starlette.middleware import Middleware
 
 from touchd.errors import AddressInUse, ConfigError, InsecureBind
 from touchd.service.systemd import Notifier
-from touchd.web import calibrate, check, live, pages
+from touchd.web import calibrate, check, live, pages, replay
 from touchd.web.guards import Guard
 from touchd.web.site import Site
 
-VIEWS: tuple[ModuleType, ...] = (pages, live, calibrate, check)
+VIEWS: tuple[ModuleType, ...] = (pages, live, replay, calibrate, check)
 """Each with `routes(site)`; one with `begin(site)` runs that beside requests."""
 _END_S = 2
 """Open WebSockets may hold up the end for as long."""

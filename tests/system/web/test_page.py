@@ -184,6 +184,23 @@ def test_accessible(browser: Browser, server: Web) -> None:
                 assert found == [], (view, scheme)
 
 
+def test_replay(browser: Browser, tmp_path: Path) -> None:
+    """A recording plays, steps frame by frame, and tells how far each finger is from the truth."""
+    with web(f"ipc://{tmp_path}/bus", "--replay", "touchd/demo/session.npz") as server:
+        with page(browser, server.url) as opened:
+            expect(opened.locator(".clock")).to_have_text("0.000 s")
+            opened.keyboard.press("ArrowRight")
+            expect(opened.locator(".side")).to_contain_text("Frame 2 of 900")
+            expect(opened.locator(".clock")).to_have_text("0.010 s")
+            opened.locator("input[type=range]").fill("114")
+            expect(opened.locator(".fingers .off").last).to_contain_text("mm")
+            opened.get_by_role("button", name="Play").click()
+            expect(opened.locator(".side")).not_to_contain_text("Frame 115 of 900")
+            opened.get_by_role("button", name="Pause").click()
+        with page(browser, server.base + "#replay") as stranger:  # a recording can tell a PIN
+            assert stranger.evaluate("fetch('replay').then(answer => answer.status)") == 401
+
+
 @pytest.mark.parametrize("source", ["replay", "twin"])
 def test_daemon(browser: Browser, tmp_path: Path, source: str) -> None:
     """A real daemon's finger reaches the page: of a recording, and of the twin live."""

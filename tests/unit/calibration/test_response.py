@@ -26,7 +26,7 @@ DISCS = Discs(PLACES_MM * 1e-3, 3e-3, MASS_KG / GLASS.rho_kg_m3, STIFFNESS_N_M /
 
 @pytest.fixture(scope="module")
 def plate() -> ReducedPlate:
-    return ReducedPlate(PLATE)
+    return ReducedPlate(PLATE, 100e3)
 
 
 def near(plate: ReducedPlate) -> Shape:

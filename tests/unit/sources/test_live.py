@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import threading
 import time
+from collections.abc import Callable, Iterator
 
 import numpy as np
+import pytest
 
 from tests.processes import PATIENCE_S
 from touchd.config.schema import DeviceSettings
+from touchd.errors import ReaderFailed
 from touchd.frame import Acquisition
 from touchd.recording.data import Device
 from touchd.sources.daq import DaqFrame, DaqGone
-from touchd.sources.live import DaqSource, Waits
+from touchd.sources.live import DaqSource
 from touchd.sources.source import Change
+from touchd.sources.waits import Waits
 
 ACQUISITION = Acquisition(channels=2, samples=30, sample_rate_hz=250e3)
 AT_ONCE = Waits(read_s=0.01, retry_s=1e-6, max_retry_s=1e-6)
@@ -101,3 +106,118 @@ def test_a_wrong_clock_is_named() -> None:
     assert "runs at 0.001 times the right rate" in changes[-1].reason
     assert frame is not None
     assert frame.t_ns == frame.received_ns - 120_000
+
+
+class Steady(Stubborn):
+    """A device that sends frames until it fails, and keeps which thread read each."""
+
+    def __init__(self) -> None:
+        super().__init__(failures=0)
+        self.readers: list[str] = []
+        self.fails: Exception | None = None
+        self.silent = False
+
+    def read(self, timeout_s: float) -> DaqFrame | None:
+        self.readers.append(threading.current_thread().name)
+        if self.silent:
+            time.sleep(timeout_s)
+            return None
+        if self.fails is not None:
+            raise self.fails
+        time.sleep(0.001)
+        self._sequence += 1
+        counts = np.full(ACQUISITION.shape, self._sequence, np.int16)
+        return DaqFrame(counts, self._sequence, 1000 * self._sequence)
+
+
+class Reading:
+    """A source on a steady device, read until something is so."""
+
+    def __init__(self, **settings: float) -> None:
+        self.daq = Steady()
+        chosen = DeviceSettings.model_validate({"stall_s": 0.05, **settings})
+        self.opened = 0
+        self.source = DaqSource(lambda: iter([self.open]), chosen, ACQUISITION, lambda _: None, waits=AT_ONCE)
+        self.numbers: list[int] = []
+        self.states: list[str] = []
+
+    def open(self) -> Steady:
+        self.opened += 1
+        return self.daq
+
+    def until(self, done: Callable[[], bool]) -> None:
+        end_s = time.monotonic() + PATIENCE_S
+        while not done():
+            assert time.monotonic() < end_s, (self.states, len(self.numbers))
+            frame = self.source.read(0.05)
+            if frame is not None:
+                assert (frame.counts == frame.sequence).all()
+                self.numbers.append(frame.sequence)
+            self.states += [change.state for change in self.source.changes()]
+
+    def until_direct(self) -> None:
+        """Until the reading thread reads the device itself."""
+        mine, count = threading.current_thread().name, len(self.daq.readers)
+        self.until(lambda: self.daq.readers[count:].count(mine) > 20)
+
+
+@pytest.fixture
+def reading() -> Iterator[Callable[..., Reading]]:
+    made: list[Reading] = []
+
+    def make(**settings: float) -> Reading:
+        made.append(Reading(**settings))
+        return made[-1]
+
+    yield make
+    for one in made:
+        one.source.close()
+        assert one.daq.closed == one.opened
+
+
+def test_one_thread(reading: Callable[..., Reading]) -> None:
+    """Once frames come steadily, the thread that wants them reads the device: each wakes one thread."""
+    one = reading()
+    one.until_direct()
+    assert one.numbers == list(range(1, len(one.numbers) + 1)), "none is lost where the threads change"
+    assert set(one.daq.readers[-20:]) == {threading.current_thread().name}
+
+
+def test_high_rate(reading: Callable[..., Reading]) -> None:
+    """At high rates a thread reads on while a frame is processed."""
+    one = reading(rate_hz=500)
+    one.until(lambda: len(one.numbers) > 50)
+    assert set(one.daq.readers) == {"touchd-daq"}
+
+
+def test_unplugged_while_lent(reading: Callable[..., Reading]) -> None:
+    """A device that goes while the other thread reads it is lost, and read again once it is back."""
+    one = reading()
+    one.until_direct()
+    one.daq.fails = DaqGone("it is gone")
+    one.until(lambda: "lost" in one.states)
+    one.daq.fails = None
+    one.until_direct()
+    assert one.states == ["streaming", "lost", "streaming"]
+
+
+def test_silent_while_lent(reading: Callable[..., Reading]) -> None:
+    """A device that falls silent while the other thread reads it has stalled, and is restarted."""
+    one = reading()
+    one.until_direct()
+    one.daq.silent = True
+    one.until(lambda: "stalled" in one.states)
+    one.until(lambda: one.daq.starts == 2)
+    one.daq.silent = False
+    one.until_direct()
+    assert one.states == ["streaming", "stalled", "streaming"]
+    assert one.numbers == list(range(1, len(one.numbers) + 1))
+
+
+def test_failure_while_lent(reading: Callable[..., Reading]) -> None:
+    """An error that nobody expects comes out of `read`."""
+    one = reading()
+    one.until_direct()
+    one.daq.fails = ZeroDivisionError("as never expected")
+    with pytest.raises(ReaderFailed, match="as never expected"):
+        one.until(lambda: False)

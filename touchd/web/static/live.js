@@ -25,6 +25,10 @@ export function mount(root, page) {
       plate.setContacts(message.contacts);
       for (const panel of panels) panel.touch?.(message);
     }),
+    feed.on('truth', message => {
+      plate.setTruth(message);
+      for (const panel of panels) panel.truth?.(message);
+    }),
     feed.on('history', message => { for (const health of message.health) for (const panel of panels) panel.past?.(health); }),
     feed.on('health', message => {
       for (const panel of panels) panel.health?.(message);

@@ -5,9 +5,10 @@ import { texts } from './texts.js';
 import * as calibrate from './calibrate.js';
 import * as check from './check.js';
 import * as live from './live.js';
+import * as replay from './replay.js';
 
 // Each has `mount(root, page)`, which returns what ends it.
-const VIEWS = { live, calibrate, check };
+const VIEWS = { live, replay, calibrate, check };
 const TOKEN = '#token=';
 
 const views = document.getElementById('views'), root = document.getElementById('view');
@@ -29,6 +30,7 @@ async function start() {
   page.feed.on('hello', hello => {
     Object.assign(page, { hello, acts: hello.acts });
     list();
+    if (hello.replay && !location.hash) location.hash = '#replay';
   });
   for (const type of ['health', 'plate']) page.feed.on(type, message => say(document.getElementById('device'), message.device));
   addEventListener('hashchange', show);

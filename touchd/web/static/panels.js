@@ -17,28 +17,51 @@ export class Fingers {
     this.body = element('tbody');
     this.none = element('p', { class: 'muted' }, texts.fingers.none);
     this.table = element('table', { hidden: true },
-      element('thead', {}, element('tr', {}, ...columns.slice(0, 5).map(name => element('th', { scope: 'col' }, name)))), this.body);
+      element('thead', {}, element('tr', {}, ...columns.map((name, n) => element('th', { scope: 'col', class: n === 5 ? 'off' : null }, name)))), this.body);
+    this.table.classList.add('untrue');
     this.root = panel('fingers', texts.fingers.title, this.none, this.table);
     this.drawn = 0;
+    this.truths = new Map(); // frame -> places
   }
 
-  touch({ contacts }) {
+  // Of the same frame alone: a finger moves millimetres from one to the next.
+  truth({ frame, contacts_mm }) {
+    this.truths.set(frame, contacts_mm);
+    if (this.truths.size > 16) this.truths.delete(this.truths.keys().next().value);
+    this.table.classList.remove('untrue');
+    if (this.shown?.frame === frame) this.compare(this.shown);
+  }
+
+  compare({ frame, contacts }) {
+    const places = this.truths.get(frame);
+    if (!places?.length) return;
+    contacts.filter(c => c.phase !== 'up').forEach((c, n) => {
+      const off = Math.min(...places.map(([x, y]) => Math.hypot(x - c.x_mm, y - c.y_mm)));
+      const cell = this.body.children[n]?.children[5];
+      if (cell) say(cell, `${number(off, 2)} ${this.texts.units.mm}`);
+    });
+  }
+
+  touch(message) {
+    const { contacts } = message;
     const now = performance.now(), down = contacts.filter(c => c.phase !== 'up');
-    if (now - this.drawn < CHART_MS && down.length === this.body.childElementCount) return; // nobody reads faster
+    if (!message.now && now - this.drawn < CHART_MS && down.length === this.body.childElementCount) return; // nobody reads faster
     this.drawn = now;
     this.none.hidden = down.length > 0;
     this.table.hidden = down.length === 0;
     while (this.body.childElementCount > down.length) this.body.lastChild.remove();
     while (this.body.childElementCount < down.length)
-      this.body.append(element('tr', {}, element('th', { scope: 'row' }), ...Array.from({ length: 4 }, () => element('td'))));
+      this.body.append(element('tr', {}, element('th', { scope: 'row' }), ...Array.from({ length: 5 }, (_, n) => element('td', { class: n === 4 ? 'off' : null }))));
     down.forEach((c, n) => this.fill(this.body.children[n].children, c));
+    this.shown = message;
+    this.compare(message);
   }
 
   fill([id, place, sigma, force, kind], c) {
     const { units, fingers } = this.texts;
     say(id, `${c.id}`);
     id.className = `ink-${c.id % 5}`;
-    say(place, `${number(c.x_mm, 1)}, ${number(c.y_mm, 1)} ${units.mm}`);
+    say(place, `${number(c.x_mm, 1)}, ${number(c.y_mm, 1)}`);
     say(sigma, `± ${number(c.sigma_mm, 2)} ${units.mm}`);
     say(force, `${number(100 * c.force)} ${units.percent}`);
     say(kind, `${c.key ? `${c.key} · ` : ''}${fingers.kinds[c.kind] ?? c.kind ?? fingers.unknown}`);
@@ -114,6 +137,7 @@ export class Budget {
     for (const [name, n] of grown) {
       const { piece, item, value } = this.parts[name];
       piece.style.flexGrow = n;
+      piece.hidden = n === 0;
       item.hidden = n === 0;
       say(value, this.texts.budget.per_second(Math.round(n / passed_s)));
     }

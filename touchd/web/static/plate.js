@@ -57,6 +57,13 @@ export class PlateView {
     this.draw();
   }
 
+  // Where the fingers really are: [[x, y], ...], mm.
+  setTruth({ contacts_mm, frame }) {
+    this.truth = contacts_mm;
+    this.truthFrame = frame;
+    this.draw();
+  }
+
   clear() {
     this.contacts = [];
     this.truth = [];
@@ -92,9 +99,9 @@ export class PlateView {
       return;
     }
     const { width_mm: w, height_mm: h } = this.plate;
-    const scale = Math.min((wide - RULER_PX - 12) / w, (high - RULER_PX - 12) / h);
+    const scale = Math.min((wide - RULER_PX - 20) / w, (high - RULER_PX - 12) / h);
     this.scale = scale;
-    this.left = (wide - RULER_PX - w * scale) / 2 + RULER_PX;
+    this.left = (wide - RULER_PX - 12 - w * scale) / 2 + RULER_PX;
     this.top = (high - RULER_PX - h * scale) / 2 + RULER_PX;
     this.paintPane(w, h);
     this.paintKeys();
@@ -241,7 +248,7 @@ export class PlateView {
     const g = this.graphics;
     g.strokeStyle = colour('truth');
     g.lineWidth = 2;
-    for (const { x_mm, y_mm } of this.truth) {
+    for (const [x_mm, y_mm] of this.truth) {
       const x = this.x(x_mm), y = this.y(y_mm);
       g.beginPath();
       g.moveTo(x - 7, y - 7);

@@ -33,7 +33,7 @@ export const texts = {
   fingers: {
     title: 'Fingers',
     none: 'No finger on the plate.',
-    columns: ['No.', 'Position', 'Std. error', 'Force', 'Kind', 'Off truth'],
+    columns: ['No.', 'Position, mm', 'Std. error', 'Force', 'Kind', 'Off truth'],
     kinds: { finger: 'finger', thumb: 'thumb', glove: 'glove', palm: 'palm', water: 'water', object: 'object' },
     unknown: '–',
   },
@@ -64,6 +64,20 @@ export const texts = {
   },
   footer: (version, model, source) => `touchd ${version} · model ${model || '–'} · source ${source || '–'}`,
   age: ms => `data ${ms} ms old`,
+
+  replay: {
+    title: 'Recording',
+    busy: n => `Running the recording through the pipeline: ${n} frames`,
+    play: 'Play', pause: 'Pause', back: 'One frame back', on: 'One frame on', speed: 'Speed',
+    line: 'Time in the recording',
+    frame: (n, all, number) => `Frame ${n} of ${all}, number ${number}`,
+    keys: 'Space plays, the arrows step.',
+    outcomes: {
+      repeated: 'repeated', stuck: 'stuck', learning: 'learning the plate', screen_off: 'screen off', untouched: 'untouched',
+      touched: 'touched', faint: 'faint', still: 'still', tracked: 'followed', inferred: 'network', uncalibrated: 'no model',
+    },
+    failed: 'The recording cannot be shown.',
+  },
 
   calibrate: {
     no_wizard: ['No wizard', 'touchd wizard does not answer. systemctl start touchd-wizard'],
