@@ -112,7 +112,7 @@ def make_physical_atlas(
         origin_mm=(float(x.nodes_mm[0]), float(y.nodes_mm[0])), low_mm=(0.0, 0.0),
         high_mm=(plate.width_mm, plate.height_mm), data_sha256=data_sha256, command=command,
         wavenumber_rad_m=tuple(wavenumber_rad_m.round(3).tolist()),
-        weights=tuple(weight.round(6).tolist()) if a.is_whole_period else (),
+        weights=tuple(weight.round(6).tolist()) if weight.min() < 1 else (),
     )  # fmt: skip
     plain = Atlas(
         description, np.ascontiguousarray(coefficients, np.float32), fit.measured.astype(np.float32),

@@ -55,7 +55,7 @@ class PhysicalField:
 
     def __init__(self, fit: PlateFit) -> None:
         a = self.acquisition = fit.acquisition
-        self.reference = LIGHT_FINGER if a.is_whole_period else TIP
+        self.reference = LIGHT_FINGER if a.chirp.period_s is not None else TIP
         self._size_mm = np.array([fit.plate.width_mm, fit.plate.height_mm])
         record = Record(a)
         nu = record.nu_rad_s

@@ -46,6 +46,13 @@ def _acquisition(_ctx: click.Context, _param: click.Parameter, value: str) -> Ac
         raise click.BadParameter("a name, or numbers such as 192000:768:20000-85000:0.004:0.004") from None
 
 
+acquisition_option = click.option(
+    "--acquisition", default="usb", show_default=True, callback=_acquisition, metavar="NAME",
+    help=f"{', '.join(ACQUISITIONS)}, or RATE_HZ:SAMPLES:START_HZ-STOP_HZ:CHIRP_S[:PERIOD_S]; with a period the plate "
+    "rings from one chirp to the next.",
+)  # fmt: skip
+
+
 @click.command(
     epilog=f"\b\nScenes:\n  {TOUCHES:13} a robot's training set: an untouched frame before each touch\n{_SCENE_LINES}"
 )
@@ -88,15 +95,7 @@ def _acquisition(_ctx: click.Context, _param: click.Parameter, value: str) -> Ac
 @click.option(
     "--label-noise-mm", default=0.0, show_default=True, help="Touches: standard deviation of the labels, per axis."
 )
-@click.option(
-    "--acquisition",
-    default="usb",
-    show_default=True,
-    callback=_acquisition,
-    metavar="NAME",
-    help=f"{', '.join(ACQUISITIONS)}, or RATE_HZ:SAMPLES:START_HZ-STOP_HZ:CHIRP_S[:PERIOD_S]; with a period the plate "
-    "rings from one chirp to the next.",
-)
+@acquisition_option
 @click.option("--tail", is_flag=True, help="Include the ringing of earlier chirps.")
 @click.option("--jobs", type=click.IntRange(min=1), metavar="N", help="Processes for touches.  [default: all cores]")
 @click.option("--dask", metavar="ADDRESS", help="Compute touches on the Dask cluster of this scheduler.")

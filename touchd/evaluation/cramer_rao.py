@@ -89,7 +89,7 @@ def atlas_field(atlas: Atlas, position_mm: Floats) -> TouchField:
     nodes = atlas.coefficients.astype(np.float64)
     values = [map_coordinates(nodes[..., i], at, order=3, prefilter=False, mode="mirror") for i in range(atlas.size)]
     bins = complex_bins(np.stack(values, axis=-1), d.acquisition.channels) / d.bin_weights
-    return _with_slopes(bins, np.array(d.bins))
+    return _with_slopes(np.asarray(bins, np.complex128), np.array(d.bins))
 
 
 def _with_slopes(values: Complex, bins: NDArray[np.int64]) -> TouchField:

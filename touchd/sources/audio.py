@@ -47,12 +47,13 @@ _SILENT = 1e-4  # of the loudest channel's energy
 log = structlog.get_logger()
 
 
-def acquisition_of(settings: AudioSettings) -> Acquisition:
-    """Return the geometry of an audio interface's frames."""
+def acquisition_of(settings: AudioSettings, frame_rate_hz: int) -> Acquisition:
+    """Return the geometry of an audio interface's frames: of chirps that follow each other, while earlier ones ring."""
     rate_hz = settings.sample_rate_hz
     chirp = Chirp(
-        start_hz=settings.band_hz[0], stop_hz=settings.band_hz[1], duration_s=settings.chirp_s, dac_rate_hz=rate_hz
-    )
+        start_hz=settings.band_hz[0], stop_hz=settings.band_hz[1], duration_s=settings.chirp_s, dac_rate_hz=rate_hz,
+        period_s=period_of(rate_hz, frame_rate_hz) / rate_hz,
+    )  # fmt: skip
     return Acquisition(
         channels=len(settings.channels), samples=round(settings.chirp_s * rate_hz), sample_rate_hz=rate_hz,
         full_scale_v=1.0, chirp=chirp,
@@ -265,7 +266,7 @@ def open_audio(
     audio, device = settings.audio, settings.device
     if not name:
         raise ConfigError("is not set", "audio.device", "name a card: --audio hw:CARD=NAME; arecord -L lists them")
-    acquisition = acquisition_of(audio)
+    acquisition = acquisition_of(audio, device.rate_hz)
     if model is not None:
         model.check(acquisition)
     period = period_of(acquisition.sample_rate_hz, device.rate_hz)

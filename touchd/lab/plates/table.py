@@ -7,6 +7,7 @@ import json
 import sys
 import tempfile
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -33,8 +34,11 @@ def calibrate(made: Made, seed: int = 0) -> Fitted:
     return fit_recording(recording, made.said)
 
 
-def errors_mm(made: Made, fitted: Fitted, finger: str, touches: int, seed: int) -> NDArray[np.float64]:
-    """Place single touches all over the plate with the daemon's localizer; inf where none is found, shape (n,)."""
+def errors_mm(made: Made, fitted: Fitted, finger: str, touches: int, seed: int) -> tuple[NDArray[np.float64], float]:
+    """Place single touches all over the plate with the daemon's localizer.
+
+    Return the errors, inf where none is found, shape (n,), and the share of frames in which one finger was found.
+    """
     recording = simulate_touches(
         touches, seed=seed + 1, instrument=made.instrument, electronics=made.electronics, finger=finger
     )
@@ -42,13 +46,14 @@ def errors_mm(made: Made, fitted: Fitted, finger: str, touches: int, seed: int) 
         model = make_model(fitted, Path(folder) / "plate.onnx").model
         frames = touched_frames(recording)
         seen = see(find_with(model, model.atlas, frames), frames)
-    return np.array([
+    error_mm = np.array([
         min((np.hypot(t.x_mm - x, t.y_mm - y) for t in each.found), default=np.inf)
         for each in seen for x, y in each.true_mm
     ])  # fmt: skip
+    return error_mm, float(np.mean([len(each.found) == 1 for each in seen]))
 
 
-def row(name: str, touches: int, seed: int = 0) -> dict[str, Any]:
+def row(name: str, touches: int, seed: int = 0, fingers: Sequence[str] = FINGERS) -> dict[str, Any]:
     """Return one plate's row of the table; without touches only the fit."""
     made = make(name, seed)
     started_s = time.process_time()
@@ -64,11 +69,11 @@ def row(name: str, touches: int, seed: int = 0) -> dict[str, Any]:
         "discs_mm": float(np.sqrt(np.mean((found / scale - true) ** 2))), "scale": scale - 1,
         "fit_s": time.process_time() - started_s, "reasons": fit.reasons,
     }  # fmt: skip
-    for finger in FINGERS if touches else ():
-        error_mm = errors_mm(made, fitted, finger, touches, seed)
+    for finger in fingers if touches else ():
+        error_mm, count_right = errors_mm(made, fitted, finger, touches, seed)
         result[finger] = {
             "median": float(np.median(error_mm)), "p95": float(np.quantile(error_mm, 0.95, method="higher")),
-            "within_1": float(np.mean(error_mm < 1)),
+            "within_1": float(np.mean(error_mm < 1)), "count_right": count_right,
         }  # fmt: skip
     return result
 
@@ -79,9 +84,10 @@ def main() -> None:
     parser.add_argument("plates", nargs="*", default=list(CASES), help=", ".join(CASES))
     parser.add_argument("--touches", type=int, default=300)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--fingers", nargs="+", default=FINGERS)
     asked = parser.parse_args()
     for name in asked.plates:
-        sys.stdout.write(json.dumps(row(name, asked.touches, asked.seed)) + "\n")
+        sys.stdout.write(json.dumps(row(name, asked.touches, asked.seed, asked.fingers)) + "\n")
         sys.stdout.flush()
 
 

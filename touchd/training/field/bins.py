@@ -41,7 +41,7 @@ def weights(snr: Floats, acquisition: Acquisition) -> Floats:
         Power of fingers over that of noise.
     acquisition : Acquisition
     """
-    if not acquisition.is_whole_period:
+    if acquisition.chirp.period_s is None:
         return np.ones(len(snr))
     found = 1 / np.sqrt(1 + FIELD_ERROR * snr)
     return np.asarray(found / found.max())
