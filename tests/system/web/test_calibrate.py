@@ -80,9 +80,12 @@ class Rig:
 
 def tap(opened: Page, ms: int = 600, x: float = 0.0) -> None:
     """Press the ring, or a place `x` CSS pixels beside it."""
-    box = opened.locator("circle.target").first.bounding_box()
-    assert box is not None
-    opened.mouse.move(box["x"] + box["width"] / 2 + x, box["y"] + box["height"] / 2)
+    opened.locator("circle.target").first.scroll_into_view_if_needed()
+    middle = opened.evaluate(
+        "() => { const r = document.querySelector('circle.target').getBoundingClientRect();"
+        " return [r.x + r.width / 2, r.y + r.height / 2]; }"
+    )
+    opened.mouse.move(middle[0] + x, middle[1])
     opened.mouse.down()
     opened.wait_for_timeout(ms)
     opened.mouse.up()

@@ -10,9 +10,13 @@ function shape(name, attributes, text) {
 
 export function drawing(label) {
   const root = shape('svg', { class: 'plate-drawing', role: 'img', 'aria-label': label });
+  let shown = '';
 
   // Draws the plate; taps as dots, the target as a ring.
   function show({ plate, discs }, taps = [], target = null, last = null) {
+    const key = JSON.stringify([plate, discs, taps, target, last]);
+    if (key === shown) return;
+    shown = key;
     const width = plate.width_mm, height = plate.height_mm;
     if (!(width > 0 && height > 0)) { root.replaceChildren(); return; }
     const large = Math.max(width, height);
