@@ -122,6 +122,21 @@ def follow() -> str:
     return FOLLOW
 
 
+def test_no_wizard(tmp_path: Path, follow: str) -> None:
+    """Without a wizard the page says what to start, and it comes to life as soon as one runs."""
+    assert follow
+    rig = Rig(tmp_path)
+    with rig.serve() as server, chromium() as browser, page(browser, server.url) as opened:
+        expect(opened.locator("#views a")).not_to_have_count(0)
+        opened.locator("#views a", has_text="Calibrate").click()
+        expect(opened.get_by_role("alert")).to_contain_text("systemctl start touchd-wizard")
+        with rig.wizard():
+            expect(opened.get_by_role("button", name="Save the measures")).to_be_visible()
+            expect(opened.get_by_role("alert")).to_be_hidden()
+            opened.screenshot(path=tmp_path / "measures.png", full_page=True)
+        expect(opened.get_by_role("alert")).to_be_visible()
+
+
 def test_whole_wizard(tmp_path: Path, follow: str) -> None:
     """From measures to a model in use and taps; each process is killed on the way, and all goes on."""
     rig = Rig(tmp_path)

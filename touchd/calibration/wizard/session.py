@@ -81,6 +81,7 @@ class Session:
         if chunks:
             chunks[-1].unlink()
             self._state.set(taps=self._state["taps"][:-1], last=None)
+            self._state.set(told=self.told())
 
     def told(self) -> dict[str, Any] | None:
         """Return how the taps scatter, and whether the drawing is turned; None of too few."""

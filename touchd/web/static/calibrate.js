@@ -99,7 +99,7 @@ export function mount(root, page) {
       element('div', { class: 'pictures' }, ...pictures));
   }
 
-  function showTaps({ running, plate, taps, last, told: known, target_mm: target }) {
+  function showTaps({ running, plate, taps, last, note, told: known, target_mm: target }) {
     const tapping = running === 'taps';
     tap.hidden = tapping;
     say(tap, taps.length ? t.taps.resume : t.taps.start);
@@ -109,7 +109,7 @@ export function mount(root, page) {
     if (plate) pane.show(plate, taps, tapping ? target : null, last);
     tapped.dataset.level = last ? (last.ok ? 'ok' : 'failure') : '';
     const result = last ? (last.ok ? `✓ ${t.taps.good}` : `✕ ${t.taps.reasons[last.reason]}`) : '';
-    say(tapped, [t.taps.count(taps.length), result, tapping && !last ? t.taps.waiting : ''].filter(Boolean).join(' · '));
+    say(tapped, [t.taps.count(taps.length), result, tapping && note ? note : tapping && !last ? t.taps.waiting : ''].filter(Boolean).join(' · '));
     say(told, known ? [t.taps.scatter(number(known.scatter_mm, 1)), known.orientation && t.taps.turned(known.orientation)].filter(Boolean).join(' ') : '');
   }
 
