@@ -115,7 +115,7 @@ class Detector:
         self._stuck_channels = self._stuck.channels
         self._notify = notify
         self._pace = Pace()
-        self._hear_every = _HEAR_NS // USUAL_NS  # frames
+        self._set_pace()
         self._learning = True
         self._signal_energy = 1.0
         self.sequence = _NO_FRAME
@@ -145,10 +145,8 @@ class Detector:
             if lost < 0:
                 self.miss(frame.t_ns, "the DAQ's frame number stands still or runs back")
                 return self._without_measurement(Outcome.REPEATED, frame, 0)
-        pace, step_ns = self._pace, frame.t_ns - self._last_ns
-        if (pace.doubtful or not pace.low_ns < step_ns < pace.high_ns) and not lost and pace.update(step_ns):
-            self.gate.set_period(pace.period_ns)
-            self._hear_every = max(1, round(_HEAR_NS / pace.period_ns))
+        if not self._step_from_ns < frame.t_ns - self._last_ns < self._step_to_ns and not lost:
+            self._follow_pace(frame.t_ns - self._last_ns)
         self.sequence, self._last_ns = frame.sequence, frame.t_ns
         baseline, stuck = self._baseline, self._stuck
         if stuck.repeats(frame.counts, baseline.signal):
@@ -180,7 +178,7 @@ class Detector:
                 outcome = _UNTOUCHED
         return Detection(
             outcome, frame.t_ns, energy, gate.noise_root, gate.noise_deviation, baseline.signal, baseline.residual,
-            baseline.mean, self._live, changed, None, lost, pace.period_ns, hits,
+            baseline.mean, self._live, changed, None, lost, self._period_ns, hits,
         )  # fmt: skip
 
     def adapt(self, detection: Detection, found: bool, departure: bool, alive: bool, moved: bool = False) -> None:
@@ -242,6 +240,19 @@ class Detector:
         if channels:
             return f"the DAQ repeats what it heard on channels {channels}"
         return "the signal changes and no finger explains it: interference or water" if self._relearn.restless else None
+
+    def _follow_pace(self, step_ns: int) -> None:
+        """Take a step from frame to frame that is not the usual one, or comes after such a one."""
+        if self._pace.update(step_ns):
+            self.gate.set_period(self._pace.period_ns)
+        self._set_pace()
+
+    def _set_pace(self) -> None:
+        """Take the usual step from frame to frame; in doubt none is."""
+        pace = self._pace
+        self._period_ns = pace.period_ns
+        self._hear_every = max(1, round(_HEAR_NS / pace.period_ns))  # frames
+        self._step_from_ns, self._step_to_ns = (0.0, 0.0) if pace.doubtful else (pace.low_ns, pace.high_ns)
 
     def _number(self, frame: Frame) -> int:
         """Return how many frames are missing before a frame; -1 for one whose number is not new."""

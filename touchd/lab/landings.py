@@ -19,6 +19,7 @@ from touchd.frame import Frame
 from touchd.outcome import Outcome
 from touchd.service.daemon import make_pipeline
 from touchd.service.messages import Messages, all_but_spectra
+from touchd.service.runner import frames_of
 from touchd.sources.source import EndOfStream
 from touchd.twin.electronics import Electronics
 from touchd.twin.instrument import REFERENCE_C, Instrument
@@ -78,11 +79,8 @@ def landings(count: int, rate_hz: float, idle_hz: float, seed: int, settings: Se
     length_s = source.acquisition.samples / source.acquisition.sample_rate_hz
     seen: dict[str, list[float]] = {"gate": [], "found": [], "down": []}
     busy_s = 0.0
-    while True:
-        try:
-            frame = source.read(0.0)
-        except EndOfStream:
-            break
+    for frame in frames_of(source):
+        assert frame is not None  # they are always there
         result = pipeline.process(frame)
         at_s = frame.t_ns * 1e-9 + length_s
         if result.outcome is not Outcome.UNTOUCHED:

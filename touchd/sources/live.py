@@ -131,11 +131,11 @@ class DaqSource:
         """
         if self._closing.is_set():
             raise EndOfStream
-        lent = self._lending.lent
-        if lent is None or self._ring:
-            frame = self._ring.take(timeout_s)
+        lent, ring = self._lending.lent, self._ring
+        if lent is None or ring.waiting:
+            frame = ring.take(timeout_s)
             lent = self._lending.lent
-            if frame is not None or lent is None or self._ring:
+            if frame is not None or lent is None or ring.waiting:
                 return self._checked(frame)
         wait_s = max(timeout_s, _STALL_FRAMES / self._rate_hz)  # a loan does not end between two frames
         found = self._lending.read(wait_s)
@@ -275,7 +275,7 @@ class DaqSource:
         tally.clipped += frame.clipped
         tally.clock_ppm = clock.ppm
         tally.late += clock.delay_ns * self._settings.rate_hz > 1_000_000_000
-        if direct and not self._ring:
+        if direct and not self._ring.waiting:
             return Frame(frame.counts, number, t_ns, received_ns)
         self._ring.put(frame.counts, number, t_ns, received_ns)
         tally.behind = self._ring.dropped
