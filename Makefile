@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: setup demo test unit lint bench soak ghosts hostile golden docs lock packages test-packages deb vm-packages vm-test clean
+.PHONY: setup demo test unit lint bench soak ghosts hostile golden docs lock packages test-packages deb vm-packages vm-test kiosk-test clean
 
 setup: .venv/.ready
 
@@ -19,6 +19,7 @@ packages:
 test-packages:
 	@deploy/debian-packages.sh test
 	@sh docs/examples/install-node-zeromq.sh
+	@sh docs/examples/install-node-zeromq.sh tests/system/web
 
 demo: setup
 	@$(BIN)/touchd demo $(ARGS)
@@ -44,6 +45,10 @@ vm-packages:
 # The package in a virtual machine with the kernel's own USB; the machine is made once and kept in ~/.cache/touchd-vm.
 vm-test: setup test-packages vm-packages
 	$(BIN)/python -m pytest -o faulthandler_timeout=900 tests/system/vm/scenario.py $(ARGS)
+
+# The touch screen under Weston and Xorg, as a page in Chromium hears it; ten minutes, and ten more for a new machine.
+kiosk-test: setup test-packages vm-packages
+	$(BIN)/python -m pytest -s -o faulthandler_timeout=3600 tests/system/kiosk/scenario.py $(ARGS)
 
 lint: setup
 	$(BIN)/ruff check .

@@ -36,9 +36,18 @@ for glibc in $(seq 17 28); do platforms+=(--platform "manylinux_2_${glibc}_$mach
 pip() { "$python" -m pip --quiet --disable-pip-version-check --no-input "$@"; }
 pip wheel --no-deps --no-build-isolation --wheel-dir "$work" .
 wheel=("$work"/touchd-*.whl)
+extras=calibrate,web
+# pyalsaaudio has no wheel: it is compiled here, for this Python on this computer alone.
+if [ "$("$python" -c 'import platform, sys; print(sys.version_info.minor, platform.machine())')" = "$minor $machine" ]; then
+    pip wheel --no-deps --constraint requirements.lock --wheel-dir "$work" pyalsaaudio
+    platforms+=(--platform "linux_$machine" --find-links "$work")
+    extras+=,audio
+else
+    echo "build-deb.sh: without --audio: pyalsaaudio is compiled for this computer's own Python alone" >&2
+fi
 pip install --target "$stage/usr/lib/touchd" --no-compile --only-binary :all: \
     --implementation cp --python-version "3.$minor" "${platforms[@]}" \
-    --constraint requirements.lock --no-warn-conflicts "${wheel[0]}[calibrate]"
+    --constraint requirements.lock --no-warn-conflicts "${wheel[0]}[$extras]"
 # Not needed to run: console scripts, which name this computer's interpreter, tests, and tools to build or convert.
 rm -rf "$stage"/usr/lib/touchd/{bin,share,onnxruntime/{transformers,tools,quantization,datasets},numpy/{distutils,f2py}}
 # Of the extra `calibrate`: interpreters of ONNX graphs, and examples.
@@ -51,7 +60,7 @@ install -D -m 755 deploy/debian/launcher "$stage/usr/bin/touchd"
 
 # --- the service
 install -d "$stage/lib/systemd/system"
-install -m 644 deploy/touchd.service deploy/touchd-input.service deploy/touchd-tuio.service "$stage/lib/systemd/system"
+install -m 644 deploy/touchd{,-input,-tuio,-web}.service "$stage/lib/systemd/system"
 install -D -m 644 deploy/60-touchd.rules "$stage/lib/udev/rules.d/60-touchd.rules"
 install -D -m 644 deploy/sysusers.conf "$stage/usr/lib/sysusers.d/touchd.conf"
 install -D -m 644 deploy/tmpfiles.conf "$stage/usr/lib/tmpfiles.d/touchd.conf"
@@ -61,7 +70,7 @@ install -D -m 644 deploy/touchd.toml "$stage/etc/touchd/touchd.toml"
 doc=$stage/usr/share/doc/touchd
 install -d "$doc/examples" "$stage/usr/share/lintian/overrides"
 install -m 644 docs/*.md "$doc"
-install -m 644 deploy/realtime.conf docs/examples/listen.* docs/examples/pipe_daemon.py "$doc/examples"
+install -m 644 deploy/realtime.conf deploy/audio.conf docs/examples/listen.* docs/examples/pipe_daemon.py "$doc/examples"
 version=$(sed -n 's/^__version__ = "\(.*\)"/\1/p' touchd/__init__.py)
 maintainer=$(sed -n 's/^Maintainer: //p' deploy/debian/control.in)
 gzip -9n > "$doc/changelog.gz" <<CHANGES

@@ -5,12 +5,15 @@
 set -eu
 
 case "${1:-run}" in
-run) wanted="python3-venv" ;;
+# pyalsaaudio is compiled, as it has no wheel.
+run) wanted="python3-venv gcc libc6-dev libasound2-dev python3-dev" ;;
 # umockdev and what it needs: the mocked kernel of tests/system/usb.
 test)
-    wanted="python3-venv gcc libc6-dev libzmq3-dev umockdev gir1.2-umockdev-1.0 python3-gi libusb-1.0-0"
+    wanted="python3-venv gcc libc6-dev libasound2-dev python3-dev libzmq3-dev umockdev gir1.2-umockdev-1.0 python3-gi libusb-1.0-0"
     # What is shipped for the system is checked by the system's own tools.
     wanted="$wanted systemd udev shellcheck python3"
+    # The page in a browser, with letters in it.
+    wanted="$wanted chromium fonts-dejavu-core"
     ;;
 vm) wanted="python3 qemu-system-x86 mmdebstrap busybox-static e2fsprogs kmod cpio" ;;
 *) echo "usage: $0 run|test|vm" >&2; exit 2 ;;
@@ -20,6 +23,11 @@ esac
 if python3 -c 'import ensurepip, venv' 2>/dev/null; then
     # shellcheck disable=SC2086 # a list of words is meant
     wanted=$(printf '%s\n' $wanted | grep -v '^python3-venv$' || true)
+fi
+
+if python3 -c 'import os, sysconfig; os.stat(sysconfig.get_path("include") + "/Python.h")' 2>/dev/null; then
+    # shellcheck disable=SC2086 # a list of words is meant
+    wanted=$(printf '%s\n' $wanted | grep -v '^python3-dev$' || true)
 fi
 
 # The Node.js example runs on any Node; Debian's is only needed where there is none.

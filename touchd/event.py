@@ -125,6 +125,11 @@ class HealthEvent(Struct, gc=False):
     version: str
     v: int = VERSION
     type: Literal["health"] = "health"
+    noise_channels: list[float] = []
+    """`noise` of each channel, from the last untouched frame; empty before there was one."""
+    stretch_ppm: float | msgspec.UnsetType = msgspec.UNSET
+    """How much higher than at the model's training the plate's resonances are, parts per million: -45 a kelvin on
+    glass; absent without a field atlas."""
     clipped: int = 0
     """Frames taken in although the ADC clipped."""
     late: int = 0
@@ -133,6 +138,9 @@ class HealthEvent(Struct, gc=False):
     """How much faster than this computer's the device's clock runs, parts per million; 0 before it is known."""
     unheard: dict[str, int] = {}
     """Messages that were not made because nobody was subscribed, by topic."""
+    model_fit: float | msgspec.UnsetType = msgspec.UNSET
+    """Share of a touch's energy that the model explains, 0..1: median of the last 64 touches; absent before 8 and
+    without a field atlas. Below 0.98 the plate calls for another calibration."""
     reason: str | None = None
     """Why the device is in this state, or what is wrong with its frames, for a person; last, see `encode`."""
 
@@ -151,14 +159,67 @@ class SpectrumEvent(Struct, gc=False):
     type: Literal["spectrum"] = "spectrum"
 
 
-Event = TouchEvent | KeyEvent | HealthEvent | SpectrumEvent
-TOPICS = ("touch", "key", "health", "spectrum")
+class PlateKey(Struct, gc=False):
+    """A key of the keypad: a rectangle, mm."""
+
+    name: str
+    x_mm: float
+    y_mm: float
+    width_mm: float
+    height_mm: float
+
+
+class PlateEvent(Struct, gc=False):
+    """What is measured and with what, to draw it: at the start, and whenever model or keys change."""
+
+    device: str
+    seq: int
+    t_ns: int
+    wall: str
+    width_mm: float
+    """0, as the height, while the plate's size is unknown: uncalibrated."""
+    height_mm: float
+    rate_hz: float
+    """Frames a second."""
+    channels: int
+    samples: int
+    sample_rate_hz: float
+    band_hz: tuple[float, float]
+    """Lowest and highest frequency of the chirp."""
+    source: str
+    """`usb`, `simulated`, `replay`, or what else makes the frames."""
+    emitter_mm: tuple[float, float] | None = None
+    """Where the discs are; None where it is unknown."""
+    receivers_mm: list[tuple[float, float]] = []
+    keys: list[PlateKey] = []
+    """In keypad mode."""
+    v: int = VERSION
+    type: Literal["plate"] = "plate"
+
+
+class TruthEvent(Struct, gc=False):
+    """Where the fingers really are: of a scene or a labelled recording; only while somebody subscribes."""
+
+    device: str
+    seq: int
+    t_ns: int
+    wall: str
+    frame: int
+    contacts_mm: list[tuple[float, float]] = []
+    v: int = VERSION
+    type: Literal["truth"] = "truth"
+
+
+Event = TouchEvent | KeyEvent | HealthEvent | SpectrumEvent | PlateEvent | TruthEvent
+TOPICS = ("touch", "key", "health", "spectrum", "plate", "truth")
 
 _DECODERS: dict[str, msgspec.json.Decoder[Any]] = {
     "touch": msgspec.json.Decoder(TouchEvent),
     "key": msgspec.json.Decoder(KeyEvent),
     "health": msgspec.json.Decoder(HealthEvent),
     "spectrum": msgspec.json.Decoder(SpectrumEvent),
+    "plate": msgspec.json.Decoder(PlateEvent),
+    "truth": msgspec.json.Decoder(TruthEvent),
 }
 _to_json = msgspec.json.Encoder().encode
 

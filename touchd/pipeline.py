@@ -12,6 +12,7 @@ import numpy as np
 from msgspec import Struct
 
 from touchd.config.schema import Settings
+from touchd.detection.baseline import Signal
 from touchd.detection.detector import Detection, Detector, Notify
 from touchd.detection.impulses import Impulses
 from touchd.event import Contact
@@ -72,6 +73,8 @@ class Pipeline:
         if model is not None:
             model.check(acquisition)
         self.model = model
+        self.layout = layout
+        """The keys, in keypad mode."""
         self.counters = Counters()
         self._acquisition = acquisition
         dtype = model.dtype if model else np.float32
@@ -84,6 +87,7 @@ class Pipeline:
         """Whether frames only keep the baseline, since nobody sees what is touched."""
         self._set_unusual()
         self._detection: Detection | None = None
+        self._noise_channels: list[float] = []
 
     def process(self, frame: Frame) -> Result:
         """Take one frame through every stage, and count it, the only place where that is done."""
@@ -137,6 +141,7 @@ class Pipeline:
 
     def configure(self, settings: Settings, layout: Layout | None) -> None:
         """Take other thresholds, time constants and keys from the next frame on; baseline and contacts stay."""
+        self.layout = layout
         self.detector.configure(settings)
         self._localizer.configure(settings, layout)
         self._tracker.configure(settings.tracker)
@@ -153,7 +158,8 @@ class Pipeline:
             The model was made for another acquisition.
         """
         model.check(self._acquisition)
-        self.model, self._localizer = model, make_localizer(model, settings, layout)
+        self.model, self.layout = model, layout
+        self._localizer = make_localizer(model, settings, layout)
         self.detector.reset()
 
     def reset(self) -> None:
@@ -166,6 +172,23 @@ class Pipeline:
         return self._localizer.spectrum(self._detection) if self._detection else []
 
     @property
+    def residual(self) -> Signal:
+        """Return the last frame less its baseline, shape (channels, samples), valid until the next one."""
+        assert self._detection is not None  # after a frame
+        return self._detection.residual
+
+    @property
+    def stretch(self) -> float | None:
+        """Relative rise of the plate's resonances since training; None without a field atlas."""
+        return self._localizer.stretch
+
+    def noise_channels(self) -> list[float]:
+        """Return the RMS of each channel in the last untouched frame against the baseline, ADC counts."""
+        if self._detection is not None and self._detection.outcome is _UNTOUCHED:
+            self._noise_channels = self.detector.noise_channels()
+        return self._noise_channels
+
+    @property
     def touched(self) -> bool:
         """Whether a contact is down."""
         return self._tracker.alive
@@ -174,6 +197,11 @@ class Pipeline:
     def followed_ns(self) -> int:
         """Time of the last frame that moved the baseline."""
         return self.detector.followed_ns
+
+    @property
+    def model_fit(self) -> float | None:
+        """Share of a touch's energy that the model explains, 0..1, median of the last touches; None if unknown."""
+        return self._localizer.model_fit
 
     @property
     def fault(self) -> str | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from touchd.config.schema import Settings
 from touchd.evaluation.replay_scores import StreamScores, score_stream
 from touchd.frame import Acquisition, Frame
+from touchd.localization.model import Model, default_model_path
 from touchd.recording.data import Meta, Recording
 from touchd.service.replay import Replayed, run_through
 from touchd.sources.source import EndOfStream
@@ -60,9 +62,16 @@ class Player:
         self._blocks = iter(())
 
 
+@cache
+def shipped(*, atlas: bool) -> Model:
+    """The shipped network, with its field atlas or alone, loaded once."""
+    return Model(default_model_path(), atlas=atlas)
+
+
 def play(stage: Stage, instrument: Instrument, seed: int = 1, settings: Settings | None = None) -> Replayed:
-    """A stage through the whole pipeline."""
-    return run_through(Player(stage, instrument, seed), settings or Settings())
+    """A stage through the whole pipeline, with the shipped model."""
+    settings = settings or Settings()
+    return run_through(Player(stage, instrument, seed), settings, shipped(atlas=settings.model.atlas))
 
 
 def score(stage: Stage, outcome: Replayed) -> StreamScores:

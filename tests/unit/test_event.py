@@ -140,3 +140,11 @@ def test_anything_else_is_no_event(payload: bytes) -> None:
         decode("touch", payload)
     with pytest.raises(KeyError):
         decode("weather", payload)
+
+
+def test_model_fit() -> None:
+    """Health has `model_fit` once it is known; before, the key is absent."""
+    known = HealthEvent("d", 1, 2, "w", "streaming", 0, 0, 0, {}, 0, Latency(), 0.0, 0.0, "m", "1", model_fit=0.997)
+    assert json.loads(encode(known))["model_fit"] == 0.997
+    assert b"model_fit" not in encode(msgspec.structs.replace(known, model_fit=msgspec.UNSET))
+    assert decode("health", encode(known)) == known

@@ -13,14 +13,14 @@ PACKAGE = Path(__file__).resolve().parents[2] / "touchd"
 FLOORS = (
     ("errors", "files", "frame", "touch", "event", "outcome", "chirp", "keypad", "jobs"),
     ("config", "recording"),
-    ("detection", "tracking", "sinks", "twin"),
+    ("detection", "tracking", "sinks", "twin", "audio"),
     ("localization", "client"),
     ("sources", "pipeline", "bridges"),
     ("service",),
     ("doctor", "gadget"),
     ("evaluation",),
     ("training", "calibration"),
-    ("lab", "cli"),
+    ("lab", "web", "cli"),
 )
 """From the ground up. A room may import from a lower floor, and from a room that stands before it on its own."""
 ONLY = {
@@ -165,7 +165,7 @@ def test_usb_stays_in_its_modules() -> None:
     assert knowing == {"sources.open"}, "which opens the DAQ on USB"
 
 
-HOMES = [("usb", "sources.usb"), ("nidaqmx", "sources.ni"), ("torch", "training")]
+HOMES = [("usb", "sources.usb"), ("nidaqmx", "sources.ni"), ("alsaaudio", "audio.alsa"), ("torch", "training")]
 
 
 @pytest.mark.parametrize(("library", "home"), HOMES)

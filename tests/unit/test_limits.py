@@ -33,11 +33,14 @@ KINDS: dict[str, Callable[[np.random.Generator], np.ndarray]] = {
     "white": lambda rng: rng.integers(-32768, 32768, SHAPE),
 }
 STEPS_NS = (8_000_000, 8_000_000, 8_000_000, 1, 1_000_000_000_000, -5_000_000, 0)
+EXAMPLES = settings.default.max_examples * 2 // 5 if settings.default else 40
+"""Each is hundreds of frames."""
 SEGMENTS = st.lists(st.tuples(st.sampled_from(sorted(KINDS)), st.integers(1, 60)), min_size=1, max_size=6)
 
 
 @pytest.mark.filterwarnings("error")
 @given(SEGMENTS, st.integers(0, 2**32 - 1))
+@settings(max_examples=EXAMPLES)
 def test_any_frames(segments: list[tuple[str, int]], seed: int) -> None:
     """Nothing is raised, nothing is placed, and every frame is counted."""
     rng = np.random.default_rng(seed)
@@ -65,7 +68,7 @@ STREAM = st.lists(
 
 
 @given(STREAM, st.booleans(), st.integers(0, 2**32 - 1))
-@settings(max_examples=12)
+@settings(max_examples=EXAMPLES // 3)
 def test_one_outcome_a_frame(stream: list[tuple[str, int]], skip_gate: bool, seed: int) -> None:
     """Each frame ends in one outcome, and the counters are those outcomes: repeats, gaps, stuck frames, screen off."""
     rng = np.random.default_rng(seed)

@@ -14,6 +14,7 @@ from touchd.calibration.physical_atlas import make_physical_atlas
 from touchd.calibration.plate_file import PlateFile
 from touchd.calibration.plate_fit import PlateFit, Progress, fit_plate
 from touchd.calibration.start_scan import make_graph, make_scan
+from touchd.calibration.taps import Refined, orientation_of, refine, taps_of, turned_fit
 from touchd.calibration.untouched import Untouched, untouched_mean
 from touchd.errors import OutputError
 from touchd.evaluation.dataset import BASELINE_NOISE, digest
@@ -55,6 +56,10 @@ class Calibrated:
     model: Model
     atlas: Atlas
     duration_s: float
+    fitted: Fitted
+    """As taps have turned it."""
+    refined: Refined | None = None
+    """What taps told."""
 
 
 def fit_recording(recording: Recording, said: PlateFile, progress: Progress = lambda _stage, _share: None) -> Fitted:
@@ -66,22 +71,39 @@ def fit_recording(recording: Recording, said: PlateFile, progress: Progress = la
 
 
 def make_model(
-    fitted: Fitted, path: Path, *, command: str = "", progress: Progress = lambda _stage, _share: None
+    fitted: Fitted,
+    path: Path,
+    *,
+    taps: Recording | None = None,
+    command: str = "",
+    progress: Progress = lambda _stage, _share: None,
 ) -> Calibrated:
     """Make the atlas and the scan of a fitted plate, and put both in the place of the model at `path`.
 
-    Nothing is replaced before all files are complete and load; the old model is kept, see `install`.
+    Nothing is replaced before all files are complete and load; the old model is kept, see `install`. `taps`, labelled
+    roughly, settle what the untouched plate cannot tell.
 
     Raises
     ------
+    CalibrationError
+        No tap fits the plate.
     OutputError
         A file cannot be written.
     """
     started_s = time.monotonic()
     sha256 = digest(fitted.recording)
-    atlas = make_physical_atlas(
-        fitted.fit, fitted.noise_counts, data_sha256=sha256, command=command, progress=progress
-    )  # fmt: skip
+
+    def make_atlas(fitted: Fitted) -> Atlas:
+        noise = fitted.noise_counts
+        return make_physical_atlas(fitted.fit, noise, data_sha256=sha256, command=command, progress=progress)
+
+    atlas, refined = make_atlas(fitted), None
+    if taps is not None:
+        orientation = orientation_of(atlas, taps_of(taps, atlas))
+        fitted = replace(fitted, fit=turned_fit(fitted.fit, orientation))
+        atlas = make_atlas(fitted) if orientation else atlas
+        refined = refine(atlas, taps_of(taps, atlas), orientation)
+        atlas = refined.atlas
     description = Description(
         name="calibrated", head="regression", domain="frequency", input="residual",
         acquisition=atlas.description.acquisition, plate=atlas.description.plate, data_sha256=sha256, command=command,
@@ -99,7 +121,7 @@ def make_model(
         raise OutputError(
             f"cannot be written ({error.strerror})", str(path), "check the folder and its space"
         ) from error
-    return Calibrated(model, atlas, time.monotonic() - started_s)
+    return Calibrated(model, atlas, time.monotonic() - started_s, fitted, refined)
 
 
 def expected_error_mm(fitted: Fitted, atlas: Atlas) -> Floats:

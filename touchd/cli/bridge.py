@@ -5,11 +5,16 @@ from __future__ import annotations
 import signal
 from contextlib import closing
 from types import FrameType
+from typing import TYPE_CHECKING
 
 import click
 
 from touchd.bridges.bridge import Output, run
+from touchd.bridges.dark import HoldOff
 from touchd.service.systemd import Notifier
+
+if TYPE_CHECKING:  # a bridge does without pydantic's 20 MB
+    from touchd.config.bridges import InputSettings
 
 bus_option = click.option(
     "--bus", "address", metavar="ADDRESS",
@@ -17,8 +22,10 @@ bus_option = click.option(
 )  # fmt: skip
 
 
-def serve(address: str | None, output: Output, what: str) -> None:
+def serve(address: str | None, settings: InputSettings, output: Output, what: str) -> None:
     """Run a bridge until SIGTERM or SIGINT, and report to the service manager meanwhile."""
+    if settings.hold_off:
+        output = HoldOff(output)
     stopped = False
 
     def stop(_number: int, _frame: FrameType | None) -> None:

@@ -29,7 +29,10 @@ _STEPS = 100
     "--plate", "plate_file", type=click.Path(path_type=Path), required=True, metavar="PLATE.toml",
     help="What you measured of plate and discs.",
 )  # fmt: skip
+@click.option("--taps", "taps_file", type=click.Path(path_type=Path), metavar="RECORDING",
+              help="Taps at roughly known places, contacts_mm: they tell a mirrored or turned drawing.")  # fmt: skip
 @click.option("--ni", is_flag=True, help="Without RECORDING: take frames from NI hardware.")
+@click.option("--audio", metavar="DEVICE", help="Without RECORDING: take frames from an audio interface.")
 @click.option("--simulate", metavar="SCENE", help="Without RECORDING: take frames from a scene of the digital twin.")
 @click.option("--seconds", type=click.FloatRange(1.0), default=10.0, show_default=True, metavar="S",
               help="Without RECORDING: how many seconds of frames to take.")  # fmt: skip
@@ -43,7 +46,9 @@ def command(
     recording: Path | None,
     output: Path,
     plate_file: Path,
+    taps_file: Path | None,
     ni: bool,
+    audio: str | None,
     simulate: str | None,
     seconds: float,
     as_json: bool,
@@ -67,13 +72,14 @@ def command(
     from touchd.training.report.report import PAGE
 
     _check_output(output)
-    if recording is not None and (ni or simulate):
+    if recording is not None and (ni or simulate or audio is not None):
         raise click.UsageError("name a RECORDING or a source, not both")
     said = read_plate_file(plate_file)
+    taps = read(taps_file) if taps_file else None
     if recording is not None:
         frames = read(recording)
     else:
-        choice = SourceChoice(simulate=simulate, speed=float("inf") if simulate else 1.0, ni=ni)
+        choice = SourceChoice(simulate=simulate, speed=float("inf") if simulate else 1.0, ni=ni, audio=audio)
         frames = _take(load(config or (ctx.obj or {}).get("config")), choice, said, seconds)
     given = recording.name if recording else ""
     line = f"touchd calibrate {given} -o {output.name} --plate {plate_file.name}".replace("  ", " ")
@@ -87,9 +93,15 @@ def command(
 
         fitted = fit_recording(frames, said, fitting)
         poor = fitted.fit.verdict == "poor"
-        made = None if poor and not force else make_model(fitted, output, command=line, progress=progress)
+        made = None if poor and not force else make_model(fitted, output, taps=taps, command=line, progress=progress)
+        fitted = made.fitted if made else fitted
     folder = None if no_report else write_calibration_report(fitted, made, output)
     found = _result(fitted, output if made else None, folder)
+    if made and (refined := made.refined):
+        found["taps"] = {
+            "taps": refined.taps, "used": refined.used, "orientation": refined.orientation or "as drawn",
+            "scatter_mm": refined.scatter_mm, "unexplained": refined.unexplained[1],
+        }  # fmt: skip
     click.echo(json.dumps(found) if as_json else _text(found, PAGE))
     if poor:
         what = "the fit is poor" if made else "the fit is poor, no model is written"
@@ -145,6 +157,11 @@ def _text(found: dict[str, Any], page: str) -> str:
             f"  {p['name']:16} {p['said']:10.5g} {p['fitted']:10.5g} {p['standard_error']:9.2g} {p['unit']}{late}"
         )
     lines += [f"  undecided: {what}" for what in found["undecided"]]
+    if taps := found.get("taps"):
+        lines.append(
+            f"{taps['used']} of {taps['taps']} taps fit, and scatter by {taps['scatter_mm']:.1f} mm; the drawing is "
+            f"{taps['orientation']}"
+        )
     if found["model"]:
         lines.append(f"{found['model']}: the model, with its atlas beside it")
     if found["report"]:

@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING
 import click
 
 from touchd.doctor.checks import Finding, Sample
-from touchd.errors import CheckFailed, TouchdError
+from touchd.errors import BusError, CheckFailed, TouchdError
 
 if TYPE_CHECKING:
     from touchd.config.schema import Settings
     from touchd.localization.model import Model
+    from touchd.service.frame_feed import DaemonSource
     from touchd.sources.open import SourceChoice
 
 _COLOURS = {"ok": "green", "warning": "yellow", "failure": "red"}
@@ -25,6 +26,7 @@ _COLOURS = {"ok": "green", "warning": "yellow", "failure": "red"}
 @click.option("--replay", type=click.Path(path_type=Path), help="Check the frames of a recording, not of the DAQ.")
 @click.option("--simulate", metavar="SCENE", help="Check the frames of a twin's scene, not of the DAQ.")
 @click.option("--ni", is_flag=True, help="Check the frames of NI hardware, not of the DAQ on USB.")
+@click.option("--audio", metavar="DEVICE", help="Check the frames of an audio interface.")
 @click.option("--seed", default=0, help="Seed of a simulated scene.", show_default=True)
 @click.option("--seconds", type=click.FloatRange(0.5), default=3.0, show_default=True, metavar="S",
               help="How many seconds of frames to take.")  # fmt: skip
@@ -32,6 +34,7 @@ _COLOURS = {"ok": "green", "warning": "yellow", "failure": "red"}
               help="The training recording, or one of the untouched plate.  "
               "[default: MODEL.untouched.npz beside the model]")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@click.option("--lines", "as_lines", is_flag=True, help="Print one JSON object a line, as each check ends.")
 @click.option("--config", "config", type=click.Path(path_type=Path), help="Configuration file (TOML).")
 @click.pass_context
 def command(
@@ -39,16 +42,18 @@ def command(
     replay: Path | None,
     simulate: str | None,
     ni: bool,
+    audio: str | None,
     seed: int,
     seconds: float,
     reference: Path | None,
     as_json: bool,
+    as_lines: bool,
     config: Path | None,
 ) -> None:
     """Check all that the daemon opens, the DAQ, its frames and the computer; print one line for each check.
 
-    Stop the daemon first: only one program at a time can read the DAQ. Do not touch the plate meanwhile. A warning and
-    a failure name a remedy.
+    A running daemon's frames are checked, by its own user or root; else stop it first: only one program at a time can
+    read the DAQ. Do not touch the plate meanwhile. A warning and a failure name a remedy.
     """
     from touchd.config.load import load
     from touchd.service.log import configure
@@ -56,11 +61,13 @@ def command(
 
     settings = load(config or (ctx.obj or {}).get("config"))
     configure(settings.log.model_copy(update={"level": "error"}))
-    choice = SourceChoice(replay, simulate, float("inf"), seed=seed, ni=ni)
+    choice = SourceChoice(replay, simulate, float("inf"), seed=seed, ni=ni, audio=audio)
     findings = []
     for finding in _examine(settings, choice, seconds, reference):
         findings.append(finding)
-        if not as_json:
+        if as_lines:
+            click.echo(json.dumps(finding._asdict()))  # flushes
+        elif not as_json:
             _print(finding)
     failures = sum(finding.level == "failure" for finding in findings)
     if as_json:
@@ -83,20 +90,26 @@ def _examine(settings: Settings, choice: SourceChoice, seconds: float, reference
     from touchd.doctor import usb as doctorusb
     from touchd.doctor.screen import check_screen
     from touchd.doctor.start import check_start, failure
+    from touchd.service.frame_feed import open_running
 
     yield doctorhost.check_clock()
-    parts, findings = check_start(settings)
+    running = None
+    try:
+        running = open_running(choice, settings)
+    except BusError as error:
+        yield Finding("daemon", "warning", f"{error.where}: {error.what}", error.fix)
+    parts, findings = check_start(settings, running=running is not None)
     yield from findings
     yield from check_screen(settings)
     if any(finding.check in ("model", "keypad") and finding.level == "failure" for finding in findings):
         return
-    if choice.replay is None and choice.simulate is None and not choice.ni:
+    if running is None and choice.kind == "usb":
         device = doctorusb.examine(settings.device)
         yield from device
         if any(finding.level == "failure" for finding in device):
             return
     try:
-        yield from _examine_frames(settings, choice, seconds, reference, parts.model)
+        yield from _examine_frames(settings, choice, seconds, reference, parts.model, running)
     except TouchdError as error:
         yield failure("frames", error)
     except ModuleNotFoundError as error:
@@ -104,14 +117,19 @@ def _examine(settings: Settings, choice: SourceChoice, seconds: float, reference
 
 
 def _examine_frames(
-    settings: Settings, choice: SourceChoice, seconds: float, reference: Path | None, model: Model | None
+    settings: Settings,
+    choice: SourceChoice,
+    seconds: float,
+    reference: Path | None,
+    model: Model | None,
+    running: DaemonSource | None,
 ) -> Iterator[Finding]:
     from touchd.doctor import checks as doctor
     from touchd.doctor import host as doctorhost
     from touchd.service.daemon import make_pipeline
     from touchd.sources.open import open_source
 
-    source = open_source(choice, settings, model)
+    source = running or open_source(choice, settings, model)
     with closing(source):
         rate_hz = doctorhost.expected_rate_hz(source, settings.device)
         if model is not None:

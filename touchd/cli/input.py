@@ -27,8 +27,8 @@ def command(settings: dict[str, Path | None] | None, address: str | None) -> Non
     phys = uinput.phys_of(found.device.name)
     if found.input.keypad:
         keypad = uinput.Device(uinput.KEYPAD_NAME, phys, sorted(set(KEY_CODES.values())))
-        serve(address, Keypad(keypad), "a keypad")
+        serve(address, found.input, Keypad(keypad), "a keypad")
         return
     area = Area(found.input)
     device = uinput.Device(uinput.SCREEN_NAME, phys, (BTN_TOUCH,), uinput.screen_axes(area.size_mm))
-    serve(address, Screen(area, device), f"a touch screen of {area.size_mm[0]:g} x {area.size_mm[1]:g} mm")
+    serve(address, found.input, Screen(area, device), f"a touch screen of {area.size_mm[0]:g} x {area.size_mm[1]:g} mm")

@@ -13,7 +13,7 @@ from pathlib import Path
 import click
 
 from touchd.client import Subscriber
-from touchd.event import TOPICS, Contact, Event, HealthEvent, KeyEvent, TouchEvent, encode
+from touchd.event import TOPICS, Contact, Event, HealthEvent, KeyEvent, PlateEvent, TouchEvent, TruthEvent, encode
 
 
 @click.command(name="listen", short_help="Print the events of a running touchd.")
@@ -111,6 +111,14 @@ def describe(event: Event) -> Iterator[str]:
             f" {event.lost} lost, {event.corrupt} corrupt  until sent p99 {event.latency_us.p99:.0f} us"
             f"  noise {event.noise:.2f}" + (f"  reason: {event.reason}" if event.reason else "")
         )
+    elif isinstance(event, PlateEvent):
+        yield (
+            f"{at} plate {event.width_mm:g} x {event.height_mm:g} mm  {event.rate_hz:g} Hz  {event.channels} channels"
+            f"  {len(event.keys)} keys  source {event.source}"
+        )
+    elif isinstance(event, TruthEvent):
+        places = "  ".join(f"{x_mm:.2f} {y_mm:.2f} mm" for x_mm, y_mm in event.contacts_mm)
+        yield f"{at} frame {event.frame}  truth {places or 'untouched'}"
     else:
         peak = max((abs(value) for value in event.features), default=0.0)
         yield f"{at} frame {event.frame}  {len(event.features)} features  largest {peak:.1f}"

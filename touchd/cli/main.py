@@ -16,8 +16,10 @@ from touchd.cli.source import source_options
 from touchd.errors import ConfigError, MissingExtra, ModelMissing, TouchdError
 
 VERBS = {
+    "audio-check": "Measure an audio interface.",
     "benchmark": "Measure run time, latency and position error.",
     "calibrate": "Make a model of a plate that nobody touches.",
+    "check": "Judge a model on anybody's touches.",
     "config": "Print the effective configuration.",
     "demo": "Replay the shipped recording and summarise it.",
     "doctor": "Check the whole set-up.",
@@ -36,10 +38,11 @@ VERBS = {
     "simulate": "Write a recording made by the digital twin.",
     "train": "Train a model on a labelled recording.",
     "tuio": "Send touches as TUIO 1.1.",
+    "web": "Look at the plate in a browser.",
 }
 EXTRAS = {"torch": "train", "sklearn": "train", "dask": "train", "distributed": "train", "scipy": "calibrate",
           "onnx": "calibrate", "matplotlib": "calibrate", "rich": "calibrate", "jinja2": "calibrate",
-          "nidaqmx": "ni",
+          "nidaqmx": "ni", "alsaaudio": "audio", "starlette": "web", "uvicorn": "web", "websockets": "web",
           }  # fmt: skip
 
 
@@ -54,7 +57,7 @@ class Verbs(click.Group):
         """Return a verb's command, or None for an unknown name."""
         if cmd_name not in VERBS:
             return None
-        command: click.Command = importlib.import_module(f"touchd.cli.{cmd_name}").command
+        command: click.Command = importlib.import_module(f"touchd.cli.{cmd_name.replace('-', '_')}").command
         command.name = cmd_name
         return command
 

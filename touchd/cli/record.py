@@ -77,8 +77,7 @@ def command(
     source = open_running(choice, settings) or open_source(choice, settings)
     with ExitStack() as stack:
         stack.callback(source.close)
-        kind = "simulated" if choice.simulate else "replay" if choice.replay else "ni" if choice.ni else "usb"
-        meta = _meta(source, plate, settings.device.rate_hz, kind, notes)
+        meta = _meta(source, plate, settings.device.rate_hz, choice.kind, notes)
         recorder = Recorder(source, output, meta, chunk_frames=chunk_frames)
         click.echo(f"recording to {output}: it can reveal a PIN, and only you can read it")
         try:

@@ -28,6 +28,7 @@ OPTIONS = (
     click.option("--replay", type=click.Path(path_type=Path), help="Read frames from a recording: a file or a folder."),
     click.option("--simulate", metavar="SCENE", help="Read frames from a scene of the digital twin, live."),
     click.option("--ni", is_flag=True, help="Read frames from NI hardware: see [ni] in the configuration."),
+    click.option("--audio", metavar="DEVICE", help="Read frames from an audio interface: an ALSA name, see [audio]."),
     click.option(
         "--speed", default="1", callback=parse_speed, metavar="N|max", help="Speed of a replay.  [default: 1]"
     ),

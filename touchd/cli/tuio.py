@@ -30,7 +30,7 @@ def command(settings: dict[str, Path | None] | None, to: str | None, address: st
     found = load_apart((settings or {}).get("config"), overrides)
     area = Area(found.input)
     where = destination(found.tuio.to, insecure=found.tuio.insecure)
-    serve(address, Tuio(area, where, found.device.name, time.monotonic_ns()), f"TUIO to {found.tuio.to}")
+    serve(address, found.input, Tuio(area, where, found.device.name, time.monotonic_ns()), f"TUIO to {found.tuio.to}")
 
 
 def destination(to: str, *, insecure: bool) -> tuple[str, int]:

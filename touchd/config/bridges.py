@@ -39,6 +39,10 @@ class InputSettings(Section):
     ignore: tuple[Literal["palm", "water", "object"], ...] = Field(
         ("palm", "water", "object"), description="Kinds of contacts that are no touches."
     )
+    hold_off: bool = Field(
+        False, description="Show no touches while all screens are switched off or their backlights are; a finger that "
+        "comes down then never counts, so it wakes nothing.",
+    )  # fmt: skip
     keypad: bool = Field(
         False, description="Make a keypad that types the keys of `keypad.layout`, instead of a touch screen."
     )

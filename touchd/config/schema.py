@@ -7,10 +7,11 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, Field, ValidationInfo, field_validator
+from pydantic import AfterValidator, Field
 
 from touchd.config.bridges import InputSettings, TuioSettings
 from touchd.config.kinds import LEAST_RATE, Endpoint, Group, OptionalPath, Section, refuse_key
+from touchd.config.rigs import AudioSettings, NiSettings
 
 
 class DeviceSettings(Section):
@@ -34,28 +35,6 @@ class DeviceSettings(Section):
     queue_frames: int = Field(
         64, ge=2, le=10000, description="Most frames that wait while the computer is busy; then the oldest are dropped."
     )
-
-
-class NiSettings(Section):
-    """A rig of NI hardware, which --ni takes instead of a DAQ on USB. Not tried on hardware."""
-
-    inputs: str = Field("cDAQ1Mod1/ai0:3", description="Analog inputs, one for each receiver.", min_length=1)
-    output: str = Field("cDAQ1Mod2/ao0", description="Analog output that plays the chirp.", min_length=1)
-    trigger: str = Field(
-        "", description="Terminal that starts the inputs; empty is the start trigger of the output's chassis."
-    )
-    amplitude_v: float = Field(5.0, gt=0, le=10, description="Amplitude of the chirp, V.")
-    output_limit_v: float = Field(
-        10.0, gt=0, le=100, description="Highest voltage of the output, V, not below `amplitude_v`."
-    )
-
-    @field_validator("output_limit_v")
-    @classmethod
-    def _admits_the_amplitude(cls, limit_v: float, info: ValidationInfo) -> float:
-        amplitude_v = info.data.get("amplitude_v", 0.0)
-        if amplitude_v > limit_v:
-            raise ValueError(f"is {limit_v:g} V, below ni.amplitude_v, {amplitude_v:g} V")
-        return limit_v
 
 
 class ModelSettings(Section):
@@ -252,6 +231,7 @@ class Settings(Section):
 
     device: DeviceSettings = DeviceSettings()
     ni: NiSettings = NiSettings()
+    audio: AudioSettings = AudioSettings()
     model: ModelSettings = ModelSettings()
     baseline: BaselineSettings = BaselineSettings()
     gate: GateSettings = GateSettings()

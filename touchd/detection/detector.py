@@ -115,7 +115,7 @@ class Detector:
         self._stuck_channels = self._stuck.channels
         self._notify = notify
         self._pace = Pace()
-        self._set_pace()
+        self._hear_every = _HEAR_NS // USUAL_NS  # frames
         self._learning = True
         self._signal_energy = 1.0
         self.sequence = _NO_FRAME
@@ -145,7 +145,8 @@ class Detector:
             if lost < 0:
                 self.miss(frame.t_ns, "the DAQ's frame number stands still or runs back")
                 return self._without_measurement(Outcome.REPEATED, frame, 0)
-        if not self._step_from_ns < frame.t_ns - self._last_ns < self._step_to_ns and not lost:
+        pace = self._pace
+        if not pace.low_ns < frame.t_ns - self._last_ns < pace.high_ns and not lost:
             self._follow_pace(frame.t_ns - self._last_ns)
         self.sequence, self._last_ns = frame.sequence, frame.t_ns
         baseline, stuck = self._baseline, self._stuck
@@ -178,7 +179,7 @@ class Detector:
                 outcome = _UNTOUCHED
         return Detection(
             outcome, frame.t_ns, energy, gate.noise_root, gate.noise_deviation, baseline.signal, baseline.residual,
-            baseline.mean, self._live, changed, None, lost, self._period_ns, hits,
+            baseline.mean, self._live, changed, None, lost, pace.period_ns, hits,
         )  # fmt: skip
 
     def adapt(self, detection: Detection, found: bool, departure: bool, alive: bool, moved: bool = False) -> None:
@@ -226,6 +227,11 @@ class Detector:
         """Return the RMS of an untouched frame against the baseline, ADC counts; 0 before it is known."""
         return math.sqrt(self.gate.noise_energy / self._baseline.residual.size)
 
+    def noise_channels(self) -> list[float]:
+        """Return the RMS of each channel of the last residual, ADC counts."""
+        rms: list[float] = np.sqrt(np.square(self._baseline.residual).mean(axis=1)).round(3).tolist()
+        return rms
+
     def miss(self, t_ns: int, fault: str) -> None:
         """Take the time of a frame that is no measurement; `fault` says what it is, for a person."""
         if self.liveness.is_silent(t_ns, fault):
@@ -245,14 +251,7 @@ class Detector:
         """Take a step from frame to frame that is not the usual one, or comes after such a one."""
         if self._pace.update(step_ns):
             self.gate.set_period(self._pace.period_ns)
-        self._set_pace()
-
-    def _set_pace(self) -> None:
-        """Take the usual step from frame to frame; in doubt none is."""
-        pace = self._pace
-        self._period_ns = pace.period_ns
-        self._hear_every = max(1, round(_HEAR_NS / pace.period_ns))  # frames
-        self._step_from_ns, self._step_to_ns = (0.0, 0.0) if pace.doubtful else (pace.low_ns, pace.high_ns)
+            self._hear_every = max(1, round(_HEAR_NS / self._pace.period_ns))
 
     def _number(self, frame: Frame) -> int:
         """Return how many frames are missing before a frame; -1 for one whose number is not new."""

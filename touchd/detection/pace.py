@@ -15,28 +15,26 @@ class Pace:
     """The time from frame to frame. It stays as it is while frames come at about the same rate."""
 
     def __init__(self) -> None:
+        self.period_ns = USUAL_NS
         self._steps: list[int] = []
-        self.low_ns = self.high_ns = 0.0
-        self._set(USUAL_NS)
+        self._set_limits()
 
     def update(self, step_ns: int) -> bool:
         """Take the time since the last frame, and return whether the rate has changed.
 
-        A step between `low_ns` and `high_ns` need not be taken unless the pace is `doubtful`.
+        A step between `low_ns` and `high_ns` need not be taken.
         """
-        if step_ns <= 0 or self.low_ns < step_ns < self.high_ns:
+        if step_ns <= 0 or self.period_ns / _LIKE < step_ns < self.period_ns * _LIKE:
             self._steps.clear()
         else:
             self._steps.append(step_ns)
-        self.doubtful = bool(self._steps)
-        if len(self._steps) < _STEPS:
-            return False
-        self._set(min(max(sum(self._steps) // _STEPS, SHORTEST_NS), LONGEST_NS))
-        return True
+        changed = len(self._steps) == _STEPS
+        if changed:
+            self.period_ns = min(max(sum(self._steps) // _STEPS, SHORTEST_NS), LONGEST_NS)
+            self._steps.clear()
+        self._set_limits()
+        return changed
 
-    def _set(self, period_ns: int) -> None:
-        self._steps.clear()
-        self.doubtful = False
-        """Whether the last step was another one."""
-        self.period_ns = period_ns
-        self.low_ns, self.high_ns = period_ns / _LIKE, period_ns * _LIKE
+    def _set_limits(self) -> None:
+        """Limit what need not be taken: in doubt every step is."""
+        self.low_ns, self.high_ns = (0.0, 0.0) if self._steps else (self.period_ns / _LIKE, self.period_ns * _LIKE)

@@ -17,6 +17,7 @@ from touchd.localization.features import make_features
 from touchd.localization.model import Model
 from touchd.recording.data import Meta
 from touchd.recording.format import Reader
+from touchd.service.frame_feed import DaemonSource
 from touchd.service.runner import frames_of
 from touchd.sources.source import Change, LiveSource, Source
 
@@ -46,7 +47,9 @@ def judge_clock(state: int, now_s: float) -> Finding:
 
 
 def expected_rate_hz(source: Source, settings: DeviceSettings) -> float:
-    """Return the recording's frame rate, or the configured one of a device."""
+    """Return the recording's or the running daemon's frame rate, or the configured one of a device."""
+    if isinstance(source, DaemonSource):
+        return source.description.rate_hz
     meta = getattr(source, "meta", None)
     return meta.frame_rate_hz if isinstance(meta, Meta) else float(settings.rate_hz)
 

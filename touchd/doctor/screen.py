@@ -1,4 +1,4 @@
-"""Checks of `touchd doctor` on the touch screen: its mapping, the right to make it, and what udev says of it."""
+"""Checks of `touchd doctor` on the touch screen: its mapping, the right to make it, udev, compositor and outputs."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import os
 from pathlib import Path
 
 from touchd.bridges import uinput
+from touchd.bridges.dark import connected, read
 from touchd.bridges.fit import WORST_RMS_MM
 from touchd.config.schema import Settings
 from touchd.doctor.checks import Finding, grade
@@ -13,6 +14,17 @@ from touchd.sinks.endpoint import SERVICE
 
 UDEV = Path("/run/udev/data")
 BUS = Path(SERVICE.removeprefix("ipc://"))
+PROCESSES = Path("/proc")
+COMPOSITORS = {
+    "Xorg": "xinput map-to-output 'touchd screen' {output}, after each rotation",
+    "weston": 'a udev rule with ENV{{WL_OUTPUT}}="{output}"',
+    "sway": "input '4617:1:touchd_screen' map_to_output {output}",
+    "labwc": '<touch deviceName="touchd screen" mapToOutput="{output}"/> in rc.xml',
+    "cage": "no other output than the plate's",
+    "kwin_wayland": "choose the output in the settings of the touch screen",
+    "gnome-shell": "input.screen_mm within 5 % of that output's size",
+}
+"""What the kernel calls them, and what tells each on which of several outputs the touches are."""
 _MAP = "touchd map, with touches in the middle of each cross"
 
 
@@ -21,7 +33,7 @@ def check_screen(settings: Settings) -> list[Finding]:
     found = uinput.devices_at(uinput.phys_of(settings.device.name))
     if not settings.input.screen_mm and not settings.input.keypad and not found:
         return []
-    findings = [] if settings.input.keypad else [_mapping(settings)]
+    findings = [] if settings.input.keypad else [_mapping(settings), _compositor()]
     if found:
         return [*findings, _tagged(found[0])]
     findings.append(_permitted())
@@ -62,3 +74,18 @@ def _tagged(name: str) -> Finding:
             return Finding("screen", "ok", f"{name} is there, and udev knows what it is: {file.parent.name}")
     return Finding("screen", "failure", f"{name} is there, and udev has not tagged it: no compositor takes it",
                    f"udevadm trigger --action=change /sys/class/input/{name}; is udev running?")  # fmt: skip
+
+
+def _compositor() -> Finding:
+    """Say which compositor takes the touches, and on which output it shows them."""
+    names = sorted(COMPOSITORS.keys() & {read(file) for file in PROCESSES.glob("[0-9]*/comm")})
+    outputs = [folder.name.split("-", 1)[1] for folder in connected()]
+    text = f"{', '.join(names) or 'none that touchd knows'}; connected outputs: {', '.join(outputs) or 'none'}"
+    if not names:
+        return Finding("compositor", "warning", text, f"start one of {', '.join(COMPOSITORS)}")
+    if not outputs:
+        return Finding("compositor", "warning", text, "connect the screen below the plate, and switch it on")
+    if len(outputs) > 1:
+        fix = "; ".join(f"{name}: {COMPOSITORS[name]}" for name in names).format(output=outputs[0])
+        return Finding("compositor", "warning", f"{text}; one of them lies below the plate", fix)
+    return Finding("compositor", "ok", text)

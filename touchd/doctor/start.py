@@ -10,6 +10,7 @@ from touchd.config.schema import Settings
 from touchd.doctor.checks import Finding
 from touchd.errors import AddressInUse, BusTimeout, TouchdError
 from touchd.event import HealthEvent
+from touchd.localization.model_fit import WORN
 from touchd.service.daemon import Parts, open_parts
 from touchd.sinks.endpoint import SERVICE
 
@@ -19,7 +20,7 @@ def failure(check: str, error: TouchdError) -> Finding:
     return Finding(check, "failure", f"{error.where}: {error.what}" if error.where else error.what, error.fix)
 
 
-def check_start(settings: Settings, listen_s: float = 2.5) -> tuple[Parts, list[Finding]]:
+def check_start(settings: Settings, listen_s: float = 2.5, *, running: bool = False) -> tuple[Parts, list[Finding]]:
     """Open every part of the daemon but its source, and close it again.
 
     Parameters
@@ -27,6 +28,8 @@ def check_start(settings: Settings, listen_s: float = 2.5) -> tuple[Parts, list[
     settings : Settings
     listen_s : float
         How long to wait for a `health` message at an address in use; a daemon sends one each second.
+    running : bool
+        Whether a daemon hands out its frames: it need not be stopped.
 
     Returns
     -------
@@ -56,12 +59,14 @@ def check_start(settings: Settings, listen_s: float = 2.5) -> tuple[Parts, list[
             "model": model and f"{model.description.name}, {model.description.head} head, {model.path}",
             "keypad": layout and f"{len(layout.key)} keys on the plate",
         }
-    daemon = _daemon_at(refused.get("bus"), settings, listen_s)
+    health = _health_at(refused.get("bus"), settings, listen_s)
     findings = []
     for name, text in opened.items():
         error = refused.get(name)
-        if error is not None and daemon and isinstance(error, AddressInUse):
-            findings.append(Finding(name, "warning", daemon, "stop it before the checks: systemctl stop touchd"))
+        if error is not None and health and isinstance(error, AddressInUse):
+            daemon = f"{error.where}: a daemon publishes there, in state {health.state}"
+            fix = "stop it before the checks: systemctl stop touchd"
+            findings.append(Finding(name, "ok", daemon) if running else Finding(name, "warning", daemon, fix))
         elif error is not None:
             findings.append(failure(name, error))
         elif text:
@@ -69,19 +74,30 @@ def check_start(settings: Settings, listen_s: float = 2.5) -> tuple[Parts, list[
         elif name == "model":
             fix = f"touchd calibrate -o {settings.model.path} --plate PLATE.toml makes one, without a touch"
             findings.append(Finding(name, "warning", f"uncalibrated: there is no {settings.model.path}", fix))
+    if health is not None and isinstance(health.model_fit, float):
+        findings.append(check_model_fit(health.model_fit))
     return parts, findings
 
 
-def _daemon_at(error: TouchdError | None, settings: Settings, listen_s: float) -> str:
-    """Return what the daemon that has bound the address says of itself; empty if no daemon is heard there."""
+def check_model_fit(explained: float) -> Finding:
+    """Judge the share of a touch's energy that a daemon's model explains."""
+    text = f"the daemon's model explains {explained:.1%} of a touch, {1 - WORN:.0%} or more expected"
+    if explained >= 1 - WORN:
+        return Finding("model fit", "ok", text)
+    fix = "calibrate again: touchd calibrate; touchd check MODEL RECORDING tells more"
+    return Finding("model fit", "warning", text, fix)
+
+
+def _health_at(error: TouchdError | None, settings: Settings, listen_s: float) -> HealthEvent | None:
+    """Return what the daemon that has bound the address says of itself; None if no daemon is heard there."""
     from touchd.client import Subscriber
 
     if not isinstance(error, AddressInUse) or settings.bus.curve_secret_key is not None:
-        return ""
+        return None
     try:
         with Subscriber(error.where, ("health",), timeout_s=listen_s) as events:
             event = next(events)
     except (BusTimeout, StopIteration):
-        return ""
+        return None
     assert isinstance(event, HealthEvent)
-    return f"{error.where}: a daemon publishes there, in state {event.state}"
+    return event

@@ -67,9 +67,9 @@ class AtlasDescription(BaseModel):
     seed: int = 0
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class Atlas:
-    """A loaded atlas."""
+    """A loaded atlas; tables made of it are kept as long as it is."""
 
     description: AtlasDescription
     coefficients: Array

@@ -28,6 +28,7 @@ from touchd.localization.gauss_newton import GaussNewton
 from touchd.localization.landing import FIRST_STEPS, Landing
 from touchd.localization.localization import UNTOUCHED, Localization
 from touchd.localization.model import Model
+from touchd.localization.model_fit import ModelFit
 from touchd.localization.multitouch import MultitouchSearch
 from touchd.localization.plate_model import COMPARE_NS, PlateModel
 from touchd.localization.prediction import Prediction
@@ -67,6 +68,7 @@ class AtlasLocalizer:
         self._prediction = Prediction()
         self._follower = Follower(self._solver, self._search, self._noise, self._prediction)
         self._still = StillFinger(atlas, self._solver)
+        self._model_fit = ModelFit()
         self._found = UNTOUCHED
         self._touched = False  # whether a frame was fitted since the last untouched one
         self._departure = self._plate_moved = False
@@ -102,6 +104,7 @@ class AtlasLocalizer:
             self._set_channels(detection.live)
         if self._touched:
             self._touched = False
+            self._model_fit.end_touch()
             self._plate.calm()
             if self._found.touches:
                 self.reset()
@@ -136,9 +139,19 @@ class AtlasLocalizer:
         outcome = Outcome.INFERRED if inferred else Outcome.TRACKED if tracked else Outcome.FAINT
         return Localization(outcome, touches, self._departure, self._plate_moved)
 
+    @property
+    def stretch(self) -> float | None:
+        """Relative rise of the plate's resonances since training."""
+        return self._drift.stretch
+
     def spectrum(self, detection: Detection) -> list[float]:
         """Return the network's input for a frame."""
         return self._estimator.spectrum(detection)
+
+    @property
+    def model_fit(self) -> float | None:
+        """Share of a touch's energy that the model explains; None before it is known."""
+        return self._model_fit.value
 
     # -- one frame ------------------------------------------------------------------------------------
 
@@ -189,6 +202,7 @@ class AtlasLocalizer:
                 if not known:
                     self._prediction.forget_velocities()
             excess = noise.excess(fit.residual_energy, signal)
+        self._model_fit.add(fit.residual_energy - noise.noise_energy, signal, noise.noise_energy)
         significant = sum(fit.energies) > noise.min_signal_energy
         confidence = CRITERIA.confidence(excess) if significant else 0.0
         # An emitter that falls silent, or a gain that changes, looks like a finger on the emitter; but the plate's own

@@ -23,6 +23,7 @@ from __future__ import annotations
 import cmath
 from bisect import bisect
 from math import hypot, sqrt
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -50,6 +51,8 @@ _STENCILS = np.array([[1, 4, 1], [-3, 0, 3], [6, -12, 6]]) / 6
 """Value and first two derivatives of a cubic B-spline at a node."""
 _DERIVATIVES = ((1, 0), (0, 1), (0, 0), (2, 0), (0, 2), (1, 1))
 """Orders along x and y of u_x, u_y, u, u_xx, u_yy and u_xy."""
+Spreads = list[list[tuple[float, float]]]
+_known: WeakKeyDictionary[Atlas, Spreads] = WeakKeyDictionary()
 
 
 class ContactSize:
@@ -111,7 +114,14 @@ class ContactSize:
         return mean, oval
 
 
-def _spreads(atlas: Atlas, turn: complex) -> list[list[tuple[float, float]]]:
+def _spreads(atlas: Atlas, turn: complex) -> Spreads:
+    """Return `_inverted` of an atlas; the quarter of a second that it takes is spent once for each atlas."""
+    if (known := _known.get(atlas)) is None:
+        known = _known[atlas] = _inverted(atlas, turn)
+    return known
+
+
+def _inverted(atlas: Atlas, turn: complex) -> Spreads:
     """Invert the Fisher information of x, y and the five amplitudes of one contact at every node of an atlas.
 
     Return the variances of both moments by noise of unit variance at amplitude 1, for each row of nodes and column.

@@ -32,6 +32,14 @@ UNTOUCHED = Localization(Outcome.UNTOUCHED)
 class Localizer(Protocol):
     """Places fingers, frame by frame."""
 
+    @property
+    def model_fit(self) -> float | None:
+        """Share of a touch's energy that the model explains, 0..1; None where it cannot be told."""
+
+    @property
+    def stretch(self) -> float | None:
+        """Relative rise of the plate's resonances since training; None where it cannot be told."""
+
     def configure(self, settings: Settings, layout: Layout | None) -> None:
         """Take other thresholds and keys; fingers are found again in the next frame."""
 

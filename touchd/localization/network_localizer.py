@@ -90,6 +90,8 @@ class NetworkLocalizer:
         The keys, in keypad mode.
     """
 
+    stretch: float | None = None
+
     def __init__(self, model: Model, settings: Settings, layout: Layout | None) -> None:
         self._estimator = Estimator(model)
         self._still = StillFrame(model.description.acquisition.shape, settings.skip.still_false_alarm_rate, model.dtype)
@@ -100,6 +102,9 @@ class NetworkLocalizer:
         # The other heads' sigma is the size of a zone or a key, in any frame.
         self._has_sigma = model.description.head == "regression"
         self.configure(settings, layout)
+
+    model_fit: float | None = None
+    """A network cannot tell how well it fits."""
 
     def configure(self, settings: Settings, layout: Layout | None) -> None:
         """Take other thresholds and keys; fingers are found again in the next frame."""

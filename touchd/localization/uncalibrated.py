@@ -15,6 +15,9 @@ _NOTHING = Localization(Outcome.UNCALIBRATED)
 class Uncalibrated:
     """Places no finger; see `Localizer`."""
 
+    model_fit: float | None = None
+    stretch: float | None = None
+
     def configure(self, settings: Settings, layout: Layout | None) -> None:
         """Take nothing."""
 

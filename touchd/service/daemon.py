@@ -135,6 +135,7 @@ def make_service(
     control: Control | None = None,
     read_settings: Callable[[], Settings] | None = None,
     feed: FrameFeed | None = None,
+    describe: Callable[[], FeedDescription] | None = None,
 ) -> Service:
     """Return the service between a source and sinks, which it closes at the end of `run`.
 
@@ -148,6 +149,8 @@ def make_service(
         Optional parts of the service.
     read_settings : callable, optional
         Reads the configuration, for `Service.reload`.
+    describe : callable, optional
+        Returns what is measured, for messages about the plate.
     """
     pipeline = Pipeline(source.acquisition, model, settings, layout_of(settings, model), log_notice)
     messages = Messages(settings, wants_of(sinks))
@@ -159,7 +162,7 @@ def make_service(
     return Service(
         source, pipeline, messages, sinks, health, clock=clock, manager=manager,
         awake=Awake(settings.realtime.awake_from_hz), preroll=preroll, control=control, reloader=reloader,
-        feed=feed, rate=ScanRate(source, settings.device),
+        feed=feed, rate=ScanRate(source, settings.device), describe=describe,
     )  # fmt: skip
 
 
@@ -201,13 +204,13 @@ def describer(
 ) -> Callable[[], FeedDescription]:
     """Return what describes a source's frames to those who record them; `plate` returns the model's plate."""
     known = getattr(source, "meta", None)
-    kind = "simulated" if choice.simulate else "replay" if choice.replay else "ni" if choice.ni else "usb"
     rate_hz = known.frame_rate_hz if known else float(settings.device.rate_hz)
 
     def description() -> FeedDescription:
         return FeedDescription(
-            acquisition=source.acquisition, rate_hz=rate_hz, source=known.source if known else kind,
+            acquisition=source.acquisition, rate_hz=rate_hz, source=known.source if known else choice.kind,
             plate=known.plate if known else plate(), device=getattr(source, "device", None) or Device(),
+            emitter_mm=known.emitter_mm if known else None, receivers_mm=(known.receivers_mm if known else None) or (),
         )  # fmt: skip
 
     return description
@@ -274,7 +277,7 @@ def run(
         preroll = stack.enter_context(closing(make_preroll(source, settings, description)))
         service = make_service(
             source, sinks, settings, model, manager=manager, preroll=preroll, control=parts.control,
-            read_settings=read_settings, feed=FrameFeed(description),
+            read_settings=read_settings, feed=FrameFeed(description), describe=description,
         )  # fmt: skip
         stop_on_signals(service)
         if read_settings is not None:

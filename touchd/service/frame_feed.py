@@ -45,6 +45,9 @@ class FeedDescription(BaseModel):
     plate: Plate | None = None
     """None while the daemon is uncalibrated."""
     device: Device = Device()
+    emitter_mm: tuple[float, float] | None = None
+    receivers_mm: tuple[tuple[float, float], ...] = ()
+    """Where the discs are, if the source knows."""
 
 
 class FrameFeed:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import msgspec
 import numpy as np
 import structlog
 
@@ -86,10 +87,13 @@ class Health:
             baseline_age_s=max(0.0, (stream_ns - pipeline.followed_ns) * 1e-9),
             model=self.model_name,
             version=__version__,
+            noise_channels=pipeline.noise_channels(),
+            stretch_ppm=msgspec.UNSET if (stretch := pipeline.stretch) is None else round(stretch * 1e6, 1),
             clipped=tally.clipped,
             late=tally.late,
             clock_ppm=round(tally.clock_ppm, 1),
             unheard={topic: count for topic, count in unheard.items() if count},
+            model_fit=msgspec.UNSET if (fit := pipeline.model_fit) is None else round(fit, 4),
             reason=reason or pipeline.fault or self._reason(),
         )
 

@@ -9,13 +9,13 @@ from typing import Protocol
 import structlog
 
 from touchd import __version__
-from touchd.event import Contact, Event, HealthEvent, State
+from touchd.event import Contact, Event, State
 from touchd.frame import Frame
 from touchd.outcome import Outcome
 from touchd.pipeline import Pipeline
 from touchd.service.control import Control
 from touchd.service.cpu_latency import Awake
-from touchd.service.frame_feed import FrameFeed
+from touchd.service.frame_feed import FeedDescription, FrameFeed
 from touchd.service.health import Health
 from touchd.service.messages import Messages
 from touchd.service.rate import ScanRate
@@ -23,14 +23,12 @@ from touchd.service.reload import Reloader
 from touchd.service.runner import frames_of
 from touchd.service.systemd import Notifier
 from touchd.sinks.sink import Sink
-from touchd.sources.source import Change, LiveSource, Source
+from touchd.sources.source import Change, Labelled, LiveSource, Source
 
 STALL_NS = 1_000_000_000
 """A source that is no device has stalled after this time without a frame, ns."""
 _FLOWING: tuple[State, ...] = ("streaming", "uncalibrated")
 """Frames flow."""
-_READY: tuple[State, ...] = (*_FLOWING, "lost")
-"""Frames flow, or the device is awaited."""
 _TICK_NS, _IDLE_TICK_NS = 4_000_000, 40_000_000
 """Sinks are polled this often, and all else is done that is due: at usual rates after each frame of a touch, and after
 every other one of an idle plate. Polling costs a fifth of an idle frame."""
@@ -75,7 +73,8 @@ class Service:
     feed : FrameFeed, optional
         Hands frames to programs that ask for them through `control`.
     rate : ScanRate, optional
-        Lowers the source's rate while the plate is untouched.
+    describe : callable, optional
+        Returns what is measured, for messages about the plate; without it there are none.
     """
 
     def __init__(
@@ -94,6 +93,7 @@ class Service:
         reloader: Reloader | None = None,
         feed: FrameFeed | None = None,
         rate: ScanRate | None = None,
+        describe: Callable[[], FeedDescription] | None = None,
     ) -> None:
         self.pipeline = pipeline
         self._source, self._messages, self._sinks, self._health = source, messages, sinks, health
@@ -104,7 +104,7 @@ class Service:
         # A device reports its states; of any other source only the silence is known.
         self._live = source if isinstance(source, LiveSource) else None
         self._withheld: dict[str, int] = {}
-        self._feed, self._rate = feed, rate
+        self._feed, self._rate, self._describe = feed, rate, describe
         self._state: State = "starting"
         self._flowing: State = "streaming" if pipeline.model else "uncalibrated"
         self._reason: str | None = None
@@ -132,6 +132,7 @@ class Service:
         log.info("starting", model=self._health.model_name, version=__version__)
         self._seen_ns = self._clock()
         self._publish_health()
+        self._publish_plate()
         try:
             if not self._stop:
                 self._run_frames()
@@ -150,6 +151,7 @@ class Service:
 
     def _run_frames(self) -> None:
         pipeline, preroll, feed, rate = self.pipeline, self._preroll, self._feed, self._rate
+        labelled = self._source if isinstance(self._source, Labelled) else None
         for frame in frames_of(self._source, on_change=self._follow):
             if frame is None:
                 self._wait()
@@ -159,6 +161,8 @@ class Service:
                 result = pipeline.process(frame)
                 if (result.contacts or result.touches) and (events := self._messages.make(result, pipeline.spectrum)):
                     self._publish(events, frame.received_ns)
+                if labelled is not None and (true := self._messages.truth(frame, labelled)) is not None:
+                    self._hand(true, frame.received_ns)
                 if preroll is not None:
                     preroll.keep(frame, result.contacts)
                 if feed is not None and feed.listeners:
@@ -237,6 +241,7 @@ class Service:
             self._reloader.reload()
             self._manager.reloaded()
             self._flowing = "streaming" if self.pipeline.model else "uncalibrated"
+            self._publish_plate()
 
     def _set_screen(self, *, off: bool, now_ns: int) -> None:
         before = self.pipeline.screen_off
@@ -255,10 +260,13 @@ class Service:
 
     def _publish(self, events: Sequence[Event], received_ns: int) -> None:
         for event in events:
-            for sink in self._sinks:
-                sink.publish(event, received_ns)
+            self._hand(event, received_ns)
         if events:
             self._health.add_latency((self._clock() - received_ns) * 1e-3)
+
+    def _hand(self, event: Event, received_ns: int) -> None:
+        for sink in self._sinks:
+            sink.publish(event, received_ns)
 
     def _follow(self, change: Change) -> None:
         """Enter the state of a device; one that was away has its plate relearned."""
@@ -268,10 +276,7 @@ class Service:
         elif self._away:
             self._away = False
             self.pipeline.reset()
-        if change.state == "streaming":
-            self._enter(self._flowing, change.reason)
-        else:
-            self._enter(change.state, change.reason)
+        self._enter(self._flowing if change.state == "streaming" else change.state, change.reason)
 
     def _enter(self, state: State, reason: str | None = None) -> None:
         say = log.warning if state in ("stalled", "lost") else log.info
@@ -282,16 +287,11 @@ class Service:
     def _publish_health(self) -> None:
         now_ns = self._health_ns = self._clock()
         event = self._health.message(now_ns, self._stream_ns, self._state, self._reason)
-        for sink in self._sinks:
-            sink.publish(event, now_ns)
-        self._tell_manager(event)
+        self._hand(event, now_ns)
+        self._manager.tell(event)
         self._health.log_losses(event)
 
-    def _tell_manager(self, health: HealthEvent) -> None:
-        self._manager.status(
-            f"{health.state}: {health.reason}"
-            if health.reason and health.state != "streaming"
-            else f"{health.state}: {health.frames} frames, {health.lost} lost, {health.corrupt} corrupt"
-        )
-        if health.state in _READY:
-            self._manager.ready()
+    def _publish_plate(self) -> None:
+        if self._describe is not None:
+            now_ns = self._clock()
+            self._hand(self._messages.plate(self._describe(), self.pipeline.layout, now_ns), now_ns)

@@ -8,9 +8,13 @@ from datetime import UTC, datetime
 from itertools import count
 
 from touchd.config.schema import Settings
-from touchd.event import TOPICS, Contact, Event, KeyEvent, SpectrumEvent, TouchEvent
+from touchd.event import TOPICS, Contact, Event, KeyEvent, PlateEvent, PlateKey, SpectrumEvent, TouchEvent, TruthEvent
+from touchd.frame import Frame
+from touchd.keypad import Layout
 from touchd.pipeline import Result
+from touchd.service.frame_feed import FeedDescription
 from touchd.sinks.sink import Sink
+from touchd.sources.source import Labelled
 
 _NOTHING: list[Event] = []
 
@@ -35,6 +39,7 @@ class Messages:
         self._wall_offset_ns = time.time_ns() - time.monotonic_ns() if wall_offset_ns is None else wall_offset_ns
         self._asked = wants
         self._seq = {topic: count(1) for topic in TOPICS}
+        self._was_touched = False
         self._wall_s = -1
         self._wall_text = ""
         self.configure(settings)
@@ -66,6 +71,26 @@ class Messages:
             else:
                 self.unheard["spectrum"] += 1
         return events
+
+    def plate(self, d: FeedDescription, layout: Layout | None, t_ns: int) -> PlateEvent:
+        """Return the message that says what is measured, by its description and the keys."""
+        a = d.acquisition
+        size = (d.plate.width_mm, d.plate.height_mm) if d.plate else (0.0, 0.0)
+        keys = [PlateKey(k.name, k.x_mm, k.y_mm, k.width_mm, k.height_mm) for k in (layout.key if layout else ())]
+        return PlateEvent(
+            *self.stamp("plate", t_ns), *size, d.rate_hz, a.channels, a.samples, a.sample_rate_hz,
+            (a.chirp.start_hz, a.chirp.stop_hz), d.source, d.emitter_mm, list(d.receivers_mm), keys,
+        )  # fmt: skip
+
+    def truth(self, frame: Frame, source: Labelled) -> TruthEvent | None:
+        """Return where the fingers of a labelled frame really are; None if nobody wants it, or nothing has changed."""
+        if not self._asked("truth"):
+            return None
+        contacts_mm = source.truth()
+        if not contacts_mm and not self._was_touched:
+            return None
+        self._was_touched = bool(contacts_mm)
+        return TruthEvent(*self.stamp("truth", frame.t_ns), frame.sequence, contacts_mm)
 
     def stamp(self, topic: str, t_ns: int) -> tuple[str, int, int, str]:
         """Return what each message begins with: the device, the topic's next number, `t_ns` and the wall time."""

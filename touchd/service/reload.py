@@ -12,7 +12,7 @@ from touchd.config.schema import Settings
 from touchd.errors import TouchdError
 from touchd.keypad import Layout
 
-RESTART_ONLY = frozenset({"device", "ni", "bus", "control", "realtime", "baseline.learn_frames"})
+RESTART_ONLY = frozenset({"device", "ni", "audio", "bus", "control", "realtime", "baseline.learn_frames"})
 """Tables and keys that a running daemon cannot change: what is open, bound or learned."""
 BRIDGES = frozenset({"input", "tuio"})
 """Tables of the bridges, which are processes of their own: a daemon has no use for them."""

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from touchd.config.schema import Settings
 from touchd.event import Event, TouchEvent
+from touchd.localization.model import Model
 from touchd.outcome import Counters
 from touchd.service.daemon import make_pipeline
 from touchd.service.messages import Messages, all_but_spectra
@@ -38,10 +39,13 @@ def replay(path: Path, settings: Settings) -> Replayed:
     return run_through(ReplaySource(path, speed=float("inf")), settings)
 
 
-def run_through(source: Source, settings: Settings) -> Replayed:
-    """Run a source through the pipeline until it ends, close it, and return its events, all but the spectra."""
+def run_through(source: Source, settings: Settings, model: Model | None = None) -> Replayed:
+    """Run a source through the pipeline until it ends, close it, and return its events, all but the spectra.
+
+    Without `model`, the one that the settings name is loaded.
+    """
     notices: list[tuple[str, dict[str, float]]] = []
-    pipeline = make_pipeline(source, settings, notify=lambda reason, fields: notices.append((reason, fields)))
+    pipeline = make_pipeline(source, settings, model, lambda reason, fields: notices.append((reason, fields)))
     messages = Messages(settings, all_but_spectra)
     events: list[Event] = []
     last_ns = 0

@@ -11,6 +11,8 @@ import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from touchd.event import HealthEvent
+
 
 class Notifier:
     """The connection to the service manager, which can neither delay the daemon nor make it fail.
@@ -51,6 +53,15 @@ class Notifier:
         mine = environment.get("WATCHDOG_PID", str(os.getpid())) == str(os.getpid())
         watchdog_s = int(watchdog) * 1e-6 if watchdog.isdecimal() and mine else 0.0
         return cls(environment.get("NOTIFY_SOCKET", ""), watchdog_s)
+
+    def tell(self, health: HealthEvent) -> None:
+        """Show the daemon's state, and that it is ready once frames flow or the device is awaited."""
+        if health.reason and health.state != "streaming":
+            self.status(f"{health.state}: {health.reason}")
+        else:
+            self.status(f"{health.state}: {health.frames} frames, {health.lost} lost, {health.corrupt} corrupt")
+        if health.state in ("streaming", "uncalibrated", "lost"):
+            self.ready()
 
     def status(self, text: str) -> None:
         """Show one line on what the daemon does."""

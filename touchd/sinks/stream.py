@@ -9,7 +9,7 @@ from datetime import datetime
 
 from msgspec.structs import replace
 
-from touchd.event import Event, HealthEvent, KeyEvent, TouchEvent
+from touchd.event import Event, HealthEvent, KeyEvent, PlateEvent, TouchEvent
 
 _SHARED_NS = 1_000_000_000
 """The clocks of one computer agree this well about the time between its start and now."""
@@ -56,7 +56,7 @@ class Stream:
         """Return the event for the program, or None for a repeat or a stale one.
 
         A stale event that follows a touch returns that nothing is touched, without an `up`: the finger may have left
-        long ago. A stale release of a key that was pressed is returned. `health` is never stale.
+        long ago. A stale release of a key that was pressed is returned. `health` and `plate` are never stale.
         """
         last = self._last.get(event.type)
         now = (event.seq, event.t_ns)
@@ -101,7 +101,7 @@ class Stream:
             self._least_ns += (now_ns - self._heard_ns) * _DRIFT
         self._heard_ns = now_ns
         self._least_ns = min(self._least_ns, delay_ns)
-        return not isinstance(event, HealthEvent) and delay_ns - self._least_ns > self._max_age_ns
+        return not isinstance(event, HealthEvent | PlateEvent) and delay_ns - self._least_ns > self._max_age_ns
 
 
 def _epoch_ns(event: Event) -> int | None:

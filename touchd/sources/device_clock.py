@@ -63,7 +63,8 @@ class DeviceClock:
         self._epoch_ns: int | None = None
         self._restarts, self._restarted_ns = 0, -_RESTART_GAP_NS - 1
         self._series = _Point(0, 0)  # device time and arrival at the first of the restarts
-        self._last_ns = self._last_x_ns = 0
+        self._last_ns = self._last_x_ns = self._first_ns = 0
+        self._intercept_ns = self._offset_ns = self._skew = 0.0
         self._last_t_ns = last_t_ns
         self._last_received_ns = 0
 

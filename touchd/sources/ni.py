@@ -21,7 +21,7 @@ from nidaqmx.errors import DaqError, DaqNotFoundError, DaqNotSupportedError
 from numpy.typing import NDArray
 
 from touchd.chirp import waveform
-from touchd.config.schema import NiSettings
+from touchd.config.rigs import NiSettings
 from touchd.errors import ConfigError, SourceError
 from touchd.frame import Acquisition
 from touchd.recording.data import Device

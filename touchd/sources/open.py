@@ -32,6 +32,14 @@ class SourceChoice:
     """Of the simulation."""
     ni: bool = False
     """Use the NI rig."""
+    audio: str | None = None
+    """ALSA name of an audio interface to use; empty takes the configured one."""
+
+    @property
+    def kind(self) -> str:
+        """What a recording says of its source."""
+        named = {"simulated": self.simulate, "replay": self.replay, "audio": self.audio}
+        return next((kind for kind, value in named.items() if value is not None), "ni" if self.ni else "usb")
 
 
 def open_source(choice: SourceChoice, settings: Settings, model: Model | None = None) -> Source:
@@ -41,7 +49,7 @@ def open_source(choice: SourceChoice, settings: Settings, model: Model | None = 
     ----------
     choice : SourceChoice
     settings : Settings
-        `device` and `ni` configure a DAQ.
+        `device`, `ni` and `audio` configure a DAQ.
     model : Model, optional
         The model that the frames are for. With a model a DAQ may be plugged in later, and a DAQ that the model does not
         fit is refused; without one a DAQ on USB must be plugged in.
@@ -51,7 +59,8 @@ def open_source(choice: SourceChoice, settings: Settings, model: Model | None = 
     SourceError
         Several sources are named, a scene is given a speed, or the DAQ cannot be used.
     """
-    given = {"--replay": choice.replay is not None, "--simulate": choice.simulate is not None, "--ni": choice.ni}
+    given = {"--replay": choice.replay is not None, "--simulate": choice.simulate is not None, "--ni": choice.ni,
+             "--audio": choice.audio is not None}  # fmt: skip
     named = [option for option, is_given in given.items() if is_given]
     if len(named) > 1:
         raise SourceError("several sources were named", " and ".join(named), "name one of them")
@@ -61,6 +70,8 @@ def open_source(choice: SourceChoice, settings: Settings, model: Model | None = 
         return ReplaySource(choice.replay, speed=choice.speed, loop=choice.loop)
     if choice.simulate is not None:
         return _simulate(choice.simulate, choice)
+    if choice.audio is not None:
+        return _open_audio(settings, model, choice.audio)
     return _open_ni(settings, model) if choice.ni else _open_usb(settings, model)
 
 
@@ -79,6 +90,13 @@ def _open_ni(settings: Settings, model: Model | None) -> Source:
     acquisition = model.description.acquisition if model else PAPER
     check = model.check if model else lambda _: None
     return DaqSource(lambda: iter([lambda: NiDaq(settings.ni, acquisition)]), settings.device, acquisition, check)
+
+
+def _open_audio(settings: Settings, model: Model | None, name: str) -> Source:
+    from touchd.audio.alsa import AlsaCard
+    from touchd.sources.audio import open_audio
+
+    return open_audio(settings, AlsaCard, name or settings.audio.device, model)
 
 
 def _open_usb(settings: Settings, model: Model | None) -> Source:

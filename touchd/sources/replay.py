@@ -12,7 +12,7 @@ from touchd.frame import Counts, Frame
 from touchd.recording.data import Recording
 from touchd.recording.format import Reader
 from touchd.recording.validate import MAX_COUNT
-from touchd.sources.source import EndOfStream
+from touchd.sources.source import EndOfStream, touching
 
 MIN_SPEED = 0.001
 _MAX_WAIT_S = 1e6
@@ -104,6 +104,10 @@ class ReplaySource:
         self._next = i + 1
         return Frame(self._counts[i], self._sequence[i], self._epoch_ns + elapsed_ns, now_ns)
 
+    def truth(self) -> list[tuple[float, float]]:
+        """Return the places of the fingers in the frame that was read last, mm; none of a recording without labels."""
+        return touching(self._contacts_mm, self._next - 1)
+
     def close(self) -> None:
         """Release the recording."""
         self._loop = False
@@ -132,6 +136,7 @@ class ReplaySource:
 
     def _take(self, chunk: Recording) -> None:
         self._counts: Counts = chunk.frames.view()
+        self._contacts_mm = chunk.contacts_mm
         # Read-only: a stage that wrote into a frame would change the next lap.
         self._counts.flags.writeable = False
         # Python's integers index faster, and no number of laps overflows them.

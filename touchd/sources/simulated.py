@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 from touchd.errors import SimulationError
 from touchd.frame import Counts, Frame
-from touchd.sources.source import EndOfStream
+from touchd.sources.source import EndOfStream, touching
 from touchd.twin.instrument import Instrument
 from touchd.twin.simulate import DEFAULT_PLATE, meta_of, stage_scene, stream
 
@@ -77,6 +77,7 @@ class SimulatedSource:
         self._last_ns = 0
         self._omitted = 0  # frames left out because of the rate: no number counts them
         self._period_ns, self._wanted_ns = 0.0, -math.inf  # of the rate asked for, and time of the next frame
+        self._truth, _ = self._stage.truth()
         self._sequence: list[int] = self._stage.sequence.tolist()
         self._blocks: queue.Queue[Counts | Exception] = queue.Queue(_AHEAD)
         self._closed = threading.Event()
@@ -131,6 +132,10 @@ class SimulatedSource:
         if rate_hz < self._stage.rate_hz:
             self._period_ns = 1e9 / rate_hz
             self._wanted_ns = self._last_ns + self._period_ns
+
+    def truth(self) -> list[tuple[float, float]]:
+        """Return the places of the fingers in the frame that was read last, mm."""
+        return touching(self._truth, self._frame - 1)
 
     def close(self) -> None:
         """Stop computing; further calls do nothing."""

@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol, runtime_checkable
 
+import numpy as np
+from numpy.typing import NDArray
+
 from touchd.event import State
 from touchd.frame import Acquisition, Frame
 
@@ -85,3 +88,17 @@ class LiveSource(Source, Protocol):
         While a change waits, `read` returns None at once: no frame overtakes it.
         """
         ...
+
+
+@runtime_checkable
+class Labelled(Protocol):
+    """A source that knows where the fingers really are: a scene, or a recording with labels."""
+
+    def truth(self) -> list[tuple[float, float]]:
+        """Return the places of the fingers in the frame that was read last, mm."""
+        ...
+
+
+def touching(contacts_mm: NDArray[np.float32] | None, frame: int) -> list[tuple[float, float]]:
+    """Return the places of the fingers that touch in one frame of labels of shape (n, k, 2)."""
+    return [] if contacts_mm is None else [(x, y) for x, y in contacts_mm[frame].tolist() if x == x]

@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+from tests.scenes.stages import shipped
 from touchd.config.schema import Settings
 from touchd.event import Contact, Event, KeyEvent, TouchEvent
 from touchd.frame import Frame
@@ -62,7 +63,8 @@ def rows(case: str, recording: Recording) -> list[Any]:
     """What touchd makes of a case's scene: a row for each event, then the counters and the changes of the baseline."""
     name, atlas = CASES[case]
     keypad = {"layout": PHONE} if name == "keypad" else {}
-    outcome = run_through(Frames(recording), Settings.model_validate({"keypad": keypad, "model": {"atlas": atlas}}))
+    settings = Settings.model_validate({"keypad": keypad, "model": {"atlas": atlas}})
+    outcome = run_through(Frames(recording), settings, shipped(atlas=atlas))
     counted = {name: getattr(outcome.counters, name) for name in COUNTED} | {"unheard": outcome.unheard}
     last = {"counters": counted, "notices": outcome.notices}
     found: list[Any] = json.loads(json.dumps([*(_row(event) for event in outcome.events), last]))

@@ -14,6 +14,7 @@ import onnxruntime as ort
 from numpy.typing import NDArray
 
 from tests.scenes.numerics.agreement import NetworkShift, shift
+from tests.scenes.stages import shipped
 from touchd.config.schema import Settings
 from touchd.event import TouchEvent
 from touchd.frame import Acquisition, Frame
@@ -82,7 +83,7 @@ class Pieces:
 
 
 def _events(source: Source) -> Contacts:
-    return contacts_of(run_through(source, Settings()).touches)
+    return contacts_of(run_through(source, Settings(), shipped(atlas=True)).touches)
 
 
 def chunked(recording: Recording, folder: Path, sizes: Sequence[int]) -> Iterator[tuple[str, Contacts]]:

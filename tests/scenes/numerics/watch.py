@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tests.scenes.numerics.double import double_model
+from tests.scenes.stages import shipped
 from touchd.config.schema import Settings
 from touchd.detection.detector import Detection
 from touchd.event import Event, TouchEvent
@@ -80,7 +81,7 @@ def run(
     frames: Iterable[Frame], *, wide: bool = False, settings: Settings | None = None, model: Model | None = None
 ) -> Run:
     """Frames through the pipeline; `wide` is in double precision."""
-    chosen = model or (double_model(default_model_path()) if wide else Model(default_model_path()))
+    chosen = model or (double_model(default_model_path()) if wide else shipped(atlas=True))
     settings = settings or Settings()
     result = Run(pipeline=Pipeline(chosen.description.acquisition, chosen, settings))
     localizer = result.pipeline._localizer

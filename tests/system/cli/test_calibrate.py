@@ -117,6 +117,26 @@ def test_usable_as_others(home: Path) -> None:
     assert checks["baseline"]["level"] == "ok"
 
 
+def test_taps(home: Path, small: Instrument, tmp_path: Path) -> None:
+    """A mirrored drawing is found out by taps, named, and set right in the model."""
+    mirrored = SAID
+    for x_mm in ("20.4", "12.3", "97.6", "85.3"):
+        mirrored = mirrored.replace(f"[{x_mm},", f"[{110 - float(x_mm):.1f},")
+    (tmp_path / "PLATE.toml").write_text(mirrored)
+    write(tmp_path / "taps.npz", simulate_touches(12, instrument=small, seed=6, label_noise_mm=1.0, margin_mm=8.0))
+    done = touchd(
+        "calibrate", home / "idle.npz", "-o", "m.onnx", "--plate", "PLATE.toml", "--taps", "taps.npz", "--json",
+        cwd=tmp_path,
+    )  # fmt: skip
+    assert done.code == 0, done.err
+    said = json.loads(done.out)
+    assert said["taps"]["orientation"] == "mirrored left to right"
+    assert 0.5 < said["taps"]["scatter_mm"] < 1.6
+    assert said["undecided"] == []
+    scores = touchd("evaluate", "m.onnx", home / "touches.npz", "--json", cwd=tmp_path)
+    assert json.loads(scores.out)["median_mm"] < 0.15
+
+
 @pytest.fixture
 def poor(monkeypatch: pytest.MonkeyPatch) -> None:
     """Have the fit come out poor, after one fit that counts for all."""

@@ -124,12 +124,15 @@ def test_a_damaged_key_is_skipped(bus: Bus, keys: Path) -> None:
         assert [name in line["error"] for line in logs if "error" in line].count(True) == 1
 
 
-def no_folder(*_: object) -> None:
-    raise OSError(errno.EMFILE, "Too many open files")
+@pytest.mark.parametrize("why", [errno.EMFILE, errno.EACCES])
+def test_keys_stay_known_while_the_folder_cannot_be_read(
+    why: int, bus: Bus, keys: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Want of descriptors or permission locks nobody out, and who is unknown meanwhile may try again."""
 
+    def no_folder(*_: object) -> None:
+        raise OSError(why, os.strerror(why))
 
-def test_keys_stay_known_while_the_folder_cannot_be_read(bus: Bus, keys: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Want of descriptors locks nobody out, and who is unknown meanwhile may try again."""
     monkeypatch.setattr(zeromq, "_HANDSHAKE_MS", 500)
     sink = bus(curve_clients=keys.parent / "clients")
     (keys.parent / "clients/stranger.key").write_bytes((keys / "stranger.key").read_bytes())

@@ -62,7 +62,7 @@ sed -i 's/^rate_hz = 125$/rate_hz = 40/' /etc/touchd/touchd.toml
 found before-plug "$(show ActiveState)"
 
 say screen
-found screen-shipped "$(systemctl is-enabled touchd-input touchd-tuio 2>&1 | sort -u)"
+found screen-shipped "$(systemctl is-enabled touchd-input touchd-tuio touchd-web 2>&1 | sort -u)"
 PYTHONPATH=/usr/lib/touchd python3 -B - << 'PYTHON'
 from pathlib import Path
 from touchd.cli.map import with_lines

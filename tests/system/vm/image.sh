@@ -2,11 +2,19 @@
 # Make the virtual machine of `make vm-test`: Debian's generic kernel (the cloud kernel has no USB), a minimal Debian
 # with systemd and udev, and an initrd of busybox and the few modules that reach the disk.
 #
-# usage: image.sh FOLDER    FOLDER then holds vmlinux, initrd.img and root.ext4; an interrupted run leaves none.
+# usage: image.sh FOLDER [kiosk]    FOLDER then holds vmlinux, initrd.img and root.ext4; an interrupted run leaves none.
+#                                   kiosk: with a picture, Weston, X and Chromium, for `make kiosk-test`.
 set -euo pipefail
 export LC_ALL=C
 
 final=$1
+packages=systemd,systemd-sysv,udev,kmod,dbus,python3,libusb-1.0-0,libasound2,iproute2,procps,libinput-tools
+guest=(usbcore vhci_hcd dummy_hcd libcomposite usb_f_fs configfs autofs4 uinput evdev snd-aloop)
+if [ "${2:-}" = kiosk ]; then
+    packages+=,dbus-user-session,weston,chromium,fonts-dejavu-core,libgl1-mesa-dri
+    packages+=,xserver-xorg-core,xserver-xorg-input-libinput,xinput,x11-xserver-utils
+    guest+=(virtio-gpu)
+fi
 suite=bookworm
 work=$(mktemp -d -p "$(dirname "$final")" making.XXXXXX)
 trap 'rm -rf "$work"' EXIT
@@ -28,7 +36,7 @@ mmdebstrap --quiet --variant=minbase --mode=root \
     --aptopt='Acquire::Languages "none"' \
     --dpkgopt='path-exclude=/usr/share/doc/*' --dpkgopt='path-exclude=/usr/share/man/*' \
     --dpkgopt='path-exclude=/usr/share/locale/*' \
-    --include=systemd,systemd-sysv,udev,kmod,dbus,python3,libusb-1.0-0,iproute2,procps,libinput-tools \
+    --aptopt='APT::Install-Recommends "false"' --include=$packages \
     "$suite" root $sources >&2
 rm -rf root/var/cache/apt/* root/var/lib/apt/lists/*
 
@@ -75,8 +83,7 @@ INIT
 chmod +x initrd/init
 (cd initrd && find . | cpio --quiet -o -H newc) | gzip -1 > initrd.img
 
-# --- root: modules of the USB device side, of USB/IP and of input devices, and a target that runs what the host hands in.
-guest=(usbcore vhci_hcd dummy_hcd libcomposite usb_f_fs configfs autofs4 uinput evdev)
+# --- root: modules of the USB device side, of USB/IP, of input devices and of a sound card, and a target that runs what the host hands in.
 target=root/lib/modules/$release
 mkdir -p "$target" root/host
 for file in $(closure "${boot[@]}" "${guest[@]}"); do

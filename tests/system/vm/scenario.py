@@ -6,63 +6,37 @@ in it mean nothing; behaviour does.
 
 from __future__ import annotations
 
-import hashlib
-import os
 import re
-import shutil
-import subprocess
-import time
 from pathlib import Path
 
 import pytest
 
-from tests.needs import need, need_tool
 from tests.processes import ROOT
 from tests.system.usb.plate import write
 from tests.system.usb.test_mocked_kernel import STEPS
 from tests.system.vm.libinput import messages, same, seen, wanted, ways
+from tests.system.vm.machine import Found, boot, handed_in, made
 
 HERE = Path(__file__).parent
-CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "touchd-vm"
-BOOT_S = 1200
-Found = dict[str, str]
 
 
 @pytest.fixture(scope="session")
 def image() -> Path:
     """The machine, made once for each version of its recipe and kept."""
-    need(os.geteuid() == 0, "making the machine's disk needs root")
-    for tool, package in (("qemu-system-x86_64", "qemu-system-x86"), ("mmdebstrap", "mmdebstrap")):
-        need_tool(tool, package)
-    CACHE.mkdir(parents=True, exist_ok=True)
-    recipe = HERE / "image.sh"
-    path = CACHE / hashlib.sha256(recipe.read_bytes()).hexdigest()[:16]
-    if not path.is_dir():
-        for older in CACHE.iterdir():
-            shutil.rmtree(older)
-        began_s = time.monotonic()
-        made = subprocess.run(["bash", recipe, path], capture_output=True, text=True)
-        assert made.returncode == 0, made.stderr
-        print(f"the machine was made in {time.monotonic() - began_s:.0f} s")
-    return path
+    return made("vm")
 
 
 @pytest.fixture(scope="session")
 def host(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What goes into the machine, and comes out of it."""
-    folder = tmp_path_factory.mktemp("host")
-    folder.chmod(0o755)
-    built = subprocess.run(["bash", ROOT / "deploy/build-deb.sh"], capture_output=True, text=True, cwd=ROOT)
-    assert built.returncode == 0, built.stderr
-    shutil.copy(ROOT / built.stdout.split()[-1], folder)
-    shutil.copy(HERE / "guest.sh", folder / "run.sh")
-    for file in (
+    folder = handed_in(
+        tmp_path_factory.mktemp("host"),
+        HERE / "guest.sh",
         HERE / "usbipdaq.py",
         HERE / "screenbus.py",
         ROOT / "tests/system/usb/client.py",
         ROOT / "tests/system/usb/player.py",
-    ):
-        shutil.copy(file, folder)
+    )
     write(folder)
     return folder
 
@@ -70,19 +44,8 @@ def host(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="session")
 def found(image: Path, host: Path) -> Found:
     """What was seen in the machine."""
-    began_s = time.monotonic()
-    boot = ["timeout", str(BOOT_S), "bash", str(HERE / "boot.sh"), str(image), str(host)]
-    done = subprocess.run(boot, capture_output=True, text=True)
-    print(f"the machine ran for {time.monotonic() - began_s:.0f} s")
-    names = ("console.log", "out.log", "journal.log", "gadget.err", "usbip.err", "usbip.log",
-             "screen.err", "screen.events", "ends.events", "plate.events")  # fmt: skip
-    logs = [path.read_text(errors="replace") for name in names if (path := host / name).exists()]
-    log = "\n".join([done.stderr, *logs])
-    print(log)
-    status = host / "status"
-    assert status.exists(), f"the machine did not come to its end: {log}"
-    lines = (host / "found.txt").read_text().splitlines()
-    return {name: value.strip() for name, _, value in (line.partition(" ") for line in lines)}
+    logs = ("gadget.err", "usbip.err", "usbip.log", "screen.err", "screen.events", "ends.events", "plate.events")
+    return boot(image, host, logs)
 
 
 def test_the_package_installs_and_starts_nothing_without_a_device(found: Found) -> None:

@@ -255,7 +255,7 @@ def configurations(draw: st.DrawFn) -> Settings:
 
 
 class TestRender:
-    @FILE_SETTINGS
+    @hypothesis_settings(FILE_SETTINGS, max_examples=25)
     @given(configured=configurations())
     def test_what_is_rendered_loads_as_the_same_settings(self, tmp_path: Path, configured: Settings) -> None:
         path = tmp_path / "rendered.toml"

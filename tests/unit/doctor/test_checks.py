@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from tests.conftest import Scene
 from touchd.doctor import checks as doctor
 from touchd.doctor.checks import Finding, Sample, grade
+from touchd.doctor.start import check_model_fit
 from touchd.frame import Acquisition
 
 RIG = Acquisition(channels=4, samples=250, sample_rate_hz=250e3)
@@ -188,3 +189,10 @@ def test_a_higher_value_is_never_graded_better(value: float, first: float, secon
     order = ("ok", "warning", "failure")
     assert order.index(grade(value, limits)) <= order.index(grade(value + 1, limits))
     assert grade(limits[0], limits) == "ok"
+
+
+def test_model_fit() -> None:
+    """A daemon whose model explains its touches badly is told to be calibrated again."""
+    assert check_model_fit(0.995).level == "ok"
+    worn = check_model_fit(0.93)
+    assert (worn.level, "93.0%" in worn.text, "calibrate" in worn.fix) == ("warning", True, True)

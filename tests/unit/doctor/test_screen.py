@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from touchd.bridges import uinput
+from touchd.bridges import dark, uinput
 from touchd.config.schema import Settings
 from touchd.doctor import screen
-from touchd.doctor.screen import check_screen
+from touchd.doctor.checks import Finding
+from touchd.doctor.screen import COMPOSITORS, check_screen
 
 MAPPED = {"screen_mm": (10, 20, 160, 90), "residual_mm": 0.8}
 
@@ -22,13 +24,31 @@ def system(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setattr(uinput, "DEVICES", tmp_path / "devices")
     monkeypatch.setattr(screen, "UDEV", tmp_path / "udev")
     monkeypatch.setattr(screen, "BUS", tmp_path / "bus")
+    monkeypatch.setattr(screen, "PROCESSES", tmp_path / "proc")
+    monkeypatch.setattr(dark, "CONNECTORS", tmp_path / "drm")
+    desktop(tmp_path, ["weston"], {"HDMI-A-1": "connected", "DP-1": "disconnected"})
     return tmp_path
 
 
+def desktop(folder: Path, processes: list[str], outputs: dict[str, str]) -> None:
+    """What runs, and what is connected."""
+    for name, files in (("proc", {f"{100 + i}/comm": name for i, name in enumerate(["init", *processes])}),
+                        ("drm", {f"card0-{name}/status": status for name, status in outputs.items()})):  # fmt: skip
+        shutil.rmtree(folder / name, ignore_errors=True)
+        for file, content in files.items():
+            (folder / name / file).parent.mkdir(parents=True)
+            (folder / name / file).write_text(content + "\n")
+
+
+def findings(**settings: Any) -> dict[str, Finding]:
+    found = check_screen(Settings.model_validate({"input": settings}))
+    assert all(finding.fix or finding.level == "ok" for finding in found)
+    return {finding.check: finding for finding in found}
+
+
 def levels(**settings: Any) -> dict[str, str]:
-    findings = check_screen(Settings.model_validate({"input": settings}))
-    assert all(finding.fix or finding.level == "ok" for finding in findings)
-    return {finding.check: finding.level for finding in findings}
+    """The levels of all checks; the compositor's has a test of its own."""
+    return {name: finding.level for name, finding in findings(**settings).items() if name != "compositor"}
 
 
 def device(folder: Path, udev: str | None) -> None:
@@ -66,3 +86,25 @@ def test_udev(system: Path) -> None:
 def test_residual(residual_mm: float, level: str) -> None:
     """A mapping that its touches missed by much is named."""
     assert levels(screen_mm=(10, 20, 160, 90), residual_mm=residual_mm)["mapping"] == level
+
+
+@pytest.mark.parametrize("name", COMPOSITORS)
+def test_compositor(system: Path, name: str) -> None:
+    """Compositor and outputs are named; of several outputs it says how that compositor learns which one is meant."""
+    desktop(system, [name], {"HDMI-A-1": "connected", "DP-1": "disconnected"})
+    found = findings(**MAPPED)["compositor"]
+    assert (found.level, found.text) == ("ok", f"{name}; connected outputs: HDMI-A-1")
+    desktop(system, [name], {"HDMI-A-1": "connected", "DP-1": "connected"})
+    found = findings(**MAPPED)["compositor"]
+    assert found.level == "warning"
+    assert found.fix.startswith(f"{name}: ")
+    assert not {"{", "}"} & set(found.fix.replace("ENV{WL_OUTPUT}", ""))
+
+
+def test_no_desktop(system: Path) -> None:
+    """Without a compositor, or with nothing connected, it says so; a keypad needs neither."""
+    desktop(system, [], {"HDMI-A-1": "connected"})
+    assert findings(**MAPPED)["compositor"].level == "warning"
+    desktop(system, ["sway"], {})
+    assert findings(**MAPPED)["compositor"].level == "warning"
+    assert "compositor" not in findings(keypad=True)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import gc
 import math
+import weakref
+from functools import cache
 
 import numpy as np
 import pytest
@@ -11,6 +14,8 @@ from hypothesis import strategies as st
 
 from tests.fields import COUNTS, Field, in_double, make_atlas
 from tests.unit.localization.test_contact_model import as_bins, contact, contact_model
+from touchd.localization import contact_size
+from touchd.localization.atlas import Atlas
 from touchd.localization.contact_size import MOMENTS_MM2, PHASE_RAD, SIZES_MM2, ContactSize
 from touchd.localization.fit import Fit
 from touchd.localization.noise import NoiseModel
@@ -25,7 +30,9 @@ AT = (60.0, 45.0)
 PHASE = st.floats(-math.pi, math.pi)
 
 
+@cache
 def size_of_noise(variance: float) -> ContactSize:
+    """Sizes at a noise floor; their table takes milliseconds."""
     noise = NoiseModel(ATLAS)
     noise.variance, noise.ceiling, noise.active_bins = variance, variance * ATLAS.size, ATLAS.size
     return ContactSize(ATLAS, noise)
@@ -57,6 +64,25 @@ def test_larger(moment: float) -> None:
     assert one is not None
     assert other is not None
     assert one.mean_mm2 < other.mean_mm2
+
+
+def test_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its table, a quarter of a second of work, is made once for each atlas, and goes with it."""
+    made: list[Atlas] = []
+    inverted = contact_size._inverted
+
+    def counted(atlas: Atlas, turn: complex) -> contact_size.Spreads:
+        made.append(atlas)
+        return inverted(atlas, turn)
+
+    monkeypatch.setattr(contact_size, "_inverted", counted)
+    atlas = in_double(make_atlas(Field()))
+    first, second = (ContactSize(atlas, NoiseModel(atlas)) for _ in range(2))
+    assert made == [atlas]
+    gone = weakref.ref(made.pop())
+    del atlas, first, second
+    gc.collect()
+    assert gone() is None
 
 
 def test_rigid() -> None:

@@ -24,7 +24,8 @@ from nidaqmx.task.triggering import StartTrigger, Triggers
 from numpy.typing import NDArray
 
 from touchd.chirp import waveform
-from touchd.config.schema import DeviceSettings, NiSettings
+from touchd.config.rigs import NiSettings
+from touchd.config.schema import DeviceSettings
 from touchd.errors import ConfigError, SourceError
 from touchd.frame import Acquisition
 from touchd.sources.daq import DaqAbsent, DaqGone

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from touchd.cli.main import main
 from touchd.errors import SimulationError
@@ -84,19 +86,31 @@ def test_simulate(tmp_path: Path) -> None:
         assert np.square(real - ideal).mean() > 1e-3 * np.square(ideal).mean()
 
 
+LONG = Acquisition(channels=4, samples=1500, sample_rate_hz=250e3)
+"""Until the plate is silent: spectra are exact."""
+
+
+def touched(small: Instrument, **rig: Any) -> NDArray[np.complex128]:
+    """The spectra of a touch, in and about the band."""
+    instrument = Instrument(small.plate, acquisition=LONG, **rig)
+    change = instrument.change([[Contact(40.0, 30.0, 60.0, "human")]], [REFERENCE_C])[0]
+    spectra: NDArray[np.complex128] = np.fft.rfft(change * instrument.peak)[:, 330:571:12]
+    return spectra
+
+
+@pytest.fixture(scope="module")
+def plain(small: Instrument) -> NDArray[np.complex128]:
+    return touched(small)
+
+
 @pytest.mark.parametrize(("deg", "db", "level_db"), [(10.0, 1.5, -17), (30.0, 3.0, -9)])
-def test_tilt(small: Instrument, deg: float, db: float, level_db: float) -> None:
+def test_tilt(small: Instrument, plain: NDArray[np.complex128], deg: float, db: float, level_db: float) -> None:
     """Tilts turn and scale signal and touches alike, by as much as stated: nothing in the middle of the band."""
     tilted = Instrument(small.plate, tilts=[(deg, db)] * 4)
     before, after = (one.untouched([REFERENCE_C])[0] * one.peak for one in (small, tilted))
     change_db = 10 * np.log10(np.square(after - before).mean() / np.square(before).mean())
     assert change_db == pytest.approx(level_db, abs=2.5)
-    touch = [[Contact(40.0, 30.0, 60.0, "human")]]
-    long = Acquisition(channels=4, samples=1500, sample_rate_hz=250e3)  # until the plate is silent: exact spectra
-    plain, turned = (
-        np.fft.rfft(one.change(touch, [REFERENCE_C])[0] * one.peak)[:, 330:571:12]
-        for one in (Instrument(small.plate, acquisition=long, tilts=tilts) for tilts in ((), [(deg, db)] * 4))
-    )
+    turned = touched(small, tilts=[(deg, db)] * 4)
     at = (np.arange(330, 571, 12) - 450) / 150
     expected = np.exp((np.log(10) / 20 * db + 1j * np.deg2rad(deg)) * at) * plain
     assert np.abs(turned - expected).max() < 0.02 * np.abs(expected).max()

@@ -1,0 +1,182 @@
+"""An audio interface without hardware, at the seam of the library: a plate stands between playback and capture.
+
+What is captured is what is played, filtered by the twin's response: whole periods at once, since what is played is
+periodic. The delay is drawn at each start, as whole samples and a fraction, and faults come on command.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchd.audio.card import CardAbsent, CardGone, CardXrun, Samples
+from touchd.audio.waveform import loop_of, moved
+from touchd.frame import Acquisition, Chirp
+
+Floats = NDArray[np.float64]
+Response = Callable[[int], Floats]
+"""The frame that the plate answers a nominal chirp with in a period, (channels, samples), ADC counts."""
+
+
+def answers(frames: NDArray[np.int16]) -> Response:
+    """The frames of a recording, again and again."""
+    return lambda number: frames[number % len(frames)].astype(float)
+
+
+class Clock:
+    """Time that passes by samples alone."""
+
+    def __init__(self) -> None:
+        self.ns = 1_000_000_000
+
+    def __call__(self) -> int:
+        return self.ns
+
+
+class FakeCard:
+    """A card with a plate on it.
+
+    Parameters
+    ----------
+    acquisition : Acquisition
+    response : callable
+        The plate's answer to a nominal chirp at `level_dbfs`, by number of the period.
+    period : int
+        Samples from chirp to chirp.
+    """
+
+    def __init__(
+        self,
+        acquisition: Acquisition,
+        response: Response,
+        period: int,
+        *,
+        level_dbfs: float = -6.0,
+        seed: int = 0,
+        clock: Clock | None = None,
+        loopback: float = 0.0,
+        block: int | None = None,
+    ) -> None:
+        self.name, self.rate_hz = "hw:CARD=Fake", round(acquisition.sample_rate_hz)
+        self.inputs = acquisition.channels + bool(loopback)
+        self.ahead = round(0.1 * self.rate_hz)
+        self.order = list(range(self.inputs))
+        self.gains = np.ones(self.inputs)
+        self.delay = 0.0
+        self.starts = self.period_number = 0
+        self.xrun = self.unplugged = self.busy = self.silent = False
+        self.slip = 0
+        self.disturbance = 0.0
+        self.lowpass_hz: float | None = None
+        self.clock = clock or Clock()
+        self._loopback = loopback
+        self._a, self._response, self._period = acquisition, response, period
+        chirp: Chirp = acquisition.chirp
+        self._nominal = loop_of(chirp, acquisition.sample_rate_hz, period, level_dbfs)
+        self._rng = np.random.default_rng(seed)
+        self._block = block or max(self.rate_hz // 1000, 1)
+        self._captured: NDArray[np.int16] = np.zeros((0, self.inputs), np.int16)
+
+    def open(self) -> FakeCard:
+        """What opening the card does."""
+        if self.busy:
+            raise CardAbsent(f"{self.name} is in use by another program")
+        if self.unplugged:
+            raise CardAbsent(f"there is no {self.name}")
+        return self
+
+    def start(self, loop: Floats) -> None:
+        if self.unplugged:
+            raise CardGone("No such device")
+        self.starts += 1
+        self.delay = float(self._rng.uniform(0, self._period))
+        self._loop, self._next_loop, self._until = loop, loop, 0
+        self._captured = self._captured[:0]
+        self.xrun = False
+
+    def play(self, loop: Floats) -> None:
+        self._next_loop = loop
+        self._until = self.ahead // self._period + 1  # periods of the old one, written already
+
+    def exchange(self, timeout_s: float) -> Samples | None:
+        if self.unplugged:
+            raise CardGone("No such device")
+        if self.xrun:
+            self.xrun = False
+            raise CardXrun("samples were lost")
+        if self.silent:
+            self.clock.ns += round(timeout_s * 1e9)
+            return None
+        self.clock.ns += round(1e9 * self._block / self.rate_hz)
+        while len(self._captured) < self._block + self.slip:
+            self._captured = np.concatenate([self._captured, self._one_period().T])
+        self._captured = self._captured[self.slip :]
+        self.slip = 0
+        block, self._captured = self._captured[: self._block], self._captured[self._block :]
+        return block
+
+    def close(self) -> None:
+        pass
+
+    def _one_period(self) -> NDArray[np.int16]:
+        self._until -= 1
+        if self._until == 0:
+            self._loop = self._next_loop
+        frame = self._response(self.period_number)
+        self.period_number += 1
+        signal = np.zeros((self.inputs, self._period))
+        signal[: len(frame), : frame.shape[1]] = frame
+        if self._loopback:
+            signal[-1] = self._nominal * self._loopback * 2**15
+        # The played loop differs from the nominal one by a delay, a level and a filter.
+        spectrum, nominal, played = (np.fft.rfft(x) for x in (signal, self._nominal, self._loop))
+        ratio = np.where(np.abs(nominal) > 1e-9 * np.abs(nominal).max(), played / nominal, 0.0)
+        if self.lowpass_hz is not None:
+            ratio = ratio * (np.fft.rfftfreq(self._period, 1 / self.rate_hz) < self.lowpass_hz)
+        heard = moved(np.fft.irfft(spectrum * ratio, self._period), self.delay)
+        if self.disturbance:
+            heard = heard + self.disturbance * self._rng.standard_normal(heard.shape)
+        heard = heard[self.order] * self.gains[:, None]
+        return np.asarray(np.clip(np.rint(heard), -(2**15), 2**15 - 1), np.int16)
+
+
+def openers(card: FakeCard, make: Callable[[FakeCard], object]) -> Callable[[], Iterator[Callable[[], object]]]:
+    """Candidates of a source: the one card."""
+    return lambda: iter([lambda: make(card.open())])
+
+
+class CableCard:
+    """A card with a cable from its output to its second input: a filter, noise, harmonics and crosstalk."""
+
+    def __init__(self, rate_hz: int = 48_000, *, inputs: int = 3, seed: int = 0) -> None:
+        self.name, self.rate_hz, self.inputs, self.ahead = "hw:CARD=Fake", rate_hz, inputs, rate_hz // 10
+        self.gains = np.array([0.001, 0.5, *[0.0] * (inputs - 2)])
+        self.noise, self.third, self.fraction = 1e-4, 1e-3, 0.25
+        self.lowpass_hz = 0.5 * rate_hz
+        self.xruns = 0
+        self._rng = np.random.default_rng(seed)
+
+    def start(self, loop: Floats) -> None:
+        shaped = loop + self.third * loop**3
+        spectrum = np.fft.rfft(shaped) * (np.fft.rfftfreq(len(loop), 1 / self.rate_hz) < self.lowpass_hz)
+        self.delay = int(self._rng.integers(100, 2000)) + self.fraction
+        self._heard = np.outer(self.gains, moved(np.fft.irfft(spectrum, len(loop)), self.delay))
+        self._at = 0
+
+    def play(self, loop: Floats) -> None:
+        raise NotImplementedError
+
+    def exchange(self, timeout_s: float) -> Samples | None:  # noqa: ARG002 - it never waits
+        if self.xruns:
+            self.xruns -= 1
+            raise CardXrun("samples were lost")
+        block = self.rate_hz // 100
+        at = (self._at + np.arange(block)) % self._heard.shape[1]
+        self._at += block
+        signal = self._heard[:, at].T + self.noise * self._rng.standard_normal((block, self.inputs))
+        return np.asarray(np.clip(np.rint(signal * 2**15), -(2**15), 2**15 - 1), np.int16)
+
+    def close(self) -> None:
+        pass

@@ -1,0 +1,165 @@
+#!/bin/bash
+# Run in the virtual machine, as root: the package's touch screen under Weston and Xorg, and what a page in Chromium
+# hears of it. The page's events go to page.log, with a line `{"kind": "scene NAME"}` before each scene.
+cd /host || exit 1
+
+say() { echo "--- $(cut -d' ' -f1 /proc/uptime) $*"; }
+found() { echo "$*" | tee -a found.txt; }
+# wait_for SECONDS COMMAND...
+wait_for() {
+    local end=$(($(cut -d. -f1 /proc/uptime) + $1))
+    shift
+    until "$@"; do
+        [ "$(cut -d. -f1 /proc/uptime)" -lt $end ] || return 1
+        sleep 0.5
+    done
+}
+bridge() { systemctl show touchd-input --property="$1" --value; }
+another_bridge() { [ "$(bridge MainPID)" != "$1" ] && [ "$(bridge ActiveState)" = active ]; }
+more_done() { [ "$(grep -c '"done"' screen.bus)" -gt "$1" ]; }
+heard() { [ "$(grep -c "\"$1\"" page.log)" -ge "$2" ]; }
+quiet() { [ "$(wc -l < page.log)" = "$lines" ] || { lines=$(wc -l < page.log); return 1; }; }
+command() {
+    local before
+    before=$(grep -c '"done"' screen.bus)
+    echo "$1" >&5
+    wait_for 180 more_done "$before" || say "not done: $1"
+}
+# scene COMMAND [LABEL]: returns when the page says nothing more
+scene() {
+    echo "{\"kind\": \"scene ${2:-$1}\"}" >> page.log
+    command "$1"
+    sleep 1
+    lines=0
+    wait_for 60 quiet
+}
+begin() { echo "{\"kind\": \"begin $1\"}" >> page.log; }
+picture() {
+    touch "picture-$1"
+    wait_for 60 test -e "picture-$1.taken"
+}
+browse() {
+    local hellos
+    hellos=$(grep -c '"hello"' page.log)
+    dbus-run-session chromium --no-sandbox --disable-gpu --kiosk --no-first-run --disable-background-networking \
+        --disable-component-update --disable-sync --disable-quic --disable-extensions --disable-hang-monitor \
+        --password-store=basic --enable-features=NetworkServiceInProcess2 --touch-events=enabled \
+        --disable-features=OptimizationGuideOnDeviceModel,OnDeviceModelService,Vulkan,WebGPU \
+        --window-size=1024,768 --user-data-dir=/tmp/browser "$@" http://127.0.0.1:8000/ > chromium.out 2>&1 5>&- &
+    wait_for 240 heard hello $((hellos + 1))
+}
+leave() {
+    pkill -9 -f user-data-dir=/tmp/browser
+    sleep 1
+    rm -rf /tmp/browser
+}
+finger_of_a_killed_bridge() {
+    local before
+    scene hold "$1"
+    before=$(bridge MainPID)
+    kill -9 "$before"
+    wait_for 180 another_bridge "$before"
+    found "$1" $?
+    sleep 2
+    scene wait waited
+    command release
+}
+
+ip link set lo up
+: > found.txt
+: > page.log
+export XDG_RUNTIME_DIR=/run/user/0 HOME=/root
+mkdir -p $XDG_RUNTIME_DIR && chmod 700 $XDG_RUNTIME_DIR
+modprobe virtio_gpu
+say package
+dpkg --install touchd_*.deb
+found installed $?
+PYTHONPATH=/usr/lib/touchd python3 -B - << 'PYTHON'
+from pathlib import Path
+from touchd.cli.map import with_lines
+config = Path("/etc/touchd/touchd.toml")
+config.write_text(with_lines(config.read_text(), {"screen_mm": "[0.0, 0.0, 200.0, 200.0]"}))
+PYTHON
+# An emulated processor that starts a browser leaves others nothing for seconds.
+mkdir -p /run/systemd/system/touchd-input.service.d
+printf '[Service]\nWatchdogSec=60\n' > /run/systemd/system/touchd-input.service.d/slow.conf
+systemctl daemon-reload
+mkfifo /run/screen-commands
+exec 5<> /run/screen-commands
+PYTHONPATH=/usr/lib/touchd python3 -B screenbus.py < /run/screen-commands > screen.bus 2> screen.err 5>&- &
+python3 -B pageserver.py >> page.log 2> pageserver.err 5>&- &
+wait_for 120 test -S /run/touchd/bus
+systemctl start --no-block touchd-input
+wait_for 240 another_bridge 0
+found screen-starts $?
+command wait
+
+weston_with() {
+    printf '[core]\nidle-time=0\nshell=kiosk-shell.so\nrequire-input=false\n[output]\nname=Virtual-1\nmode=1024x768\n%s\n' "$1" > /run/weston.ini
+    weston --tty=2 --backend=drm-backend.so --use-pixman --config=/run/weston.ini --socket=wayland-1 \
+        --log=/host/weston.log > weston.out 2>&1 5>&- &
+    weston=$!
+    wait_for 60 test -S $XDG_RUNTIME_DIR/wayland-1
+    sleep 3
+}
+export WAYLAND_DISPLAY=wayland-1
+say weston
+weston_with ""
+browse --ozone-platform=wayland
+found weston-page $?
+sleep 5
+begin weston
+for name in tap swipe pinch five corner; do scene $name; done
+picture weston
+finger_of_a_killed_bridge weston-killed
+scene tap "tap after"
+leave
+kill $weston
+wait $weston
+
+say weston turned
+weston_with transform=rotate-90
+browse --ozone-platform=wayland
+found turned-page $?
+sleep 5
+begin turned
+scene tap
+scene swipe
+leave
+kill $weston
+wait $weston
+unset WAYLAND_DISPLAY
+
+say xorg
+printf 'Section "ServerFlags"\n Option "DontVTSwitch" "true"\n Option "BlankTime" "0"\nEndSection\nSection "Device"\n Identifier "g"\n Driver "modesetting"\n Option "AccelMethod" "none"\nEndSection\n' > /run/xorg.conf
+export DISPLAY=:0
+Xorg :0 -config /run/xorg.conf -noreset -nolisten tcp -ac vt1 -keeptty > xorg.out 2>&1 5>&- &
+xorg=$!
+wait_for 90 xset q > /dev/null 2>&1
+found xorg $?
+browse --ozone-platform=x11
+found xorg-page $?
+sleep 5
+begin xorg
+for name in tap swipe pinch five; do scene $name; done
+output=$(xrandr | sed -n 's/ connected.*//p' | head -n 1)
+xrandr --output "$output" --rotate left
+sleep 5
+begin xorg-turned
+scene tap "tap turned"
+xinput map-to-output "touchd screen" "$output"
+scene tap "tap mapped"
+xrandr --output "$output" --rotate normal
+xinput map-to-output "touchd screen" "$output"
+sleep 5
+begin xorg-killed
+finger_of_a_killed_bridge xorg-killed
+scene hold "stopped"
+systemctl stop touchd-input
+found xorg-stopped "$(bridge Result)"
+sleep 2
+leave
+kill $xorg
+wait $xorg
+journalctl -u touchd-input --no-pager > journal.log
+say end

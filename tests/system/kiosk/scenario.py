@@ -1,0 +1,156 @@
+"""`make kiosk-test`: the package's touch screen under Weston and Xorg, and what a page in Chromium hears of it.
+
+All is done in one boot, by `guest.sh`, some ten minutes; the tests look at what the page heard. The machine's processor
+is emulated, so times in it mean nothing.
+"""
+
+from __future__ import annotations
+
+import json
+import socket
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.processes import ROOT
+from tests.system.vm.machine import Found, boot, handed_in, made
+
+HERE = Path(__file__).parent
+Heard = dict[str, list[list[dict[str, Any]]]]
+WIDTH_PX, HEIGHT_PX, PLATE_MM = 1024, 768, 200.0
+NEAR_PX = 1.0
+
+
+def take_pictures(host: Path, monitor: Path, ended: threading.Event) -> None:
+    """Take the picture of the machine's screen that its script asks for, by QEMU's monitor."""
+    while not ended.wait(0.5):
+        for wish in (path for path in host.glob("picture-*") if path.suffix == ""):
+            if (taken := wish.with_suffix(".taken")).exists():
+                continue
+            with socket.socket(socket.AF_UNIX) as connection, connection.makefile("rw") as lines:
+                connection.connect(str(monitor))
+                lines.readline()
+                for command, arguments in (
+                    ("qmp_capabilities", {}),
+                    ("screendump", {"filename": str(wish.with_suffix(".png")), "format": "png"}),
+                ):
+                    print(json.dumps({"execute": command, "arguments": arguments}), file=lines, flush=True)
+                    lines.readline()
+            taken.touch()
+
+
+@pytest.fixture(scope="session")
+def host(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What goes into the machine, and comes out of it."""
+    files = (HERE / "page.html", HERE / "pageserver.py", ROOT / "tests/system/vm/screenbus.py")
+    return handed_in(tmp_path_factory.mktemp("host"), HERE / "guest.sh", *files)
+
+
+@pytest.fixture(scope="session")
+def found(host: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Found]:
+    """What was seen in the machine."""
+    monitor, ended = tmp_path_factory.mktemp("monitor") / "qmp", threading.Event()
+    pictures = threading.Thread(target=take_pictures, args=(host, monitor, ended))
+    pictures.start()
+    # The processor is one that Chromium's network service lives on: with all that QEMU can emulate it does not.
+    options = ("-cpu", "Nehalem", "-m", "2560", "-device", "virtio-vga,xres=1024,yres=768",
+               "-qmp", f"unix:{monitor},server,nowait")  # fmt: skip
+    logs = ("screen.err", "pageserver.err", "weston.log", "weston.out", "xorg.out", "chromium.out", "page.log")
+    try:
+        yield boot(made("kiosk"), host, logs, *options, limit_s=3000)
+    finally:
+        ended.set()
+        pictures.join()
+        print(*host.glob("*.png"))
+
+
+@pytest.fixture(scope="session")
+def heard(found: Found, host: Path) -> Heard:
+    """The page's events of each scene, `part scene` -> one list for each time that it was played."""
+    scenes: Heard = {}
+    part = ""
+    events: list[dict[str, Any]] = []
+    for event in map(json.loads, (host / "page.log").read_text().splitlines()):
+        kind = event["kind"]
+        if kind.startswith("begin "):
+            part = kind.removeprefix("begin ")
+        elif kind.startswith("scene "):
+            scenes.setdefault(f"{part} {kind.removeprefix('scene ')}", []).append(events := [])
+        else:
+            events.append(event)
+    assert found["installed"] == "0"
+    return scenes
+
+
+def touches(events: list[dict[str, Any]], *kinds: str) -> list[dict[str, Any]]:
+    return [event for event in events if event["kind"] in (kinds or ("touchstart", "touchend", "touchcancel"))]
+
+
+def kinds(events: list[dict[str, Any]]) -> list[str]:
+    return [event["kind"] for event in touches(events)]
+
+
+def is_at(event: dict[str, Any], x_mm: float, y_mm: float) -> bool:
+    """Whether an event lies where the finger lay on the plate, which is as large as the screen."""
+    x_px, y_px = x_mm / PLATE_MM * WIDTH_PX, y_mm / PLATE_MM * HEIGHT_PX
+    return bool(abs(event["x"] - x_px) <= NEAR_PX and abs(event["y"] - y_px) <= NEAR_PX)
+
+
+@pytest.mark.parametrize("desk", ["weston", "xorg"])
+def test_a_page_hears_touches_where_the_finger_is(found: Found, heard: Heard, desk: str) -> None:
+    """A tap is a start, an end and a click there; a swipe moves from one end to the other; a pinch has two fingers."""
+    assert (found["screen-starts"], found[f"{desk}-page"]) == ("0", "0")
+    (tap,) = heard[f"{desk} tap"]
+    assert kinds(tap) == ["touchstart", "touchend"]
+    assert all(is_at(event, 50, 60) for event in touches(tap))
+    assert [event["type"] for event in touches(tap, "click")] == ["touch"]
+    (swipe,) = heard[f"{desk} swipe"]
+    assert is_at(touches(swipe)[0], 20, 100)
+    assert is_at(touches(swipe)[-1], 180, 100.37)
+    assert kinds(swipe) == ["touchstart", "touchend"]
+    (pinch,) = heard[f"{desk} pinch"]
+    assert max(event["down"] for event in touches(pinch)) == 2
+    assert sorted(kinds(pinch)) == ["touchend"] * 2 + ["touchstart"] * 2
+
+
+@pytest.mark.parametrize("desk", ["weston", "xorg"])
+def test_a_page_hears_five_fingers(heard: Heard, desk: str) -> None:
+    (five,) = heard[f"{desk} five"]
+    starts = touches(five, "touchstart")
+    assert max(event["down"] for event in starts) == 5
+    assert all(any(is_at(event, 20 + 40 * n, 30 + 10 * n) for event in starts) for n in range(5))
+    assert kinds(five).count("touchend") == 5
+
+
+def test_weston_cancels_the_touch_of_a_killed_bridge(found: Found, heard: Heard) -> None:
+    """Nothing is pressed, and the next tap is one."""
+    assert found["weston-killed"] == "0"
+    (killed,) = heard["weston weston-killed"]
+    assert kinds(killed) == ["touchstart", "touchcancel"]
+    assert not touches(killed, "click")
+    (tap,) = heard["weston tap after"]
+    assert kinds(tap) == ["touchstart", "touchend"]
+
+
+def test_x11_takes_a_killed_bridge_for_a_lifted_finger(found: Found, heard: Heard) -> None:
+    """Why kiosks should use Wayland."""
+    assert found["xorg-killed"] == "0"
+    (killed,) = heard["xorg-killed xorg-killed"]
+    assert kinds(killed)[0] == "touchstart"
+    assert kinds(killed)[-1] in ("touchend", "touchcancel")
+    assert found["xorg-stopped"] == "success"
+
+
+def test_touches_follow_a_turned_picture(found: Found, heard: Heard) -> None:
+    """Weston turns them with the picture by itself; X11 after `xinput map-to-output`."""
+    assert found["turned-page"] == "0"
+    (tap,) = heard["turned tap"]
+    start = touches(tap)[0]
+    assert (start["x"], start["y"]) != (0, 0)
+    (mapped,) = heard["xorg-turned tap mapped"]
+    turned = touches(mapped)[0]
+    assert kinds(tap) == kinds(mapped) == ["touchstart", "touchend"]
+    print("turned:", start, turned)

@@ -1,0 +1,90 @@
+"""A model is judged on touches whose places nobody tells."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.unit.calibration.plates import LAYOUT, PLATE, exact_fit
+from touchd.calibration.check import check_model
+from touchd.calibration.physical_atlas import make_physical_atlas
+from touchd.calibration.plate_fit import PlateFit
+from touchd.calibration.start_scan import make_graph, make_scan
+from touchd.cli.main import main
+from touchd.errors import ModelMismatch, RecordingValues
+from touchd.localization.atlas import atlas_path, save_atlas
+from touchd.localization.model import Description, default_model_path
+from touchd.localization.model_file import put_model
+from touchd.recording.format import write
+from touchd.twin.instrument import Instrument
+from touchd.twin.simulate import simulate_scene
+
+
+def model_of(fit: PlateFit, path: Path) -> Path:
+    """A model made from a fit, at `path`."""
+    atlas = make_physical_atlas(fit, 1e-3 * float(np.sqrt(np.square(fit.measured).mean())))
+    d = atlas.description
+    description = Description(
+        name="calibrated", head="regression", domain="frequency", input="residual", acquisition=d.acquisition,
+        plate=d.plate,
+    )  # fmt: skip
+    save_atlas(atlas, atlas_path(path))
+    put_model(make_graph(make_scan(atlas), description).SerializeToString(), path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("check")
+    instrument = Instrument(PLATE, layout=LAYOUT)
+    fit = exact_fit(instrument)
+    model_of(fit, folder / "right.onnx")
+    emitter = (LAYOUT.emitter_mm[0] + 3.0, LAYOUT.emitter_mm[1])
+    model_of(replace(fit, layout=LAYOUT.model_copy(update={"emitter_mm": emitter})), folder / "moved.onnx")
+    write(folder / "use.npz", replace(
+        simulate_scene("tap", instrument=instrument, frames=1500, seed=2), contacts_mm=None, force_n=None
+    ))  # fmt: skip
+    write(folder / "idle.npz", simulate_scene("idle", instrument=instrument, frames=300, seed=2))
+    return folder
+
+
+def test_right_model(folder: Path) -> None:
+    """A right model is good, and the estimated error is small."""
+    checked = check_model(folder / "right.onnx", folder / "use.npz")
+    assert checked.verdict == "good", checked
+    assert checked.unexplained is not None
+    assert checked.unexplained < 0.01
+    assert checked.error_mm is not None
+    assert checked.error_mm < 0.1
+
+
+def test_moved_disc(folder: Path) -> None:
+    """A disc 3 mm off calls for another calibration, and the reason has its number."""
+    checked = check_model(folder / "moved.onnx", folder / "use.npz")
+    assert checked.verdict == "calibrate again", checked
+    assert "%" in checked.reasons[0]
+
+
+def test_command(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The command line says the same, to a person and as JSON."""
+    asked = ["check", str(folder / "right.onnx"), str(folder / "use.npz")]
+    assert main(asked) == 0
+    assert capsys.readouterr().out.startswith("good\n")
+    assert main([*asked, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["verdict"] == "good"
+
+
+def test_no_touch(folder: Path) -> None:
+    """A recording that nobody touches tells nothing, and what to record is said."""
+    with pytest.raises(RecordingValues, match="record a minute"):
+        check_model(folder / "right.onnx", folder / "idle.npz")
+
+
+def test_other_acquisition(folder: Path) -> None:
+    """A model of other frames is refused."""
+    with pytest.raises(ModelMismatch):
+        check_model(default_model_path(), folder / "use.npz")

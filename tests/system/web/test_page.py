@@ -1,0 +1,216 @@
+"""The page in a real browser: what it shows, and what it survives."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("playwright", reason="of the extra dev")
+
+from playwright.sync_api import Browser, Page, expect
+
+from tests.needs import need
+from tests.processes import PATIENCE_S, started
+from tests.system.web.rig import CHROMIUM, PATIENCE_MS, Web, bus, chromium, page, web
+from touchd.localization.model import default_model_path
+
+STATUS = ".state-word"
+expect.set_options(timeout=PATIENCE_MS)
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    need(shutil.which(CHROMIUM) is not None, "Debian's chromium")
+    with chromium() as found:
+        yield found
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    where = f"ipc://{tmp_path_factory.mktemp('bus')}/bus"
+    with bus(where):
+        yield where
+
+
+@pytest.fixture(scope="module")
+def server(address: str) -> Iterator[Web]:
+    with web(address, TOUCHD_INPUT__SCREEN_MM="20,30,160,100") as found:
+        yield found
+
+
+def batches(opened: Page) -> int:
+    found: int = opened.evaluate("touchd.feed.stats.batches")
+    return found
+
+
+def await_more(opened: Page, count: int) -> None:
+    """Wait for more updates."""
+    opened.wait_for_function("least => touchd.feed.stats.batches >= least", arg=batches(opened) + count)
+
+
+def test_live(browser: Browser, server: Web) -> None:
+    """The page shows the state, five fingers with their figures, and the health, and redraws as they move."""
+    with page(browser, server.url) as opened:
+        expect(opened.get_by_role("status").locator(STATUS)).to_have_text("Working")
+        expect(opened.locator(".fingers tbody tr")).to_have_count(5)
+        expect(opened.locator(".fingers tbody tr").nth(4)).to_contain_text("thumb")
+        expect(opened.locator(".fingers tbody tr").first).to_contain_text("± 0.08 mm")
+        expect(opened.locator(".numbers")).to_contain_text("+0.9 K")
+        expect(opened.locator(".noise")).to_contain_text("4.9 counts")
+        await_more(opened, 30)
+        # The canvas is no longer of one colour where the fingers are.
+        colours = opened.evaluate(
+            "() => { const c = document.querySelector('canvas'), d = c.getContext('2d').getImageData(0, 0, c.width, "
+            "c.height).data, s = new Set(); for (let i = 0; i < d.length; i += 4) s.add(d[i] << 16 | d[i+1] << 8 | "
+            "d[i+2]); return s.size; }"
+        )
+        assert colours > 20
+
+
+def test_token(browser: Browser, server: Web) -> None:
+    """The token leaves the address bar, and its cookie is out of reach of scripts; without it nothing acts."""
+    with page(browser, server.url) as opened:
+        expect(opened.locator(STATUS)).to_have_text("Working")
+        assert "token" not in opened.url
+        assert opened.evaluate("document.cookie") == ""
+        cookie = opened.context.cookies()[0]
+        assert cookie["httpOnly"]
+        assert cookie["sameSite"] == "Strict"
+        opened.get_by_role("link", name="Check").click()
+        opened.get_by_role("button", name="Examine", exact=True).click()
+        expect(opened.locator(".findings li").first).to_contain_text("clock")
+        expect(opened.get_by_role("button", name="Examine again")).to_be_enabled()
+        with opened.expect_download() as download:
+            opened.get_by_role("button", name="Download").click()
+        assert download.value.suggested_filename == "touchd-support.zip"
+    with page(browser, server.base + "#check") as stranger:
+        expect(stranger.locator(STATUS)).to_have_text("Working")
+        stranger.get_by_role("button", name="Examine again").click()
+        expect(stranger.locator(".verdict")).to_contain_text("touchd web printed")
+
+
+def test_two_browsers(browser: Browser, server: Web) -> None:
+    """Two browsers see the same, each at its own pace."""
+    with page(browser, server.url) as one, page(browser, server.base) as other:
+        for opened in (one, other):
+            expect(opened.locator(".fingers tbody tr")).to_have_count(5)
+            await_more(opened, 20)
+
+
+def test_hidden_tab(browser: Browser, server: Web) -> None:
+    """A hidden tab fetches nothing, and goes on when it is seen again."""
+    with page(browser, server.url) as opened:
+        await_more(opened, 5)
+        hide = "hidden => { Object.defineProperty(document, 'hidden', {value: hidden, configurable: true}); "
+        hide += "document.dispatchEvent(new Event('visibilitychange')); }"
+        opened.evaluate(hide, True)
+        before = batches(opened)
+        opened.wait_for_timeout(500)
+        assert batches(opened) == before
+        opened.evaluate(hide, False)
+        await_more(opened, 5)
+
+
+def test_daemon_is_killed(browser: Browser, tmp_path: Path) -> None:
+    """A daemon that is killed leaves a greyed page that counts the seconds; the next one brings it back."""
+    where = f"ipc://{tmp_path}/bus"
+    with web(where) as server, bus(where) as daemon, page(browser, server.url) as opened:
+        expect(opened.locator(STATUS)).to_have_text("Working")
+        os.kill(daemon.pid, signal.SIGKILL)
+        expect(opened.locator(STATUS)).to_contain_text("No data for")
+        expect(opened.locator("main.stale")).to_have_count(1)
+        with bus(where):
+            expect(opened.locator(STATUS)).to_have_text("Working")
+            expect(opened.locator("main.stale")).to_have_count(0)
+            await_more(opened, 5)
+
+
+def test_server_is_killed(browser: Browser, address: str) -> None:
+    """A page outlives `touchd web`: it says that nobody answers, and connects to the next one."""
+    with web(address) as server, page(browser, server.url) as opened:
+        expect(opened.locator(STATUS)).to_have_text("Working")
+        os.kill(server.process.pid, signal.SIGKILL)
+        expect(opened.locator(STATUS)).to_have_text("No connection")
+        server.process.wait(PATIENCE_S)
+        with web(address, port=server.port):
+            expect(opened.locator(STATUS)).to_have_text("Working")
+
+
+def test_keypad(browser: Browser, tmp_path: Path) -> None:
+    """A keypad's keys are drawn, its touches are not; asked for by name they are, with a session alone."""
+    where = f"ipc://{tmp_path}/bus"
+    with bus(where, "keypad"), web(where) as server, web(where, "--keypad") as open_server:
+        with page(browser, server.url) as opened:
+            expect(opened.locator(STATUS)).to_have_text("Working")
+            opened.wait_for_function("() => touchd.feed.last.plate?.keys.length === 9")
+            opened.wait_for_timeout(300)
+            assert opened.evaluate("touchd.feed.last.touch ?? null") is None
+        with page(browser, open_server.url) as opened:
+            expect(opened.locator(".fingers tbody tr")).to_have_count(5)
+        with page(browser, open_server.base) as stranger:
+            expect(stranger.locator(STATUS)).to_have_text("No connection")
+
+
+def test_phone_and_kiosk(browser: Browser, server: Web) -> None:
+    """Nothing is wider than the screen, upright or across, and every target is as large as a fingertip."""
+    with page(browser, server.url) as opened:
+        for view in ("Live", "Check"):
+            opened.get_by_role("link", name=view).click()
+            for wide, high in ((1024, 600), (600, 1024), (1920, 1080), (390, 844)):
+                opened.set_viewport_size({"width": wide, "height": high})
+                assert opened.evaluate("document.documentElement.scrollWidth") <= wide
+                sizes = "all => all.map(one => one.getBoundingClientRect()).map(r => Math.min(r.width, r.height))"
+                assert min(opened.locator("button:visible, nav a:visible").evaluate_all(sizes)) >= 44
+
+
+def test_accessible(browser: Browser, server: Web) -> None:
+    """axe-core finds nothing in any view, light and dark: names, roles, contrast AA."""
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "touchd/node"
+    axe = Path(f"{os.environ.get('TOUCHD_NODE_DIR') or cache}-web") / "node_modules/axe-core/axe.min.js"
+    need(axe.exists(), "axe-core is missing: docs/examples/install-node-zeromq.sh tests/system/web")
+    with page(browser, server.url) as opened:
+        opened.evaluate(axe.read_text())  # not as a script of the page, which its own rules forbid
+        expect(opened.locator(".fingers tbody tr")).to_have_count(5)
+        for view in ("Live", "Check"):
+            opened.get_by_role("link", name=view).click()
+            for scheme in ("light", "dark"):
+                opened.emulate_media(color_scheme="dark" if scheme == "dark" else "light")
+                found = opened.evaluate("async () => (await axe.run()).violations.map(v => [v.id, v.nodes[0].html])")
+                assert found == [], (view, scheme)
+
+
+def test_replay(browser: Browser, tmp_path: Path) -> None:
+    """A recording plays, steps frame by frame, and tells how far each finger is from the truth."""
+    with web(f"ipc://{tmp_path}/bus", "--replay", "touchd/demo/session.npz") as server:
+        with page(browser, server.url) as opened:
+            expect(opened.locator(".clock")).to_have_text("0.000 s")
+            opened.keyboard.press("ArrowRight")
+            expect(opened.locator(".side")).to_contain_text("Frame 2 of 900")
+            expect(opened.locator(".clock")).to_have_text("0.010 s")
+            opened.locator("input[type=range]").fill("114")
+            expect(opened.locator(".fingers .off").last).to_contain_text("mm")
+            opened.get_by_role("button", name="Play").click()
+            expect(opened.locator(".side")).not_to_contain_text("Frame 115 of 900")
+            opened.get_by_role("button", name="Pause").click()
+        with page(browser, server.base + "#replay") as stranger:  # a recording can tell a PIN
+            assert stranger.evaluate("fetch('replay').then(answer => answer.status)") == 401
+
+
+@pytest.mark.parametrize("source", ["replay", "twin"])
+def test_daemon(browser: Browser, tmp_path: Path, source: str) -> None:
+    """A real daemon's finger reaches the page: of a recording, and of the twin live."""
+    where = f"ipc://{tmp_path}/bus"
+    frames = ("--simulate", "circle") if source == "twin" else ("--replay", "touchd/demo/session.npz")
+    with (
+        started(*frames, "--loop", "--bind", where, "--model", default_model_path()),
+        web(where) as server,
+        page(browser, server.url, wide=1920, high=1080) as opened,
+    ):
+        expect(opened.locator(".fingers tbody tr")).to_have_count(1)
+        opened.wait_for_function("() => touchd.feed.last.plate?.receivers_mm.length === 4")
+        opened.wait_for_function("() => touchd.feed.last.spectrum?.features.length > 100")

@@ -1,0 +1,172 @@
+"""`touchd web` on the wire: who is refused, what it keeps for slow readers, and how it ends."""
+
+from __future__ import annotations
+
+import http.client
+import signal
+import time
+from collections.abc import Iterator
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import ClientConnection, connect
+from websockets.typing import Origin
+
+from tests.processes import PATIENCE_S, touchd
+from tests.system.web.rig import Web, bus, web
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    where = f"ipc://{tmp_path_factory.mktemp('bus')}/bus"
+    with bus(where):
+        yield where
+
+
+@pytest.fixture(scope="module")
+def server(address: str) -> Iterator[Web]:
+    with web(address) as found:
+        yield found
+
+
+def ask(server: Web, method: str, path: str, **headers: str) -> tuple[int, bytes]:
+    connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=PATIENCE_S)
+    try:
+        connection.putrequest(method, path, skip_host=True)
+        for name, value in ({"Host": f"127.0.0.1:{server.port}"} | headers).items():
+            connection.putheader(name, value)
+        connection.endheaders()
+        answer = connection.getresponse()
+        return answer.status, answer.read()
+    finally:
+        connection.close()
+
+
+OWN = "own"
+
+
+def live(server: Web, origin: str | None = OWN, max_queue: int = 16) -> ClientConnection:
+    """Open the WebSocket, from the page's own origin unless another is named."""
+    said = f"http://127.0.0.1:{server.port}" if origin == OWN else origin
+    return connect(
+        f"ws://127.0.0.1:{server.port}/live", origin=None if said is None else Origin(said), max_queue=max_queue,
+        open_timeout=PATIENCE_S, compression=None, legacy=True,
+    )  # fmt: skip
+
+
+def end_of(socket: ClientConnection, most: int) -> int | None:
+    """Read at most so many messages; return the code with which the server closes, None if it does not."""
+    try:
+        for _ in range(most):
+            socket.recv(timeout=PATIENCE_S)
+    except ConnectionClosed as closed:
+        return closed.rcvd.code if closed.rcvd else 0
+    return None
+
+
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(path=st.text(st.characters(min_codepoint=33, max_codepoint=126, exclude_characters="#?"), max_size=40))
+def test_paths(server: Web, path: str) -> None:
+    """No path but the page's own gives anything."""
+    known = ("", "index.html", "page.css", "icon.svg", "favicon.ico")
+    if path not in known and not path.endswith(".js"):
+        assert ask(server, "GET", f"/{path}")[0] in (400, 404)
+
+
+@pytest.mark.parametrize("path", [
+    "/../server.py", "/../guards.py", "/%2e%2e/guards.py", "//etc/passwd", "/..%2f..%2fetc/passwd", "/vendor/",
+    "/vendor/../../site.py", "/.%00/", "/texts.js%00.html", "/page.css/..",
+])  # fmt: skip
+def test_no_way_out(server: Web, path: str) -> None:
+    """Nothing beside the page's files can be read."""
+    assert ask(server, "GET", path)[0] in (400, 404)
+
+
+@pytest.mark.parametrize("host", ["evil.example", "127.0.0.1", "localhost:1", "127.0.0.1:8770.evil.example", ""])
+def test_rebinding(server: Web, host: str) -> None:
+    """A foreign name that points here is answered neither on HTTP nor as a WebSocket."""
+    assert ask(server, "GET", "/", Host=host)[0] in (400, 421)
+    upgrade = {"Upgrade": "websocket", "Connection": "Upgrade", "Sec-WebSocket-Version": "13"}
+    upgrade |= {"Sec-WebSocket-Key": "x3JJHMbDL1EzLkh9GBhXDw==", "Origin": f"http://127.0.0.1:{server.port}"}
+    assert ask(server, "GET", "/live", Host=host, **upgrade)[0] in (400, 403)
+    assert ask(server, "POST", "/session", Host=host, **{"Content-Length": "0"})[0] in (400, 421)
+
+
+@pytest.mark.parametrize("origin", [None, "null", "http://evil.example", "http://127.0.0.1:1", "https://127.0.0.1"])
+def test_foreign_page(server: Web, origin: str | None) -> None:
+    """A page of another site, and a program without an origin, gets no WebSocket and no POST."""
+    with pytest.raises(InvalidStatus) as refused:
+        live(server, origin=origin)
+    assert refused.value.response.status_code == 403
+    said = {} if origin is None else {"Origin": origin}
+    for path in ("/session", "/check/start", "/check/bundle"):
+        assert ask(server, "POST", path, **{"Content-Length": "0"}, **said)[0] == 403
+
+
+def test_no_session(server: Web) -> None:
+    """From the right page without the token, nothing acts."""
+    said = {"Origin": f"http://127.0.0.1:{server.port}", "Content-Length": "0"}
+    for path in ("/check/start", "/check/bundle"):
+        assert ask(server, "POST", path, **said)[0] == 401
+    assert ask(server, "POST", "/session", **said)[0] == 403
+
+
+@settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(said=st.text(max_size=200) | st.binary(max_size=200))
+def test_noise_on_the_socket(server: Web, said: str | bytes) -> None:
+    """Whatever is sent to the WebSocket, the server goes on, and does nothing of it."""
+    with live(server) as socket:
+        socket.send(said)
+        assert end_of(socket, 3) in (None, 1003)
+    assert server.process.poll() is None
+
+
+def test_long_message(server: Web) -> None:
+    """A message of more than 4 KiB ends its connection."""
+    with live(server) as socket:
+        socket.send("x" * 100_000)
+        assert end_of(socket, 10_000) is not None
+
+
+def test_slow_reader(server: Web) -> None:
+    """Browsers that read nothing cost at most 5 MB, and hold up nobody."""
+    with live(server) as reader:
+        reader.recv(timeout=PATIENCE_S)
+        before = server.memory_bytes()
+        sleepers = [live(server, max_queue=1) for _ in range(8)]
+        try:
+            begin_s, count = time.monotonic(), 0
+            while time.monotonic() - begin_s < 6.0:
+                reader.recv(timeout=PATIENCE_S)
+                count += 1
+            assert count > 20
+            assert server.memory_bytes() - before < 5_000_000
+        finally:
+            for one in sleepers:
+                one.socket.close()
+
+
+def test_end(address: str) -> None:
+    """SIGTERM ends it at once, with a page that is connected, and with status 0; its output tells no touch."""
+    with web(address) as server, live(server) as socket:
+        socket.recv(timeout=PATIENCE_S)
+        server.process.send_signal(signal.SIGTERM)
+        out, err = server.process.communicate(timeout=PATIENCE_S)
+    assert server.process.returncode == 0
+    assert (out, err) == ("", "")
+
+
+@pytest.mark.parametrize(("where", "code"), [("0.0.0.0:8770", 42), ("nonsense", 10), ("127.0.0.1:99999", 10)])
+def test_bind(where: str, code: int) -> None:
+    """It serves on loopback alone."""
+    ended = touchd("web", "--bind", where)
+    assert ended.code == code
+    assert "--bind" in ended.err
+
+
+def test_taken(server: Web) -> None:
+    """An address in use is said so."""
+    ended = touchd("web", "--bind", f"127.0.0.1:{server.port}")
+    assert ended.code == 41

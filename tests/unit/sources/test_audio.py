@@ -1,0 +1,286 @@
+"""An audio interface as a DAQ, over a fake at the seam of the library with the twin's plate behind it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+
+from tests.audiocard import FakeCard, answers
+from tests.processes import PATIENCE_S
+from touchd.audio.highpass import HighPass
+from touchd.cli.demo import SESSION
+from touchd.config.rigs import AudioSettings
+from touchd.config.schema import DeviceSettings, Settings
+from touchd.frame import Frame
+from touchd.localization.model import Model, default_model_path
+from touchd.pipeline import Pipeline
+from touchd.recording.format import read
+from touchd.sources.audio import AudioDaq
+from touchd.sources.daq import DaqAbsent, DaqFrame, DaqGone
+from touchd.sources.live import DaqSource, Waits
+
+SESSION_ = read(SESSION)
+ACQUISITION = SESSION_.acquisition
+RATE_HZ, PERIOD = 125, 2000
+SETTINGS = AudioSettings(sample_rate_hz=250_000, band_hz=(50e3, 100e3), chirp_s=1e-3)
+UNTOUCHED = SESSION_.frames[:40]
+
+
+def filtered(frames: np.ndarray) -> np.ndarray:
+    """The mean of frames as an audio interface's are: without what lies below the chirp's band."""
+    whole = np.zeros((4, PERIOD))
+    whole[:, : ACQUISITION.samples] = frames.mean(axis=0)
+    return HighPass(50e3, 250e3, *ACQUISITION.shape).around(whole)[:, : ACQUISITION.samples]
+
+
+EXPECTED = filtered(UNTOUCHED)
+
+
+@pytest.fixture(scope="module")
+def model() -> Model:
+    return Model(default_model_path())
+
+
+@pytest.fixture(scope="module")
+def reference(model: Model) -> np.ndarray:
+    assert model.atlas is not None
+    return model.atlas.baseline.astype(float)
+
+
+def plate(**options: object) -> FakeCard:
+    """A card with the session's untouched plate."""
+    return FakeCard(ACQUISITION, answers(UNTOUCHED), PERIOD, **options)  # type: ignore[arg-type]
+
+
+def started(card: FakeCard, reference: np.ndarray | None, settings: AudioSettings = SETTINGS) -> AudioDaq:
+    daq = AudioDaq(card.open(), settings, ACQUISITION, reference, clock=card.clock)
+    daq.start(RATE_HZ)
+    return daq
+
+
+def frames(daq: AudioDaq, count: int, blocks: int = 20_000) -> list[DaqFrame]:
+    """The next frames, with copies of their counts."""
+    found: list[DaqFrame] = []
+    for _ in range(blocks):
+        frame = daq.read(0.1)
+        if frame is not None:
+            found.append(
+                DaqFrame(frame.counts.copy(), frame.sequence, frame.timestamp_us, frame.clipped, frame.withheld)
+            )
+            if len(found) == count:
+                return found
+    raise AssertionError(f"{len(found)} of {count} frames in {blocks} blocks")
+
+
+def off_db(counts: np.ndarray, expected: np.ndarray) -> float:
+    """How far counts are from what is expected, relative to it."""
+    return float(10 * np.log10(np.square(counts - expected).sum() / np.square(expected).sum()))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_any_delay_is_found(reference: np.ndarray, seed: int) -> None:
+    """Whatever the delay of a start, whole or not, frames are those of a DAQ that triggers on the chirp."""
+    card = plate(seed=seed)
+    counts = np.mean([frame.counts for frame in frames(started(card, reference), 10)], axis=0)
+    assert off_db(counts, EXPECTED) < -50
+
+
+@contextmanager
+def source_of(card: FakeCard, reference: np.ndarray | None, settings: AudioSettings = SETTINGS) -> Iterator[DaqSource]:
+    """The source that a daemon would have, on the card's clock."""
+
+    def connect() -> AudioDaq:
+        try:
+            return AudioDaq(card.open(), settings, ACQUISITION, reference, clock=card.clock)
+        except Exception as error:
+            raise DaqAbsent(str(error)) from error
+
+    source = DaqSource(
+        lambda: iter([connect]), DeviceSettings(queue_frames=10_000), ACQUISITION, lambda _: None,
+        waits=Waits(0.01, 1e-3, 2e-3), clock=card.clock,
+    )  # fmt: skip
+    try:
+        yield source
+    finally:
+        source.close()
+
+
+def until_s(source: DaqSource) -> Iterator[Frame | None]:
+    """What a source reads, while there is patience."""
+    until = time.monotonic() + PATIENCE_S
+    while time.monotonic() < until:
+        yield source.read(0.1)
+        source.changes()
+
+
+def placed(pipeline: Pipeline, frames: Iterator[Frame | None], stop: int) -> list[list[tuple[float, float]]]:
+    """The places of each contact."""
+    found: dict[int, list[tuple[float, float]]] = {}
+    first: int | None = None
+    for frame in frames:
+        if frame is None:
+            continue
+        first = frame.sequence if first is None else first
+        for contact in pipeline.process(frame).contacts:
+            found.setdefault(contact.id, []).append((contact.x_mm, contact.y_mm))
+        if frame.sequence - first == stop:
+            break
+    return list(found.values())
+
+
+def test_the_whole_way(model: Model, reference: np.ndarray) -> None:
+    """From what a card captures to contacts: the session's touches, each where a triggered DAQ finds it."""
+    session = SESSION_.frames
+    card = FakeCard(ACQUISITION, answers(np.concatenate([np.repeat(UNTOUCHED, 4, axis=0), session])), PERIOD, seed=7)
+    with source_of(card, reference) as source:
+        by_card = placed(Pipeline(ACQUISITION, model, Settings()), until_s(source), len(session) + 40)
+    replayed = (Frame(counts, i, 8_000_000 * i, 8_000_000 * i) for i, counts in enumerate(session))
+    by_daq = placed(Pipeline(ACQUISITION, model, Settings()), replayed, len(session))
+    assert len(by_card) == len(by_daq) == 6
+    for one, other in zip(by_card, by_daq, strict=True):
+        apart_mm = np.linalg.norm(np.array(one)[:, None] - np.array(other)[None], axis=2).min(axis=1)
+        assert np.median(apart_mm) < 0.1
+
+
+def test_an_xrun_is_counted_and_costs_no_accuracy(reference: np.ndarray) -> None:
+    """The periods of an xrun are withheld by name, the next frames are numbered after them and look as before."""
+    card = plate(seed=3)
+    daq = started(card, reference)
+    before = frames(daq, 20)
+    card.xrun = True
+    after = frames(daq, 100)
+    withheld = [frame for frame in after if frame.withheld]
+    good = [frame for frame in after if not frame.withheld]
+    assert {frame.withheld for frame in withheld} == {"xrun"}
+    assert 20 < len(withheld) < 60, "0.2 to 0.5 s"
+    numbers = [frame.sequence for frame in (*before, *after)]
+    assert numbers == list(range(len(numbers)))
+    gap_us = good[0].timestamp_us - before[-1].timestamp_us
+    assert abs(gap_us - 8000 * (len(withheld) + 1)) < 8000
+    means = [np.mean([frame.counts for frame in some], axis=0) for some in (before, good)]
+    assert off_db(means[1], means[0]) < -65
+
+
+def test_an_unplugged_card_is_gone(reference: np.ndarray) -> None:
+    card = plate()
+    daq = started(card, reference)
+    frames(daq, 3)
+    card.unplugged = True
+    with pytest.raises(DaqGone, match="No such device"):
+        frames(daq, 3)
+
+
+def test_a_rate_in_name_alone_is_refused(reference: np.ndarray) -> None:
+    """A card that resamples passes nothing above half of its own rate."""
+    card = plate()
+    card.lowpass_hz = 88_200
+    with pytest.raises(DaqGone, match=r"nothing arrives above 88\.2 kHz"):
+        frames(started(card, reference), 1)
+
+
+def test_swapped_cables_are_told(reference: np.ndarray) -> None:
+    card = plate()
+    card.order = [1, 0, 2, 3]
+    with pytest.raises(DaqGone, match="input of disc 2 where that of disc 1 should be"):
+        frames(started(card, reference), 1)
+
+
+def test_nothing_heard_is_told(reference: np.ndarray) -> None:
+    card = plate()
+    card.gains[:] = 0
+    with pytest.raises(DaqGone, match="nothing is heard"):
+        frames(started(card, reference), 1)
+
+
+def test_another_plate_is_told(reference: np.ndarray) -> None:
+    """A delay that nothing confirms is no delay."""
+    other = np.roll(reference[:, ::-1], 40, axis=1)
+    with pytest.raises(DaqGone, match="not the plate that the model was made for"):
+        frames(started(plate(), other), 1)
+
+
+def test_another_program_that_plays_is_told(reference: np.ndarray) -> None:
+    card = plate()
+    card.disturbance = 60_000.0
+    with pytest.raises(DaqGone, match="another program"):
+        frames(started(card, reference), 1)
+
+
+def test_a_gain_knob_changes_no_place(reference: np.ndarray) -> None:
+    """Gains are fitted: the delay is found at any, and a knob that is turned later ends nothing."""
+    card = plate()
+    card.gains[:] = (0.3, 2.0, 1.0, 0.5)
+    daq = started(card, reference)
+    counts = np.mean([frame.counts for frame in frames(daq, 10)], axis=0)
+    assert off_db(counts / card.gains[:, None], EXPECTED) < -55
+    card.gains[0] *= 0.6
+    assert len(frames(daq, 20)) == 20
+
+
+@pytest.mark.parametrize("fault", ["muted", "swapped", "slipped"])
+def test_a_change_while_it_runs_ends_the_connection(reference: np.ndarray, fault: str) -> None:
+    """Frames that would show a hand on the plate are none: within three of them the source starts afresh."""
+    card = plate()
+    daq = started(card, reference)
+    frames(daq, 20)
+    if fault == "muted":
+        card.gains[2] = 0
+    elif fault == "swapped":
+        card.order = [0, 3, 2, 1]
+    else:
+        card.slip = 3
+    with pytest.raises(DaqGone, match="no longer hears the chirp"):
+        frames(daq, 5)
+
+
+def test_a_dead_channel_does_not_keep_the_others_from_working(reference: np.ndarray) -> None:
+    card = plate()
+    card.gains[1] = 0
+    counts = np.mean([frame.counts for frame in frames(started(card, reference), 10)], axis=0)
+    kept = [0, 2, 3]
+    assert off_db(counts[kept], EXPECTED[kept]) < -50
+
+
+def test_clipping_is_counted(reference: np.ndarray) -> None:
+    card = plate()
+    assert not frames(started(card, reference), 5)[-1].clipped
+    card.gains[:] = 3.0
+    assert frames(started(card, reference), 5)[-1].clipped
+
+
+def test_the_loopback_channel_tells_the_delay() -> None:
+    """With a cable no model is needed, and two starts give the same frames."""
+    settings = SETTINGS.model_copy(update={"loopback": 5})
+    means = []
+    for seed in (1, 2):
+        daq = started(plate(seed=seed, loopback=0.3), None, settings)
+        means.append(np.mean([frame.counts for frame in frames(daq, 10)], axis=0))
+    assert off_db(means[0], means[1]) < -60
+    assert off_db(means[0], EXPECTED) < -50
+
+
+def test_without_either_the_first_sound_tells_it() -> None:
+    """A plate that has no model yet can be recorded: the frame begins with what arrives first, to 20 us."""
+    card = plate(seed=5)
+    daq = started(card, None)
+    counts = np.mean([frame.counts for frame in frames(daq, 10)], axis=0)
+    assert np.square(counts[:, :5]).sum() < np.square(counts[:, 10:]).mean() * 40
+
+
+def test_a_low_hum_is_left_out(reference: np.ndarray) -> None:
+    """Mains hum as strong as the signal does not reach the frames."""
+    time_s = np.arange(PERIOD) / ACQUISITION.sample_rate_hz
+    hum = 5000 * np.sin(2 * np.pi * 125 * time_s)
+
+    def response(number: int) -> np.ndarray:
+        full = np.tile(hum, (4, 1))
+        full[:, : ACQUISITION.samples] += UNTOUCHED[number % 40]
+        return full
+
+    card = FakeCard(ACQUISITION, response, PERIOD)
+    counts = np.mean([frame.counts for frame in frames(started(card, reference), 10)], axis=0)
+    assert off_db(counts, EXPECTED) < -40

@@ -1,0 +1,155 @@
+"""What browsers are handed, and what they are not."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.unit.bridges.events import contact, health, touch
+from touchd.event import Event, PlateEvent, PlateKey, SpectrumEvent
+from touchd.web.hub import MOST_CLIENTS, Client, Hub
+from touchd.web.live import _asked, batch
+
+KEY = PlateKey("7", 0.0, 0.0, 10.0, 10.0)
+
+
+def plate(*keys: PlateKey) -> PlateEvent:
+    return PlateEvent("p", 1, 1, "", 200.0, 100.0, 125.0, 4, 500, 5e5, (5e4, 1e5), "usb", keys=list(keys))
+
+
+def take(hub: Hub, event: Event) -> None:
+    hub._take(event)
+
+
+def handed(hub: Hub, client: Client) -> list[dict[str, Any]]:
+    said: dict[str, Any] = json.loads(batch(hub, client))
+    found: list[dict[str, Any]] = said["messages"]
+    return found
+
+
+@pytest.fixture
+def hub() -> Hub:
+    return Hub("ipc:///nowhere")
+
+
+def joined(hub: Hub) -> Client:
+    client = hub.join()
+    assert client is not None
+    return client
+
+
+def test_newest_wins(hub: Hub) -> None:
+    """A page that was slow gets the newest message of each topic, once, and the number that it missed."""
+    client = joined(hub)
+    take(hub, plate())
+    for n in range(1000):
+        take(hub, touch(contact(n, "move", n, 0.0), seq=n))
+    said = json.loads(batch(hub, client))
+    assert [message["type"] for message in said["messages"]] == ["plate", "touch"]
+    assert said["messages"][1]["seq"] == 999
+    assert said["skipped"] == 999
+    assert json.loads(batch(hub, client))["messages"] == []
+
+
+def test_keypad_is_private(hub: Hub) -> None:
+    """In keypad mode no touch, key or spectrum leaves, to browsers there and to come; its keys' places may."""
+    client = joined(hub)
+    hub.ask(client, frozenset())
+    client.asked = frozenset({"spectrum"})
+    take(hub, touch(contact(1, "down", 5.0, 5.0)))  # before the daemon has said what it is
+    take(hub, plate(KEY))
+    take(hub, touch(contact(1, "move", 5.0, 5.0)))
+    take(hub, SpectrumEvent("p", 1, 1, "", 1, [1.0]))
+    later = joined(hub)
+    for one in (client, later):
+        assert [message["type"] for message in handed(hub, one)] == ["plate"]
+
+
+def test_keypad_by_name() -> None:
+    """Asked for by name, they are shown."""
+    hub = Hub("ipc:///nowhere", shows_keys=True)
+    client = joined(hub)
+    take(hub, plate(KEY))
+    take(hub, touch(contact(1, "move", 5.0, 5.0)))
+    assert [message["type"] for message in handed(hub, client)] == ["plate", "touch"]
+
+
+def test_turned_into_a_keypad(hub: Hub) -> None:
+    """A daemon that becomes a keypad shows nothing more, not even what came before."""
+    waiting = joined(hub)
+    take(hub, plate())
+    take(hub, touch(contact(1, "move", 5.0, 5.0)))
+    take(hub, plate(KEY))
+    for client in (waiting, joined(hub)):
+        assert [message["type"] for message in handed(hub, client)] == ["plate"]
+    take(hub, plate())
+    take(hub, health("starting"))
+    take(hub, touch(contact(2, "move", 5.0, 5.0)))  # of a daemon that has not said yet what it is
+    assert "touch" not in [message["type"] for message in handed(hub, waiting)]
+
+
+def test_most_clients(hub: Hub) -> None:
+    """Browsers are few: one more is refused, until one leaves."""
+    clients = [joined(hub) for _ in range(MOST_CLIENTS)]
+    assert hub.join() is None
+    hub.leave(clients[0])
+    assert hub.join() is not None
+
+
+def test_history(hub: Hub) -> None:
+    """A page that opens gets the last minutes of health, and no more than that."""
+    for n in range(500):
+        take(hub, health("streaming", seq=n))
+    found = {message["type"]: message for message in handed(hub, joined(hub))}
+    assert len(found["history"]["health"]) == 300
+    assert found["history"]["health"][-1]["seq"] == 499
+
+
+def test_own_messages(hub: Hub) -> None:
+    """A view's own state reaches pages there and to come."""
+    client = joined(hub)
+    hub.publish("check", {"running": True})
+    assert handed(hub, client) == handed(hub, joined(hub)) == [{"type": "check", "running": True}]
+
+
+json_values = st.recursive(
+    st.none() | st.booleans() | st.floats(allow_nan=False) | st.text(max_size=5),
+    lambda inner: (
+        st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=8) | st.just("topics"), inner, max_size=3)
+    ),
+)
+
+
+@given(text=st.text(max_size=60) | json_values.map(json.dumps))
+def test_what_a_page_says(text: str) -> None:
+    """A page can ask for topics and for nothing else, whatever it sends."""
+    topics = _asked(text)
+    if topics is not None:
+        said = json.loads(text)
+        assert topics == frozenset(said["topics"])
+        client, hub = Client(), Hub("ipc:///nowhere")
+        vars(hub)["_listen"] = lambda _topics, _stopped: None
+        hub.ask(client, topics)
+        assert client.asked <= {"spectrum"}
+
+
+def test_deep_message() -> None:
+    """A message nested too deep for the parser is one that is not understood."""
+    assert _asked("[" * 100_000) is None
+
+
+def test_wakes() -> None:
+    """A page's sender sleeps until there is something to send."""
+
+    async def run() -> tuple[bool, bool]:
+        client = Client()
+        before = client.wake.is_set()
+        client.offer("touch", b"{}")
+        return before, client.wake.is_set()
+
+    assert asyncio.run(run()) == (False, True)

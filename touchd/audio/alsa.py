@@ -1,0 +1,177 @@
+"""An ALSA card, by pyalsaaudio: this module alone imports it (extra `audio`).
+
+Why not PortAudio (`sounddevice`): its blocking streams have four periods and no more, so blocks of 1 ms leave 3 ms
+before samples are lost; it lists cards once, when it is imported, opens each of them for that, and names them by a
+number that changes; after an xrun it restarts by itself. pyalsaaudio takes `hw:CARD=NAME`, which never resamples,
+blocks of 1 ms and buffers of 200 ms, reports each xrun by a return value, and waits on file descriptors. It does not
+link playback and capture: their delay differs from start to start, and has to be found after each in any case.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import select
+from typing import Any
+
+import alsaaudio
+import numpy as np
+from numpy.typing import NDArray
+
+from touchd.audio.card import CardAbsent, CardGone, CardXrun, Floats, Samples
+
+BLOCK_S = 1e-3
+"""Samples are read in blocks of this: what it adds to the latency, at most."""
+AHEAD_S = 0.1
+"""Playback is written this long before it is heard, so that a busy computer misses nothing; it adds no latency."""
+_CAPTURE_S = 0.3
+_BYTES = {
+    alsaaudio.PCM_FORMAT_S32_LE: 4,
+    alsaaudio.PCM_FORMAT_S24_3LE: 3,
+    alsaaudio.PCM_FORMAT_S16_LE: 2,
+}
+"""Formats with the most significant bits first in order of preference, and bytes of a sample."""
+
+
+class AlsaCard:
+    """An open ALSA card.
+
+    Parameters
+    ----------
+    name : str
+        As `arecord -L` lists it; `hw:CARD=...` does not resample.
+    rate_hz : int
+    inputs : int
+        How many are needed; the card may have more.
+
+    Raises
+    ------
+    CardAbsent
+        There is no such card, another program uses it, or it lacks rate or inputs.
+    """
+
+    def __init__(self, name: str, rate_hz: int, inputs: int) -> None:
+        self.name, self.rate_hz = name, rate_hz
+        self._capture: Any = None
+        self._playback: Any = None
+        try:
+            self._capture = self._open(alsaaudio.PCM_CAPTURE, inputs, _CAPTURE_S)
+            self._playback = self._open(alsaaudio.PCM_PLAYBACK, 1, AHEAD_S)
+        except alsaaudio.ALSAAudioError as error:
+            self.close()
+            raise CardAbsent(_explain(error, name)) from error
+        except CardAbsent:
+            self.close()
+            raise
+        captured, played = self._capture.info(), self._playback.info()
+        self.inputs: int = captured["channels"]
+        self.ahead: int = played["buffer_size"] + captured["period_size"]
+        self._bytes = _BYTES[captured["format"]]
+        self._outputs, self._out_bytes = played["channels"], _BYTES[played["format"]]
+        self._frame_bytes = self._outputs * self._out_bytes
+        self._poll = select.poll()
+        for descriptor, events in self._capture.polldescriptors():
+            self._poll.register(descriptor, events)
+
+    def start(self, loop: Floats) -> None:
+        """Fill the playback's buffer, which starts it, then capture."""
+        try:
+            self._capture.drop()
+            self._playback.drop()
+            self._next, self._owed = 0, self._playback.info()["buffer_size"]
+            self.play(loop)
+            self._top_up()
+            self._capture.read()  # nothing yet: this starts it
+        except alsaaudio.ALSAAudioError as error:
+            raise CardGone(_explain(error, self.name)) from error
+
+    def play(self, loop: Floats) -> None:
+        """Write another loop from now on."""
+        self._period = len(loop)
+        times = -(-(self._owed_at_most + self._period) // self._period)
+        self._loop = memoryview(_pack(np.tile(loop, times), self._outputs, self._out_bytes))
+
+    def exchange(self, timeout_s: float) -> Samples | None:
+        """Return the next block, and write as much."""
+        if not self._poll.poll(round(1000 * timeout_s)):
+            return None
+        try:
+            length, data = self._capture.read()
+            if length < 0:
+                raise CardXrun("samples were lost: this computer was too late to read them")
+            self._owed += length
+            self._top_up()
+        except alsaaudio.ALSAAudioError as error:
+            raise CardGone(_explain(error, self.name)) from error
+        return _upper(data, length, self.inputs, self._bytes) if length else None
+
+    def close(self) -> None:
+        """Close both streams."""
+        for stream in (self._capture, self._playback):
+            if stream is not None:
+                with contextlib.suppress(alsaaudio.ALSAAudioError):
+                    stream.close()
+        self._capture = self._playback = None
+
+    @property
+    def _owed_at_most(self) -> int:
+        return round(2 * AHEAD_S * self.rate_hz)
+
+    def _top_up(self) -> None:
+        """Write what was captured since, as far as there is room."""
+        while self._owed:
+            count = min(self._owed, self._owed_at_most)
+            begin = self._next * self._frame_bytes
+            written = self._playback.write(self._loop[begin : begin + count * self._frame_bytes])
+            if written < 0:
+                raise CardXrun("the playback ran dry: this computer was too late to write it")
+            if not written:
+                return
+            self._owed -= written
+            self._next = (self._next + written) % self._period
+
+    def _open(self, kind: int, channels: int, buffer_s: float) -> Any:
+        """Return an open stream with at least so many channels."""
+        block = round(BLOCK_S * self.rate_hz)
+        named = {"type": kind, "mode": alsaaudio.PCM_NONBLOCK, "device": self.name}
+        first = alsaaudio.PCM(**named)
+        try:
+            known = first.getformats().values()
+            wide = [count for count in first.getchannels() if count >= channels]
+        finally:
+            first.close()
+        usable = [form for form in _BYTES if form in known]
+        if not wide or not usable:
+            what = "fewer channels" if usable else "no format"
+            raise CardAbsent(f"{self.name} has {what} than are asked for ({channels})")
+        stream = alsaaudio.PCM(
+            **named, rate=self.rate_hz, channels=min(wide), format=usable[0], periodsize=block,
+            periods=round(buffer_s * self.rate_hz / block),
+        )  # fmt: skip
+        info = stream.info()
+        if (info["rate"], info["channels"], info["format"]) != (self.rate_hz, min(wide), usable[0]):
+            stream.close()
+            raise CardAbsent(f"{self.name} takes {info['rate']} samples a second, not {self.rate_hz}: set another rate")
+        return stream
+
+
+def _upper(data: bytes, length: int, channels: int, width: int) -> Samples:
+    """Return the upper 16 bits of interleaved little-endian samples, a view of shape (length, channels)."""
+    return np.ndarray((length, channels), "<i2", data, width - 2, (channels * width, width))
+
+
+def _pack(loop: Floats, channels: int, width: int) -> bytes:
+    """Return a loop as interleaved little-endian samples of this many bytes, the same in all channels."""
+    top = 2.0 ** (8 * width - 1)
+    counts: NDArray[np.int64] = np.clip(np.rint(loop * top), -top, top - 1).astype("<i8")
+    octets = counts.view(np.uint8).reshape(-1, 8)[:, :width]
+    return np.repeat(octets[:, None, :], channels, axis=1).tobytes()
+
+
+def _explain(error: Exception, name: str) -> str:
+    """Return what ALSA says, with what it means."""
+    text = str(error)
+    if "busy" in text:
+        return f"{name} is in use by another program: end it, or take the card away from the sound server"
+    if "No such" in text:
+        return f"there is no {name}: plug it in; arecord -L lists what is there"
+    return text

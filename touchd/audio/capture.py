@@ -1,0 +1,59 @@
+"""What was captured and is not cut yet: samples are counted from the start on, and cut once a period."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchd.audio.card import Samples
+
+_PERIODS = 6
+
+
+class Capture:
+    """The last periods of some inputs.
+
+    Parameters
+    ----------
+    inputs : array of int
+        Which of the captured inputs to hold.
+    period : int
+        Samples from cut to cut.
+    margin : int
+        Samples before a cut that are needed, too.
+    """
+
+    def __init__(self, inputs: NDArray[np.int64], period: int, margin: int) -> None:
+        self._inputs, self._period, self._margin = inputs, period, margin
+        self._held = np.zeros((len(inputs), _PERIODS * period), np.int16)
+        self.reset()
+
+    def reset(self) -> None:
+        """Count from 0: the capture starts again."""
+        self._first = self._end = self._next = 0  # of the first sample held, behind the last one, of the next cut
+
+    def skip(self, samples: int, *, whole_periods: bool) -> None:
+        """Move the next cut; by whole periods it keeps its place in the period."""
+        self._next += -(-samples // self._period) * self._period if whole_periods else samples
+
+    def has(self, samples: int) -> bool:
+        """Return whether so many samples from the next cut on are captured."""
+        return self._end - self._next >= samples
+
+    def append(self, block: Samples) -> None:
+        """Take a block of shape (n, all inputs), and drop what no cut needs."""
+        count = len(block)
+        if self._end - self._first + count > self._held.shape[1]:
+            first = max(min(self._next - self._margin, self._end), self._first)
+            left = self._held[:, first - self._first : self._end - self._first].copy()
+            self._held[:, : left.shape[1]] = left
+            self._first = first
+        at = self._end - self._first
+        self._held[:, at : at + count] = block.T[self._inputs]
+        self._end += count
+
+    def take(self, before: int, samples: int) -> Samples:
+        """Return samples from so many before the next cut on, (inputs, samples), a view; the cut moves by a period."""
+        at = self._next - self._first - before
+        self._next += self._period
+        return self._held[:, at : at + samples]

@@ -1,0 +1,222 @@
+"""Measure an audio interface whose output a cable joins to an input: what it passes, adds, mixes and loses."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchd.audio.card import Card, CardXrun
+from touchd.audio.delay import Doubtful, by_loopback
+from touchd.audio.spectrum import check_band
+
+Floats = NDArray[np.float64]
+
+PERIOD_S = 0.25
+"""Of what is played: longer than any delay."""
+MEASURED = 4
+LEVELS_DBFS = (-1.0, -3.0, -6.0, -12.0, -20.0)
+LOW_DISTORTION_DB = -60.0
+"""Distortion below the noise of a good frame."""
+PASSED_DB = -12.0
+"""The band ends where less passes, relative to its middle."""
+AUDIBLE_HZ = 20_000.0
+_SETTLE_S = 0.1
+_MARGIN = 0.45  # of the sample rate: what converters pass
+_FULL_SCALE = 2.0**15
+_LIMIT = 2**15 - 1
+
+Progress = Callable[[str], object]
+
+
+@dataclass
+class Checked:
+    """What was measured; levels are of sines, relative to full scale."""
+
+    device: str
+    sample_rate_hz: int
+    cable: int
+    """The input at the cable, counted from 1."""
+    true_rate_hz: float = 0.0
+    xruns: int = 0
+    seconds: float = 0.0
+    noise_dbfs: list[float] = field(default_factory=list)
+    """RMS of each input in silence."""
+    gain_db: float = 0.0
+    """From output to input in the middle of the band."""
+    crosstalk_db: list[float] = field(default_factory=list)
+    """Of each input, relative to the cable's; 0 for that one."""
+    distortion_db: dict[str, float | None] = field(default_factory=dict)
+    """Harmonics of a tone, relative to it, by level played; None where the input clips."""
+    delays: list[float] = field(default_factory=list)
+    """Samples from playback to capture, of each start."""
+    resamples: str = ""
+    """Why the sample rate is not a true one; empty if it is."""
+    band_hz: tuple[float, float] = (0.0, 0.0)
+    level_dbfs: float = 0.0
+    frequency_hz: Floats = field(default_factory=lambda: np.zeros(0))
+    response_db: Floats = field(default_factory=lambda: np.zeros(0))
+    """From output to the cable's input, at each of the frequencies."""
+
+    @property
+    def delay_spread(self) -> float:
+        """How far the fractions of the delays are apart, samples."""
+        fractions = np.exp(2j * np.pi * np.array(self.delays))
+        return float(np.abs(np.angle(fractions / fractions.mean())).max() / np.pi) if self.delays else 0.0
+
+
+class Bench:
+    """Plays loops on a card, and returns what each input hears of them."""
+
+    def __init__(self, card: Card) -> None:
+        self.card = card
+        self.period = round(PERIOD_S * card.rate_hz)
+
+    def hear(self, loop: Floats) -> Floats:
+        """Return the captured periods of a loop, shape (n, inputs, period), relative to full scale."""
+        card, wanted = self.card, (MEASURED * self.period)
+        for _ in range(3):
+            card.start(loop)
+            skip = card.ahead + round(_SETTLE_S * card.rate_hz)
+            blocks: list[NDArray[np.int16]] = []
+            taken = 0
+            try:
+                while taken < skip + wanted:
+                    block = card.exchange(1.0)
+                    if block is None:
+                        raise Doubtful("the card plays, but captures nothing")
+                    blocks.append(block.copy())
+                    taken += len(block)
+            except CardXrun:
+                continue
+            heard = np.concatenate(blocks)[skip : skip + wanted].T / _FULL_SCALE
+            return np.asarray(heard.reshape(len(heard), MEASURED, self.period).swapaxes(0, 1))
+        raise Doubtful("samples are lost again and again: end other programs")
+
+
+def check(card: Card, *, restarts: int, seconds: float, level_dbfs: float, progress: Progress = str) -> Checked:
+    """Measure a card.
+
+    Parameters
+    ----------
+    card : Card
+    restarts : int
+        How many starts tell how stable the delay is.
+    seconds : float
+        For which xruns are counted, and the sample rate is measured.
+    level_dbfs : float
+        Of the sweep.
+    progress : callable
+        Told what is measured next.
+
+    Raises
+    ------
+    Doubtful
+        No input hears the output, or samples are lost again and again.
+    CardGone
+    """
+    bench = Bench(card)
+    progress("noise")
+    noise = bench.hear(np.zeros(bench.period))
+    progress("response")
+    sweep = _sweep(bench.period, card.rate_hz) * 10 ** (level_dbfs / 20)
+    heard = bench.hear(sweep).mean(axis=0)
+    power = np.square(heard).sum(axis=1)
+    cable = int(np.argmax(power))
+    if power[cable] < 10 * np.square(noise - noise.mean(axis=2, keepdims=True)).sum(axis=2).mean(axis=0)[cable]:
+        raise Doubtful("no input hears the output: join an output to an input with a cable, and turn the knobs up")
+    found = Checked(card.name, card.rate_hz, cable + 1)
+    found.noise_dbfs = _db(2 * (noise - noise.mean(axis=2, keepdims=True)).var(axis=(0, 2))).tolist()
+    _take_response(found, heard, sweep)
+    try:
+        check_band(heard[cable : cable + 1], sweep, card.rate_hz)
+    except Doubtful as doubt:
+        found.resamples = str(doubt)
+    progress("distortion")
+    for dbfs in LEVELS_DBFS:
+        found.distortion_db[f"{dbfs:g}"] = _distortion(bench, cable, dbfs)
+    clean = [at for at, db in found.distortion_db.items() if db is not None and db < LOW_DISTORTION_DB]
+    found.level_dbfs = max(map(float, clean), default=LEVELS_DBFS[-1])
+    for number in range(restarts):
+        progress(f"start {number + 1} of {restarts}")
+        captured = bench.hear(sweep).mean(axis=0)[cable]
+        found.delays.append(by_loopback(captured * _FULL_SCALE, sweep).samples)
+    progress(f"xruns in {seconds:g} s")
+    _take_time(found, card, sweep, seconds)
+    return found
+
+
+def _sweep(period: int, rate_hz: float) -> Floats:
+    """Return a periodic sweep of constant amplitude over all that converters pass."""
+    t = np.arange(period) / rate_hz
+    top_hz = _MARGIN * rate_hz
+    return np.asarray(np.sin(np.pi * top_hz / t[-1] * t**2))
+
+
+def _take_response(found: Checked, heard: Floats, sweep: Floats) -> None:
+    """Set what passes from the output to each input."""
+    played = np.fft.rfft(sweep)
+    frequency_hz = np.fft.rfftfreq(len(sweep), 1 / found.sample_rate_hz)
+    edges_hz = np.geomspace(20, _MARGIN * found.sample_rate_hz, 121)
+    parts = [np.flatnonzero((frequency_hz >= low) & (frequency_hz < high))
+             for low, high in pairwise(edges_hz)]  # fmt: skip
+    parts = [part for part in parts if len(part)]
+    passed = np.abs(np.fft.rfft(heard)) ** 2
+    table = np.array([[row[part].sum() / (np.abs(played[part]) ** 2).sum() for part in parts] for row in passed])
+    found.frequency_hz = np.array([frequency_hz[part].mean() for part in parts])
+    found.response_db = _db(table[found.cable - 1])
+    found.band_hz = _band(found.frequency_hz, found.response_db, found.sample_rate_hz)
+    inside = (found.frequency_hz >= found.band_hz[0]) & (found.frequency_hz <= found.band_hz[1])
+    found.gain_db = float(np.median(found.response_db[inside]))
+    found.crosstalk_db = (_db(table[:, inside].mean(axis=1)) - _db(table[found.cable - 1, inside].mean())).tolist()
+
+
+def _band(frequency_hz: Floats, response_db: Floats, rate_hz: int) -> tuple[float, float]:
+    """Return the band to use: above hearing, as far as half of the sample rate leaves room for, and what passes."""
+    low_hz = min(AUDIBLE_HZ, 0.16 * rate_hz)
+    above = frequency_hz >= low_hz
+    poor = above & (response_db < np.median(response_db[above]) + PASSED_DB)
+    end = int(np.argmax(poor)) if poor.any() else len(frequency_hz)
+    return round(low_hz, -2), round(max(float(frequency_hz[end - 1]), 1.1 * low_hz), -2)
+
+
+def _distortion(bench: Bench, cable: int, dbfs: float) -> float | None:
+    """Return the power of a tone's harmonics relative to it, dB; None where the input clips."""
+    turns = bench.period // 16 // 2 * 2 + 1  # a sixteenth of the sample rate: seven harmonics are heard
+    tone = np.sin(2 * np.pi * turns * np.arange(bench.period) / bench.period) * 10 ** (dbfs / 20)
+    heard = bench.hear(tone)[:, cable]
+    if np.abs(heard).max() * _FULL_SCALE >= _LIMIT:
+        return None
+    spectrum = np.abs(np.fft.rfft(heard.mean(axis=0))) ** 2
+    harmonics = np.arange(2, 7) * turns
+    return float(_db(np.array(spectrum[harmonics].sum() / max(spectrum[turns], 1e-30))))
+
+
+def _take_time(found: Checked, card: Card, loop: Floats, seconds: float) -> None:
+    """Count xruns, and samples against this computer's clock."""
+    card.start(loop)
+    began, samples, first = time.monotonic(), 0, 0.0
+    arrived: list[tuple[float, int]] = []
+    while (now := time.monotonic()) - began < seconds:
+        try:
+            block = card.exchange(0.5)
+        except CardXrun:
+            found.xruns += 1
+            card.start(loop)
+            samples, arrived = 0, []
+            continue
+        samples += 0 if block is None else len(block)
+        first = first or now
+        arrived.append((time.monotonic(), samples))
+    found.seconds = seconds
+    times, counts = np.array(arrived).T if len(arrived) > 1 else np.zeros((2, 2))
+    if np.ptp(times) > 0:
+        found.true_rate_hz = float(np.polyfit(times - times[0], counts, 1)[0])
+
+
+def _db(power: NDArray[np.floating]) -> Floats:
+    return np.asarray(10 * np.log10(np.maximum(power, 1e-20)))

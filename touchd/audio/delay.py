@@ -1,0 +1,204 @@
+"""Find the delay from playback to capture: another one after each start, an unknown number of samples and a fraction.
+
+By the first that is there: a cable from an output to an input, the untouched response that the model was made from, or
+the first sound that arrives, to some microseconds.
+"""
+
+from __future__ import annotations
+
+from itertools import permutations
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchd.audio.waveform import moved
+from touchd.frame import Chirp
+
+Floats = NDArray[np.float64]
+
+GOOD = 0.5
+"""Share of the captured energy that the reference explains at the right delay, at least: a wrong one explains less."""
+AMBIGUOUS = 0.9
+"""A second delay that explains this share of what the best does makes both doubtful."""
+SWAPPED = 1.3
+"""Another order of the channels is told where it explains this many times as much."""
+SILENT = 1e-8
+"""Energy relative to full scale, a sample: -80 dB, below which nothing is heard."""
+_FINER = 4  # the correlation is sampled this many times as finely as the signal
+_ROUNDS = 6
+_STEPS = 8  # of a stretch, each to first order
+_MOST_STRETCH = 4e-3
+_MOST_PERMUTED = 5
+_UNLIKE_ITSELF = 0.05
+
+
+class Doubtful(Exception):
+    """No delay is certain; the text says why, for a person."""
+
+
+class Delay(NamedTuple):
+    """Where a period's frame begins, and how well it fits."""
+
+    samples: float
+    """0 up to a period."""
+    explained: float
+    """Share of the energy that the reference explains."""
+    channels: Floats
+    """Correlation of each channel with its reference, -1..1."""
+    stretch: float = 0.0
+    """Relative rise of the plate's resonances since the reference: temperature."""
+
+
+def by_loopback(captured: Floats, loop: Floats) -> Delay:
+    """Return the delay of a cable's signal, (period,), by the loop that was played."""
+    return _find(captured[None], loop[None], None)
+
+
+def by_reference(captured: Floats, reference: Floats, chirp: Chirp, rate_hz: float) -> Delay:
+    """Return the delay of the plate's response by that which the model was made from.
+
+    Gains and the plate's temperature may be others.
+
+    Parameters
+    ----------
+    captured : array of shape (channels, period)
+        The mean of some periods, ADC counts.
+    reference : array of shape (channels, samples)
+        With the chirp's start at sample 0.
+    chirp : Chirp
+    rate_hz : float
+
+    Raises
+    ------
+    Doubtful
+        Nothing is heard, the plate is another, channels are swapped, or two delays fit as well.
+    """
+    low_hz, high_hz = sorted((chirp.start_hz, chirp.stop_hz))
+    emitted_hz = np.clip(np.fft.rfftfreq(captured.shape[1], 1 / rate_hz), low_hz, high_hz)
+    emission = (emitted_hz - chirp.start_hz) / (chirp.stop_hz - chirp.start_hz) * chirp.duration_s * rate_hz
+    return _find(captured, reference, emission)
+
+
+def by_onset(captured: Floats, loop: Floats) -> Delay:
+    """Return when the first sound arrives, by the envelope of the impulse responses, shape (channels, period)."""
+    _check_heard(captured)
+    played = np.fft.rfft(loop)
+    power = np.abs(played) ** 2
+    band = power > 0.1 * power.max()
+    answer = np.where(band, np.fft.rfft(captured) / np.where(band, played, 1.0), 0.0)
+    full = np.zeros((len(captured), len(loop)), complex)
+    full[:, : answer.shape[1]] = answer
+    envelope = (np.abs(np.fft.ifft(full)) ** 2).sum(axis=0)
+    # The quietest stretch of a period is the end of the last one's ringing: what comes after it is first.
+    wide = max(len(loop) // 16, 4)
+    smooth = np.fft.irfft(np.fft.rfft(envelope) * np.fft.rfft(np.ones(wide), len(loop)), len(loop))
+    quiet = int(np.argmin(smooth))
+    rolled = np.roll(envelope, -quiet)
+    first = int(np.argmax(rolled > 0.1 * rolled.max()))
+    return Delay(float((quiet + first) % len(loop)), 1.0, np.ones(len(captured)))
+
+
+def _find(captured: Floats, reference: Floats, emission: Floats | None) -> Delay:
+    _check_heard(captured)
+    channels, period = captured.shape
+    known = np.zeros((channels, period))
+    known[:, : reference.shape[1]] = reference
+    table = _explained(captured, known)
+    own = table[range(channels), range(channels)].sum(axis=0)
+    at = int(np.argmax(own))
+    _check_order(table, own[at])
+    samples, stretch, share, alike = _refine(captured, known, reference.shape[1], at / _FINER, emission)
+    if share < GOOD:
+        raise Doubtful(
+            f"what is heard is not the plate that the model was made for (that explains {share:.0%}): "
+            "check the cables; is another program playing? Else calibrate again"
+        )
+    # Beyond the main lobe, whose width is that of the reference's own correlation.
+    itself = _explained(known, known)[range(channels), range(channels)].sum(axis=0)
+    apart = int(np.argmax(itself < 0.5 * itself[0]))
+    others = slice(apart, len(own) - apart + 1)
+    rival = np.roll(own, -at)[others].max(initial=0.0) / own[at]
+    if rival > max(AMBIGUOUS, itself[others].max(initial=0.0) / itself[0] + _UNLIKE_ITSELF):
+        raise Doubtful(
+            "two delays between playback and capture fit equally well: use a wider band, or wire a loopback channel"
+        )
+    return Delay(samples % period, share, alike, stretch)
+
+
+def _explained(captured: Floats, known: Floats) -> Floats:
+    """Return the energy of captured channel i that known channel j explains at each delay, shape (i, j, delays)."""
+    spectra, conjugates = np.fft.rfft(captured), np.conj(np.fft.rfft(known))
+    period = captured.shape[1]
+    norm = np.maximum(np.square(known).sum(axis=1), 1e-30)
+    cross = np.fft.irfft(spectra[:, None] * conjugates[None], _FINER * period) * _FINER
+    return np.asarray(np.square(np.maximum(cross, 0.0)) / norm[None, :, None])
+
+
+def _check_heard(captured: Floats) -> None:
+    if np.square(captured).mean() < SILENT * 2.0**30:
+        raise Doubtful("nothing is heard: check the output's cable and knob, the discs' cables, and audio.level_dbfs")
+
+
+def _check_order(table: Floats, own: float) -> None:
+    """Raise Doubtful if the channels fit much better in another order."""
+    channels = len(table)
+    if not 2 <= channels <= _MOST_PERMUTED:
+        return
+    orders = list(permutations(range(channels)))
+    best = [max(table[range(channels), order].sum(axis=0).max(), 0.0) for order in orders]
+    order = orders[int(np.argmax(best))]
+    if max(best) > SWAPPED * own:
+        swapped = ", ".join(f"input of disc {order[i] + 1} where that of disc {i + 1} should be"
+                            for i in range(channels) if order[i] != i)  # fmt: skip
+        raise Doubtful(f"cables are swapped: the {swapped}; swap them back, or change audio.channels")
+
+
+def _refine(
+    captured: Floats, known: Floats, samples: int, delay: float, emission: Floats | None
+) -> tuple[float, float, float, Floats]:
+    """Return delay, stretch, explained share and correlations of the channels, by Gauss-Newton."""
+    stretch = 0.0
+    gains = np.ones(len(known))
+    for _ in range(_ROUNDS):
+        aligned = moved(captured, -delay)[:, :samples]
+        model = _stretched(known, stretch, emission)
+        slope, bent = _slope(model)[:, :samples], _bend(model, emission)[:, :samples]
+        model = model[:, :samples]
+        norm = np.maximum(np.square(model).sum(axis=1), 1e-30)
+        gains = np.einsum("cs,cs->c", aligned, model) / norm
+        # Without what a gain explains: the gains are solved for in passing.
+        columns = [-gains[:, None] * slope] + ([gains[:, None] * bent] if emission is not None else [])
+        free = [c - (np.einsum("cs,cs->c", c, model) / norm)[:, None] * model for c in columns]
+        error = aligned - gains[:, None] * model
+        system = np.stack([c.ravel() for c in free], axis=1)
+        step = np.linalg.lstsq(system, error.ravel(), rcond=1e-9)[0]
+        delay += float(np.clip(step[0], -0.5, 0.5))
+        if emission is not None:
+            stretch = float(np.clip(stretch + step[1], -_MOST_STRETCH, _MOST_STRETCH))
+    share = 1 - float(np.square(error).sum() / max(np.square(aligned).sum(), 1e-30))
+    size = np.sqrt(np.maximum(np.square(aligned).sum(axis=1) * norm, 1e-30))
+    return delay, stretch, share, np.asarray(gains * norm / size)
+
+
+def _stretched(known: Floats, stretch: float, emission: Floats | None) -> Floats:
+    for _ in range(_STEPS if stretch else 0):
+        known = known + stretch / _STEPS * _bend(known, emission)
+    return known
+
+
+def _slope(signal: Floats) -> Floats:
+    """Return the derivative by time, per sample."""
+    turns = 2j * np.pi * np.fft.rfftfreq(signal.shape[1])
+    if signal.shape[1] % 2 == 0:
+        turns[-1] = 0.0
+    return np.asarray(np.fft.irfft(np.fft.rfft(signal) * turns, signal.shape[1]))
+
+
+def _bend(signal: Floats, emission: Floats | None) -> Floats:
+    """Return the derivative by a stretch of the plate's response about its emission, see `localization.thermal`."""
+    if emission is None:
+        return np.zeros_like(signal)
+    slope = _slope(signal)
+    later = np.fft.irfft(np.fft.rfft(slope) * emission, signal.shape[1])
+    return np.asarray(np.arange(signal.shape[1]) * slope - later)

@@ -1,0 +1,42 @@
+"""Which frequencies arrive: a card may have a sample rate in name alone."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchd.audio.delay import Doubtful
+
+Floats = NDArray[np.float64]
+
+LOWER_RATES_HZ = (44_100, 48_000, 88_200, 96_000, 176_400, 192_000, 352_800, 384_000)
+MISSING = 10**-3.5
+"""What arrives above half of a lower sample rate, relative to the rest: less is what a resampling filter leaves."""
+_BESIDE = 1.03
+_LEAST_SHARE = 0.05
+
+
+def check_band(captured: Floats, loop: Floats, rate_hz: float) -> None:
+    """Raise Doubtful if a card resamples: nothing arrives above half of a lower sample rate.
+
+    Parameters
+    ----------
+    captured : array of shape (channels, period)
+    loop : array of shape (period,)
+        What is played.
+    rate_hz : float
+    """
+    played = np.abs(np.fft.rfft(loop)) ** 2
+    heard = (np.abs(np.fft.rfft(captured)) ** 2).sum(axis=0)
+    frequency_hz = np.fft.rfftfreq(len(loop), 1 / rate_hz)
+    band = played > 0.1 * played.max()
+    for lower_hz in LOWER_RATES_HZ:
+        above = band & (frequency_hz > _BESIDE * lower_hz / 2)
+        below = band & (frequency_hz < lower_hz / 2 / _BESIDE)
+        if lower_hz >= rate_hz or above.sum() < _LEAST_SHARE * band.sum() or not below.any():
+            continue
+        if heard[above].mean() < MISSING * heard[below].mean():
+            raise Doubtful(
+                f"nothing arrives above {lower_hz / 2e3:g} kHz: the card has {rate_hz:g} samples a second in name "
+                f"alone, or filters; set audio.sample_rate_hz = {lower_hz}, and a band below half of it"
+            )

@@ -1,0 +1,161 @@
+"""What taps at roughly known places tell of a fitted plate: its orientation, the labels' scatter, each bin's gain.
+
+The physical field places a tap ten times as exactly as a person hits a target, so that labels only choose among the
+rectangle's four symmetries, which sound the same untouched. The places themselves are latent: they are the field's own.
+From there each channel's gain in each bin is learned, with the physical field as prior, and kept only if it explains
+taps that it was not learned from.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchd.calibration.plate_fit import PlateFit
+from touchd.errors import CalibrationError
+from touchd.evaluation.dataset import baseline_frames, complex_bins, labels
+from touchd.localization.atlas import Atlas
+from touchd.localization.features import windowed_dft
+from touchd.recording.data import Recording
+from touchd.training.field.place import FieldMap, Placed, complex_nodes, place
+
+Floats = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+ORIENTATIONS = ("", "mirrored left to right", "mirrored top to bottom", "turned by 180 degrees")
+CLEARER = 0.5
+"""Another orientation leaves less than this share of what the drawing's leaves. At a right one taps leave 0.01, at a
+wrong one half of their energy and more (twin)."""
+FITS = 0.2
+"""A tap that leaves more than this share is none: two fingers, or at no such place."""
+MISSED = 3.0
+"""A tap this many median distances from its label missed it."""
+PRIOR_TAPS = 10.0
+"""The physical field counts as this many taps in the gain of a bin."""
+LEAST_FOR_GAINS = 8
+
+
+@dataclass(frozen=True)
+class Taps:
+    """n taps."""
+
+    label_mm: Floats
+    """Shape (n, 2)."""
+    values: Complex
+    """Mean bins of the residual, shape (n, channels, bins of the atlas)."""
+
+
+@dataclass(frozen=True)
+class Refined:
+    """A fitted plate with its atlas after taps."""
+
+    orientation: str
+    """What the drawing is, other than as PLATE.toml says; empty if it is right."""
+    atlas: Atlas
+    taps: int
+    used: int
+    """Taps that the field explains."""
+    scatter_mm: float
+    """Standard deviation of the labels per axis: how well a person hits."""
+    unexplained: tuple[float, float]
+    """Share of a tap's energy that the physical field and the refined one leave, median; of taps not learned from."""
+
+
+def taps_of(recording: Recording, atlas: Atlas) -> Taps:
+    """Return the taps of a recording: its frames of one finger with one label, averaged.
+
+    Raises
+    ------
+    CalibrationError
+        The recording has no labelled tap, or no untouched frame beside it, or other channels.
+    """
+    a = atlas.description.acquisition
+    if recording.frames.shape[1:] != a.shape:
+        raise CalibrationError("other channels or samples than the calibration's", "--taps", "record both alike")
+    position_mm, touched, untouched = labels(recording, least=1)
+    beside = baseline_frames(recording.timestamp_ns, touched, untouched)
+    new = np.flatnonzero(np.r_[True, (np.diff(touched) > 1) | (np.diff(position_mm, axis=0) != 0).any(axis=1)])
+    to_bins = windowed_dft(a, np.array(atlas.description.bins))
+    residual = recording.frames[touched] - recording.frames[beside].mean(axis=1, dtype=np.float64)
+    features = (residual @ to_bins).reshape(len(touched), -1)
+    counts = np.diff(np.r_[new, len(touched)])[:, None]
+    values = complex_bins(np.add.reduceat(features, new, axis=0) / counts, a.channels)
+    return Taps(position_mm[new].astype(np.float64), np.asarray(values, np.complex128))
+
+
+def orientation_of(atlas: Atlas, taps: Taps) -> int:
+    """Return which of `ORIENTATIONS` explains the taps."""
+    p = atlas.description.plate
+    left = [
+        float(np.median(place(atlas, taps.values, turned(taps.label_mm, k, (p.width_mm, p.height_mm))).misfit))
+        for k in range(4)
+    ]
+    best = int(np.argmin(left))
+    return best if left[best] < CLEARER * left[0] else 0
+
+
+def turned(position_mm: Floats, orientation: int, size_mm: tuple[float, float]) -> Floats:
+    """Return places (n, 2) in a plate turned into one of `ORIENTATIONS`."""
+    found = np.array(position_mm, np.float64)
+    for axis in (0, 1):
+        if orientation & (1 << axis):
+            found[:, axis] = size_mm[axis] - found[:, axis]
+    return found
+
+
+def turned_fit(fit: PlateFit, orientation: int) -> PlateFit:
+    """Return a fit whose drawing is turned: the untouched plate sounds the same."""
+    places = turned(fit.layout.centres_mm, orientation, (fit.plate.width_mm, fit.plate.height_mm)).tolist()
+    layout = fit.layout.model_copy(
+        update={"emitter_mm": tuple(places[0]), "receivers_mm": tuple(tuple(place) for place in places[1:])}
+    )
+    reasons = fit.reasons
+    if orientation:
+        reasons = (f"the drawing is {ORIENTATIONS[orientation]}: correct the discs' places in PLATE.toml", *reasons)
+    return replace(fit, layout=layout, undecided=(), reasons=reasons)
+
+
+def refine(atlas: Atlas, taps: Taps, orientation: int = 0) -> Refined:
+    """Learn what taps tell of the atlas of a rightly turned drawing, and keep it if it explains other taps better."""
+    placed = place(atlas, taps.values, taps.label_mm)
+    fits = placed.misfit < FITS
+    if not fits.any():
+        raise CalibrationError("no tap fits the calibrated plate", "--taps", "check the labels' places, in mm")
+    apart = np.linalg.norm(placed.position_mm[fits] - taps.label_mm[fits], axis=1)
+    scatter_mm = float(np.sqrt(np.square(apart[apart <= MISSED * np.median(apart)]).mean() / 2))
+    before = after = float(np.median(placed.misfit[fits]))
+    some = Taps(taps.label_mm[fits], taps.values[fits])
+    some_placed = Placed(*(getattr(placed, name)[fits] for name in Placed.__slots__))
+    if fits.sum() >= LEAST_FOR_GAINS:
+        halves = [np.arange(len(some.label_mm)) % 2 == k for k in (0, 1)]
+        held = np.concatenate([
+            place(with_gains(atlas, gains(atlas, some, some_placed, half)), some.values[~half],
+                  some_placed.position_mm[~half]).misfit
+            for half in halves
+        ])  # fmt: skip
+        after = float(np.median(held))
+        if after < before:
+            atlas = with_gains(atlas, gains(atlas, some, some_placed, np.ones(len(held), bool)))
+    return Refined(
+        ORIENTATIONS[orientation], atlas, len(fits), int(fits.sum()), scatter_mm, (before, min(before, after))
+    )
+
+
+def gains(atlas: Atlas, taps: Taps, placed: Placed, chosen: NDArray[np.bool_]) -> Complex:
+    """Return the gain of each channel and bin relative to the atlas', shape (channels, bins), from chosen taps."""
+    values = taps.values[chosen]
+    field = FieldMap(atlas).look_up(placed.position_mm[chosen])[0].reshape(values.shape)
+    predicted = placed.amplitude[chosen][:, None, None] * field
+    power = np.square(np.abs(predicted))
+    prior = PRIOR_TAPS * power.mean(axis=0)
+    found = ((predicted.conj() * values).sum(axis=0) + prior) / (power.sum(axis=0) + prior)
+    return np.asarray(found, np.complex128)
+
+
+def with_gains(atlas: Atlas, gain: Complex) -> Atlas:
+    """Return an atlas whose field is multiplied by gains (channels, bins)."""
+    nodes = complex_nodes(atlas) * gain
+    coefficients = np.stack([nodes.real, nodes.imag], axis=3).reshape(atlas.coefficients.shape)
+    return replace(atlas, coefficients=np.ascontiguousarray(coefficients, np.float32))

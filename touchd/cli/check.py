@@ -1,0 +1,43 @@
+"""`touchd check`: judge a model on anybody's touches."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+if TYPE_CHECKING:
+    from touchd.calibration.check import Checked
+
+
+@click.command(name="check", short_help="Judge a model on anybody's touches.")
+@click.argument("model", type=click.Path(path_type=Path))
+@click.argument("recording", type=click.Path(path_type=Path))
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+def command(model: Path, recording: Path, as_json: bool) -> None:
+    """Judge MODEL on RECORDING, a minute of anybody's touches and strokes; nobody needs to know where they were.
+
+    Says whether the plate should be calibrated again, and why. RECORDING begins untouched.
+    """
+    from touchd.calibration.check import check_model
+
+    checked = check_model(model, recording)
+    click.echo(json.dumps(asdict(checked)) if as_json else _text(checked))
+
+
+def _text(checked: Checked) -> str:
+    lines = [checked.verdict, *(f"  {reason}" for reason in checked.reasons)]
+    lines.append(
+        f"  {checked.touches} touches; the median one leaves {checked.unexplained:.2%} of its energy unexplained"
+    )
+    if checked.apart_mm is not None:
+        lines.append(
+            f"  halves of the band place a touch {checked.apart_mm:.2f} mm apart, {checked.expected_apart_mm:.2f} mm "
+            f"expected; estimated error {checked.error_mm:.2f} mm"
+        )
+    if checked.bent_mm is not None:
+        lines.append(f"  strokes leave a smooth line by {checked.bent_mm:.2f} mm RMS")
+    return "\n".join(lines)

@@ -1,0 +1,59 @@
+"""`touchd web`: look at the plate in a browser."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from pathlib import Path
+
+import click
+
+from touchd.cli.bridge import bus_option
+from touchd.config.apart import load_apart
+from touchd.service.control import SERVICE_PATH
+from touchd.service.systemd import Notifier
+
+
+@click.command(name="web", short_help="Look at the plate in a browser.")
+@click.option("--bind", "where", default="127.0.0.1:8770", show_default=True, metavar="HOST:PORT",
+              help="Where to serve, on loopback.")  # fmt: skip
+@click.option("--origin", "origins", multiple=True, metavar="URL",
+              help="Also serve pages of a reverse proxy at URL, for example https://plate.example.")  # fmt: skip
+@click.option("--keypad", is_flag=True, help="Show touches in keypad mode, too: whoever looks can read the PIN.")
+@click.option("--replay", type=click.Path(exists=True, path_type=Path), metavar="RECORDING",
+              help="Also show a recording, frame by frame.")  # fmt: skip
+@bus_option
+@click.pass_obj
+def command(
+    settings: dict[str, Path | None] | None,
+    where: str,
+    origins: tuple[str, ...],
+    keypad: bool,
+    replay: Path | None,
+    address: str | None,
+) -> None:
+    """Serve a page that shows the plate live, and checks the set-up; print its address.
+
+    The address holds a token behind its `#`, for whatever acts; it is new at each start. The server is reached from
+    this computer alone.
+    """
+    import structlog
+
+    from touchd.web.guards import Access
+    from touchd.web.hub import Hub
+    from touchd.web.server import bind, serve
+    from touchd.web.site import Site
+
+    structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(30))
+    config = (settings or {}).get("config")
+    found = load_apart(config)
+    with closing(bind(where)) as listening, closing(Notifier.from_environment()) as manager:
+        host, port = listening.getsockname()[:2]
+        shown = f"[{host}]" if ":" in host else host
+        access = Access(port, origins, watched=bool(keypad or origins or replay))
+        control = Path(found.control.socket) if found.control.socket else SERVICE_PATH
+        site = Site(
+            access, Hub(address, shows_keys=keypad), config=config, address=address, control=control,
+            screen_mm=tuple(found.input.screen_mm), rotate=found.input.rotate, replay=replay,
+        )  # fmt: skip
+        url = f"http://{shown}:{port}/#token={access.token}"
+        serve(site, [listening], lambda: click.echo(f"touchd: open {url}"), manager)

@@ -1,0 +1,284 @@
+"""An audio interface as a DAQ: the chirp is played once a period, and each period's capture is one frame.
+
+Samples are counted from the start on, so frames keep their distance from the chirp as long as none is missing. The
+delay from playback to capture is found at each start, see `touchd.audio.delay`: its whole samples move the cut, its
+fraction the chirp that is played. An xrun, or a response that is suddenly another, begins that again; the frames that
+this costs are withheld, and counted by reason.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+import structlog
+from numpy.typing import NDArray
+
+from touchd.audio.capture import Capture
+from touchd.audio.card import Card, CardAbsent, CardGone, CardXrun, Samples
+from touchd.audio.delay import Delay, Doubtful, by_loopback, by_onset, by_reference
+from touchd.audio.highpass import HighPass
+from touchd.audio.spectrum import check_band
+from touchd.audio.watch import Watch
+from touchd.audio.waveform import loop_of, moved, period_of
+from touchd.config.rigs import AudioSettings
+from touchd.config.schema import Settings
+from touchd.errors import ConfigError
+from touchd.frame import Acquisition, Chirp
+from touchd.localization.model import Model
+from touchd.recording.data import Device
+from touchd.sources.daq import Daq, DaqAbsent, DaqFrame, DaqGone
+from touchd.sources.live import DaqSource
+
+Floats = NDArray[np.float64]
+
+MEASURED = 8
+"""Periods whose mean tells the delay."""
+SETTLE_S = 0.05
+"""Ringing of the plate, and what converters delay, between a change of what is played and the first measured period."""
+STILL_SAMPLES = 5e-4
+"""A smaller fraction is left as it is."""
+_MOST_MOVES = 3
+_ALIVE = 0.5
+"""Correlation with the reference above which a channel is watched."""
+_SILENT = 1e-4  # of the loudest channel's energy
+_LIMIT = 2**15 - 1
+
+log = structlog.get_logger()
+
+
+def acquisition_of(settings: AudioSettings) -> Acquisition:
+    """Return the geometry of an audio interface's frames."""
+    rate_hz = settings.sample_rate_hz
+    chirp = Chirp(
+        start_hz=settings.band_hz[0], stop_hz=settings.band_hz[1], duration_s=settings.chirp_s, dac_rate_hz=rate_hz
+    )
+    return Acquisition(
+        channels=len(settings.channels), samples=round(settings.chirp_s * rate_hz), sample_rate_hz=rate_hz,
+        full_scale_v=1.0, chirp=chirp,
+    )  # fmt: skip
+
+
+class AudioDaq:
+    """The `Daq` over an open card.
+
+    Parameters
+    ----------
+    card : Card
+    settings : AudioSettings
+    acquisition : Acquisition
+    reference : array of shape (channels, samples), optional
+        The untouched response that the model was made from.
+    clock : callable
+        Monotonic time, ns.
+    """
+
+    corrupt = 0
+    """A card does not tell."""
+    min_rate_hz = 1
+
+    def __init__(
+        self,
+        card: Card,
+        settings: AudioSettings,
+        acquisition: Acquisition,
+        reference: Floats | None = None,
+        clock: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
+        self.acquisition = acquisition
+        self.device = Device(serial=card.name)
+        self.max_rate_hz = int(acquisition.sample_rate_hz // acquisition.samples)
+        self._card, self._settings, self._reference, self._clock = card, settings, reference, clock
+        self._inputs = np.array([at - 1 for at in (*settings.channels, settings.loopback) if at])
+        self._discs = len(settings.channels)
+        self._no_counts: Samples = np.zeros(acquisition.shape, np.int16)
+        a = acquisition
+        self._high_pass = HighPass(min(a.chirp.start_hz, a.chirp.stop_hz), a.sample_rate_hz, *a.shape)
+
+    def start(self, rate_hz: int) -> None:
+        """Play and capture; frames come once the delay is found."""
+        a = self.acquisition
+        self._period = period_of(a.sample_rate_hz, rate_hz)
+        self._period_us = 1e6 / rate_hz
+        self._nominal = loop_of(a.chirp, a.sample_rate_hz, self._period, self._settings.level_dbfs)
+        self._capture = Capture(self._inputs, self._period, self._high_pass.margin)
+        self._fraction = 0.0
+        self._own: Floats | None = None
+        self._sequence, self._time_us = 0, 0.0  # of the next frame
+        self._last_ns = 0  # when the last frame, or one that is withheld, was complete
+        self._xrun = False
+        self._restart()
+
+    def read(self, timeout_s: float) -> DaqFrame | None:
+        """Return the next frame, or one that is withheld; None if none is complete in time."""
+        if not self._capture.has(self._needed):
+            try:
+                block = self._card.exchange(timeout_s)
+            except CardXrun as xrun:
+                log.warning("xrun", why=str(xrun))
+                self._xrun = True
+                self._restart()
+                return self._withhold()
+            except CardGone as gone:
+                raise DaqGone(str(gone)) from gone
+            if block is not None:
+                self._capture.append(block)
+            if not self._capture.has(self._needed):
+                return self._withhold()
+        if self._aligned:
+            return self._cut()
+        self._measure()
+        return self._withhold()
+
+    def set_rate(self, rate_hz: int) -> None:
+        """Do nothing: the chirp's period is the frame's, and a response in steady state belongs to it."""
+
+    def stop(self) -> None:
+        """Do nothing: the card plays until it is closed."""
+
+    def reset(self) -> None:
+        """Do nothing: to open the card again is all that helps."""
+
+    def close(self) -> None:
+        """Release the card; never fails."""
+        self._card.close()
+
+    def _restart(self) -> None:
+        """Start the card, then find the delay."""
+        try:
+            self._card.start(moved(self._nominal, -self._fraction))
+        except CardGone as gone:
+            raise DaqGone(str(gone)) from gone
+        self._capture.reset()
+        self._moves = 0
+        self._settle()
+
+    def _settle(self) -> None:
+        """Measure the delay in periods that hold nothing of what was played before."""
+        wait = self._card.ahead + round(SETTLE_S * self.acquisition.sample_rate_hz)
+        self._capture.skip(wait, whole_periods=True)
+        self._sum, self._measured = np.zeros((len(self._inputs), self._period)), 0
+        self._aligned, self._needed = False, self._period
+
+    def _measure(self) -> None:
+        """Add a period to those that tell the delay; the last one does."""
+        self._sum += self._capture.take(0, self._period)
+        self._measured += 1
+        if self._measured == MEASURED:
+            self._align(self._sum / MEASURED)
+
+    def _align(self, mean: Floats) -> None:
+        """Cut where the response to a chirp begins, and play the chirp so that it begins with a sample."""
+        try:
+            check_band(mean[: self._discs], self._nominal, self._card.rate_hz)
+            mean = self._high_pass.around(mean)
+            found = self._find(mean)
+        except Doubtful as doubt:
+            raise DaqGone(str(doubt)) from doubt
+        whole = round(found.samples)
+        fraction = found.samples - whole
+        if abs(fraction) > STILL_SAMPLES and self._moves < _MOST_MOVES:
+            self._moves += 1
+            self._fraction += fraction
+            self._card.play(moved(self._nominal, -self._fraction))
+            self._settle()
+            return
+        log.info("delay found", samples=whole % self._period, explained=round(found.explained, 4))
+        if self._own is None:
+            self._own = moved(mean[: self._discs], -whole)[:, : self.acquisition.samples]
+            alive = self._alive(found)
+            self._watch = Watch(self._own, alive)
+            if not alive.all():
+                silent = [self._settings.channels[i] for i in np.flatnonzero(~alive)]
+                log.warning("inputs hear nothing of the chirp", inputs=silent)
+        self._capture.skip(whole, whole_periods=False)
+        self._aligned, self._needed = True, self.acquisition.samples + self._high_pass.margin
+
+    def _find(self, mean: Floats) -> Delay:
+        discs, a = mean[: self._discs], self.acquisition
+        if self._settings.loopback:
+            return by_loopback(mean[self._discs], self._nominal)
+        # After an xrun, the response that the baseline was learned from.
+        reference = self._reference if self._own is None else self._own
+        if reference is not None:
+            return by_reference(discs, reference, a.chirp, a.sample_rate_hz)
+        return by_onset(discs, self._nominal)
+
+    def _alive(self, found: Delay) -> NDArray[np.bool_]:
+        """Return which discs are heard, shape (channels,)."""
+        assert self._own is not None
+        if len(found.channels) == self._discs and not self._settings.loopback:
+            return found.channels > _ALIVE
+        energy = np.square(self._own).sum(axis=1)
+        return np.asarray(energy > _SILENT * energy.max())
+
+    def _cut(self) -> DaqFrame:
+        """Return the next frame."""
+        now_ns = self._clock()
+        if self._xrun:  # periods have gone by, whose number only the clock knows
+            self._xrun = False
+            gone = (now_ns - self._last_ns) / 1e3
+            self._sequence += max(round(gone / self._period_us), 1) - 1
+            self._time_us += max(gone - self._period_us, 0.0)
+        margin = self._high_pass.margin
+        raw = self._capture.take(margin, self.acquisition.samples + 2 * margin)[: self._discs]
+        clipped = bool(raw.max() >= _LIMIT or raw.min() <= -_LIMIT)
+        counts = self._high_pass.apply(raw)
+        if lost := self._watch.lost(counts):
+            which = ", ".join(str(self._settings.channels[i]) for i in lost)
+            raise DaqGone(f"input {which} no longer hears the chirp as before: lost samples, a cable, a knob or a mute")
+        sequence, time_us = self._sequence, round(self._time_us)
+        self._sequence += 1
+        self._time_us += self._period_us
+        self._last_ns = now_ns
+        return DaqFrame(counts, sequence, time_us, clipped)
+
+    def _withhold(self) -> DaqFrame | None:
+        """Return one frame for each period that goes by after an xrun; before the first frame none is missing."""
+        if not self._xrun or not self._last_ns:
+            return None
+        if (self._clock() - self._last_ns) / 1e3 < self._period_us:
+            return None
+        self._last_ns += round(1e3 * self._period_us)
+        sequence, time_us = self._sequence, round(self._time_us)
+        self._sequence += 1
+        self._time_us += self._period_us
+        return DaqFrame(self._no_counts, sequence, time_us, withheld="xrun")
+
+
+Opener = Callable[[str, int, int], Card]
+"""Opens a card of a name, at a sample rate, with so many inputs; raises CardAbsent."""
+
+
+def open_audio(
+    settings: Settings, opener: Opener, name: str, model: Model | None, *, clock: Callable[[], int] = time.monotonic_ns
+) -> DaqSource:
+    """Return the source of a card that may be plugged in later.
+
+    Raises
+    ------
+    ConfigError
+        No card is named, or the frame rate does not fit the sample rate.
+    ModelMismatch
+        The model was made for another acquisition than [audio] says.
+    """
+    audio, device = settings.audio, settings.device
+    if not name:
+        raise ConfigError("is not set", "audio.device", "name a card: --audio hw:CARD=NAME; arecord -L lists them")
+    acquisition = acquisition_of(audio)
+    if model is not None:
+        model.check(acquisition)
+    period = period_of(acquisition.sample_rate_hz, device.rate_hz)
+    if period < acquisition.samples:
+        raise ConfigError(f"is {device.rate_hz}: a frame lasts longer than that", "device.rate_hz", "lower it")
+    reference = model.atlas.baseline.astype(np.float64) if model is not None and model.atlas is not None else None
+
+    def connect() -> Daq:
+        try:
+            card = opener(name, audio.sample_rate_hz, max(*audio.channels, audio.loopback))
+        except CardAbsent as absent:
+            raise DaqAbsent(str(absent)) from absent
+        return AudioDaq(card, audio, acquisition, reference, clock)
+
+    return DaqSource(lambda: iter([connect]), device, acquisition, lambda _: None, clock=clock)

@@ -1,0 +1,177 @@
+"""Who may ask for what: the one place of Host, Origin, token, methods and security headers.
+
+A page of another site must not reach this server through a visitor's browser, however it names it: by its own address,
+by a DNS name that it points to loopback, or by a WebSocket, which no browser's same-origin rule stops.
+"""
+
+from __future__ import annotations
+
+import hmac
+import secrets
+from collections.abc import Collection, Iterable
+from http.cookies import CookieError, SimpleCookie
+from urllib.parse import urlsplit
+
+from starlette.responses import PlainTextResponse
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from touchd.errors import ConfigError
+
+HEADERS = {
+    "content-security-policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; "
+    "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+    "x-content-type-options": "nosniff",
+    "referrer-policy": "no-referrer",
+    "cross-origin-resource-policy": "same-origin",
+    "cross-origin-opener-policy": "same-origin",
+    "permissions-policy": "camera=(), microphone=(), geolocation=()",
+}
+"""Of every answer. No code but the files of this server runs in the page."""
+MOST_BODY_BYTES = 65_536
+LOOPBACK = ("127.0.0.1", "localhost", "[::1]")
+_DEFAULT_PORTS = {"http": 80, "https": 443}
+_METHODS = ("GET", "HEAD", "POST")
+_REFUSED = (403, "refused")
+
+
+class Access:
+    """The addresses under which this server is known, and the token of this start.
+
+    Parameters
+    ----------
+    port : int
+        Where it listens, on loopback.
+    origins : iterable of str
+        Further origins, `https://HOST[:PORT]`, of a reverse proxy.
+    watched : bool
+        Whether a browser needs a session even to look.
+
+    Raises
+    ------
+    ConfigError
+        An origin is none.
+    """
+
+    def __init__(self, port: int, origins: Iterable[str] = (), *, watched: bool = False) -> None:
+        self.token = secrets.token_urlsafe(24)
+        """Gives a session; it is in the address that is printed at the start, behind the `#`."""
+        self.cookie = f"touchd-{port}"
+        """Cookies of one host are shared by its ports."""
+        self.watched = watched
+        self._session = secrets.token_urlsafe(32)
+        self.origins = {f"http://{host}:{port}" for host in LOOPBACK} | {_origin(text) for text in origins}
+        if port == _DEFAULT_PORTS["http"]:
+            self.origins |= {f"http://{host}" for host in LOOPBACK}
+        self.hosts = {origin.partition("://")[2] for origin in self.origins}
+
+    def session_for(self, token: str) -> str | None:
+        """Return what the cookie is to hold, or None for a wrong token."""
+        return self._session if _equal(token, self.token) else None
+
+    def refusal(self, scope: Scope, open_paths: Collection[str]) -> tuple[int, str] | None:
+        """Return status and text with which to refuse a request or a WebSocket; None admits it.
+
+        Parameters
+        ----------
+        scope : Scope
+            ASGI's, of type `http` or `websocket`.
+        open_paths : collection of str
+            Paths that need no session: the page's files, and what gives a session.
+        """
+        socket = scope["type"] == "websocket"
+        hosts, origins = _headers(scope, b"host"), _headers(scope, b"origin")
+        if len(hosts) != 1 or hosts[0].lower() not in self.hosts:
+            return 421, "unknown host"
+        acts = not socket and scope["method"] == "POST"
+        if not socket and scope["method"] not in _METHODS:
+            return 405, "no such method"
+        if len(origins) > 1 or (origins and origins[0] not in self.origins) or ((socket or acts) and not origins):
+            return _REFUSED
+        if scope["path"] in open_paths:
+            return None
+        if (acts or self.watched) and not self.has_session(scope):
+            return 401, "open the address that `touchd web` has printed"
+        return None
+
+    def has_session(self, scope: Scope) -> bool:
+        """Return whether the request comes with the cookie of this start."""
+        for text in _headers(scope, b"cookie"):
+            try:
+                morsel = SimpleCookie(text).get(self.cookie)
+            except CookieError:
+                continue
+            if morsel is not None and _equal(morsel.value, self._session):
+                return True
+        return False
+
+
+class Guard:
+    """Refuses what `Access` refuses and bodies that are too large, and adds the security headers to every answer.
+
+    Parameters
+    ----------
+    app : ASGI application
+    access : Access
+    open_paths : collection of str
+    """
+
+    def __init__(self, app: ASGIApp, access: Access, open_paths: Collection[str]) -> None:
+        self._app, self._access, self._open_paths = app, access, open_paths
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve one request."""
+        if scope["type"] == "lifespan":
+            await self._app(scope, receive, send)
+            return
+        refusal = self._access.refusal(scope, self._open_paths)
+        if scope["type"] == "websocket":
+            if refusal:
+                await receive()
+                await send({"type": "websocket.close", "code": 1008})  # before it is accepted: answered by 403
+            else:
+                await self._app(scope, receive, send)
+            return
+
+        async def with_headers(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                own = [(name.encode(), value.encode()) for name, value in HEADERS.items()]
+                message["headers"] = [*message.get("headers", []), *own]
+                if scope["path"] not in self._open_paths:
+                    message["headers"].append((b"cache-control", b"no-store"))
+            await send(message)
+
+        if refusal is None and _body_bytes(scope) > MOST_BODY_BYTES:
+            refusal = 413, "too large"
+        if refusal:
+            await PlainTextResponse(refusal[1], refusal[0])(scope, receive, with_headers)
+        else:
+            await self._app(scope, receive, with_headers)
+
+
+def _body_bytes(scope: Scope) -> float:
+    """Return the announced size of a body; without one, 0, or infinity where it comes in unknown pieces."""
+    if _headers(scope, b"transfer-encoding"):
+        return float("inf")
+    sizes = _headers(scope, b"content-length")
+    return int(sizes[0]) if len(sizes) == 1 and sizes[0].isascii() and sizes[0].isdigit() else float(bool(sizes)) * 1e99
+
+
+def _headers(scope: Scope, name: bytes) -> list[str]:
+    return [value.decode("latin-1") for key, value in scope["headers"] if key == name]
+
+
+def _equal(given: str, own: str) -> bool:
+    return hmac.compare_digest(given.encode(errors="replace"), own.encode())
+
+
+def _origin(text: str) -> str:
+    """Return an origin as browsers send it."""
+    try:
+        parts = urlsplit(text)
+        port = parts.port
+    except ValueError:
+        parts, port = urlsplit(""), None
+    if parts.scheme not in _DEFAULT_PORTS or not parts.hostname or parts.path.strip("/") or "@" in parts.netloc:
+        raise ConfigError("is no origin", f"--origin {text}", "write https://HOST or https://HOST:PORT")
+    host = f"[{parts.hostname}]" if ":" in parts.hostname else parts.hostname
+    return f"{parts.scheme}://{host}" + (f":{port}" if port not in (None, _DEFAULT_PORTS[parts.scheme]) else "")

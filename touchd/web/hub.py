@@ -1,0 +1,216 @@
+"""Newest messages for any number of browsers: threads read the bus, the server's loop hands out.
+
+Nothing is too old to be shown: the page tells the age. A browser has one slot for each topic. What it did not fetch in
+time is replaced, never queued: a touch message names all fingers, so an older one tells nothing more.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+import structlog
+
+from touchd.client import Subscriber
+from touchd.errors import BusError, BusTimeout
+from touchd.event import Event, HealthEvent, PlateEvent, encode
+
+TOPICS = ("touch", "health", "plate", "truth")
+"""What every browser gets."""
+ASKED = ("spectrum",)
+"""What the daemon makes only while a browser asks for it."""
+PRIVATE = frozenset({"touch", "spectrum", "truth"})
+"""A PIN could be read from these."""
+MOST_CLIENTS = 32
+HISTORY = 300
+"""Health messages kept: five minutes."""
+_SPECTRUM_S = 0.1
+_WAIT_S = 0.25
+
+log = structlog.get_logger()
+
+
+class Client:
+    """One browser: the newest message of each topic that it has not fetched."""
+
+    def __init__(self) -> None:
+        self.asked: frozenset[str] = frozenset()
+        """Topics of `ASKED` that it wants."""
+        self.skipped = 0
+        """Messages replaced by newer ones since the last `take`."""
+        self.wake = asyncio.Event()
+        self._slots: dict[str, bytes] = {}
+
+    def offer(self, topic: str, payload: bytes) -> None:
+        """Put a message in its topic's slot."""
+        self.skipped += topic in self._slots
+        self._slots[topic] = payload
+        self.wake.set()
+
+    def drop(self, topics: frozenset[str]) -> None:
+        """Empty the slots of some topics."""
+        for topic in topics:
+            self._slots.pop(topic, None)
+
+    def take(self) -> list[bytes]:
+        """Return what waits, and empty the slots."""
+        waiting, self._slots = list(self._slots.values()), {}
+        self.wake.clear()
+        return waiting
+
+
+class Hub:
+    """Connects the bus to browsers.
+
+    Parameters
+    ----------
+    address : str, optional
+        The bus; by default the installed service, or a touchd on this computer.
+    shows_keys : bool
+        Hand out touches in keypad mode, too.
+
+    Raises
+    ------
+    BusError
+        The address cannot be used.
+    """
+
+    def __init__(self, address: str | None = None, *, shows_keys: bool = False) -> None:
+        self.shows_keys = shows_keys
+        self.history: deque[bytes] = deque(maxlen=HISTORY)
+        self.heard_s = -float("inf")
+        """When the last message came, s of the monotonic clock."""
+        self.keypad: bool | None = None
+        """Whether the daemon is in keypad mode; None before it has said so: then no touch is handed out."""
+        self._address = address
+        self._clients: set[Client] = set()
+        self._last: dict[str, bytes] = {}
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._stopped = threading.Event()
+        self._threads: list[threading.Thread] = []
+        self._spectrum: threading.Event | None = None
+        Subscriber(address, TOPICS).close()  # an address that cannot be used is refused here
+
+    def start(self) -> None:
+        """Begin to listen; called in the server's loop."""
+        self._loop = asyncio.get_running_loop()
+        self._listen(TOPICS, self._stopped)
+
+    def stop(self) -> None:
+        """End all threads."""
+        self._stopped.set()
+        if self._spectrum is not None:
+            self._spectrum.set()
+        for thread in self._threads:
+            thread.join()
+
+    def join(self) -> Client | None:
+        """Add a browser, which gets the last messages at once; None if there are too many."""
+        if len(self._clients) >= MOST_CLIENTS:
+            return None
+        client = Client()
+        if self.history:
+            client.offer("history", b'{"type":"history","health":[%b]}' % b",".join(self.history))
+        for topic, payload in self._last.items():
+            if self._may_show(topic):
+                client.offer(topic, payload)
+        self._clients.add(client)
+        return client
+
+    def leave(self, client: Client) -> None:
+        """Remove a browser."""
+        self._clients.discard(client)
+        self._follow_asked()
+
+    def ask(self, client: Client, topics: frozenset[str]) -> None:
+        """Set which topics of `ASKED` a browser wants."""
+        client.asked = topics & set(ASKED)
+        self._follow_asked()
+
+    def publish(self, topic: str, message: dict[str, Any]) -> None:
+        """Send a view's own state to all browsers, now and to those to come; called in the server's loop."""
+        self._offer(topic, json.dumps({"type": topic, **message}).encode(), keep=True)
+
+    def last(self, topic: str) -> bytes | None:
+        """Return the last message of a topic."""
+        return self._last.get(topic)
+
+    @property
+    def silent_s(self) -> float | None:
+        """Time since the daemon was heard, s; None if it never was."""
+        silent_s = time.monotonic() - self.heard_s
+        return silent_s if silent_s < float("inf") else None
+
+    def _may_show(self, topic: str) -> bool:
+        return topic not in PRIVATE or self.keypad is False or (self.keypad is True and self.shows_keys)
+
+    def _follow_asked(self) -> None:
+        """Listen to the spectrum while a browser wants it."""
+        wanted = any("spectrum" in client.asked for client in self._clients)
+        if wanted and self._spectrum is None:
+            self._spectrum = threading.Event()
+            self._listen(ASKED, self._spectrum)
+        elif not wanted and self._spectrum is not None:
+            self._spectrum.set()
+            self._spectrum = None
+            self._last.pop("spectrum", None)
+
+    def _listen(self, topics: tuple[str, ...], stopped: threading.Event) -> None:
+        self._threads = [thread for thread in self._threads if thread.is_alive()]
+        thread = threading.Thread(target=self._read, args=(topics, stopped), name="bus", daemon=True)
+        self._threads.append(thread)
+        thread.start()
+
+    def _read(self, topics: tuple[str, ...], stopped: threading.Event) -> None:
+        assert self._loop is not None
+        hand: Callable[..., object] = self._loop.call_soon_threadsafe
+        next_s = 0.0
+        with Subscriber(self._address, topics, max_age_s=None, newest_only=True) as events:
+            while not stopped.is_set():
+                try:
+                    event: Event = events.receive(_WAIT_S)
+                except BusTimeout:
+                    continue
+                except BusError as error:
+                    log.warning("not understood", error=str(error))
+                    stopped.wait(1.0)
+                    continue
+                if event.type == "spectrum":
+                    if time.monotonic() < next_s:
+                        continue
+                    next_s = time.monotonic() + _SPECTRUM_S
+                try:
+                    hand(self._take, event)
+                except RuntimeError:  # the loop has ended
+                    return
+
+    def _take(self, event: Event) -> None:
+        """Take an event into the slots of all browsers; runs in the server's loop."""
+        self.heard_s = time.monotonic()
+        payload = encode(event)
+        if isinstance(event, PlateEvent):
+            self.keypad = bool(event.keys)
+        elif isinstance(event, HealthEvent):
+            self.history.append(payload)
+            if event.state in ("starting", "stopping"):
+                self.keypad = None  # it says anew what it is
+        if not self._may_show("touch"):
+            for client in self._clients:
+                client.drop(PRIVATE)
+            for topic in PRIVATE:
+                self._last.pop(topic, None)
+        self._offer(event.type, payload, keep=event.type != "spectrum")
+
+    def _offer(self, topic: str, payload: bytes, *, keep: bool) -> None:
+        if keep:
+            self._last[topic] = payload
+        if not self._may_show(topic):
+            return
+        for client in self._clients:
+            if topic not in ASKED or topic in client.asked:
+                client.offer(topic, payload)

@@ -1,0 +1,63 @@
+"""Runs a recording through the pipeline and writes what came of each frame: a process of `replay`'s own.
+
+usage: python -c "from touchd.web.replayed import main; main(RECORDING, FOLDER, CONFIG)"
+"""
+
+from __future__ import annotations
+
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+from msgspec.json import encode
+
+from touchd.config.load import load
+from touchd.event import Contact
+from touchd.service.daemon import make_pipeline
+from touchd.service.frame_feed import FeedDescription
+from touchd.service.messages import Messages, all_but_spectra
+from touchd.service.runner import frames_of
+from touchd.sources.replay import ReplaySource
+
+FRAMES, OFFSETS, SUMMARY = "frames.jsonl", "offsets.npy", "summary.json"
+_TOLD = 250
+"""Progress is printed after as many frames."""
+
+
+def main(recording: str, folder: str, config: str = "") -> None:
+    """Write a line of JSON for each frame, where each begins, and a summary; print the number of frames done."""
+    settings = load(Path(config) if config else None)
+    source = ReplaySource(Path(recording), speed=float("inf"))
+    pipeline = make_pipeline(source, settings, notify=lambda _reason, _fields: None)
+    meta = source.meta
+    described = FeedDescription(
+        acquisition=source.acquisition, rate_hz=meta.frame_rate_hz, source=meta.source or "replay", plate=meta.plate,
+        emitter_mm=meta.emitter_mm, receivers_mm=meta.receivers_mm or (),
+    )  # fmt: skip
+    plate = Messages(settings, all_but_spectra).plate(described, pipeline.layout, 0)
+    alive: list[Contact] = []
+    offsets, counts, first_ns = [0], [], None
+    with closing(source), (Path(folder) / FRAMES).open("wb") as out:
+        for frame in frames_of(source):
+            if frame is None:
+                continue
+            first_ns = frame.t_ns if first_ns is None else first_ns
+            result = pipeline.process(frame)
+            contacts = result.contacts or alive  # none are due where nothing has changed
+            alive = [c for c in contacts if c.phase != "up"]
+            line = {
+                "frame": frame.sequence, "t_s": round((frame.t_ns - first_ns) * 1e-9, 6),
+                "outcome": result.outcome.name.lower(), "contacts": contacts, "truth": source.truth(),
+            }  # fmt: skip
+            offsets.append(offsets[-1] + out.write(encode(line) + b"\n"))
+            counts.append(len(alive))
+            if len(counts) % _TOLD == 0:
+                print(len(counts), flush=True)
+    np.save(Path(folder) / OFFSETS, np.array(offsets, np.int64))
+    summary = {"plate": plate, "frames": len(counts), "fingers": _runs(counts)}
+    (Path(folder) / SUMMARY).write_bytes(encode(summary))
+
+
+def _runs(counts: list[int]) -> list[tuple[int, int]]:
+    """Return where the number of fingers changes: first frame, and the number from there on."""
+    return [(n, count) for n, count in enumerate(counts) if n == 0 or count != counts[n - 1]]

@@ -1,0 +1,118 @@
+"""READ FIRST: opens all parts of `touchd web`, serves until SIGTERM, and closes them."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import ipaddress
+import signal
+import socket
+import time
+from collections.abc import AsyncIterator, Callable, Iterable, Sequence
+from types import FrameType, ModuleType
+
+import structlog
+import uvicorn
+from starlette.applications import Starlette
+from starlette.middleware import Middleware
+
+from touchd.errors import AddressInUse, ConfigError, InsecureBind
+from touchd.service.systemd import Notifier
+from touchd.web import check, live, pages, replay
+from touchd.web.guards import Guard
+from touchd.web.site import Site
+
+VIEWS: tuple[ModuleType, ...] = (pages, live, replay, check)
+"""Each with `routes(site)`."""
+_END_S = 2
+"""Open WebSockets may hold up the end for as long."""
+_BEAT_S = 0.25
+
+log = structlog.get_logger()
+
+
+def bind(address: str) -> socket.socket:
+    """Return a socket that listens at HOST:PORT on loopback.
+
+    Raises
+    ------
+    ConfigError, InsecureBind, AddressInUse
+        It is no such address, it is beyond loopback, or it is taken.
+    """
+    host, _, port = address.rpartition(":")
+    host = {"localhost": "127.0.0.1"}.get(host, host.strip("[]"))
+    try:
+        reached, number = ipaddress.ip_address(host), int(port)
+        if not 0 <= number < 65536:
+            raise ValueError
+    except ValueError:
+        raise ConfigError("is no HOST:PORT", f"--bind {address}", "write for example 127.0.0.1:8770") from None
+    if not reached.is_loopback:
+        raise InsecureBind(
+            "is beyond loopback, and this server has no encryption", f"--bind {address}",
+            "bind 127.0.0.1 and put a reverse proxy before it (--origin), or use ssh -L",
+        )  # fmt: skip
+    listening = socket.socket(socket.AF_INET6 if reached.version == 6 else socket.AF_INET)
+    try:
+        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listening.bind((host, number))
+        listening.listen(64)
+    except OSError as error:
+        listening.close()
+        raise AddressInUse(
+            f"cannot be listened at ({error.strerror})",
+            f"--bind {address}",
+            "stop what listens there, or choose another",
+        ) from error
+    return listening
+
+
+def make_app(site: Site, views: Iterable[ModuleType] = VIEWS) -> Starlette:
+    """Return the application: the views' routes behind the guard."""
+
+    @contextlib.asynccontextmanager
+    async def lifespan(_app: Starlette) -> AsyncIterator[None]:
+        site.hub.start()
+        try:
+            yield
+        finally:
+            for task in site.tasks:
+                task.cancel()
+            await asyncio.gather(*site.tasks, return_exceptions=True)
+            await asyncio.to_thread(site.hub.stop)
+
+    routes = [route for view in views for route in view.routes(site)]
+    guard = Middleware(Guard, access=site.access, open_paths=pages.OPEN)
+    return Starlette(routes=routes, middleware=[guard], lifespan=lifespan)
+
+
+def serve(site: Site, listening: Sequence[socket.socket], ready: Callable[[], object], manager: Notifier) -> None:
+    """Serve until SIGTERM or SIGINT; `ready` is called once browsers are answered."""
+    config = uvicorn.Config(
+        make_app(site), ws="websockets-sansio", http="h11", loop="asyncio", lifespan="on", log_config=None,
+        access_log=False, server_header=False, proxy_headers=False, ws_max_size=4096, ws_max_queue=4,
+        ws_per_message_deflate=False, h11_max_incomplete_event_size=16_384, limit_concurrency=128,
+        timeout_graceful_shutdown=_END_S,
+    )  # fmt: skip
+    server = uvicorn.Server(config)
+
+    def stop(_number: int, _frame: FrameType | None) -> None:
+        server.should_exit = True
+
+    for number in (signal.SIGTERM, signal.SIGINT):  # uvicorn raises again what it has caught: that is no failure
+        signal.signal(number, stop)
+
+    async def run() -> None:
+        served = asyncio.create_task(server.serve(list(listening)))
+        told = False
+        while not served.done():
+            if server.started and not told:
+                told = True
+                ready()
+                manager.ready()
+            manager.beat(time.monotonic_ns())
+            await asyncio.wait([served], timeout=_BEAT_S if told else 0.01)
+        await served
+
+    asyncio.run(run())
+    manager.stopping()

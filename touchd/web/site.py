@@ -1,0 +1,41 @@
+"""What the views share."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from touchd.web.guards import Access
+from touchd.web.hub import Hub
+
+
+@dataclass(slots=True)
+class Site:
+    """One `touchd web`."""
+
+    access: Access
+    hub: Hub
+    config: Path | None = None
+    """Configuration file that was named, for verbs that this process starts."""
+    address: str | None = None
+    """Of the bus, if it was named."""
+    control: Path | None = None
+    """The daemon's control socket."""
+    screen_mm: tuple[float, ...] = ()
+    """Where the screen lies on the plate: x, y, width, height; empty if unknown."""
+    rotate: int = 0
+    replay: Path | None = None
+    """Recording to look at."""
+    tasks: set[asyncio.Task[Any]] = field(default_factory=set)
+    """What runs beside requests; ended with the server."""
+
+    def hello(self) -> dict[str, Any]:
+        """Return what a page has to know before the first message."""
+        from touchd import __version__
+
+        return {
+            "type": "hello", "version": __version__, "screen_mm": list(self.screen_mm), "rotate": self.rotate,
+            "replay": self.replay.name if self.replay else None, "shows_keys": self.hub.shows_keys,
+        }  # fmt: skip

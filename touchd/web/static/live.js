@@ -1,0 +1,51 @@
+// The live view: the plate, the state that is legible across a room, and what the daemon says of itself.
+import { element, say } from './dom.js';
+import { PlateView } from './plate.js';
+import { Status } from './status.js';
+import { Fingers, Figures, Budget, LatencyChart, Noise, Spectrum } from './panels.js';
+
+export function mount(root, page) {
+  const { texts, feed } = page;
+  const plate = new PlateView(texts), status = new Status(texts, feed);
+  const panels = [new Fingers(texts), new Figures(texts), new Budget(texts), new Noise(texts), new LatencyChart(texts),
+    new Spectrum(texts, feed)];
+  const footer = element('span'), age = element('span');
+  const side = element('div', { class: 'side', tabindex: 0, role: 'region', 'aria-label': texts.figures.title },
+    status.root, element('div', { class: 'panels' }, ...panels.map(panel => panel.root)), element('div', { class: 'footer' }, footer, age));
+  root.append(plate.root, side);
+  const hidden = () => page.hello.shows_keys === false && (feed.last.plate?.keys.length ?? 0) > 0;
+  const ends = [
+    feed.on('hello', hello => plate.set('screen', hello.screen_mm)),
+    feed.on('plate', message => {
+      plate.setPlate(message);
+      plate.set('note', hidden() ? texts.keypad_hidden : '');
+      for (const panel of panels) panel.plate?.(message);
+    }),
+    feed.on('touch', message => {
+      plate.setContacts(message.contacts);
+      for (const panel of panels) panel.touch?.(message);
+    }),
+    feed.on('truth', message => {
+      plate.setTruth(message);
+      for (const panel of panels) panel.truth?.(message);
+    }),
+    feed.on('history', message => { for (const health of message.health) for (const panel of panels) panel.past?.(health); }),
+    feed.on('health', message => {
+      for (const panel of panels) panel.health?.(message);
+      say(footer, texts.footer(message.version, message.model, feed.last.plate?.source));
+      if (message.state !== 'streaming') plate.setContacts([]);
+    }),
+    feed.on('spectrum', message => { for (const panel of panels) panel.spectrum?.(message); }),
+    feed.on('batch', () => say(age, feed.dataAgeMs !== null ? texts.age(Math.round(feed.dataAgeMs)) : '')),
+    status.onStale(stale => {
+      plate.set('stale', stale);
+      root.classList.toggle('stale', stale);
+    }),
+  ];
+  return () => {
+    for (const end of ends) end();
+    plate.close();
+    status.close();
+    for (const panel of panels) panel.close?.();
+  };
+}

@@ -1,0 +1,56 @@
+// What the daemon's state is, in letters for two metres. Silence is a state.
+import { element, say } from './dom.js';
+
+const LATE_MS = 1000;
+const SILENT_S = 3; // health comes each second
+const LEVELS = { streaming: 'ok', starting: 'busy', uncalibrated: 'warning', stalled: 'failure', lost: 'failure', stopping: 'failure' };
+
+export class Status {
+  constructor(texts, feed) {
+    this.texts = texts;
+    this.feed = feed;
+    this.word = element('strong', { class: 'state-word' });
+    this.reason = element('span', { class: 'state-reason' });
+    this.root = element('div', { class: 'state', role: 'status' }, this.word, this.reason);
+    this.listeners = new Set();
+    this.stale = null;
+    this.ends = ['connection', 'health', 'batch'].map(type => feed.on(type, () => this.update()));
+    this.timer = setInterval(() => this.update(), 500);
+    this.update();
+  }
+
+  onStale(listener) {
+    this.listeners.add(listener);
+    listener(this.stale);
+    return () => this.listeners.delete(listener);
+  }
+
+  close() {
+    clearInterval(this.timer);
+    for (const end of this.ends) end();
+  }
+
+  update() {
+    const { level, word, reason, stale } = this.now();
+    this.root.dataset.level = level;
+    say(this.word, word);
+    say(this.reason, reason);
+    if (stale === this.stale) return;
+    this.stale = stale;
+    for (const listener of this.listeners) listener(stale);
+  }
+
+  now() {
+    const { texts, feed } = this, health = feed.last.health, silent = feed.silence();
+    const state = (level, [word, reason], stale = true) => ({ level, word, reason, stale });
+    if (feed.state === 'connecting') return state('busy', texts.connecting);
+    if (feed.state !== 'open') return state('failure', texts.no_server);
+    if (silent === null || !health) return state('failure', texts.no_daemon);
+    if (health.state === 'stopping') return state('failure', texts.states.stopping);
+    if (silent > SILENT_S) return state('failure', texts.silent(Math.floor(silent)));
+    const [word, meaning] = texts.states[health.state] ?? [health.state, ''];
+    if (feed.dataAgeMs > LATE_MS && feed.last.touch?.contacts.length) return state('warning', texts.late((feed.dataAgeMs / 1000).toFixed(1)), false);
+    const level = health.state === 'streaming' && health.reason ? 'warning' : LEVELS[health.state] ?? 'warning';
+    return state(level, [word, health.reason ?? meaning], false);
+  }
+}
