@@ -40,9 +40,10 @@ from touchd.recording.data import Recording
 from touchd.recording.format import read, write
 from touchd.service.replay import replay
 from touchd.training.data.one_temperature import at_one_temperature
+from touchd.training.field.bins import informative
 from touchd.training.field.dispersion import dispersion_of
 from touchd.training.field.learn import learn_thoroughly
-from touchd.training.field.make_atlas import make_atlas
+from touchd.training.field.make_atlas import make_atlas, signal_over_noise
 from touchd.training.field.regression import touches_of
 from touchd.twin.electronics import Electronics
 from touchd.twin.instrument import Instrument
@@ -205,12 +206,14 @@ def learning(bench: Bench) -> None:
     parts = split(len(plain), 0)
     steady, reference = at_one_temperature(recording, plain)
     wavenumber = dispersion_of(steady, touches_of(steady, parts.train)).wavenumber_per_mm
+    snr = signal_over_noise(touches_of(steady, parts.validation))
+    kept = informative(snr, wavenumber, bench.atlas.description.acquisition)
     test = bench.touches(TOUCHES, 60.0)
     atlases = {}
     for count in LEARNED_FROM:
         some = Split(parts.train[:count], parts.validation, parts.test)
         learned = learn_thoroughly(touches_of(steady, some.train), wavenumber)
-        atlases[count] = make_atlas(steady, reference, some, learned, {})[0]
+        atlases[count] = make_atlas(steady, reference, some, learned, kept, {})[0]
     atlases[bench.atlas.description.touches] = bench.atlas
     scores = [position_scores(bench.judge(test, atlas).error_mm) for atlas in atlases.values()]
     d = bench.atlas.description

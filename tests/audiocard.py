@@ -1,6 +1,6 @@
 """An audio interface without hardware, at the seam of the library: a plate stands between playback and capture.
 
-What is captured is what is played, filtered by the twin's response: whole periods at once, since what is played is
+What is captured is what is played, filtered by the twin's response: period by period, since what is played is
 periodic. The delay is drawn at each start, as whole samples and a fraction, and faults come on command.
 """
 
@@ -93,7 +93,7 @@ class FakeCard:
         self.starts += 1
         self.delay = float(self._rng.uniform(0, self._period))
         self._loop, self._next_loop, self._until = loop, loop, 0
-        self._captured = self._captured[:0]
+        self._captured = np.zeros((int(self.delay), self.inputs), np.int16)
         self.xrun = False
 
     def play(self, loop: Floats) -> None:
@@ -135,7 +135,7 @@ class FakeCard:
         ratio = np.where(np.abs(nominal) > 1e-9 * np.abs(nominal).max(), played / nominal, 0.0)
         if self.lowpass_hz is not None:
             ratio = ratio * (np.fft.rfftfreq(self._period, 1 / self.rate_hz) < self.lowpass_hz)
-        heard = moved(np.fft.irfft(spectrum * ratio, self._period), self.delay)
+        heard = moved(np.fft.irfft(spectrum * ratio, self._period), self.delay % 1)
         if self.disturbance:
             heard = heard + self.disturbance * self._rng.standard_normal(heard.shape)
         heard = heard[self.order] * self.gains[:, None]

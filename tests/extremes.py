@@ -75,4 +75,7 @@ def any_settings(draw: st.DrawFn) -> Settings:
         keys[key] = value
     if tables["ni"]["amplitude_v"] > tables["ni"]["output_limit_v"]:
         del tables["ni"]["amplitude_v"], tables["ni"]["output_limit_v"]
+    rate_hz = tables["audio"]["sample_rate_hz"]
+    low_hz = draw(st.floats(1, 0.4 * rate_hz))
+    tables["audio"]["band_hz"] = low_hz, draw(st.floats(1.01 * low_hz, 0.49 * rate_hz))
     return Settings.model_validate(tables)

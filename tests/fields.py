@@ -140,7 +140,7 @@ def _sum(nodes: np.ndarray, along_x: np.ndarray, along_y: np.ndarray) -> np.ndar
 
 def as_complex(features: np.ndarray) -> np.ndarray:
     """Features (channels * 2 * bins,) as complex bins, (channels * bins,)."""
-    parts = features.reshape(RIG.channels, 2, len(BINS))
+    parts = features.reshape(RIG.channels, 2, -1)
     return np.asarray((parts[:, 0] + 1j * parts[:, 1]).ravel())
 
 

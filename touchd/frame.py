@@ -43,6 +43,14 @@ class Chirp(_Description):
     stop_hz: float = Field(default=100e3, ge=1, le=1e9)
     duration_s: float = Field(default=1e-3, ge=1e-6, le=10)
     dac_rate_hz: float = Field(default=500e3, ge=1, le=1e10)
+    period_s: float | None = Field(default=None, ge=1e-6, le=10)
+    """From one chirp to the next if the plate still rings from earlier ones: frames are taken in steady state. None if
+    each chirp meets a silent plate."""
+
+    @property
+    def band_hz(self) -> tuple[float, float]:
+        """Lowest and highest frequency."""
+        return min(self.start_hz, self.stop_hz), max(self.start_hz, self.stop_hz)
 
 
 class Plate(_Description):
@@ -77,3 +85,51 @@ class Acquisition(_Description):
     def shape(self) -> tuple[int, int]:
         """Shape of a frame's counts: (channels, samples)."""
         return self.channels, self.samples
+
+    @property
+    def highest_hz(self) -> float:
+        """Frequency up to which the plate is heard: the chirp's end, and what its edges leak beyond it."""
+        return 1.25 * self.chirp.band_hz[1]
+
+    @property
+    def window(self) -> NDArray[np.float64]:
+        """Weights of the samples in the spectrum: Hann's, or 1 where the frame is a whole period."""
+        return np.ones(self.samples) if self.is_whole_period else np.hanning(self.samples)
+
+    @property
+    def is_whole_period(self) -> bool:
+        """Whether a frame is one period in steady state: its bins are the harmonics, and no window is needed."""
+        period_s = self.chirp.period_s
+        return period_s is not None and round(period_s * self.sample_rate_hz) == self.samples
+
+
+def _audio(sample_rate_hz: float, samples: int, start_hz: float, stop_hz: float) -> Acquisition:
+    """Return what an audio interface takes that plays one chirp after the other: each frame is a period."""
+    period_s = samples / sample_rate_hz
+    chirp = Chirp(
+        start_hz=start_hz, stop_hz=stop_hz, duration_s=period_s, dac_rate_hz=sample_rate_hz, period_s=period_s
+    )
+    return Acquisition(channels=4, samples=samples, sample_rate_hz=sample_rate_hz, chirp=chirp)
+
+
+ACQUISITIONS = {
+    "usb": Acquisition(channels=4, samples=250, sample_rate_hz=250e3),
+    "audio-192": _audio(192e3, 768, 20e3, 85e3),
+    "audio-96": _audio(96e3, 96, 15e3, 44e3),
+}
+"""Geometries with a name: the source paper's rig, as a DAQ on USB has it, and audio interfaces in steady state."""
+
+
+def parse_acquisition(text: str) -> Acquisition:
+    """Return a named acquisition, or that of `RATE_HZ:SAMPLES:START_HZ-STOP_HZ:CHIRP_S[:PERIOD_S]`.
+
+    Four channels; with a period frames are in steady state. Raises ValueError.
+    """
+    if text in ACQUISITIONS:
+        return ACQUISITIONS[text]
+    rate_hz, samples, band_hz, *seconds = text.split(":")
+    start_hz, stop_hz = map(float, band_hz.split("-"))
+    duration_s, period_s = map(float, seconds) if len(seconds) == 2 else (float(*seconds), None)
+    dac_rate_hz = float(rate_hz) if period_s else 2 * float(rate_hz)
+    chirp = Chirp(start_hz=start_hz, stop_hz=stop_hz, duration_s=duration_s, dac_rate_hz=dac_rate_hz, period_s=period_s)
+    return Acquisition(channels=4, samples=int(samples), sample_rate_hz=float(rate_hz), chirp=chirp)

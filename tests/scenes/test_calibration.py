@@ -13,6 +13,7 @@ from touchd.errors import CalibrationError
 from touchd.lab.plates.other_plate import Patch, missing, other_modes
 from touchd.twin.instrument import Instrument
 from touchd.twin.physics.material import ElasticPlate, Material
+from touchd.twin.physics.mounting import FREE, Mounting, attach
 from touchd.twin.physics.transducer import Layout
 
 TRUE = ElasticPlate(width_mm=90.1, height_mm=69.9, thickness_mm=4.98, elastic=Material(71.3e9, 0.226, 2490.0))
@@ -33,10 +34,12 @@ def said(order: tuple[int, ...] = (0, 1, 2, 3, 4), **plate: Any) -> PlateFile:
     })  # fmt: skip
 
 
-def heard(*patches: Patch, gains: NDArray[np.float64] = GAINS) -> Untouched:
+def heard(*patches: Patch, gains: NDArray[np.float64] = GAINS, mounting: Mounting = FREE) -> Untouched:
     """The untouched mean frame of a plate whose discs are stiff, and have beads of solder beside them."""
     beads = [Patch(float(x) + 5, float(y), 1.5, 1.5, mass_kg_m2=4.0) for x, y in LAYOUT.centres_mm]
     modes = other_modes(TRUE, LAYOUT, [*beads, *patches])
+    if mounting != FREE:
+        modes = attach(modes, TRUE, mounting.on(TRUE), 7e-3, 75e3)
     instrument = Instrument(TRUE, layout=LAYOUT, loss=7e-3, modes=modes)
     signal = 10_000 * gains[:, None] * instrument.untouched([22.0])[0]
     error = NOISE / np.sqrt(FRAMES)
@@ -111,6 +114,37 @@ def test_a_wrong_plate(plate: dict[str, Any], reason: str) -> None:
     fit = fit_plate(said(**plate), heard())
     assert fit.verdict != "good"
     assert any(reason in each for each in fit.reasons)
+
+
+TAPED = Mounting(left="tape", bottom="tape")
+
+
+def test_taped_edges() -> None:
+    """Tape that is said is part of the physics; tape that is not said is found and named."""
+    heard_taped = heard(mounting=TAPED)
+    known = fit_plate(said(edge={"left": "tape", "bottom": "tape"}), heard_taped)
+    assert known.verdict == "good"
+    assert known.unexplained < 4e-3
+    assert places_off_mm(known) < 0.1
+    by_name = {parameter.name: parameter for parameter in known.parameters}
+    damping = by_name["edge damping, left"]
+    assert damping.standard_error < 0.01
+    assert abs(damping.fitted - 0.036) < 2 * damping.standard_error  # of the plate's inertia at 75 kHz
+    unknown = fit_plate(said(), heard_taped)
+    assert unknown.verdict == "usable"
+    assert any("along the edges" in reason for reason in unknown.reasons)
+    assert unknown.unexplained < 6e-3
+
+
+def test_a_clamped_edge() -> None:
+    """A clamp is never good: said or not it is named, as it shifts all places."""
+    heard_clamped = heard(mounting=Mounting(left="clamped"))
+    known = fit_plate(said(edge={"left": "clamped"}), heard_clamped)
+    assert known.verdict == "usable"
+    assert known.expected_mm > 0.5
+    unknown = fit_plate(said(), heard_clamped)
+    assert unknown.verdict != "good"
+    assert any("clamped left edge fits" in reason for reason in unknown.reasons)
 
 
 def test_a_hole() -> None:

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from tests.scenes.stages import empty_stage, play, score
+from tests.scenes.stages import RATE_HZ, at, empty_stage, play, score
 from tests.system.soak.ghosts import judge, taps
 from touchd.evaluation.single_frames import find_with, touched_frames
 from touchd.localization.model import Model
@@ -97,3 +97,19 @@ def test_a_faint_finger_at_the_edge_is_not_placed_elsewhere(
     wrong = sum(any(math.dist(place_mm, (t.x_mm, t.y_mm)) > 3 for t in touches) for touches in found)
     print(f"{place_mm}: {sum(map(bool, found))} of {len(found)} placed, {wrong} wrong")
     assert wrong <= 20
+
+
+@pytest.mark.parametrize(("kind", "force_n"), [("silicone", 3.0), ("human", 1.0)])
+def test_a_tone_that_ends_during_a_press_lifts_no_finger_and_hides_no_tap(
+    kind: str, force_n: float, instrument: Instrument
+) -> None:
+    """Fainter than the noise had been, the press was once lifted and learned as plate; of either the tap was missed."""
+    stage = empty_stage(8.0, seed=1)
+    stage.electronics = Electronics(noise_db=60.0, tones=(Tone(35_049.0, -31.0, 1.0, 4.0),))
+    for down_s, up_s in ((3.3, 6.0), (6.2, 6.6)):
+        stage.lay(kind, down_s, up_s, at(65.5, 129.0), force_n=force_n)
+    outcome = play(stage, instrument)
+    found = score(stage, outcome)
+    assert (found.touches, found.missed, found.ghosts, found.split) == (2, 0, 0, 0)
+    ups_s = [event.frame / RATE_HZ for event in outcome.touches for contact in event.contacts if contact.phase == "up"]
+    assert ups_s == pytest.approx([6.0, 6.6], abs=0.03)

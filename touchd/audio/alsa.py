@@ -3,13 +3,14 @@
 Why not PortAudio (`sounddevice`): its blocking streams have four periods and no more, so blocks of 1 ms leave 3 ms
 before samples are lost; it lists cards once, when it is imported, opens each of them for that, and names them by a
 number that changes; after an xrun it restarts by itself. pyalsaaudio takes `hw:CARD=NAME`, which never resamples,
-blocks of 1 ms and buffers of 200 ms, reports each xrun by a return value, and waits on file descriptors. It does not
+blocks of 1 ms and buffers of 0.5 s, reports each xrun by a return value, and waits on file descriptors. It does not
 link playback and capture: their delay differs from start to start, and has to be found after each in any case.
 """
 
 from __future__ import annotations
 
 import contextlib
+import re
 import select
 from typing import Any
 
@@ -23,7 +24,7 @@ BLOCK_S = 1e-3
 """Samples are read in blocks of this: what it adds to the latency, at most."""
 AHEAD_S = 0.1
 """Playback is written this long before it is heard, so that a busy computer misses nothing; it adds no latency."""
-_CAPTURE_S = 0.3
+_CAPTURE_S = 0.5
 _BYTES = {
     alsaaudio.PCM_FORMAT_S32_LE: 4,
     alsaaudio.PCM_FORMAT_S24_3LE: 3,
@@ -53,9 +54,13 @@ class AlsaCard:
         self.name, self.rate_hz = name, rate_hz
         self._capture: Any = None
         self._playback: Any = None
+        # ALSA's library prints a line each time that a card is not there.
+        named = re.search(r"CARD=([^,]+)", name)
+        if named and named[1] not in alsaaudio.cards():
+            raise CardAbsent(f"there is no {name}: plug it in; arecord -L lists what is there")
         try:
             self._capture = self._open(alsaaudio.PCM_CAPTURE, inputs, _CAPTURE_S)
-            self._playback = self._open(alsaaudio.PCM_PLAYBACK, 1, AHEAD_S)
+            self._playback = self._open(alsaaudio.PCM_PLAYBACK, 2, AHEAD_S)
         except alsaaudio.ALSAAudioError as error:
             self.close()
             raise CardAbsent(_explain(error, name)) from error
@@ -130,28 +135,32 @@ class AlsaCard:
             self._next = (self._next + written) % self._period
 
     def _open(self, kind: int, channels: int, buffer_s: float) -> Any:
-        """Return an open stream with at least so many channels."""
+        """Return an open stream with at least so many channels, in the first format that the card has."""
         block = round(BLOCK_S * self.rate_hz)
-        named = {"type": kind, "mode": alsaaudio.PCM_NONBLOCK, "device": self.name}
-        first = alsaaudio.PCM(**named)
-        try:
-            known = first.getformats().values()
-            wide = [count for count in first.getchannels() if count >= channels]
-        finally:
-            first.close()
-        usable = [form for form in _BYTES if form in known]
-        if not wide or not usable:
-            what = "fewer channels" if usable else "no format"
-            raise CardAbsent(f"{self.name} has {what} than are asked for ({channels})")
-        stream = alsaaudio.PCM(
-            **named, rate=self.rate_hz, channels=min(wide), format=usable[0], periodsize=block,
-            periods=round(buffer_s * self.rate_hz / block),
-        )  # fmt: skip
-        info = stream.info()
-        if (info["rate"], info["channels"], info["format"]) != (self.rate_hz, min(wide), usable[0]):
+        for sample in _BYTES:
+            # What it cannot set it leaves as it is; `getchannels` would count up to 2^32 on some plugins.
+            stream = alsaaudio.PCM(
+                type=kind, mode=alsaaudio.PCM_NONBLOCK, device=self.name, rate=self.rate_hz, channels=channels,
+                format=sample, periodsize=block, periods=round(buffer_s * self.rate_hz / block),
+            )  # fmt: skip
+            info = stream.info()
+            if info["format"] == sample:
+                break
             stream.close()
-            raise CardAbsent(f"{self.name} takes {info['rate']} samples a second, not {self.rate_hz}: set another rate")
+        else:
+            raise CardAbsent(f"{self.name} has no format of whole numbers")
+        if (wrong := _misfit(info, self.rate_hz, channels)) is not None:
+            stream.close()
+            raise CardAbsent(f"{self.name} {wrong}")
         return stream
+
+
+def _misfit(info: dict[str, Any], rate_hz: int, channels: int) -> str | None:
+    if info["rate"] != rate_hz:
+        return f"takes {info['rate']} samples a second, not {rate_hz}: set another audio.sample_rate_hz"
+    if info["channels"] < channels:
+        return f"has {info['channels']} channels, not {channels}"
+    return None
 
 
 def _upper(data: bytes, length: int, channels: int, width: int) -> Samples:
@@ -172,6 +181,4 @@ def _explain(error: Exception, name: str) -> str:
     text = str(error)
     if "busy" in text:
         return f"{name} is in use by another program: end it, or take the card away from the sound server"
-    if "No such" in text:
-        return f"there is no {name}: plug it in; arecord -L lists what is there"
     return text

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -163,7 +163,7 @@ def _take_response(found: Checked, heard: Floats, sweep: Floats) -> None:
     frequency_hz = np.fft.rfftfreq(len(sweep), 1 / found.sample_rate_hz)
     edges_hz = np.geomspace(20, _MARGIN * found.sample_rate_hz, 121)
     parts = [np.flatnonzero((frequency_hz >= low) & (frequency_hz < high))
-             for low, high in pairwise(edges_hz)]  # fmt: skip
+             for low, high in itertools.pairwise(edges_hz)]  # fmt: skip
     parts = [part for part in parts if len(part)]
     passed = np.abs(np.fft.rfft(heard)) ** 2
     table = np.array([[row[part].sum() / (np.abs(played[part]) ** 2).sum() for part in parts] for row in passed])

@@ -45,14 +45,20 @@ class HighPass:
         self._input = self._signal[:, : samples + 2 * self.margin]
         self._windows = np.lib.stride_tricks.sliding_window_view(self._signal, width, axis=1)[:, ::_BLOCK]
         self._filtered: NDArray[np.float32] = np.zeros((channels, blocks, _BLOCK), np.float32)
-        self._output = self._filtered.reshape(channels, -1)[:, :samples]
+        self.filtered: NDArray[np.float32] = self._filtered.reshape(channels, -1)[:, :samples]
+        """What `apply` returned last, as floats."""
 
     def apply(self, counts: Samples) -> Samples:
         """Return the filtered samples of counts of shape (channels, samples + 2 * margin), (channels, samples)."""
         self._input[:] = counts
         np.matmul(self._windows, self._matrix, out=self._filtered)
-        np.rint(self._output, out=self._output)
-        return np.clip(self._output, -_TOP - 1, _TOP).astype(np.int16)
+        np.rint(self.filtered, out=self.filtered)
+        np.clip(self.filtered, -_TOP - 1, _TOP, out=self.filtered)
+        return self.filtered.astype(np.int16)
+
+    def is_clipped(self) -> bool:
+        """Return whether the last counts were at the converter's limit."""
+        return bool(self._input.max() >= _TOP or self._input.min() <= -_TOP)
 
     def around(self, period: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return filtered periodic signals, shape (..., period)."""

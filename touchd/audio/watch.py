@@ -5,8 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.audio.card import Samples
-
 ALIKE = 0.4
 """Share of a channel's response at the start that is heard still, at least; a palm leaves more."""
 UNLIKE_FRAMES = 3
@@ -24,13 +22,13 @@ class Watch:
     """
 
     def __init__(self, response: NDArray[np.float64], alive: NDArray[np.bool_]) -> None:
-        self._watched = np.flatnonzero(alive)
         energy = np.maximum(np.square(response).sum(axis=1, keepdims=True), 1.0)
-        self._template: NDArray[np.float32] = (response / energy)[alive].astype(np.float32)
+        self._template: NDArray[np.float32] = np.where(alive[:, None], response / energy, 0.0).astype(np.float32)
+        self._unwatched = np.where(alive, 0.0, 1.0)
         self._unlike = 0
 
-    def lost(self, counts: Samples) -> list[int]:
+    def lost(self, frame: NDArray[np.float32]) -> list[int]:
         """Return the channels that no longer hear the chirp as they did, once three frames in a row say so."""
-        heard = np.einsum("cs,cs->c", counts[self._watched], self._template)
-        self._unlike = self._unlike + 1 if heard.min(initial=1.0) < ALIKE else 0
-        return self._watched[heard < ALIKE].tolist() if self._unlike >= UNLIKE_FRAMES else []
+        heard = np.vecdot(frame, self._template) + self._unwatched
+        self._unlike = self._unlike + 1 if heard.min() < ALIKE else 0
+        return np.flatnonzero(heard < ALIKE).tolist() if self._unlike >= UNLIKE_FRAMES else []

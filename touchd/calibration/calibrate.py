@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.calibration.physical_atlas import make_physical_atlas
+from touchd.calibration.plan import bound_mm
 from touchd.calibration.plate_file import PlateFile
 from touchd.calibration.plate_fit import PlateFit, Progress, fit_plate
 from touchd.calibration.start_scan import make_graph, make_scan
@@ -23,7 +24,7 @@ from touchd.localization.model import Description, Model
 from touchd.localization.model_file import install, put_model
 from touchd.recording.data import Recording
 from touchd.recording.format import write
-from touchd.training.field.place import FieldMap, linearise
+from touchd.training.field.place import FieldMap
 
 Floats = NDArray[np.float64]
 
@@ -133,11 +134,10 @@ def expected_error_mm(fitted: Fitted, atlas: Atlas) -> Floats:
     x_mm, y_mm = ((np.arange(GRID) + 0.5) / GRID * side for side in (d.plate.width_mm, d.plate.height_mm))
     places = np.stack(np.meshgrid(x_mm, y_mm), axis=-1).reshape(-1, 2)
     u, by_x, by_y = FieldMap(atlas).look_up(places)
-    window = float(np.square(np.hanning(d.acquisition.samples)).sum()) / 2
+    window = float(np.square(d.to_bins).sum()) / (2 * len(d.bins))
     noise = BASELINE_NOISE * fitted.noise_counts**2 * window
     variance = d.noise_scale * noise + d.field_scale * float(atlas.error.mean()) / 2
-    spread = np.linalg.inv(linearise(u, u, by_x, by_y).fisher_information[:, 0])
-    return np.asarray(np.sqrt(variance * np.trace(spread, axis1=1, axis2=2)).reshape(GRID, GRID))
+    return bound_mm(u, by_x, by_y, variance).reshape(GRID, GRID)
 
 
 def _reference(fitted: Fitted) -> Recording:

@@ -1,6 +1,7 @@
-"""Other plates and wirings than those said, tried where a fit is poor: swapped cables, another thickness or material.
+"""Other plates than the one said, tried where a fit leaves too much: swapped cables, thickness, material, held edges.
 
 Each is tried on the first arrivals, at low frequencies, where a small eigenproblem does; the best is then fitted whole.
+Only soft edges are fitted at once: the first arrivals hardly know them.
 """
 
 from __future__ import annotations
@@ -11,8 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.calibration.parameters import Reader
-from touchd.calibration.plate_file import PlateFile
+from touchd.calibration.edges import SIDES
+from touchd.calibration.parameters import Reader, held_sides
+from touchd.calibration.plate_file import Edge, Edges, PlateFile
 from touchd.calibration.reduced_plate import ReducedPlate
 from touchd.calibration.stages import window_of
 from touchd.calibration.untouched import Untouched
@@ -54,6 +56,18 @@ def candidates(said: PlateFile, untouched: Untouched, most: int = 2) -> list[Can
     return sorted(found, key=lambda c: c.left)[:most]
 
 
+def soft_edges(said: PlateFile) -> list[Candidate]:
+    """Return the plate with all its edges on tape, if they are said to be free."""
+    if held_sides(said):
+        return []
+    what = "tape or pads along the edges fit: say in PLATE.toml which edge is held"
+    return [Candidate(_with_edge(said, "tape"), what, 0.0)]
+
+
+def _with_edge(said: PlateFile, edge: Edge | Edges) -> PlateFile:
+    return said.model_copy(update={"plate": said.plate.model_copy(update={"edge": edge})})
+
+
 def material_like(speed_m_s: float, poisson: float) -> str | None:
     """Return the material with about this wave speed (root of Young's modulus over density) and Poisson's ratio."""
     apart = {
@@ -79,6 +93,10 @@ def _other_plates(said: PlateFile) -> list[tuple[PlateFile, str]]:
             changed = plate.model_copy(update={"material": name} | constants)
             what = f"{name} fits, not {plate.material or 'the constants given'}: correct the material"
             found.append((said.model_copy(update={"plate": changed}), what))
+    if not held_sides(said):
+        for side in SIDES:
+            edges = Edges.model_validate({side: "clamped"})
+            found.append((_with_edge(said, edges), f"a clamped {side} edge fits: say so in PLATE.toml, or free it"))
     return found
 
 
@@ -86,7 +104,7 @@ def _misfits(said: PlateFile, untouched: Untouched) -> Floats:
     """Return what the way between any two discs leaves of each channel, at each speed, shape (speeds, D, D, R)."""
     reader = Reader(said, untouched.acquisition)
     chirp = untouched.acquisition.chirp
-    low, high = sorted((chirp.start_hz, chirp.stop_hz))
+    low, high = chirp.band_hz
     plate = ReducedPlate(reader.plate(reader.start), low + HIGHEST * (high - low))
     model = UntouchedModel(plate, reader, untouched.acquisition)
     window = window_of(untouched.mean.shape[1], FIRST_SHARE)

@@ -4,16 +4,18 @@ A disc is six means over it: the outward rotation around its rim, by which it dr
 rotations around it, which its bending stiffness resists; the deflection, which carries its mass, and the plate's two
 rotations, which move it in the plane, as it lies below the plate's middle. With the receptances G between these vectors
 on the free plate, the loaded plate follows from Woodbury's identity with a matrix of six times the number of discs at
-each frequency, so that no disc needs an eigenproblem of its own.
+each frequency, so that no disc needs an eigenproblem of its own. What holds an edge is more such vectors: `edges`.
 """
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from touchd.calibration.edges import Edges, Lines
 from touchd.calibration.reduced_plate import SHAPE_NAMES, ReducedPlate, Shape
 from touchd.twin.physics import legendre
 from touchd.twin.physics.transducer import OTHER_BENDING
@@ -24,6 +26,8 @@ Complex = NDArray[np.complex128]
 LEAST_RATIO = 0.05
 """Of frequency over the band's middle: below it the loss stays as it is."""
 _PLACE_STEP_M = 1e-6
+ABSENT = 1e-9
+"""A vector with this share of its largest value in a class of modes is absent there."""
 
 
 class Discs(NamedTuple):
@@ -66,7 +70,7 @@ def disc_vectors(plate: ReducedPlate, size: tuple[float, float], discs: Discs) -
 
 
 class DiscResponse:
-    """Response of a plate with discs at complex angular frequencies: F frequencies, R receivers.
+    """Response of a plate with D discs at complex angular frequencies: F frequencies, R receivers, V vectors.
 
     Parameters
     ----------
@@ -75,17 +79,29 @@ class DiscResponse:
     discs : Discs
     loss : Loss
     nu_rad_s : complex array of shape (F,)
+    held : (Lines, Edges), optional
+        What holds the sides.
     """
 
-    def __init__(self, plate: ReducedPlate, shape: Shape, discs: Discs, loss: Loss, nu_rad_s: Complex) -> None:
+    def __init__(
+        self,
+        plate: ReducedPlate,
+        shape: Shape,
+        discs: Discs,
+        loss: Loss,
+        nu_rad_s: Complex,
+        held: tuple[Lines, Edges] | None = None,
+    ) -> None:
         self._plate, self._shape, self._discs, self._loss, self._nu = plate, shape, discs, loss, nu_rad_s
+        self._held = held
         self._bare = plate.solve(shape)
-        self._phi = self._turned(disc_vectors(plate, (shape.width, shape.height), discs))
-        stiff = 1 + 1j * loss.at(nu_rad_s)
+        vectors = disc_vectors(plate, (shape.width, shape.height), discs)
+        self._phi = self._turned(np.concatenate([vectors, held[0].vectors], axis=1) if held else vectors)
+        stiff: Complex = np.asarray(1 + 1j * loss.at(nu_rad_s), np.complex128)
         self._H = 1 / (self._bare.omega2[:, None] * stiff - nu_rad_s**2)  # (n, F)
         D = len(discs.centres_m)
         volume = shape.h * shape.width * shape.height
-        # Loads of the vectors per mass of the plate, by what they are proportional to, shape (F, 6 D).
+        # Loads of the discs' vectors per mass of the plate, by what they are proportional to, shape (F, 6 D).
         zero, one = np.zeros((len(nu_rad_s), D)), np.ones((len(nu_rad_s), D))
         spring = shape.speed2 / volume * stiff[:, None] * one
         inert = -(nu_rad_s[:, None] ** 2) / volume * one
@@ -93,28 +109,34 @@ class DiscResponse:
         self._per_mass = np.concatenate([*[zero] * 3, inert, *[discs.lever2_m2 * inert] * 2], axis=1)
         self._per_lever2 = discs.mass_kg_m3 * np.concatenate([*[zero] * 4, inert, inert], axis=1)
         self._stiff_load = discs.stiffness_m3 * self._per_stiffness
-        self._load = self._stiff_load + discs.mass_kg_m3 * self._per_mass
-        free = self._receptance(self._phi, self._phi)
-        turn = np.linalg.solve(np.eye(6 * D) + self._load[:, :, None] * free, np.eye(6 * D)[None])
-        self._turn = turn
-        """What of each force remains, shape (F, 6 D, 6 D): the loaded plate's G is G times this."""
-        self._G = free @ turn
+        self._disc_load = self._stiff_load + discs.mass_kg_m3 * self._per_mass
+        self._load = self._disc_load  # (F, V)
+        self._per_edge: dict[str, Complex] = {}
+        if held:
+            lines, edges = held
+            self._per_edge = lines.loads(edges.middle_rad_s, nu_rad_s, stiff)
+            total = sum(max(edges.values[name], 0.0) * load for name, load in self._per_edge.items())
+            self._load = np.concatenate([self._load, total], axis=1)
+        free = self._mutual(self._phi)
+        V = free.shape[1]
+        self._turn = np.linalg.solve(np.eye(V) + self._load[:, :, None] * free, np.eye(V, D)[None])
+        """What of each disc's rotation remains as forces, shape (F, V, D)."""
+        self._G = free @ self._turn
+        """What each vector of the loaded plate answers to each disc, shape (F, V, D)."""
 
     def untouched(self) -> Complex:
         """Return the response of each receiver, shape (R, F)."""
-        D = len(self._discs.centres_m)
-        return np.asarray(self._G[:, 0, 1:D].T)
+        return np.asarray(self._G[:, 0, 1:].T)
 
     def between(self) -> Complex:
         """Return the response between any two discs, shape (D, D, F)."""
-        D = len(self._discs.centres_m)
-        return np.asarray(self._G[:, :D, :D].transpose(1, 2, 0))
+        return np.asarray(self._G[:, : self._G.shape[2]].transpose(1, 2, 0))
 
     def slopes(self, names: set[str]) -> dict[str, Complex]:
         """Return the derivatives (R, F) by the named parameters.
 
         Names are those of `Shape`, `loss`, `slope` (both by the logarithm, or the exponent), `mass`, `stiffness`,
-        `lever2`, `radius`, and `x0`, `y0`, `x1` .. of the discs' centres, in SI units.
+        `lever2`, `radius`, and `x0`, `y0`, `x1` .. of the discs' centres, in SI units; and those of `edges`.
         """
         found: dict[str, Complex] = {}
         D = len(self._discs.centres_m)
@@ -129,25 +151,52 @@ class DiscResponse:
             )
         loads = {"mass": self._per_mass, "stiffness": self._per_stiffness, "lever2": self._per_lever2}
         found |= {name: -self._weighed(loads[name]) for name in loads if name in names}
+        found |= {name: -self._weighed(load, 6 * D) for name, load in self._per_edge.items() if name in names}
         if names & {"loss", "slope", *SHAPE_NAMES}:
             found.update(self._by_plate(names))
         return found
 
-    def _weighed(self, load: Floats | Complex) -> Complex:
-        """Return the emitter's and each receiver's answer times loads (F, 6 D), summed over the vectors, (R, F)."""
-        D = len(self._discs.centres_m)
-        return np.asarray(np.einsum("fk,fk,frk->rf", load, self._G[:, 0], self._G[:, 1:D]))
+    def _weighed(self, load: Floats | Complex, first: int = 0) -> Complex:
+        """Return the emitter's and each receiver's answer times loads (F, k) of the vectors from `first`, (R, F)."""
+        G = self._G[:, first : first + load.shape[1]]
+        return np.asarray(np.einsum("fk,fk,fkr->rf", load, G[..., 0], G[..., 1:]))
 
     def _turned(self, values: Floats) -> Floats:
         """Turn values in the reference's modes (n, k) into the plate's, class by class."""
         split = self._plate.to_classes(values)
         return np.concatenate([turn.T @ part for turn, part in zip(self._bare.turns, split, strict=True)])
 
-    def _receptance(self, one: Floats, other: Floats) -> Complex:
-        """Return the free plate's receptance between vectors (n, a) and (n, b), shape (F, a, b)."""
-        pairs = (one[:, :, None] * other[:, None, :]).reshape(len(one), -1)
-        flat = self._H.real.T @ pairs + 1j * (self._H.imag.T @ pairs)
-        return np.asarray(flat).reshape(-1, one.shape[1], other.shape[1])
+    def _mutual(self, vectors: Floats) -> Complex:
+        """Return the free plate's receptance between any two vectors (n, V), shape (F, V, V).
+
+        An edge's vectors have a parity: half of them are zero in each class of modes.
+        """
+        V, F = vectors.shape[1], len(self._nu)
+        found = np.zeros((F, V, V), dtype=complex)
+        start = 0
+        for turn in self._bare.turns:
+            part = slice(start, start := start + len(turn))
+            some = vectors[part]
+            there = np.flatnonzero(np.abs(some).max(axis=0) > ABSENT * np.abs(vectors).max(axis=0))
+            some = np.ascontiguousarray(some[:, there])
+            kernel = np.concatenate([self._H.real[part].T, self._H.imag[part].T])
+            for i, row in enumerate(there):
+                flat = kernel @ (some[:, i, None] * some[:, i:])
+                found[:, row, there[i:]] += flat[:F] + 1j * flat[F:]
+        lower = np.tril_indices(V, -1)
+        found[:, lower[0], lower[1]] = found[:, lower[1], lower[0]]
+        return found
+
+    @cached_property
+    def _answers(self) -> Complex:
+        """The loaded plate's answer to each disc's rotation in its free modes, shape (D, n, F)."""
+        columns = range(self._turn.shape[2])
+        turns = [np.asarray(self._turn[:, :, d].T, np.complex128) for d in columns]
+        return np.stack([self._H * _product(self._phi, turn) for turn in turns])
+
+    def _across(self, change: Floats) -> Complex:
+        """Return what vectors (n, k) find of the loaded plate's answer to each disc, shape (F, k, D)."""
+        return np.stack([_product(change.T, answer).T for answer in self._answers], axis=2)
 
     def _difference(self, up: Discs, down: Discs, step: float) -> Floats:
         size = (self._shape.width, self._shape.height)
@@ -157,13 +206,12 @@ class DiscResponse:
     def _by_vectors(self, change: Floats) -> Complex:
         """Return the derivative (R, F) by a change of all discs' vectors, shape (n, 6 D)."""
         D = len(self._discs.centres_m)
-        # Between a changed vector and the loaded plate's answer to each old one.
-        across = self._receptance(change, self._phi) @ self._turn  # (F, 6 D changed, 6 D)
-        total = across[:, 0, 1:D] + across[:, 1:D, 0]
+        across = self._across(change)
+        total = across[:, 0, 1:] + across[:, 1:D, 0]
         for kind in range(6 * D):
             load = self._load[:, kind, None]
-            e, r = self._G[:, 0, kind, None], self._G[:, 1:D, kind]
-            total = total - load * (across[:, kind, 0, None] * r + e * across[:, kind, 1:D])
+            e, r = self._G[:, kind, 0, None], self._G[:, kind, 1:]
+            total = total - load * (across[:, kind, 0, None] * r + e * across[:, kind, 1:])
         return np.asarray(total.T)
 
     def _by_place(self, wanted: dict[str, tuple[int, int]]) -> dict[str, Complex]:
@@ -178,33 +226,36 @@ class DiscResponse:
             change = self._difference(
                 d._replace(centres_m=d.centres_m + step), d._replace(centres_m=d.centres_m - step), _PLACE_STEP_M
             )
-            across = self._receptance(change, self._phi) @ self._turn
+            across = self._across(change)
             for name, (k, along) in wanted.items():
                 if along != axis:
                     continue
                 total = np.zeros((len(self._nu), D - 1), dtype=complex)
                 if k == 0:
-                    total += across[:, 0, 1:D]
+                    total += across[:, 0, 1:]
                 else:
                     total[:, k - 1] += across[:, k, 0]
                 for kind in range(k, 6 * D, D):
                     load = self._load[:, kind, None]
-                    e, r = self._G[:, 0, kind, None], self._G[:, 1:D, kind]
-                    total -= load * (across[:, kind, 0, None] * r + e * across[:, kind, 1:D])
+                    e, r = self._G[:, kind, 0, None], self._G[:, kind, 1:]
+                    total -= load * (across[:, kind, 0, None] * r + e * across[:, kind, 1:])
                 found[name] = total.T
         return found
 
     def _by_plate(self, names: set[str]) -> dict[str, Complex]:
         """Return the derivatives by wave speed, thickness, Poisson's ratio, width, height and loss."""
         D = len(self._discs.centres_m)
-        # The loaded plate's answer to each disc's rotation in its free modes, shape (D, n, F).
-        x = np.stack([self._H * (self._phi @ self._turn[:, :, d].T) for d in range(D)])
+        x = self._answers
         found: dict[str, Complex] = {}
         squares = self._bare.omega2[:, None]
         stiff = 1 + 1j * self._loss.at(self._nu)
         strain = np.stack([(x[0] * squares * x[r]).sum(axis=0) for r in range(1, D)])
         strain = stiff * strain + self._weighed(self._stiff_load)
         by_loss = -1j * self._loss.at(self._nu) / stiff * strain
+        if self._held:
+            lines, edges = self._held
+            elastic = np.broadcast_to(lines.elastic(edges), (len(self._nu), lines.vectors.shape[1]))
+            by_loss -= 1j * self._loss.at(self._nu) * self._weighed(elastic, 6 * D)
         if "loss" in names:
             found["loss"] = by_loss
         if "slope" in names:
@@ -225,7 +276,7 @@ class DiscResponse:
                     y -= self._nu**2 * spin * _product(turn.T @ each.rotary @ turn, x[0, part])
                 total -= np.stack([(y * x[r, part]).sum(axis=0) for r in range(1, D)])
             if name in ("h", "width", "height"):
-                total += self._weighed(self._load) / value  # the loads are per mass of the plate
+                total += self._weighed(self._disc_load) / value  # the loads are per mass of the plate
             if name in ("width", "height"):
                 total += self._by_vectors(self._stretched(name))
             found[name] = total

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.calibration.disc_response import Discs, Loss
+from touchd.calibration.edges import KINDS, STARTS, Edges, names_of
 from touchd.calibration.plate_file import PlateFile
 from touchd.calibration.reduced_plate import Shape, shape_of
 from touchd.frame import Acquisition
@@ -60,6 +61,12 @@ def unknowns_of(said: PlateFile) -> tuple[Unknown, ...]:
         Unknown("stiffness", "disc stiffness", "1e-7 m^3", 1.0, STIFFNESS_PRIOR),
         Unknown("lever", "disc lever, squared", "mm^2", 1.0, LEVER_PRIOR),
     ]
+    for side, kind in held_sides(said).items():
+        start = STARTS[kind]
+        found += [
+            Unknown(f"{side} {each}", f"edge {each}, {side}", "", value, prior)
+            for each, value, prior in zip(KINDS, start.values, start.priors, strict=True)
+        ]
     places = said.layout().centres_mm
     for k, place in enumerate(places):
         disc = f"receiver {k}" if k else "emitter"
@@ -68,12 +75,18 @@ def unknowns_of(said: PlateFile) -> tuple[Unknown, ...]:
     return tuple(found)
 
 
+def held_sides(said: PlateFile) -> dict[str, str]:
+    """Return what holds each side that is not free."""
+    return {side: kind for side, kind in said.plate.edges.model_dump().items() if kind != "free"}
+
+
 class Guess(NamedTuple):
-    """A vector of the unknowns, read as plate, discs and loss."""
+    """A vector of the unknowns, read as plate, discs, loss and edges."""
 
     shape: Shape
     discs: Discs
     loss: Loss
+    edges: Edges
 
 
 class Reader:
@@ -85,6 +98,10 @@ class Reader:
         self.start = np.array([unknown.start for unknown in self.unknowns])
         self.prior = np.array([unknown.prior for unknown in self.unknowns])
         self._at = {name: i for i, name in enumerate(self.names)}
+        self.held = held_sides(said)
+        """What holds each side that is not free."""
+        self.edges = names_of(self.held)
+        """Names of the edges' unknowns."""
         self._plate, self._layout = said.twin_plate(), said.layout()
         self._said = shape_of(self._plate)
         self._lever2_m2 = ((said.plate.thickness_mm + DISC_THICKNESS_MM) / 2e3) ** 2
@@ -98,7 +115,7 @@ class Reader:
     @property
     def places(self) -> tuple[str, ...]:
         """Names of the discs' coordinates."""
-        return self.names[len(PLATE) + len(DISCS) :]
+        return self.names[self._at["x0"] :]
 
     def read(self, p: Floats) -> Guess:
         """Return what a vector says, in SI units."""
@@ -115,7 +132,8 @@ class Reader:
             max(STIFFNESS_M3 * v["stiffness"], 0.0),
             max(self._lever2_m2 * v["lever"], 0.0),
         )
-        return Guess(shape, discs, Loss(float(np.exp(v["loss"])), v["slope"], self._middle))
+        edges = Edges(self.held, {name: v[name] for name in self.edges}, self._middle)
+        return Guess(shape, discs, Loss(float(np.exp(v["loss"])), v["slope"], self._middle), edges)
 
     def chain(self, guess: Guess) -> dict[str, tuple[str, float]]:
         """Return, for each unknown, the name of the response's derivative and the factor to it."""
@@ -126,7 +144,7 @@ class Reader:
             "mass": ("mass", discs.mass_kg_m3), "radius": ("radius", discs.radius_m),
             "stiffness": ("stiffness", STIFFNESS_M3), "lever": ("lever2", self._lever2_m2),
         }  # fmt: skip
-        return found | {name: (name, 1e-3) for name in self.places}
+        return found | {name: (name, 1.0) for name in self.edges} | {name: (name, 1e-3) for name in self.places}
 
     def plate(self, p: Floats) -> ElasticPlate:
         """Return the plate of a vector, its sides to a micrometre, as models describe them.
@@ -158,4 +176,4 @@ class Reader:
         first = [np.sqrt(m.E_pa / m.rho_kg_m3), plate.thickness_mm, loss.factor, m.nu, plate.width_mm, plate.height_mm]
         return np.array([*first, loss.slope, layout.mass_g, layout.diameter_mm, p[self._at["stiffness"]],
                          p[self._at["lever"]] * self._lever2_m2 * 1e6,
-                         *p[self._at["x0"] :]])  # fmt: skip
+                         *p[self._at["lever"] + 1 :]])  # fmt: skip

@@ -12,12 +12,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.calibration.physical_field import PhysicalField
+from touchd.calibration.physical_field import PhysicalField, Reference
 from touchd.calibration.plate_fit import PlateFit, Progress
 from touchd.evaluation.dataset import BASELINE_NOISE
 from touchd.frame import Plate
 from touchd.localization.atlas import Atlas, AtlasDescription
-from touchd.localization.features import band_bins, windowed_dft
+from touchd.localization.features import band_bins
+from touchd.training.field.bins import informative, weights
 from touchd.training.field.error_scale import LEVELS_DB, Level, calibrate, field_error, level_of
 from touchd.training.field.place import FieldMap, place
 from touchd.twin.physics.dispersion import mindlin_wavenumber
@@ -28,10 +29,8 @@ Complex = NDArray[np.complex128]
 STEPS_PER_WAVE = 3.9
 """Nodes per shortest wavelength of the field, which is half the plate's: 2.5 mm on 5 mm glass. There the splines miss
 2e-6 of the field's energy, 3e-5 at the edges; another contact area changes 3e-4 of it (twin)."""
-SPARED = 0.01
-"""Share of the signal that the weakest, omitted bins contain together."""
-AREAS_MM2 = (12.0, 28.0)
-"""Contact areas of the touches that tell the field's error."""
+AREAS = (0.6, 1.4)
+"""Contact areas of the touches that tell the field's error, over the reference's."""
 DRAWN = 300
 _DENSE_CELLS = 2
 _SEED = 0xF1E1D
@@ -97,11 +96,14 @@ def make_physical_atlas(
     step_mm = round(1e3 * np.pi / float(wavenumber_rad_m[-1]) / STEPS_PER_WAVE, 2)
     x, y = grid_of(plate.width_mm, step_mm), grid_of(plate.height_mm, step_mm)
     drawn = draw(field, np.array([plate.width_mm, plate.height_mm]))
-    kept = informative(drawn.values)
+    variance = BASELINE_NOISE * noise_counts**2 * float(np.square(a.window).sum())
+    snr = np.square(np.abs(drawn.values)).mean(axis=(0, 1)) / max(variance, 1e-12)
+    kept = informative(snr, wavenumber_rad_m, a)
+    weight = weights(snr, a)[kept]
     rows = []
     for done, y_mm in enumerate(y.samples_mm):
         places = np.stack([x.samples_mm, np.full_like(x.samples_mm, y_mm)], axis=1)
-        rows.append(np.tensordot(x.solve, field.at(places)[..., kept], 1).astype(np.complex64))
+        rows.append(np.tensordot(x.solve, field.at(places)[..., kept] * weight, 1).astype(np.complex64))
         progress("field", (done + 1) / len(y.samples_mm))
     nodes = np.tensordot(y.solve.astype(np.float32), np.stack(rows), 1)  # (rows, columns, R, bins)
     coefficients = np.stack([nodes.real, nodes.imag], axis=3).reshape(*nodes.shape[:2], -1)
@@ -110,12 +112,13 @@ def make_physical_atlas(
         origin_mm=(float(x.nodes_mm[0]), float(y.nodes_mm[0])), low_mm=(0.0, 0.0),
         high_mm=(plate.width_mm, plate.height_mm), data_sha256=data_sha256, command=command,
         wavenumber_rad_m=tuple(wavenumber_rad_m.round(3).tolist()),
+        weights=tuple(weight.round(6).tolist()) if weight.min() < 1 else (),
     )  # fmt: skip
     plain = Atlas(
         description, np.ascontiguousarray(coefficients, np.float32), fit.measured.astype(np.float32),
         np.zeros((a.channels, len(kept)), np.float32),
     )  # fmt: skip
-    return calibrated(plain, fit, Drawn(drawn.position_mm, drawn.values[..., kept]), noise_counts)
+    return calibrated(plain, fit, Drawn(drawn.position_mm, drawn.values[..., kept] * weight), noise_counts)
 
 
 def plate_of(fit: PlateFit) -> Plate:
@@ -130,19 +133,15 @@ def plate_of(fit: PlateFit) -> Plate:
 def draw(field: PhysicalField, size_mm: Floats) -> Drawn:
     """Draw touches of other areas than the atlas' all over the plate."""
     rng = np.random.default_rng(_SEED)
-    areas = np.linspace(*AREAS_MM2, 5)
-    margin_mm = np.sqrt(AREAS_MM2[1] / np.pi)
+    ratios, touch = np.linspace(*AREAS, 5), field.reference
+    margin_mm = np.sqrt(AREAS[1] * touch.face_mm2 / np.pi)
     position_mm = rng.uniform(margin_mm, size_mm - margin_mm, (DRAWN, 2))
-    parts = np.array_split(position_mm, len(areas))
-    values = [field.at(part, area) for part, area in zip(parts, areas.tolist(), strict=True)]
+    parts = np.array_split(position_mm, len(ratios))
+    values = [
+        field.of(part, Reference(touch.tissue, ratio * touch.area_mm2, ratio * touch.face_mm2))
+        for part, ratio in zip(parts, ratios.tolist(), strict=True)
+    ]
     return Drawn(position_mm, np.concatenate(values))
-
-
-def informative(values: Complex) -> NDArray[np.int64]:
-    """Return the bins of touches (n, R, bins) that contain all but `SPARED` of their energy, in order."""
-    power = np.square(np.abs(values)).mean(axis=(0, 1))
-    order = np.argsort(power)
-    return np.sort(order[np.cumsum(power[order]) > SPARED * power.sum()])
 
 
 def calibrated(plain: Atlas, fit: PlateFit, drawn: Drawn, noise_counts: float) -> Atlas:
@@ -164,8 +163,7 @@ def calibrated(plain: Atlas, fit: PlateFit, drawn: Drawn, noise_counts: float) -
 
 def noisy_levels(atlas: Atlas, fit: PlateFit, drawn: Drawn, noise_counts: float) -> list[Level]:
     """Locate drawn touches in the plate's own noise, and in more."""
-    a, bins = fit.acquisition, np.array(atlas.description.bins)
-    to_bins = windowed_dft(a, bins)
+    a, bins, to_bins = fit.acquisition, atlas.description.bins, atlas.description.to_bins
     signal = float(np.sqrt(np.square(fit.measured - fit.measured.mean(axis=1, keepdims=True)).mean()))
     own_db = 20 * np.log10(signal / max(noise_counts, 1e-3))
     rng = np.random.default_rng(_SEED)
@@ -175,6 +173,6 @@ def noisy_levels(atlas: Atlas, fit: PlateFit, drawn: Drawn, noise_counts: float)
         noise = deviation * rng.normal(size=(len(drawn.values), *a.shape)) @ to_bins
         values = drawn.values + noise[..., : len(bins)] + 1j * noise[..., len(bins) :]
         placed = place(atlas, values, drawn.position_mm)
-        variance = deviation**2 * float(np.square(np.hanning(a.samples)).sum()) / 2
+        variance = deviation**2 * float(np.square(to_bins).sum()) / (2 * len(bins))
         levels.append(level_of(placed, drawn.position_mm, variance))
     return levels

@@ -51,7 +51,7 @@ class PlateSaid(_Table):
     height_uncertainty_mm: float = Field(default=0.3, gt=0, le=100)
     thickness_uncertainty_mm: float = Field(default=0.03, gt=0, le=10)
     edge: Edge | Edges = "free"
-    """What holds the sides. The fit leaves them free, and judges by what it then misses."""
+    """What holds the sides: the fit finds how stiff, heavy and lossy it is."""
 
     @property
     def edges(self) -> Edges:

@@ -8,19 +8,21 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.calibration.candidates import candidates, material_like
+from touchd.calibration.candidates import candidates, material_like, soft_edges
 from touchd.calibration.disc_response import Loss
+from touchd.calibration.edges import FREE, Edges, attachments
 from touchd.calibration.least_squares import State
 from touchd.calibration.parameters import LOGARITHMS, Reader
 from touchd.calibration.plate_file import PlateFile
 from touchd.calibration.stages import run_stages
 from touchd.calibration.untouched import Untouched
 from touchd.calibration.untouched_model import UntouchedModel, band
-from touchd.calibration.verdict import USABLE_LEFT, Evidence, Parameter, Verdict, judge
+from touchd.calibration.verdict import GOOD_LEFT, USABLE_LEFT, Evidence, Parameter, Verdict, judge
 from touchd.errors import CalibrationError
 from touchd.frame import Acquisition
 from touchd.twin.physics.dispersion import mindlin_wavenumber
 from touchd.twin.physics.material import ElasticPlate
+from touchd.twin.physics.mounting import attach
 from touchd.twin.physics.response import Response
 from touchd.twin.physics.transducer import Layout, loaded_modes
 
@@ -28,6 +30,8 @@ Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 AT_PRIOR = 2.0
 """A parameter this many of its standard deviations from what was said has been pulled there by the data."""
+HALF = 0.5
+"""Another plate than the one said must leave less than this share of what the said one leaves."""
 Progress = Callable[[str, float], object]
 """Receives the stage's name and the share of the whole work that is done, 0 .. 1."""
 
@@ -63,6 +67,8 @@ class PlateFit:
     """Untouched mean frame, shape (R, S), ADC counts."""
     fitted: Floats
     """The same as the fitted plate gives it."""
+    edges: Edges = FREE
+    """What holds the sides."""
 
     def gain(self, frequency_hz: Floats) -> Complex:
         """Return each channel's complex gain at frequencies (F,), shape (R, F), counts."""
@@ -71,8 +77,11 @@ class PlateFit:
 
     def response(self, nu_rad_s: Complex) -> Response:
         """Return the fitted plate's response at complex angular frequencies (F,)."""
-        modes = loaded_modes(self.plate, self.layout, self.acquisition.sample_rate_hz / 2)
+        modes = loaded_modes(self.plate, self.layout, self.acquisition.highest_hz)
         chirp = self.acquisition.chirp
+        if self.edges.kinds:
+            held = attachments(self.edges, self.plate)
+            modes = attach(modes, self.plate, held, 0.0, self.edges.middle_rad_s / (2 * np.pi))
         loss = Loss(self.loss, self.loss_slope, np.pi * (chirp.start_hz + chirp.stop_hz))
         return Response(self.plate, modes, nu_rad_s, loss.at(nu_rad_s))
 
@@ -104,11 +113,12 @@ def fit_plate(said: PlateFile, recording_mean: Untouched, progress: Progress = l
             "no channel hears the chirp", "recording", "check the emitter's cable and amplifier, and record again"
         )
     fit = _fit(said, recording_mean, lambda share: progress("fit", share))
-    if fit.unexplained - fit.noise_share > USABLE_LEFT:
-        for candidate in candidates(said, recording_mean):
-            other = _fit(candidate.said, recording_mean, lambda share: progress("candidates", share), candidate.what)
-            if other.unexplained < min(fit.unexplained, USABLE_LEFT):
-                return other
+    left = fit.unexplained - fit.noise_share
+    others = candidates(said, recording_mean) if left > USABLE_LEFT else soft_edges(said) if left > GOOD_LEFT else []
+    for candidate in others:
+        other = _fit(candidate.said, recording_mean, lambda share: progress("candidates", share), candidate.what)
+        if other.unexplained < min(HALF * fit.unexplained, USABLE_LEFT):
+            return other
     progress("fit", 1.0)
     return fit
 
@@ -139,7 +149,8 @@ def describe(
         found = (*found, f"{named} fits, not {plate.material}: correct the material")
     evidence = Evidence(
         left, noise_share, np.sqrt(noise_share * untouched.frames), 2e3 * np.pi / k, parameters,
-        scale_error * np.hypot(plate.width_mm, plate.height_mm) / 2, found,
+        scale_error * np.hypot(plate.width_mm, plate.height_mm) / 2,
+        tuple(side for side, kind in reader.held.items() if kind == "clamped"), found,
     )  # fmt: skip
     judgement = judge(evidence)
     return PlateFit(
@@ -147,7 +158,7 @@ def describe(
         loss_slope=loss.slope, gains=state.fitted.gains, parameters=parameters, verdict=judgement.verdict,
         expected_mm=judgement.expected_mm, reasons=judgement.reasons, undecided=judgement.undecided,
         scale_error=scale_error, unexplained=float(np.nanmean(left)), noise_share=noise_share,
-        measured=measured, fitted=fitted,
+        measured=measured, fitted=fitted, edges=reader.read(p).edges,
     )  # fmt: skip
 
 

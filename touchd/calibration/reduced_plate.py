@@ -91,7 +91,7 @@ class ReducedPlate:
         End of the band that is to be exact.
     """
 
-    def __init__(self, plate: ElasticPlate, highest_hz: float = 100e3) -> None:
+    def __init__(self, plate: ElasticPlate, highest_hz: float) -> None:
         self.reference = shape_of(plate)
         self.counts = polynomials_for(plate, highest_hz, LEAST_MARGIN)
         basis = BASIS_OF_MANY if max(self.counts) > MANY_POLYNOMIALS - 10 else BASIS

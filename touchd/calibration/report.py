@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from touchd import __version__
 from touchd.calibration.calibrate import Calibrated, Fitted, expected_error_mm
 from touchd.evaluation.plots.maps import MAP
-from touchd.evaluation.plots.session import draw_transducers
+from touchd.frame import Plate
 from touchd.training.report.report import duration, write_folder
 from touchd.training.report.template import render
 
@@ -28,7 +28,7 @@ def write_calibration_report(fitted: Fitted, made: Calibrated | None, path: Path
     error_mm = None
     if made is not None:
         error_mm = expected_error_mm(fitted, made.atlas)
-        pictures["expected-error.png"] = draw_expected(fitted, error_mm)
+        pictures["expected-error.png"] = draw_expected(fitted.fit.plate, {"": (error_mm, fitted.fit.layout.centres_mm)})
     text = render(
         TEMPLATE, name=path.name, fitted=fitted, fit=fitted.fit, made=made, pictures=list(pictures),
         error_mm=None if error_mm is None else np.percentile(error_mm, (50, 95, 100)).tolist(),
@@ -68,15 +68,16 @@ def draw_residual(fitted: Fitted) -> Figure:
     return figure
 
 
-def draw_expected(fitted: Fitted, error_mm: np.ndarray) -> Figure:
-    """Plot the expected error of a light touch over the plate."""
-    plate, layout = fitted.fit.plate, fitted.fit.layout
-    figure = Figure(figsize=(7.0, 6.0), layout="constrained")
-    axes = figure.add_subplot()
-    extent = (0, plate.width_mm, plate.height_mm, 0)  # y points down
-    image = axes.imshow(error_mm, cmap=MAP, vmin=0, vmax=float(np.percentile(error_mm, 98)), extent=extent)
-    figure.colorbar(image, ax=axes, label="expected error (mm)", extend="max", shrink=0.85)
-    discs = {"emitter_mm": layout.emitter_mm, "receivers_mm": layout.receivers_mm}
-    draw_transducers(fitted.recording.meta.model_copy(update=discs), axes, colour="white")
-    axes.set(xlabel="x (mm)", ylabel="y (mm)")
+def draw_expected(plate: Plate, maps: dict[str, tuple[np.ndarray, np.ndarray]]) -> Figure:
+    """Plot maps of the expected error over a plate: by title the error (mm), and the discs, the emitter first."""
+    figure = Figure(figsize=(7.0 * len(maps), 6.0), layout="constrained")
+    most = max(float(np.percentile(error_mm, 98)) for error_mm, _ in maps.values())
+    panels = np.atleast_1d(figure.subplots(1, len(maps)))
+    for axes, (title, (error_mm, discs_mm)) in zip(panels, maps.items(), strict=True):
+        extent = (0, plate.width_mm, plate.height_mm, 0)  # y points down
+        image = axes.imshow(error_mm, cmap=MAP, vmin=0, vmax=most, extent=extent)
+        axes.plot(*discs_mm[0], "s", color="white", ms=7, markeredgecolor="black")
+        axes.plot(*discs_mm[1:].T, "^", color="white", ms=7, markeredgecolor="black", ls="none")
+        axes.set(xlabel="x (mm)", ylabel="y (mm)", title=title)
+    figure.colorbar(image, ax=panels, label="expected error (mm)", extend="max", shrink=0.85)
     return figure

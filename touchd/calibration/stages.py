@@ -12,6 +12,7 @@ from touchd.calibration.parameters import DISCS, FIRST, PLATE, Reader
 from touchd.calibration.reduced_plate import ReducedPlate
 from touchd.calibration.untouched import Untouched
 from touchd.calibration.untouched_model import UntouchedModel
+from touchd.frame import Acquisition
 
 Floats = NDArray[np.float64]
 
@@ -46,25 +47,27 @@ def run_stages(
     noise = np.maximum(untouched.noise, 1e-5 * np.sqrt((measured**2).mean()))
     samples = measured.shape[1]
     early, middle, whole = (window_of(samples, share) for share in (EARLY, MIDDLE, 1.0))
-    model = UntouchedModel(ReducedPlate(reader.plate(p)), reader, untouched.acquisition)
+    # Soft edges hardly change the first arrivals; a clamped one does.
+    first = _model_near(reader, p, untouched.acquisition, edges="clamped" in reader.held.values())
     progress(0.2)
-    places = reader.places
+    places, edges = reader.places, reader.edges
     best = None
-    for tried in _starts(model, reader, measured, early, p):
-        state = descend(model, reader, measured, noise, tried, ("speed", "loss"), early, 2)
-        state = descend(model, reader, measured, noise, state.p, ("speed", "loss", *places), early, 3)
+    for tried in _starts(first, reader, measured, early, p):
+        state = descend(first, reader, measured, noise, tried, ("speed", "loss"), early, 2)
+        state = descend(first, reader, measured, noise, state.p, ("speed", "loss", *places), early, 3)
         if best is None or _left(state) < _left(best):
             best = state
     assert best is not None
     progress(0.4)
-    state = descend(model, reader, measured, noise, best.p, (*FIRST, *places), middle, 3)
-    state = descend(model, reader, measured, noise, state.p, (*FIRST, *places), whole, 3)
+    model = UntouchedModel(first.plate, reader, untouched.acquisition) if reader.held else first
+    state = descend(model, reader, measured, noise, best.p, (*FIRST, *edges, *places), middle, 3)
+    state = descend(model, reader, measured, noise, state.p, (*FIRST, *edges, *places), whole, 3)
     progress(0.55)
-    state = descend(model, reader, measured, noise, state.p, (*PLATE, *places), whole, 4)
+    state = descend(model, reader, measured, noise, state.p, (*PLATE, *edges, *places), whole, 4)
     progress(0.7)
     model = _recentred(model, reader, state.p, untouched)
     progress(0.8)
-    return descend(model, reader, measured, noise, state.p, (*PLATE, *DISCS, *places), whole, 8), model
+    return descend(model, reader, measured, noise, state.p, (*PLATE, *DISCS, *edges, *places), whole, 8), model
 
 
 def _left(state: State) -> float:
@@ -87,4 +90,10 @@ def _recentred(model: UntouchedModel, reader: Reader, p: Floats, untouched: Unto
     here, there = model.plate.reference, reader.read(p).shape
     if abs(np.log(there.h / here.h)) < MOVED_THICKNESS and abs(there.nu - here.nu) < MOVED_POISSON:
         return model
-    return UntouchedModel(ReducedPlate(reader.plate(p)), reader, untouched.acquisition)
+    return _model_near(reader, p, untouched.acquisition)
+
+
+def _model_near(reader: Reader, p: Floats, acquisition: Acquisition, *, edges: bool = True) -> UntouchedModel:
+    """Return the model with its basis at a vector."""
+    plate = ReducedPlate(reader.plate(p), acquisition.chirp.band_hz[1])
+    return UntouchedModel(plate, reader, acquisition, edges=edges)

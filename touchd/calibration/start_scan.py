@@ -25,7 +25,9 @@ GRID_STEPS = 1.3
 """Spacing of the grid in steps of the atlas: 3.2 mm on 5 mm glass, so that the nearest node is within
 2.3 mm; Gauss-Newton converges from 4 mm."""
 EVERY_BIN = 3
-"""The window correlates neighbouring bins: every third one tells as much (twin)."""
+"""Hann's window correlates neighbouring bins: every third one tells as much (twin). Without a window none is alike."""
+MOST_BINS = 17
+"""Of those that are not alike."""
 HALF_CONFIDENCE = 0.6
 """At this unexplained share confidence is a half. A finger between four nodes leaves up to 0.5, noise 0.8 or more."""
 OPSET, IR_VERSION = 17, 8
@@ -36,6 +38,8 @@ class Scan(NamedTuple):
 
     position_mm: Floats
     """Shape (m, 2)."""
+    weight: NDArray[np.float32]
+    """Of each value of a frame, shape (v,)."""
     unit: NDArray[np.float32]
     """Field of norm 1, shape (v, m): the real parts, then the imaginary parts."""
     real: NDArray[np.int64]
@@ -51,7 +55,8 @@ def make_scan(atlas: Atlas) -> Scan:
     spacing_mm = GRID_STEPS * d.step_mm
     x_mm, y_mm = (_cell_centres(length, spacing_mm) for length in (width_mm, height_mm))
     position_mm = np.stack(np.meshgrid(x_mm, y_mm), axis=-1).reshape(-1, 2)
-    channels, chosen = d.acquisition.channels, np.arange(0, len(d.bins), EVERY_BIN)
+    every = -(-len(d.bins) // MOST_BINS) if d.acquisition.is_whole_period else EVERY_BIN
+    channels, chosen = d.acquisition.channels, np.arange(0, len(d.bins), every)
     field = FieldMap(atlas).look_up(position_mm)[0].reshape(len(position_mm), channels, -1)[..., chosen]
     field = field.reshape(len(position_mm), -1)
     unit = np.concatenate([field.real, field.imag], axis=1).T
@@ -59,12 +64,14 @@ def make_scan(atlas: Atlas) -> Scan:
     band = band_bins(d.acquisition)
     column = np.searchsorted(band, np.array(d.bins)[chosen])
     real = (2 * len(band) * np.arange(channels)[:, None] + column).ravel()
-    return Scan(position_mm, unit.astype(np.float32), real, real + len(band), spacing_mm)
+    weight = np.tile(d.bin_weights[chosen], 2 * channels).astype(np.float32)
+    return Scan(position_mm, weight, unit.astype(np.float32), real, real + len(band), spacing_mm)
 
 
 def scan(scanned: Scan, features: Floats) -> tuple[Floats, Floats, Floats]:
     """Return positions (n, 2), sigma (n, 1) and confidence (n, 1) for features (n, inputs): the graph's reference."""
-    real, imaginary = features[:, scanned.real], features[:, scanned.imaginary]
+    values = features[:, np.concatenate([scanned.real, scanned.imaginary])] * scanned.weight
+    real, imaginary = np.split(values, 2, axis=1)
     along = np.concatenate([real, imaginary], axis=1) @ scanned.unit.astype(np.float64)
     across = np.concatenate([imaginary, -real], axis=1) @ scanned.unit.astype(np.float64)
     score = along**2 + across**2
@@ -81,6 +88,7 @@ def make_graph(scanned: Scan, description: Description) -> onnx.ModelProto:
         "real": scanned.real,
         "imaginary": scanned.imaginary,
         "unit": scanned.unit,
+        "weight": scanned.weight[: len(scanned.real)],
         "position": scanned.position_mm.astype(np.float32),
     }
     numbers = {
@@ -90,8 +98,10 @@ def make_graph(scanned: Scan, description: Description) -> onnx.ModelProto:
     constants |= {name: np.array(number, np.float32) for name, number in numbers.items()}
     make = helper.make_node
     nodes = [
-        make("Gather", ["features", "real"], ["d_re"], axis=1),
-        make("Gather", ["features", "imaginary"], ["d_im"], axis=1),
+        make("Gather", ["features", "real"], ["plain_re"], axis=1),
+        make("Gather", ["features", "imaginary"], ["plain_im"], axis=1),
+        make("Mul", ["plain_re", "weight"], ["d_re"]),
+        make("Mul", ["plain_im", "weight"], ["d_im"]),
         make("Neg", ["d_re"], ["minus_re"]),
         make("Concat", ["d_re", "d_im"], ["d"], axis=1),
         make("Concat", ["d_im", "minus_re"], ["turned"], axis=1),

@@ -114,7 +114,7 @@ def turned_fit(fit: PlateFit, orientation: int) -> PlateFit:
     reasons = fit.reasons
     if orientation:
         reasons = (f"the drawing is {ORIENTATIONS[orientation]}: correct the discs' places in PLATE.toml", *reasons)
-    return replace(fit, layout=layout, undecided=(), reasons=reasons)
+    return replace(fit, layout=layout, edges=fit.edges.turned(orientation), undecided=(), reasons=reasons)
 
 
 def refine(atlas: Atlas, taps: Taps, orientation: int = 0) -> Refined:

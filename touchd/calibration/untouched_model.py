@@ -9,18 +9,18 @@ from numpy.typing import NDArray
 
 from touchd import chirp
 from touchd.calibration.disc_response import DiscResponse
-from touchd.calibration.parameters import Reader
+from touchd.calibration.edges import lines_along
+from touchd.calibration.parameters import Guess, Reader
 from touchd.calibration.reduced_plate import ReducedPlate
 from touchd.frame import Acquisition
 from touchd.twin.instrument import anti_alias
+from touchd.twin.record import Record
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 GAIN_TERMS = 3
 """Coefficients of a channel's complex gain in powers of the band."""
-_DAMPING = 13.0
-"""The record, of two frames, is damped by exp(-13), so that ringing beyond it does not wrap."""
 _RIDGE = 1e-6
 """Of the gains' normal equations: a channel cannot have a gain where the plate has no response."""
 
@@ -38,7 +38,7 @@ class Fitted(NamedTuple):
 
 def band(acquisition: Acquisition, frequency_hz: Floats) -> Floats:
     """Map frequencies to -1 .. 1 over the chirp's band; beyond it to at most 1.3."""
-    low, high = sorted((acquisition.chirp.start_hz, acquisition.chirp.stop_hz))
+    low, high = acquisition.chirp.band_hz
     return np.asarray(np.clip((frequency_hz - (low + high) / 2) / ((high - low) / 2), -1.3, 1.3))
 
 
@@ -50,21 +50,19 @@ class UntouchedModel:
     plate : ReducedPlate
     reader : Reader
     acquisition : Acquisition
+    edges : bool
+        Whether held edges are in the model; without them it costs a third.
     """
 
-    def __init__(self, plate: ReducedPlate, reader: Reader, acquisition: Acquisition) -> None:
+    def __init__(self, plate: ReducedPlate, reader: Reader, acquisition: Acquisition, *, edges: bool = True) -> None:
         a = acquisition
-        self.plate, self._reader, self._a = plate, reader, a
-        self._record = 2 * a.samples
-        self._rate = a.sample_rate_hz
-        t = np.arange(a.samples) / self._rate
-        decay = _DAMPING * self._rate / self._record
-        hz: Floats = np.arange(a.samples + 1) * self._rate / self._record
-        self.nu_rad_s: Complex = np.asarray(2 * np.pi * hz - 1j * decay, np.complex128)
-        emission = chirp.spectrum(a.chirp, self.nu_rad_s) * anti_alias(self.nu_rad_s, self._rate)
-        x = band(a, hz)
+        self.plate, self._reader = plate, reader
+        self._lines = lines_along(plate, reader.held) if edges and reader.held else None
+        record = Record(a)
+        self.nu_rad_s, self._to_time = record.nu_rad_s, record.to_time
+        emission = chirp.spectrum(a.chirp, self.nu_rad_s) * anti_alias(self.nu_rad_s, a.sample_rate_hz)
+        x = band(a, record.hz)
         self._emission = np.stack([emission * x**k for k in range(GAIN_TERMS)])  # (K, F)
-        self._undamp = np.exp(decay * t) * self._rate
 
     def fit(self, p: Floats, measured: Floats, window: Floats, active: tuple[str, ...] = ()) -> Fitted:
         """Return the misfit of a vector, and its derivatives by the `active` unknowns.
@@ -78,7 +76,7 @@ class UntouchedModel:
         active : names of unknowns
         """
         guess = self._reader.read(p)
-        response = DiscResponse(self.plate, guess.shape, guess.discs, guess.loss, self.nu_rad_s)
+        response = self._response(guess)
         heard = response.untouched()
         scale = np.sqrt(np.mean(np.abs(heard) ** 2))
         waves = heard[:, None] * self._emission / scale  # (R, K, F)
@@ -105,7 +103,7 @@ class UntouchedModel:
     def pair_misfits(self, p: Floats, measured: Floats, window: Floats) -> Floats:
         """Return the share of each channel's energy that the way between any two discs leaves, shape (D, D, R)."""
         guess = self._reader.read(p)
-        between = DiscResponse(self.plate, guess.shape, guess.discs, guess.loss, self.nu_rad_s).between()
+        between = self._response(guess).between()
         D, y = len(between), measured * window
         found = np.ones((D, D, len(y)))
         energy = np.maximum((y**2).sum(axis=1), np.finfo(float).tiny)
@@ -116,6 +114,10 @@ class UntouchedModel:
                 found[one, other] = found[other, one] = 1 - ((y @ Q) ** 2).sum(axis=1) / energy
         return found
 
+    def _response(self, guess: Guess) -> DiscResponse:
+        held = (self._lines, guess.edges) if self._lines else None
+        return DiscResponse(self.plate, guess.shape, guess.discs, guess.loss, self.nu_rad_s, held)
+
     def _basis(self, heard: Complex) -> Floats:
         """Return the signals of one response times each power of the band, real and imaginary, shape (2 K, S)."""
         waves = heard * self._emission
@@ -124,8 +126,5 @@ class UntouchedModel:
     def signals(self, p: Floats, gains: Complex) -> Floats:
         """Return the signals (R, S) of a vector with given gains (R, GAIN_TERMS)."""
         guess = self._reader.read(p)
-        heard = DiscResponse(self.plate, guess.shape, guess.discs, guess.loss, self.nu_rad_s).untouched()
+        heard = self._response(guess).untouched()
         return self._to_time(heard * (gains @ self._emission))
-
-    def _to_time(self, spectrum: Complex) -> Floats:
-        return np.asarray(np.fft.irfft(spectrum, self._record, axis=-1)[..., : self._a.samples] * self._undamp)

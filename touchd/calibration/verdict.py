@@ -20,7 +20,9 @@ GOOD_LEFT, USABLE_LEFT = 0.01, 0.12
 """Most energy that a good and a usable fit leave, beyond noise."""
 GOOD_MM, USABLE_MM = 0.2, 1.0
 """Largest expected error of a good and a usable fit, mm."""
-NOT_SAID = ("loss", "slope", "disc")
+CLAMPED_MM = 0.7
+"""Error of places beside a clamped edge: its depth trades off against the plate's sides (twin)."""
+NOT_SAID = ("loss", "slope", "disc", "edge")
 """Names of parameters that nobody measures begin so: no reason to doubt a fit."""
 ODD_CHANNEL = 10.0
 """A channel that leaves this many times the share of the median channel is odd."""
@@ -61,6 +63,8 @@ class Evidence(NamedTuple):
     parameters: tuple[Parameter, ...]
     scale_mm: float
     """Error of places by the absolute scale, in the middle of the plate."""
+    clamped: tuple[str, ...] = ()
+    """Sides in a clamp."""
     found: tuple[str, ...] = ()
     """What else was found: a swapped channel, another material that fits."""
 
@@ -72,8 +76,10 @@ def judge(evidence: Evidence) -> Judgement:
     live = e.left[~np.isnan(e.left)]
     left = max(float(np.mean(live)) - e.noise_share, 0.0) if live.size else 1.0
     parts = (EXACT, NOISE * e.frame_noise, MODEL * np.sqrt(left))
-    expected_mm = float(np.hypot(e.wavelength_mm * np.linalg.norm(parts), e.scale_mm))
+    apart_mm = np.array([e.wavelength_mm * np.linalg.norm(parts), e.scale_mm, CLAMPED_MM if e.clamped else 0.0])
+    expected_mm = float(np.linalg.norm(apart_mm))
     reasons = list(e.found)
+    reasons += [f"the {side} edge is clamped: places may be shifted as a whole; free it" for side in e.clamped]
     reasons += [f"channel {c} is dead: check its disc and cable" for c in dead]
     usual = float(np.median(live)) if live.size else 1.0
     odd = [c for c, share in enumerate(e.left) if share > ODD_CHANNEL * usual and share > GOOD_LEFT]
@@ -91,7 +97,7 @@ def judge(evidence: Evidence) -> Judgement:
         reasons.append(f"noise of {20 * np.log10(e.frame_noise):.0f} dB: raise the gain, or shield the cables")
     if e.scale_mm > GOOD_MM / 2:
         reasons.append(f"the scale is known to {e.scale_mm:.2f} mm: measure width and height more exactly")
-    good = not (dead.size or odd or pulled or e.found) and left <= GOOD_LEFT and expected_mm <= GOOD_MM
+    good = not (dead.size or odd or pulled or e.found or e.clamped) and left <= GOOD_LEFT and expected_mm <= GOOD_MM
     return Judgement("good" if good else "usable", expected_mm, () if good else tuple(reasons), _undecided())
 
 

@@ -31,6 +31,7 @@ VERBS = {
     "listen": "Print the events of a running daemon.",
     "map": "Measure where the screen lies on the plate.",
     "model": "Install a model, or go back to the previous one.",
+    "plan": "Draw the expected error of a layout of discs.",
     "quantise": "Quantise a model's weights to 8 bits.",
     "record": "Write frames to a file.",
     "reproduce": "Repeat the source paper's experiments.",

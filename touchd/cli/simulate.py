@@ -12,7 +12,7 @@ import click
 
 from touchd.config.schema import LogSettings
 from touchd.errors import OutputError, SimulationError
-from touchd.frame import Plate, parse_plate
+from touchd.frame import ACQUISITIONS, Acquisition, Plate, parse_acquisition, parse_plate
 from touchd.keypad import load_layout
 from touchd.recording import format as recording
 from touchd.service.log import configure
@@ -36,6 +36,21 @@ def _plate(_ctx: click.Context, _param: click.Parameter, value: str) -> Plate:
         return parse_plate(value)
     except ValueError:
         raise click.BadParameter("three lengths in mm such as 200x200x5") from None
+
+
+def _acquisition(_ctx: click.Context, _param: click.Parameter, value: str) -> Acquisition:
+    """Parse the name or the numbers of an acquisition."""
+    try:
+        return parse_acquisition(value)
+    except ValueError:
+        raise click.BadParameter("a name, or numbers such as 192000:768:20000-85000:0.004:0.004") from None
+
+
+acquisition_option = click.option(
+    "--acquisition", default="usb", show_default=True, callback=_acquisition, metavar="NAME",
+    help=f"{', '.join(ACQUISITIONS)}, or RATE_HZ:SAMPLES:START_HZ-STOP_HZ:CHIRP_S[:PERIOD_S]; with a period the plate "
+    "rings from one chirp to the next.",
+)  # fmt: skip
 
 
 @click.command(
@@ -80,6 +95,7 @@ def _plate(_ctx: click.Context, _param: click.Parameter, value: str) -> Plate:
 @click.option(
     "--label-noise-mm", default=0.0, show_default=True, help="Touches: standard deviation of the labels, per axis."
 )
+@acquisition_option
 @click.option("--tail", is_flag=True, help="Include the ringing of earlier chirps.")
 @click.option("--jobs", type=click.IntRange(min=1), metavar="N", help="Processes for touches.  [default: all cores]")
 @click.option("--dask", metavar="ADDRESS", help="Compute touches on the Dask cluster of this scheduler.")
@@ -106,6 +122,7 @@ def command(
     apart_mm: float,
     edge_gap_mm: float | None,
     label_noise_mm: float,
+    acquisition: Acquisition,
     tail: bool,
     jobs: int | None,
     dask: str | None,
@@ -155,13 +172,12 @@ def command(
     with ExitStack() as stack:
         if scene == TOUCHES:
             described_rig = held.model_copy(update={"electronics": electronics})
-            session = Session(touches, seed, described, loss, tail_period_s, described_rig)
+            session = Session(touches, seed, described, loss, tail_period_s, described_rig, acquisition)
             kept = stack.enter_context(parts_kept(session))
             simulate = partial(simulate_session, session, workers=jobs, dask=dask, kept=kept)
         else:
-            simulate = partial(
-                simulate_stage, stage, held.instrument(described, loss=loss, tail_period_s=tail_period_s), seed
-            )
+            instrument = held.instrument(described, loss=loss, tail_period_s=tail_period_s, acquisition=acquisition)
+            simulate = partial(simulate_stage, stage, instrument, seed)
         with click.progressbar(length=total, label=scene, file=sys.stderr) as bar:
             made = simulate(progress=bar.update)
         recording.write(output, made)

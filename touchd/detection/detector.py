@@ -32,8 +32,6 @@ DRIFT_SHARE = 1e-5
 KEEP_EVERY = 16
 """Stuck channels and cycles: the detector watches another channel and keeps another frame after every 16th untouched
 frame; another channel after every touched frame, and another frame after every 8th."""
-_HEAR_NS = 128_000_000
-"""The noise outside the band is followed this often."""
 
 _NO_FRAME = -(2**62)
 _TOUCHED, _UNTOUCHED = Outcome.TOUCHED, Outcome.UNTOUCHED  # bound once: they are asked for in every frame
@@ -115,12 +113,12 @@ class Detector:
         self._stuck_channels = self._stuck.channels
         self._notify = notify
         self._pace = Pace()
-        self._hear_every = _HEAR_NS // USUAL_NS  # frames
         self._learning = True
         self._signal_energy = 1.0
         self.sequence = _NO_FRAME
         """Number of the last frame that was not repeated; before the first one, which may have any, far below 0."""
         self._last_ns = 0
+        self._alive = False
         self.followed_ns = 0
         """Time of the last frame that moved the baseline."""
         self.configure(settings)
@@ -162,6 +160,8 @@ class Detector:
         energy = baseline.subtract(frame.counts, frame.t_ns)
         gate, was_open = self.gate, self.gate.is_open
         touched = gate.decide(energy)
+        if self._alive and not touched and gate.is_too_quiet(energy):
+            touched = gate.is_open = True  # not the finger has lifted, but a tone has ended that was louder
         if stuck.doubtful or (touched and stuck.returns(energy)):
             self.miss(frame.t_ns, stuck.fault)
             if self.liveness.fault:
@@ -198,12 +198,13 @@ class Detector:
         moved : bool
             Whether its residual is the plate's own movement, which the baseline follows quickly.
         """
+        self._alive = alive
         if detection.outcome is _UNTOUCHED:
             if self._relearn.active:
                 self._relearn.reset()
             if not self.sequence % KEEP_EVERY:
                 self._stuck.keep(detection.signal)
-            if self._impulses and not self.sequence % self._hear_every:
+            if self._impulses and not self.sequence % self._pace.slow_every:
                 self._impulses.update(detection.residual)
             if not alive:
                 self._baseline.follow()
@@ -251,7 +252,6 @@ class Detector:
         """Take a step from frame to frame that is not the usual one, or comes after such a one."""
         if self._pace.update(step_ns):
             self.gate.set_period(self._pace.period_ns)
-            self._hear_every = max(1, round(_HEAR_NS / self._pace.period_ns))
 
     def _number(self, frame: Frame) -> int:
         """Return how many frames are missing before a frame; -1 for one whose number is not new."""

@@ -15,6 +15,9 @@ from touchd.detection.pace import USUAL_NS
 _CHANGED_FRAMES, _LEARN_FRAMES = 48, 32
 """The noise level has stepped if 48 frames in a row hold less than its mean, or more: by chance once in 2^47. The gate
 relearns it from the last 32 of them, since the first may have seen it change. Evidence counts frames, at any rate."""
+_QUIET_FRAMES, _QUIET_SHARE = 12, 0.25
+"""If 12 frames in a row hold less than noise ever does, and less than this share of its mean, a loud tone has ended:
+the gate relearns the noise from them."""
 _SET_SHARE = 128
 """The gate sets its thresholds after every 128th part of the frames that the noise is known from."""
 _CLOSE_RATIO = 0.5
@@ -45,6 +48,7 @@ class Gate:
         """Its standard deviation, with a margin for what few frames tell of it."""
         self._open_above = math.inf
         self._close_below = math.inf
+        self._quiet_below, self._quiet = 0.0, 0
         self._run, self._below, self._due = 0, False, 0
         self._reported_energy = 0.0
         self._last: deque[float] = deque(maxlen=_LEARN_FRAMES)
@@ -66,7 +70,7 @@ class Gate:
     def learn(self, energies: NDArray[np.float64]) -> None:
         """Estimate the noise from the energies of untouched frames, shape (n,), n >= 2, and close the gate."""
         roots = np.cbrt(energies)
-        self._run = 0
+        self._run = self._quiet = 0
         self._know(len(roots))
         self.noise_root = float(roots.mean())
         self._variance = float(roots.var(ddof=1))
@@ -79,6 +83,10 @@ class Gate:
         self.is_open = energy > (self._close_below if self.is_open else self._open_above)
         return self.is_open
 
+    def is_too_quiet(self, energy: float) -> bool:
+        """Return whether noise holds less than this energy (counts squared) as seldom as it opens the gate."""
+        return energy < self._quiet_below
+
     def update(self, energy: float) -> bool:
         """Add the energy of an untouched frame to the noise estimate, and return whether the noise level has stepped.
 
@@ -90,13 +98,17 @@ class Gate:
         below = step < 0
         self._run = self._run + 1 if below is self._below else 1
         self._below = below
-        if self._run == _CHANGED_FRAMES:
+        quiet = energy < self._quiet_below
+        self._quiet = self._quiet + 1 if quiet and energy < _QUIET_SHARE * self.noise_energy else 0
+        if self._run == _CHANGED_FRAMES or self._quiet == _QUIET_FRAMES:
             reported = self._reported_energy
-            self.learn(np.array(self._last))
+            self.learn(np.array(self._last)[-_QUIET_FRAMES if self._quiet == _QUIET_FRAMES else 0 :])
             if not reported / _CHANGED < self.noise_energy < reported * _CHANGED:
                 return True
             self._reported_energy = reported
             return False
+        if quiet:
+            return False  # it would count as deviation of a noise that has ended
         if self._count != self._memory:
             self._know(min(self._count + 1, self._memory))
         weight = self._weight
@@ -135,6 +147,7 @@ class Gate:
         mean = self.noise_root
         self.noise_deviation = deviation = math.sqrt(self._variance) * self._margin
         excess = self._quantile * deviation
-        opens, closes = mean + excess, mean + _CLOSE_RATIO * excess
+        opens, closes, quiet = mean + excess, mean + _CLOSE_RATIO * excess, max(mean - excess, 0.0)
         self._open_above = opens * opens * opens
         self._close_below = closes * closes * closes
+        self._quiet_below = quiet * quiet * quiet

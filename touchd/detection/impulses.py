@@ -51,7 +51,7 @@ class Impulses:
         n = acquisition.samples
         bins = _bins_outside(acquisition)
         phase = (np.outer(np.arange(n), bins) % n) * (2 * np.pi / n)
-        matrix = np.hanning(n)[:, None] * np.concatenate([np.cos(phase), -np.sin(phase)], axis=1)
+        matrix = acquisition.window[:, None] * np.concatenate([np.cos(phase), -np.sin(phase)], axis=1)
         self._works = len(bins) >= _FEWEST_BINS and n > 2 * WIDTH
         self._matrix: Signal = matrix.astype(dtype)
         self._outside: Signal = np.zeros((acquisition.channels, 2 * len(bins)), dtype)
@@ -140,7 +140,7 @@ class Impulses:
 def _bins_outside(acquisition: Acquisition) -> NDArray[np.int64]:
     """Return the bins far from the chirp's band, on both sides."""
     f_hz = np.arange(acquisition.samples // 2) * acquisition.sample_rate_hz / acquisition.samples
-    low, high = sorted((acquisition.chirp.start_hz, acquisition.chirp.stop_hz))
+    low, high = acquisition.chirp.band_hz
     outside = (f_hz < low - _BELOW * (high - low)) | (f_hz > high + _ABOVE * (high - low))
     outside[:_FIRST_BIN] = False
     return np.flatnonzero(outside)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 USUAL_NS = 8_000_000
 """From frame to frame at 125 a second. Settings that count frames count frames of this length."""
+_SLOW_NS = 128_000_000
 SHORTEST_NS, LONGEST_NS = 500_000, 200_000_000
 _LIKE = 1.5
 """A step within this factor of the period in use is no other rate: a clock's error, or a frame that comes late."""
@@ -17,6 +18,8 @@ class Pace:
     def __init__(self) -> None:
         self.period_ns = USUAL_NS
         self._steps: list[int] = []
+        self.slow_every = _SLOW_NS // USUAL_NS
+        """What follows slowly takes one of so many frames: one in 128 ms."""
         self._set_limits()
 
     def update(self, step_ns: int) -> bool:
@@ -31,6 +34,7 @@ class Pace:
         changed = len(self._steps) == _STEPS
         if changed:
             self.period_ns = min(max(sum(self._steps) // _STEPS, SHORTEST_NS), LONGEST_NS)
+            self.slow_every = max(1, round(_SLOW_NS / self.period_ns))
             self._steps.clear()
         self._set_limits()
         return changed

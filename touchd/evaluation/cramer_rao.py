@@ -88,7 +88,8 @@ def atlas_field(atlas: Atlas, position_mm: Floats) -> TouchField:
     at = ((moved - d.origin_mm) / d.step_mm).T[::-1]  # rows run along y
     nodes = atlas.coefficients.astype(np.float64)
     values = [map_coordinates(nodes[..., i], at, order=3, prefilter=False, mode="mirror") for i in range(atlas.size)]
-    return _with_slopes(complex_bins(np.stack(values, axis=-1), d.acquisition.channels), np.array(d.bins))
+    bins = complex_bins(np.stack(values, axis=-1), d.acquisition.channels) / d.bin_weights
+    return _with_slopes(np.asarray(bins, np.complex128), np.array(d.bins))
 
 
 def _with_slopes(values: Complex, bins: NDArray[np.int64]) -> TouchField:

@@ -10,9 +10,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from touchd.evaluation.faces import UNKNOWN, face_of, face_scores
 from touchd.evaluation.force import force_scores
 from touchd.evaluation.metrics import position_scores
 from touchd.evaluation.model_scores import Judgement
+from touchd.event import Contact
 from touchd.touch import Touch
 from touchd.tracking.assignment import assign
 
@@ -58,9 +60,11 @@ class Seen(NamedTuple):
     """True fingers and found contacts of one frame."""
 
     true_mm: Sequence[Position]
-    found: Sequence[Touch]
+    found: Sequence[Touch | Contact]
     force_n: Sequence[float] | None = None
     """Force of each finger, NaN if unknown."""
+    faces: Sequence[Sequence[float]] | None = None
+    """Long axis (mm), short axis (mm) and direction (degrees) of each finger's face, NaN if unknown."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +85,8 @@ class Matches:
     """Estimated relative force, shape (m,), NaN if unknown."""
     force_n: Floats
     """True force, shape (m,), NaN if unknown."""
+    faces: Floats
+    """Estimated and true faces, shape (m, 2, 3), NaN if unknown; see `touchd.evaluation.faces`."""
 
     def of(self, chosen: NDArray[np.bool_]) -> Matches:
         """Select frames by a mask of shape (n,)."""
@@ -90,7 +96,7 @@ class Matches:
             self.fingers[chosen], self.contacts[chosen], self.told_apart[chosen],
             (np.cumsum(chosen) - 1)[self.frame[mine]],
             Judgement(j.true_mm[mine], j.position_mm[mine], j.sigma_mm[mine], j.confidence[mine]),
-            self.force[mine], self.force_n[mine],
+            self.force[mine], self.force_n[mine], self.faces[mine],
         )  # fmt: skip
 
 
@@ -108,12 +114,16 @@ def match_frames(frames: Iterable[Seen], reach_mm: float = REACH_MM) -> Matches:
             touch = seen.found[j]
             force_n = seen.force_n[i] if seen.force_n is not None else np.nan
             where.append(number)
-            rows.append((*seen.true_mm[i], *places[j], touch.sigma_mm, touch.confidence, touch.force, force_n))
-    table = np.array(rows, float).reshape(-1, 8)
+            face = seen.faces[i] if seen.faces is not None else UNKNOWN
+            rows.append((
+                *seen.true_mm[i], *places[j], touch.sigma_mm, touch.confidence, touch.force, force_n,
+                *face_of(touch), *face,
+            ))  # fmt: skip
+    table = np.array(rows, float).reshape(-1, 14)
     judged = Judgement(table[:, :2].astype(np.float32), table[:, 2:4], table[:, 4], table[:, 5])
     return Matches(
         np.array(fingers, np.int64), np.array(contacts, np.int64), np.array(told_apart, bool),
-        np.array(where, np.int64), judged, table[:, 6], table[:, 7],
+        np.array(where, np.int64), judged, table[:, 6], table[:, 7], table[:, 8:].reshape(-1, 2, 3),
     )  # fmt: skip
 
 
@@ -133,6 +143,7 @@ def scores_by_fingers(matches: Matches) -> dict[str, dict[str, Any]]:
     `told_apart`                        share of frames, see `Matches`
     `within_1_sigma`, `_2_sigma`        share of errors per axis within 1 or 2 predicted standard errors
     `force_rank`, ...                   see `touchd.evaluation.force.force_scores`
+    `faces_told`, ...                   see `touchd.evaluation.faces.face_scores`
     ==================================  =========================================================================
 
     A score without data is None.
@@ -161,4 +172,4 @@ def _scores(matches: Matches, fingers: int) -> dict[str, Any]:
     for k in (1, 2):
         within = np.abs(judged.error_mm) <= k * judged.sigma_mm[:, None]
         found[f"within_{k}_sigma"] = float(within.mean()) if matched else None
-    return found | force_scores(matches.force, matches.force_n)
+    return found | force_scores(matches.force, matches.force_n) | face_scores(*matches.faces.swapaxes(0, 1))

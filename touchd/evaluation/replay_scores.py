@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from touchd.evaluation.matching import Matches, Position, Seen, match, match_frames
 from touchd.evaluation.truth import TrueTouch, fingers_only, true_touches
-from touchd.event import TouchEvent
+from touchd.event import Contact, TouchEvent
 from touchd.recording.data import Recording
-from touchd.touch import Touch
 
 SLACK_FRAMES = 10
 """A contact may end this many frames after its touch, because release and filter lag."""
@@ -127,20 +126,19 @@ def settled_frames(recording: Recording, events: Iterable[TouchEvent]) -> Iterat
     if truth is None:
         return
     messages = {event.frame: event.contacts for event in events}
-    alive: tuple[Touch, ...] = ()
+    alive: tuple[Contact, ...] = ()
     down = np.isfinite(truth[:, :, 0])
     changed_at = int(recording.sequence[0]) - SLACK_FRAMES
     for i, number in enumerate(recording.sequence.tolist()):
         if number in messages:
-            alive = tuple(
-                Touch(c.x_mm, c.y_mm, c.sigma_mm, c.confidence, c.force) for c in messages[number] if c.phase != "up"
-            )
+            alive = tuple(contact for contact in messages[number] if contact.phase != "up")
         if i and (down[i] != down[i - 1]).any():
             changed_at = number
         if number >= changed_at + SLACK_FRAMES:
             places = [(x, y) for x, y in truth[i, down[i]].tolist()]
             force_n = recording.force_n[i, down[i]].tolist() if recording.force_n is not None else None
-            yield Seen(places, alive, force_n)
+            faces = recording.faces[i, down[i]].tolist() if recording.faces is not None else None
+            yield Seen(places, alive, force_n, faces)
 
 
 Down = dict[int, dict[int, tuple[float, float, bool]]]

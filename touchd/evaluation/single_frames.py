@@ -60,6 +60,8 @@ class TouchedFrames:
     """Positions, shape (n, k, 2), NaN for a finger that is up."""
     force_n: Array | None
     """Forces, shape (n, k), NaN if unknown or up."""
+    faces: Array | None = None
+    """Long axis, short axis and direction, shape (n, k, 3), NaN if unknown or up."""
 
     def __len__(self) -> int:
         return len(self.touched)
@@ -109,6 +111,7 @@ def touched_frames(recording: Recording) -> TouchedFrames:
         beside=baseline_frames(recording.timestamp_ns, touched, untouched),
         true_mm=fingers[touched],
         force_n=recording.force_n[touched] if recording.force_n is not None else None,
+        faces=recording.faces[touched] if recording.faces is not None else None,
     )
 
 
@@ -165,5 +168,6 @@ def see(find: Find, frames: TouchedFrames) -> list[Seen]:
         down = np.isfinite(frames.true_mm[i, :, 0])
         positions_mm = [(x_mm, y_mm) for x_mm, y_mm in frames.true_mm[i, down].tolist()]
         force_n = frames.force_n[i, down].tolist() if frames.force_n is not None else None
-        seen.append(Seen(positions_mm, tuple(find(frames.look(i))), force_n))
+        faces = frames.faces[i, down].tolist() if frames.faces is not None else None
+        seen.append(Seen(positions_mm, tuple(find(frames.look(i))), force_n, faces))
     return seen

@@ -18,6 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from touchd.errors import ModelInvalid, OutputError, RecordingError
 from touchd.files import replacing
 from touchd.frame import Acquisition, Plate
+from touchd.localization.features import windowed_dft
 from touchd.recording import npz
 
 FORMAT = "touchd-atlas"
@@ -44,6 +45,9 @@ class AtlasDescription(BaseModel):
     plate: Plate
     bins: tuple[int, ...] = Field(min_length=1)
     """Indices of the DFT bins it holds: those that tell something of a finger."""
+    weights: tuple[float, ...] = ()
+    """Of each bin, in coefficients and frames alike; empty for 1. Resonances count for less where the field's error
+    limits what they tell."""
     step_mm: float = Field(ge=1e-2, le=1e4)
     origin_mm: tuple[float, float]
     """x and y of the first node."""
@@ -65,6 +69,16 @@ class AtlasDescription(BaseModel):
     """Digest of the training recording's frames and truth."""
     command: str = ""
     seed: int = 0
+
+    @property
+    def bin_weights(self) -> NDArray[np.float64]:
+        """Weight of each bin, shape (bins,)."""
+        return np.array(self.weights or np.ones(len(self.bins)))
+
+    @property
+    def to_bins(self) -> NDArray[np.float64]:
+        """Matrix from samples to weighted bins, real and then imaginary parts, shape (samples, 2 * bins)."""
+        return windowed_dft(self.acquisition, np.array(self.bins)) * np.tile(self.bin_weights, 2)
 
 
 @dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
@@ -174,6 +188,8 @@ def _check(atlas: Atlas, path: Path) -> None:
         raise _invalid(path, f"the touched part {d.low_mm} to {d.high_mm} mm is not on the plate of {size_mm} mm")
     if list(d.bins) != sorted({*d.bins}) or d.bins[0] < 0 or d.bins[-1] > d.acquisition.samples // 2:
         raise _invalid(path, f"bins from {d.bins[0]} to {d.bins[-1]} of {d.acquisition.samples} samples")
+    if d.weights and (len(d.weights) != bins or not all(0 < weight <= 1 for weight in d.weights)):
+        raise _invalid(path, f"{len(d.weights)} weights of {bins} bins, or one beyond 0 to 1")
     largest = [float(np.abs(array).max()) for array in (atlas.coefficients, atlas.baseline, atlas.error)]
     if not all(value <= _MAX_COUNTS for value in largest):  # NaN too
         raise _invalid(path, "numbers that are none, or too large")

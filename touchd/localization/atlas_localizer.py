@@ -35,7 +35,7 @@ from touchd.localization.prediction import Prediction
 from touchd.localization.pursuit import Pursuit
 from touchd.localization.stillness import StillFinger
 from touchd.outcome import Outcome
-from touchd.touch import Touch
+from touchd.touch import Face, Touch
 
 NOISE_NS = 128_000_000
 """Of untouched frames: one in this time updates the noise model."""
@@ -68,6 +68,7 @@ class AtlasLocalizer:
         self._prediction = Prediction()
         self._follower = Follower(self._solver, self._search, self._noise, self._prediction)
         self._still = StillFinger(atlas, self._solver)
+        self._faces: list[Face | None] = []  # of the fingers followed, as their shapes were fitted
         self._model_fit = ModelFit()
         self._found = UNTOUCHED
         self._touched = False  # whether a frame was fitted since the last untouched one
@@ -187,10 +188,11 @@ class AtlasLocalizer:
             and self._is_untouched(bins, signal, noise.plate_energy(bins.vector), detection.t_ns)
         ):
             return self._lose(), inferred
-        if search.is_due(excess, signal):
-            # Only one well explained finger can wait for what may be beside it; of several, or after a change, one may
-            # be lost while the search takes its time.
-            limited = not complete and (not tracked or (len(fit.positions_mm) == 1 and excess < CRITERIA.fair))
+        # Only one well explained finger can wait for what may be beside it; of several, or after a change, one may be
+        # lost while the search takes its time. One that has just landed waits for the next frame.
+        waits = len(fit.positions_mm) == 1 and excess < CRITERIA.fair
+        if (tracked or complete or search.pending or not waits) and search.is_due(excess, signal):
+            limited = not complete and (not tracked or waits)
             if not search.pending and self._plate.drop_silent(detection):
                 bins = self._plate.bins(detection.residual, detection.hits)
                 signal = bins.energy - noise.noise_energy
@@ -244,13 +246,14 @@ class AtlasLocalizer:
         if excess < CRITERIA.good and self._drift.is_due(t_ns):
             self._drift.update(self._solver.residual(bins, fit), t_ns)
         self._prediction.update(fit.positions_mm, t_ns)
-        self._follower.update(bins, fit, excess)
+        if self._follower.update(bins, fit, excess):
+            self._faces = self._size.faces(fit) if fit.shapes else [None] * len(fit.positions_mm)
         moved_mm = self._prediction.moved_mm if self._skips_still else math.inf
         self._still.update(bins, fit, moved_mm, self._noise.variance)
         fingers = self._classifier.fingers(fit, confidence, t_ns)
         self._departure = self._classifier.departure
         make = self._touch_maker.touch
-        faces = self._size.faces(fit) if fit.shapes else {}
+        faces = dict(zip(fit.positions_mm, self._faces, strict=True))
         # Change of the signal, as a share of its size, by a finger of amplitude 1.
         change = self._field_rms / self._plate.signal_rms
         return tuple(
@@ -260,7 +263,7 @@ class AtlasLocalizer:
                     sigma_mm,
                     confidence,
                     amplitude * change,
-                    face=(face := faces.get(position_mm)),
+                    face=(face := faces[position_mm]),
                     kind=kind_of(amplitude, face),
                 )
                 for position_mm, sigma_mm, amplitude in fingers

@@ -68,6 +68,8 @@ WELL_KNOWN = 0.6
 UNUSUAL = 14.0
 """Weight, relative to noise, of what a touch leaves beyond that: model error is alike in many bins. With it 68 and 95 %
 of silicone and human fingers are within one and two standard errors (twin)."""
+UNUSUAL_SHAPE = 19.0
+"""The same of one contact with a shape, whose five amplitudes take part of the error with them (twin)."""
 
 
 class Substance(Enum):
@@ -131,7 +133,8 @@ class Classifier:
         """Return the fingers among the contacts of a frame's fit, with their standard errors."""
         # Frames of a resting finger, which are not fitted, may have outlasted a drop. One without memory, which lasts
         # for the next fit, has the time of the last one.
-        self._drops = [one for one in self._drops if one.until_ns > t_ns or one.until_ns == self.t_ns]
+        if self._drops:
+            self._drops = [one for one in self._drops if one.until_ns > t_ns or one.until_ns == self.t_ns]
         self.t_ns = t_ns
         several = len(fit.positions_mm) > 1
         sizes, leads = list(map(abs, fit.amplitudes)), list(map(cmath.phase, fit.amplitudes))
@@ -151,14 +154,20 @@ class Classifier:
             scatter = self._scatter_rad(fit.energies[k])
             small = sizes[k] < SMALL
             limit = self._small_limit_rad(position, scatter) if small else WATER_RAD - scatter
-            substance = self._substance(leads[k], limit, scatter, drop, position, confidence, several=several)
+            lead = leads[k]
+            if drop is None and LAG_RAD < lead < limit:  # the usual case
+                judged.append(position)
+                if k not in doubtful:
+                    fingers.append((position, errors_mm[k], sizes[k]))
+                continue
+            substance = self._substance(lead, limit, scatter, drop, position, confidence, several=several)
             if substance is Substance.DEPARTURE:
                 continue
             judged.append(position)
             if substance is not Substance.FINGER:
-                if drop is not None or not small or leads[k] > SMALL_WATER_RAD + scatter:
+                if drop is not None or not small or lead > SMALL_WATER_RAD + scatter:
                     drops.append(self._drop(position, substance, drop))
-            elif leads[k] > LAG_RAD and k not in doubtful:
+            elif lead > LAG_RAD and k not in doubtful:
                 fingers.append((position, errors_mm[k], sizes[k]))
         for one in self._drops:
             if one.until_ns > t_ns and all(math.dist(one.position_mm, position) >= WATER_MM for position in judged):
@@ -221,7 +230,8 @@ class Classifier:
         noise = self._noise
         missed = noise.mean_error * sum(map(mul, sizes, sizes)) / 2
         left = max(fit.residual_energy - noise.ceiling, 0.0) / noise.active_bins
-        error = WELL_KNOWN * self._field_scale * missed + UNUSUAL * max(left - TYPICAL * missed, 0.0)
+        unusual = UNUSUAL_SHAPE if len(fit.shapes) == 1 else UNUSUAL
+        error = WELL_KNOWN * self._field_scale * missed + unusual * max(left - TYPICAL * missed, 0.0)
         return sigmas_mm(fit.fisher_information, noise.variance + error)
 
     def _drop_at(self, position_mm: Position) -> Drop | None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchd.localization.atlas import Array, Atlas
 from touchd.localization.spline import CONTACT_PER_CELL, Position, Raster, spline_weights
@@ -36,11 +37,8 @@ class ContactField(Raster):
 
     def __init__(self, atlas: Atlas, into: Array) -> None:
         d, dtype, half = atlas.description, into.dtype, atlas.size // 2
-        channels, bins = d.acquisition.channels, np.array(d.bins, float)
-        middle, reach = (bins[0] + bins[-1]) / 2, max((bins[-1] - bins[0]) / 2, 1.0)
-        self.band: Array = np.tile((bins - middle) / reach, channels).astype(dtype)
-        """Place of each channel's bins in the band, -1 to 1, shape (size / 2,)."""
-        super().__init__(atlas, CONTACT_PER_CELL, (4, 16, half))
+        self.band: Array = place_in_band(atlas).astype(dtype)
+        super().__init__(atlas, CONTACT_PER_CELL, (2, 16, half))
         self._of_rows, self._of_columns = spline_weights(d.step_mm, into.dtype, ORDERS, CONTACT_PER_CELL)
         self._weights = np.zeros(160, dtype)
         self._by_order = self._weights.reshape(10, 16)
@@ -50,7 +48,9 @@ class ContactField(Raster):
         self._mix = np.zeros(240, dtype)
         self._mixture = self._mix.reshape(24, 10)
         self._mixed = np.zeros((24, 16), dtype)
-        self._shares, self._halves = self._mixed.reshape(6, 64), into.reshape(6, half)
+        self._shares, self._halves = self._mixed.reshape(12, 32), into.reshape(6, half)
+        self._sums = np.zeros((12, half), dtype)
+        self._alone, self._along = self._sums[:6], self._sums[6:]
 
     def derivatives(self, x_mm: float, y_mm: float, into: Array) -> Position:
         """Evaluate u and its derivatives at the raster point nearest to a position inside, and return that point.
@@ -58,7 +58,7 @@ class ContactField(Raster):
         `into`, shape (2, 10, size / 2), receives real and imaginary parts of `ORDERS`, per mm.
         """
         position, around = self._weigh(x_mm, y_mm)
-        np.matmul(self._by_order, around[:2], into)
+        np.matmul(self._by_order, around, into)
         return position
 
     def of_shape(self, x_mm: float, y_mm: float, shape: Shape) -> Position:
@@ -70,7 +70,9 @@ class ContactField(Raster):
         parts.dot(self._terms, self._mix)
         position, around = self._weigh(x_mm, y_mm)
         self._mixture.dot(self._by_order, self._mixed)
-        self._shares.dot(around.reshape(64, -1), self._halves)
+        self._shares.dot(around.reshape(32, -1), self._sums)
+        np.multiply(self._along, self.band, self._along)
+        np.add(self._alone, self._along, self._halves)
         return position
 
     def _weigh(self, x_mm: float, y_mm: float) -> tuple[Position, Array]:
@@ -80,24 +82,30 @@ class ContactField(Raster):
         return position, around
 
     def _copy(self, nodes: Array, around: Array) -> None:
-        """Copy the nodes around a cell, shape (4, 4, 2, channels, bins): both parts, then both along the band."""
-        np.copyto(around[:2].reshape(2, *nodes.shape[:2], *nodes.shape[3:]), nodes.transpose(2, 0, 1, 3, 4))
-        np.multiply(around[:2], self.band, around[2:])
+        """Copy the nodes around a cell, shape (4, 4, 2, channels, bins): all real parts, then all imaginary ones."""
+        np.copyto(around.reshape(2, *nodes.shape[:2], *nodes.shape[3:]), nodes.transpose(2, 0, 1, 3, 4))
+
+
+def place_in_band(atlas: Atlas) -> NDArray[np.float64]:
+    """Return the place of each channel's bins in the band, -1 to 1, shape (size / 2,)."""
+    d, bins = atlas.description, np.array(atlas.description.bins, float)
+    middle, reach = (bins[0] + bins[-1]) / 2, max((bins[-1] - bins[0]) / 2, 1.0)
+    return np.tile((bins - middle) / reach, d.acquisition.channels)
 
 
 def _terms(dtype: np.dtype[np.floating]) -> Array:
     """Return how a shape's real and imaginary parts mix derivatives to fields, shape (9, 240).
 
-    Columns: field and slopes (3), their parts (2), the nodes' parts alone and along the band (4), derivative (10).
+    Columns: alone and along the band (2), field and slopes (3), their parts (2), the nodes' parts (2), derivative (10).
     """
-    terms = np.zeros((9, 3, 2, 4, 10), dtype)
+    terms = np.zeros((9, 2, 3, 2, 2, 10), dtype)
     for field, (own, *second) in enumerate(TERMS):
         # 1, the slope along the band, and the second derivatives.
-        for real, imaginary, nodes, order in (
-            (0, None, 0, own), (1, 2, 2, own), *((3 + 2 * k, 4 + 2 * k, 0, order) for k, order in enumerate(second))
+        for real, imaginary, along, order in (
+            (0, None, 0, own), (1, 2, 1, own), *((3 + 2 * k, 4 + 2 * k, 0, order) for k, order in enumerate(second))
         ):  # fmt: skip
-            terms[real, field, (0, 1), (nodes, nodes + 1), order] = 1
+            terms[real, along, field, (0, 1), (0, 1), order] = 1
             if imaginary is not None:
-                terms[imaginary, field, 0, nodes + 1, order] = -1
-                terms[imaginary, field, 1, nodes, order] = 1
+                terms[imaginary, along, field, 0, 1, order] = -1
+                terms[imaginary, along, field, 1, 0, order] = 1
     return terms.reshape(9, -1)

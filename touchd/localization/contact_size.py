@@ -28,6 +28,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from touchd.localization.atlas import Atlas
+from touchd.localization.contact_field import place_in_band
 from touchd.localization.fit import Fit
 from touchd.localization.noise import NoiseModel
 from touchd.localization.spline import Position
@@ -72,24 +73,25 @@ class ContactSize:
         self._turn = cmath.rect(1.0, -PHASE_RAD)
         self._spreads = _spreads(atlas, self._turn)
 
-    def faces(self, fit: Fit) -> dict[Position, Face]:
-        """Return the faces of a fit's contacts by position, without those that cannot be told."""
+    def faces(self, fit: Fit) -> list[Face | None]:
+        """Return the faces of a fit's contacts, None of those that cannot be told."""
         noise = self._noise
         left = max(fit.residual_energy - noise.ceiling, 0.0) / noise.active_bins
         variance = noise.variance + UNUSUAL * left
-        found = {}
+        found: list[Face | None] = []
         for position, z, (_, xx, yy, xy) in zip(fit.positions_mm, fit.amplitudes, fit.shapes, strict=True):
             power = abs(z) ** 2
             moment = ((xx + yy) / (2 * z) * self._turn).real if power > 0 else 0.0
             of_mean, of_oval = self._spread(position)
             sigma = sqrt(of_mean * variance / max(power, 1e-30) + (MEAN_SHARE * moment) ** 2)
             if not moment > TOLD_SIGMAS * sigma:  # asked this way round, so that NaN is not told
+                found.append(None)
                 continue
             mean_mm2, slope = _interpolate(moment, MOMENTS_MM2, SIZES_MM2)
             oval, _ = _interpolate(mean_mm2, OVAL_SIZES_MM2, OVALS)
             oval_sigma = hypot(sqrt(of_oval * variance / power) / oval, OVAL_SHARE * mean_mm2)
             along, diagonal = ((xx - yy) / (2 * z)).real, (xy / (2 * z)).real
-            found[position] = Face(mean_mm2, along / oval, diagonal / oval, slope * sigma, oval_sigma)
+            found.append(Face(mean_mm2, along / oval, diagonal / oval, slope * sigma, oval_sigma))
         return found
 
     def _spread(self, position_mm: Position) -> tuple[float, float]:
@@ -130,7 +132,7 @@ def _inverted(atlas: Atlas, turn: complex) -> Spreads:
     d, nodes = atlas.description, atlas.coefficients
     channels, bins = d.acquisition.channels, len(d.bins)
     stencils = _STENCILS.astype(nodes.dtype)
-    band = np.tile(np.linspace(-1, 1, bins), channels).astype(nodes.dtype)
+    band = place_in_band(atlas).astype(nodes.dtype)
     # The parts of a_xx, a_yy and a_xy are the last six of twelve unknowns.
     wanted = np.zeros((3, 12))
     wanted[0, -6:-2] = np.tile([turn.real / 2, -turn.imag / 2], 2)

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.localization.atlas import Array, Atlas
-from touchd.localization.features import windowed_dft
 from touchd.localization.thermal import delayed, plate_directions, stretch_matrix
 
 DEAD_BELOW = 0.05
@@ -39,8 +38,8 @@ class Drift:
     def __init__(self, atlas: Atlas) -> None:
         a, bins = atlas.description.acquisition, np.array(atlas.description.bins)
         self._dtype = atlas.coefficients.dtype
-        self._plain = windowed_dft(a, bins)
-        self._stretched = stretch_matrix(a, bins)
+        self._plain = atlas.description.to_bins
+        self._stretched = stretch_matrix(a, bins) * np.tile(atlas.description.bin_weights, 2)
         self._reference = atlas.baseline.astype(np.float64)
         self._omega_rad_s = 2 * np.pi * bins * a.sample_rate_hz / a.samples
         self._channels, self._size = a.channels, atlas.size

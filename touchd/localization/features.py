@@ -49,7 +49,7 @@ def windowed_dft(acquisition: Acquisition, bins: NDArray[np.int64] | None = None
     # The index product is reduced modulo the length first: cos of a large argument loses digits.
     bins = band_bins(acquisition) if bins is None else bins
     phase = (np.outer(n, bins) % acquisition.samples) * (2 * np.pi / acquisition.samples)
-    window = np.hanning(acquisition.samples)[:, None]
+    window = acquisition.window[:, None]
     return np.concatenate([window * np.cos(phase), -window * np.sin(phase)], axis=1)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from msgspec import Struct
 
 from touchd.localization.atlas import Array
+from touchd.localization.joint import blocks
 from touchd.localization.spline import Position
 
 Matrix = Sequence[Sequence[float]]
@@ -64,10 +65,11 @@ def sigmas_mm(fisher_information: Matrix, variance: float) -> list[float]:
     variance : float
         Of the noise of a value, counts squared.
     """
-    if len(fisher_information) == 2:
-        (a, b), (_, c) = fisher_information
-        det = a * c - b * b
-        return [math.sqrt(variance * (a + c) / (2 * det))] if det > 0 else [math.inf]
+    if len(fisher_information) <= 4:
+        return [
+            math.sqrt(variance * (a + c) / (2 * det)) if (det := a * c - b * b) > 0 < a else math.inf
+            for a, b, c in blocks(fisher_information)
+        ]
     try:
         spread = np.linalg.inv(np.array(fisher_information)).diagonal().tolist()
     except np.linalg.LinAlgError:

@@ -36,6 +36,8 @@ class FitCriteria:
     worth: float = 0.42
     """A further finger has to leave less than this share of what was left without it. One that is there leaves less
     than 0.35 of it, one that is not more than 0.44."""
+    shaped_worth: float = 0.47
+    """The same of a good fit where fewer have shapes already, which explain part of a missing finger (twin)."""
     weak: float = 1.4
     """A finger whose energy is less than this many times what the fit leaves is no finger."""
     noise_spread: float = 0.25

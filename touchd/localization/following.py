@@ -60,14 +60,17 @@ class Follower:
         self._last: Fit | None = None
         self._doubted_ns: int | None = None
 
-    def update(self, bins: Bins, fit: Fit, excess: float) -> None:
-        """Take the fit of a frame, which leaves the share `excess`: its shapes are those of the frames to come."""
+    def update(self, bins: Bins, fit: Fit, excess: float) -> bool:
+        """Take the fit of a frame, which leaves the share `excess`; return whether its shapes are new.
+
+        They are those of the frames to come.
+        """
         if fit is self._last:
-            return  # with the shapes that are known
+            return False
         self._last = fit
         if not fit.shapes:
             self._known = None
-            return
+            return True
         shapes = shapes_of(fit)
         alone = self._solver.fit_known(bins, fit.positions_mm, 1, shapes)
         shares = [
@@ -78,6 +81,7 @@ class Follower:
         ]
         self._doubted_ns = None
         self._known = _Shapes(shapes, fit.turns, shares, max(excess, 0.0) * CRITERIA.shape_older + CRITERIA.shape_worn)
+        return True
 
     def follow(self, bins: Bins, t_ns: int, signal: float) -> Fit:
         """Fit the fingers of the last frame from where they were going, less those that have lifted."""

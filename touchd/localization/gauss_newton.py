@@ -10,11 +10,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from operator import add, mul
 
 import numpy as np
 from msgspec.structs import replace
-from numpy.typing import NDArray
 
+from touchd.localization import joint
 from touchd.localization.atlas import Array, Atlas
 from touchd.localization.contact_field import ContactField, Shape
 from touchd.localization.contact_model import TYPICAL, ContactModel, size_mm2
@@ -26,7 +27,6 @@ LONGEST_STEP_MM = 3.0
 """About a tenth of the field's wavelength: a longer step would leave the valley that it starts in."""
 STILL_MM = 0.2
 """After a shorter step the next one, of second order, would be less than 0.01 mm in 95 of 100 cases (twin)."""
-_DAMPING = 1e-3
 _SHAPE_STEPS = 4
 _STILL_TOGETHER_MM = STILL_MM / 4
 """After a shorter step of several fingers the next one would be less than 1e-3 mm; few tracked ones step farther."""
@@ -106,28 +106,15 @@ class GaussNewton:
         if not count:
             return no_fit(bins.energy)
         self._load(bins)
-        inside, pair = self._spline.inside, np.arange(2 * count).reshape(2, count).T.ravel()
+        inside = self._spline.inside
         at, gained = [inside(*position) for position in positions_mm], 0.0
         for step in range(steps + 1):
-            at, gram = self._gram_of(at, shapes)
-            own = gram[:count, :count].copy()
-            own.ravel()[:: count + 1] += 1e-6 / count * own.trace().real
-            solved = np.linalg.solve(own, gram[:count, count:])
-            z = amplitudes = solved[:, -1]
-            twice = np.concatenate([z, z])
-            # What the amplitudes leave of the products of the derivatives with each other, and with the frame.
-            inner = twice.conj()[:, None] * (gram[count:, count:] - gram[count:, :count] @ solved)
-            inner[:, :-1] *= twice
-            system = inner.real[pair]  # from x of all, y of all to x and y of each in turn
-            information, gradient = system[:, pair], system[:, -1]
+            at, products = self._products(at, shapes)
+            found = joint.step(products)
             if step == steps:
                 break
-            damped = information.copy()
-            damped.ravel()[:: 2 * count + 1] *= 1 + _DAMPING
-            damped.ravel()[:: 2 * count + 1] += 1e-30
-            move = np.linalg.solve(damped, gradient)
-            longest_mm, moved, steps_mm = 0.0, [], move.tolist()
-            for (x, y), step_x, step_y in zip(at, steps_mm[::2], steps_mm[1::2], strict=True):
+            longest_mm, moved = 0.0, []
+            for (x, y), step_x, step_y in zip(at, found.move[::2], found.move[1::2], strict=True):
                 length = math.hypot(step_x, step_y)
                 shorter = LONGEST_STEP_MM / length if length > LONGEST_STEP_MM else 1.0
                 moved.append(inside(x + shorter * step_x, y + shorter * step_y))
@@ -135,15 +122,16 @@ class GaussNewton:
             at = moved
             if longest_mm < still_mm:
                 # What the last step changes, to second order and to first, as with one finger.
-                gained = float(gradient @ move)
-                amplitudes = z - (solved[:, :count] * move[::2] + solved[:, count:-1] * move[1::2]) @ z
+                gained = sum(map(mul, found.gradient, found.move))
                 break
-        left = bins.energy - (z.conj() @ gram[:count, -1]).real - gained
-        norms = gram.diagonal()[:count].real.tolist()
-        energies = [abs(amplitude) ** 2 * norm for amplitude, norm in zip(z.tolist(), norms, strict=True)]
-        found = amplitudes.tolist()
-        of_found = [[z * part for part in shape] for z, shape in zip(found, shapes, strict=False)]
-        return Fit(at, found, energies, information.tolist(), max(float(left), 0.0), of_found)
+        z = found.amplitudes
+        explained = sum((part.conjugate() * row[-1]).real for part, row in zip(z, products.tolist(), strict=False))
+        norms = products.diagonal()[:count].real.tolist()
+        energies = [abs(part) ** 2 * norm for part, norm in zip(z, norms, strict=True)]
+        if gained:
+            z = list(map(add, z, found.changes))
+        of_found = [[part * one for one in shape] for part, shape in zip(z, shapes, strict=False)]
+        return Fit(at, z, energies, found.information, max(bins.energy - explained - gained, 0.0), of_found)
 
     def with_shapes(self, bins: Bins, fit: Fit, noise_energy: float, worth: float = CRITERIA.shape_worth) -> Fit:
         """Return a fit of contacts with a size and a shape, where points leave more than the field's own error.
@@ -178,13 +166,10 @@ class GaussNewton:
         is_finger = moved_mm < CRITERIA.merged_mm and size_mm2(shaped) < CRITERIA.most_size_mm2
         return shaped if is_finger else no_fit(bins.energy)
 
-    def _gram_of(
+    def _products(
         self, positions_mm: Sequence[Position], shapes: Sequence[Shape]
-    ) -> tuple[list[Position], NDArray[np.complex128]]:
-        """Return the raster points, and the complex products of u, then u_x, then u_y of all fingers.
-
-        The products are those with each other and, in the last column, with the frame.
-        """
+    ) -> tuple[list[Position], joint.Products]:
+        """Return the raster points, and the products of the fingers' fields and slopes, as `joint.step` takes them."""
         count = len(positions_mm)
         length = 3 * count + 1
         if length > len(self._many):
@@ -193,14 +178,15 @@ class GaussNewton:
         at = []
         for k, position in enumerate(positions_mm):
             at.append(self._look_up(*position, shapes[k] if shapes else None))
-            rows[k : 3 * count : count] = self._field
+            rows[k] = self._value.reshape(-1)
+            slope = count + 2 * k
+            rows[slope : slope + 2] = self._field[1:]
         rows[-1] = self._known
         halves = rows.reshape(2 * length, -1)
-        products = halves[:-2] @ halves.T
-        of_real, of_imaginary = products[::2], products[1::2]
+        parts = (halves[:-2] @ halves.T).reshape(length - 1, 2, length, 2)
         table = np.empty((length - 1, length), np.complex128)
-        np.add(of_real[:, ::2], of_imaginary[:, 1::2], table.real)
-        np.subtract(of_real[:, 1::2], of_imaginary[:, ::2], table.imag)
+        np.add(parts[:, 0, :, 0], parts[:, 1, :, 1], table.real)
+        np.subtract(parts[:, 0, :, 1], parts[:, 1, :, 0], table.imag)
         return at, table
 
     def shift(self, bins: Bins, fit: Fit) -> tuple[Array, Matrix]:

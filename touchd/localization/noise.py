@@ -30,10 +30,15 @@ class BinPower:
     ----------
     channels, bins : int
     dtype : type
+    weights : array of shape (bins,), optional
+        Of the bins.
     """
 
-    def __init__(self, channels: int, bins: int, dtype: DTypeLike = np.float32) -> None:
+    def __init__(
+        self, channels: int, bins: int, dtype: DTypeLike = np.float32, weights: NDArray[np.float64] | None = None
+    ) -> None:
         self._shape = channels, 2, bins
+        self._white = 1.0 if weights is None else weights**2
         self._frames = 0
         self.power: Array = np.zeros(channels * 2 * bins, dtype)
         """Of each value, counts squared."""
@@ -61,7 +66,7 @@ class BinPower:
 
     def quiet(self) -> NDArray[np.bool_]:
         """Return which values do not drown in noise, shape (channels * 2 * bins,); all before 16 frames."""
-        of_bins = self.power.reshape(self._shape).sum(axis=1, keepdims=True)
+        of_bins = self.power.reshape(self._shape).sum(axis=1, keepdims=True) / self._white
         usual = float(np.median(of_bins))
         if self._frames < _MASK_FRAMES or usual <= 0:
             return np.ones(self.power.shape, bool)
@@ -95,7 +100,7 @@ class NoiseModel:
 
     def __init__(self, atlas: Atlas) -> None:
         d, dtype = atlas.description, atlas.coefficients.dtype
-        self._bin_power = BinPower(d.acquisition.channels, len(d.bins), dtype)
+        self._bin_power = BinPower(d.acquisition.channels, len(d.bins), dtype, d.bin_weights)
         self._per_channel = 2 * len(d.bins)
         self._error, self._noise_scale = atlas.error, d.noise_scale
         self._energy = np.zeros((), dtype)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Generator, Iterator
 from itertools import pairwise
 from typing import NamedTuple
@@ -32,6 +33,8 @@ _APART_MM = 7.0
 _WIDTHS = (1, 3)
 """Alternatives followed side by side: one, and if that fails three."""
 _SAME = 1e-4
+_MOVED = 0.9
+"""A finger goes to another place if that leaves less than this share."""
 _FIRST_STEPS, _STEPS = 3, 4
 
 
@@ -107,15 +110,16 @@ class Pursuit:
         """
         solver, limit = self.solver, CRITERIA
         signal = max(bins.energy - noise_energy, 0.0)
-        enough, good, fair = (
-            noise_energy * (1 + limit.noise_margin) + share * signal for share in (limit.enough, limit.good, limit.fair)
+        enough, suspicious, good, fair = (
+            noise_energy * (1 + limit.noise_margin) + share * signal
+            for share in (limit.enough, limit.search_above, limit.good, limit.fair)
         )
         # Shapes that were fitted in an earlier frame leave more than those of this one.
         anew = solver.fit_shapes(bins, fit, noise_energy, _STEPS) if fit.shapes else fit
         shaped_energy = min(anew.residual_energy, fit.residual_energy)
         best = fit
         for width in _WIDTHS:
-            beam, in_vain = [fit], 0
+            beam, in_vain, deepest = [fit], 0, None
             while beam and _may_grow(beam[0], enough):
                 more = []
                 for one in beam:
@@ -145,6 +149,7 @@ class Pursuit:
                     yield SHAPED_COST
                 beam = [one for one in beam if not are_merged(one)]  # some may have since
                 beam.sort(key=_residual_energy)
+                deepest = beam[0] if beam else deepest
                 before = replace(best, residual_energy=shaped_energy) if best is fit else best
                 if beam and (
                     is_worth(beam[0], before, noise_energy, signal)
@@ -156,9 +161,49 @@ class Pursuit:
                 # The fit was good, and another finger does not help; or it was fair, and two do not.
                 if fit.positions_mm and (fit.residual_energy < good or (fit.residual_energy < fair and in_vain > 1)):
                     return best
+            if best.residual_energy < suspicious or deepest is None:
+                break
+            swapped = yield from self._swap(bins, deepest, noise_energy)
+            if is_worth(swapped, best, noise_energy, signal):
+                best = swapped
             if best.residual_energy < fair:
                 break
         return best
+
+    def _swap(self, bins: Bins, fit: Fit, noise_energy: float) -> Generator[float, None, Fit]:
+        """Take out one finger after another, the weakest first, and look for a better place; yield costs as `steps`.
+
+        The finger found first may be at none: two others together looked like it.
+        """
+        solver, tried = self.solver, 0
+        while tried < len(fit.positions_mm):
+            k = sorted(range(len(fit.positions_mm)), key=fit.energies.__getitem__)[tried]
+            tried += 1
+            places, shapes = list(fit.positions_mm), shapes_of(fit)
+            left_mm = places.pop(k)
+            if shapes:
+                del shapes[k]
+            rest = solver.fit_several(bins, places, _FIRST_STEPS, shapes=shapes)
+            yield 1.0
+            left = solver.residual(bins, rest)
+            yield _REST_COST
+            yield from self._scan(left)
+            trials = []
+            for candidate in self._best(self._score(), _CANDIDATES):
+                if math.dist(candidate.position_mm, left_mm) >= _APART_MM:
+                    positions_mm, of_all = [*places, candidate.position_mm], [*shapes, TYPICAL] if shapes else ()
+                    trials.append(solver.fit_several(bins, positions_mm, _FIRST_STEPS, shapes=of_all))
+                    yield 1.0
+            trials.sort(key=_residual_energy)
+            for trial in trials[:1]:
+                if are_merged(trial) or trial.residual_energy > max(fit.residual_energy, fit.points_energy):
+                    continue
+                points = solver.fit_several(bins, trial.positions_mm, _STEPS)
+                moved = solver.with_shapes(bins, points, noise_energy, 1.0)
+                yield SHAPED_COST
+                if not are_merged(moved) and moved.residual_energy < _MOVED * fit.residual_energy:
+                    fit, tried = moved, 0
+        return fit
 
     def _scan(self, vector: Array) -> Iterator[float]:
         """Correlate a vector of bins with the field at each position, block by block; yield each block's cost."""
@@ -202,7 +247,9 @@ def is_worth(fit: Fit, other: Fit, noise_energy: float, signal: float) -> bool:
         if fit.points_energy - noise_energy < CRITERIA.worth**more * left:
             return True
         more *= 2
-    return fit.residual_energy - noise_energy < CRITERIA.worth**more * left
+    rest = fit.residual_energy - noise_energy
+    known = fit.shapes and other.shapes and rest < CRITERIA.good * signal
+    return rest < (CRITERIA.shaped_worth if known else CRITERIA.worth) ** more * left
 
 
 def _as_known(fit: Fit) -> Fit:

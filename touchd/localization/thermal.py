@@ -14,6 +14,9 @@ from touchd.frame import Acquisition
 
 Floats = NDArray[np.float64]
 
+_LEAD = 0.1
+"""Share of the period by which a bin's answer, sharp in frequency, begins before its frequency is emitted."""
+
 
 def emission_s(acquisition: Acquisition, bins: NDArray[np.int64]) -> Floats:
     """Return when the linear chirp passes the frequency of each bin, s after the frame's start, shape (bins,)."""
@@ -46,7 +49,10 @@ def stretch_matrix(acquisition: Acquisition, bins: NDArray[np.int64]) -> Floats:
     # is reduced modulo the length first: cos of a large argument loses digits.
     phase = (np.outer(np.arange(n), bins) % n) * (2 * np.pi / n)
     later_s = np.arange(n)[:, None] / rate_hz - emission_s(acquisition, bins)
-    weight = np.hanning(n)[:, None] * later_s
+    period_s = acquisition.chirp.period_s
+    if period_s is not None:  # what comes before the chirp's own answer is the ringing of the one before
+        later_s = (later_s + _LEAD * period_s) % period_s - _LEAD * period_s
+    weight = acquisition.window[:, None] * later_s
     # y' is that of the band-limited signal, a product with i omega: the transpose of that step, applied to the weights.
     slope = 2j * np.pi * np.fft.rfftfreq(n, 1 / rate_hz)
     if n % 2 == 0:

@@ -53,6 +53,9 @@ class Recording:
     """True positions of shape (n, k, 2), NaN where finger k does not touch."""
     force_n: NDArray[np.float32] | None = None
     """True force of shape (n, k), NaN where unknown or not touching."""
+    faces: NDArray[np.float32] | None = None
+    """True long and short axis (mm, from end to end) of each contact's face, and its direction (degrees from +x towards
+    +y), shape (n, k, 3), NaN where unknown or not touching."""
     temperature_c: NDArray[np.float32] | None = None
     """Shape (n,)."""
 

@@ -20,6 +20,7 @@ ARRAYS: dict[str, tuple[type[np.generic], str]] = {
     "timestamp_ns": (np.int64, "(n,)"),
     "contacts_mm": (np.float32, "(n, k, 2)"),
     "force_n": (np.float32, "(n, k)"),
+    "faces": (np.float32, "(n, k, 3)"),
     "temperature_c": (np.float32, "(n,)"),
 }
 """Type and shape of each key: n frames of (channels, samples), k contacts."""
@@ -59,7 +60,7 @@ def check(recording: Recording, where: str = "recording") -> None:
         raise RecordingValues(
             f"is negative: {recording.timestamp_ns[0]}", f"{where}: timestamp_ns", "count from the first frame"
         )
-    for name, allow_nan in (("contacts_mm", True), ("force_n", True), ("temperature_c", False)):
+    for name, allow_nan in (("contacts_mm", True), ("force_n", True), ("faces", True), ("temperature_c", False)):
         values = getattr(recording, name)
         bad = None if values is None else np.isinf(values) if allow_nan else ~np.isfinite(values)
         if bad is not None and bad.any():
@@ -80,7 +81,7 @@ def check(recording: Recording, where: str = "recording") -> None:
 
 
 def _check_shapes(recording: Recording, where: str) -> None:
-    sizes: dict[str, int] = {"2": 2}
+    sizes: dict[str, int] = {"2": 2, "3": 3}
     origin: dict[str, str] = {}
     for name, (dtype, shape) in ARRAYS.items():
         array = getattr(recording, name)

@@ -43,17 +43,17 @@ _MOST_MOVES = 3
 _ALIVE = 0.5
 """Correlation with the reference above which a channel is watched."""
 _SILENT = 1e-4  # of the loudest channel's energy
-_LIMIT = 2**15 - 1
 
 log = structlog.get_logger()
 
 
-def acquisition_of(settings: AudioSettings) -> Acquisition:
-    """Return the geometry of an audio interface's frames."""
+def acquisition_of(settings: AudioSettings, frame_rate_hz: int) -> Acquisition:
+    """Return the geometry of an audio interface's frames: of chirps that follow each other, while earlier ones ring."""
     rate_hz = settings.sample_rate_hz
     chirp = Chirp(
-        start_hz=settings.band_hz[0], stop_hz=settings.band_hz[1], duration_s=settings.chirp_s, dac_rate_hz=rate_hz
-    )
+        start_hz=settings.band_hz[0], stop_hz=settings.band_hz[1], duration_s=settings.chirp_s, dac_rate_hz=rate_hz,
+        period_s=period_of(rate_hz, frame_rate_hz) / rate_hz,
+    )  # fmt: skip
     return Acquisition(
         channels=len(settings.channels), samples=round(settings.chirp_s * rate_hz), sample_rate_hz=rate_hz,
         full_scale_v=1.0, chirp=chirp,
@@ -223,9 +223,9 @@ class AudioDaq:
             self._time_us += max(gone - self._period_us, 0.0)
         margin = self._high_pass.margin
         raw = self._capture.take(margin, self.acquisition.samples + 2 * margin)[: self._discs]
-        clipped = bool(raw.max() >= _LIMIT or raw.min() <= -_LIMIT)
         counts = self._high_pass.apply(raw)
-        if lost := self._watch.lost(counts):
+        clipped = self._high_pass.is_clipped()
+        if lost := self._watch.lost(self._high_pass.filtered):
             which = ", ".join(str(self._settings.channels[i]) for i in lost)
             raise DaqGone(f"input {which} no longer hears the chirp as before: lost samples, a cable, a knob or a mute")
         sequence, time_us = self._sequence, round(self._time_us)
@@ -266,7 +266,7 @@ def open_audio(
     audio, device = settings.audio, settings.device
     if not name:
         raise ConfigError("is not set", "audio.device", "name a card: --audio hw:CARD=NAME; arecord -L lists them")
-    acquisition = acquisition_of(audio)
+    acquisition = acquisition_of(audio, device.rate_hz)
     if model is not None:
         model.check(acquisition)
     period = period_of(acquisition.sample_rate_hz, device.rate_hz)

@@ -17,7 +17,6 @@ import contextlib
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import structlog
 
@@ -32,6 +31,7 @@ from touchd.sources.frame_ring import FrameRing
 from touchd.sources.intake import Intake
 from touchd.sources.lending import Lending
 from touchd.sources.source import Change, EndOfStream
+from touchd.sources.waits import WAITS, Waits
 
 _JOIN_S = 0.5
 """`close` waits this long for a thread that a wedged device holds: the service must end within 1 s of SIGTERM."""
@@ -41,23 +41,6 @@ _STALL_FRAMES = 3  # that a stalled device has left out, however low its rate
 _MAX_DOUBLINGS = 10  # of the delay between connections; by far enough to reach `max_retry_s`
 
 log = structlog.get_logger()
-
-
-@dataclass(frozen=True, slots=True)
-class Waits:
-    """How long the thread that reads the device waits, seconds."""
-
-    read_s: float = 0.1
-    """Timeout of a read: while no frame comes, the thread notices `close` this late."""
-    retry_s: float = 0.1
-    """Shortest interval between two looks for a device."""
-    max_retry_s: float = 0.5
-    """Longest interval; the intervals grow from look to look."""
-    hang_s: float = 10.0
-    """A thread that is silent this long hangs in the kernel, and only a new process helps."""
-
-
-WAITS = Waits()
 
 
 class DaqSource:
@@ -167,8 +150,6 @@ class DaqSource:
         self._closing.set()
         self._lending.close()
         self._thread.join(_JOIN_S)
-
-    # -- the thread -------------------------------------------------------------------------------
 
     def _run(self) -> None:
         try:

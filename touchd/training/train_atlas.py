@@ -18,9 +18,10 @@ from touchd.localization.model_file import put_model
 from touchd.recording.data import Recording
 from touchd.training.data.inspection import degrees_of_freedom, inspect
 from touchd.training.data.one_temperature import at_one_temperature
+from touchd.training.field.bins import informative
 from touchd.training.field.dispersion import dispersion_of, fitted_note
 from touchd.training.field.learn import Learned, learn_thoroughly
-from touchd.training.field.make_atlas import Calibration, informative, make_atlas, signal_over_noise, try_atlas
+from touchd.training.field.make_atlas import Calibration, make_atlas, signal_over_noise, try_atlas
 from touchd.training.field.regression import Floats, touches_of
 from touchd.training.network.loop import Progress
 from touchd.training.network.recipe import RECIPES
@@ -102,8 +103,9 @@ def train_atlas(
     steady, reference = at_one_temperature(recording, plain)
     touches = touches_of(steady, parts.train)
     dispersion = dispersion_of(steady, touches)
-    snr = informative(signal_over_noise(touches_of(steady, parts.validation)))
-    for text in check_density(touches.position_mm, float(dispersion.wavenumber_per_mm[snr[-1]])):
+    snr = signal_over_noise(touches_of(steady, parts.validation))
+    kept = informative(snr, dispersion.wavenumber_per_mm, plain.acquisition)
+    for text in check_density(touches.position_mm, float(dispersion.wavenumber_per_mm[kept[-1]])):
         note(text)
     learned = learn_thoroughly(
         touches, dispersion.wavenumber_per_mm, lambda done, steps: progress("field", done, steps, float("nan"))
@@ -129,7 +131,7 @@ def train_atlas(
         "fitted": dispersion.fitted,
         "wavenumber_rad_m": tuple((dispersion.wavenumber_per_mm * 1e3).round(3).tolist()),
     }
-    atlas, calibration = make_atlas(steady, reference, parts, learned, said)
+    atlas, calibration = make_atlas(steady, reference, parts, learned, kept, said)
     start_mm = np.asarray(model.run(plain.residual[parts.test])["position_mm"], np.float64)
     judged = try_atlas(atlas, steady, parts, start_mm)
     rounded = {name: round(value, 4) for name, value in scores(judged).items()}

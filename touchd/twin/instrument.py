@@ -1,12 +1,11 @@
 """Simulate the receivers' signals of one chirp at any temperature, before electronics and noise.
 
-Signals are computed on a record a few times longer than a frame, at complex frequencies, so that ringing beyond the
-record does not wrap around into the frame: damping the record by exp(-13) and undoing it afterwards leaves -110 dB.
-Only the frame at the start of the record is kept.
-
 Temperature scales all modes' frequencies by one factor s. The response at omega = s nu equals that at nu, so the plate
 is computed once, on a fixed grid of nu; emission and contacts are evaluated at s nu, and the time signal at s t, by a
 Taylor series about t. This is exact and costs a few inverse transforms.
+
+In steady state the frequencies are those of the chirps' period at any temperature. There the response is computed at a
+few scales, and interpolated.
 """
 
 from __future__ import annotations
@@ -26,6 +25,7 @@ from touchd.twin.physics.finger import Contact, patches
 from touchd.twin.physics.mounting import FREE, Mounting, mounted_modes
 from touchd.twin.physics.response import Response
 from touchd.twin.physics.transducer import Layout, LoadedModes, default_layout, loaded_modes
+from touchd.twin.record import Record
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -37,6 +37,8 @@ TEMPERATURE_PER_K = -4.5e-5
 """Relative change of the modes' frequencies; -2e-4 .. -2e-5 for other plates."""
 ERROR = 1e-11
 """Error of the series in time and temperature relative to the signal: far below one count."""
+_STEADY_NODES, _DIGITS = 16, 9
+"""Scales at which the untouched plate is computed in steady state, and decimal digits of interpolated contacts."""
 MOST_LATE_S = 1e-6
 """Largest trigger delay; the Taylor series that shifts the signal converges up to it."""
 
@@ -56,7 +58,7 @@ class Instrument:
     loss : float
         Loss factor: 2e-3 .. 1e-2 for a mounted plate with bonded discs.
     tail_period_s : float, optional
-        Include the ringing of all previous chirps, one per `tail_period_s`; the record is then as long.
+        Include the ringing of all previous chirps, one per `tail_period_s`, though the acquisition does not say so.
     mounting : Mounting
         What holds the plate.
     tilts : sequence of (deg, dB), optional
@@ -87,31 +89,21 @@ class Instrument:
         receivers = len(self.layout.receivers_mm)
         self.acquisition = acquisition or Acquisition(channels=receivers, samples=250, sample_rate_hz=250e3)
         a = self.acquisition
-        frame_s = a.samples / a.sample_rate_hz
         if a.channels != receivers:
             raise SimulationError(f"{a.channels} channels but {receivers} receivers", "acquisition", "make them agree")
-        if a.chirp.duration_s > frame_s * (1 + 1e-9):
-            raise SimulationError("the chirp is longer than the frame", "acquisition", "record more samples")
-        if tail_period_s is not None and tail_period_s < frame_s:
-            raise SimulationError("chirps follow each other faster than frames last", "tail", "lower the frame rate")
-        if tail_period_s is not None and loss < 1e-4:
+        self._record = Record(a, tail_period_s)
+        if self._record.steady and loss < 1e-4:
             raise SimulationError("without loss, all chirps ring for ever", "tail", "use a loss factor")
         if not 0 <= loss < 0.2:
             raise SimulationError(f"a loss factor of {loss:g}", "loss", "use 0 .. 0.2; glass with discs has 0.005")
-        # With a tail, a record of one period wraps around exactly as the ringing does.
-        record_s, damping = (2 * frame_s, 13.0) if tail_period_s is None else (tail_period_s, 0.0)
-        self._record = round(record_s * a.sample_rate_hz / 2) * 2
-        self._decay_per_s = damping / record_s
-        grid_hz = np.arange(self._record // 2 + 1) * a.sample_rate_hz / self._record
-        nu = 2 * np.pi * grid_hz - 1j * max(self._decay_per_s, 1e-3)
-        highest_hz = a.sample_rate_hz / 2
-        if modes is not None:
-            self.response = Response(plate, modes, nu, 0.0 if np.iscomplexobj(modes.w) else loss)
-        elif mounting == FREE:
-            self.response = Response(plate, loaded_modes(plate, self.layout, highest_hz), nu, loss)
-        else:
-            self.response = Response(plate, mounted_modes(plate, self.layout, mounting, loss, highest_hz), nu, 0.0)
-        self._t = np.arange(a.samples) / a.sample_rate_hz
+        nu, highest_hz = self._record.nu_rad_s, a.highest_hz
+        if modes is None and mounting == FREE:
+            modes = loaded_modes(plate, self.layout, highest_hz)
+        elif modes is None:
+            modes = mounted_modes(plate, self.layout, mounting, loss, highest_hz)
+        self._loss = loss
+        self.response = Response(plate, modes, nu, 0.0 if np.iscomplexobj(modes.w) else loss)
+        self._t = self._record.time_s
         if len(tilts) not in (0, receivers):
             raise SimulationError(f"{len(tilts)} tilts for {receivers} receivers", "tilts", "give one per receiver")
         self._tilt = _tilt(tilts, a, self.response.nu_rad_s)
@@ -166,12 +158,32 @@ class Instrument:
             groups = min(len(rows), math.ceil(len(rows) * (sum(sizes) + 5) ** 2 / 2000))
             for some in np.array_split(np.arange(len(rows)), groups):
                 part = [i for k in some for i in rows[k]]
-                spectrum = self.response.change([split[i] for i in part], scale[part])
-                spectrum *= (chebyshev.weights(scale[part], self._node_scale) @ self._emission)[:, None, :]
+                spectrum = self._changed([split[i] for i in part], scale[part])
                 if self._tilt is not None:
                     spectrum *= self._tilt
                 result[part] = self._to_time(spectrum, scale[part], late[part])
         return result / self.peak
+
+    def _changed(self, touches: Sequence[Sequence[Contact]], scale: Floats) -> Complex:
+        """Return the spectra (n, R, F) of contacts, with the same numbers of forces, as `_to_time` takes them."""
+        if not self._record.steady:
+            spectrum = self.response.change(touches, scale)
+            spectrum *= (chebyshev.weights(scale, self._node_scale) @ self._emission)[:, None, :]
+            return spectrum
+        low, high = float(scale.min()), float(scale.max())
+        # The nearest pole lies half a loss factor off: an interpolation through n points errs by rho^-n.
+        z = self._loss / 2 / max((high - low) / 2, 1e-12)
+        count = math.ceil(_DIGITS / math.log10(z + math.hypot(z, 1)))
+        nodes = chebyshev.points((low + high) / 2, (high - low) / 2, count)
+        mean: Complex = np.zeros((), np.complex128)
+        for node, weight in zip(nodes.tolist(), chebyshev.weights(scale, nodes).T, strict=True):
+            mean = mean + weight[:, None, None] * self._at(node).change(touches, np.full(len(touches), node))
+        return np.asarray(mean * self._emission[0])
+
+    def _at(self, scale: float) -> Response:
+        """Return the response of the plate with all modes' frequencies scaled, at the record's own frequencies."""
+        r = self.response
+        return Response(self.plate, r.modes, r.nu_rad_s / scale, r.loss)
 
     def _tables(self) -> None:
         """Compute the emission, and the untouched signals with their time derivatives, at the temperature nodes."""
@@ -179,18 +191,22 @@ class Instrument:
         a = self.acquisition
         span = abs(TEMPERATURE_PER_K) * SPAN_K
         # A Chebyshev series of n terms has the error of a Taylor series over half the span; add one for safety.
-        n = self._orders(span * float(self._t[-1]) / 2) + 1
-        self._node_scale = chebyshev.points(1.0, span, n)
+        n = _STEADY_NODES if self._record.steady else self._orders(span * float(self._t[-1]) / 2) + 1
+        s = self._node_scale = chebyshev.points(1.0, span, n)
+        played = np.ones(1) if self._record.steady else s
         self._emission = np.array(
-            [chirp.spectrum(a.chirp, s * nu) * anti_alias(s * nu, a.sample_rate_hz) for s in self._node_scale]
+            [chirp.spectrum(a.chirp, each * nu) * anti_alias(each * nu, a.sample_rate_hz) for each in played]
         )
-        s = self._node_scale
-        received = self.response.untouched() * self._emission[:, None, :] / s[:, None, None] ** 2
+        played_to = [self._at(each) for each in s] if self._record.steady else [self.response]
+        heard = np.stack([each.untouched() for each in played_to])
+        received = heard * self._emission[:, None, :] / s[:, None, None] ** 2
         if self._tilt is not None:
             received *= self._tilt
         # The derivative with respect to the trigger's time is s times that with respect to the record's time.
         orders = [
-            self._to_time(received * (1j * nu) ** k, s, np.zeros(n)) * s[:, None, None] ** k / math.factorial(k)
+            self._to_time(received * (1j * nu) ** k, s, np.zeros(n))
+            * (1.0 if self._record.steady else s[:, None, None] ** k)
+            / math.factorial(k)
             for k in range(self._orders(MOST_LATE_S))
         ]
         self._untouched = np.stack(orders)
@@ -209,8 +225,12 @@ class Instrument:
         return k
 
     def _to_time(self, spectrum: Complex, scale: Floats, late_s: Floats) -> Floats:
-        """Return the time signals at s (t + late) of spectra over nu of shape (n, R, F); result (n, R, S)."""
+        """Return the time signals at s (t + late) of spectra over nu of shape (n, R, F); result (n, R, S).
+
+        In steady state at t + late: the scale is in the spectra.
+        """
         a = self.acquisition
+        scale = np.ones_like(scale) if self._record.steady else scale
         at = scale[:, None] * (self._t + late_s[:, None])
         shift = at - self._t
         nu = self.response.nu_rad_s
@@ -220,9 +240,8 @@ class Instrument:
             if k:
                 spectrum = spectrum * (1j * nu)
                 power = power * shift / k
-            wave = np.fft.irfft(spectrum, self._record, axis=-1)[..., : a.samples]
-            result += wave * power[:, None, :]
-        undamp = scale[:, None] * np.exp(self._decay_per_s * self._t)
+            result += self._record.waves(spectrum) * power[:, None, :]
+        undamp = scale[:, None] * np.exp(self._record.decay_per_s * self._t)
         return result * undamp[:, None, :] * a.sample_rate_hz
 
 

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.frame import Plate
+from touchd.frame import ACQUISITIONS, Acquisition, Plate
 from touchd.jobs import Job, digest, run
 from touchd.recording.data import Recording
 from touchd.twin import cache
@@ -40,10 +40,13 @@ class Session:
     loss: float
     tail_period_s: float | None
     rig: Rig = IDEAL
+    acquisition: Acquisition = ACQUISITIONS["usb"]
 
     def prepare(self) -> tuple[Stage, Instrument]:
         """Write the session's timeline, and create its instrument; SimulationError if one is impossible."""
-        instrument = self.rig.instrument(self.plate, loss=self.loss, tail_period_s=self.tail_period_s)
+        instrument = self.rig.instrument(
+            self.plate, loss=self.loss, tail_period_s=self.tail_period_s, acquisition=self.acquisition
+        )
         return stage_touches(self.touches, self.plate, self.seed, self.rig.electronics), instrument
 
 

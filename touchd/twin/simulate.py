@@ -237,5 +237,6 @@ def recording_of(stage: Stage, instrument: Instrument, frames: NDArray[np.int16]
         timestamp_ns=np.rint(stage.time_s * 1e9).astype(np.int64),
         contacts_mm=contacts_mm,
         force_n=force_n,
+        faces=stage.faces(),
         temperature_c=stage.temperature_c.astype(np.float32),
     )

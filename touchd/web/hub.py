@@ -31,6 +31,7 @@ HISTORY = 300
 """Health messages kept: five minutes."""
 _SPECTRUM_S = 0.1
 _WAIT_S = 0.25
+_PACE_S = 0.012
 
 log = structlog.get_logger()
 
@@ -188,6 +189,8 @@ class Hub:
                     hand(self._take, event)
                 except RuntimeError:  # the loop has ended
                     return
+                if event.type == "touch":
+                    stopped.wait(_PACE_S)  # the next is the newest then: what no screen shows is not handed over
 
     def _take(self, event: Event) -> None:
         """Take an event into the slots of all browsers; runs in the server's loop."""

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from tests.scenes.numerics import reference
 from tests.scenes.numerics.watch import Look, Run, frames_of, run
 from touchd.evaluation.single_frames import find_with, see, touched_frames
+from touchd.event import Contact
 from touchd.localization.atlas import Atlas
 from touchd.localization.model import Model, default_model_path
 from touchd.recording.data import Recording
@@ -72,7 +73,7 @@ def compared(recording: Recording, atlas: Atlas) -> Agreement:
     return result
 
 
-def _place(touch: Touch) -> tuple[float, float]:
+def _place(touch: Touch | Contact) -> tuple[float, float]:
     return touch.x_mm, touch.y_mm
 
 

@@ -110,10 +110,10 @@ def _watch(localizer: AtlasLocalizer) -> _Watch:
     watch, place, plate, drift = _Watch(), localizer._place, localizer._plate, localizer._drift
     follower, update = localizer._follower, localizer._follower.update
 
-    def accepted(bins: Bins, fit: Fit, excess: float) -> None:
+    def accepted(bins: Bins, fit: Fit, excess: float) -> bool:
         watch.shapes = np.array(shapes_of(fit), np.complex128) if fit.shapes else None
         watch.known = fit is follower._last
-        update(bins, fit, excess)
+        return update(bins, fit, excess)
 
     def watched(detection: Detection, min_confidence: float, complete: bool) -> tuple[tuple[Touch, ...], bool]:
         residual = detection.residual

@@ -21,6 +21,7 @@ from touchd.errors import (
     PlateMismatch,
     PlatePoor,
     PlateTouched,
+    PlateUnsteady,
     RecordingMissing,
     SignalClipped,
     TouchdError,
@@ -181,6 +182,11 @@ def touched(idle: Recording) -> Recording:
     return replace(idle, frames=frames)
 
 
+def drifting(idle: Recording) -> Recording:
+    later = np.linspace(0, 0.03, len(idle.frames))[:, None, None]
+    return replace(idle, frames=(idle.frames + later * idle.frames[:, :, ::-1]).astype(np.int16))
+
+
 def other_plate(idle: Recording) -> Recording:
     return replace(idle, meta=idle.meta.model_copy(update={"plate": Plate(width_mm=300, height_mm=200)}))
 
@@ -192,9 +198,11 @@ def channel_less(idle: Recording) -> Recording:
 HOSTILE: dict[str, tuple[Callable[[Recording], Recording] | None, str, type[TouchdError]]] = {
     "clipped": (clipped, SAID, SignalClipped),
     "a finger on it": (touched, SAID, PlateTouched),
+    "drift": (drifting, SAID, PlateUnsteady),
     "another plate": (other_plate, SAID, PlateMismatch),
     "a channel less": (channel_less, SAID, PlateMismatch),
     "metres": (None, SAID.replace("[20.4, 49.8]", "[0.0204, 0.0498]"), PlateFileInvalid),
+    "a thickness in metres": (None, SAID.replace("5.01", "0.005"), PlateFileInvalid),
     "a disc outside": (None, SAID.replace("97.6", "120.0"), PlateFileInvalid),
     "no TOML": (None, "[plate\n", PlateFileInvalid),
     "deep": (None, "a = " + "[" * 5000, PlateFileInvalid),

@@ -12,7 +12,8 @@ import pytest
 
 from tests.command_line import touchd
 from tests.conftest import Scene
-from tests.processes import PATIENCE_S, Ended
+from tests.processes import PATIENCE_S, Ended, started
+from touchd.client import Subscriber
 from touchd.config.schema import BusSettings, Settings
 from touchd.doctor.checks import Finding
 from touchd.doctor.start import check_start
@@ -136,3 +137,17 @@ def test_running_daemon(taken: ZeromqSink) -> None:
         thread.join()
     assert finding.level == "warning"
     assert "in state streaming" in finding.text
+
+
+def test_beside_the_daemon(tmp_path: Path, scene_file: Callable[[str], Path]) -> None:
+    """A daemon that runs need not be stopped: its frames are examined, and each check is printed as it ends."""
+    own = {"TOUCHD_BUS__BIND": f"ipc://{tmp_path}/bus", "TOUCHD_CONTROL__SOCKET": f"{tmp_path}/control"}
+    with started("--replay", scene_file("idle"), "--loop", **own):
+        with Subscriber(f"ipc://{tmp_path}/bus", ("health",), PATIENCE_S) as events:
+            next(event for event in events if isinstance(event, HealthEvent) and event.state == "streaming")
+        ended = touchd("doctor", "--lines", "--seconds", 1, **own)
+    checks = {check["check"]: check for check in map(json.loads, ended.out.splitlines())}
+    assert {"frame rate", "noise", "baseline"} <= checks.keys(), checks
+    assert "device" not in checks
+    assert checks["bus"]["level"] == checks["control"]["level"] == "ok"
+    assert "a daemon publishes there" in checks["bus"]["text"]

@@ -10,6 +10,7 @@ import pytest
 
 from tests.processes import PATIENCE_S, ROOT, Ended, environment
 from touchd import errors
+from touchd.cli.demo import SESSION
 from touchd.cli.main import VERBS
 
 
@@ -65,6 +66,21 @@ print(*[name for name in sys.modules if name.removeprefix("touchd.cli.") in VERB
     *lines, imported = run(program).out.splitlines()
     assert imported == ""
     assert set(VERBS) <= {line.split()[0] for line in lines if line.startswith("  ") and line.split()}
+
+
+def test_no_audio_without_its_option(tmp_path: Path) -> None:
+    """A daemon that no option gives an audio interface loads nothing of one."""
+    program = """
+import sys
+from touchd.cli.main import main
+main(["--config", sys.argv[1], "--replay", sys.argv[2], "--speed", "max"])
+print(*[name for name in sys.modules if "audio" in name])
+"""
+    config = tmp_path / "touchd.toml"
+    config.write_text(f'[bus]\nbind = ["ipc://{tmp_path}/bus"]\n[control]\nsocket = ""\n')
+    ended = run(program, config, SESSION)
+    assert ended.code == 0, ended.err
+    assert ended.out.splitlines() == [""]
 
 
 def test_reader_leaves() -> None:

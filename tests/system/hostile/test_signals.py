@@ -58,7 +58,7 @@ def test_hangups(tmp_path: Path, count: dict[str, int]) -> None:
                     daemon.signal(signal.SIGHUP)
                 reloads += 1
                 time.sleep(rng.uniform(0, 0.02))
-            daemon.configure(GOOD.format(0.5 + reloads))
+            daemon.configure(GOOD.format(2.0 + 0.01 * reloads))  # no other has set this
             daemon.signal(signal.SIGHUP)
             daemon.wait(lambda: takes_dead_band(daemon), "the last configuration was not taken")
             daemon.wait_for_frames()

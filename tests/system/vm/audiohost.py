@@ -40,7 +40,7 @@ receivers_mm = [[15, 15], [185, 20], [180, 185], [20, 170]]
 
 def write(folder: Path) -> None:
     """Write the model, and the responses from what is played to what is heard, for `audioplate.py`."""
-    acquisition = acquisition_of(SETTINGS)
+    acquisition = acquisition_of(SETTINGS, 25)
     idle = simulate_scene("idle", instrument=Instrument(DEFAULT_PLATE, acquisition=acquisition), rate_hz=25, frames=60)
     (folder / "PLATE.toml").write_text(SAID)
     make_model(fit_recording(idle, read_plate_file(folder / "PLATE.toml")), folder / "audio.onnx")

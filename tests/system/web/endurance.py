@@ -52,8 +52,10 @@ def endure(browser: Browser, address: str, minutes: float) -> None:
             rate = (opened.evaluate("touchd.feed.stats.batches") - batches) / passed_s
             share, heap, rss = (cpu_s(server) - cpu) / passed_s, heap_bytes(opened), server.memory_bytes()
             before = before or rss
-            server_text = f"server {share:.1%} of a processor, {rss * _MB:.1f} MB"
-            print(f"{minute + 1} min: {rate:.1f} updates/s, {server_text}, page {heap * _MB:.2f} MB", flush=True)
+            said = (
+                f"{rate:.1f} updates/s, server {share:.1%} of a processor, {rss * _MB:.1f} MB, page {heap * _MB:.2f} MB"
+            )
+            print(f"{minute + 1} min: {said}", flush=True)
         print(f"after {time.monotonic() - begin_s:.0f} s the server has {(rss - before) * _MB:+.2f} MB", flush=True)
 
 
@@ -77,8 +79,8 @@ def turns(browser: Browser, address: str) -> None:
             opened.locator(".fingers tbody tr").first.wait_for()
             watched.append(latency_us(address))
     ratio = statistics.median(b / a for a, b in zip(alone, watched, strict=True))
-    medians_us = statistics.median(alone), statistics.median(watched)
-    print(f"daemon: {medians_us[0]:.0f} us alone, {medians_us[1]:.0f} us with a page: {ratio - 1:+.1%}")
+    said = f"{statistics.median(alone):.0f} us alone, {statistics.median(watched):.0f} us with a page"
+    print(f"latency of the daemon: {said}: {ratio - 1:+.1%}")
 
 
 def main() -> None:

@@ -31,6 +31,6 @@ def exact_fit(instrument: Instrument) -> PlateFit:
         reasons=(), undecided=(), scale_error=0.0, unexplained=1e-6, noise_share=1e-6, measured=untouched,
         fitted=untouched,
     )  # fmt: skip
-    touch = PhysicalField(unit).at(np.array([[50.0, 40.0]]))
+    touch = PhysicalField(unit).at(np.array([[50.0, 40.0]]), AREA_MM2, TISSUE)
     exact = twin_values(instrument, [Contact(50.0, 40.0, AREA_MM2, TISSUE)])
     return replace(unit, gains=unit.gains * (np.vdot(touch, exact) / np.vdot(touch, touch)).real)

@@ -7,8 +7,10 @@ import pytest
 from numpy.typing import NDArray
 
 from touchd.calibration.disc_response import DiscResponse, Discs, Loss
+from touchd.calibration.edges import Edges, attachments, lines_along
 from touchd.calibration.reduced_plate import SHAPE_NAMES, ReducedPlate, Shape, shape_of
 from touchd.twin.physics.material import MATERIALS, ElasticPlate, Material
+from touchd.twin.physics.mounting import attach
 from touchd.twin.physics.plate import solve
 from touchd.twin.physics.response import Response
 from touchd.twin.physics.transducer import Layout, load
@@ -26,7 +28,15 @@ DISCS = Discs(PLACES_MM * 1e-3, 3e-3, MASS_KG / GLASS.rho_kg_m3, STIFFNESS_N_M /
 
 @pytest.fixture(scope="module")
 def plate() -> ReducedPlate:
-    return ReducedPlate(PLATE)
+    return ReducedPlate(PLATE, 100e3)
+
+
+EDGES = Edges(
+    {"left": "tape", "bottom": "clamped"},
+    {"left stiffness": 0.02, "left damping": 0.05, "left mass": 0.04,
+     "bottom stiffness": 0.8, "bottom damping": 0.1, "bottom mass": 0.05},
+    2 * np.pi * 75e3,
+)  # fmt: skip
 
 
 def near(plate: ReducedPlate) -> Shape:
@@ -59,12 +69,41 @@ def test_another_plate_in_the_references_modes(plate: ReducedPlate) -> None:
     np.testing.assert_allclose(found[3 : len(exact)], exact[3:], rtol=5e-4)
 
 
+def test_held_edges_are_the_twins(plate: ReducedPlate) -> None:
+    """With tape and a clamp the response is that of the twin's modes with the same strips attached."""
+    layout = Layout(emitter_mm=(15, 40), receivers_mm=((10, 11), (58, 12)), mass_g=MASS_KG * 1e3)
+    modes = attach(load(solve(PLATE, plate.counts, 300e3), PLATE, layout), PLATE, attachments(EDGES, PLATE), 0.0, 75e3)
+    expected = Response(PLATE, modes, NU, LOSS.at(NU)).untouched()
+    discs = DISCS._replace(stiffness_m3=0.0, lever2_m2=0.0)
+    held = lines_along(plate, EDGES.kinds), EDGES
+    found = DiscResponse(plate, plate.reference, discs, LOSS, NU, held).untouched()
+    free = DiscResponse(plate, plate.reference, discs, LOSS, NU).untouched()
+    mass = GLASS.rho_kg_m3 * 5e-3 * 70e-3 * 60e-3
+    assert np.abs(found / mass - expected).max() < 5e-3 * np.abs(expected).max()
+    assert np.abs(free / mass - expected).max() > 0.3 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize("orientation", [0, 1, 2, 3])
+def test_a_turned_plate(plate: ReducedPlate, orientation: int) -> None:
+    """Discs and held edges mirrored together sound the same."""
+    size_m = np.array([plate.reference.width, plate.reference.height])
+    flipped = np.array([bool(orientation & 1), bool(orientation & 2)])
+    centres_m = np.where(flipped, size_m - DISCS.centres_m, DISCS.centres_m)
+    found = []
+    for discs, edges in ((DISCS, EDGES), (DISCS._replace(centres_m=centres_m), EDGES.turned(orientation))):
+        held = lines_along(plate, edges.kinds), edges
+        found.append(DiscResponse(plate, plate.reference, discs, LOSS, NU, held).untouched())
+    np.testing.assert_allclose(found[1], found[0], atol=1e-6 * np.abs(found[0]).max())
+
+
 def differences(plate: ReducedPlate, name: str) -> Complex:
     """The derivative by central differences."""
     s = near(plate)
 
-    def response(shape: Shape = s, discs: Discs = DISCS, loss: Loss = LOSS) -> Complex:
-        return DiscResponse(plate, shape, discs, loss, NU).untouched()
+    lines = lines_along(plate, EDGES.kinds)
+
+    def response(shape: Shape = s, discs: Discs = DISCS, loss: Loss = LOSS, edges: Edges = EDGES) -> Complex:
+        return DiscResponse(plate, shape, discs, loss, NU, (lines, edges)).untouched()
 
     def central(at: Callable[[float], Complex], step: float) -> Complex:
         return np.asarray((at(step) - at(-step)) / (2 * step))
@@ -76,6 +115,9 @@ def differences(plate: ReducedPlate, name: str) -> Complex:
         return central(lambda d: response(loss=LOSS._replace(factor=LOSS.factor * np.exp(d))), 1e-3)
     if name == "slope":
         return central(lambda d: response(loss=LOSS._replace(slope=LOSS.slope + d)), 1e-3)
+    if name in EDGES.values:
+        value = EDGES.values[name]
+        return central(lambda d: response(edges=EDGES._replace(values=EDGES.values | {name: value + d})), 1e-4)
     field = {"mass": "mass_kg_m3", "stiffness": "stiffness_m3", "radius": "radius_m", "lever2": "lever2_m2"}.get(name)
     if field:
         value = getattr(DISCS, field)
@@ -85,13 +127,15 @@ def differences(plate: ReducedPlate, name: str) -> Complex:
     return central(lambda d: response(discs=DISCS._replace(centres_m=DISCS.centres_m + d * unit)), 1e-6)
 
 
-NAMES = (*SHAPE_NAMES, "loss", "slope", "mass", "stiffness", "lever2", "radius", "x0", "y0", "x1", "y1", "x2", "y2")
+NAMES = (*SHAPE_NAMES, "loss", "slope", "mass", "stiffness", "lever2", "radius", "x0", "y0", "x1", "y1", "x2", "y2",
+         *EDGES.values)  # fmt: skip
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_derivatives(plate: ReducedPlate, name: str) -> None:
     """Each analytic derivative is that of central differences."""
-    found = DiscResponse(plate, near(plate), DISCS, LOSS, NU).slopes({name})[name]
+    held = lines_along(plate, EDGES.kinds), EDGES
+    found = DiscResponse(plate, near(plate), DISCS, LOSS, NU, held).slopes({name})[name]
     expected = differences(plate, name)
     assert np.abs(found - expected).max() < 1e-4 * np.abs(expected).max()
 

@@ -93,6 +93,20 @@ def test_end_of_a_tone(seed: int) -> None:
         assert not alarms(gate, energies[2000 + until :] * end[until:])
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_end_of_a_loud_tone(seed: int) -> None:
+    """12 frames after a tone 30 dB above the noise a touch of twice the noise is heard, and not one frame of noise."""
+    rng = np.random.default_rng(seed)
+    gate = learned(1000 * rng.chisquare(SAMPLES, 32))
+    alarms(gate, 1000 * rng.chisquare(SAMPLES, 500))
+    quiet = rng.chisquare(SAMPLES, 1000)
+    assert gate.is_too_quiet(quiet[0])
+    assert alarms(gate, quiet[:12]) == 0
+    assert gate.decide(2 * SAMPLES)
+    gate.is_open = False
+    assert alarms(gate, quiet[12:]) == 0
+
+
 @pytest.mark.parametrize(("memory", "within"), [(10, 0.0), (100, 0.0), (300, 0.01), (1000, 0.01)])
 def test_thresholds_set_seldom(memory: int, within: float) -> None:
     """Thresholds set seldom are within 1 % of those set with each frame, and the same while few frames are known."""

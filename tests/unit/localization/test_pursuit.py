@@ -60,6 +60,23 @@ def test_complete_fit(count: int) -> None:
         assert PURSUIT.add(bins, fit, NOISE).positions_mm == fit.positions_mm
 
 
+def test_swap() -> None:
+    """One of five that is at a wrong place is moved to where a finger is missing."""
+    for seed in range(5):
+        fingers = fingers_of(5, seed)
+        bins = bins_of(FIELD.frame(fingers, DEVIATION, seed))
+        wrong = max(
+            ((x, y) for x in (15.0, 60.0, 105.0) for y in (12.0, 45.0, 78.0)),
+            key=lambda place: min(math.dist(place, finger[:2]) for finger in fingers),
+        )
+        fit = SOLVER.fit_several(bins, [wrong, *(finger[:2] for finger in fingers[1:])], 4)
+        steps = PURSUIT._swap(bins, fit, NOISE)
+        with pytest.raises(StopIteration) as end:
+            while True:
+                next(steps)
+        assert all_found(end.value.value, fingers, 0.5)
+
+
 def test_second_finger() -> None:
     """The second finger is added to one that is known."""
     for seed in range(10):

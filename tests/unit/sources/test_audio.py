@@ -21,7 +21,8 @@ from touchd.pipeline import Pipeline
 from touchd.recording.format import read
 from touchd.sources.audio import AudioDaq
 from touchd.sources.daq import DaqAbsent, DaqFrame, DaqGone
-from touchd.sources.live import DaqSource, Waits
+from touchd.sources.live import DaqSource
+from touchd.sources.waits import Waits
 
 SESSION_ = read(SESSION)
 ACQUISITION = SESSION_.acquisition

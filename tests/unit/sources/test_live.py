@@ -15,8 +15,9 @@ from touchd.errors import ReaderFailed
 from touchd.frame import Acquisition
 from touchd.recording.data import Device
 from touchd.sources.daq import DaqFrame, DaqGone
-from touchd.sources.live import DaqSource, Waits
+from touchd.sources.live import DaqSource
 from touchd.sources.source import Change
+from touchd.sources.waits import Waits
 
 ACQUISITION = Acquisition(channels=2, samples=30, sample_rate_hz=250e3)
 AT_ONCE = Waits(read_s=0.01, retry_s=1e-6, max_retry_s=1e-6)

@@ -8,8 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from touchd.errors import TrainingError
+from touchd.frame import Acquisition
 from touchd.training.data.inspection import degrees_of_freedom
-from touchd.training.field.make_atlas import SPARED, informative
+from touchd.training.field.bins import MOST_FEATURES, SPARED, informative
 from touchd.training.train_atlas import AMPLE, HOPELESS, check_density
 
 
@@ -24,11 +25,27 @@ def test_few_touches_are_called_few_and_hopelessly_few_refused(count: int, waven
         assert len(list(check_density(position_mm, wavenumber_per_mm))) == (share < AMPLE)
 
 
+def of_channels(channels: int) -> Acquisition:
+    return Acquisition(channels=channels, samples=250, sample_rate_hz=250e3)
+
+
 @given(st.lists(st.floats(0, 1e4), min_size=1, max_size=60))
-def test_the_bins_left_out_hold_a_hundredth_of_the_signal_at_most(audible: list[float]) -> None:
+def test_bins_left_out(audible: list[float]) -> None:
+    """Of few bins those left out hold a hundredth of the signal at most."""
     power = np.array(audible)
-    kept = informative(power)
+    kept = informative(power, np.ones(len(power)), of_channels(3))
     assert len(kept) >= 1
     assert power.sum() - power[kept].sum() <= SPARED * power.sum() * (1 + 1e-9)
     left_out = np.setdiff1d(np.arange(len(power)), kept)
     assert not len(left_out) or power[left_out].max() <= power[kept].min()
+
+
+@given(st.lists(st.floats(1, 1e4), min_size=101, max_size=300), st.integers(1, 8))
+def test_most_features(power: list[float], channels: int) -> None:
+    """Of many bins an atlas holds those that tell most of a place, up to the features that a frame has time for."""
+    told = np.array(power) * np.arange(1.0, len(power) + 1) ** 2
+    kept = informative(np.array(power), np.arange(1.0, len(power) + 1), of_channels(channels))
+    assert 2 * channels * len(kept) <= MOST_FEATURES
+    weak = np.cumsum(np.sort(power)) <= SPARED * sum(power)
+    free = np.setdiff1d(np.flatnonzero(~weak[np.argsort(np.argsort(power))]), kept)
+    assert not len(free) or told[free].max() <= told[kept].min()

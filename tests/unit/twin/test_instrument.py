@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from touchd import chirp
 from touchd.errors import SimulationError
-from touchd.frame import Acquisition, Plate
+from touchd.frame import Acquisition, Chirp, Plate
 from touchd.twin import instrument as instrument_module
 from touchd.twin.instrument import REFERENCE_C, Instrument
 from touchd.twin.physics.finger import Contact
@@ -169,3 +169,24 @@ def test_impossible_instruments_are_refused(glass: Plate, instrument: Instrument
         Instrument(glass, layout=default_layout(glass).model_copy(update={"emitter_mm": (1.0, 50.0)}))
     with pytest.raises(SimulationError, match="temperature"):
         instrument.untouched([REFERENCE_C + 40])
+
+
+@pytest.mark.parametrize("warmer_k", [0.0, 5.0])
+def test_steady_state(warmer_k: float) -> None:
+    """A frame in steady state is the sum of what all earlier chirps still ring, at any temperature."""
+    plate, period, periods = Plate(width_mm=90, height_mm=80, thickness_mm=5), 100, 12
+    once = Chirp(start_hz=30e3, stop_hz=60e3, duration_s=4e-4)
+    again = once.model_copy(update={"period_s": period / 250e3})
+    geometry = Acquisition(channels=4, samples=period, sample_rate_hz=250e3, chirp=again)
+    alone = geometry.model_copy(update={"samples": periods * period, "chirp": once})
+    heard = []
+    for acquisition in (geometry, alone):
+        one = Instrument(plate, acquisition=acquisition, loss=0.05)
+        at = [REFERENCE_C + warmer_k]
+        heard.append(
+            one.peak * np.stack([one.untouched(at)[0], one.change([[Contact(40, 30, 20, "silicone")]], at)[0]])
+        )
+    summed = heard[1].reshape(2, 4, periods, period).sum(axis=2)
+    for steady, true in zip(heard[0], summed, strict=True):
+        # Of the first modes, far below the band, something rings for longer than is summed.
+        assert np.abs(steady - true).max() < 5e-3 * np.abs(true).max()

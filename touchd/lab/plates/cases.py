@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from touchd.calibration.plate_file import PlateFile, check_plate_file
-from touchd.frame import Plate
+from touchd.frame import ACQUISITIONS, Plate
 from touchd.lab.plates.other_plate import Patch, missing, other_modes
 from touchd.twin.electronics import Electronics
 from touchd.twin.instrument import Instrument
@@ -38,11 +38,14 @@ class Case(NamedTuple):
     noise_db: float = 60.0
     flaw: str = ""
     """What the fit's physics lack altogether: `hole`, `rib` or `corner`."""
-    edge: str = "free"
+    edge: str | dict[str, str] = "free"
+    """What PLATE.toml says of the mounting."""
     said: tuple[tuple[str, object], ...] = ()
     """Keys of `[plate]` that are said wrongly."""
     swapped: bool = False
     """Whether two receivers' cables are swapped."""
+    acquisition: str = "usb"
+    """A name of `touchd.frame.ACQUISITIONS`."""
     poor: bool = False
     """Whether it must not come out good."""
 
@@ -56,7 +59,8 @@ CASES = {
     "acrylic-190x140x6": Case((190.0, 140.0, 6.0), "acrylic", ACRYLIC, 0.03, said=ACRYLIC_SAID),
     "aluminium-300x200x3": Case((300.0, 200.0, 3.0), "aluminium", ALUMINIUM, 3e-3),
     "pads": Case(G220, mounting=Mounting(left="pads", right="pads", top="pads", bottom="pads"), edge="pads"),
-    "tape": Case(G220, mounting=Mounting(left="tape"), edge="tape"),
+    "tape": Case(G220, mounting=Mounting(left="tape"), edge={"left": "tape"}),
+    "jaw": Case(G220, mounting=Mounting(left="clamped"), edge={"left": "clamped"}),
     "pane": Case(G220, mounting=Mounting(pane=True)),
     "tilted": Case(G220, tilts=((15.0, 1.0), (-10.0, -0.5), (20.0, 1.5), (-5.0, 0.5))),
     "40-db": Case(G220, noise_db=40.0),
@@ -67,6 +71,8 @@ CASES = {
     "said-4-mm": Case(G220, said=(("thickness_mm", 4.0),), poor=True),
     "said-aluminium": Case(G220, said=(("material", "aluminium"),), poor=True),
     "swapped": Case(G220, swapped=True, poor=True),
+    "audio-192": Case((200.0, 200.0, 5.0), acquisition="audio-192"),
+    "audio-96": Case((200.0, 200.0, 5.0), acquisition="audio-96"),
 }
 
 
@@ -89,11 +95,14 @@ def make(name: str, seed: int = 0) -> Made:
         material=case.material, elastic=case.elastic,
     )  # fmt: skip
     layout = default_layout(Plate(width_mm=width, height_mm=height))
-    modes = other_modes(plate, layout, [*_beads(layout), *_flaws(case, plate)])
+    acquisition = ACQUISITIONS[case.acquisition]
+    modes = other_modes(plate, layout, [*_beads(layout), *_flaws(case, plate)], acquisition.chirp.band_hz[1])
     attachments = case.mounting.on(plate)
     if attachments:
         modes = attach(modes, plate, attachments, case.loss, 75e3)
-    instrument = Instrument(plate, layout=layout, loss=case.loss, tilts=case.tilts, modes=modes)
+    instrument = Instrument(
+        plate, layout=layout, loss=case.loss, tilts=case.tilts, modes=modes, acquisition=acquisition
+    )
     wide = plate.width_mm + 0.15 * rng.standard_normal(), plate.height_mm + 0.15 * rng.standard_normal()
     thick = plate.thickness_mm + 0.015 * rng.standard_normal()
     places = layout.centres_mm + 0.5 * rng.standard_normal((5, 2))

@@ -11,7 +11,6 @@ from scipy.optimize import minimize
 
 from touchd.evaluation.dataset import BASELINE_NOISE, Dataset
 from touchd.localization.atlas import Atlas
-from touchd.localization.features import windowed_dft
 from touchd.training.field.place import Floats, Placed, place
 
 Spectra = NDArray[np.complexfloating]
@@ -69,9 +68,8 @@ def noisy_levels(
     atlas: Atlas, dataset: Dataset, values: Spectra, true_mm: Floats, label_noise_mm: float
 ) -> list[tuple[float, Level]]:
     """Locate touches at their own noise and at added noise; return each level with its signal-to-noise ratio in dB."""
-    a, bins = dataset.acquisition, np.array(atlas.description.bins)
-    plain = windowed_dft(a, bins)
-    window = float(np.square(np.hanning(a.samples)).sum())
+    a, bins, plain = dataset.acquisition, atlas.description.bins, atlas.description.to_bins
+    window = float(np.square(a.window).sum()) * float(np.square(atlas.description.bin_weights).mean())
     untouched = atlas.baseline - atlas.baseline.mean(axis=1, keepdims=True)
     plate = float(np.sqrt(np.square(untouched, dtype=np.float64).mean()))
     own_db = 20 * np.log10(plate / max(dataset.noise, 1e-6))

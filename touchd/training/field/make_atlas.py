@@ -20,8 +20,6 @@ from touchd.training.field.learn import STEP_MM, Field, Learned
 from touchd.training.field.place import FieldMap, complex_nodes, place
 from touchd.training.field.regression import Floats, Touches, touches_of
 
-SPARED = 0.01
-"""Share of the signal that the weakest, omitted bins may contain together, on validation touches."""
 REACH_MM = 4.0
 """Standard deviation of the spatial weights of a phase; a transducer is 6 mm wide."""
 _ASSUMED = 0.5
@@ -34,7 +32,7 @@ median error in mm."""
 
 
 def make_atlas(
-    steady: Dataset, reference: Array, parts: Split, learned: Learned, said: dict[str, object]
+    steady: Dataset, reference: Array, parts: Split, learned: Learned, kept: NDArray[np.int64], said: dict[str, object]
 ) -> tuple[Atlas, Calibration]:
     """Make and calibrate the atlas of a field learned from the training part of touches at one temperature.
 
@@ -46,13 +44,14 @@ def make_atlas(
         Untouched plate at that temperature.
     parts : Split
     learned : Learned
+    kept : array of int
+        The bins to hold.
     said : dict
         Further fields of the atlas' description.
     """
     true_mm = steady.position_mm[parts.validation].astype(np.float64)
     touches = touches_of(steady, parts.validation)
     said = said | {"plate": steady.meta.plate, "touches": len(parts.train), "data_sha256": steady.sha256}
-    kept = informative(signal_over_noise(touches))
     plain = atlas_of(learned.field, reference, steady, kept, said)
     plain = aligned(plain, learned.position_mm, learned.amplitude.astype(np.complex128))
     values = np.ascontiguousarray(touches.values[:, :, kept])
@@ -129,13 +128,6 @@ def signal_over_noise(touches: Touches) -> Floats:
     """Return the signal-to-noise ratio of the touches in each bin, in power, shape (bins,)."""
     power = np.square(np.abs(touches.values)).mean(axis=(0, 1), dtype=np.float64)
     return np.asarray(np.maximum(power / max(touches.noise, 1e-12) - 1, 0.0))
-
-
-def informative(snr: Floats) -> NDArray[np.int64]:
-    """Return the bins that contain all but `SPARED` of the signal, in order."""
-    order = np.argsort(snr)
-    spared = np.cumsum(snr[order]) <= SPARED * snr.sum()
-    return np.sort(order[~spared]) if snr.sum() > 0 else np.arange(len(snr))
 
 
 def try_atlas(atlas: Atlas, steady: Dataset, parts: Split, start_mm: Floats) -> Judgement:

@@ -44,7 +44,7 @@ class Response:
 
     def __init__(self, plate: Plate, modes: LoadedModes, nu_rad_s: ArrayLike, loss: ArrayLike) -> None:
         self.plate = plate
-        self.modes = modes
+        self.modes, self.loss = modes, loss
         self.nu_rad_s = np.asarray(nu_rad_s, dtype=np.complex128)
         H = 1 / (modes.omega_rad_s**2 * (1 + 1j * np.reshape(loss, (-1, 1))) - self.nu_rad_s[:, None] ** 2)
         # Where shapes are real, stacking the parts makes one real product of what would be two.

@@ -167,3 +167,14 @@ class Stage:
             size_mm = np.array([self.plate.width_mm, self.plate.height_mm])
             contacts = np.clip(contacts + self.label_error_mm, 0, size_mm).astype(np.float32)
         return contacts, force
+
+    def faces(self) -> NDArray[np.float32]:
+        """Return the labels `faces` of shape (n, k, 3): those of fingers."""
+        found = np.full((len(self.sequence), max(len(self.columns), 1), 3), np.nan, dtype=np.float32)
+        for column, members in enumerate(self.columns):
+            for i in members:
+                on = np.isfinite(self.force_n[i])
+                ratio, angle_rad = (row[on] for row in self.ovals.get(i, (np.ones(len(on)), np.zeros(len(on)))))
+                major_mm = 2 * np.sqrt(self.area_mm2[i][on] * ratio / np.pi)
+                found[on, column] = np.stack([major_mm, major_mm / ratio, np.degrees(angle_rad)], axis=1)
+        return found

@@ -103,9 +103,7 @@ export class PlateView {
     this.scale = scale;
     this.left = (wide - RULER_PX - 12 - w * scale) / 2 + RULER_PX;
     this.top = (high - RULER_PX - h * scale) / 2 + RULER_PX;
-    this.paintPane(w, h);
-    this.paintKeys();
-    this.paintDiscs();
+    this.paintStill(w, h, [scale, ratio, this.canvas.width, this.canvas.height, this.screen, colour('pane')].join());
     g.globalAlpha = this.stale ? 0.35 : 1;
     const moving = this.paintTrails(now);
     const fading = this.paintGone(now);
@@ -126,6 +124,25 @@ export class PlateView {
     g.textAlign = align;
     g.textBaseline = 'middle';
     g.fillText(text, x, y);
+  }
+
+  // What no finger moves is painted once: letters cost most of a frame.
+  paintStill(w, h, key) {
+    if (this.stillKey !== key || this.stillPlate !== this.plate) {
+      Object.assign(this, { stillKey: key, stillPlate: this.plate });
+      this.still ??= document.createElement('canvas');
+      Object.assign(this.still, { width: this.canvas.width, height: this.canvas.height });
+      const moving = this.graphics;
+      this.graphics = this.still.getContext('2d');
+      this.graphics.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
+      this.paintPane(w, h);
+      this.paintKeys();
+      this.paintDiscs();
+      this.graphics = moving;
+    }
+    this.graphics.setTransform(1, 0, 0, 1, 0, 0);
+    this.graphics.drawImage(this.still, 0, 0);
+    this.graphics.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
   }
 
   paintPane(w, h) {

@@ -83,14 +83,19 @@ export function mount(root, page) {
     requestAnimationFrame(tick);
   }
 
-  function pause() { playing = false; say(play, t.play); }
+  function pause() {
+    if (!playing) return;
+    playing = false;
+    say(play, t.play);
+    go(at); // with all figures
+  }
 
   function tick(now) {
     if (!playing || ended) return;
     begun ??= { now, at };
     const frame = begun.at + Math.floor(((now - begun.now) / 1000) * speed * summary.plate.rate_hz);
     if (frame !== at) go(frame);
-    if (frame >= summary.frames - 1) { pause(); return; }
+    if (frame >= summary.frames - 1) { at = summary.frames - 1; pause(); return; }
     requestAnimationFrame(tick);
   }
 

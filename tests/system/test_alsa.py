@@ -1,0 +1,77 @@
+"""ALSA's own library below the audio source: a card made of files, since computers for tests have no sound device."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.processes import PATIENCE_S, ROOT, environment
+
+CONFIG = """
+</usr/share/alsa/alsa.conf>
+pcm.bench {{
+    type asym
+    playback.pcm {{ type file slave.pcm null file "{home}/out.raw" format "raw" }}
+    capture.pcm {{ type file slave.pcm null file "/dev/null" infile "{home}/in.raw" format "raw" }}
+}}
+"""
+PROGRAM = """
+import sys
+import numpy as np
+from touchd.audio.alsa import AlsaCard
+from touchd.audio.card import CardAbsent
+card = AlsaCard("bench", 48000, 4)
+loop = np.sin(2 * np.pi * np.arange(480) / 48) / 2
+card.start(loop)
+blocks = []
+while len(blocks) < 100:
+    block = card.exchange(0.1)
+    if block is not None:
+        blocks.append(block.copy())
+card.close()
+np.save(sys.argv[1], np.concatenate(blocks))
+try:
+    AlsaCard("hw:CARD=Nowhere,DEV=0", 48000, 4)
+except CardAbsent as absent:
+    print(absent)
+"""
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with what was captured and played, and with what was said of a card that is not there."""
+    home = tmp_path_factory.mktemp("alsa")
+    (home / "asound.conf").write_text(CONFIG.format(home=home))
+    (np.arange(4 * 48_000).reshape(-1, 4) << 12).astype("<i4").tofile(home / "in.raw")
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM, home / "captured.npy"], capture_output=True, text=True, timeout=PATIENCE_S,
+        cwd=ROOT, env={**environment(), "ALSA_CONFIG_PATH": str(home / "asound.conf")},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    (home / "said").write_text(done.stdout + done.stderr)
+    return home
+
+
+def test_what_is_played_is_the_loop_again_and_again(home: Path) -> None:
+    """On both outputs, to the last bit, without a gap at the loop's end."""
+    played = np.fromfile(home / "out.raw", "<i4").reshape(-1, 2)
+    loop = np.sin(2 * np.pi * np.arange(480) / 48) / 2
+    expected = np.tile(loop, len(played) // 480 + 1)[: len(played), None] * 2**31
+    assert len(played) > 4800
+    assert np.abs(played - expected).max() <= 0.5
+
+
+def test_what_is_captured_is_the_upper_16_bits_in_order(home: Path) -> None:
+    captured = np.load(home / "captured.npy").ravel()
+    assert len(captured) == 4 * 4800
+    assert (captured == (captured[0] * 16 + np.arange(len(captured))) // 16).all()
+
+
+def test_a_card_that_is_not_there_is_told_in_one_line(home: Path) -> None:
+    """ALSA's library would print lines of its own each time that the daemon looks."""
+    (line,) = (home / "said").read_text().splitlines()
+    assert line.startswith("there is no hw:CARD=Nowhere,DEV=0: plug it in")

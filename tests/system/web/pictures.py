@@ -1,0 +1,64 @@
+"""Take the pictures of every view for the documentation: `python -m tests.system.web.pictures [FOLDER]`.
+
+Into docs/web/, or for a look at all of them, each in two sizes, light and dark, into a folder.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from contextlib import ExitStack
+from pathlib import Path
+
+from playwright.sync_api import Page, expect
+
+from tests.processes import PATIENCE_S, ROOT
+from tests.system.web.rig import bus, chromium, page, web
+
+VIEWS = ("Live", "Replay", "Check")
+SHOWN = {"Live": (1920, 1080, "light"), "Replay": (1024, 600, "dark"), "Check": (1024, 600, "light")}
+ALL = [(wide, high, scheme) for wide, high in ((1024, 600), (1920, 1080)) for scheme in ("light", "dark")]
+
+
+def prepare(opened: Page, view: str) -> None:
+    """Bring a view to where there is something to see."""
+    opened.get_by_role("link", name=view).click()
+    if view == "Live":
+        expect(opened.locator(".fingers tbody tr")).to_have_count(5)
+        opened.wait_for_timeout(12_000)  # for the charts
+    elif view == "Replay":
+        expect(opened.locator(".clock")).to_have_text("0.000 s")
+        opened.locator("input[type=range]").fill("640")
+        opened.get_by_role("button", name="Play").click()
+        opened.wait_for_timeout(1000)
+        opened.get_by_role("button", name="Pause").click()
+    else:
+        opened.get_by_role("button", name="Examine").click()
+        expect(opened.get_by_role("button", name="Examine again")).to_be_enabled()
+        # Where this clone lies is nobody's business.
+        hide = "(all, path) => all.forEach(({ firstChild: t }) => { t.data = t.data.replace(path, '/usr/lib'); })"
+        opened.locator(".findings .text").evaluate_all(hide, str(ROOT))
+
+
+def main() -> None:
+    """Write the pictures."""
+    chosen = Path(sys.argv[1]) if len(sys.argv) > 1 else None
+    folder = chosen or ROOT / "docs/web"
+    folder.mkdir(exist_ok=True)
+    expect.set_options(timeout=PATIENCE_S * 1000)
+    with ExitStack() as stack:
+        address = f"ipc://{stack.enter_context(tempfile.TemporaryDirectory())}/bus"
+        stack.enter_context(bus(address))
+        options = ("--replay", "touchd/demo/session.npz")
+        server = stack.enter_context(web(address, *options, TOUCHD_INPUT__SCREEN_MM="20,30,160,100"))
+        browser = stack.enter_context(chromium())
+        for view in VIEWS:
+            for wide, high, scheme in ALL if chosen else [SHOWN[view]]:
+                with page(browser, server.url, wide=wide, high=high, scheme=scheme) as opened:
+                    prepare(opened, view)
+                    name = f"{view.lower()}-{wide}-{scheme}" if chosen else view.lower()
+                    opened.screenshot(path=folder / f"{name}.png")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,158 @@
+"""What holds a plate's sides, in a fit: springs, dashpots and mass along lines near each held edge.
+
+A tape, a row of pads or a jaw is a strip that answers the deflection above it. Its load per area is counted in the
+plate's own inertia at the band's middle w0, rho h w0^2, and follows a frequency w as
+
+    (stiffness + i damping / 2) (1 + i loss) + (i damping / 2 - mass) (w / w0)^2
+
+A dashpot's i w c is its tangent in w^2, as in `touchd.twin.physics.mounting`, so that the fitted plate has modes; its
+stiffness has the plate's loss factor, as in those modes.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchd.calibration.reduced_plate import ReducedPlate
+from touchd.twin.physics import legendre
+from touchd.twin.physics.material import ElasticPlate, stiffness_of
+from touchd.twin.physics.mounting import Attachment, Support
+
+Floats = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+SIDES = ("left", "right", "top", "bottom")
+KINDS = ("stiffness", "damping", "mass")
+WIDTH_MM = 6.0
+"""A strip's width: it trades off against stiffness."""
+FEWER = 5
+"""Polynomials along an edge, less than the plate's: the others are beyond its waves."""
+_LINE_MM = 0.2
+"""Width of a line where the plate's modes take it for an area."""
+
+
+class Start(NamedTuple):
+    """How a kind of edge is held, before the fit: values and standard deviations of `KINDS`."""
+
+    values: tuple[float, float, float]
+    priors: tuple[float, float, float]
+    rows: int
+    """Lines across the strip: two where it resists rotation, too."""
+
+
+STARTS = {
+    "pads": Start((0.01, 0.01, 0.0), (0.03, 0.03, 0.03), 1),
+    "tape": Start((0.02, 0.04, 0.03), (0.1, 0.1, 0.1), 1),
+    "clamped": Start((1.0, 0.05, 0.0), (1.0, 0.2, 0.2), 2),
+}
+
+
+class Edges(NamedTuple):
+    """The sides that are held, and how."""
+
+    kinds: dict[str, str]
+    """What holds each side that is not free, in the order of `SIDES`."""
+    values: dict[str, float]
+    """Values by name, of `names_of`."""
+    middle_rad_s: float
+
+    def turned(self, orientation: int) -> Edges:
+        """Return the edges of a plate that is mirrored left to right (bit 0), top to bottom (bit 1), or both."""
+        other = dict(zip(SIDES, SIDES, strict=True))
+        for axis in (0, 1):
+            if orientation & (1 << axis):
+                one, two = SIDES[2 * axis : 2 * axis + 2]
+                other |= {one: two, two: one}
+        values = {f"{other[name.split()[0]]} {name.split()[1]}": value for name, value in self.values.items()}
+        return self._replace(kinds={other[side]: kind for side, kind in self.kinds.items()}, values=values)
+
+
+FREE = Edges({}, {}, 1.0)
+
+
+class Lines(NamedTuple):
+    """The lines along held edges, in E vectors: the deflection along a line in Legendre's polynomials."""
+
+    vectors: Floats
+    """In the reference's modes, shape (n, E)."""
+    weights: dict[str, Floats]
+    """By side, each vector's share of the plate's area, shape (E,); 0 for other sides' vectors."""
+
+    def loads(self, middle_rad_s: float, nu_rad_s: Complex, stiff: Complex) -> dict[str, Complex]:
+        """Return each unknown's load per its unit and per mass of the plate, by name, shape (F, E).
+
+        `stiff` (F,) is the factor 1 + i loss.
+        """
+        ratio2 = (nu_rad_s / middle_rad_s) ** 2
+        laws = {"stiffness": stiff, "damping": 0.5j * (stiff + ratio2), "mass": -ratio2}
+        return {
+            f"{side} {kind}": middle_rad_s**2 * law[:, None] * weight
+            for side, weight in self.weights.items()
+            for kind, law in laws.items()
+        }
+
+    def elastic(self, edges: Edges) -> Complex:
+        """Return the load that the loss factor multiplies, without it, shape (1, E)."""
+        found = np.zeros((1, self.vectors.shape[1]), complex)
+        for side, weight in self.weights.items():
+            stiffness, damping = (max(edges.values[f"{side} {kind}"], 0.0) for kind in KINDS[:2])
+            found += edges.middle_rad_s**2 * (stiffness + 0.5j * damping) * weight
+        return found
+
+
+def names_of(kinds: dict[str, str]) -> tuple[str, ...]:
+    """Return the names of the unknowns of held sides, for example `left damping`."""
+    return tuple(f"{side} {kind}" for side in kinds for kind in KINDS)
+
+
+def lines_along(plate: ReducedPlate, kinds: dict[str, str]) -> Lines:
+    """Return the lines along held edges of a plate of the reference's size."""
+    size, unit = (
+        (plate.reference.width, plate.reference.height),
+        np.sqrt(plate.reference.width * plate.reference.height),
+    )
+    w = unit * plate.fields[0].reshape(-1, *plate.counts)
+    vectors, weights, owners = [np.zeros((len(w), 0))], [np.zeros(0)], []
+    for side, kind in kinds.items():
+        axis, depths = SIDES.index(side) // 2, depths_mm(kind)
+        count = plate.counts[1 - axis] - FEWER
+        for depth_mm in depths:
+            at_m = 1e-3 * depth_mm if side in ("left", "top") else size[axis] - 1e-3 * depth_mm
+            # The polynomials along the line are orthonormal over its length.
+            across = legendre.values(at_m, size[axis], plate.counts[axis])
+            line = np.tensordot(w, across, (1 + axis, 0))[:, :count]
+            vectors.append(line / np.sqrt(size[1 - axis]))
+            weights.append(np.full(count, WIDTH_MM * 1e-3 / size[axis] / len(depths)))
+            owners += [side] * count
+    every, owner = np.concatenate(weights), np.array(owners)
+    return Lines(np.concatenate(vectors, axis=1), {side: every * (owner == side) for side in kinds})
+
+
+def depths_mm(kind: str) -> list[float]:
+    """Return the depths of a strip's lines, those of Gauss' rule."""
+    node = np.polynomial.legendre.leggauss(STARTS[kind].rows)[0]
+    return [float(depth_mm) for depth_mm in WIDTH_MM * (node + 1) / 2]
+
+
+def attachments(edges: Edges, plate: ElasticPlate) -> tuple[Attachment, ...]:
+    """Return held edges as the twin attaches them to a plate."""
+    unit = stiffness_of(plate).mass * edges.middle_rad_s**2
+    sizes, found = (plate.width_mm, plate.height_mm), []
+    for side, kind in edges.kinds.items():
+        axis, rows = SIDES.index(side) // 2, STARTS[kind].rows
+        stiffness, damping, mass = (
+            max(edges.values[f"{side} {each}"], 0.0) * unit * WIDTH_MM / rows / _LINE_MM for each in KINDS
+        )
+        support = Support(
+            stiffness_n_m3=stiffness, dashpot_n_s_m3=damping / edges.middle_rad_s,
+            mass_kg_m2=mass / edges.middle_rad_s**2,
+        )  # fmt: skip
+        for depth_mm in depths_mm(kind):
+            middle = depth_mm if side in ("left", "top") else sizes[axis] - depth_mm
+            across, along = (middle - _LINE_MM / 2, middle + _LINE_MM / 2), (0.0, sizes[1 - axis])
+            x, y = (along, across) if axis else (across, along)
+            found.append(Attachment(x_mm=x, y_mm=y, support=support))
+    return tuple(found)
