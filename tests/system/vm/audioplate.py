@@ -30,7 +30,8 @@ def main(path: str) -> None:
     taps, channels = responses.shape[2], responses.shape[1]
     size = 1 << (BLOCK + taps - 1).bit_length()
     spectra = np.fft.rfft(responses, size)
-    rng = np.random.default_rng(0)
+    drawn = noise * 2.0**16 * np.random.default_rng(0).standard_normal((16, channels, BLOCK))
+    number = 0
     tail = np.zeros((channels, size))
     finger = 0
     captured = b""
@@ -55,7 +56,8 @@ def main(path: str) -> None:
         tail[:, :-BLOCK] = tail[:, BLOCK:]
         tail[:, -BLOCK:] = 0
         tail += np.fft.irfft(np.fft.rfft(block, size) * spectra[finger], size)
-        answer = tail[:, :BLOCK] + noise * 2.0**16 * rng.standard_normal((channels, BLOCK))
+        answer = tail[:, :BLOCK] + drawn[number % len(drawn)]
+        number += 1
         counts = np.clip(np.rint(answer), -(2**31), 2**31 - 1).astype("<i4")
         if played.write(counts.T.tobytes()) < 0:  # the processor was too slow: begin again, with another delay
             print("dry", flush=True)
