@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from touchd.audio.card import Samples
 
-_PERIODS = 6
+_FRAMES = 4
 
 
 class Capture:
@@ -18,14 +18,16 @@ class Capture:
     inputs : array of int
         Which of the captured inputs to hold.
     period : int
-        Samples from cut to cut.
+        Samples from chirp to chirp.
+    chirps : int
+        From cut to cut, of a frame.
     margin : int
         Samples before a cut that are needed, too.
     """
 
-    def __init__(self, inputs: NDArray[np.int64], period: int, margin: int) -> None:
-        self._inputs, self._period, self._margin = inputs, period, margin
-        self._held = np.zeros((len(inputs), _PERIODS * period), np.int16)
+    def __init__(self, inputs: NDArray[np.int64], period: int, chirps: int, margin: int) -> None:
+        self._inputs, self._period, self._chirps, self._margin = inputs, period, chirps, margin
+        self._held = np.zeros((len(inputs), max(_FRAMES * chirps, 6) * period), np.int16)
         self.reset()
 
     def reset(self) -> None:
@@ -52,8 +54,25 @@ class Capture:
         self._held[:, at : at + count] = block.T[self._inputs]
         self._end += count
 
-    def take(self, before: int, samples: int) -> Samples:
-        """Return samples from so many before the next cut on, (inputs, samples), a view; the cut moves by a period."""
-        at = self._next - self._first - before
+    def take(self) -> Samples:
+        """Return the period from the next cut on, (inputs, period), a view; the cut moves behind it."""
+        at = self._next - self._first
         self._next += self._period
-        return self._held[:, at : at + samples]
+        return self._held[:, at : at + self._period]
+
+    def frame(self, samples: int) -> NDArray[np.generic]:
+        """Return the mean of a frame's chirps, (inputs, margin + samples + margin); the cut moves behind them."""
+        at, wide = self._next - self._first - self._margin, samples + 2 * self._margin
+        self._next += self._chirps * self._period
+        if self._chirps == 1:
+            return self._held[:, at : at + wide]
+        total = np.zeros((len(self._held), wide), np.float32)
+        for chirp in range(self._chirps):
+            begin = at + chirp * self._period
+            total += self._held[:, begin : begin + wide]
+        total /= self._chirps
+        return total
+
+    def needed(self, samples: int) -> int:
+        """Return how many samples from the cut on a frame takes."""
+        return (self._chirps - 1) * self._period + samples + self._margin

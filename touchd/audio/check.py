@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from touchd.audio.card import Card, CardXrun
 from touchd.audio.delay import Doubtful, by_loopback
-from touchd.audio.spectrum import check_band
+from touchd.audio.spectrum import PASSED, check_band
 
 Floats = NDArray[np.float64]
 
@@ -26,7 +26,6 @@ PASSED_DB = -12.0
 """The band ends where less passes, relative to its middle."""
 AUDIBLE_HZ = 20_000.0
 _SETTLE_S = 0.1
-_MARGIN = 0.45  # of the sample rate: what converters pass
 _FULL_SCALE = 2.0**15
 _LIMIT = 2**15 - 1
 
@@ -153,7 +152,7 @@ def check(card: Card, *, restarts: int, seconds: float, level_dbfs: float, progr
 def _sweep(period: int, rate_hz: float) -> Floats:
     """Return a periodic sweep of constant amplitude over all that converters pass."""
     t = np.arange(period) / rate_hz
-    top_hz = _MARGIN * rate_hz
+    top_hz = PASSED * rate_hz
     return np.asarray(np.sin(np.pi * top_hz / t[-1] * t**2))
 
 
@@ -161,7 +160,7 @@ def _take_response(found: Checked, heard: Floats, sweep: Floats) -> None:
     """Set what passes from the output to each input."""
     played = np.fft.rfft(sweep)
     frequency_hz = np.fft.rfftfreq(len(sweep), 1 / found.sample_rate_hz)
-    edges_hz = np.geomspace(20, _MARGIN * found.sample_rate_hz, 121)
+    edges_hz = np.geomspace(20, PASSED * found.sample_rate_hz, 121)
     parts = [np.flatnonzero((frequency_hz >= low) & (frequency_hz < high))
              for low, high in itertools.pairwise(edges_hz)]  # fmt: skip
     parts = [part for part in parts if len(part)]

@@ -30,11 +30,35 @@ _ROUNDS = 6
 _STEPS = 8  # of a stretch, each to first order
 _MOST_STRETCH = 4e-3
 _MOST_PERMUTED = 5
+_PARTS = 16  # of the chirp's band, for a stretch
+_LEAD = 0.1  # of a period: how early an answer may come, in steady state
 _UNLIKE_ITSELF = 0.05
 
 
 class Doubtful(Exception):
     """No delay is certain; the text says why, for a person."""
+
+
+class _Emission:
+    """When the chirp emits what: the plate's response to each part of its band is stretched about that."""
+
+    def __init__(self, chirp: Chirp, rate_hz: float, period: int) -> None:
+        share = (np.fft.rfftfreq(period, 1 / rate_hz) - chirp.start_hz) / (chirp.stop_hz - chirp.start_hz)
+        part = np.clip((share * _PARTS).astype(int), 0, _PARTS - 1)
+        self._masks = np.arange(_PARTS)[:, None] == part  # (parts, frequencies)
+        emitted = (np.arange(_PARTS) + 0.5) / _PARTS * chirp.duration_s * rate_hz
+        later = np.arange(period) - emitted[:, None]
+        if chirp.period_s is not None:  # what comes before the chirp's own answer is the ringing of the one before
+            later = (later + _LEAD * period) % period - _LEAD * period
+        self._later = later
+
+    def bend(self, signal: Floats) -> Floats:
+        """Return the derivative by a stretch of the plate's response, see `touchd.localization.thermal`."""
+        slope = np.fft.rfft(_slope(signal))
+        found = np.zeros_like(signal)
+        for mask, later in zip(self._masks, self._later, strict=True):
+            found += later * np.fft.irfft(slope * mask, signal.shape[1])
+        return found
 
 
 class Delay(NamedTuple):
@@ -74,10 +98,7 @@ def by_reference(captured: Floats, reference: Floats, chirp: Chirp, rate_hz: flo
     Doubtful
         Nothing is heard, the plate is another, channels are swapped, or two delays fit as well.
     """
-    low_hz, high_hz = sorted((chirp.start_hz, chirp.stop_hz))
-    emitted_hz = np.clip(np.fft.rfftfreq(captured.shape[1], 1 / rate_hz), low_hz, high_hz)
-    emission = (emitted_hz - chirp.start_hz) / (chirp.stop_hz - chirp.start_hz) * chirp.duration_s * rate_hz
-    return _find(captured, reference, emission)
+    return _find(captured, reference, _Emission(chirp, rate_hz, captured.shape[1]))
 
 
 def by_onset(captured: Floats, loop: Floats) -> Delay:
@@ -90,16 +111,17 @@ def by_onset(captured: Floats, loop: Floats) -> Delay:
     full = np.zeros((len(captured), len(loop)), complex)
     full[:, : answer.shape[1]] = answer
     envelope = (np.abs(np.fft.ifft(full)) ** 2).sum(axis=0)
-    # The quietest stretch of a period is the end of the last one's ringing: what comes after it is first.
+    # Where most comes for what came just before: in steady state the last chirp's ringing never ends.
     wide = max(len(loop) // 16, 4)
-    smooth = np.fft.irfft(np.fft.rfft(envelope) * np.fft.rfft(np.ones(wide), len(loop)), len(loop))
-    quiet = int(np.argmin(smooth))
-    rolled = np.roll(envelope, -quiet)
-    first = int(np.argmax(rolled > 0.1 * rolled.max()))
-    return Delay(float((quiet + first) % len(loop)), 1.0, np.ones(len(captured)))
+    after = np.fft.irfft(np.fft.rfft(envelope) * np.conj(np.fft.rfft(np.ones(wide), len(loop))), len(loop))
+    rise = after / np.maximum(np.roll(after, wide), 1e-6 * after.max())
+    coarse = int(np.argmax(rise))
+    near = np.roll(envelope, -coarse + wide // 2)[:wide]
+    first = (coarse - wide // 2 + int(np.argmax(near > 0.1 * near.max()))) % len(loop)
+    return Delay(float(first), 1.0, np.ones(len(captured)))
 
 
-def _find(captured: Floats, reference: Floats, emission: Floats | None) -> Delay:
+def _find(captured: Floats, reference: Floats, emission: _Emission | None) -> Delay:
     _check_heard(captured)
     channels, period = captured.shape
     known = np.zeros((channels, period))
@@ -155,7 +177,7 @@ def _check_order(table: Floats, own: float) -> None:
 
 
 def _refine(
-    captured: Floats, known: Floats, samples: int, delay: float, emission: Floats | None
+    captured: Floats, known: Floats, samples: int, delay: float, emission: _Emission | None
 ) -> tuple[float, float, float, Floats]:
     """Return delay, stretch, explained share and correlations of the channels, by Gauss-Newton."""
     stretch = 0.0
@@ -163,7 +185,8 @@ def _refine(
     for _ in range(_ROUNDS):
         aligned = moved(captured, -delay)[:, :samples]
         model = _stretched(known, stretch, emission)
-        slope, bent = _slope(model)[:, :samples], _bend(model, emission)[:, :samples]
+        slope = _slope(model)[:, :samples]
+        bent = emission.bend(model)[:, :samples] if emission is not None else slope
         model = model[:, :samples]
         norm = np.maximum(np.square(model).sum(axis=1), 1e-30)
         gains = np.einsum("cs,cs->c", aligned, model) / norm
@@ -181,9 +204,10 @@ def _refine(
     return delay, stretch, share, np.asarray(gains * norm / size)
 
 
-def _stretched(known: Floats, stretch: float, emission: Floats | None) -> Floats:
-    for _ in range(_STEPS if stretch else 0):
-        known = known + stretch / _STEPS * _bend(known, emission)
+def _stretched(known: Floats, stretch: float, emission: _Emission | None) -> Floats:
+    for _ in range(_STEPS if stretch and emission is not None else 0):
+        assert emission is not None
+        known = known + stretch / _STEPS * emission.bend(known)
     return known
 
 
@@ -193,12 +217,3 @@ def _slope(signal: Floats) -> Floats:
     if signal.shape[1] % 2 == 0:
         turns[-1] = 0.0
     return np.asarray(np.fft.irfft(np.fft.rfft(signal) * turns, signal.shape[1]))
-
-
-def _bend(signal: Floats, emission: Floats | None) -> Floats:
-    """Return the derivative by a stretch of the plate's response about its emission, see `localization.thermal`."""
-    if emission is None:
-        return np.zeros_like(signal)
-    slope = _slope(signal)
-    later = np.fft.irfft(np.fft.rfft(slope) * emission, signal.shape[1])
-    return np.asarray(np.arange(signal.shape[1]) * slope - later)

@@ -48,7 +48,7 @@ class HighPass:
         self.filtered: NDArray[np.float32] = self._filtered.reshape(channels, -1)[:, :samples]
         """What `apply` returned last, as floats."""
 
-    def apply(self, counts: Samples) -> Samples:
+    def apply(self, counts: NDArray[np.generic]) -> Samples:
         """Return the filtered samples of counts of shape (channels, samples + 2 * margin), (channels, samples)."""
         self._input[:] = counts
         np.matmul(self._windows, self._matrix, out=self._filtered)

@@ -12,6 +12,8 @@ Floats = NDArray[np.float64]
 LOWER_RATES_HZ = (44_100, 48_000, 88_200, 96_000, 176_400, 192_000, 352_800, 384_000)
 MISSING = 10**-3.5
 """What arrives above half of a lower sample rate, relative to the rest: less is what a resampling filter leaves."""
+PASSED = 0.45
+"""Share of the sample rate up to which any converter passes."""
 _BESIDE = 1.03
 _LEAST_SHARE = 0.05
 
@@ -29,7 +31,7 @@ def check_band(captured: Floats, loop: Floats, rate_hz: float) -> None:
     played = np.abs(np.fft.rfft(loop)) ** 2
     heard = (np.abs(np.fft.rfft(captured)) ** 2).sum(axis=0)
     frequency_hz = np.fft.rfftfreq(len(loop), 1 / rate_hz)
-    band = played > 0.1 * played.max()
+    band = (played > 0.1 * played.max()) & (frequency_hz < PASSED * rate_hz)
     for lower_hz in LOWER_RATES_HZ:
         above = band & (frequency_hz > _BESIDE * lower_hz / 2)
         below = band & (frequency_hz < lower_hz / 2 / _BESIDE)

@@ -7,20 +7,29 @@ from numpy.typing import NDArray
 
 from touchd.chirp import waveform
 from touchd.errors import ConfigError
-from touchd.frame import Chirp
+from touchd.frame import Acquisition, Chirp
 
 Floats = NDArray[np.float64]
 
 
-def period_of(rate_hz: float, frame_rate_hz: int) -> int:
-    """Return the samples of a period; raises ConfigError unless they are whole."""
-    period = rate_hz / frame_rate_hz
-    if period != round(period):
+def periods_of(acquisition: Acquisition, frame_rate_hz: int) -> tuple[int, int]:
+    """Return the samples from chirp to chirp, and how many chirps make a frame.
+
+    In steady state chirps follow each other with the acquisition's period, and frames are means of some; else there is
+    one chirp a frame. Raises ConfigError unless both are whole.
+    """
+    samples = acquisition.sample_rate_hz / frame_rate_hz
+    period = samples
+    if acquisition.chirp.period_s is not None:
+        period = round(acquisition.chirp.period_s * acquisition.sample_rate_hz)
+    chirps = samples / period
+    if period != round(period) or chirps != round(chirps) or acquisition.samples > period:
+        most = acquisition.sample_rate_hz / max(acquisition.samples, period if acquisition.chirp.period_s else 0)
         raise ConfigError(
-            f"is {frame_rate_hz}: {rate_hz:g} samples a second are no multiple of it", "device.rate_hz",
-            "use a divisor, such as 100 or 125",
+            f"is {frame_rate_hz}: no whole number of chirps lasts as long as such a frame", "device.rate_hz",
+            f"use {most:g}, or a whole part of it",
         )  # fmt: skip
-    return round(period)
+    return round(period), round(chirps)
 
 
 def loop_of(chirp: Chirp, rate_hz: float, period: int, level_dbfs: float) -> Floats:

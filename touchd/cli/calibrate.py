@@ -37,6 +37,7 @@ _STEPS = 100
 @click.option("--seconds", type=click.FloatRange(1.0), default=10.0, show_default=True, metavar="S",
               help="Without RECORDING: how many seconds of frames to take.")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
+@click.option("--lines", "as_lines", is_flag=True, help="Print one JSON object a line: progress, then the result.")
 @click.option("--no-report", is_flag=True, help="Write no report.")
 @click.option("--force", is_flag=True, help="Write the model of a poor fit, too.")
 @click.option("--config", "config", type=click.Path(path_type=Path), help="Configuration file (TOML).")
@@ -52,6 +53,7 @@ def command(
     simulate: str | None,
     seconds: float,
     as_json: bool,
+    as_lines: bool,
     no_report: bool,
     force: bool,
     config: Path | None,
@@ -85,11 +87,17 @@ def command(
     line = f"touchd calibrate {given} -o {output.name} --plate {plate_file.name}".replace("  ", " ")
     with Bars() as bars:
 
+        def update(part: str, share: float, note: str = "") -> None:
+            if as_lines:
+                click.echo(json.dumps({"stage": note or part, "share": round(share, 3)}))
+            else:
+                bars.update(part, round(_STEPS * share), _STEPS, note)
+
         def progress(stage: str, share: float) -> None:
-            bars.update(stage, round(_STEPS * share), _STEPS)
+            update(stage, share)
 
         def fitting(stage: str, share: float) -> None:
-            bars.update("plate", round(_STEPS * share), _STEPS, stage)
+            update("plate", share, stage)
 
         fitted = fit_recording(frames, said, fitting)
         poor = fitted.fit.verdict == "poor"
@@ -102,7 +110,7 @@ def command(
             "taps": refined.taps, "used": refined.used, "orientation": refined.orientation or "as drawn",
             "scatter_mm": refined.scatter_mm, "unexplained": refined.unexplained[1],
         }  # fmt: skip
-    click.echo(json.dumps(found) if as_json else _text(found, PAGE))
+    click.echo(json.dumps(found) if as_json or as_lines else _text(found, PAGE))
     if poor:
         what = "the fit is poor" if made else "the fit is poor, no model is written"
         raise PlatePoor(what, str(output), "; ".join(fitted.fit.reasons) or "see the report")

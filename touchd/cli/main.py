@@ -39,6 +39,7 @@ VERBS = {
     "simulate": "Write a recording made by the digital twin.",
     "train": "Train a model on a labelled recording.",
     "tuio": "Send touches as TUIO 1.1.",
+    "wizard": "Calibrate step by step, as touchd web asks.",
     "web": "Look at the plate in a browser.",
 }
 EXTRAS = {"torch": "train", "sklearn": "train", "dask": "train", "distributed": "train", "scipy": "calibrate",

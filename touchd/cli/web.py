@@ -9,6 +9,7 @@ import click
 
 from touchd.cli.bridge import bus_option
 from touchd.config.apart import load_apart
+from touchd.errors import RecordingMissing
 from touchd.service.control import SERVICE_PATH
 from touchd.service.systemd import Notifier
 
@@ -19,7 +20,9 @@ from touchd.service.systemd import Notifier
 @click.option("--origin", "origins", multiple=True, metavar="URL",
               help="Also serve pages of a reverse proxy at URL, for example https://plate.example.")  # fmt: skip
 @click.option("--keypad", is_flag=True, help="Show touches in keypad mode, too: whoever looks can read the PIN.")
-@click.option("--replay", type=click.Path(exists=True, path_type=Path), metavar="RECORDING",
+@click.option("--wizard", "wizard", type=click.Path(path_type=Path), metavar="FILE",
+              help="Socket of touchd wizard.  [default: the service's, or yours]")  # fmt: skip
+@click.option("--replay", type=click.Path(path_type=Path), metavar="RECORDING",
               help="Also show a recording, frame by frame.")  # fmt: skip
 @bus_option
 @click.pass_obj
@@ -28,6 +31,7 @@ def command(
     where: str,
     origins: tuple[str, ...],
     keypad: bool,
+    wizard: Path | None,
     replay: Path | None,
     address: str | None,
 ) -> None:
@@ -38,12 +42,15 @@ def command(
     """
     import structlog
 
+    from touchd.calibration.wizard.link import default_socket
     from touchd.web.guards import Access
     from touchd.web.hub import Hub
     from touchd.web.server import bind, serve
     from touchd.web.site import Site
 
     structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(30))
+    if replay is not None and not replay.exists():
+        raise RecordingMissing("no such recording", str(replay), "check the path")
     config = (settings or {}).get("config")
     found = load_apart(config)
     with closing(bind(where)) as listening, closing(Notifier.from_environment()) as manager:
@@ -54,6 +61,7 @@ def command(
         site = Site(
             access, Hub(address, shows_keys=keypad), config=config, address=address, control=control,
             screen_mm=tuple(found.input.screen_mm), rotate=found.input.rotate, replay=replay,
+            wizard=wizard or default_socket(),
         )  # fmt: skip
         url = f"http://{shown}:{port}/#token={access.token}"
         serve(site, [listening], lambda: click.echo(f"touchd: open {url}"), manager)

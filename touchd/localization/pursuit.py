@@ -85,13 +85,7 @@ class Pursuit:
 
     def add(self, bins: Bins, fit: Fit, noise_energy: float) -> Fit:
         """Return a fit with as many more fingers as are worth it: all `steps` at once."""
-        steps = self.steps(bins, fit, noise_energy)
-        while True:
-            try:
-                next(steps)
-            except StopIteration as end:
-                found: Fit = end.value
-                return found
+        return finish(self.steps(bins, fit, noise_energy))
 
     def steps(self, bins: Bins, fit: Fit, noise_energy: float) -> Generator[float, None, Fit]:
         """Add fingers to a fit, step by step; yield what each step has cost, in fits, and return the fit.
@@ -233,6 +227,16 @@ class Pursuit:
             near = np.square(self._positions_mm - self._positions_mm[best]).sum(axis=1) < _APART_MM**2
             score[near] = 0
         return found
+
+
+def finish(steps: Generator[float, None, Fit]) -> Fit:
+    """Take all steps of a search at once."""
+    while True:
+        try:
+            next(steps)
+        except StopIteration as end:
+            found: Fit = end.value
+            return found
 
 
 def is_worth(fit: Fit, other: Fit, noise_energy: float, signal: float) -> bool:

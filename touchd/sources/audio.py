@@ -1,4 +1,4 @@
-"""An audio interface as a DAQ: the chirp is played once a period, and each period's capture is one frame.
+"""An audio interface as a DAQ: the chirp is played again and again, and the mean of some periods is one frame.
 
 Samples are counted from the start on, so frames keep their distance from the chirp as long as none is missing. The
 delay from playback to capture is found at each start, see `touchd.audio.delay`: its whole samples move the cut, its
@@ -21,7 +21,7 @@ from touchd.audio.delay import Delay, Doubtful, by_loopback, by_onset, by_refere
 from touchd.audio.highpass import HighPass
 from touchd.audio.spectrum import check_band
 from touchd.audio.watch import Watch
-from touchd.audio.waveform import loop_of, moved, period_of
+from touchd.audio.waveform import loop_of, moved, periods_of
 from touchd.config.rigs import AudioSettings
 from touchd.config.schema import Settings
 from touchd.errors import ConfigError
@@ -33,8 +33,8 @@ from touchd.sources.live import DaqSource
 
 Floats = NDArray[np.float64]
 
-MEASURED = 8
-"""Periods whose mean tells the delay."""
+MEASURED, MEASURED_S = 8, 0.06
+"""Periods whose mean tells the delay, at least, and how long they last, at least."""
 SETTLE_S = 0.05
 """Ringing of the plate, and what converters delay, between a change of what is played and the first measured period."""
 STILL_SAMPLES = 5e-4
@@ -47,12 +47,12 @@ _SILENT = 1e-4  # of the loudest channel's energy
 log = structlog.get_logger()
 
 
-def acquisition_of(settings: AudioSettings, frame_rate_hz: int) -> Acquisition:
-    """Return the geometry of an audio interface's frames: of chirps that follow each other, while earlier ones ring."""
+def acquisition_of(settings: AudioSettings) -> Acquisition:
+    """Return the geometry of an audio interface's frames: one chirp follows the other, and a frame is a period."""
     rate_hz = settings.sample_rate_hz
     chirp = Chirp(
         start_hz=settings.band_hz[0], stop_hz=settings.band_hz[1], duration_s=settings.chirp_s, dac_rate_hz=rate_hz,
-        period_s=period_of(rate_hz, frame_rate_hz) / rate_hz,
+        period_s=settings.chirp_s,
     )  # fmt: skip
     return Acquisition(
         channels=len(settings.channels), samples=round(settings.chirp_s * rate_hz), sample_rate_hz=rate_hz,
@@ -99,10 +99,11 @@ class AudioDaq:
     def start(self, rate_hz: int) -> None:
         """Play and capture; frames come once the delay is found."""
         a = self.acquisition
-        self._period = period_of(a.sample_rate_hz, rate_hz)
+        self._period, chirps = periods_of(a, rate_hz)
+        self._measures = max(MEASURED, round(MEASURED_S * a.sample_rate_hz / self._period))
         self._period_us = 1e6 / rate_hz
         self._nominal = loop_of(a.chirp, a.sample_rate_hz, self._period, self._settings.level_dbfs)
-        self._capture = Capture(self._inputs, self._period, self._high_pass.margin)
+        self._capture = Capture(self._inputs, self._period, chirps, self._high_pass.margin)
         self._fraction = 0.0
         self._own: Floats | None = None
         self._sequence, self._time_us = 0, 0.0  # of the next frame
@@ -163,10 +164,10 @@ class AudioDaq:
 
     def _measure(self) -> None:
         """Add a period to those that tell the delay; the last one does."""
-        self._sum += self._capture.take(0, self._period)
+        self._sum += self._capture.take()
         self._measured += 1
-        if self._measured == MEASURED:
-            self._align(self._sum / MEASURED)
+        if self._measured == self._measures:
+            self._align(self._sum / self._measures)
 
     def _align(self, mean: Floats) -> None:
         """Cut where the response to a chirp begins, and play the chirp so that it begins with a sample."""
@@ -193,7 +194,7 @@ class AudioDaq:
                 silent = [self._settings.channels[i] for i in np.flatnonzero(~alive)]
                 log.warning("inputs hear nothing of the chirp", inputs=silent)
         self._capture.skip(whole, whole_periods=False)
-        self._aligned, self._needed = True, self.acquisition.samples + self._high_pass.margin
+        self._aligned, self._needed = True, self._capture.needed(self.acquisition.samples)
 
     def _find(self, mean: Floats) -> Delay:
         discs, a = mean[: self._discs], self.acquisition
@@ -221,9 +222,7 @@ class AudioDaq:
             gone = (now_ns - self._last_ns) / 1e3
             self._sequence += max(round(gone / self._period_us), 1) - 1
             self._time_us += max(gone - self._period_us, 0.0)
-        margin = self._high_pass.margin
-        raw = self._capture.take(margin, self.acquisition.samples + 2 * margin)[: self._discs]
-        counts = self._high_pass.apply(raw)
+        counts = self._high_pass.apply(self._capture.frame(self.acquisition.samples)[: self._discs])
         clipped = self._high_pass.is_clipped()
         if lost := self._watch.lost(self._high_pass.filtered):
             which = ", ".join(str(self._settings.channels[i]) for i in lost)
@@ -266,12 +265,10 @@ def open_audio(
     audio, device = settings.audio, settings.device
     if not name:
         raise ConfigError("is not set", "audio.device", "name a card: --audio hw:CARD=NAME; arecord -L lists them")
-    acquisition = acquisition_of(audio, device.rate_hz)
+    acquisition = acquisition_of(audio)
     if model is not None:
         model.check(acquisition)
-    period = period_of(acquisition.sample_rate_hz, device.rate_hz)
-    if period < acquisition.samples:
-        raise ConfigError(f"is {device.rate_hz}: a frame lasts longer than that", "device.rate_hz", "lower it")
+    periods_of(acquisition, device.rate_hz)
     reference = model.atlas.baseline.astype(np.float64) if model is not None and model.atlas is not None else None
 
     def connect() -> Daq:
@@ -281,4 +278,4 @@ def open_audio(
             raise DaqAbsent(str(absent)) from absent
         return AudioDaq(card, audio, acquisition, reference, clock)
 
-    return DaqSource(lambda: iter([connect]), device, acquisition, lambda _: None, clock=clock)
+    return DaqSource(lambda: iter([connect]), device, acquisition, lambda _: None, clock=clock, direct=False)

@@ -57,9 +57,10 @@ class DaqSource:
         Raises a TouchdError if a device with another acquisition must not be used: it is skipped.
     device : Device, optional
         Serial number and firmware, if the device was open before.
-    waits : Waits
     clock : callable
         Monotonic time, ns.
+    direct : bool
+        The caller of `read` may read the device, which can wait for it.
     """
 
     def __init__(
@@ -72,6 +73,7 @@ class DaqSource:
         *,
         waits: Waits = WAITS,
         clock: Callable[[], int] = time.monotonic_ns,
+        direct: bool = True,
     ) -> None:
         self.acquisition = acquisition
         self._intake = Intake(settings.rate_hz)
@@ -87,7 +89,7 @@ class DaqSource:
         self._commanding = threading.Lock()  # of `_streaming`: no device is closed while it is commanded
         self._ring: FrameRing[Change] = FrameRing(settings.queue_frames, acquisition.shape)
         self._state: State = "starting"
-        self._reason = ""
+        self._reason, self._direct = "", direct
         self._alive_ns = self._seen_ns = clock()
         self._fruitless = 0  # connections in a row that brought no frame
         self._clock_fault: str | None = None
@@ -166,9 +168,8 @@ class DaqSource:
         except TouchdError as error:
             self._error = error
         except BaseException as error:
-            self._error = ReaderFailed(
-                f"the thread that reads the DAQ died of {error!r}", "device", "restart touchd, and report this"
-            )
+            what = f"the thread that reads the DAQ died of {error!r}"
+            self._error = ReaderFailed(what, "device", "restart touchd, and report this")
             self._error.__cause__ = error
 
     def _connect(self) -> Daq | None:
@@ -208,7 +209,7 @@ class DaqSource:
                 if self._fruitless:
                     self._fruitless = 0
                     self._search.keep()
-                if frames >= _STEADY_FRAMES and self._settings.rate_hz <= _DIRECT_HZ:
+                if self._direct and frames >= _STEADY_FRAMES and self._settings.rate_hz <= _DIRECT_HZ:
                     frames = 0
                     self._lending.lend(daq, self._ring.wake)
             elif now_ns - self._seen_ns > max(self._stall_ns, _STALL_FRAMES * 1e9 / self._rate_hz):

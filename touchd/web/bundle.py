@@ -17,6 +17,7 @@ from touchd.web.site import Site
 
 RECORDING_S = 5
 UNITS = ("touchd", "touchd-input", "touchd-tuio", "touchd-web")
+_SECRET = re.compile(r"(?m)^(\w*secret\w* *= *).*$")  # not even where it lies
 _LOG_LINES = 500
 _TOKEN = re.compile(r"#token=\S+")  # of an address that this server has printed
 _PATIENCE_S = 30.0
@@ -32,7 +33,7 @@ async def make_bundle(site: Site, *, recording: bool) -> bytes:
     (_, config), log = await asyncio.gather(child.output(site, "config", patience_s=_PATIENCE_S), log_lines())
     parts: dict[str, str | bytes] = {
         "about.txt": about(site),
-        "config.toml": config,
+        "config.toml": _SECRET.sub(r'\1"..."', config),
         "health.jsonl": b"\n".join(site.hub.history),
         "plate.json": site.hub.last("plate") or b"{}",
         "check.json": site.hub.last("check") or b"{}",

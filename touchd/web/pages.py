@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import mimetypes
+from collections.abc import Awaitable, Callable
 from functools import partial
 from pathlib import Path
 
@@ -35,7 +36,7 @@ def routes(site: Site) -> list[BaseRoute]:
     return [*served, Route(SESSION_PATH, partial(_session, site), methods=["POST"])]
 
 
-def _file(path: Path):  # type: ignore[no-untyped-def]
+def _file(path: Path) -> Callable[[Request], Awaitable[Response]]:
     content, tag = path.read_bytes(), hashlib.sha256(path.read_bytes()).hexdigest()[:16]
     kind = _TYPES.get(path.suffix) or mimetypes.guess_type(path.name)[0] or "text/plain"
     headers = {"etag": f'"{tag}"', "cache-control": "no-cache"}

@@ -18,12 +18,12 @@ from starlette.middleware import Middleware
 
 from touchd.errors import AddressInUse, ConfigError, InsecureBind
 from touchd.service.systemd import Notifier
-from touchd.web import check, live, pages, replay
+from touchd.web import calibrate, check, live, pages, replay
 from touchd.web.guards import Guard
 from touchd.web.site import Site
 
-VIEWS: tuple[ModuleType, ...] = (pages, live, replay, check)
-"""Each with `routes(site)`."""
+VIEWS: tuple[ModuleType, ...] = (pages, live, replay, calibrate, check)
+"""Each with `routes(site)`; one with `begin(site)` runs that beside requests."""
 _END_S = 2
 """Open WebSockets may hold up the end for as long."""
 _BEAT_S = 0.25
@@ -73,6 +73,10 @@ def make_app(site: Site, views: Iterable[ModuleType] = VIEWS) -> Starlette:
     @contextlib.asynccontextmanager
     async def lifespan(_app: Starlette) -> AsyncIterator[None]:
         site.hub.start()
+        for view in views:
+            begin = getattr(view, "begin", None)
+            if begin is not None:
+                site.tasks.add(asyncio.create_task(begin(site)))
         try:
             yield
         finally:

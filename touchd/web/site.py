@@ -23,6 +23,8 @@ class Site:
     """Of the bus, if it was named."""
     control: Path | None = None
     """The daemon's control socket."""
+    wizard: Path = Path("/run/touchd-wizard/socket")
+    """The wizard's."""
     screen_mm: tuple[float, ...] = ()
     """Where the screen lies on the plate: x, y, width, height; empty if unknown."""
     rotate: int = 0

@@ -141,11 +141,12 @@ def test_running_daemon(taken: ZeromqSink) -> None:
 
 def test_beside_the_daemon(tmp_path: Path, scene_file: Callable[[str], Path]) -> None:
     """A daemon that runs need not be stopped: its frames are examined, and each check is printed as it ends."""
-    own = {"TOUCHD_BUS__BIND": f"ipc://{tmp_path}/bus", "TOUCHD_CONTROL__SOCKET": f"{tmp_path}/control"}
-    with started("--replay", scene_file("idle"), "--loop", **own):
-        with Subscriber(f"ipc://{tmp_path}/bus", ("health",), PATIENCE_S) as events:
+    bus, control = f"ipc://{tmp_path}/bus", f"{tmp_path}/control"
+    idle = scene_file("idle")
+    with started("--replay", idle, "--loop", "--bind", bus, TOUCHD_CONTROL__SOCKET=control):
+        with Subscriber(bus, ("health",), PATIENCE_S) as events:
             next(event for event in events if isinstance(event, HealthEvent) and event.state == "streaming")
-        ended = touchd("doctor", "--lines", "--seconds", 1, **own)
+        ended = touchd("doctor", "--lines", "--seconds", 1, TOUCHD_BUS__BIND=bus, TOUCHD_CONTROL__SOCKET=control)
     checks = {check["check"]: check for check in map(json.loads, ended.out.splitlines())}
     assert {"frame rate", "noise", "baseline"} <= checks.keys(), checks
     assert "device" not in checks

@@ -20,6 +20,7 @@ SCRIPT = ROOT / "deploy/install.sh"
 MADE = {
     "opt/touchd", "etc/systemd/system/touchd.service", "etc/systemd/system/touchd-input.service",
     "etc/systemd/system/touchd-tuio.service", "etc/systemd/system/touchd-web.service",
+    "etc/systemd/system/touchd-wizard.service",
     "etc/udev/rules.d/60-touchd.rules", "etc/sysusers.d/touchd.conf", "etc/tmpfiles.d/touchd.conf",
     "usr/local/bin/touchd",
 }  # fmt: skip
@@ -56,7 +57,13 @@ def test_life(tmp_path: Path, wheels: Path) -> None:
     first = files(tmp_path)
     assert first == MADE | {"etc/touchd/touchd.toml", "etc/touchd/touchd.toml.default"}
     assert config.read_text() == (ROOT / "deploy/touchd.toml").read_text()
-    for name in ("touchd.service", "touchd-input.service", "touchd-tuio.service", "touchd-web.service"):
+    for name in (
+        "touchd.service",
+        "touchd-input.service",
+        "touchd-tuio.service",
+        "touchd-web.service",
+        "touchd-wizard.service",
+    ):
         unit = (tmp_path / "etc/systemd/system" / name).read_text()
         assert unit == (ROOT / "deploy" / name).read_text().replace("/usr/bin/touchd", "/opt/touchd/bin/touchd")
     assert os.readlink(tmp_path / "usr/local/bin/touchd") == "/opt/touchd/bin/touchd"

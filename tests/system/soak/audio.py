@@ -112,7 +112,7 @@ def run(count: int, xrun_every: int = 5003, unplug_every: int = 20_011) -> Resul
     source = DaqSource(
         lambda: iter([lambda: AudioDaq(card.open(), SETTINGS, session.acquisition, reference, card.clock)]),
         DeviceSettings(queue_frames=200), session.acquisition, lambda _: None,
-        waits=Waits(0.01, 1e-3, 2e-3), clock=card.clock,
+        waits=Waits(0.01, 1e-3, 2e-3), clock=card.clock, direct=False,
     )  # fmt: skip
     # What each period looks like once it is cut: the nearest says which one a frame is.
     whole = np.zeros((BANK, len(mean), PERIOD))

@@ -40,7 +40,7 @@ receivers_mm = [[15, 15], [185, 20], [180, 185], [20, 170]]
 
 def write(folder: Path) -> None:
     """Write the model, and the responses from what is played to what is heard, for `audioplate.py`."""
-    acquisition = acquisition_of(SETTINGS, 25)
+    acquisition = acquisition_of(SETTINGS)
     idle = simulate_scene("idle", instrument=Instrument(DEFAULT_PLATE, acquisition=acquisition), rate_hz=25, frames=60)
     (folder / "PLATE.toml").write_text(SAID)
     make_model(fit_recording(idle, read_plate_file(folder / "PLATE.toml")), folder / "audio.onnx")
@@ -51,7 +51,10 @@ def write(folder: Path) -> None:
 def responses(acquisition: Acquisition) -> NDArray[np.float32]:
     """Impulse responses without a finger and under each, shape (1 + fingers, channels, taps)."""
     period = SETTINGS.sample_rate_hz // FRAMES_HZ
-    whole = Instrument(DEFAULT_PLATE, acquisition=acquisition.model_copy(update={"samples": period}))
+    once = acquisition.chirp.model_copy(update={"period_s": None})
+    whole = Instrument(
+        DEFAULT_PLATE, acquisition=acquisition.model_copy(update={"samples": period, "chirp": once})
+    )  # fmt: skip
     untouched = whole.untouched([REFERENCE_C])
     fingers = [[Contact(x, y, 100.0, "fingertip")] for x, y in PLACES_MM]
     heard = np.concatenate([untouched, untouched + whole.change(fingers, [REFERENCE_C] * len(fingers))])

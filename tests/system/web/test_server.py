@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import http.client
+import io
 import signal
 import time
+import zipfile
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -14,8 +17,9 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin
 
-from tests.processes import PATIENCE_S, touchd
+from tests.processes import PATIENCE_S, started, touchd
 from tests.system.web.rig import Web, bus, web
+from touchd.recording.format import read
 
 
 @pytest.fixture(scope="module")
@@ -170,3 +174,46 @@ def test_taken(server: Web) -> None:
     """An address in use is said so."""
     ended = touchd("web", "--bind", f"127.0.0.1:{server.port}")
     assert ended.code == 41
+
+
+def test_no_recording() -> None:
+    """A recording that is not there is said so at the start."""
+    assert touchd("web", "--replay", "nowhere.npz").code == 21
+
+
+def test_bundle(tmp_path: Path) -> None:
+    """The support bundle says how the plate is and keeps secrets: no key, no token, and frames only if asked for."""
+    secret = tmp_path / "hidden" / "server.key_secret"
+    key = {"TOUCHD_BUS__CURVE_SECRET_KEY": str(secret)}
+    where = f"ipc://{tmp_path}/bus"
+    frames = ("--replay", "touchd/demo/session.npz", "--loop", "--bind", where)
+    control = {"TOUCHD_CONTROL__SOCKET": f"{tmp_path}/control"}
+    with started(*frames, **control), web(where, port=0, **control, **key) as server:
+        with live(server) as socket:
+            while '"state":"streaming"' not in str(socket.recv(timeout=PATIENCE_S)):
+                pass
+        token = server.url.partition("#token=")[2]
+        post = {"Origin": server.base.rstrip("/")}
+        connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=PATIENCE_S)
+        connection.request("POST", "/session", token, post)
+        given = connection.getresponse()
+        given.read()
+        post["Cookie"] = str(given.headers["Set-Cookie"]).partition(";")[0]
+        found = {}
+        for wish in ("", "recording"):
+            connection.request("POST", "/check/bundle", wish, post)
+            answer = connection.getresponse()
+            found[wish] = zipfile.ZipFile(io.BytesIO(answer.read()))
+            assert answer.status == 200
+        connection.close()
+    names = {name.rpartition("/")[2] for name in found[""].namelist()}
+    assert names == {"about.txt", "config.toml", "health.jsonl", "plate.json", "check.json", "log.txt"}
+    text = "".join(found[""].read(name).decode() for name in found[""].namelist())
+    assert "[device]" in text
+    assert '"state":"streaming"' in text
+    assert str(secret) not in text
+    assert token not in text
+    assert '"phase":' not in text, "no finger"
+    path = tmp_path / "recording.npz"
+    path.write_bytes(found["recording"].read("touchd-support/recording.npz"))
+    assert len(read(path).frames) > 100

@@ -43,7 +43,8 @@ def bins_of(places: list[tuple[float, float]], shape: Sequence[complex], noise: 
     """Contacts of equal amplitude, and white noise of a deviation."""
     values = np.asarray(sum(contact(*place, 0.8 + 0.2j, shape, ATLAS) for place in places))
     rng = np.random.default_rng(3)
-    return values + noise * (rng.standard_normal(values.shape) + 1j * rng.standard_normal(values.shape))
+    noisy = values + noise * (rng.standard_normal(values.shape) + 1j * rng.standard_normal(values.shape))
+    return np.asarray(noisy, np.complex128)
 
 
 @pytest.mark.parametrize("name", PLACES)
@@ -72,7 +73,7 @@ def test_two(name: str) -> None:
     solver._load(bins)
     _, products = solver._products([(x + 0.3, y - 0.2) for x, y in places], ())
     two, several = joint._of_two(products), joint._of_several(products)
-    for mine, its in zip(two, several, strict=True):
+    for mine, its in zip(map(np.asarray, two), map(np.asarray, several), strict=True):
         np.testing.assert_allclose(mine, its, rtol=1e-8, atol=1e-9 * float(np.abs(its).max()))
     spread = np.linalg.inv(np.array(several.information)).diagonal()
     assert sigmas_mm(two.information, 1.0) == pytest.approx(np.sqrt([spread[:2].mean(), spread[2:].mean()]), rel=1e-6)

@@ -12,7 +12,7 @@ from msgspec.structs import replace
 from tests.fields import BINS, Field, Finger, bins_of, in_double, make_atlas
 from touchd.localization.fit import Fit, no_fit
 from touchd.localization.gauss_newton import GaussNewton
-from touchd.localization.pursuit import Pursuit, apart_mm, is_worth
+from touchd.localization.pursuit import Pursuit, apart_mm, finish, is_worth
 
 FIELD = Field()
 ATLAS = make_atlas(FIELD)
@@ -70,11 +70,7 @@ def test_swap() -> None:
             key=lambda place: min(math.dist(place, finger[:2]) for finger in fingers),
         )
         fit = SOLVER.fit_several(bins, [wrong, *(finger[:2] for finger in fingers[1:])], 4)
-        steps = PURSUIT._swap(bins, fit, NOISE)
-        with pytest.raises(StopIteration) as end:
-            while True:
-                next(steps)
-        assert all_found(end.value.value, fingers, 0.5)
+        assert all_found(finish(PURSUIT._swap(bins, fit, NOISE)), fingers, 0.5)
 
 
 def test_second_finger() -> None:

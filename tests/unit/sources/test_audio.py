@@ -12,17 +12,21 @@ import pytest
 from tests.audiocard import FakeCard, answers
 from tests.processes import PATIENCE_S
 from touchd.audio.highpass import HighPass
+from touchd.audio.waveform import periods_of
 from touchd.cli.demo import SESSION
 from touchd.config.rigs import AudioSettings
 from touchd.config.schema import DeviceSettings, Settings
-from touchd.frame import Frame
+from touchd.errors import ConfigError
+from touchd.frame import ACQUISITIONS, Frame
 from touchd.localization.model import Model, default_model_path
 from touchd.pipeline import Pipeline
 from touchd.recording.format import read
-from touchd.sources.audio import AudioDaq
+from touchd.sources.audio import AudioDaq, acquisition_of
 from touchd.sources.daq import DaqAbsent, DaqFrame, DaqGone
 from touchd.sources.live import DaqSource
 from touchd.sources.waits import Waits
+from touchd.twin.instrument import REFERENCE_C, Instrument
+from touchd.twin.simulate import DEFAULT_PLATE
 
 SESSION_ = read(SESSION)
 ACQUISITION = SESSION_.acquisition
@@ -102,7 +106,7 @@ def source_of(card: FakeCard, reference: np.ndarray | None, settings: AudioSetti
 
     source = DaqSource(
         lambda: iter([connect]), DeviceSettings(queue_frames=10_000), ACQUISITION, lambda _: None,
-        waits=Waits(0.01, 1e-3, 2e-3), clock=card.clock,
+        waits=Waits(0.01, 1e-3, 2e-3), clock=card.clock, direct=False,
     )  # fmt: skip
     try:
         yield source
@@ -285,3 +289,36 @@ def test_a_low_hum_is_left_out(reference: np.ndarray) -> None:
     card = FakeCard(ACQUISITION, response, PERIOD)
     counts = np.mean([frame.counts for frame in frames(started(card, reference), 10)], axis=0)
     assert off_db(counts, EXPECTED) < -40
+
+
+@pytest.mark.parametrize(
+    ("name", "settings", "rate_hz", "chirps"),
+    [
+        ("audio-192", AudioSettings(), 125, 2),
+        ("audio-96", AudioSettings(sample_rate_hz=96_000, band_hz=(15e3, 44e3), chirp_s=1e-3), 1000, 1),
+        ("audio-96", AudioSettings(sample_rate_hz=96_000, band_hz=(15e3, 44e3), chirp_s=1e-3), 125, 8),
+    ],
+)
+def test_steady_state(name: str, settings: AudioSettings, rate_hz: int, chirps: int) -> None:
+    """One chirp after the other: frames are what a model of that geometry was made for, quieter where they are means
+    of several chirps, and the first comes within a second of a start."""
+    acquisition = acquisition_of(settings)
+    assert (acquisition.shape, acquisition.chirp) == (ACQUISITIONS[name].shape, ACQUISITIONS[name].chirp)
+    untouched = 8000 * Instrument(DEFAULT_PLATE, acquisition=acquisition).untouched([REFERENCE_C])[0]
+    rng = np.random.default_rng(0)
+    card = FakeCard(acquisition, lambda _: untouched + rng.normal(0, 4, untouched.shape), acquisition.samples, seed=1)
+    daq = AudioDaq(card, settings, acquisition, untouched, clock=card.clock)
+    began_ns = card.clock()
+    daq.start(rate_hz)
+    counts = [frame.counts for frame in frames(daq, 1)]
+    assert card.clock() - began_ns < 1e9
+    counts += [frame.counts for frame in frames(daq, 30)]
+    high_pass = HighPass(settings.band_hz[0], settings.sample_rate_hz, *acquisition.shape)
+    assert off_db(np.mean(counts, axis=0), high_pass.around(untouched)) < -60
+    assert np.std(np.array(counts) - np.mean(counts, axis=0)) < 4.2 / np.sqrt(chirps)
+
+
+def test_a_frame_rate_that_no_chirps_fill_is_refused() -> None:
+    """192 kHz and chirps of 4 ms make 250 frames a second, or a whole part of that."""
+    with pytest.raises(ConfigError, match="use 250, or a whole part of it"):
+        periods_of(ACQUISITIONS["audio-192"], 100)

@@ -2,12 +2,13 @@
 import { element, post, say, themeChanged } from './dom.js';
 import { Feed } from './socket.js';
 import { texts } from './texts.js';
+import * as calibrate from './calibrate.js';
 import * as check from './check.js';
 import * as live from './live.js';
 import * as replay from './replay.js';
 
 // Each has `mount(root, page)`, which returns what ends it.
-const VIEWS = { live, replay, check };
+const VIEWS = { live, replay, calibrate, check };
 const TOKEN = '#token=';
 
 const views = document.getElementById('views'), root = document.getElementById('view');

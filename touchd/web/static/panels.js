@@ -3,7 +3,7 @@ import { colour, element, number, onTheme, say } from './dom.js';
 
 const POINTS = 300; // seconds of health
 const CHART_MS = 100;
-const LEAST_FIT = 0.96;
+const LEAST_FIT = 0.98;
 const PPM_PER_KELVIN = -45; // of glass
 
 function panel(name, title, ...children) {

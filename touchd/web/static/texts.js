@@ -2,7 +2,7 @@
 export const texts = {
   language: 'en',
   title: 'touchd',
-  views: { live: 'Live', replay: 'Replay', check: 'Check' },
+  views: { live: 'Live', replay: 'Replay', calibrate: 'Calibrate', check: 'Check' },
   navigation: 'Views',
   theme: { auto: 'Colours: system', light: 'Colours: light', dark: 'Colours: dark' },
   no_session: 'To act, open the address that touchd web printed at its start.',
@@ -44,7 +44,7 @@ export const texts = {
     lost: ['Lost', 'Frames that never came, since the start.'],
     noise: ['Noise', 'RMS of the untouched plate, ADC counts.'],
     temperature: ['Temperature', 'Against the model’s training, by the plate’s resonances.'],
-    model_fit: ['Model fit', 'Share of a touch that the model explains; below 96 % calibrate again.'],
+    model_fit: ['Model fit', 'Share of a touch that the model explains; below 98 % calibrate again.'],
     baseline: ['Baseline', 'Time since the plate was last untouched.'],
     clock: ['Clock', 'How much faster the device’s clock runs.'],
   },
@@ -78,6 +78,53 @@ export const texts = {
     },
     failed: 'The recording cannot be shown.',
   },
+
+  calibrate: {
+    no_wizard: ['No wizard', 'touchd wizard does not answer. systemctl start touchd-wizard'],
+    steps: { measures: '1 Measures', untouched: '2 Untouched', fit: '3 Fit', verdict: '4 Verdict', taps: '5 Taps' },
+    failed: 'That did not work: touchd web did not do it.',
+    measures: {
+      hint: 'Measure from the plate’s top left corner as you look at it: x to the right, y down, in millimetres.',
+      drawing: 'The plate and its discs, to scale',
+      width_mm: 'Width, mm', height_mm: 'Height, mm', thickness_mm: 'Thickness, mm', material: 'Material', edge: 'Edge',
+      diameter_mm: 'Disc diameter, mm', emitter: 'Emitter', receiver: n => `Receiver ${n}`, x: 'x, mm', y: 'y, mm',
+      materials: ['glass', 'pmma', 'aluminium', 'steel'], edges: { free: 'free', pads: 'pads', tape: 'tape', clamped: 'clamped' },
+      more: 'One receiver more', less: 'One less', save: 'Save the measures', saved: 'Saved.',
+    },
+    untouched: {
+      hint: 'Take everything off the plate. Its own sound tells what it is.',
+      start: 'Listen for ten seconds', again: 'Listen again', running: 'Listening …',
+      finger: 'Something is on the plate: the seconds begin again.', stop: 'Stop',
+    },
+    fit: {
+      running: 'Fitting plate and discs …', again: 'Fit again', stop: 'Stop',
+      stages: { fit: 'plate and discs', candidates: 'other plates and wires', field: 'the touch’s field' },
+    },
+    verdict: {
+      words: { good: 'Good', usable: 'Usable', poor: 'Poor' },
+      expected: mm => `Expected median error of a touch: ${mm} mm`,
+      poor: 'No model was made. Mend what is named, and begin again.',
+      reasons: 'What to check', undecided: 'Undecided',
+      pictures: { 'response.png': 'Untouched response, measured and fitted', 'residual.png': 'What the fit leaves, by frequency', 'expected-error.png': 'Expected error over the plate' },
+      install: 'Try this model', installed: 'This model is in use.', rollback: 'Go back to the model before', compare: 'Compare both on the taps',
+      compared: { new: 'this model', old: 'the other' },
+      fits: (used, all, mm, share) => `${used} of ${all} taps fit, ${mm} mm from the targets, ${share} % unexplained`,
+      begin: 'Begin again', done: 'The model before is in use.',
+    },
+    taps: {
+      hint: 'Optional: three taps tell a mirrored drawing, twenty how well you hit. Tap the ring with a fingertip, for half a second.',
+      start: 'Tap targets', resume: 'Go on', pause: 'Pause', undo: 'Undo the last', refine: 'Fit again with the taps',
+      pane: 'The plate with the next target', count: n => (n === 1 ? '1 tap' : `${n} taps`),
+      good: 'Good.', scatter: mm => `Your taps scatter by ${mm} mm.`, waiting: 'Waiting for a tap at the ring.',
+      turned: what => `The drawing is ${what}: the next fit sets that right.`,
+      reasons: {
+        short: 'Too short: hold the finger for half a second.', clipped: 'Too loud: the converter clips. Lower the gain.',
+        light: 'Too light: press more.', unsteady: 'The finger moved.', no_fit: 'Two touches, or no fingertip.',
+        beside: 'That was not at the ring.',
+      },
+    },
+  },
+
   check: {
     title: 'Examination',
     hint: 'Checks bus, model, device, frames and computer. Leave the plate untouched meanwhile.',

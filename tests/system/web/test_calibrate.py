@@ -1,0 +1,212 @@
+"""The calibration in a real browser, against a live twin whose finger follows the taps that are made in the page."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("playwright", reason="of the extra dev")
+
+from playwright.sync_api import Page, expect
+from playwright.sync_api import TimeoutError as Late
+
+from tests.needs import need
+from tests.processes import PATIENCE_S, ROOT, environment, started
+from tests.system.web.rig import CHROMIUM, PATIENCE_MS, Web, chromium, page, web
+
+SECONDS = 3.0
+MEASURES = {
+    "width_mm": "110.2", "height_mm": "89,9", "thickness_mm": "5.01", "diameter_mm": "6", "emitter.x": "20.4",
+    "emitter.y": "49.8", "receiver0.x": "12.3", "receiver0.y": "11.8", "receiver1.x": "97.6", "receiver1.y": "18.4",
+    "receiver2.x": "85.3", "receiver2.y": "77.7",
+}  # fmt: skip
+FOLLOW = """() => {
+  const finger = event => {
+    const pane = document.querySelector('[data-panel=taps] svg');
+    const at = new DOMPoint(event.clientX, event.clientY).matrixTransform(pane.getScreenCTM().inverse());
+    window.finger(`${at.x} ${at.y}`);
+  };
+  document.addEventListener('pointerdown', event => event.target.closest('svg') && finger(event));
+  document.addEventListener('pointerup', () => window.finger(''));
+}"""
+"""Has the twin's finger go where the pointer is on the plate's drawing."""
+expect.set_options(timeout=PATIENCE_MS)
+
+
+class Rig:
+    """A daemon on a twin, the wizard and the page's server, each of which can be killed and started again."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.finger = folder, folder / "finger"
+        self.variables = {
+            "TOUCHD_CONTROL__SOCKET": str(folder / "control"), "TOUCHD_MODEL__PATH": str(folder / "model.onnx"),
+            "TOUCHD_BUS__BIND": json.dumps([f"ipc://{folder}/bus"]),
+        }  # fmt: skip
+
+    def press(self, where: str) -> None:
+        """Put the finger at `x y`, or lift it."""
+        self.finger.write_text(where)
+
+    @contextmanager
+    def daemon(self) -> Iterator[subprocess.Popen[bytes]]:
+        command = [sys.executable, "-m", "tests.system.web.twin", str(self.finger)]
+        with subprocess.Popen(command, cwd=ROOT, env=environment(**self.variables)) as process:
+            try:
+                yield process
+            finally:
+                process.kill()
+
+    @contextmanager
+    def wizard(self) -> Iterator[subprocess.Popen[str]]:
+        options = ("--socket", self.folder / "wizard", "--folder", self.folder / "state", "--seconds", SECONDS)
+        with started("wizard", *options, **self.variables) as process:
+            assert process.stdout is not None
+            assert "ready" in process.stdout.readline()
+            yield process
+
+    def serve(self) -> AbstractContextManager[Web]:
+        """Run `touchd web`."""
+        options = ("--wizard", self.folder / "wizard")
+        return web(f"ipc://{self.folder}/bus", *options, port=0, **self.variables)
+
+
+def tap(opened: Page, ms: int = 600, x: float = 0.0) -> None:
+    """Press the ring, or a place `x` CSS pixels beside it."""
+    opened.locator("circle.target").first.scroll_into_view_if_needed()
+    middle = opened.evaluate(
+        "() => { const r = document.querySelector('circle.target').getBoundingClientRect();"
+        " return [r.x + r.width / 2, r.y + r.height / 2]; }"
+    )
+    opened.mouse.move(middle[0] + x, middle[1])
+    opened.mouse.down()
+    opened.wait_for_timeout(ms)
+    opened.mouse.up()
+
+
+def said(opened: Page, text: str) -> None:
+    """Wait until the page says something of the last tap."""
+    expect(opened.locator(".tapped")).to_contain_text(text)
+
+
+def frames(opened: Page) -> int:
+    """How many frames the daemon has taken in."""
+    found: int = opened.evaluate("touchd.feed.last.health.frames")
+    return found
+
+
+def tap_until_good(opened: Page, count: int) -> None:
+    """Tap rings until so many taps are good."""
+    for _ in range(10):
+        before = opened.locator("circle.target").first.get_attribute("data-x")
+        tap(opened)
+        with suppress(Late):  # on a busy computer a tap may be lost: the next one counts
+            opened.wait_for_function(
+                "before => document.querySelector('circle.target')?.dataset.x !== before", arg=before, timeout=10_000
+            )
+        if f"{count} tap" in (opened.locator(".tapped").text_content() or ""):
+            return
+    raise AssertionError(opened.locator(".tapped").text_content())
+
+
+@pytest.fixture
+def follow() -> str:
+    need(shutil.which(CHROMIUM) is not None, "Debian's chromium")
+    return FOLLOW
+
+
+def test_no_wizard(tmp_path: Path, follow: str) -> None:
+    """Without a wizard the page says what to start, and it comes to life as soon as one runs."""
+    assert follow
+    rig = Rig(tmp_path)
+    with rig.serve() as server, chromium() as browser, page(browser, server.url) as opened:
+        expect(opened.locator("#views a")).not_to_have_count(0)
+        opened.locator("#views a", has_text="Calibrate").click()
+        expect(opened.get_by_role("alert")).to_contain_text("systemctl start touchd-wizard")
+        with rig.wizard():
+            expect(opened.get_by_role("button", name="Save the measures")).to_be_visible()
+            expect(opened.get_by_role("alert")).to_be_hidden()
+            opened.screenshot(path=tmp_path / "measures.png", full_page=True)
+        expect(opened.get_by_role("alert")).to_be_visible()
+
+
+def test_whole_wizard(tmp_path: Path, follow: str) -> None:
+    """From measures to a model in use and taps; each process is killed on the way, and all goes on."""
+    rig = Rig(tmp_path)
+    with ExitStack() as stack, chromium() as browser:
+        daemon = stack.enter_context(rig.daemon())
+        wizard = stack.enter_context(rig.wizard())
+        first = stack.enter_context(rig.serve())
+        with page(browser, first.url) as opened:
+            expect(opened.locator("#views a")).not_to_have_count(0)
+            opened.goto(first.base + "#calibrate")
+            # Measures: what is wrong is named, with what to do.
+            opened.get_by_role("button", name="One less").click()
+            for name, value in MEASURES.items():
+                opened.locator(f'[name="{name}"]').fill("0.005" if name == "thickness_mm" else value)
+            opened.get_by_role("button", name="Save the measures").click()
+            expect(opened.get_by_role("alert")).to_contain_text("plate.thickness_mm")
+            expect(opened.get_by_role("alert")).to_contain_text("millimetres")
+            opened.locator('[name="thickness_mm"]').fill(MEASURES["thickness_mm"])
+            opened.get_by_role("button", name="Save the measures").click()
+            # A finger on the plate begins the seconds again.
+            opened.get_by_role("button", name="Listen for ten seconds").click()
+            opened.wait_for_function("() => document.querySelector('progress').value > 0.2")
+            rig.press("60 40")
+            expect(opened.get_by_text("Something is on the plate")).to_be_visible()
+            rig.press("")
+            expect(opened.locator(".steps [aria-current]")).to_have_text("3 Fit")
+        first.process.send_signal(signal.SIGKILL)  # with its tab: the fit goes on
+        wizard.send_signal(signal.SIGKILL)  # and begins again
+        wizard.wait(PATIENCE_S)
+        stack.enter_context(rig.wizard())
+        second = stack.enter_context(rig.serve())
+        with page(browser, second.url, high=1400) as opened:
+            opened.expose_function("finger", rig.press)
+            opened.evaluate(follow)
+            expect(opened.locator("#views a")).not_to_have_count(0)
+            opened.locator("#views a", has_text="Calibrate").click()
+            expect(opened.locator(".fitted .word")).to_have_text("Good", timeout=2 * PATIENCE_MS)
+            expect(opened.locator(".pictures img")).to_have_count(3)
+            opened.wait_for_function(
+                "() => [...document.querySelectorAll('.pictures img')].every(i => i.naturalWidth > 0)"
+            )
+            opened.get_by_role("button", name="Try this model").click()
+            expect(opened.get_by_text("This model is in use.")).to_be_visible()
+            # Taps: good ones, and bad ones with their reason.
+            opened.get_by_role("button", name="Tap targets").click()
+            opened.locator("circle.target").first.wait_for()
+            opened.wait_for_timeout(1500)  # the plate is learned
+            tap_until_good(opened, 1)
+            tap(opened, 40)
+            said(opened, "Too short")
+            tap_until_good(opened, 2)
+            before = frames(opened)
+            daemon.send_signal(signal.SIGKILL)
+            daemon.wait(PATIENCE_S)
+            stack.enter_context(rig.daemon())
+            opened.wait_for_function(
+                "before => { const { frames } = touchd.feed.last.health; return frames > 150 && frames < before; }",
+                arg=before,
+            )
+            tap_until_good(opened, 3)
+            expect(opened.get_by_text("Your taps scatter by")).to_be_visible()
+            opened.get_by_role("button", name="Undo the last").click()
+            said(opened, "2 taps")
+            opened.get_by_role("button", name="Pause").click()
+            opened.get_by_role("button", name="Compare both on the taps").click()
+            expect(opened.get_by_text("this model: 2 of 2 taps fit")).to_be_visible()
+            opened.locator("[data-panel=taps]").scroll_into_view_if_needed()
+            opened.screenshot(path=tmp_path / "calibrate.png", full_page=True)
+            # The model places fingers.
+            opened.locator("#views a", has_text="Live").click()
+            rig.press("60 40")
+            expect(opened.locator(".fingers tbody tr")).to_have_count(1)
+            expect(opened.locator(".fingers tbody tr")).to_contain_text("60.")

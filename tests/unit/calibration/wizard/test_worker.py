@@ -1,0 +1,170 @@
+"""The wizard obeys, says what is wrong, keeps what it knows, and goes on where another process ended."""
+
+from __future__ import annotations
+
+import threading
+import time
+import tomllib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from touchd.calibration.wizard import worker as worker_module
+from touchd.calibration.wizard.state import State, to_toml
+from touchd.calibration.wizard.untouched import Stopped
+from touchd.calibration.wizard.worker import Worker
+from touchd.errors import CalibrationError
+from touchd.localization.model import default_model_path
+from touchd.localization.model_file import install
+
+PLATE: dict[str, Any] = {
+    "plate": {"width_mm": 110.0, "height_mm": 90.0, "thickness_mm": 5.0, "material": "glass", "edge": "free"},
+    "discs": {"diameter_mm": 6.0, "emitter_mm": [20.0, 50.0], "receivers_mm": [[12.0, 12.0], [98.0, 18.0]]},
+}
+RESULT = {"verdict": "good", "expected_mm": 0.1, "reasons": [], "undecided": [], "model": "m", "report": None}
+
+
+def made(folder: Path) -> tuple[Worker, State]:
+    state = State(folder / "state")
+    return Worker(state, folder / "no-daemon", folder / "model.onnx", 1.0), state
+
+
+def await_that(fact: Callable[[], bool]) -> None:
+    """Wait until a fact holds."""
+    for _ in range(1000):
+        if fact():
+            return
+        time.sleep(0.01)
+    raise AssertionError("never")
+
+
+@pytest.fixture
+def fits(monkeypatch: pytest.MonkeyPatch) -> list[threading.Event]:
+    """Fits that last until they are told to stop, or their number's event is set."""
+    begun: list[threading.Event] = []
+
+    def fit(_state: State, stop: threading.Event, _progress: object) -> dict[str, Any]:
+        done = threading.Event()
+        begun.append(done)
+        while not done.wait(0.01):
+            if stop.is_set():
+                raise Stopped
+        return RESULT
+
+    monkeypatch.setattr(worker_module, "fit", fit)
+    return begun
+
+
+def test_measures(tmp_path: Path) -> None:
+    """Measures are checked as PLATE.toml is, and written as one; wrong ones change nothing."""
+    worker, state = made(tmp_path)
+    assert worker.answer({"do": "measures", "plate": PLATE}) == {"ok": True}
+    assert tomllib.loads(state.plate_file.read_text()) == PLATE
+    wrong = PLATE | {"discs": PLATE["discs"] | {"emitter_mm": [109.0, 50.0]}}
+    said = worker.answer({"do": "measures", "plate": wrong})
+    assert (said["ok"], "over the edge" in said["problem"]) == (False, True)
+    assert said["fix"]
+    assert tomllib.loads(state.plate_file.read_text()) == PLATE
+
+
+def test_toml() -> None:
+    """Texts with quotes, edges of their own and numbers survive."""
+    tables = {"plate": {"material": 'a "b" \\', "edge": {"left": "tape", "top": "free"}, "width_mm": 1e2}}
+    assert tomllib.loads(to_toml(tables)) == tables
+
+
+def test_unknown_command(tmp_path: Path) -> None:
+    """What is no command is said so."""
+    worker, _ = made(tmp_path)
+    for asked in ({}, {"do": "format"}, {"do": 3}, {"do": "measures"}):
+        assert worker.answer(asked)["ok"] is False
+
+
+def test_fit(tmp_path: Path, fits: list[threading.Event]) -> None:
+    """A fit runs beside the page, and its result stays on disk."""
+    worker, state = made(tmp_path)
+    assert worker.answer({"do": "fit"}) == {"ok": True}
+    await_that(lambda: len(fits) == 1)
+    assert State(state.folder)["running"] == "fit"
+    fits[0].set()
+    await_that(lambda: state["running"] is None)
+    assert State(state.folder)["result"] == RESULT
+
+
+def test_resume(tmp_path: Path, fits: list[threading.Event]) -> None:
+    """A fit whose process ended, told to or killed, begins again in the next one."""
+    worker, _ = made(tmp_path)
+    worker.answer({"do": "fit"})
+    await_that(lambda: len(fits) == 1)
+    worker.end()  # leaves what a kill leaves, too: the state on disk
+    after, state = made(tmp_path)
+    assert state["running"] == "fit"
+    after.resume()
+    await_that(lambda: len(fits) == 2)
+    fits[1].set()
+    await_that(lambda: state["running"] is None)
+    assert state["result"] == RESULT
+
+
+def test_stop(tmp_path: Path, fits: list[threading.Event]) -> None:
+    """A fit that is stopped is not resumed."""
+    worker, state = made(tmp_path)
+    worker.answer({"do": "fit"})
+    await_that(lambda: len(fits) == 1)
+    worker.answer({"do": "pause"})
+    assert State(state.folder)["running"] is None
+    assert state["result"] is None
+
+
+def test_failed_fit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A fit that fails says why and what to do; so does one that breaks."""
+    worker, state = made(tmp_path)
+    for error, said in (
+        (CalibrationError("a finger was on it", "recording", "again"), "a finger"),
+        (ZeroDivisionError(), "internal"),
+    ):
+
+        def fit(*_: object, error: Exception = error) -> dict[str, Any]:
+            raise error
+
+        monkeypatch.setattr(worker_module, "fit", fit)
+        worker.answer({"do": "fit"})
+        await_that(lambda: state["running"] is None)
+        assert said in state["problem"]
+        assert state["fix"]
+
+
+def test_no_daemon(tmp_path: Path) -> None:
+    """Without a daemon the seconds wait for one, and say so."""
+    worker, state = made(tmp_path)
+    worker.answer({"do": "measures", "plate": PLATE})
+    worker.answer({"do": "untouched"})
+    await_that(lambda: "no daemon" in state["note"])
+    worker.answer({"do": "pause"})
+
+
+def test_install(tmp_path: Path) -> None:
+    """A model is taken, the one before is kept, and one goes back to it; without one before that is said."""
+    worker, state = made(tmp_path)
+    assert worker.answer({"do": "install"})["ok"] is False
+    install(default_model_path(), state.model)
+    assert worker.answer({"do": "install"}) == {"ok": True}
+    assert worker.answer({"do": "rollback"})["ok"] is False
+    assert worker.answer({"do": "install"}) == {"ok": True}
+    assert (worker.answer({"do": "rollback"}), state["installed"]) == ({"ok": True}, False)
+
+
+def test_begin_again(tmp_path: Path) -> None:
+    """To begin again forgets all but the measures; a state that is damaged is none."""
+    worker, state = made(tmp_path)
+    worker.answer({"do": "measures", "plate": PLATE})
+    state.taps.mkdir()
+    (state.taps / "0000.npz").write_bytes(b"tap")
+    state.set(result=RESULT, taps=[{}])
+    worker.answer({"do": "begin"})
+    assert (state["result"], state["taps"], list(state.taps.iterdir())) == (None, [], [])
+    assert state["plate"]["plate"]["width_mm"] == 110.0
+    (state.folder / "state.json").write_text("{")
+    assert State(state.folder)["plate"] is None

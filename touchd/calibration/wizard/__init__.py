@@ -1,0 +1,11 @@
+"""Calibration step by step, for a person at a page: a process of its own, which outlives tabs and `touchd web`.
+
+page -> `touchd web` -> socket -> `worker` -> control socket -> daemon
+
+- `worker.py`: READ FIRST: takes commands, runs one job at a time, says its state to whoever watches
+- `state.py`: what is known so far, on disk after each step: a restart goes on from there
+- `untouched.py`: ten seconds that nobody touches; a finger begins them again
+- `targets.py`, `tapping.py`: where to tap, and what a tap is worth
+- `fitting.py`: `touchd calibrate` in a child process
+- `link.py`: the socket, for both ends
+"""

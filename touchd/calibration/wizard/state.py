@@ -1,0 +1,109 @@
+"""What the wizard knows: a folder with PLATE.toml, frames, taps, the fitted model, and the state of the page."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import threading
+from pathlib import Path
+from typing import Any
+
+from touchd.calibration.plate_file import PlateFile, check_plate_file
+from touchd.files import replacing
+
+NOTHING: dict[str, Any] = {
+    "running": None, "share": 0.0, "note": "", "problem": "", "fix": "", "plate": None, "untouched": False,
+    "result": None, "taps": [], "again": [], "next": 0, "target_mm": None, "last": None, "told": None,
+    "installed": False, "compared": None,
+}  # fmt: skip
+"""`running` is `untouched`, `fit`, `taps` or None; `taps` are the places tapped, each with its label."""
+_FLEETING = frozenset({"share", "note"})
+
+
+class State:
+    """The wizard's state; whoever changes it wakes those who watch.
+
+    Parameters
+    ----------
+    folder : Path
+        Made if it is not there.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        self._lock = threading.Lock()
+        self._known = dict(NOTHING)
+        with contextlib.suppress(OSError, ValueError):
+            self._known |= json.loads((folder / "state.json").read_bytes())
+        self.version = 0
+        """Counts the changes."""
+
+    def __getitem__(self, name: str) -> Any:
+        return self._known[name]
+
+    def set(self, **changes: Any) -> None:
+        """Change fields, and keep them on disk, all but progress."""
+        with self._lock:
+            self._known |= changes
+            self.version += 1
+            if changes.keys() - _FLEETING:
+                with replacing(self.folder / "state.json", mode=0o600) as file:
+                    file.write(json.dumps(self._known).encode())
+
+    def all(self) -> dict[str, Any]:
+        """Return all fields."""
+        with self._lock:
+            return dict(self._known)
+
+    def said(self) -> PlateFile:
+        """Return what a person measured; PlateFileInvalid before that."""
+        return check_plate_file(self["plate"] or {}, "measures")
+
+    def set_plate(self, tables: dict[str, Any]) -> None:
+        """Take what a person measured; PlateFileInvalid says what is wrong with it."""
+        said = check_plate_file(tables, "measures")
+        with replacing(self.plate_file, mode=0o600) as file:
+            file.write(to_toml(tables).encode())
+        self.set(plate=said.model_dump(mode="json", exclude_unset=True), problem="")
+
+    def begin_again(self) -> None:
+        """Forget all but the measures."""
+        for chunk in self.taps.glob("*.npz"):
+            chunk.unlink()
+        self.set(**NOTHING | {"plate": self["plate"]})
+
+    @property
+    def plate_file(self) -> Path:
+        """What a person measured."""
+        return self.folder / "PLATE.toml"
+
+    @property
+    def untouched(self) -> Path:
+        """The untouched seconds."""
+        return self.folder / "untouched.npz"
+
+    @property
+    def model(self) -> Path:
+        """The fitted model."""
+        return self.folder / "plate.onnx"
+
+    @property
+    def taps(self) -> Path:
+        """Folder of the taps: a recording in chunks, one for each tap."""
+        return self.folder / "taps"
+
+
+def to_toml(tables: dict[str, Any]) -> str:
+    """Return tables of numbers, texts, lists and one table within, as PLATE.toml has them."""
+    lines: list[str] = []
+    for name, table in tables.items():
+        lines.append(f"[{name}]")
+        for key, value in table.items():
+            if isinstance(value, dict):
+                inner = ", ".join(f"{side} = {json.dumps(held)}" for side, held in value.items())
+                lines.append(f"{key} = {{ {inner} }}")
+            else:
+                lines.append(f"{key} = {json.dumps(value)}")
+        lines.append("")
+    return "\n".join(lines)

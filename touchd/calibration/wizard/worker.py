@@ -1,0 +1,246 @@
+"""READ FIRST: takes a page's commands at a socket, runs one job at a time, and says its state to whoever watches.
+
+What was running when this process ended goes on when it starts again.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import contextlib
+import json
+import os
+import signal
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import structlog
+
+from touchd.calibration.wizard.fitting import fit
+from touchd.calibration.wizard.link import MOST_BYTES
+from touchd.calibration.wizard.session import Session, compare
+from touchd.calibration.wizard.state import State
+from touchd.calibration.wizard.untouched import Stopped, open_feed, take_untouched
+from touchd.errors import BusError, TouchdError
+from touchd.localization.model_file import install, previous_path, rollback
+from touchd.service.control import send
+from touchd.service.systemd import Notifier
+
+PICTURES = ("response.png", "residual.png", "expected-error.png")
+_AGAIN_S = 1.0
+"""After a loss of the daemon's frames."""
+_PERIOD_S = 0.1
+
+log = structlog.get_logger()
+Job = Callable[[threading.Event], None]
+
+
+class Worker:
+    """The wizard.
+
+    Parameters
+    ----------
+    state : State
+    control : Path
+        The daemon's control socket.
+    target : Path
+        The model in use, which `install` replaces.
+    seconds : float
+        How long the plate stays untouched.
+    """
+
+    def __init__(self, state: State, control: Path, target: Path, seconds: float) -> None:
+        self._state, self._control, self._target, self._seconds = state, control, target, seconds
+        self._one = threading.Lock()
+        self._stop = threading.Event()
+        self._thread: threading.Thread | None = None
+        self._jobs: dict[str, Job] = {"untouched": self._take, "fit": self._fit, "taps": self._tap}
+
+    def resume(self) -> None:
+        """Go on with the job that was running."""
+        if self._state["running"]:
+            self._run(self._state["running"])
+
+    def end(self) -> None:
+        """End the job that runs, to be resumed by another process."""
+        running = self._state["running"]
+        self._halt()
+        self._state.set(running=running)
+
+    def answer(self, asked: dict[str, Any]) -> dict[str, Any]:
+        """Obey a command, and return what is to be said of it: at least `ok`."""
+        name = str(asked.get("do"))
+        try:
+            with self._one:
+                found = self._commands()[name](asked)
+        except KeyError:
+            return {"ok": False, "problem": f"no such command, or a part of it is missing: {name[:20]}"}
+        except TouchdError as error:
+            return {"ok": False, "problem": f"{error.where}: {error.what}" if error.where else error.what,
+                    "fix": error.fix}  # fmt: skip
+        return {"ok": True} | (found or {})
+
+    def _commands(self) -> dict[str, Callable[[dict[str, Any]], dict[str, Any] | None]]:
+        return {
+            "measures": self._measures, "untouched": lambda _: self._run("untouched"),
+            "fit": lambda _: self._run("fit"),
+            "taps": lambda _: self._run("taps"),
+            "pause": lambda _: self._halt(), "undo": lambda _: self._undo(),
+            "install": lambda _: self._install(), "rollback": lambda _: self._rollback(),
+            "compare": lambda _: self._compare(), "begin": lambda _: self._begin(), "picture": self._picture,
+        }  # fmt: skip
+
+    # -- commands ------------------------------------------------------------------------------------
+
+    def _measures(self, asked: dict[str, Any]) -> None:
+        self._state.set_plate(asked["plate"])
+
+    def _undo(self) -> None:
+        """Take back the last good tap."""
+        running = self._state["running"]
+        self._halt()
+        Session(self._state).undo()
+        if running:
+            self._run(running)
+
+    def _install(self) -> None:
+        self._target.parent.mkdir(parents=True, exist_ok=True)
+        install(self._state.model, self._target)
+        self._state.set(installed=True)
+        self._tell()
+
+    def _rollback(self) -> None:
+        rollback(self._target)
+        self._state.set(installed=False)
+        self._tell()
+
+    def _compare(self) -> None:
+        others = {"new": self._state.model, "old": previous_path(self._target) if self._state["installed"] else
+                  self._target}  # fmt: skip
+        self._state.set(compared=compare(self._state, {name: path for name, path in others.items() if path.exists()}))
+
+    def _begin(self) -> None:
+        self._halt()
+        self._state.begin_again()
+
+    def _picture(self, asked: dict[str, Any]) -> dict[str, Any]:
+        name = asked["name"]
+        if name not in PICTURES or not self._state["result"] or not self._state["result"]["report"]:
+            return {"ok": False, "problem": "no such picture"}
+        content = (Path(self._state["result"]["report"]) / name).read_bytes()
+        return {"png": base64.b64encode(content).decode()}
+
+    def _tell(self) -> None:
+        with contextlib.suppress(BusError):  # the next daemon takes it
+            send(self._control, "reload")
+
+    # -- jobs ----------------------------------------------------------------------------------------
+
+    def _run(self, name: str) -> None:
+        self._halt()
+        self._stop = threading.Event()
+        self._state.set(running=name, share=0.0, note="", problem="", fix="")
+        self._thread = threading.Thread(target=self._guard, args=(self._jobs[name], self._stop), name=name, daemon=True)
+        self._thread.start()
+
+    def _halt(self) -> None:
+        self._stop.set()
+        if self._thread is not None:
+            self._thread.join()
+        self._thread = None
+        self._state.set(running=None, note="")
+
+    def _guard(self, job: Job, stop: threading.Event) -> None:
+        """Run a job; its error is for the page."""
+        try:
+            job(stop)
+        except Stopped:
+            return
+        except TouchdError as error:
+            self._state.set(running=None, problem=f"{error.where}: {error.what}" if error.where else error.what,
+                            fix=error.fix)  # fmt: skip
+        except Exception as error:
+            log.exception("the job failed")
+            self._state.set(running=None, problem=f"internal error: {error!r}", fix="see the log: journalctl")
+
+    def _take(self, stop: threading.Event) -> None:
+        said = self._state.said()
+        self._with_frames(
+            stop, lambda feed: take_untouched(feed, said, self._state.untouched, self._seconds, stop, self._progress)
+        )
+        self._state.set(untouched=True)
+        self._fit_now(stop)
+
+    def _fit(self, stop: threading.Event) -> None:
+        self._fit_now(stop)
+
+    def _fit_now(self, stop: threading.Event) -> None:
+        self._state.set(running="fit", share=0.0, note="")
+        result = fit(self._state, stop, self._progress)
+        self._state.set(running=None, result=result, note="", compared=None, installed=False)
+
+    def _tap(self, stop: threading.Event) -> None:
+        session = Session(self._state)
+        self._with_frames(stop, lambda feed: session.collect(feed, stop))
+
+    def _with_frames(self, stop: threading.Event, use: Callable[[Any], None]) -> None:
+        """Run `use` on the daemon's frames; while no daemon runs say so, and wait for one."""
+        while not stop.is_set():
+            try:
+                with contextlib.closing(open_feed(self._control)) as feed:
+                    self._progress(0.0, "")
+                    return use(feed)
+            except BusError as error:
+                self._progress(0.0, f"{error.what}: {error.fix}")
+                stop.wait(_AGAIN_S)
+        raise Stopped
+
+    def _progress(self, share: float, note: str) -> None:
+        self._state.set(share=share, note=note)
+
+
+async def serve(worker: Worker, state: State, path: Path, manager: Notifier, ready: Callable[[], object]) -> None:
+    """Listen at `path` until SIGTERM or SIGINT."""
+    ended = asyncio.Event()
+
+    async def converse(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        with contextlib.suppress(OSError, ValueError, asyncio.IncompleteReadError), contextlib.closing(writer):
+            while line := await reader.readline():
+                asked = json.loads(line)
+                if asked.get("do") == "watch":
+                    await _watch(state, writer, ended)
+                    return
+                answer = await asyncio.to_thread(worker.answer, asked)
+                writer.write(json.dumps(answer).encode() + b"\n")
+                await writer.drain()
+
+    path.unlink(missing_ok=True)
+    umask = os.umask(0o177)
+    try:
+        server = await asyncio.start_unix_server(converse, path, limit=MOST_BYTES)
+    finally:
+        os.umask(umask)
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        loop.add_signal_handler(number, ended.set)
+    worker.resume()
+    ready()
+    manager.ready()
+    await ended.wait()
+    manager.stopping()
+    server.close()
+    await asyncio.to_thread(worker.end)
+    path.unlink(missing_ok=True)
+
+
+async def _watch(state: State, writer: asyncio.StreamWriter, ended: asyncio.Event) -> None:
+    """Write the state after each change, the newest only."""
+    seen = -1
+    while not ended.is_set():
+        if state.version != seen:
+            seen = state.version
+            writer.write(json.dumps(state.all()).encode() + b"\n")
+            await writer.drain()
+        await asyncio.sleep(_PERIOD_S)

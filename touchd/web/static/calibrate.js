@@ -1,0 +1,119 @@
+// The calibrate view: measures, untouched seconds, fit, verdict, taps. What is shown is the wizard's state.
+import { element, number, post, say } from './dom.js';
+import { measures } from './measures.js';
+import { drawing } from './drawing.js';
+
+const PICTURES = ['response.png', 'residual.png', 'expected-error.png'];
+
+export function mount(root, page) {
+  const { texts, feed } = page, t = texts.calibrate;
+  const problem = element('p', { class: 'problem', role: 'alert' });
+  const steps = element('ol', { class: 'steps' }, ...Object.entries(t.steps).map(([name, text]) => element('li', { 'data-step': name }, text)));
+  const button = (text, command, primary = false) =>
+    element('button', { type: 'button', ...(primary && { class: 'primary' }), onclick: () => act({ do: command }) }, text);
+  const bar = element('progress', { max: 1, value: 0, 'aria-label': t.steps.fit });
+  const doing = element('p', { class: 'muted', role: 'status' });
+  const form = measures(t.measures, plate => act({ do: 'measures', plate }));
+  const listen = button(t.untouched.start, 'untouched', true), stop = button(t.untouched.stop, 'pause');
+  const again = button(t.fit.again, 'fit');
+  const verdict = element('div', { class: 'fitted' });
+  const pane = drawing(t.taps.pane), tapped = element('p', { class: 'tapped', role: 'status' });
+  const told = element('p', { class: 'muted' });
+  const tap = button(t.taps.start, 'taps', true), pause = button(t.taps.pause, 'pause');
+  const undo = button(t.taps.undo, 'undo'), refine = button(t.taps.refine, 'fit');
+  const panel = (name, ...parts) => element('section', { class: 'panel', 'data-panel': name }, element('h2', {}, t.steps[name]), ...parts);
+  const panels = [
+    panel('measures', element('p', { class: 'muted' }, t.measures.hint), form.root),
+    panel('untouched', element('p', { class: 'muted' }, t.untouched.hint),
+      element('div', { class: 'row' }, listen, again, stop), bar, doing),
+    panel('verdict', verdict),
+    panel('taps', element('p', { class: 'muted' }, t.taps.hint), pane.root,
+      element('div', { class: 'row' }, tap, pause, undo, refine), tapped, told),
+  ];
+  root.append(steps, problem, ...panels);
+  let shown = '';
+
+  async function act(command) {
+    const done = await post('calibrate/do', JSON.stringify(command)).catch(() => null);
+    const answer = done?.status === 401 ? { problem: texts.no_session } : await done?.json().catch(() => null) ?? { problem: t.failed };
+    fault(answer.ok ? '' : answer.problem, answer.fix);
+    return answer.ok;
+  }
+
+  function fault(what, fix) {
+    say(problem, [what, fix].filter(Boolean).join(' → '));
+    problem.hidden = !what;
+  }
+
+  function update(state) {
+    for (const each of panels) each.hidden = !state.wizard;
+    steps.hidden = !state.wizard;
+    if (!state.wizard) { fault(...t.no_wizard); return; }
+    if (state.problem || state.running) fault(state.problem, state.fix);
+    else if (problem.textContent.startsWith(t.no_wizard[0])) fault('');
+    const { running, plate, result } = state, listening = running === 'untouched', fitting = running === 'fit';
+    const step = listening ? 'untouched' : fitting ? 'fit' : running === 'taps' ? 'taps' : result ? 'verdict' : plate ? 'untouched' : 'measures';
+    for (const each of steps.children) {
+      if (each.dataset.step === step) each.setAttribute('aria-current', 'step');
+      else each.removeAttribute('aria-current');
+    }
+    root.dataset.step = step;
+    form.show(plate);
+    panels[1].hidden = !plate;
+    panels[2].hidden = !result || fitting;
+    panels[3].hidden = !result?.model || fitting;
+    listen.hidden = listening || fitting;
+    say(listen, state.untouched ? t.untouched.again : t.untouched.start);
+    again.hidden = !state.untouched || listening || fitting;
+    stop.hidden = bar.hidden = !(listening || fitting);
+    bar.value = state.share;
+    say(doing, listening ? (state.note === 'finger' ? t.untouched.finger : state.note || t.untouched.running)
+      : fitting ? `${t.fit.running} ${t.fit.stages[state.note] ?? ''}` : '');
+    doing.dataset.level = listening && state.note ? 'warning' : 'ok';
+    if (result) showVerdict(state);
+    showTaps(state);
+  }
+
+  function showVerdict({ result, installed, compared, taps }) {
+    const key = JSON.stringify([result, installed, compared, taps.length > 0]);
+    if (key === shown) return;
+    const fresh = JSON.stringify(result) !== verdict.dataset.result;
+    shown = key;
+    verdict.dataset.result = JSON.stringify(result);
+    const v = t.verdict, level = { good: 'ok', usable: 'warning', poor: 'failure' }[result.verdict];
+    const list = (title, lines) => (lines.length ? [element('h3', {}, title), element('ul', {}, ...lines.map(line => element('li', {}, line)))] : []);
+    const pictures = !result.report ? [] : PICTURES.filter(name => result.model || name !== 'expected-error.png').map(name =>
+      element('figure', {}, element('img', { src: `calibrate/picture/${name}?${fresh ? Date.now() : ''}`, alt: v.pictures[name], loading: 'lazy' }),
+        element('figcaption', {}, v.pictures[name])));
+    const row = element('div', { class: 'row' });
+    if (result.model && !installed) row.append(button(v.install, 'install', true));
+    if (installed) row.append(element('p', { class: 'verdict', 'data-level': 'ok' }, v.installed), button(v.rollback, 'rollback'));
+    if (result.model && taps.length) row.append(button(v.compare, 'compare'));
+    row.append(button(v.begin, 'begin'));
+    const comparison = Object.entries(compared ?? {}).map(([name, one]) =>
+      `${v.compared[name]}: ${one.problem ?? v.fits(one.used, one.taps, number(one.scatter_mm, 1), number(100 * one.unexplained, 2))}`);
+    verdict.replaceChildren(
+      element('p', { class: 'word', 'data-level': level }, v.words[result.verdict]),
+      element('p', {}, result.model ? v.expected(number(result.expected_mm, 2)) : v.poor),
+      ...list(v.reasons, result.reasons), ...list(v.undecided, result.undecided), row, ...list('', comparison),
+      element('div', { class: 'pictures' }, ...pictures));
+  }
+
+  function showTaps({ running, plate, taps, last, note, told: known, target_mm: target }) {
+    const tapping = running === 'taps';
+    tap.hidden = tapping;
+    say(tap, taps.length ? t.taps.resume : t.taps.start);
+    pause.hidden = !tapping;
+    undo.hidden = refine.hidden = !taps.length;
+    pane.root.hidden = !tapping && !taps.length;
+    if (plate) pane.show(plate, taps, tapping ? target : null, last);
+    tapped.dataset.level = last ? (last.ok ? 'ok' : 'failure') : '';
+    const result = last ? (last.ok ? `✓ ${t.taps.good}` : `✕ ${t.taps.reasons[last.reason]}`) : '';
+    say(tapped, [t.taps.count(taps.length), result, tapping && note ? note : tapping && !last ? t.taps.waiting : ''].filter(Boolean).join(' · '));
+    say(told, known ? [t.taps.scatter(number(known.scatter_mm, 1)), known.orientation && t.taps.turned(known.orientation)].filter(Boolean).join(' ') : '');
+  }
+
+  for (const each of panels) each.hidden = true;
+  const end = feed.on('calibrate', update);
+  return end;
+}

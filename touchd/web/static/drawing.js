@@ -1,0 +1,39 @@
+// The plate with its discs as an SVG in millimetres, for measures and taps.
+const SPACE = 'http://www.w3.org/2000/svg', EDGE_MM = 3;
+
+function shape(name, attributes, text) {
+  const made = document.createElementNS(SPACE, name);
+  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
+  if (text !== undefined) made.textContent = text;
+  return made;
+}
+
+export function drawing(label) {
+  const root = shape('svg', { class: 'plate-drawing', role: 'img', 'aria-label': label });
+  let shown = '';
+
+  // Draws the plate; taps as dots, the target as a ring.
+  function show({ plate, discs }, taps = [], target = null, last = null) {
+    const key = JSON.stringify([plate, discs, taps, target, last]);
+    if (key === shown) return;
+    shown = key;
+    const width = plate.width_mm, height = plate.height_mm;
+    if (!(width > 0 && height > 0)) { root.replaceChildren(); return; }
+    const large = Math.max(width, height);
+    root.setAttribute('viewBox', `${-EDGE_MM} ${-EDGE_MM} ${width + 2 * EDGE_MM} ${height + 2 * EDGE_MM}`);
+    const found = [shape('rect', { class: 'glass', x: 0, y: 0, width, height, rx: 1 })];
+    for (const [index, [x, y]] of [discs.emitter_mm, ...discs.receivers_mm].entries()) {
+      if (!Number.isFinite(x) || !Number.isFinite(y)) continue;
+      found.push(shape('circle', { class: index ? 'disc' : 'disc emitter', cx: x, cy: y, r: Math.max(discs.diameter_mm / 2, large / 80) || 1 }));
+      found.push(shape('text', { x, y, 'font-size': large / 28, dy: '0.35em' }, index ? `${index}` : 'E'));
+    }
+    for (const tap of taps) found.push(shape('circle', { class: 'tap', cx: tap.target_mm[0], cy: tap.target_mm[1], r: large / 110 }));
+    if (last && !last.ok) found.push(shape('circle', { class: 'tap missed', cx: last.target_mm[0], cy: last.target_mm[1], r: large / 110 }));
+    if (target) {
+      found.push(shape('circle', { class: 'target', cx: target[0], cy: target[1], r: large / 40, 'data-x': target[0], 'data-y': target[1] }));
+      found.push(shape('circle', { class: 'target middle', cx: target[0], cy: target[1], r: large / 300 }));
+    }
+    root.replaceChildren(...found);
+  }
+  return { root, show };
+}
