@@ -145,5 +145,5 @@ def _reference(fitted: Fitted) -> Recording:
     whole, few = fitted.recording, slice(REFERENCE_FRAMES)
     return replace(
         whole, frames=whole.frames[few], sequence=whole.sequence[few], timestamp_ns=whole.timestamp_ns[few],
-        contacts_mm=None, force_n=None, temperature_c=None,
+        contacts_mm=None, force_n=None, faces=None, temperature_c=None,
     )  # fmt: skip

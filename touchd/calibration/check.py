@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from touchd.config.schema import Settings
 from touchd.errors import ModelMismatch, RecordingValues
 from touchd.localization.atlas import Atlas
-from touchd.localization.features import windowed_dft
 from touchd.localization.model import Model
 from touchd.localization.model_fit import LEAST, WORN
 from touchd.pipeline import Pipeline
@@ -98,7 +97,7 @@ def collect(model: Model, path: Path) -> tuple[list[Frame], int, float | None, f
     pipeline = Pipeline(source.acquisition, model, Settings())
     assert model.atlas is not None
     bins = np.array(model.atlas.description.bins)
-    to_bins = windowed_dft(source.acquisition, bins)
+    to_bins = model.atlas.description.to_bins
     found: list[Frame] = []
     alive: dict[int, tuple[float, float]] = {}
     touches = settled = 0
@@ -143,7 +142,7 @@ def consistency(
     apart = np.linalg.norm(halves[0].position_mm - halves[1].position_mm, axis=1)
     d = atlas.description
     error = d.field_scale * float(atlas.error.mean()) / 2
-    noise = d.noise_scale * noise_counts**2 * float(np.square(np.hanning(d.acquisition.samples)).sum()) / 2
+    noise = d.noise_scale * noise_counts**2 * float(np.square(d.to_bins).sum()) / (2 * len(d.bins))
     expected2 = sum(
         (noise + error * np.square(np.abs(half.amplitude)))
         * np.trace(np.linalg.pinv(half.fisher_information), axis1=1, axis2=2)
@@ -171,8 +170,8 @@ def part_of(atlas: Atlas, part: slice) -> Atlas:
     shape = (*atlas.coefficients.shape[:2], d.acquisition.channels, 2, len(d.bins))
     nodes = atlas.coefficients.reshape(shape)[..., part]
     return Atlas(
-        d.model_copy(update={"bins": d.bins[part]}), np.ascontiguousarray(nodes.reshape(*shape[:2], -1)),
-        atlas.baseline, np.ascontiguousarray(atlas.error[:, part]),
+        d.model_copy(update={"bins": d.bins[part], "weights": d.weights[part]}),
+        np.ascontiguousarray(nodes.reshape(*shape[:2], -1)), atlas.baseline, np.ascontiguousarray(atlas.error[:, part]),
     )  # fmt: skip
 
 

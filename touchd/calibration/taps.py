@@ -17,7 +17,6 @@ from touchd.calibration.plate_fit import PlateFit
 from touchd.errors import CalibrationError
 from touchd.evaluation.dataset import baseline_frames, complex_bins, labels
 from touchd.localization.atlas import Atlas
-from touchd.localization.features import windowed_dft
 from touchd.recording.data import Recording
 from touchd.training.field.place import FieldMap, Placed, complex_nodes, place
 
@@ -77,7 +76,7 @@ def taps_of(recording: Recording, atlas: Atlas) -> Taps:
     position_mm, touched, untouched = labels(recording, least=1)
     beside = baseline_frames(recording.timestamp_ns, touched, untouched)
     new = np.flatnonzero(np.r_[True, (np.diff(touched) > 1) | (np.diff(position_mm, axis=0) != 0).any(axis=1)])
-    to_bins = windowed_dft(a, np.array(atlas.description.bins))
+    to_bins = atlas.description.to_bins
     residual = recording.frames[touched] - recording.frames[beside].mean(axis=1, dtype=np.float64)
     features = (residual @ to_bins).reshape(len(touched), -1)
     counts = np.diff(np.r_[new, len(touched)])[:, None]

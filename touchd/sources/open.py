@@ -8,11 +8,11 @@ from pathlib import Path
 
 from touchd.config.schema import Settings
 from touchd.errors import SourceError
-from touchd.frame import Acquisition
+from touchd.frame import ACQUISITIONS
 from touchd.localization.model import Model
 from touchd.sources.source import Source
 
-PAPER = Acquisition(channels=4, samples=250, sample_rate_hz=250e3)
+PAPER = ACQUISITIONS["usb"]
 """What the source paper's rig samples: the acquisition of an NI rig without a model."""
 
 
@@ -69,18 +69,22 @@ def open_source(choice: SourceChoice, settings: Settings, model: Model | None = 
 
         return ReplaySource(choice.replay, speed=choice.speed, loop=choice.loop)
     if choice.simulate is not None:
-        return _simulate(choice.simulate, choice)
+        return _simulate(choice.simulate, choice, model)
     if choice.audio is not None:
         return _open_audio(settings, model, choice.audio)
     return _open_ni(settings, model) if choice.ni else _open_usb(settings, model)
 
 
-def _simulate(scene: str, choice: SourceChoice) -> Source:
+def _simulate(scene: str, choice: SourceChoice, model: Model | None) -> Source:
     from touchd.sources.simulated import SimulatedSource
+    from touchd.twin.instrument import Instrument
+    from touchd.twin.simulate import DEFAULT_PLATE
 
     if choice.speed not in (1.0, inf):
         raise SourceError("a live scene has no other speed", f"--speed {choice.speed:g}", "leave it out, or say max")
-    return SimulatedSource(scene, seed=choice.seed, paced=choice.speed != inf, loop=choice.loop)
+    asked = model.description.acquisition if model else PAPER
+    instrument = Instrument(DEFAULT_PLATE, acquisition=asked) if asked.channels == PAPER.channels else None
+    return SimulatedSource(scene, seed=choice.seed, paced=choice.speed != inf, loop=choice.loop, instrument=instrument)
 
 
 def _open_ni(settings: Settings, model: Model | None) -> Source:
