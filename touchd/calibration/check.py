@@ -169,10 +169,9 @@ def part_of(atlas: Atlas, part: slice) -> Atlas:
     d = atlas.description
     shape = (*atlas.coefficients.shape[:2], d.acquisition.channels, 2, len(d.bins))
     nodes = atlas.coefficients.reshape(shape)[..., part]
-    some = d.model_copy(update={"bins": d.bins[part], "weights": d.weights[part]})
     return Atlas(
-        some, np.ascontiguousarray(nodes.reshape(*shape[:2], -1)),
-        atlas.baseline, np.ascontiguousarray(atlas.error[:, part]),
+        d.model_copy(update={"bins": d.bins[part], "weights": d.weights[part]}),
+        np.ascontiguousarray(nodes.reshape(*shape[:2], -1)), atlas.baseline, np.ascontiguousarray(atlas.error[:, part]),
     )  # fmt: skip
 
 

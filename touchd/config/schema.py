@@ -105,7 +105,11 @@ class TrackerSettings(Section):
     """From positions to contacts."""
 
     confirm_frames: int = Field(
-        2, ge=1, le=100, description="Consecutive frames before a contact is reported down: its delay."
+        2,
+        ge=1,
+        le=100,
+        description="Consecutive frames before a contact is reported down: its delay. Up to 2, "
+        "one is enough for a lone finger with a confidence above 0.99 and a `sigma_mm` below 0.3.",
     )
     reach_mm: float = Field(
         25.0, ge=0.1, le=1000, description="Farthest a contact moves from one frame to the next, mm."

@@ -32,8 +32,6 @@ DRIFT_SHARE = 1e-5
 KEEP_EVERY = 16
 """Stuck channels and cycles: the detector watches another channel and keeps another frame after every 16th untouched
 frame; another channel after every touched frame, and another frame after every 8th."""
-_HEAR_NS = 128_000_000
-"""The noise outside the band is followed this often."""
 
 _NO_FRAME = -(2**62)
 _TOUCHED, _UNTOUCHED = Outcome.TOUCHED, Outcome.UNTOUCHED  # bound once: they are asked for in every frame
@@ -115,7 +113,6 @@ class Detector:
         self._stuck_channels = self._stuck.channels
         self._notify = notify
         self._pace = Pace()
-        self._hear_every = _HEAR_NS // USUAL_NS  # frames
         self._learning = True
         self._signal_energy = 1.0
         self.sequence = _NO_FRAME
@@ -146,10 +143,9 @@ class Detector:
             if lost < 0:
                 self.miss(frame.t_ns, "the DAQ's frame number stands still or runs back")
                 return self._without_measurement(Outcome.REPEATED, frame, 0)
-        pace, step_ns = self._pace, frame.t_ns - self._last_ns
-        if (pace.doubtful or not pace.low_ns < step_ns < pace.high_ns) and not lost and pace.update(step_ns):
-            self.gate.set_period(pace.period_ns)
-            self._hear_every = max(1, round(_HEAR_NS / pace.period_ns))
+        pace = self._pace
+        if not pace.low_ns < frame.t_ns - self._last_ns < pace.high_ns and not lost:
+            self._follow_pace(frame.t_ns - self._last_ns)
         self.sequence, self._last_ns = frame.sequence, frame.t_ns
         baseline, stuck = self._baseline, self._stuck
         if stuck.repeats(frame.counts, baseline.signal):
@@ -208,7 +204,7 @@ class Detector:
                 self._relearn.reset()
             if not self.sequence % KEEP_EVERY:
                 self._stuck.keep(detection.signal)
-            if self._impulses and not self.sequence % self._hear_every:
+            if self._impulses and not self.sequence % self._pace.slow_every:
                 self._impulses.update(detection.residual)
             if not alive:
                 self._baseline.follow()
@@ -251,6 +247,11 @@ class Detector:
         if channels:
             return f"the DAQ repeats what it heard on channels {channels}"
         return "the signal changes and no finger explains it: interference or water" if self._relearn.restless else None
+
+    def _follow_pace(self, step_ns: int) -> None:
+        """Take a step from frame to frame that is not the usual one, or comes after such a one."""
+        if self._pace.update(step_ns):
+            self.gate.set_period(self._pace.period_ns)
 
     def _number(self, frame: Frame) -> int:
         """Return how many frames are missing before a frame; -1 for one whose number is not new."""

@@ -11,6 +11,7 @@ import structlog
 from touchd import __version__
 from touchd.event import Contact, Event, State
 from touchd.frame import Frame
+from touchd.outcome import Outcome
 from touchd.pipeline import Pipeline
 from touchd.service.control import Control
 from touchd.service.cpu_latency import Awake
@@ -28,11 +29,13 @@ STALL_NS = 1_000_000_000
 """A source that is no device has stalled after this time without a frame, ns."""
 _FLOWING: tuple[State, ...] = ("streaming", "uncalibrated")
 """Frames flow."""
-_TICK_NS = 4_000_000
-"""Sinks are polled this often, and all else is done that is due: at usual rates after each frame. Polling costs a fifth
-of an idle frame."""
+_TICK_NS, _IDLE_TICK_NS = 4_000_000, 40_000_000
+"""Sinks are polled this often, and all else is done that is due: at usual rates after each frame of a touch, and after
+every other one of an idle plate. Polling costs a fifth of an idle frame."""
 _CONTROL_NS = 50_000_000
 """Commands are read this often: reading costs half as much as an idle frame."""
+
+_UNTOUCHED = Outcome.UNTOUCHED  # bound once: it is asked for in every frame
 
 log = structlog.get_logger()
 
@@ -162,11 +165,10 @@ class Service:
                     self._hand(true, frame.received_ns)
                 if preroll is not None:
                     preroll.keep(frame, result.contacts)
-                wanted = feed is not None and bool(feed.listeners)
-                if rate is not None:
-                    rate.update(frame.t_ns, result.outcome, wanted)
-                if wanted and feed is not None:
+                if feed is not None and feed.listeners:
                     feed.send(frame)
+                if result.outcome is not _UNTOUCHED and rate is not None:
+                    rate.touched(frame.t_ns, result.outcome)
                 self._finish(frame)
             if self._stop:
                 return
@@ -177,9 +179,9 @@ class Service:
         period_ns = frame.t_ns - self._stream_ns
         self._stream_ns = frame.t_ns
         self._seen_ns = now_ns = frame.received_ns
-        if now_ns - self._tick_ns >= _TICK_NS:
-            self._tick(now_ns)
         touched = self.pipeline.touched
+        if now_ns - self._tick_ns >= (_TICK_NS if touched else _IDLE_TICK_NS):
+            self._tick(now_ns)
         if touched is not self._awake.held:
             self._awake.update(touched, period_ns)
 
@@ -212,6 +214,9 @@ class Service:
             sink.poll()
         if now_ns - self._health_ns >= self._health.period_ns:
             self._publish_health()
+        if self._rate is not None:
+            self._rate.wanted = self._feed is not None and bool(self._feed.listeners)
+            self._rate.untouched(self._stream_ns)
         if self._control is not None and now_ns - self._control_ns >= _CONTROL_NS:
             self._control_ns = now_ns
             self._obey(self._control, now_ns)

@@ -23,7 +23,7 @@ from touchd.sources.recorder import Block, write_blocks
 AFTER_NS = 1_000_000_000
 """From a doubtful touch until it is saved, ns: the recording shows how the touch went on."""
 _OURS = re.compile(r"preroll-\d{8}T\d{6}Z-[a-z0-9]+(-\d+)?\.npz")
-_MAX_BLOCK_FRAMES, _BLOCK_NS = 1000, 1_000_000_000
+_MAX_BLOCK_FRAMES = 1000
 
 log = structlog.get_logger()
 
@@ -68,7 +68,6 @@ class PreRoll:
         self._current: Block | None = None
         self._free: list[Block] = []
         self._lent: list[Block] = []
-        self._block_ns = 0  # time of the current block's first frame
         self._last: Frame | None = None
         self._asked = ""
         self._due_ns: int | None = None
@@ -104,9 +103,7 @@ class PreRoll:
         self._last = frame
         current = self._current = self._current or self._new_block()
         current.append(frame, frame.t_ns)
-        if current.size == 1:
-            self._block_ns = frame.t_ns
-        if current.size == self._block_frames or frame.t_ns - self._block_ns >= _BLOCK_NS:
+        if current.size == self._block_frames:
             self._blocks.append(current)
             while len(self._blocks) > 1 and self._is_old(frame.t_ns):
                 self._recycle(self._blocks.popleft())

@@ -10,7 +10,7 @@ QUIET_NS = 2_000_000_000
 """The plate is idle after this time without a frame that opens the gate: most pauses between touches are shorter."""
 SCREEN_OFF_HZ = 10
 """Keeps the baseline with the plate while nobody can touch anything."""
-_UNTOUCHED, _SCREEN_OFF = Outcome.UNTOUCHED, Outcome.SCREEN_OFF  # bound once: they are asked for in every frame
+_SCREEN_OFF = Outcome.SCREEN_OFF
 
 
 class ScanRate:
@@ -29,21 +29,25 @@ class ScanRate:
         self._idle_hz = min(settings.idle_rate_hz, settings.rate_hz)
         self._off_hz = min(SCREEN_OFF_HZ, self._idle_hz)
         self._busy_ns = 0
+        self.wanted = False
+        """Whether somebody wants all frames."""
 
-    def update(self, t_ns: int, outcome: Outcome, wanted: bool = False) -> None:
-        """Take a frame's time and outcome; `wanted` if somebody wants all frames.
+    def touched(self, t_ns: int, outcome: Outcome) -> None:
+        """Take the time of a frame that is not UNTOUCHED, and its outcome.
 
         Call it once the frame's messages are sent: the request takes a moment.
         """
-        if outcome is not _UNTOUCHED or wanted:
-            self._busy_ns = t_ns
-            rate_hz = self._off_hz if outcome is _SCREEN_OFF and not wanted else self._full_hz
-        elif 0 <= t_ns - self._busy_ns < QUIET_NS:
-            rate_hz = self._full_hz
-        else:
-            rate_hz = self._idle_hz
+        self._busy_ns = t_ns
+        rate_hz = self._off_hz if outcome is _SCREEN_OFF and not self.wanted else self._full_hz
         if rate_hz != self.rate_hz:
             self._ask(rate_hz)
+
+    def untouched(self, t_ns: int) -> None:
+        """Take the time of an untouched frame; not every one."""
+        if self.wanted:
+            self.wake()
+        elif self.rate_hz != self._idle_hz and not 0 <= t_ns - self._busy_ns < QUIET_NS:
+            self._ask(self._idle_hz)
 
     def wake(self) -> None:
         """Ask for all frames now: the screen comes on."""

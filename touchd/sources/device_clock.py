@@ -63,7 +63,8 @@ class DeviceClock:
         self._epoch_ns: int | None = None
         self._restarts, self._restarted_ns = 0, -_RESTART_GAP_NS - 1
         self._series = _Point(0, 0)  # device time and arrival at the first of the restarts
-        self._last_ns = self._last_x_ns = 0
+        self._last_ns = self._last_x_ns = self._first_ns = 0
+        self._intercept_ns = self._offset_ns = self._skew = 0.0
         self._last_t_ns = last_t_ns
         self._last_received_ns = 0
 
@@ -97,12 +98,22 @@ class DeviceClock:
     def _fitted_ns(self, device_ns: int, received_ns: int) -> int:
         """Add a frame to the fit, and return its time by it."""
         assert self._epoch_ns is not None
-        x_ns = device_ns - self._epoch_ns
-        arrived_ns = received_ns - self._complete_ns - self._first_ns
-        self._add(_Point(x_ns, arrived_ns - x_ns), arrived_ns // BUCKET_NS)
-        self._follow(x_ns, x_ns - self._last_x_ns)
+        x_ns, first_ns, skew = device_ns - self._epoch_ns, self._first_ns, self._skew
+        arrived_ns = received_ns - self._complete_ns - first_ns
+        y_ns, step_ns = arrived_ns - x_ns, x_ns - self._last_x_ns
         self._last_x_ns = x_ns
-        return self._first_ns + x_ns + round(self._offset_ns)
+        # Most frames are neither the first of a bucket nor quicker than all before.
+        if arrived_ns >= self._bucket_end_ns or y_ns < self._quickest_ns or y_ns < self._intercept_ns + skew * x_ns:
+            self._add(_Point(x_ns, y_ns), arrived_ns // BUCKET_NS)
+            skew = self._skew
+        # Move the offset towards the line, slowly enough that time neither jumps nor runs backwards.
+        offset_ns = self._offset_ns + skew * step_ns
+        error_ns = self._intercept_ns + skew * x_ns - offset_ns
+        if error_ns:
+            limit_ns = _MAX_SLEW * step_ns
+            offset_ns += min(max(error_ns * min(1.0, step_ns / _SETTLE_NS), -limit_ns), limit_ns)
+        self._offset_ns = offset_ns
+        return first_ns + x_ns + round(offset_ns)
 
     def _restart(self, device_ns: int, received_ns: int) -> None:
         """Begin again, since the device's clock was set; give up a clock that is set again and again."""
@@ -124,6 +135,7 @@ class DeviceClock:
         self._epoch_ns = device_ns
         self._minima: deque[_Point] = deque(maxlen=BUCKETS)
         self._bucket = 0
+        self._bucket_end_ns = self._quickest_ns = 0
         self._skew = self.ppm = 0.0
         # An integer, exact after any uptime; floats hold only how far the clocks have parted since.
         self._first_ns = received_ns - self._complete_ns
@@ -139,6 +151,7 @@ class DeviceClock:
             self._minima.append(point)
         elif point.y_ns < self._minima[-1].y_ns:
             self._minima[-1] = point
+        self._bucket_end_ns, self._quickest_ns = (self._bucket + 1) * BUCKET_NS, self._minima[-1].y_ns
         # A frame below the line shows that the line was too high.
         self._intercept_ns = min(self._intercept_ns, point.y_ns - self._skew * point.x_ns)
 
@@ -161,13 +174,6 @@ class DeviceClock:
             self._give_up(device_ns / (device_ns + parted_ns))
         elif len(self._minima) == BUCKETS:
             self.fault = None
-
-    def _follow(self, x_ns: int, step_ns: int) -> None:
-        """Move the offset towards the line, slowly enough that time neither jumps nor runs backwards."""
-        self._offset_ns += self._skew * step_ns
-        error_ns = self._intercept_ns + self._skew * x_ns - self._offset_ns
-        limit_ns = _MAX_SLEW * step_ns
-        self._offset_ns += min(max(error_ns * min(1.0, step_ns / _SETTLE_NS), -limit_ns), limit_ns)
 
 
 def _edge_above_mean(points: list[_Point]) -> tuple[_Point, _Point]:

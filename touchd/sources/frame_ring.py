@@ -42,7 +42,8 @@ class FrameRing(Generic[Mark]):
         self._views: list[Counts] = list(read_only)
         self._free = list(range(len(self._slots)))
         self._held: int | None = None
-        self._queue: deque[_Waiting | Mark] = deque()
+        self.waiting: deque[_Waiting | Mark] = deque()
+        """Frames and marks in order: look whether any waits, no more."""
         self._changed = threading.Condition()
 
     def put(self, counts: Counts, sequence: int, t_ns: int, received_ns: int) -> None:
@@ -51,31 +52,27 @@ class FrameRing(Generic[Mark]):
             slot = self._free.pop() if self._free else self._drop()
         self._slots[slot][:] = counts
         with self._changed:
-            self._queue.append(_Waiting(slot, sequence, t_ns, received_ns))
+            self.waiting.append(_Waiting(slot, sequence, t_ns, received_ns))
             self._changed.notify()
 
     def mark(self, mark: Mark) -> None:
         """Append a mark; marks are never dropped."""
         with self._changed:
-            self._queue.append(mark)
+            self.waiting.append(mark)
             self._changed.notify()
 
     def take(self, timeout_s: float) -> Frame | None:
         """Return the next frame, valid until the next call; None if none comes in time, or a mark comes first."""
         with self._changed:
-            if not self._queue:
+            if not self.waiting:
                 self._changed.wait(timeout_s)
-            if not self._queue or not isinstance(first := self._queue[0], _Waiting):
+            if not self.waiting or not isinstance(first := self.waiting[0], _Waiting):
                 return None
-            self._queue.popleft()
+            self.waiting.popleft()
             if self._held is not None:
                 self._free.append(self._held)
             self._held = first.slot
         return Frame(self._views[first.slot], first.sequence, first.t_ns, first.received_ns)
-
-    def __bool__(self) -> bool:
-        """Return whether a frame or a mark waits."""
-        return bool(self._queue)
 
     def wake(self) -> None:
         """Let `take` return at once if it waits."""
@@ -86,16 +83,16 @@ class FrameRing(Generic[Mark]):
         """Take the marks that come before the next frame."""
         found: list[Mark] = []
         with self._changed:
-            while self._queue and not isinstance(first := self._queue[0], _Waiting):
+            while self.waiting and not isinstance(first := self.waiting[0], _Waiting):
                 found.append(first)
-                self._queue.popleft()
+                self.waiting.popleft()
         return found
 
     def _drop(self) -> int:
         """Remove the oldest frame, keep the marks before it, and return its slot."""
-        for i, item in enumerate(self._queue):
+        for i, item in enumerate(self.waiting):
             if isinstance(item, _Waiting):
-                del self._queue[i]
+                del self.waiting[i]
                 self.dropped += 1
                 return item.slot
         raise AssertionError("no slot is free, so a frame waits")

@@ -26,19 +26,17 @@ from touchd.event import State
 from touchd.frame import Acquisition, Frame
 from touchd.recording.data import Device
 from touchd.sources.daq import Candidates, Daq, DaqAbsent, DaqFrame, DaqGone
-from touchd.sources.device_clock import DeviceClock
 from touchd.sources.device_search import DeviceSearch, check_rate, open_first
 from touchd.sources.frame_ring import FrameRing
+from touchd.sources.intake import Intake
 from touchd.sources.lending import Lending
-from touchd.sources.numbering import Numbering
-from touchd.sources.source import Change, EndOfStream, Tally
+from touchd.sources.source import Change, EndOfStream
 from touchd.sources.waits import WAITS, Waits
 
 _JOIN_S = 0.5
 """`close` waits this long for a thread that a wedged device holds: the service must end within 1 s of SIGTERM."""
 _DIRECT_HZ, _STEADY_FRAMES = 250, 8
-"""Up to this rate the caller of `read` reads the device itself once 8 frames have come: what it does with a frame takes
-less than the period, and the device keeps a few. At higher rates the thread reads on meanwhile."""
+"""Up to this rate the caller of `read` reads the device itself once 8 frames have come: a device keeps a few for it."""
 _STALL_FRAMES = 3  # that a stalled device has left out, however low its rate
 _MAX_DOUBLINGS = 10  # of the delay between connections; by far enough to reach `max_retry_s`
 
@@ -78,7 +76,8 @@ class DaqSource:
         direct: bool = True,
     ) -> None:
         self.acquisition = acquisition
-        self.tally = Tally()
+        self._intake = Intake(settings.rate_hz)
+        self.tally = self._intake.tally
         self.device = device or Device()
         """The device that was opened last."""
         self._settings, self._waits, self._clock = settings, waits, clock
@@ -86,18 +85,13 @@ class DaqSource:
         self._stall_ns = round(settings.stall_s * 1e9)
         self._rate_hz = settings.rate_hz
         self._lending = Lending()
-        self._device_clock = DeviceClock(0)
-        self._corrupt = 0  # on earlier connections
-        self._seen_ns = 0
         self._streaming: Daq | None = None
         self._commanding = threading.Lock()  # of `_streaming`: no device is closed while it is commanded
         self._ring: FrameRing[Change] = FrameRing(settings.queue_frames, acquisition.shape)
-        self._numbering = Numbering()
         self._state: State = "starting"
         self._reason, self._direct = "", direct
-        self._alive_ns = clock()
+        self._alive_ns = self._seen_ns = clock()
         self._fruitless = 0  # connections in a row that brought no frame
-        self._last_t_ns = -1
         self._clock_fault: str | None = None
         self._error: TouchdError | None = None
         self._closing = threading.Event()
@@ -116,15 +110,15 @@ class DaqSource:
         """
         if self._closing.is_set():
             raise EndOfStream
-        lent = self._lending.lent
-        if lent is None or self._ring:
-            frame = self._ring.take(timeout_s)
+        lent, ring = self._lending.lent, self._ring
+        if lent is None or ring.waiting:
+            frame = ring.take(timeout_s)
             lent = self._lending.lent
-            if frame is not None or lent is None or self._ring:
+            if frame is not None or lent is None or ring.waiting:
                 return self._checked(frame)
         wait_s = max(timeout_s, _STALL_FRAMES / self._rate_hz)  # a loan does not end between two frames
         found = self._lending.read(wait_s)
-        self.tally.corrupt = self._corrupt + lent.corrupt
+        self._intake.count_corrupt(lent)
         if found is None:
             return None
         self._seen_ns = self._alive_ns = self._clock()
@@ -199,16 +193,14 @@ class DaqSource:
     def _stream(self, daq: Daq) -> None:
         """Queue frames until the source is closed or the device is gone; restart, then reset a device that stalls."""
         self._start(daq)
-        complete_ns = round(1e9 * daq.acquisition.samples / daq.acquisition.sample_rate_hz)
-        self._device_clock = DeviceClock(complete_ns, self._last_t_ns)
-        self._corrupt = self.tally.corrupt
+        self._intake.connect(daq)
         restarted, frames = False, 0
         self._seen_ns = self._clock()
         while not self._closing.is_set():
             try:
                 frame = daq.read(self._waits.read_s)
             finally:
-                self.tally.corrupt = self._corrupt + daq.corrupt
+                self._intake.count_corrupt(daq)
             now_ns = self._alive_ns = self._clock()
             if frame is not None:
                 self._take(frame, now_ns)
@@ -234,40 +226,29 @@ class DaqSource:
 
     def _start(self, daq: Daq) -> None:
         daq.start(self._settings.rate_hz)
-        self._numbering.restart()
+        self._intake.numbering.restart()
         with self._commanding:
             self._streaming = daq
             if self._rate_hz != self._settings.rate_hz:
                 daq.set_rate(self._rate_hz)
 
     def _take(self, frame: DaqFrame, received_ns: int, *, direct: bool = False) -> Frame | None:
-        """Number, date, count and queue a frame; return it instead if it goes on directly and nothing waits."""
-        clock = self._device_clock
-        if self._state != "streaming":
-            self._enter_streaming(clock)
-        tally = self.tally
-        number, lost = self._numbering.number(frame.sequence, tally.corrupt)
-        tally.lost += lost
-        if frame.withheld:
-            tally.withheld[frame.withheld] = tally.withheld.get(frame.withheld, 0) + 1
-            return None
-        t_ns = self._last_t_ns = clock.map(frame.timestamp_us, received_ns)
-        if clock.fault != self._clock_fault:
-            self._enter_streaming(clock)
-        tally.clipped += frame.clipped
-        tally.clock_ppm = clock.ppm
-        tally.late += clock.delay_ns * self._settings.rate_hz > 1_000_000_000
-        if direct and not self._ring:
-            return Frame(frame.counts, number, t_ns, received_ns)
-        self._ring.put(frame.counts, number, t_ns, received_ns)
-        tally.behind = self._ring.dropped
+        """Take a frame in and queue it; return it instead if it goes on directly and nothing waits."""
+        taken = self._intake.take(frame, received_ns)
+        if self._state != "streaming" or self._intake.fault != self._clock_fault:
+            self._enter_streaming(self._intake.fault)
+        if taken is not None and direct and not self._ring.waiting:
+            return Frame(frame.counts, *taken, received_ns)
+        if taken is not None:
+            self._ring.put(frame.counts, *taken, received_ns)
+            self.tally.behind = self._ring.dropped
         return None
 
-    def _enter_streaming(self, clock: DeviceClock) -> None:
-        if clock.fault and clock.fault != self._clock_fault:
-            log.warning("device clock not used", why=clock.fault)
-        self._clock_fault = clock.fault
-        self._enter("streaming", "; ".join(filter(None, (clock.fault, self._search.skipped))))
+    def _enter_streaming(self, fault: str | None) -> None:
+        if fault and fault != self._clock_fault:
+            log.warning("device clock not used", why=fault)
+        self._clock_fault = fault
+        self._enter("streaming", "; ".join(filter(None, (fault, self._search.skipped))))
 
     def _enter(self, state: State, reason: str) -> None:
         """Queue a change of state, or of its reason."""

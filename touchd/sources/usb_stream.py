@@ -90,7 +90,7 @@ class UsbDaq:
         self._connection = connection
         self._shape = info.samples, info.channels
         self._reader = FrameReader(info)
-        self._found: Iterator[tuple[Header, memoryview]] = iter(())  # frames of the last transfer, not read yet
+        self._found: Iterator[tuple[Header, memoryview]] | None = None  # frames of the last transfer, not read yet
         self._sequence: int | None = None  # of the last frame, unwrapped
         self._started = False
         self._halts = 0
@@ -138,10 +138,17 @@ class UsbDaq:
 
     def read(self, timeout_s: float) -> DaqFrame | None:
         """Return the next frame; None if the next transfer completes none, or does not come in time."""
-        found = next(self._found, None)
+        found = self._found and next(self._found, None)
         if found is None:
-            self._found = self._read_transfer(round(timeout_s * 1000))
-            found = next(self._found, None)
+            size = self._read_transfer(round(timeout_s * 1000))
+            if size is None:
+                return None
+            # Nearly every transfer is one whole frame.
+            found = self._reader.whole(self._view, size)
+            if found is None:
+                ended = size == 0 or size % self._connection.packet_bytes != 0
+                self._found = self._reader.feed(self._view[:size], ended=ended)
+                found = next(self._found, None)
         return None if found is None else self._decode(*found)
 
     def reset(self) -> None:
@@ -154,7 +161,7 @@ class UsbDaq:
 
     def _discard(self) -> None:
         """Read until nothing comes; the next frame may have any number."""
-        self._found = iter(())
+        self._found = None
         self._sequence = None
         self._reader.reset()
         with contextlib.suppress(EndpointHalted, TransferOverflow):
@@ -162,22 +169,18 @@ class UsbDaq:
                 if self._connection.fill(self._buffer, _DRAIN_TIMEOUT_MS) is None:
                     break
 
-    def _read_transfer(self, timeout_ms: int) -> Iterator[tuple[Header, memoryview]]:
-        """Read one transfer and return the frames that it completes."""
+    def _read_transfer(self, timeout_ms: int) -> int | None:
+        """Read one transfer and return its length in bytes; None if none came whole."""
+        self._found = None
         try:
-            size = self._connection.fill(self._buffer, timeout_ms)
+            return self._connection.fill(self._buffer, timeout_ms)
         except EndpointHalted:
             self._reader.reset()
             self._clear_halt()
-            return iter(())
         except TransferOverflow:
             self._reader.reset()
             self._reader.corrupt += 1
-            return iter(())
-        if size is None:
-            return iter(())
-        ended = size == 0 or size % self._connection.packet_bytes != 0
-        return self._reader.feed(self._view[:size], ended=ended)
+        return None
 
     def _clear_halt(self) -> None:
         self._connection.clear_halt()
@@ -189,7 +192,11 @@ class UsbDaq:
     def _decode(self, header: Header, samples: memoryview) -> DaqFrame:
         """Return a frame whose counts are a view of the transfer."""
         counts = np.frombuffer(samples, "<i2").reshape(self._shape).T
-        sequence, flags = self._unwrap(header.sequence), header.flags
+        sequence, _, flags, _ = header
+        if self._sequence is not None and sequence == self._sequence + 1:
+            self._sequence = sequence
+        else:
+            sequence = self._unwrap(sequence)
         if not flags:
             return DaqFrame(counts, sequence, header.timestamp_us)
         withheld = ""

@@ -18,6 +18,13 @@ from touchd.tracking.steady_kind import SteadyKind
 
 _NEVER = 1e9  # mm: finite, as the assignment asks
 _RELEASE_FRAMES = 2
+_SURE_CONFIDENCE, _SURE_SIGMA_MM = 0.99, 0.3
+"""One frame is enough for a lone finger surer than this. Of fingertips, 96 in 100 are in the first frame that shows
+them; palms, drops, tones and drift stay below (twin)."""
+_SURE_FRAMES = 2
+"""But not where more frames than these were asked for."""
+_LIFTING_NS = 100_000_000
+"""Nor so soon after a contact has ended: a finger that lifts may show up once more."""
 _MOST_CONTACTS = 10
 _REFRESH_NS = 100_000_000
 _DEAD_SIGMAS = 1.5
@@ -40,8 +47,8 @@ class Track:
 class Tracker:
     """Keeps the contacts of a plate.
 
-    A finger is reported `down` once it was found in `confirm_frames` frames in a row, and `up` once it
-    was missing from 2 of them. Which finger is which is decided by the assignment of
+    A finger is reported `down` once it was found in `confirm_frames` frames in a row, a lone and sure one in its first
+    frame, and `up` once it was missing from 2 of them. Which finger is which is decided by the assignment of
     positions to contacts with the smallest total distance, none farther than `reach_mm`.
     """
 
@@ -55,6 +62,7 @@ class Tracker:
         self._next_id = 1
         self._last_ns = 0
         self._reported_ns = 0
+        self._ended_ns = -_LIFTING_NS
 
     def configure(self, settings: TrackerSettings) -> None:
         """Take other settings; those of the filter hold from the next contact on."""
@@ -83,7 +91,8 @@ class Tracker:
         for touch in touches:
             if touch not in matched and len(self.tracks) < _MOST_CONTACTS:
                 self.tracks.append(Track(touch, self._settings))
-                due |= self._confirm(self.tracks[-1], touch)
+                sure = len(self.tracks) == len(touches) == 1 and self._is_sure(touch, t_ns)
+                due |= self._confirm(self.tracks[-1], touch, sure=sure)
         return self._report(t_ns, due, elapsed_s)
 
     def release_all(self, t_ns: int) -> list[Contact]:
@@ -139,8 +148,17 @@ class Tracker:
         contact.x_mm, contact.y_mm, contact.key = at.x_mm, at.y_mm, touch.key
         return True
 
-    def _confirm(self, track: Track, touch: Touch) -> bool:
-        if track.seen < self._settings.confirm_frames:
+    def _is_sure(self, touch: Touch, t_ns: int) -> bool:
+        """Return whether one frame is enough evidence for a lone finger."""
+        return (
+            touch.confidence > _SURE_CONFIDENCE
+            and touch.sigma_mm < _SURE_SIGMA_MM
+            and self._settings.confirm_frames <= _SURE_FRAMES
+            and not 0 <= t_ns - self._ended_ns < _LIFTING_NS
+        )
+
+    def _confirm(self, track: Track, touch: Touch, *, sure: bool = False) -> bool:
+        if track.seen < self._settings.confirm_frames and not sure:
             return False
         at = track.filter
         track.contact = Contact(
@@ -173,7 +191,9 @@ class Tracker:
         if self._missed:
             self._missed = False
             self.tracks = [track for track in self.tracks if _lives(track)]
-            self.alive = any(track.contact is not None for track in self.tracks)
+            was_alive, self.alive = self.alive, any(track.contact is not None for track in self.tracks)
+            if was_alive and not self.alive:
+                self._ended_ns = t_ns
         if contacts:
             self._reported_ns = t_ns
         return contacts

@@ -14,7 +14,7 @@ import numpy as np
 
 DEVICE = "hw:CARD=Loopback,DEV=1"
 BLOCK = 1920
-BUFFER_S = 1.0
+BUFFER_S = 2.0
 
 
 def stream(kind: int, channels: int, rate_hz: int) -> alsaaudio.PCM:
@@ -36,7 +36,8 @@ def main(path: str) -> None:
     captured = b""
     played = stream(alsaaudio.PCM_PLAYBACK, channels, rate_hz)
     heard = stream(alsaaudio.PCM_CAPTURE, 2, rate_hz)
-    played.write(np.zeros((round(BUFFER_S * rate_hz / 2), channels), "<i4").tobytes())
+    silence = np.zeros((round(BUFFER_S * rate_hz / 2), channels), "<i4").tobytes()
+    played.write(silence)
     print("plate", flush=True)
     while True:
         length, data = heard.read()
@@ -56,8 +57,9 @@ def main(path: str) -> None:
         tail += np.fft.irfft(np.fft.rfft(block, size) * spectra[finger], size)
         answer = tail[:, :BLOCK] + noise * 2.0**16 * rng.standard_normal((channels, BLOCK))
         counts = np.clip(np.rint(answer), -(2**31), 2**31 - 1).astype("<i4")
-        if played.write(counts.T.tobytes()) < 0:
+        if played.write(counts.T.tobytes()) < 0:  # the processor was too slow: begin again, with another delay
             print("dry", flush=True)
+            played.write(silence)
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ from msgspec.structs import replace
 from structlog.testing import capture_logs
 
 from tests.conftest import Scene
-from touchd.config.schema import HealthSettings, Settings
+from touchd.config.schema import DeviceSettings, HealthSettings, Settings
 from touchd.errors import DeviceLost
 from touchd.event import Event, HealthEvent, Latency, TouchEvent
 from touchd.frame import Frame
@@ -23,6 +23,7 @@ from touchd.service.cpu_latency import Awake
 from touchd.service.health import Health
 from touchd.service.loop import STALL_NS, Service
 from touchd.service.messages import Messages, wants_of
+from touchd.service.rate import ScanRate
 from touchd.service.runner import READ_TIMEOUT_S
 from touchd.sources.source import Change, EndOfStream, Tally
 
@@ -126,6 +127,15 @@ class Bench:
 
     def _heard(self, event: Event) -> None:
         self.when(event)
+
+
+class Adjustable(Script):
+    """A source whose rate can be changed; it keeps what it is asked for, and when."""
+
+    asked: list[tuple[int, int]]
+
+    def set_rate(self, rate_hz: int) -> None:
+        self.asked.append((self._clock.now_ns - START_NS, rate_hz))
 
 
 @pytest.fixture
@@ -405,3 +415,21 @@ def test_latency(make: Callable[..., Bench], circle: list[Frame]) -> None:
     for latencies, latency in periods:
         expected = np.percentile(latencies, (50, 99, 100)) if latencies else (0, 0, 0)
         np.testing.assert_allclose((latency.p50, latency.p99, latency.max), expected, atol=0.06)
+
+
+def test_scan_rate(scene: Scene, model: Model, circle: list[Frame]) -> None:
+    """The loop asks for few frames once the plate is untouched, and for all with the first touched frame."""
+    idle = [Frame(counts, i, 0, 0) for i, counts in enumerate(scene("idle").frames[:290])]
+    touched = [replace(frame, sequence=290 + i) for i, frame in enumerate(circle[150:160])]
+    clock = Clock()
+    source = Adjustable(scene("idle"), [*idle, *touched], clock)
+    source.asked = []
+    messages = Messages(Settings(), wants_of([]))
+    pipeline = Pipeline(source.acquisition, model, Settings())
+    health = Health(source, pipeline, messages, HealthSettings())
+    rate = ScanRate(source, DeviceSettings())
+    Service(source, pipeline, messages, [], health, clock=clock, rate=rate).run()
+    (fell_ns, idle_hz), (rose_ns, full_hz) = source.asked
+    assert (idle_hz, full_hz) == (50, 125)
+    assert 2e9 <= fell_ns <= 2e9 + 32 * PERIOD_NS + 50e6, "2 s after the last frame that the plate was learned from"
+    assert rose_ns == 291 * PERIOD_NS

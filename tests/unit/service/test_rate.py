@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import pytest
+
 from touchd.config.schema import DeviceSettings
 from touchd.outcome import Outcome
 from touchd.service.rate import QUIET_NS, SCREEN_OFF_HZ, ScanRate
 from touchd.sources.source import Source
 
-UNTOUCHED, TOUCHED, OFF = Outcome.UNTOUCHED, Outcome.FAINT, Outcome.SCREEN_OFF
+OFF = Outcome.SCREEN_OFF
 BEGIN_NS = 10**12
 
 
@@ -23,7 +25,7 @@ class Adjustable:
 
 def made(source: object, **settings: int) -> ScanRate:
     rate = ScanRate(source, DeviceSettings(**settings))  # type: ignore[arg-type]
-    rate.update(BEGIN_NS, Outcome.LEARNING)
+    rate.touched(BEGIN_NS, Outcome.LEARNING)
     return rate
 
 
@@ -32,41 +34,44 @@ def test_untouched() -> None:
     source = Adjustable()
     rate = made(source)
     for after_ns in (0, QUIET_NS - 1):
-        rate.update(BEGIN_NS + after_ns, UNTOUCHED)
+        rate.untouched(BEGIN_NS + after_ns)
     assert source.asked == []
     for after_ns in (QUIET_NS, QUIET_NS + 1):
-        rate.update(BEGIN_NS + after_ns, UNTOUCHED)
+        rate.untouched(BEGIN_NS + after_ns)
     assert source.asked == [50]
 
 
-def test_first_touch() -> None:
+@pytest.mark.parametrize("outcome", [one for one in Outcome if one not in (Outcome.UNTOUCHED, OFF)])
+def test_first_touch(outcome: Outcome) -> None:
     """The first frame that opens the gate brings all frames, whatever is found in it."""
-    for outcome in (Outcome.FAINT, Outcome.INFERRED, Outcome.LEARNING, Outcome.STUCK, Outcome.UNCALIBRATED):
-        source = Adjustable()
-        rate = made(source)
-        rate.update(BEGIN_NS + QUIET_NS, UNTOUCHED)
-        rate.update(BEGIN_NS + QUIET_NS + 1, outcome)
-        rate.update(BEGIN_NS + QUIET_NS + 2, UNTOUCHED)
-        assert source.asked == [50, 125]
+    source = Adjustable()
+    rate = made(source)
+    rate.untouched(BEGIN_NS + QUIET_NS)
+    rate.touched(BEGIN_NS + QUIET_NS + 1, outcome)
+    rate.untouched(BEGIN_NS + QUIET_NS + 2)
+    assert source.asked == [50, 125]
 
 
 def test_screen() -> None:
     """With the screen off few frames keep the baseline; switching it on brings all of them at once."""
     source = Adjustable()
     rate = made(source)
-    rate.update(BEGIN_NS, OFF)
+    rate.touched(BEGIN_NS, OFF)
+    rate.untouched(BEGIN_NS)
     assert source.asked == [SCREEN_OFF_HZ]
     rate.wake()
-    rate.update(BEGIN_NS + 1, UNTOUCHED)
+    rate.untouched(BEGIN_NS + 1)
     assert source.asked == [SCREEN_OFF_HZ, 125]
 
 
 def test_listener() -> None:
-    """A program that records gets all frames, of an untouched plate too."""
+    """A program that records gets all frames, of an untouched plate and with the screen off too."""
     source = Adjustable()
     rate = made(source)
-    rate.update(BEGIN_NS + QUIET_NS, UNTOUCHED)
-    rate.update(BEGIN_NS + QUIET_NS + 1, UNTOUCHED, wanted=True)
+    rate.untouched(BEGIN_NS + QUIET_NS)
+    rate.wanted = True
+    rate.untouched(BEGIN_NS + 2 * QUIET_NS)
+    rate.touched(BEGIN_NS + 2 * QUIET_NS, OFF)
     assert source.asked == [50, 125]
 
 
@@ -74,8 +79,8 @@ def test_limits() -> None:
     """No rate is above the full one."""
     source = Adjustable()
     rate = made(source, rate_hz=8)
-    rate.update(BEGIN_NS + QUIET_NS, UNTOUCHED)
-    rate.update(BEGIN_NS + QUIET_NS, OFF)
+    rate.untouched(BEGIN_NS + QUIET_NS)
+    rate.touched(BEGIN_NS + QUIET_NS, OFF)
     assert source.asked == []
 
 
@@ -83,7 +88,7 @@ def test_clock_back() -> None:
     """A clock that steps back does not keep the rate up."""
     source = Adjustable()
     rate = made(source)
-    rate.update(BEGIN_NS - QUIET_NS, UNTOUCHED)
+    rate.untouched(BEGIN_NS - QUIET_NS)
     assert source.asked == [50]
 
 
@@ -95,5 +100,5 @@ def test_one_rate() -> None:
 
     source: Source = Fixed()  # type: ignore[assignment]
     rate = made(source)
-    rate.update(BEGIN_NS + QUIET_NS, UNTOUCHED)
+    rate.untouched(BEGIN_NS + QUIET_NS)
     rate.wake()

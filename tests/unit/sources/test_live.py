@@ -116,6 +116,11 @@ class Steady(Stubborn):
         self.readers: list[str] = []
         self.fails: Exception | None = None
         self.silent = False
+        """Until it is started again."""
+
+    def start(self, rate_hz: int) -> None:
+        super().start(rate_hz)
+        self.silent = False
 
     def read(self, timeout_s: float) -> DaqFrame | None:
         self.readers.append(threading.current_thread().name)
@@ -207,9 +212,8 @@ def test_silent_while_lent(reading: Callable[..., Reading]) -> None:
     one.until_direct()
     one.daq.silent = True
     one.until(lambda: "stalled" in one.states)
-    one.until(lambda: one.daq.starts == 2)
-    one.daq.silent = False
     one.until_direct()
+    assert one.daq.starts == 2
     assert one.states == ["streaming", "stalled", "streaming"]
     assert one.numbers == list(range(1, len(one.numbers) + 1))
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec.structs import replace
 from scipy.optimize import linear_sum_assignment
 
 from touchd.config.schema import TrackerSettings
@@ -54,6 +55,64 @@ def test_down_and_up() -> None:
     stroke.feed()
     assert stroke.phases() == ["down", "up"]
     assert not stroke.tracker.alive
+
+
+SURE = Touch(50, 60, 0.1, 0.995, 0.3)
+
+
+def test_sure_finger() -> None:
+    """One frame is enough for a lone finger that is sure."""
+    stroke = Stroke()
+    stroke.feed(SURE)
+    assert stroke.phases() == ["down"]
+    stroke.feed(SURE, frames=2)
+    stroke.feed(frames=2)
+    assert stroke.phases() == ["down", "up"]
+
+
+@pytest.mark.parametrize(
+    "touches",
+    [[replace(SURE, confidence=0.98)], [replace(SURE, sigma_mm=0.4)], [SURE, replace(SURE, x_mm=100)]],
+    ids=["confidence", "sigma", "two"],
+)
+def test_unsure_fingers(touches: list[Touch]) -> None:
+    """Fingers that are doubtful, or land together, are asked for again."""
+    stroke = Stroke()
+    stroke.feed(*touches)
+    assert not stroke.reports
+    stroke.feed(*touches)
+    assert stroke.phases() == ["down"]
+
+
+def test_sure_finger_beside_another() -> None:
+    """A further finger is asked for again, however sure: it may be a part of the first."""
+    stroke = Stroke()
+    stroke.feed(SURE)
+    stroke.feed(SURE, replace(SURE, x_mm=100))
+    assert stroke.phases(2) == []
+    stroke.feed(SURE, replace(SURE, x_mm=100))
+    assert stroke.phases(2) == ["down"]
+
+
+def test_sure_finger_after_a_lift() -> None:
+    """A finger that shows once more while it lifts is no other one; after 0.1 s it is."""
+    stroke = Stroke()
+    stroke.feed(SURE, frames=3)
+    stroke.feed(frames=2)
+    stroke.feed(SURE)
+    assert stroke.phases(2) == []
+    stroke.feed(frames=13)
+    stroke.feed(SURE)
+    assert stroke.phases(2) == ["down"]
+
+
+def test_more_frames_asked_for() -> None:
+    """Who asks for more than two frames gets them from sure fingers too."""
+    stroke = Stroke(TrackerSettings(confirm_frames=3))
+    stroke.feed(SURE, frames=2)
+    assert not stroke.reports
+    stroke.feed(SURE)
+    assert stroke.phases() == ["down"]
 
 
 positions = st.lists(st.tuples(st.floats(0, 60), st.floats(0, 60)), min_size=1, max_size=5, unique=True)

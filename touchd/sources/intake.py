@@ -1,0 +1,58 @@
+"""Numbers, dates and counts each frame of a live source, whichever thread has read it."""
+
+from __future__ import annotations
+
+from touchd.sources.daq import Daq, DaqFrame
+from touchd.sources.device_clock import DeviceClock
+from touchd.sources.numbering import Numbering
+from touchd.sources.source import Tally
+
+
+class Intake:
+    """What one source knows of its frames, over all connections.
+
+    Parameters
+    ----------
+    rate_hz : int
+        The full rate: a frame that is later than its period is late.
+    """
+
+    def __init__(self, rate_hz: int) -> None:
+        self.tally = Tally()
+        self.numbering = Numbering()
+        self._late_ns = 1_000_000_000 // rate_hz
+        self._last_ns = -1
+        self._corrupt = 0  # on earlier connections
+        self._clock = DeviceClock(0)
+
+    def connect(self, daq: Daq) -> None:
+        """Begin with a device, and its clock."""
+        complete_ns = round(1e9 * daq.acquisition.samples / daq.acquisition.sample_rate_hz)
+        self._clock = DeviceClock(complete_ns, self._last_ns)
+        self._corrupt = self.tally.corrupt
+
+    def count_corrupt(self, daq: Daq) -> None:
+        """Count the corrupt frames up to the one just read."""
+        self.tally.corrupt = self._corrupt + daq.corrupt
+
+    @property
+    def fault(self) -> str | None:
+        """What is wrong with the device's clock, for a person."""
+        return self._clock.fault
+
+    def take(self, frame: DaqFrame, received_ns: int) -> tuple[int, int] | None:
+        """Return a frame's number and time; None if it is no measurement."""
+        tally, clock = self.tally, self._clock
+        number, lost = self.numbering.number(frame.sequence, tally.corrupt)
+        if lost:
+            tally.lost += lost
+        if frame.withheld:
+            tally.withheld[frame.withheld] = tally.withheld.get(frame.withheld, 0) + 1
+            return None
+        t_ns = self._last_ns = clock.map(frame.timestamp_us, received_ns)
+        if frame.clipped:
+            tally.clipped += 1
+        if clock.delay_ns > self._late_ns:
+            tally.late += 1
+        tally.clock_ppm = clock.ppm
+        return number, t_ns
