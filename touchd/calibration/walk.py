@@ -21,10 +21,12 @@ from touchd.pipeline import Pipeline
 from touchd.recording.data import Act, Meta, Recording
 
 UNTOUCHED_S = 10.0
-TAPS, PALMS, THUMBS = 40, 3, 8
+TAPS, THUMBS = 40, 8
 STROKES = (((0.1, 0.3), (0.9, 0.3)), ((0.3, 0.1), (0.3, 0.9)), ((0.1, 0.1), (0.9, 0.9)), ((0.9, 0.1), (0.1, 0.9)),
            ((0.9, 0.7), (0.1, 0.7)), ((0.7, 0.9), (0.7, 0.1)))  # fmt: skip
 """Ends of the strokes, as shares of the sides."""
+PALMS = ((0.5, 0.5), (0.4, 0.6), (0.6, 0.4))
+"""Where a palm has room."""
 CROSS_MM, RULER_MM, THUMB_MM, PALM_MM = 1.0, 2.0, 3.0, 30.0
 """How well a person hits a cross with a finger, keeps to a ruler, and hits with a thumb or a palm."""
 TAP_S, STROKE_S, PALM_S = 0.1, 1.0, 1.0
@@ -67,9 +69,12 @@ def plan(plate: Plate, untouched_s: float = UNTOUCHED_S) -> tuple[Task, ...]:
     w, h = plate.width_mm, plate.height_mm
     acts = [Task("untouched", (), None, untouched_s)]
     acts += [Task("tap", (target_mm(k, w, h),), CROSS_MM, TAP_S) for k in range(TAPS)]
-    for ends in STROKES:
-        acts.append(Task("stroke", tuple((round(w * x, 1), round(h * y, 1)) for x, y in ends), RULER_MM, STROKE_S))
-    acts += [Task("palm", (target_mm(k, w, h),), PALM_MM, PALM_S) for k in range(PALMS)]
+    for name, shares, uncertainty_mm, least_s in (
+        *(("stroke", ends, RULER_MM, STROKE_S) for ends in STROKES),
+        *(("palm", (place,), PALM_MM, PALM_S) for place in PALMS),
+    ):
+        places_mm = tuple((round(w * x, 1), round(h * y, 1)) for x, y in shares)
+        acts.append(Task(name, places_mm, uncertainty_mm, least_s))
     acts += [Task("thumb", (target_mm(k, w, h),), THUMB_MM, TAP_S) for k in range(THUMBS)]
     return tuple(acts)
 
