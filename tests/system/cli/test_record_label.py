@@ -33,7 +33,7 @@ LONG_S = {"tap": 0.2, "thumb": 0.2, "stroke": 1.2, "palm": 1.2}
 PAUSE_S = 0.8
 ERROR_MM = 1.0
 """Of the hand, per axis."""
-KINDS = {"tap": "fingertip", "stroke": "fingertip", "thumb": "thumb", "palm": "palm"}
+KINDS = {"tap": "human", "stroke": "human", "thumb": "thumb", "palm": "palm"}
 
 
 def stage() -> Stage:
