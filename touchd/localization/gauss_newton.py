@@ -48,7 +48,8 @@ class GaussNewton:
         # Here each row is the real parts of all channels, then the imaginary parts, so that one product of rows with
         # rows, half by half, holds all parts of the complex ones. The rows are u, its derivatives by x and y, and d.
         order = np.arange(n).reshape(self._channels, 2, self._bins).swapaxes(0, 1).reshape(-1)
-        self._order, self._back = order, np.argsort(order)
+        self._order, self._back = order, np.empty_like(order)
+        self._back[order] = np.arange(n)
         rows = np.zeros((4, n), dtype)
         self._field, self._known = rows[:3], rows[3]
         halves = rows.reshape(8, -1)

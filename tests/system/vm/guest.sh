@@ -194,9 +194,6 @@ echo plug >&4
 wait_for 60 streaming
 found pulled-streams "$? $([ "$(show MainPID)" = "$before" ] && echo same-process)"
 
-# shellcheck source=/dev/null
-. ./audio.sh
-
 say removed
 dpkg --remove touchd
 found removed "$? $(systemctl show touchd -p LoadState --value) $(ls -d /usr/lib/touchd 2> /dev/null)"

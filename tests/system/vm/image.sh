@@ -8,8 +8,8 @@ set -euo pipefail
 export LC_ALL=C
 
 final=$1
-packages=systemd,systemd-sysv,udev,kmod,dbus,python3,libusb-1.0-0,libasound2,iproute2,procps,libinput-tools
-guest=(usbcore vhci_hcd dummy_hcd libcomposite usb_f_fs configfs autofs4 uinput evdev snd-aloop)
+packages=systemd,systemd-sysv,udev,kmod,dbus,python3,libusb-1.0-0,iproute2,procps,libinput-tools
+guest=(usbcore vhci_hcd dummy_hcd libcomposite usb_f_fs configfs autofs4 uinput evdev)
 if [ "${2:-}" = kiosk ]; then
     packages+=,dbus-user-session,weston,chromium,fonts-dejavu-core,libgl1-mesa-dri
     packages+=,xserver-xorg-core,xserver-xorg-input-libinput,xinput,x11-xserver-utils
@@ -83,7 +83,7 @@ INIT
 chmod +x initrd/init
 (cd initrd && find . | cpio --quiet -o -H newc) | gzip -1 > initrd.img
 
-# --- root: modules of the USB device side, of USB/IP, of input devices and of a sound card, and a target that runs what the host hands in.
+# --- root: modules of the USB device side, of USB/IP and of input devices, and a target that runs what the host hands in.
 target=root/lib/modules/$release
 mkdir -p "$target" root/host
 for file in $(closure "${boot[@]}" "${guest[@]}"); do

@@ -6,17 +6,14 @@ in it mean nothing; behaviour does.
 
 from __future__ import annotations
 
-import json
 import re
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from tests.processes import ROOT
 from tests.system.usb.plate import write
 from tests.system.usb.test_mocked_kernel import STEPS
-from tests.system.vm import audiohost
 from tests.system.vm.libinput import messages, same, seen, wanted, ways
 from tests.system.vm.machine import Found, boot, handed_in, made
 
@@ -37,23 +34,17 @@ def host(tmp_path_factory: pytest.TempPathFactory) -> Path:
         HERE / "guest.sh",
         HERE / "usbipdaq.py",
         HERE / "screenbus.py",
-        HERE / "audio.sh",
-        HERE / "audioplate.py",
-        HERE / "audioscenario.py",
-        ROOT / "deploy/audio.conf",
         ROOT / "tests/system/usb/client.py",
         ROOT / "tests/system/usb/player.py",
     )
     write(folder)
-    audiohost.write(folder)
     return folder
 
 
 @pytest.fixture(scope="session")
 def found(image: Path, host: Path) -> Found:
     """What was seen in the machine."""
-    logs = ("gadget.err", "usbip.err", "usbip.log", "screen.err", "screen.events", "ends.events", "plate.events",
-            "audio.err", "audio.steps")  # fmt: skip
+    logs = ("gadget.err", "usbip.err", "usbip.log", "screen.err", "screen.events", "ends.events", "plate.events")
     return boot(image, host, logs)
 
 
@@ -155,32 +146,6 @@ def test_the_touch_screen_lives_and_ends_with_the_daemon(found: Found) -> None:
     """Enabled, it starts whenever the daemon does, by plugging in too, and stops with it."""
     assert found["screen-stops-too"] == "inactive"
     assert found["screen-starts-too"] == "0"
-
-
-def steps(host: Path) -> dict[str, list[Any]]:
-    """What became of each step with the audio interface."""
-    lines = map(json.loads, (host / "audio.steps").read_text().splitlines())
-    return {line["step"]: line["values"] for line in lines}
-
-
-def test_an_audio_interface_finds_fingers(found: Found, host: Path) -> None:
-    """From ALSA to the subscriber: the kernel's loopback card with a plate behind it, and ten fingers on it."""
-    assert found["audio-scenario"] == "0"
-    assert steps(host)["streams"] == [True]
-    assert steps(host)["fingers"] == [10]
-
-
-def test_an_audio_interface_is_lost_and_found(found: Found, host: Path) -> None:
-    """A stopped process counts its xruns, a card that goes is told and awaited, and each start finds the delay."""
-    assert found["audio-scenario"] == "0"
-    counted, touched, skipped, same_process = steps(host)["xrun"]
-    assert counted
-    assert touched
-    assert same_process
-    assert skipped["xrun"] > 0
-    assert steps(host)["unplugged"][0]
-    assert steps(host)["plugged"] == [True, True, True]
-    assert steps(host)["restarted"] == [True, True, True]
 
 
 def test_the_package_removes_and_purges_cleanly(found: Found) -> None:

@@ -9,6 +9,9 @@ bins           12    24    49    80    130   259
 by what told   1.95  1.51  1.23  1.11  1.04  1
 evenly spaced  5.0   4.7   2.4   1.7   1.5   1
 =============  ====  ====  ====  ====  ====  ====
+
+Reached at 60 dB by fingertips, where the field's error counts too: a median of 0.077, 0.058, 0.042 and 0.032 mm with
+12, 24, 50 and 100 bins.
 """
 
 from __future__ import annotations
