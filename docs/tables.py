@@ -9,7 +9,7 @@ from touchd.training.report.template import Table, read_csv, table
 
 DOCS = Path(__file__).resolve().parent
 ACCURACY, ROBUSTNESS = DOCS / "accuracy", DOCS / "robustness"
-ESTIMATORS = ("field atlas", "network alone", "paper's recipe", "kNN")
+ESTIMATORS = ("field atlas", "network alone")
 WORSE = (
     ("the reference", "noise", "60"),
     ("noise of 40 dB", "noise", "40"),
