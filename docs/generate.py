@@ -109,7 +109,8 @@ def synopsis(command: click.Command, above: click.Context) -> str:
             name = parameter.opts[0] + ("" if parameter.is_flag else f" {parameter.make_metavar(context)}")
             name = name.removesuffix(" RANGE")
             words += [name] * parameter.required
-    words += ["[OPTIONS]", *(parameter.make_metavar(context) for parameter in command.params if isinstance(parameter, click.Argument))]
+    arguments = (parameter for parameter in command.params if isinstance(parameter, click.Argument))
+    words += ["[OPTIONS]", *(argument.make_metavar(context) for argument in arguments)]
     return textwrap.fill(" ".join(words), WIDTH, subsequent_indent="    ", break_on_hyphens=False)
 
 
