@@ -66,7 +66,7 @@ def measured(page: Path) -> str:
 
 
 def command_line() -> str:
-    """Return the reference of the command line: the daemon's help, and of each verb what it does and takes."""
+    """Return the reference of the command line: the daemon's help, and of each verb what it does and must have."""
     lines = [
         "# Command line",
         "",
@@ -85,7 +85,9 @@ def command_line() -> str:
             command = cli.touchd.get_command(above, verb)
             assert command is not None
             summary = " ".join((command.help or "").split("\n\n")[0].split())
-            lines += ["", f"## touchd {verb}", "", summary, "", "```text", synopsis(command, above), "```"]
+            lines += ["", f"## touchd {verb}", "", summary]
+            if (written := synopsis(command, above)) != f"touchd {verb} [OPTIONS]":
+                lines += ["", "```text", written, "```"]
     return "\n".join(lines) + "\n"
 
 
