@@ -112,7 +112,7 @@ export function mount(root, page) {
     verdict.replaceChildren(
       element('p', { class: 'word', 'data-level': level }, v.words[result.verdict]),
       element('p', {}, result.model ? v.expected(number(result.expected_mm, 2)) : v.poor),
-      ...list(v.reasons, result.reasons), ...list(v.undecided, result.undecided), row, ...list('', comparison),
+      ...list(v.reasons, result.reasons), ...list(v.undecided, result.undecided), row, ...list(v.comparison, comparison),
       element('div', { class: 'pictures' }, ...pictures));
   }
 

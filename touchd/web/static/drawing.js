@@ -24,8 +24,8 @@ export function drawing(label) {
     root.setAttribute('viewBox', `${-edge} ${-edge} ${width + 1.4 * edge} ${height + 1.4 * edge}`);
     const found = [
       shape('rect', { class: 'glass', x: 0, y: 0, width, height, rx: 1 }),
-      shape('text', { class: 'side', x: width / 2, y: -size / 2, 'font-size': size }, `x → ${width} mm`),
-      shape('text', { class: 'side', x: -height / 2, y: -size / 2, 'font-size': size, transform: 'rotate(-90)' }, `${height} mm ← y`),
+      shape('text', { class: 'length', x: width / 2, y: -size / 2, 'font-size': size }, `x → ${width} mm`),
+      shape('text', { class: 'length', x: -height / 2, y: -size / 2, 'font-size': size, transform: 'rotate(-90)' }, `${height} mm ← y`),
     ];
     for (const [index, [x, y]] of [discs.emitter_mm, ...discs.receivers_mm].entries()) {
       if (!Number.isFinite(x) || !Number.isFinite(y)) continue;

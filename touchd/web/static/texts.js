@@ -108,9 +108,9 @@ export const texts = {
       reasons: 'What to check', undecided: 'Undecided',
       pictures: { 'response.png': 'Untouched response, measured and fitted', 'residual.png': 'What the fit leaves, by frequency', 'expected-error.png': 'Expected error over the plate' },
       install: 'Try this model', installed: 'This model is in use.', rollback: 'Go back to the model before', compare: 'Compare both on the taps',
-      compared: { new: 'this model', old: 'the other' },
+      comparison: 'On the taps', compared: { new: 'this model', old: 'the other' },
       fits: (used, all, mm, share) => `${used} of ${all} taps fit, ${mm} mm from the targets, ${share} % unexplained`,
-      begin: 'Begin again', done: 'The model before is in use.',
+      begin: 'Begin again',
     },
     taps: {
       hint: 'Optional: three taps tell a mirrored drawing, twenty how well you hit. Tap the ring with a fingertip, for half a second.',
