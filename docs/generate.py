@@ -66,14 +66,14 @@ def measured(page: Path) -> str:
 
 
 def command_line() -> str:
-    """Return the reference of the command line: the daemon's help, and of each verb what it does and takes."""
+    """Return the reference of the command line: the daemon's help, and of each verb what it does and must have."""
     lines = [
         "# Command line",
         "",
         "<!-- Generated from the commands' own help by docs/generate.py: do not edit. -->",
         "",
-        "To see what there is; a verb's `--help` says what each option means. `touchd` without a verb is the daemon,",
-        "which reads the DAQ unless an option names another source. Each failure has an [exit",
+        "To see what there is; a verb's `--help` lists its options. `touchd` without a verb is the daemon, which reads",
+        "the DAQ unless an option names another source. Each failure has an [exit",
         "status](troubleshooting.md#exit-status).",
         "",
         "```text",
@@ -85,7 +85,9 @@ def command_line() -> str:
             command = cli.touchd.get_command(above, verb)
             assert command is not None
             summary = " ".join((command.help or "").split("\n\n")[0].split())
-            lines += ["", f"## touchd {verb}", "", summary, "", "```text", synopsis(command, above), "```"]
+            lines += ["", f"## touchd {verb}", "", summary]
+            if (written := synopsis(command, above)) != f"touchd {verb} [OPTIONS]":
+                lines += ["", "```text", written, "```"]
     return "\n".join(lines) + "\n"
 
 
@@ -98,7 +100,7 @@ def daemon_help() -> str:
 
 
 def synopsis(command: click.Command, above: click.Context) -> str:
-    """Return how a verb is written, with all its options: those in brackets may be left out."""
+    """Return how a verb is written: the options that it must have, and its arguments."""
     context = click.Context(command, parent=above, info_name=command.name)
     if isinstance(command, click.Group):
         found = (command.get_command(context, name) for name in command.list_commands(context))
@@ -108,8 +110,9 @@ def synopsis(command: click.Command, above: click.Context) -> str:
         if isinstance(parameter, click.Option):
             name = parameter.opts[0] + ("" if parameter.is_flag else f" {parameter.make_metavar(context)}")
             name = name.removesuffix(" RANGE")
-            words.append(name if parameter.required else f"[{name}]")
-    words += [parameter.make_metavar(context) for parameter in command.params if isinstance(parameter, click.Argument)]
+            words += [name] * parameter.required
+    arguments = (parameter for parameter in command.params if isinstance(parameter, click.Argument))
+    words += ["[OPTIONS]", *(argument.make_metavar(context) for argument in arguments)]
     return textwrap.fill(" ".join(words), WIDTH, subsequent_indent="    ", break_on_hyphens=False)
 
 

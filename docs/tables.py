@@ -9,7 +9,7 @@ from touchd.training.report.template import Table, read_csv, table
 
 DOCS = Path(__file__).resolve().parent
 ACCURACY, ROBUSTNESS = DOCS / "accuracy", DOCS / "robustness"
-ESTIMATORS = ("field atlas", "network alone", "paper's recipe", "kNN")
+ESTIMATORS = ("field atlas", "network alone")
 WORSE = (
     ("the reference", "noise", "60"),
     ("noise of 40 dB", "noise", "40"),
@@ -31,10 +31,6 @@ INPUTS = (
 )
 TONES = ("-50 dB, within the band", "-40 dB, within the band")
 TOUCHES = ("700", "1500", "4483")
-CONDITIONS = (
-    "one finger, silicone", "human fingers, 40-100 mm^2", "five fingers, 25 mm apart or more",
-    "five human fingers, 25 mm apart or more",
-)  # fmt: skip
 
 
 def noise() -> str:
@@ -44,27 +40,20 @@ def noise() -> str:
     return _renamed(read_csv(ACCURACY / "noise.csv"), columns)
 
 
-def conditions() -> str:
-    """Return errors by plate and number of fingers."""
-    columns = {"touches": "touches at 60 dB", "median_mm": "median", "p95_mm": "p95",
-               "count_right": "count right",
-               "within_1_sigma": "within sigma"}  # fmt: skip
-    return _renamed(read_csv(ACCURACY / "conditions.csv").pick(CONDITIONS), columns)
+def contacts() -> str:
+    """Return failures and errors by kind of contact, whose shape the atlas fits."""
+    columns = {"contact": "contact", "wrong_number_per_1000": "wrong number", "off_by_more_than_1_mm_per_1000":
+               "over 1 mm off", "median_mm": "median", "p95_mm": "p95", "within_1_sigma": "within sigma",
+               "faces_told": "size told"}  # fmt: skip
+    found = read_csv(ACCURACY / "contacts.csv").pick(columns=list(columns))
+    rows = [[*row[:-2], *(f"{float(share):.0%}" for share in row[-2:])] for row in found.rows]
+    return table(list(columns.values()), rows)
 
 
 def learning() -> str:
     """Return errors by training touches."""
     columns = {"training_touches": "training touches", "median_mm": "median", "p95_mm": "p95"}
     return _renamed(read_csv(ACCURACY / "learning.csv").pick(TOUCHES), columns)
-
-
-def measured_fields() -> str:
-    """Return how well a product of waves measured at 100 kHz is predicted where it was left out."""
-    columns = {"touches_per_freedom": "touches per degree of freedom", "cubic": "cubic", "generic": "Gaussian process",
-               "kernel": "touchd's kernel", "ideal_waves": "on ideal waves"}  # fmt: skip
-    found = read_csv(ACCURACY / "measured_fields.csv")
-    shown = [row for row in found.rows if float(row[0]) == 1e5 and float(row[1]) >= 1]
-    return _renamed(found._replace(rows=shown), columns)
 
 
 def worse() -> str:
@@ -111,7 +100,7 @@ def _renamed(found: Table, columns: dict[str, str]) -> str:
 
 
 BLOCKS: dict[Path, tuple[Callable[[], str], ...]] = {
-    DOCS / "accuracy.md": (noise, conditions, measured_fields, learning),
+    DOCS / "accuracy.md": (noise, contacts, learning),
     DOCS / "robustness.md": (worse, limit, float64),
 }
 """By page: its tables, each in the block of its name."""

@@ -112,7 +112,7 @@ def baseline_of(pipeline: Pipeline) -> np.ndarray:
 def chunks(scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The taps as a folder of chunks of 37 frames."""
     whole, folder = scene("tap"), tmp_path_factory.mktemp("chunks")
-    names = ("frames", "sequence", "timestamp_ns", "contacts_mm", "force_n", "temperature_c")
+    names = ("frames", "sequence", "timestamp_ns", "contacts_mm", "force_n", "faces", "temperature_c")
     for number, start in enumerate(range(0, len(whole.frames), 37)):
         part = {name: getattr(whole, name)[start : start + 37] for name in names}
         write(folder / f"{number:06}.npz", replace(whole, **part), compress=False)

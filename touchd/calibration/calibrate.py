@@ -16,7 +16,7 @@ from touchd.calibration.plate_file import PlateFile
 from touchd.calibration.plate_fit import PlateFit, Progress, fit_plate
 from touchd.calibration.start_scan import make_graph, make_scan
 from touchd.calibration.taps import Refined, orientation_of, refine, taps_of, turned_fit
-from touchd.calibration.untouched import Untouched, untouched_mean
+from touchd.calibration.untouched import Untouched, untouched_acts, untouched_mean
 from touchd.errors import OutputError
 from touchd.evaluation.dataset import BASELINE_NOISE, digest
 from touchd.localization.atlas import Atlas, atlas_path, save_atlas
@@ -64,8 +64,12 @@ class Calibrated:
 
 
 def fit_recording(recording: Recording, said: PlateFile, progress: Progress = lambda _stage, _share: None) -> Fitted:
-    """Fit the plate that PLATE.toml describes to a recording that nobody touches; see `fit_plate` for errors."""
+    """Fit the plate that PLATE.toml describes to a recording that nobody touches; see `fit_plate` for errors.
+
+    Of a recording with acts, those are fitted in which nobody touches.
+    """
     started_s = time.monotonic()
+    recording = untouched_acts(recording)
     untouched = untouched_mean(recording, said)
     fit = fit_plate(said, untouched, progress)
     return Fitted(recording, said, untouched, fit, time.monotonic() - started_s)

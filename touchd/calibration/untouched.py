@@ -49,6 +49,17 @@ class Untouched(NamedTuple):
         return np.asarray((rms <= SILENT * np.median(rms)) | (rms <= 3 * self.noise))
 
 
+def untouched_acts(recording: Recording) -> Recording:
+    """Return the frames of the acts in which nobody touches, or a recording without acts as it is."""
+    if not recording.meta.acts:
+        return recording
+    free = recording.during("untouched")
+    return Recording(
+        recording.meta.model_copy(update={"acts": ()}), recording.frames[free], recording.sequence[free],
+        recording.timestamp_ns[free],
+    )  # fmt: skip
+
+
 def untouched_mean(recording: Recording, said: PlateFile) -> Untouched:
     """Return the mean of the frames that nothing disturbs.
 

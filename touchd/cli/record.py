@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import signal
 import time
 from contextlib import ExitStack
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from touchd.cli.interrupt import stopping, until
 from touchd.cli.source import source_options
 from touchd.errors import ConfigError, SourceError
 from touchd.frame import Plate, parse_plate
@@ -18,10 +17,7 @@ from touchd.frame import Plate, parse_plate
 if TYPE_CHECKING:
     from touchd.recording.data import Meta
     from touchd.sources.recorder import Recorder
-    from touchd.sources.source import Change, Source
-
-# A signal takes effect within this time while no frame arrives.
-_TIMEOUT_S = 0.2
+    from touchd.sources.source import Source
 
 
 def _plate(_ctx: click.Context, _param: click.Parameter, value: str | None) -> Plate | None:
@@ -41,6 +37,7 @@ def _plate(_ctx: click.Context, _param: click.Parameter, value: str | None) -> P
 @click.option("--chunk-frames", type=click.IntRange(1, 1_000_000), default=5000, show_default=True, metavar="N",
               help="Frames per chunk of a folder; a power cut loses at most one chunk.")  # fmt: skip
 @click.option("--plate", callback=_plate, metavar="WxH[xT]", help="Size of the plate in mm, if the source has none.")
+@click.option("--label", is_flag=True, help="Ask for touches, one after the other, and label them; -o ends in .npz.")
 @click.option("--notes", default="", help="Text to store in the recording.")
 @click.option("--config", "config", type=click.Path(path_type=Path), help="Configuration file (TOML).")
 @click.pass_context
@@ -52,6 +49,7 @@ def command(
     seconds: float | None,
     chunk_frames: int,
     plate: Plate | None,
+    label: bool,
     notes: str,
     config: Path | None,
     **named: Any,
@@ -61,6 +59,9 @@ def command(
     While a daemon runs its frames are recorded: run this as the daemon's own user, or as root.
     A recording can reveal a PIN: it is readable by you only. Ctrl-C and SIGTERM save the frames so far. It stores
     frames alone, without true contacts.
+
+    With --label it asks for ten minutes of touches at places that it names: what a report of a real plate needs, and
+    what `touchd calibrate`, `calibrate --taps` and `check` take.
     """
     from touchd.config.load import load
     from touchd.service.frame_feed import open_running
@@ -72,12 +73,19 @@ def command(
             f"one file holds at most {MAX_FILE_FRAMES} frames", "--frames",
             "record into a folder: give -o a name that does not end in .npz",
         )  # fmt: skip
+    if label and (output.suffix != ".npz" or frames is not None or seconds is not None):
+        raise click.UsageError("--label writes one file, -o NAME.npz, and ends with its last touch or with Ctrl-C")
     settings = load(config or (ctx.obj or {}).get("config"))
     choice = SourceChoice(**named)
     source = open_running(choice, settings) or open_source(choice, settings)
     with ExitStack() as stack:
         stack.callback(source.close)
         meta = _meta(source, plate, settings.device.rate_hz, choice.kind, notes)
+        if label:
+            from touchd.cli.label import walk_through
+
+            walk_through(source, output, meta)
+            return
         recorder = Recorder(source, output, meta, chunk_frames=chunk_frames)
         click.echo(f"recording to {output}: it can reveal a PIN, and only you can read it")
         try:
@@ -93,27 +101,13 @@ def command(
 
 def _record(recorder: Recorder, frames: int | None, seconds: float | None) -> None:
     """Read frames through the recorder until the end, a limit or a signal."""
-    from touchd.service.runner import frames_of
-
-    stop = False
-
-    def handle(_number: int, _frame: FrameType | None) -> None:
-        nonlocal stop
-        stop = True
-
     first_ns = None
     # At 125 frames/s the last frame of a second begins 8 ms before its end; another half period allows for jitter.
     last_s = (seconds or 0) - 1.5 / recorder.meta.frame_rate_hz
     started_s = time.monotonic()
-    with ExitStack() as stack:
-        for number in (signal.SIGINT, signal.SIGTERM):
-            stack.callback(signal.signal, number, signal.signal(number, handle))
-
-        def report(change: Change) -> None:
-            click.echo(f"device {change.state}: {change.reason}", err=True)
-
-        for frame in frames_of(recorder, _TIMEOUT_S, on_change=report):
-            if stop or recorder.frames == frames:
+    with stopping() as stop:
+        for frame in until(stop, recorder):
+            if recorder.frames == frames:
                 break
             if frame is None:
                 # A silent source must not extend a recording of ten seconds.
@@ -141,5 +135,6 @@ def _meta(source: Source, plate: Plate | None, rate_hz: float, kind: str, notes:
         device = getattr(source, "device", None)
         return describe(source.acquisition, plate, rate_hz, source=kind, device=device, notes=notes)
     fresh = describe(source.acquisition, plate or known.plate, known.frame_rate_hz, source=known.source or kind)
-    changes = {"plate": fresh.plate, "source": fresh.source, "created": fresh.created, "notes": notes or known.notes}
+    changes = {"plate": fresh.plate, "source": fresh.source, "created": fresh.created, "notes": notes or known.notes,
+               "acts": ()}  # fmt: skip
     return known.model_copy(update=changes)

@@ -79,7 +79,8 @@ def _kind(annotation: Any) -> str:
         item = arguments[0]
         if get_origin(item) is Literal:
             return f"a list of {', '.join(get_args(item))}"
-        return "a list of numbers" if item is float else "a list of addresses, tcp:// or ipc://"
+        numbers = {int: "a list of whole numbers", float: "a list of numbers"}
+        return numbers.get(item, "a list of addresses, tcp:// or ipc://")
     return _NAMES.get(annotation, str(annotation))
 
 

@@ -170,7 +170,8 @@ def labels(recording: Recording, least: int = MIN_TOUCHES) -> tuple[Array, NDArr
         raise TrainingError("the recording has no `contacts_mm`", fix="record with the touches' true positions")
     down = np.isfinite(truth[:, :, 0])
     fingers = down.sum(axis=1)
-    touched, untouched = np.flatnonzero(fingers == 1), np.flatnonzero(fingers == 0)
+    rough = recording.during("stroke", "palm", "thumb")  # their labels tell no place of a fingertip
+    touched, untouched = np.flatnonzero((fingers == 1) & ~rough), np.flatnonzero(fingers == 0)
     if len(touched) < least:
         raise TrainingError(
             f"{len(touched)} touches of a single finger are too few, at least {least} are needed",

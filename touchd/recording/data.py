@@ -19,6 +19,22 @@ class Device(BaseModel):
     firmware: str = ""
 
 
+class Act(BaseModel):
+    """What a person was asked to do, and the frames in which it was done."""
+
+    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
+    name: str
+    """`untouched`, `tap`, `stroke`, `palm` or `thumb`."""
+    begin: int = Field(ge=0)
+    """The first frame."""
+    end: int = Field(ge=0)
+    """The frame after the last one."""
+    places_mm: tuple[tuple[float, float], ...] = ()
+    """The place that was told; of a stroke, both ends."""
+    uncertainty_mm: float | None = None
+    """Standard deviation per axis of where the person really was; of a stroke, across it."""
+
+
 class Meta(BaseModel):
     """The JSON object of a recording's `meta` key."""
 
@@ -36,6 +52,8 @@ class Meta(BaseModel):
     device: Device = Device()
     created: str = ""
     notes: str = ""
+    acts: tuple[Act, ...] = ()
+    """Of `touchd record --label`, in order."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +76,14 @@ class Recording:
     +y), shape (n, k, 3), NaN where unknown or not touching."""
     temperature_c: NDArray[np.float32] | None = None
     """Shape (n,)."""
+
+    def during(self, *names: str) -> NDArray[np.bool_]:
+        """Return which frames belong to acts of these names, shape (n,)."""
+        found = np.zeros(len(self.frames), np.bool_)
+        for act in self.meta.acts:
+            if act.name in names:
+                found[act.begin : act.end] = True
+        return found
 
     @property
     def acquisition(self) -> Acquisition:

@@ -101,7 +101,7 @@ class Recorder:
         self._epoch_ns = 0
         self._writing: Future[int] | None = None
         self._closed = False
-        _prepare(path, self._single)
+        prepare(path, self._single)
         self._writer = ThreadPoolExecutor(1, "touchd-recorder")
 
     def read(self, timeout_s: float) -> Frame | None:
@@ -219,8 +219,8 @@ def write_blocks(path: Path, meta: Meta, blocks: list[Block], *, epoch_ns: int =
     return len(frames)
 
 
-def _prepare(path: Path, single: bool) -> None:
-    """Check the path now, not after an hour of recording."""
+def prepare(path: Path, single: bool) -> None:
+    """Check the path now, not after an hour of recording; make the folder of chunks. Raises OutputError."""
     with writing(path):
         if os.path.lexists(path):
             raise OutputError("exists already", str(path), "choose another name, or delete it first")

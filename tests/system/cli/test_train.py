@@ -131,7 +131,7 @@ def test_few_touches(glass: Trained, tmp_path: Path) -> None:
     """Ten touches are enough to judge a model by."""
     whole = read(glass.recording)
     cut = {name: getattr(whole, name)[:20] for name in ("frames", "sequence", "timestamp_ns", "contacts_mm")}
-    write(tmp_path / "few.npz", replace(whole, **cut, force_n=None, temperature_c=None))
+    write(tmp_path / "few.npz", replace(whole, **cut, force_n=None, faces=None, temperature_c=None))
     assert json.loads(said("evaluate", glass.model, tmp_path / "few.npz", "--json"))["n"] == 10
 
 

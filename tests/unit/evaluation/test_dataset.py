@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 
 from tests.conftest import TOUCHES
 from touchd.errors import TrainingError
-from touchd.evaluation.dataset import MIN_TOUCHES, Dataset, digest, make_dataset, split, thin
+from touchd.evaluation.dataset import MIN_TOUCHES, Dataset, digest, labels, make_dataset, split, thin
 from touchd.localization.features import make_features
-from touchd.recording.data import Recording
+from touchd.recording.data import Act, Recording
 
 
 def truth_of(touches: Recording) -> Any:
@@ -97,6 +97,17 @@ def test_a_touch_outside_the_plate_is_refused_with_its_place(touches: Recording,
     truth[11, 0] = place
     with pytest.raises(TrainingError, match=r"1 touches lie outside the plate of 200 x 200 mm.*50\.0"):
         make_dataset(replace(touches, contacts_mm=truth))
+
+
+@pytest.mark.parametrize("name", ["stroke", "palm", "thumb"])
+def test_what_is_labelled_roughly_is_left_out(touches: Recording, name: str) -> None:
+    """Of a recording with acts the taps of a fingertip count alone, and nothing else is taken for untouched."""
+    acts = (Act(name="tap", begin=0, end=20), Act(name=name, begin=20, end=30))
+    meta = touches.meta.model_copy(update={"acts": acts})
+    _, touched, untouched = labels(replace(touches, meta=meta))
+    _, all_touched, all_untouched = labels(touches)
+    assert set(all_touched) - set(touched) == {k for k in all_touched if 20 <= k < 30}
+    np.testing.assert_array_equal(untouched, all_untouched)
 
 
 def test_frames_of_several_fingers_are_left_out(touches: Recording) -> None:

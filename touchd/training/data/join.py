@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchd.errors import TrainingError
-from touchd.recording.data import Recording
+from touchd.recording.data import Act, Recording
 
 APART_NS = 3_600_000_000_000
 """Gap of one hour between recordings, so that no touch is compared with another recording's untouched frames."""
@@ -39,13 +40,20 @@ def join(recordings: Sequence[Recording], names: Sequence[str]) -> Recording:
         return first
     truth = [recording.contacts_mm for recording in recordings if recording.contacts_mm is not None]
     fingers = max(each.shape[1] for each in truth)
-    sequence, time_ns, last, offset_ns = [], [], 0, 0
+    sequence: list[NDArray[np.int64]] = []
+    time_ns: list[NDArray[np.int64]] = []
+    acts: list[Act] = []
+    last = offset_ns = 0
     for recording in recordings:
+        before = sum(len(each) for each in sequence)
+        acts += [
+            act.model_copy(update={"begin": act.begin + before, "end": act.end + before}) for act in recording.meta.acts
+        ]
         sequence.append(recording.sequence - recording.sequence[0] + last)
         time_ns.append(recording.timestamp_ns + offset_ns)
         last, offset_ns = int(sequence[-1][-1]) + 1, int(time_ns[-1][-1]) + APART_NS
     return Recording(
-        meta=first.meta,
+        meta=first.meta.model_copy(update={"acts": tuple(acts)}),
         frames=np.concatenate([recording.frames for recording in recordings]),
         sequence=np.concatenate(sequence),
         timestamp_ns=np.concatenate(time_ns),

@@ -124,9 +124,9 @@ export function mount(root, page) {
     undo.hidden = refine.hidden = !taps.length;
     pane.root.toggleAttribute('hidden', !tapping && !taps.length); // an SVG has no property `hidden`
     if (plate) pane.show(plate, taps, tapping ? target : null, last);
-    tapped.dataset.level = last ? (last.ok ? 'ok' : 'failure') : '';
-    const result = last ? (last.ok ? `✓ ${t.taps.good}` : `✕ ${t.taps.reasons[last.reason]}`) : '';
     awaitTap({ tapping: tapping && !note, taps: taps.length, last, target });
+    tapped.dataset.level = unseen ? 'warning' : last ? (last.ok ? 'ok' : 'failure') : '';
+    const result = last && !unseen ? (last.ok ? `✓ ${t.taps.good}` : `✕ ${t.taps.reasons[last.reason]}`) : '';
     const missing = tapping && (note || (unseen ? t.taps.unseen : !last && t.taps.waiting));
     say(tapped, [t.taps.count(taps.length), result, missing].filter(Boolean).join(' · '));
     say(told, known ? [t.taps.scatter(number(known.scatter_mm, 1)), known.orientation && t.taps.turned(known.orientation)].filter(Boolean).join(' ') : '');

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from touchd.errors import TrainingError
 from touchd.evaluation.dataset import PAUSE_S, baseline_frames, make_dataset
 from touchd.frame import Chirp, Plate
-from touchd.recording.data import Recording
+from touchd.recording.data import Act, Recording
 from touchd.training.data.inspection import coverage, density, inspect
 from touchd.training.data.join import join
 
@@ -179,6 +179,15 @@ def test_joined_recordings_hold_the_touches_of_all_each_with_its_own_untouched_p
     both, apart = make_dataset(join([one, two], ["a", "b"])), [make_dataset(part) for part in (one, two)]
     np.testing.assert_array_equal(both.position_mm, np.concatenate([part.position_mm for part in apart]))
     np.testing.assert_array_equal(both.residual, np.concatenate([part.residual for part in apart]))
+
+
+def test_acts_of_joined_recordings_keep_their_frames(touches: Recording) -> None:
+    """The acts of the second recording lie behind the frames of the first."""
+    acts = (Act(name="palm", begin=5, end=9),)
+    labelled = replace(touches, meta=touches.meta.model_copy(update={"acts": acts}))
+    both = join([touches, labelled], ["a", "b"])
+    n = len(touches.frames)
+    assert np.flatnonzero(both.during("palm")).tolist() == list(range(n + 5, n + 9))
 
 
 def test_a_recording_of_two_fingers_joins_one_of_one(touches: Recording) -> None:

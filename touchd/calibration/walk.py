@@ -1,0 +1,212 @@
+"""Walk a person through what tells how good a plate is, and label what was done.
+
+Each act waits for its touch and ends with it, so that nobody needs a hand for the keyboard. An act that fails leaves
+no frame: each frame of the recording belongs to an act that is complete.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchd.calibration.wizard.targets import target_mm
+from touchd.config.schema import Settings
+from touchd.frame import Acquisition, Frame, Plate
+from touchd.outcome import Outcome
+from touchd.pipeline import Pipeline
+from touchd.recording.data import Act, Meta, Recording
+
+UNTOUCHED_S = 10.0
+TAPS, THUMBS = 40, 8
+STROKES = (((0.1, 0.3), (0.9, 0.3)), ((0.3, 0.1), (0.3, 0.9)), ((0.1, 0.1), (0.9, 0.9)), ((0.9, 0.1), (0.1, 0.9)),
+           ((0.9, 0.7), (0.1, 0.7)), ((0.7, 0.9), (0.7, 0.1)))  # fmt: skip
+"""Ends of the strokes, as shares of the sides."""
+PALMS = ((0.5, 0.5), (0.4, 0.6), (0.6, 0.4))
+"""Where a palm has room."""
+CROSS_MM, RULER_MM, THUMB_MM, PALM_MM = 1.0, 2.0, 3.0, 30.0
+"""How well a person hits a cross with a finger, keeps to a ruler, and hits with a thumb or a palm."""
+TAP_S, STROKE_S, PALM_S = 0.1, 1.0, 1.0
+"""A shorter touch does not count."""
+BEFORE_S, AFTER_S = 1.0, 0.3
+"""Untouched frames kept before a touch, and those that end it; a finger that bounces lifts for less."""
+LONGEST_S = 30.0
+"""A longer touch is none: something lies on the plate."""
+LEAST_BEFORE = 4
+MARGIN = 2
+"""Frames beside a touch that are labelled, too: in an untouched frame no finger comes near."""
+FINGER = 3
+"""Touched frames in a row that are a finger; fewer are an impulse."""
+
+
+class Task(NamedTuple):
+    """One act to do."""
+
+    name: str
+    places_mm: tuple[tuple[float, float], ...]
+    uncertainty_mm: float | None
+    least_s: float
+    """Shortest touch that counts; of an act without a touch, its duration."""
+
+    @property
+    def text(self) -> str:
+        """What to do."""
+        at = " to ".join(f"x {x_mm:g} y {y_mm:g} mm" for x_mm, y_mm in self.places_mm)
+        return {
+            "untouched": f"do not touch the plate for {self.least_s:g} s",
+            "tap": f"mark a cross at {at}, and tap it with a fingertip for half a second",
+            "stroke": f"lay a ruler from {at}, draw a finger along it in three seconds, then take the ruler away",
+            "palm": f"lay your palm at {at} for three seconds",
+            "thumb": f"tap with your thumb at {at}",
+        }[self.name]
+
+
+def plan(plate: Plate, untouched_s: float = UNTOUCHED_S) -> tuple[Task, ...]:
+    """Return the acts for a plate, in an order in which one may stop early."""
+    w, h = plate.width_mm, plate.height_mm
+    acts = [Task("untouched", (), None, untouched_s)]
+    acts += [Task("tap", (target_mm(k, w, h),), CROSS_MM, TAP_S) for k in range(TAPS)]
+    for name, shares, uncertainty_mm, least_s in (
+        *(("stroke", ends, RULER_MM, STROKE_S) for ends in STROKES),
+        *(("palm", (place,), PALM_MM, PALM_S) for place in PALMS),
+    ):
+        places_mm = tuple((round(w * x, 1), round(h * y, 1)) for x, y in shares)
+        acts.append(Task(name, places_mm, uncertainty_mm, least_s))
+    acts += [Task("thumb", (target_mm(k, w, h),), THUMB_MM, TAP_S) for k in range(THUMBS)]
+    return tuple(acts)
+
+
+class _Kept(NamedTuple):
+    counts: NDArray[np.int16]
+    sequence: int
+    t_ns: int
+    touched: bool
+
+
+class _Done(NamedTuple):
+    task: Task
+    frames: list[_Kept]
+    first: int
+    """Of the labelled frames; those up to `last` are labelled, none if they are equal."""
+    last: int
+
+
+class Walk:
+    """Takes frames, act by act.
+
+    Parameters
+    ----------
+    acquisition : Acquisition
+    tasks : sequence of Task
+    """
+
+    def __init__(self, acquisition: Acquisition, tasks: Sequence[Task]) -> None:
+        self.tasks = tasks
+        self.next = 0
+        """Index of the act in hand; `len(tasks)` at the end."""
+        self.asked = 0
+        """Counts the times that an act was begun, or begun again on demand."""
+        self._done: dict[int, _Done] = {}
+        self._pipeline = Pipeline(acquisition, None, Settings())
+        self._try: deque[_Kept] = deque()
+        self._last = (-1, -1)
+        self._run = self._touched = 0
+
+    def feed(self, frame: Frame) -> str:
+        """Take a frame; return what to tell the person, or an empty text."""
+        if frame.sequence <= self._last[0] or frame.t_ns <= self._last[1]:
+            return ""
+        self._last = frame.sequence, frame.t_ns
+        outcome = self._pipeline.process(frame).outcome
+        touched = outcome is Outcome.UNCALIBRATED
+        if outcome is Outcome.LEARNING:
+            self._restart()
+        if not touched and outcome is not Outcome.UNTOUCHED:
+            return ""
+        self._run = self._run + 1 if touched else 0
+        self._touched += touched
+        self._try.append(_Kept(frame.counts.copy(), frame.sequence, frame.t_ns, touched))
+        task = self.tasks[self.next]
+        return self._touch(task) if task.places_mm else self._untouched(task)
+
+    def skip(self) -> None:
+        """Leave the act in hand out."""
+        self._go(min(self.next + 1, len(self.tasks)))
+
+    def repeat(self) -> None:
+        """Drop the act before, and do it again."""
+        self._go(max(self.next - 1, 0))
+        self._done.pop(self.next, None)
+
+    def count(self, name: str) -> tuple[int, int]:
+        """Return how many acts of a name are complete, and how many there are."""
+        return sum(done.task.name == name for done in self._done.values()), sum(t.name == name for t in self.tasks)
+
+    def recording(self, meta: Meta) -> Recording | None:
+        """Return the complete acts; None if there is none."""
+        if not self._done:
+            return None
+        acts: list[Act] = []
+        labels: list[NDArray[np.float32]] = []
+        for task, frames, first, last in self._done.values():
+            begin = acts[-1].end if acts else 0
+            acts.append(Act(name=task.name, begin=begin, end=begin + len(frames), places_mm=task.places_mm,
+                            uncertainty_mm=task.uncertainty_mm))  # fmt: skip
+            label = np.full((len(frames), 1, 2), np.nan, np.float32)
+            if last > first:  # a stroke is labelled as if its speed were constant
+                label[first:last, 0] = np.linspace(task.places_mm[0], task.places_mm[-1], last - first)
+            labels.append(label)
+        kept = [each for done in self._done.values() for each in done.frames]
+        t_ns = np.array([each.t_ns for each in kept], np.int64)
+        return Recording(
+            meta.model_copy(update={"acts": tuple(acts)}), np.stack([each.counts for each in kept]),
+            np.array([each.sequence for each in kept], np.int64), t_ns - t_ns[0], contacts_mm=np.concatenate(labels),
+        )  # fmt: skip
+
+    def _untouched(self, task: Task) -> str:
+        if self._run >= FINGER:
+            began = len(self._try) > FINGER
+            self._restart()
+            return "a finger: the seconds begin again" if began else ""
+        if not self._run and self._span_s(0) >= task.least_s:
+            self._complete(task, 0, 0)
+        return ""
+
+    def _touch(self, task: Task) -> str:
+        if not self._touched:
+            while self._span_s(0) > BEFORE_S:
+                self._try.popleft()
+            return ""
+        if self._run:
+            if self._span_s(0) < BEFORE_S + LONGEST_S:
+                return ""
+            self._restart()
+            return "take everything off the plate"
+        on = [k for k, each in enumerate(self._try) if each.touched]
+        if self._span_s(on[-1]) < AFTER_S:
+            return ""
+        if on[0] < LEAST_BEFORE or self._span_s(on[0]) - self._span_s(on[-1]) < task.least_s:
+            self._restart()
+            return "too short, or too soon: again" if len(on) >= FINGER else ""
+        self._complete(task, on[0] - MARGIN, min(on[-1] + 1 + MARGIN, len(self._try)))
+        return ""
+
+    def _span_s(self, index: int) -> float:
+        """Return the time from a frame of this try to the last one."""
+        return (self._try[-1].t_ns - self._try[index].t_ns) * 1e-9
+
+    def _complete(self, task: Task, first: int, last: int) -> None:
+        self._done[self.next] = _Done(task, list(self._try), first, last)
+        self._go(self.next + 1)
+
+    def _go(self, act: int) -> None:
+        self.next = act
+        self.asked += 1
+        self._restart()
+
+    def _restart(self) -> None:
+        self._try.clear()
+        self._run = self._touched = 0
