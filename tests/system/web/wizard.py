@@ -8,7 +8,7 @@ import json
 import socketserver
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -111,7 +111,8 @@ def wizard(path: Path) -> Iterator[Wizard]:
                     served.changed.wait()
 
         def _say(self, answer: dict[str, Any]) -> None:
-            self.wfile.write(json.dumps(answer).encode() + b"\n")
+            with suppress(BrokenPipeError):  # the page's server has ended
+                self.wfile.write(json.dumps(answer).encode() + b"\n")
 
     with socketserver.ThreadingUnixStreamServer(str(path), Handler) as server:
         server.daemon_threads = True
