@@ -14,9 +14,13 @@ from playwright.sync_api import Page, expect
 
 from tests.processes import PATIENCE_S, ROOT
 from tests.system.web.rig import bus, chromium, page, web
+from tests.system.web.wizard import STATES, Wizard, wizard
 
 VIEWS = ("Live", "Replay", "Check")
-SHOWN = {"Live": (1920, 1080, "light"), "Replay": (1024, 600, "dark"), "Check": (1024, 600, "light")}
+STEP = "taps"
+"""The step of the calibration that the documentation shows."""
+SHOWN = {"Live": (1920, 1080, "light"), "Replay": (1024, 600, "dark")}
+USUAL = (1024, 600, "light")
 ALL = [(wide, high, scheme) for wide, high in ((1024, 600), (1920, 1080)) for scheme in ("light", "dark")]
 
 
@@ -40,6 +44,22 @@ def prepare(opened: Page, view: str) -> None:
         opened.locator(".findings .text").evaluate_all(hide, str(ROOT))
 
 
+def calibrate(opened: Page, told: Wizard, step: str) -> None:
+    """Bring the calibration to a step."""
+    told.show(step)
+    opened.get_by_role("link", name="Calibrate").click()
+    shown = {"finger": "untouched", "poor": "verdict", "compared": "verdict", "missed": "taps", "first-tap": "taps"}
+    if step == "fault":
+        expect(opened.get_by_role("alert")).to_be_visible()
+    else:
+        expect(opened.locator(f"main[data-step={shown.get(step, step)}]")).to_be_visible()
+    opened.wait_for_function(
+        "() => [...document.querySelectorAll('img')].every(one => one.complete || !one.offsetParent)"
+    )
+    if step == "first-tap":
+        expect(opened.locator(".tapped")).to_contain_text("Live")  # what to do where no tap is seen
+
+
 def main() -> None:
     """Write the pictures."""
     chosen = Path(sys.argv[1]) if len(sys.argv) > 1 else None
@@ -47,16 +67,24 @@ def main() -> None:
     folder.mkdir(exist_ok=True)
     expect.set_options(timeout=PATIENCE_S * 1000)
     with ExitStack() as stack:
-        address = f"ipc://{stack.enter_context(tempfile.TemporaryDirectory())}/bus"
+        scratch = stack.enter_context(tempfile.TemporaryDirectory())
+        address = f"ipc://{scratch}/bus"
         stack.enter_context(bus(address))
-        options = ("--replay", "touchd/demo/session.npz")
+        options = ("--replay", "touchd/demo/session.npz", "--wizard", Path(scratch) / "wizard")
+        told = stack.enter_context(wizard(Path(scratch) / "wizard"))
         server = stack.enter_context(web(address, *options, TOUCHD_INPUT__SCREEN_MM="20,30,160,100"))
         browser = stack.enter_context(chromium())
         for view in VIEWS:
-            for wide, high, scheme in ALL if chosen else [SHOWN[view]]:
+            for wide, high, scheme in ALL if chosen else [SHOWN.get(view, USUAL)]:
                 with page(browser, server.url, wide=wide, high=high, scheme=scheme) as opened:
                     prepare(opened, view)
                     name = f"{view.lower()}-{wide}-{scheme}" if chosen else view.lower()
+                    opened.screenshot(path=folder / f"{name}.png")
+        for step in STATES if chosen else [STEP]:
+            for wide, high, scheme in ALL if chosen else [USUAL]:
+                with page(browser, server.url, wide=wide, high=high, scheme=scheme) as opened:
+                    calibrate(opened, told, step)
+                    name = f"calibrate-{step}-{wide}-{scheme}" if chosen else "calibrate"
                     opened.screenshot(path=folder / f"{name}.png")
 
 

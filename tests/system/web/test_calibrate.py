@@ -21,6 +21,7 @@ from playwright.sync_api import TimeoutError as Late
 from tests.needs import need
 from tests.processes import PATIENCE_S, ROOT, environment, started
 from tests.system.web.rig import CHROMIUM, PATIENCE_MS, Web, chromium, page, web
+from touchd.localization.model_file import install
 
 SECONDS = 3.0
 MEASURES = {
@@ -178,8 +179,14 @@ def test_whole_wizard(tmp_path: Path, follow: str) -> None:
             opened.wait_for_function(
                 "() => [...document.querySelectorAll('.pictures img')].every(i => i.naturalWidth > 0)"
             )
+            # The model before comes back where this one does not please.
+            install(tmp_path / "state/plate.onnx", tmp_path / "model.onnx")
+            opened.get_by_role("button", name="Try this model").click()
+            opened.get_by_role("button", name="Go back to the model before").click()
+            expect(opened.get_by_text("This model is in use.")).to_be_hidden()
             opened.get_by_role("button", name="Try this model").click()
             expect(opened.get_by_text("This model is in use.")).to_be_visible()
+            expect(opened.get_by_role("alert")).to_be_hidden()
             # Taps; which are bad, and why, tests/unit/calibration/wizard says.
             opened.get_by_role("button", name="Tap targets").click()
             opened.locator("circle.target").first.wait_for()

@@ -17,6 +17,7 @@ from playwright.sync_api import Browser, Page, expect
 from tests.needs import need
 from tests.processes import PATIENCE_S, started
 from tests.system.web.rig import CHROMIUM, PATIENCE_MS, Web, bus, chromium, page, web
+from tests.system.web.wizard import STATES, wizard
 from touchd.localization.model import default_model_path
 
 STATUS = ".state-word"
@@ -168,20 +169,68 @@ def test_phone_and_kiosk(browser: Browser, server: Web) -> None:
                 assert min(opened.locator("button:visible, nav a:visible").evaluate_all(sizes)) >= 44
 
 
-def test_accessible(browser: Browser, server: Web) -> None:
+def test_accessible(browser: Browser, address: str, tmp_path: Path) -> None:
     """axe-core finds nothing in any view, light and dark: names, roles, contrast AA."""
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "touchd/node"
     axe = Path(f"{os.environ.get('TOUCHD_NODE_DIR') or cache}-web") / "node_modules/axe-core/axe.min.js"
     need(axe.exists(), "axe-core is missing: docs/examples/install-node-zeromq.sh tests/system/web")
-    with page(browser, server.url) as opened:
+    violations = "async () => (await axe.run()).violations.map(v => [v.id, v.nodes[0].html])"
+    options = ("--replay", "touchd/demo/session.npz", "--wizard", tmp_path / "wizard")
+    with (
+        wizard(tmp_path / "wizard") as told,
+        web(address, *options) as server,
+        page(browser, server.url) as opened,
+    ):
         opened.evaluate(axe.read_text())  # not as a script of the page, which its own rules forbid
-        expect(opened.locator(".fingers tbody tr")).to_have_count(5)
-        for view in ("Live", "Check"):
+        for view in ("Live", "Replay", "Check", "Calibrate"):
             opened.get_by_role("link", name=view).click()
-            for scheme in ("light", "dark"):
-                opened.emulate_media(color_scheme="dark" if scheme == "dark" else "light")
-                found = opened.evaluate("async () => (await axe.run()).violations.map(v => [v.id, v.nodes[0].html])")
-                assert found == [], (view, scheme)
+            if view == "Live":
+                expect(opened.locator(".fingers tbody tr")).to_have_count(5)
+            if view == "Replay":
+                expect(opened.locator(".clock")).to_have_text("0.000 s")
+            for step in STATES if view == "Calibrate" else [""]:
+                if step:
+                    told.show(step)
+                    opened.wait_for_function("step => touchd.feed.last.calibrate?.step === step", arg=step)
+                for scheme in ("light", "dark"):
+                    opened.emulate_media(color_scheme="dark" if scheme == "dark" else "light")
+                    assert opened.evaluate(violations) == [], (view, step, scheme)
+
+
+def test_unseen_tap(browser: Browser, address: str, tmp_path: Path) -> None:
+    """Where the daemon sees no tap for some seconds, the page says what to do, until there is one."""
+    with (
+        wizard(tmp_path / "wizard") as told,
+        web(address, "--wizard", tmp_path / "wizard") as server,
+        page(browser, server.url) as opened,
+    ):
+        opened.get_by_role("link", name="Calibrate").click()
+        told.show("first-tap")
+        expect(opened.locator(".tapped")).to_contain_text("Waiting for a tap")
+        expect(opened.locator(".tapped")).to_contain_text("Press more firmly")
+        told.show("taps")
+        expect(opened.locator(".tapped")).to_contain_text("Good")
+        expect(opened.locator(".tapped")).not_to_contain_text("Press more firmly")
+
+
+def test_steps(browser: Browser, address: str, tmp_path: Path) -> None:
+    """A step that is done can be looked at again; the wizard's next one comes to the front when it begins."""
+    with (
+        wizard(tmp_path / "wizard") as told,
+        web(address, "--wizard", tmp_path / "wizard") as server,
+        page(browser, server.url) as opened,
+    ):
+        opened.get_by_role("link", name="Calibrate").click()
+        told.show("verdict")
+        expect(opened.locator(".word")).to_have_text("Good")
+        opened.get_by_role("button", name="1 Measures").click()
+        expect(opened.get_by_role("button", name="Save the measures")).to_be_visible()
+        opened.get_by_role("button", name="Save the measures").click()
+        expect(opened.get_by_role("button", name="Listen again")).to_be_visible()
+        told.show("fit")
+        expect(opened.get_by_role("button", name="4 Verdict")).to_be_disabled()
+        expect(opened.locator("[aria-current=step]")).to_have_text("3 Fit")
+        assert told.asked == ["measures"]
 
 
 def test_replay(browser: Browser, tmp_path: Path) -> None:

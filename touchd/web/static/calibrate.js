@@ -1,19 +1,22 @@
-// The calibrate view: measures, untouched seconds, fit, verdict, taps. What is shown is the wizard's state.
+// The calibrate view: measures, untouched seconds, fit, verdict, taps, one step at a time. What is shown is the
+// wizard's state; a step that is done can be looked at again.
 import { element, number, post, say } from './dom.js';
 import { measures } from './measures.js';
 import { drawing } from './drawing.js';
 
+const UNSEEN_MS = 8000;
 const PICTURES = ['response.png', 'residual.png', 'expected-error.png'];
 
 export function mount(root, page) {
   const { texts, feed } = page, t = texts.calibrate;
-  const problem = element('p', { class: 'problem', role: 'alert' });
-  const steps = element('ol', { class: 'steps' }, ...Object.entries(t.steps).map(([name, text]) => element('li', { 'data-step': name }, text)));
+  const problem = element('p', { class: 'problem', role: 'alert', hidden: true });
+  const steps = element('ol', { class: 'steps' }, ...Object.entries(t.steps).map(([name, text]) => 
+    element('li', {}, element('button', { type: 'button', 'data-step': name, onclick: () => choose(name) }, text))));
   const button = (text, command, primary = false) =>
     element('button', { type: 'button', ...(primary && { class: 'primary' }), onclick: () => act({ do: command }) }, text);
-  const bar = element('progress', { max: 1, value: 0, 'aria-label': t.steps.fit });
-  const doing = element('p', { class: 'muted', role: 'status' });
-  const form = measures(t.measures, plate => act({ do: 'measures', plate }));
+  const bar = element('progress', { max: 1, value: 0 });
+  const share = element('span', { 'aria-hidden': 'true' }), doing = element('p', { class: 'muted', role: 'status' });
+  const form = measures(t.measures, async plate => await act({ do: 'measures', plate }) && choose('untouched'));
   const listen = button(t.untouched.start, 'untouched', true), stop = button(t.untouched.stop, 'pause');
   const again = button(t.fit.again, 'fit');
   const verdict = element('div', { class: 'fitted' });
@@ -24,14 +27,15 @@ export function mount(root, page) {
   const panel = (name, ...parts) => element('section', { class: 'panel', 'data-panel': name }, element('h2', {}, t.steps[name]), ...parts);
   const panels = [
     panel('measures', element('p', { class: 'muted' }, t.measures.hint), form.root),
-    panel('untouched', element('p', { class: 'muted' }, t.untouched.hint),
-      element('div', { class: 'row' }, listen, again, stop), bar, doing),
+    panel('untouched', element('p', { class: 'muted' }, t.untouched.hint), listen),
+    panel('fit', element('p', { class: 'muted' }, t.fit.hint), again),
+    element('section', { class: 'panel' }, doing, element('div', { class: 'share' }, bar, share), stop),
     panel('verdict', verdict),
-    panel('taps', element('p', { class: 'muted' }, t.taps.hint), pane.root,
-      element('div', { class: 'row' }, tap, pause, undo, refine), tapped, told),
+    panel('taps', element('p', { class: 'muted' }, t.taps.hint), element('div', { class: 'tapping' }, pane.root,
+      element('div', {}, tapped, told, element('div', { class: 'row' }, tap, pause, undo, refine)))),
   ];
   root.append(steps, problem, ...panels);
-  let shown = '';
+  let shown = '', awaited = '', unseen = false, timer = 0, reached = '', chosen = '';
 
   async function act(command) {
     const done = await post('calibrate/do', JSON.stringify(command)).catch(() => null);
@@ -45,30 +49,43 @@ export function mount(root, page) {
     problem.hidden = !what;
   }
 
+  function choose(step) {
+    chosen = step;
+    update(feed.last.calibrate);
+  }
+
   function update(state) {
-    for (const each of panels) each.hidden = !state.wizard;
+    for (const each of panels) each.hidden = true;
     steps.hidden = !state.wizard;
     if (!state.wizard) { fault(...t.no_wizard); return; }
     if (state.problem || state.running) fault(state.problem, state.fix);
     else if (problem.textContent.startsWith(t.no_wizard[0])) fault('');
     const { running, plate, result } = state, listening = running === 'untouched', fitting = running === 'fit';
     const step = listening ? 'untouched' : fitting ? 'fit' : running === 'taps' ? 'taps' : result ? 'verdict' : plate ? 'untouched' : 'measures';
-    for (const each of steps.children) {
-      if (each.dataset.step === step) each.setAttribute('aria-current', 'step');
+    if (step !== reached) chosen = reached = step;
+    const open = { measures: true, untouched: plate, fit: state.untouched || fitting, verdict: result && !fitting, taps: result?.model && !fitting };
+    for (const { firstChild: each } of steps.children) {
+      if (each.dataset.step === chosen) each.setAttribute('aria-current', 'step');
       else each.removeAttribute('aria-current');
+      each.disabled = !open[each.dataset.step];
+      each.toggleAttribute('data-now', each.dataset.step === step);
     }
-    root.dataset.step = step;
+    root.dataset.step = chosen;
     form.show(plate);
-    panels[1].hidden = !plate;
-    panels[2].hidden = !result || fitting;
-    panels[3].hidden = !result?.model || fitting;
-    listen.hidden = listening || fitting;
+    const [measuring, hearing, refitting, busy, judging, tapping] = panels;
+    measuring.hidden = chosen !== 'measures';
+    hearing.hidden = chosen !== 'untouched';
+    refitting.hidden = chosen !== 'fit';
+    busy.hidden = !(listening || fitting);
+    judging.hidden = chosen !== 'verdict';
+    tapping.hidden = !open.taps || chosen !== 'verdict' && chosen !== 'taps';
+    listen.hidden = again.hidden = listening || fitting;
     say(listen, state.untouched ? t.untouched.again : t.untouched.start);
-    again.hidden = !state.untouched || listening || fitting;
-    stop.hidden = bar.hidden = !(listening || fitting);
     bar.value = state.share;
+    say(share, `${number(100 * state.share)} %`);
+    bar.setAttribute('aria-label', t.steps[step]);
     say(doing, listening ? (state.note === 'finger' ? t.untouched.finger : state.note || t.untouched.running)
-      : fitting ? `${t.fit.running} ${t.fit.stages[state.note] ?? ''}` : '');
+      : fitting ? t.fit.running(t.fit.stages[state.note] ?? t.fit.stages.fit) : '');
     doing.dataset.level = listening && state.note ? 'warning' : 'ok';
     if (result) showVerdict(state);
     showTaps(state);
@@ -95,7 +112,7 @@ export function mount(root, page) {
     verdict.replaceChildren(
       element('p', { class: 'word', 'data-level': level }, v.words[result.verdict]),
       element('p', {}, result.model ? v.expected(number(result.expected_mm, 2)) : v.poor),
-      ...list(v.reasons, result.reasons), ...list(v.undecided, result.undecided), row, ...list('', comparison),
+      ...list(v.reasons, result.reasons), ...list(v.undecided, result.undecided), row, ...list(v.comparison, comparison),
       element('div', { class: 'pictures' }, ...pictures));
   }
 
@@ -105,15 +122,27 @@ export function mount(root, page) {
     say(tap, taps.length ? t.taps.resume : t.taps.start);
     pause.hidden = !tapping;
     undo.hidden = refine.hidden = !taps.length;
-    pane.root.hidden = !tapping && !taps.length;
+    pane.root.toggleAttribute('hidden', !tapping && !taps.length); // an SVG has no property `hidden`
     if (plate) pane.show(plate, taps, tapping ? target : null, last);
-    tapped.dataset.level = last ? (last.ok ? 'ok' : 'failure') : '';
-    const result = last ? (last.ok ? `✓ ${t.taps.good}` : `✕ ${t.taps.reasons[last.reason]}`) : '';
-    say(tapped, [t.taps.count(taps.length), result, tapping && note ? note : tapping && !last ? t.taps.waiting : ''].filter(Boolean).join(' · '));
+    awaitTap({ tapping: tapping && !note, taps: taps.length, last, target });
+    tapped.dataset.level = unseen ? 'warning' : last ? (last.ok ? 'ok' : 'failure') : '';
+    const result = last && !unseen ? (last.ok ? `✓ ${t.taps.good}` : `✕ ${t.taps.reasons[last.reason]}`) : '';
+    const missing = tapping && (note || (unseen ? t.taps.unseen : !last && t.taps.waiting));
+    say(tapped, [t.taps.count(taps.length), result, missing].filter(Boolean).join(' · '));
     say(told, known ? [t.taps.scatter(number(known.scatter_mm, 1)), known.orientation && t.taps.turned(known.orientation)].filter(Boolean).join(' ') : '');
+  }
+
+  // Notices when no tap comes for some seconds: one that the gate does not see changes nothing in the state.
+  function awaitTap(state) {
+    const key = JSON.stringify(state);
+    if (key === awaited) return;
+    awaited = key;
+    unseen = false;
+    clearTimeout(timer);
+    if (state.tapping) timer = setTimeout(() => { unseen = true; update(feed.last.calibrate); }, UNSEEN_MS);
   }
 
   for (const each of panels) each.hidden = true;
   const end = feed.on('calibrate', update);
-  return end;
+  return () => { clearTimeout(timer); end(); };
 }

@@ -1,5 +1,5 @@
 // The plate with its discs as an SVG in millimetres, for measures and taps.
-const SPACE = 'http://www.w3.org/2000/svg', EDGE_MM = 3;
+const SPACE = 'http://www.w3.org/2000/svg';
 
 function shape(name, attributes, text) {
   const made = document.createElementNS(SPACE, name);
@@ -20,12 +20,17 @@ export function drawing(label) {
     const width = plate.width_mm, height = plate.height_mm;
     if (!(width > 0 && height > 0)) { root.replaceChildren(); return; }
     const large = Math.max(width, height);
-    root.setAttribute('viewBox', `${-EDGE_MM} ${-EDGE_MM} ${width + 2 * EDGE_MM} ${height + 2 * EDGE_MM}`);
-    const found = [shape('rect', { class: 'glass', x: 0, y: 0, width, height, rx: 1 })];
+    const size = large / 28, edge = 2 * size;
+    root.setAttribute('viewBox', `${-edge} ${-edge} ${width + 1.4 * edge} ${height + 1.4 * edge}`);
+    const found = [
+      shape('rect', { class: 'glass', x: 0, y: 0, width, height, rx: 1 }),
+      shape('text', { class: 'length', x: width / 2, y: -size / 2, 'font-size': size }, `x → ${width} mm`),
+      shape('text', { class: 'length', x: -height / 2, y: -size / 2, 'font-size': size, transform: 'rotate(-90)' }, `${height} mm ← y`),
+    ];
     for (const [index, [x, y]] of [discs.emitter_mm, ...discs.receivers_mm].entries()) {
       if (!Number.isFinite(x) || !Number.isFinite(y)) continue;
       found.push(shape('circle', { class: index ? 'disc' : 'disc emitter', cx: x, cy: y, r: Math.max(discs.diameter_mm / 2, large / 80) || 1 }));
-      found.push(shape('text', { x, y, 'font-size': large / 28, dy: '0.35em' }, index ? `${index}` : 'E'));
+      found.push(shape('text', { class: 'name', x, y, 'font-size': size, dy: '0.35em' }, index ? `${index}` : 'E'));
     }
     for (const tap of taps) found.push(shape('circle', { class: 'tap', cx: tap.target_mm[0], cy: tap.target_mm[1], r: large / 110 }));
     if (last && !last.ok) found.push(shape('circle', { class: 'tap missed', cx: last.target_mm[0], cy: last.target_mm[1], r: large / 110 }));
