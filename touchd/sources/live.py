@@ -89,7 +89,7 @@ class DaqSource:
         self._commanding = threading.Lock()  # of `_streaming`: no device is closed while it is commanded
         self._ring: FrameRing[Change] = FrameRing(settings.queue_frames, acquisition.shape)
         self._state: State = "starting"
-        self._reason, self._direct = "", direct
+        self._reason, self._direct, self._wanted = "", direct, False
         self._alive_ns = self._seen_ns = clock()
         self._fruitless = 0  # connections in a row that brought no frame
         self._clock_fault: str | None = None
@@ -110,18 +110,20 @@ class DaqSource:
         """
         if self._closing.is_set():
             raise EndOfStream
+        self._wanted = True
         lent, ring = self._lending.lent, self._ring
         if lent is None or ring.waiting:
             frame = ring.take(timeout_s)
             lent = self._lending.lent
             if frame is not None or lent is None or ring.waiting:
-                return self._checked(frame)
+                return frame if lent is not None else self._checked(frame)
         wait_s = max(timeout_s, _STALL_FRAMES / self._rate_hz)  # a loan does not end between two frames
         found = self._lending.read(wait_s)
+        self._alive_ns = self._clock()  # the thread sleeps meanwhile
         self._intake.count_corrupt(lent)
         if found is None:
             return None
-        self._seen_ns = self._alive_ns = self._clock()
+        self._seen_ns = self._alive_ns
         return self._take(found, self._seen_ns, direct=True)
 
     def _checked(self, frame: Frame | None) -> Frame | None:
@@ -209,8 +211,9 @@ class DaqSource:
                 if self._fruitless:
                     self._fruitless = 0
                     self._search.keep()
-                if self._direct and frames >= _STEADY_FRAMES and self._settings.rate_hz <= _DIRECT_HZ:
-                    frames = 0
+                # Not to a caller that is busy: the device would keep a few frames for it, the ring keeps many.
+                if self._direct and self._wanted and frames >= _STEADY_FRAMES and self._settings.rate_hz <= _DIRECT_HZ:
+                    frames, self._wanted = 0, False
                     self._lending.lend(daq, self._ring.wake)
             elif now_ns - self._seen_ns > max(self._stall_ns, _STALL_FRAMES * 1e9 / self._rate_hz):
                 self._enter("stalled", f"no frame for {self._settings.stall_s:g} s")

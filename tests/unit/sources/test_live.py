@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -138,11 +139,11 @@ class Steady(Stubborn):
 class Reading:
     """A source on a steady device, read until something is so."""
 
-    def __init__(self, **settings: float) -> None:
+    def __init__(self, waits: Waits = AT_ONCE, **settings: float) -> None:
         self.daq = Steady()
         chosen = DeviceSettings.model_validate({"stall_s": 0.05, **settings})
         self.opened = 0
-        self.source = DaqSource(lambda: iter([self.open]), chosen, ACQUISITION, lambda _: None, waits=AT_ONCE)
+        self.source = DaqSource(lambda: iter([self.open]), chosen, ACQUISITION, lambda _: None, waits=waits)
         self.numbers: list[int] = []
         self.states: list[str] = []
 
@@ -171,7 +172,7 @@ def reading() -> Iterator[Callable[..., Reading]]:
     made: list[Reading] = []
 
     def make(**settings: float) -> Reading:
-        made.append(Reading(**settings))
+        made.append(Reading(AT_ONCE, **settings))
         return made[-1]
 
     yield make
@@ -186,6 +187,26 @@ def test_one_thread(reading: Callable[..., Reading]) -> None:
     one.until_direct()
     assert one.numbers == list(range(1, len(one.numbers) + 1)), "none is lost where the threads change"
     assert set(one.daq.readers[-20:]) == {threading.current_thread().name}
+
+
+@pytest.mark.parametrize("before", ["starting", "streaming", "silent"])
+def test_busy_caller(before: str) -> None:
+    """A caller that is busy for longer than a thread may hang, a start or a change of model, finds its frames after."""
+    one = Reading(waits=replace(AT_ONCE, hang_s=0.2))
+    try:
+        if before == "starting":
+            end_s = time.monotonic() + PATIENCE_S
+            while len(one.daq.readers) < 20:
+                assert time.monotonic() < end_s, "nobody reads the device while the caller is busy"
+                time.sleep(0.01)
+        else:
+            one.until_direct()
+        one.daq.silent = before == "silent"
+        time.sleep(0.5)
+        count = len(one.numbers)
+        one.until(lambda: len(one.numbers) > count + 20)
+    finally:
+        one.source.close()
 
 
 def test_high_rate(reading: Callable[..., Reading]) -> None:
