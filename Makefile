@@ -44,7 +44,7 @@ vm-packages:
 
 # The package in a virtual machine with the kernel's own USB; the machine is made once and kept in ~/.cache/touchd-vm.
 vm-test: setup test-packages vm-packages
-	$(BIN)/python -m pytest -o faulthandler_timeout=900 tests/system/vm/scenario.py $(ARGS)
+	$(BIN)/python -m pytest -o faulthandler_timeout=1300 tests/system/vm/scenario.py $(ARGS)
 
 # The touch screen under Weston and Xorg, as a page in Chromium hears it; ten minutes, and ten more for a new machine.
 kiosk-test: setup test-packages vm-packages

@@ -73,7 +73,7 @@ mkfifo /run/screen-commands
 exec 5<> /run/screen-commands
 PYTHONPATH=/usr/lib/touchd python3 -B screenbus.py < /run/screen-commands > screen.bus 2> screen.err 5>&- &
 screenbus=$!
-wait_for 120 test -S /run/touchd/bus
+wait_for 240 test -S /run/touchd/bus
 systemctl start --no-block touchd-input
 wait_for 240 another_bridge 0
 found screen-starts $?
@@ -90,7 +90,7 @@ unwatch
 say screen ends
 watch ends
 scene hold silence
-wait_for 30 sees ends TOUCH_UP 1
+wait_for 240 sees ends TOUCH_UP 1
 found screen-silence $?
 scene hold
 before=$(bridge MainPID)
@@ -116,7 +116,7 @@ mkfifo /run/commands
 exec 3<> /run/commands
 touchd gadget --commands --replay /usr/lib/touchd/touchd/demo/session.npz < /run/commands > gadget.log 2>&1 3>&- &
 gadget=$!
-wait_for 90 active
+wait_for 240 active
 found started-by-plug $?
 found group "$(stat -c '%G %a' /dev/bus/usb/*/* | grep touchd | head -n 1)"
 found user "$(ps -o user= -p "$(show MainPID)")"
@@ -127,20 +127,20 @@ scenario gadget 3
 say killed
 before=$(show MainPID)
 kill -9 "$before"
-wait_for 60 another_process "$before"
+wait_for 240 another_process "$before"
 found killed-restarts $?
-wait_for 60 streaming
+wait_for 240 streaming
 found killed-streams $?
 
 say frozen
 before=$(show MainPID)
 kill -STOP "$before"
-wait_for 90 another_process "$before"
+wait_for 240 another_process "$before"
 found frozen-restarts $?
 found frozen-said "$(journalctl -u touchd -o cat --no-pager | grep -c 'Watchdog timeout')"
 
 say touched again
-wait_for 60 streaming
+wait_for 240 streaming
 touchd listen --topic touch --timeout 60 --json --count 1 > /dev/null
 found touched-again $?
 
@@ -155,7 +155,7 @@ systemctl enable --quiet touchd-input
 
 say unplug for good
 echo unplug >&3
-wait_for 30 lost
+wait_for 240 lost
 found lost $?
 found lost-active "$(show ActiveState)"
 systemctl stop touchd
@@ -166,12 +166,12 @@ say replug starts it again
 # For once so few frames count as many. A processor that is kept awake is emulated too: no longer than needed.
 sed -i 's/^awake_from_hz = 500.0$/awake_from_hz = 30.0/' /etc/touchd/touchd.toml
 echo plug >&3
-wait_for 90 active
+wait_for 240 active
 found replug-starts $?
-wait_for 120 another_bridge 0
+wait_for 240 another_bridge 0
 found screen-starts-too $?
 systemctl disable --now --quiet touchd-input
-wait_for 90 keeps_awake
+wait_for 240 keeps_awake
 found keeps-awake "$? $(stat -c '%G %a' /dev/cpu_dma_latency)"
 sed -i 's/^awake_from_hz = 30.0$/awake_from_hz = 500.0/' /etc/touchd/touchd.toml
 
@@ -182,16 +182,16 @@ systemctl stop touchd
 mkfifo /run/usbip-commands
 exec 4<> /run/usbip-commands
 PYTHONPATH=/usr/lib/touchd python3 -B usbipdaq.py untouched.bin touched.bin < /run/usbip-commands > usbip.log 2>&1 4>&- 3>&- &
-wait_for 60 active
+wait_for 240 active
 found usbip-starts $?
 scenario usbip 4
 say pulled
 before=$(show MainPID)
 echo pull >&4
-wait_for 30 lost
+wait_for 240 lost
 found pulled-lost $?
 echo plug >&4
-wait_for 60 streaming
+wait_for 240 streaming
 found pulled-streams "$? $([ "$(show MainPID)" = "$before" ] && echo same-process)"
 
 say removed
