@@ -141,14 +141,14 @@ found frozen-said "$(journalctl -u touchd -o cat --no-pager | grep -c 'Watchdog 
 
 say touched again
 wait_for 240 streaming
-touchd listen --topic touch --timeout 60 --json --count 1 > /dev/null
+touchd listen --topic touch --timeout 240 --json --count 1 > /dev/null
 found touched-again $?
 
 say screen on the plate
 systemctl start --no-block touchd-input
 wait_for 240 another_bridge 0
 watch plate
-touchd listen --topic touch --timeout 60 --json --count 400 > plate.bus
+touchd listen --topic touch --timeout 240 --json --count 400 > plate.bus
 found plate-heard $?
 unwatch
 systemctl enable --quiet touchd-input
