@@ -136,10 +136,12 @@ def test_touches_on_the_plate_reach_libinput(found: Found, host: Path) -> None:
     assert found["plate-heard"] == "0"
     bus = ways(wanted(messages((host / "plate.bus").read_text())))
     libinput = ways(seen((host / "plate.events").read_text()))
-    at = [next((n for n, other in enumerate(libinput, 1) if same(way, other)), 0) for way in bus]
-    whole = [n for n in at if n]
-    assert len(whole) >= 2
-    assert whole == sorted(whole)
+    at = 0
+    whole = 0
+    for way in bus:  # the session is played again and again: each is sought behind the one before
+        found_at = next((n for n, other in enumerate(libinput[at:], at + 1) if same(way, other)), 0)
+        at, whole = (found_at, whole + 1) if found_at else (at, whole)
+    assert whole >= 2
 
 
 def test_the_touch_screen_lives_and_ends_with_the_daemon(found: Found) -> None:
