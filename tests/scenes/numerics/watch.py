@@ -131,6 +131,6 @@ def _watch(localizer: AtlasLocalizer) -> _Watch:
         )  # fmt: skip
         return touches, inferred
 
-    follower.update = accepted  # type: ignore[method-assign]
+    follower.update = accepted  # type: ignore[method-assign]  # to know which fits are taken
     localizer._place = watched  # type: ignore[method-assign]  # to see each fit, and only that
     return watch

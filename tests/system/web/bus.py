@@ -61,7 +61,7 @@ class Bus:
             *self.stamp("health"), "streaming", frames, 3, 0,
             {"learning": 32, "gate": frames // 5, "faint": 2, "still": frames // 10, "tracking": frames // 2},
             frames // 6, Latency(310.0 + frames % 60, 840.0 + frames % 230, 1300.0), 4.6, 0.4, "regression", "0.1.0",
-            noise_channels=[4.4, 4.7, 4.5, 4.9], stretch_ppm=-41.0, clock_ppm=12.3, **fields,  # type: ignore[arg-type]
+            noise_channels=[4.4, 4.7, 4.5, 4.9], stretch_ppm=-41.0, clock_ppm=12.3, **fields,  # type: ignore[arg-type]  # of mixed types
         ))  # fmt: skip
 
     def touch(self, frame: int, contacts: list[Contact]) -> None:

@@ -32,13 +32,6 @@ def browser() -> Iterator[Browser]:
 
 
 @pytest.fixture(scope="module")
-def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    where = f"ipc://{tmp_path_factory.mktemp('bus')}/bus"
-    with bus(where):
-        yield where
-
-
-@pytest.fixture(scope="module")
 def server(address: str) -> Iterator[Web]:
     with web(address, TOUCHD_INPUT__SCREEN_MM="20,30,160,100") as found:
         yield found

@@ -18,15 +18,8 @@ from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin
 
 from tests.processes import PATIENCE_S, started, touchd
-from tests.system.web.rig import Web, bus, web
+from tests.system.web.rig import Web, web
 from touchd.recording.format import read
-
-
-@pytest.fixture(scope="module")
-def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
-    where = f"ipc://{tmp_path_factory.mktemp('bus')}/bus"
-    with bus(where):
-        yield where
 
 
 @pytest.fixture(scope="module")
@@ -120,7 +113,7 @@ def test_no_session(server: Web) -> None:
 @settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(said=st.text(max_size=200) | st.binary(max_size=200))
 def test_noise_on_the_socket(server: Web, said: str | bytes) -> None:
-    """Whatever is sent to the WebSocket, the server goes on, and does nothing of it."""
+    """Whatever is sent to the WebSocket, the server goes on, and obeys none of it."""
     with live(server) as socket:
         socket.send(said)
         assert end_of(socket, 3) in (None, 1003)

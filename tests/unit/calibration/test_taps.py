@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from tests.unit.calibration.plates import LAYOUT, PLATE, exact_fit
-from touchd.calibration.physical_atlas import make_physical_atlas
 from touchd.calibration.taps import (
     ORIENTATIONS,
     Taps,
@@ -26,17 +25,6 @@ from touchd.twin.instrument import Instrument
 from touchd.twin.simulate import simulate_touches
 
 SIZE_MM = (PLATE.width_mm, PLATE.height_mm)
-
-
-@pytest.fixture(scope="module")
-def instrument() -> Instrument:
-    return Instrument(PLATE, layout=LAYOUT)
-
-
-@pytest.fixture(scope="module")
-def atlas(instrument: Instrument) -> Atlas:
-    fit = exact_fit(instrument)
-    return make_physical_atlas(fit, 1e-3 * float(np.sqrt(np.square(fit.measured).mean())))
 
 
 @pytest.fixture(scope="module")

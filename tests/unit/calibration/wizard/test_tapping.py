@@ -7,8 +7,6 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from tests.unit.calibration.plates import LAYOUT, PLATE, exact_fit
-from touchd.calibration.physical_atlas import make_physical_atlas
 from touchd.calibration.wizard.tapping import Tapped, Tapper
 from touchd.frame import Frame
 from touchd.localization.atlas import Atlas
@@ -19,17 +17,6 @@ from touchd.twin.physics.finger import Contact
 TARGET_MM = (40.0, 30.0)
 PERIOD_NS = 10_000_000
 Finger = tuple[float, float]
-
-
-@pytest.fixture(scope="module")
-def instrument() -> Instrument:
-    return Instrument(PLATE, layout=LAYOUT)
-
-
-@pytest.fixture(scope="module")
-def atlas(instrument: Instrument) -> Atlas:
-    fit = exact_fit(instrument)
-    return make_physical_atlas(fit, 1e-3 * float(np.sqrt(np.square(fit.measured).mean())))
 
 
 class Plate:

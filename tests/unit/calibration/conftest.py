@@ -1,0 +1,22 @@
+"""A small plate, and the atlas of its own physics: tests of a file share both."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.unit.calibration.plates import LAYOUT, PLATE, exact_fit
+from touchd.calibration.physical_atlas import make_physical_atlas
+from touchd.localization.atlas import Atlas
+from touchd.twin.instrument import Instrument
+
+
+@pytest.fixture(scope="module")
+def instrument() -> Instrument:
+    return Instrument(PLATE, layout=LAYOUT)
+
+
+@pytest.fixture(scope="module")
+def atlas(instrument: Instrument) -> Atlas:
+    fit = exact_fit(instrument)
+    return make_physical_atlas(fit, 1e-3 * float(np.sqrt(np.square(fit.measured).mean())))
