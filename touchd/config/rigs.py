@@ -43,7 +43,7 @@ class AudioSettings(Section):
     )
     loopback: int = Field(
         0, ge=0, le=256, description="Input that a cable joins to an output, counted from 1; it tells the delay from "
-        "playback to capture. 0 is none: the model's untouched response tells it.",
+        "playback to capture. 0: no cable; the model's untouched response tells it.",
     )  # fmt: skip
     level_dbfs: float = Field(-6.0, ge=-80, le=0, description="Level of the chirp, dB relative to full scale.")
     band_hz: tuple[float, float] = Field((20_000.0, 85_000.0), description="Start and end of the chirp, Hz.")
