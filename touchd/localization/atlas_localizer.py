@@ -63,7 +63,7 @@ class AtlasLocalizer:
         self._field_rms = math.sqrt(self._pursuit.mean_energy)
         self._landing = Landing(self._estimator, self._solver, self._pursuit, self._noise)
         self._search = MultitouchSearch(self._solver, self._pursuit, self._noise)
-        self._classifier = Classifier(atlas, self._noise)
+        self._classifier = Classifier(atlas, self._noise, self._solver)
         self._size = ContactSize(atlas, self._noise)
         self._prediction = Prediction()
         self._follower = Follower(self._solver, self._search, self._noise, self._prediction)
@@ -221,7 +221,7 @@ class AtlasLocalizer:
             return self._lose(), inferred
         if len(fit.positions_mm) == 1 and not tracked and self._landing.is_ambiguous(bins, fit, signal, faint=faint):
             return self._lose(), inferred
-        return self._accept(bins, fit, confidence, excess, detection.t_ns), inferred
+        return self._accept(bins, fit, confidence, excess, detection.t_ns, alone=complete), inferred
 
     def _is_untouched(self, bins: Bins, signal: float, plate_energy: float, t_ns: int) -> bool:
         """Return whether noise and the plate's own movement explain a frame, and if so follow that movement.
@@ -241,7 +241,9 @@ class AtlasLocalizer:
             self._plate_moved = drift.energy > max(evidence, noise_spread)
         return True
 
-    def _accept(self, bins: Bins, fit: Fit, confidence: float, excess: float, t_ns: int) -> tuple[Touch, ...]:
+    def _accept(
+        self, bins: Bins, fit: Fit, confidence: float, excess: float, t_ns: int, *, alone: bool
+    ) -> tuple[Touch, ...]:
         """Track the fingers of a fit, and return them as touches."""
         if excess < CRITERIA.good and self._drift.is_due(t_ns):
             self._drift.update(self._solver.residual(bins, fit), t_ns)
@@ -250,7 +252,7 @@ class AtlasLocalizer:
             self._faces = self._size.faces(fit) if fit.shapes else [None] * len(fit.positions_mm)
         moved_mm = self._prediction.moved_mm if self._skips_still else math.inf
         self._still.update(bins, fit, moved_mm, self._noise.variance)
-        fingers = self._classifier.fingers(fit, confidence, t_ns)
+        fingers = self._classifier.fingers(bins, fit, t_ns, alone=alone)
         self._departure = self._classifier.departure
         make = self._touch_maker.touch
         faces = dict(zip(fit.positions_mm, self._faces, strict=True))
