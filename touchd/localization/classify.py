@@ -128,6 +128,8 @@ class Classifier:
             return True  # it covers the drop
         if known is None:
             known = Evidence(position_mm)
+            if self._was_finger(position_mm, several=True):
+                known.state = State.FINGER
             if len(self._known) < MOST:
                 self._known.append(known)
         known.update(position_mm, look, t_ns, sure)

@@ -29,7 +29,7 @@ MASS_LEAD_S = 1.47e-6
 TISSUE_RAD = 0.39
 """Lag behind a mass of a piston on soft tissue, at amplitude 1: gloves of 3 to 8 mm^2 lag by 0.16 to 0.26 rad (twin).
 Slower or lossy tissue, as silicone and skin, lags by more."""
-BIAS_RAD = 0.025
+BIAS_RAD = 0.03
 """Standard deviation of what does not average out: the error of the field's phase, from place to place (twin)."""
 SURE = 6.0
 """Log likelihood ratio: at most 1 drop in 400 is ever taken for a finger (Wald's bound)."""

@@ -20,10 +20,9 @@ from touchd.training.field.learn import STEP_MM, Field, Learned
 from touchd.training.field.place import FieldMap, complex_nodes, place
 from touchd.training.field.regression import Floats, Touches, touches_of
 
-REACH_MM = 2.0
-"""Standard deviation of the spatial weights of a phase. It changes within 3 mm, most at transducers and edges: with
-4 mm the phases of drops scatter by 0.029 rad, with 2 mm by 0.020 (twin)."""
-_ASSUMED = 0.1
+REACH_MM = 4.0
+"""Standard deviation of the spatial weights of a phase; a transducer is 6 mm wide."""
+_ASSUMED = 0.5
 """Weight of an assumed touch of phase 0 at each position, for areas without touches."""
 _ROWS = 512
 
@@ -99,10 +98,8 @@ def aligned(atlas: Atlas, position_mm: NDArray[np.float64], amplitude: NDArray[n
     Only the product of amplitude and field is observable, so the field's phase at each position is arbitrary. Learning
     keeps it smooth; but where a transducer loads the plate, a finger leads by half a radian, as water does elsewhere.
     Turning the field by the mean phase of nearby touches gives a finger one phase everywhere, so that water can be
-    distinguished. Larger touches lag: what the phase owes to the size is the same all over the plate, and taken out.
+    distinguished.
     """
-    sizes = np.log(np.maximum(np.abs(amplitude), 1e-12))
-    amplitude = amplitude * np.exp(-1j * _slope_rad(sizes, amplitude) * (sizes - sizes.mean()))
     d, nodes = atlas.description, complex_nodes(atlas)
     rows, columns = nodes.shape[:2]
     x_mm = d.origin_mm[0] + d.step_mm * np.arange(columns)
@@ -112,13 +109,6 @@ def aligned(atlas: Atlas, position_mm: NDArray[np.float64], amplitude: NDArray[n
     turned = nodes * turn
     coefficients = np.stack([turned.real, turned.imag], axis=3).reshape(atlas.coefficients.shape)
     return replace(atlas, coefficients=np.ascontiguousarray(coefficients, np.float32))
-
-
-def _slope_rad(sizes: Floats, amplitude: NDArray[np.complex128]) -> float:
-    """Return by how much the phases of amplitudes rise with the logarithms of their sizes, both of shape (n,)."""
-    phase = np.angle(amplitude * np.conj(amplitude.mean()))
-    spread = sizes - sizes.mean()
-    return float(spread @ phase / max(spread @ spread, 1e-12))
 
 
 def mean_direction(
