@@ -194,13 +194,11 @@ def _listen(address: str, stop: threading.Event, heard: list[tuple[int, float, i
 
 def _arrived(frames: dict[str, list[int]], heard: list[tuple[int, float, int]]) -> Found:
     """Return how long after a frame's last sample its message was about to be sent, and here."""
-    counted = [
-        (frames[str(number)], latency_us, now_ns) for number, latency_us, now_ns in heard if str(number) in frames
-    ]
+    counted = [(*frames[str(number)], *rest) for number, *rest in heard if str(number) in frames]
     if not counted:
         return {}
-    socket_us = [(received - due) * 1e-3 + latency_us for (due, received), latency_us, _ in counted]
-    here_us = [(now_ns - due) * 1e-3 for (due, _), _, now_ns in counted]
+    socket_us = [(received_ns - due_ns) * 1e-3 + latency_us for due_ns, received_ns, latency_us, _ in counted]
+    here_us = [(now_ns - due_ns) * 1e-3 for due_ns, _, _, now_ns in counted]
     return {
         "sent_us": median(latency_us for _, _, latency_us, _ in counted), "socket_us": median(socket_us),
         "socket_p99_us": float(np.percentile(socket_us, 99)),
