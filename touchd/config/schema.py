@@ -21,7 +21,10 @@ class DeviceSettings(Section):
     vendor_id: int = Field(0x1209, ge=0, le=0xFFFF, description="USB vendor id.")
     product_id: int = Field(0x0001, ge=0, le=0xFFFF, description="USB product id.")
     serial: str = Field("", description="USB serial number; empty takes the first device found.")
-    rate_hz: int = Field(125, ge=1, le=65535, description="Frame rate asked of the device, Hz.")
+    rate_hz: int = Field(
+        125, ge=1, le=65535, description="Frame rate asked of the device, Hz; unless this is set, an audio interface "
+        "takes the nearest that whole chirps fill.",
+    )  # fmt: skip
     idle_rate_hz: int = Field(
         50, ge=1, le=65535, description="The same once the plate has been untouched for 2 s, Hz, if the device can "
         "change it; not above `rate_hz`. With the screen off it is 10.",
