@@ -129,7 +129,7 @@ def vectors() -> str:
                 lines.append(": ".join([f"{kind}, {name}", *filter(None, says)]))
                 lines += [f"    {shown[at : at + 96]}" for at in range(0, len(shown), 96)]
     wrong = ", ".join(f"`{vector['name']}`" for vector in kinds["corrupt"])
-    return "\n".join(["```text", *lines, "```", "", f"What must not pass, each `ramp` with one mistake: {wrong}."])
+    return "\n".join(["```text", *lines, "```", "", f"Must not pass, each `ramp` with one mistake: {wrong}."])
 
 
 def exit_codes() -> str:
