@@ -99,7 +99,7 @@ class DaqSource:
         self._thread.start()
 
     def read(self, timeout_s: float) -> Frame | None:
-        """Return the next frame; None if there is none in time, or once the state has changed (see `changes`).
+        """Return the next frame; None if none came in time, or once the state has changed (see `changes`).
 
         Raises
         ------
