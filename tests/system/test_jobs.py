@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import os
 import signal
@@ -13,6 +14,7 @@ import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
+from itertools import starmap
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -26,6 +28,7 @@ from touchd.cli.main import main
 from touchd.errors import ClusterError, JobError, TrainingError
 from touchd.jobs import Job, run
 from touchd.jobs import cluster as on_cluster
+from touchd.jobs.local import SECRET_BYTES, connected_here
 from touchd.lab.reproduction.experiments import looked_up
 from touchd.lab.reproduction.plan import head_jobs
 from touchd.recording.format import read
@@ -244,28 +247,25 @@ def test_interrupted_in_a_destructor(tmp_path: Path) -> None:
 # -- whom to trust, and what to do without workers -----------------------------------------------------
 
 
-def listening(pid: int) -> set[str]:
-    """Return a process's sockets on which somebody could knock."""
-    rows = [line.split() for name in ("tcp", "tcp6") for line in Path(f"/proc/net/{name}").read_text().splitlines()]
-    listen = {f"socket:[{row[9]}]" for row in rows if row[3] == "0A"}
-    return listen & {os.path.basename(os.path.realpath(file)) for file in Path(f"/proc/{pid}/fd").iterdir()}
+def test_strangers_are_not_heard() -> None:
+    """Nobody runs a program on this computer's workers who does not know the run's secret."""
 
+    async def knock(port: int, word: bytes) -> bytes:
+        reader, writer = await asyncio.open_connection(LOOPBACK, port)
+        writer.write(word)
+        try:
+            return await reader.read()
+        finally:
+            writer.close()
 
-def test_nobody_listens(tmp_path: Path) -> None:
-    """Strangers cannot reach this computer's workers: neither they nor this process open a port."""
-    before, found = listening(os.getpid()), []
+    async def ports() -> list[bytes]:
+        async with connected_here(1) as client:
+            addresses = [client.scheduler.address, *await client.nthreads()]  # type: ignore[union-attr]  # connected
+            knocks = [(int(address.rpartition(":")[2]), bytes(SECRET_BYTES)) for address in addresses]
+            async with asyncio.timeout(PATIENCE_S):
+                return list(await asyncio.gather(*starmap(knock, knocks)))
 
-    def look(_name: str, _done: int, _count: int) -> None:
-        found.append([listening(pid) for pid in children(os.getpid())])
-        assert listening(os.getpid()) == before
-
-    with socket.socket() as server:
-        server.bind((LOOPBACK, 0))
-        server.listen()
-        assert len(listening(os.getpid())) == len(before) + 1
-    run(gated(tmp_path / "log", tmp_path / "log", 2, 4), **PROCESSES, progress=look)
-    assert found[0]
-    assert not any(any(each) for each in found)
+    assert asyncio.run(ports()) == [b"", b""], "closed without a word"
 
 
 @pytest.mark.parametrize("silent", [False, True])
@@ -304,13 +304,12 @@ def test_cluster_without_workers(cluster: Cluster, monkeypatch: pytest.MonkeyPat
 
 def test_scheduler_gone(cluster: Cluster, monkeypatch: pytest.MonkeyPatch) -> None:
     """A run ends when the scheduler does."""
-    connected = on_cluster.Cluster.__enter__
+    connected = on_cluster._run
 
-    def without_scheduler(where: on_cluster.Cluster) -> on_cluster.Cluster:
-        found = connected(where)
+    async def without_scheduler(*arguments: Any) -> None:
         cluster.scheduler.kill()
-        return found
+        await connected(*arguments)
 
-    monkeypatch.setattr(on_cluster.Cluster, "__enter__", without_scheduler)
+    monkeypatch.setattr(on_cluster, "_run", without_scheduler)
     with pytest.raises(ClusterError, match=r"the scheduler has gone.*what is finished is kept"):
         run([Job("deadly", always_die, {})], dask=cluster.address)

@@ -8,7 +8,6 @@ one kind.
 
 from __future__ import annotations
 
-import os
 import pickle
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import closing
@@ -17,10 +16,8 @@ from types import MappingProxyType
 from typing import Any
 
 from touchd.errors import TouchdError
-from touchd.jobs.engine import on_workers
 from touchd.jobs.identity import code_digest, digest
 from touchd.jobs.job import Ended, Job, Shared, Task, perform
-from touchd.jobs.processes import Processes
 from touchd.jobs.store import Store
 
 Progress = Callable[[str, int, int], object]
@@ -108,20 +105,26 @@ def _ended(
     tasks: Sequence[Task], shared: Mapping[str, bytes], workers: int | None, dask: str | None
 ) -> Generator[Ended]:
     """Run tasks here, on worker processes or on a cluster; yield each that has ended. After a failure none begins."""
-    workers = min(workers or len(os.sched_getaffinity(0)), len(tasks))
-    if tasks and dask is not None:
-        from touchd.jobs.cluster import Cluster
+    workers = min(workers or _cores(), len(tasks))
+    if workers > 1 or (tasks and dask is not None):
+        from touchd.jobs.engine import on_dask
 
-        yield from on_workers(tasks, Cluster(dask, shared))
-        return
-    if workers > 1:
-        yield from on_workers(tasks, Processes(workers, shared))
+        yield from on_dask(tasks, shared, dask or workers)
         return
     for task in tasks:
         result = perform(task, [shared[name] for name in task.job.shared])
         yield task.job.name, result
         if isinstance(result, TouchdError):
             return
+
+
+def _cores() -> int:
+    """Return the number of cores this process may use; 1 without Dask, since jobs then run in this process."""
+    try:
+        from dask.system import CPU_COUNT
+    except ModuleNotFoundError:
+        return 1
+    return CPU_COUNT
 
 
 __all__ = ["Job", "Progress", "Shared", "digest", "run"]

@@ -1,21 +1,21 @@
-"""Jobs on the workers of a Dask cluster that already runs."""
+"""Jobs on the workers of a Dask scheduler: of a cluster that already runs, or of this computer's own."""
 
 from __future__ import annotations
 
-import logging
+import asyncio
 import threading
-import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections import deque
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from concurrent.futures import CancelledError
-from contextlib import contextmanager, suppress
-from queue import Empty, SimpleQueue
+from contextlib import asynccontextmanager
 from typing import Any
 
 import structlog
 from distributed import Client, Future, KilledWorker
 
 from touchd.errors import ClusterError, JobError, TouchdError
-from touchd.jobs.job import AGAIN, Ended, Task, perform
+from touchd.jobs.job import Ended, Task, perform
+from touchd.jobs.local import connected_here, quiet
 
 log = structlog.get_logger()
 
@@ -23,115 +23,87 @@ CONNECT_S = 8.0
 """A scheduler must answer within this time."""
 WORKERS_S = 20.0
 """A run ends when there has been no worker for this time."""
-STOP_S = 3.0
-"""A run that ends gives Dask this time to disconnect."""
+CHECK_S, START_CHECK_S = 1.0, 0.1
+"""Workers are counted this often while jobs run, and while none runs."""
+AGAIN = "run again; what is finished is kept"
 
 
-class Cluster:
-    """The workers of a scheduler, which may come and go; connected to while in the context.
+async def run_on(
+    where: str | int, tasks: Sequence[Task], shared: Mapping[str, bytes], put: Callable[[Ended], object]
+) -> None:
+    """Run tasks on the scheduler at an address or on worker processes of this computer, and put each that has ended."""
+    async with _connected(where) if isinstance(where, str) else connected_here(where) as client:
+        await _run(client, where if isinstance(where, str) else "this computer", tasks, shared, put)
 
-    A cluster begins a job again whose worker died, until it has lost several with that job.
 
-    Parameters
-    ----------
-    address : str
-        Keys for TLS are those of Dask's own configuration.
-    shared : mapping
-        Pickled objects by name, sent to all workers once there is one.
+@asynccontextmanager
+async def _connected(address: str) -> AsyncIterator[Client]:
+    """Connect to a scheduler; keys for TLS are those of Dask's own configuration."""
+    quiet()
+    client = None
+    try:
+        client = Client(address, asynchronous=True, timeout=CONNECT_S, name="touchd", set_as_default=False)
+        # Dask's own limit does not cover a server that accepts a connection and then says nothing.
+        async with asyncio.timeout(CONNECT_S + 1):
+            await client
+    except Exception as error:  # any server may answer at an address, and break Dask's parser in its own way
+        if client is not None:
+            await client._close(fast=True)  # or its destructor would complain
+        raise ClusterError(
+            f"no Dask scheduler answers ({type(error).__name__})", address,
+            "start one with: dask scheduler; or correct the address, such as tcp://127.0.0.1:8786",
+        ) from error  # fmt: skip
+    async with client:
+        yield client
+
+
+async def _run(
+    client: Client, address: str, tasks: Sequence[Task], shared: Mapping[str, bytes], put: Callable[[Ended], object]
+) -> None:
+    """Run as many tasks at a time as there are workers; those that have not begun when one fails never begin.
+
+    Workers may come and go. A cluster begins a job again whose worker died, until it has lost several with that job.
     """
-
-    def __init__(self, address: str, shared: Mapping[str, bytes]) -> None:
-        self._address, self._shared = address, shared
-        self._client: Client
-        self._sent: dict[str, Future[bytes]] | None = None
-        self._running: dict[object, tuple[Future[Any], str]] = {}
-        self._done: SimpleQueue[Future[Any]] = SimpleQueue()
-        self._seen_s = 0.0
-
-    def __enter__(self) -> Cluster:
-        quiet()
-        # Dask's own limit does not cover a server that accepts a connection and then says nothing. And an interrupt
-        # amid Dask's code could leave locks taken.
-        found: SimpleQueue[Client | Exception] = SimpleQueue()
-        threading.Thread(target=_connect, args=(self._address, found), daemon=True).start()
-        client: Client | Exception = TimeoutError()
-        with suppress(Empty):
-            client = found.get(timeout=CONNECT_S + 1)
-        if isinstance(client, Exception):
-            raise ClusterError(
-                f"no Dask scheduler answers ({type(client).__name__})", self._address,
-                "start one with: dask scheduler; or correct the address, such as tcp://127.0.0.1:8786",
-            ) from client  # fmt: skip
-        self._client, self._seen_s = client, time.monotonic()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        with suppress(OSError, CancelledError):  # the scheduler may have gone
-            self._client.close(timeout=STOP_S)
-
-    def count(self) -> int:
-        """Return how many workers there are, once they have the shared objects."""
-        with self._scheduler_needed():
-            workers: dict[str, int] = self._client.nthreads()
-            if workers and self._sent is None:
+    waiting, running, failed = deque(tasks), set[asyncio.Task[Ended]](), False
+    sent: dict[str, Future[bytes]] | None = None
+    loop = asyncio.get_running_loop()
+    seen_s = loop.time()
+    try:
+        while running or (waiting and not failed):
+            workers = await client.nthreads()
+            if workers:
+                seen_s = loop.time()
+            elif loop.time() > seen_s + WORKERS_S:
+                raise ClusterError(f"no worker for {WORKERS_S:g} s", address, f"start some, and {AGAIN}")
+            if workers and sent is None:
                 crowded = [worker for worker, threads in workers.items() if threads > 1]
                 if crowded:
                     log.warning("jobs run one at a time in a worker: start it with --nthreads 1", workers=crowded)
-                shared = dict(self._shared)
-                self._sent = self._client.scatter(shared, broadcast=True, hash=False) if shared else {}
-        now_s = time.monotonic()
-        if workers:
-            self._seen_s = now_s
-        elif now_s > self._seen_s + WORKERS_S:
-            raise ClusterError(f"no worker for {WORKERS_S:g} s", self._address, f"start some, and {AGAIN}")
-        return len(workers)
-
-    def begin(self, task: Task) -> None:
-        """Give a task to the scheduler."""
-        assert self._sent is not None  # `count` comes first
-        with self._scheduler_needed():
-            shared = [self._sent[name] for name in task.job.shared]
-            future = self._client.submit(_on_worker, task, shared, pure=False)
-        self._running[future.key] = future, task.job.name
-        future.add_done_callback(self._done.put)
-
-    def ended(self, timeout_s: float) -> Sequence[Ended]:
-        """Return what has ended, after this time at most."""
-        try:
-            key = self._done.get(timeout=timeout_s).key
-        except Empty:
-            self.count()  # ends the run if the workers or the scheduler have gone
-            return []
-        future, name = self._running.pop(key)
-        with self._scheduler_needed():
-            return [_result(future, name)]
-
-    @contextmanager
-    def _scheduler_needed(self) -> Iterator[None]:
-        try:
-            yield
-        except (OSError, CancelledError) as error:
-            what = f"the scheduler has gone ({type(error).__name__})"
-            raise ClusterError(what, self._address, f"start it, and {AGAIN}") from error
+                sent = await client.scatter(dict(shared), broadcast=True, hash=False) if shared else {}
+            while sent is not None and waiting and not failed and len(running) < len(workers):
+                task = waiting.popleft()
+                future = client.submit(_on_worker, task, [sent[name] for name in task.job.shared], pure=False)
+                running.add(asyncio.create_task(_result(future, task.job.name)))
+            if not running:
+                await asyncio.sleep(START_CHECK_S)
+                continue
+            done, running = await asyncio.wait(running, timeout=CHECK_S, return_when=asyncio.FIRST_COMPLETED)
+            for each in done:
+                failed |= isinstance(each.result()[1], TouchdError)
+                put(each.result())
+    except (OSError, CancelledError) as error:
+        what = f"the scheduler has gone ({type(error).__name__})"
+        raise ClusterError(what, address, f"start it, and {AGAIN}") from error
+    finally:
+        for each in running:
+            each.cancel()
+        await asyncio.gather(*running, return_exceptions=True)
 
 
-def quiet() -> None:
-    """Silence Dask's log: what it would say, with tracebacks, is said by the errors of `touchd.jobs`."""
-    for name in ("distributed", "distributed.client"):
-        logging.getLogger(name).setLevel(logging.CRITICAL)
-
-
-def _connect(address: str, found: SimpleQueue[Client | Exception]) -> None:
-    try:
-        found.put(Client(address, timeout=CONNECT_S, name="touchd", set_as_default=False))
-    except Exception as error:  # any server may answer at an address, and break Dask's parser in its own way
-        found.put(error)
-
-
-def _result(future: Future[Any], name: str) -> Ended:
+async def _result(future: Future[Any], name: str) -> Ended:
     """Return what a job gave, or why Dask could not run it."""
     try:
-        return name, future.result()
+        return name, await future
     except (OSError, CancelledError):
         raise  # of the connection: a job's own are results
     except KilledWorker:

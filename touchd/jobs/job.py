@@ -17,8 +17,6 @@ from touchd.jobs.identity import code_digest, digest, libraries
 ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 """Environment variables that libraries of linear algebra read when they are loaded."""
 
-AGAIN = "run again; what is finished is kept"
-
 Ended = tuple[str, bytes | TouchdError]
 """The name of a job that has ended, and its pickled result, or why it has none."""
 
