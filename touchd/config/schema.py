@@ -21,7 +21,10 @@ class DeviceSettings(Section):
     vendor_id: int = Field(0x1209, ge=0, le=0xFFFF, description="USB vendor id.")
     product_id: int = Field(0x0001, ge=0, le=0xFFFF, description="USB product id.")
     serial: str = Field("", description="USB serial number; empty: any.")
-    rate_hz: int = Field(125, ge=1, le=65535, description="Frames a second.")
+    rate_hz: int = Field(
+        125, ge=1, le=65535, description="Frames a second; unset, an audio interface takes the nearest that whole "
+        "chirps fill.",
+    )  # fmt: skip
     idle_rate_hz: int = Field(
         50, ge=1, le=65535, description="The same of a plate untouched for 2 s, if the device can change its rate; not "
         "above `rate_hz`. With the screen off it is 10.",

@@ -14,7 +14,7 @@ from tests.processes import PATIENCE_S, ROOT
 
 DEPLOY = ROOT / "deploy"
 UNIT = DEPLOY / "touchd.service"
-UNITS = [UNIT, *(DEPLOY / f"touchd-{name}.service" for name in ("input", "tuio", "web"))]
+UNITS = [UNIT, *(DEPLOY / f"touchd-{name}.service" for name in ("input", "tuio", "web", "wizard", "mapping"))]
 RULES = DEPLOY / "60-touchd.rules"
 HIGHEST_EXPOSURE = 1.5
 SCRIPTS = sorted(
