@@ -69,8 +69,8 @@ def command_line() -> str:
         "",
         "<!-- Generated from the commands' own help by docs/generate.py: do not edit. -->",
         "",
-        "`touchd` without a verb is the daemon, which reads the DAQ unless an option names another source. `--help` lists",
-        "the options, of a verb too. Each failure has an [exit status](troubleshooting.md#exit-status).",
+        "`touchd` without a verb is the daemon, which reads the DAQ unless an option names another source. `--help`",
+        "lists the options, of a verb too. Each failure has an [exit status](troubleshooting.md#exit-status).",
         "",
         f"- **touchd** `{daemon_options()}`",
     ]
