@@ -40,7 +40,11 @@ class DeviceSettings(Section):
 class ModelSettings(Section):
     """The network that places touches."""
 
-    path: OptionalPath = Field(None, description="ONNX file with touchd's description; unset uses the shipped model.")
+    path: OptionalPath = Field(
+        None,
+        description="ONNX file with touchd's description; unset uses the installed model, and for a recording or a "
+        "scene, if there is none, the shipped one.",
+    )
     atlas: bool = Field(True, description="Place fingers by the field atlas beside the model: several, and finer.")
     min_confidence: float = Field(
         0.5, ge=0, le=1, description="Least confidence of the network that a frame shows a finger."
