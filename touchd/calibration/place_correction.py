@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from touchd.calibration.edges import SIDES
 from touchd.calibration.physical_atlas import grid_of
 from touchd.calibration.plate_fit import PlateFit
 from touchd.calibration.verdict import CLAMPED_MM, GOOD_MM, MODEL
@@ -25,6 +26,10 @@ Floats = NDArray[np.float64]
 
 LABELS_MM = np.geomspace(0.1, 10.0, 41)
 """Labels' errors per axis that are tried."""
+COMMON = 0.1
+"""Share of the errors by wrong physics that all places have in common; the rest varies within a wavelength (twin)."""
+BESIDE = 0.35
+"""Of the other terms beside a clamped edge, relative to the shift away from it (twin)."""
 LARGER = (1.0, 3.0, 10.0)
 """Factors to the widths that are tried: physics may be further off than the untouched plate tells."""
 STRONG = 3.0
@@ -67,13 +72,12 @@ def widths_of(fit: PlateFit) -> Widths:
     """Return how far the places of a fit may be off."""
     left = max(fit.unexplained - fit.noise_share, 0.0)
     wavelength_mm = 2e3 * np.pi / float(mindlin_wavenumber(fit.plate, np.mean(fit.acquisition.chirp.band_hz)))
-    model_mm = MODEL * wavelength_mm * float(np.sqrt(left))
-    clamped = [
-        any(fit.edges.kinds.get(side) == "clamped" for side in sides)
-        for sides in (("left", "right"), ("top", "bottom"))
-    ]
-    x_mm, y_mm = (float(np.hypot(model_mm, CLAMPED_MM if held else 0.0)) for held in clamped)
-    return Widths((x_mm, y_mm), fit.scale_error, model_mm)
+    common_mm = COMMON * MODEL * wavelength_mm * float(np.sqrt(left))
+    clamped = [side for side, kind in fit.edges.kinds.items() if kind == "clamped"]
+    if clamped:
+        common_mm = float(np.hypot(common_mm, BESIDE * CLAMPED_MM))
+    x_mm, y_mm = (CLAMPED_MM if {*sides} & {*clamped} else common_mm for sides in (SIDES[:2], SIDES[2:]))
+    return Widths((x_mm, y_mm), fit.scale_error, common_mm)
 
 
 def correction_of(placed_mm: Floats, label_mm: Floats, size_mm: tuple[float, float], widths: Widths) -> PlaceCorrection:
