@@ -24,6 +24,10 @@ from touchd.recording.format import read
 from touchd.web.live import PERIOD_S
 
 
+OWN = "own"
+POSTS = ("/session", "/check/start", "/check/bundle", "/calibrate/do")
+
+
 @pytest.fixture(scope="module")
 def server(address: str) -> Iterator[Web]:
     with web(address) as found:
@@ -43,7 +47,6 @@ def ask(server: Web, method: str, path: str, **headers: str) -> tuple[int, bytes
         connection.close()
 
 
-OWN = "own"
 
 
 def live(server: Web, origin: str | None = OWN, max_queue: int = 16) -> ClientConnection:
@@ -111,16 +114,42 @@ def test_foreign_page(server: Web, origin: str | None) -> None:
         live(server, origin=origin)
     assert refused.value.response.status_code == 403
     said = {} if origin is None else {"Origin": origin}
-    for path in ("/session", "/check/start", "/check/bundle"):
+    for path in POSTS:
         assert ask(server, "POST", path, **{"Content-Length": "0"}, **said)[0] == 403
 
 
 def test_no_session(server: Web) -> None:
     """From the right page without the token, nothing acts."""
     said = {"Origin": f"http://127.0.0.1:{server.port}", "Content-Length": "0"}
-    for path in ("/check/start", "/check/bundle"):
+    for path in POSTS[1:]:
         assert ask(server, "POST", path, **said)[0] == 401
     assert ask(server, "POST", "/session", **said)[0] == 403
+
+
+NAMES = st.sampled_from(["127.0.0.1", "localhost", "[::1]", "0.0.0.0", "127.0.0.1.evil.example", "2130706433", "evil"])
+PORTS = st.sampled_from(["", ":80", ":1", ":OWN", ":0OWN", ":OWN.", ":OWN@evil"])
+SCHEMES = st.sampled_from(["http://", "https://", "HTTP://", "ws://", "null", "", "file://"])
+COOKIES = st.sampled_from(["", "touchd-OWN=", "touchd-OWN=x", 'touchd-OWN="', "touchd-OWN=x; touchd-OWN=y", "=;=,"])
+
+
+@settings(max_examples=200, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@given(
+    host=st.builds("".join, st.tuples(NAMES, PORTS)), origin=st.builds("".join, st.tuples(SCHEMES, NAMES, PORTS)),
+    cookie=COOKIES, method=st.sampled_from(["POST", "GET", "PUT", "OPTIONS", "DELETE"]),
+    path=st.sampled_from([*POSTS, "/live", "/calibrate//do", "/calibrate/do/", "/calibrate/picture/../do", "//live"]),
+)  # fmt: skip
+def test_strangers(server: Web, host: str, origin: str, cookie: str, method: str, path: str) -> None:
+    """No mixture of hosts, origins, cookies, methods and paths acts or listens, but the page's own may listen."""
+    host, origin, cookie = (text.replace("OWN", str(server.port)) for text in (host, origin, cookie))
+    upgrade = {"Upgrade": "websocket", "Connection": "Upgrade", "Sec-WebSocket-Version": "13"}
+    upgrade |= {"Sec-WebSocket-Key": "x3JJHMbDL1EzLkh9GBhXDw=="}
+    said = {"Host": host, "Origin": origin, "Cookie": cookie, "Content-Length": "0"}
+    status = ask(server, method, path, **said, **(upgrade if "live" in path else {}))[0]
+    own = {f"{name}:{server.port}" for name in ("127.0.0.1", "localhost", "[::1]")}
+    if host in own and origin.removeprefix("http://") in own and (method, path) == ("GET", "/live"):
+        assert status == 101
+    else:
+        assert status in (400, 401, 403, 404, 405, 421)
 
 
 @settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
