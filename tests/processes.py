@@ -54,8 +54,8 @@ def touchd(*arguments: object, cwd: Path = ROOT, patience_s: float = PATIENCE_S,
 def started(*arguments: object, module: str = "touchd", **variables: str) -> Iterator[subprocess.Popen[str]]:
     """Run touchd beside the test; it always ends with the test."""
     process = subprocess.Popen(
-        command(*arguments, module=module), stdout=subprocess.PIPE, stderr=subprocess.PIPE, stdin=subprocess.DEVNULL, text=True,
-        cwd=ROOT, env=environment(**variables),
+        command(*arguments, module=module), stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        stdin=subprocess.DEVNULL, text=True, cwd=ROOT, env=environment(**variables),
     )  # fmt: skip
     with process:
         try:

@@ -23,7 +23,6 @@ from tests.system.web.rig import Web, bus, web
 from touchd.recording.format import read
 from touchd.web.live import PERIOD_S
 
-
 OWN = "own"
 POSTS = ("/session", "/check/start", "/check/bundle", "/calibrate/do")
 
@@ -45,8 +44,6 @@ def ask(server: Web, method: str, path: str, **headers: str) -> tuple[int, bytes
         return answer.status, answer.read()
     finally:
         connection.close()
-
-
 
 
 def live(server: Web, origin: str | None = OWN, max_queue: int = 16) -> ClientConnection:

@@ -196,7 +196,7 @@ class Worker:
     def _fit_now(self, stop: threading.Event) -> None:
         self._state.set(running="fit", share=0.0, note="")
         result = fit(self._state, stop, self._progress)
-        self._state.set(running=None, result=result, note="", compared=None, installed=False)
+        self._state.set(running=None, result=result, note="", compared=None, installed=False, expected=None)
 
     def _tap(self, stop: threading.Event) -> None:
         session = Session(self._state)
