@@ -45,7 +45,9 @@ class DeviceSettings(Section):
 class ModelSettings(Section):
     """The network that places touches."""
 
-    path: OptionalPath = Field(None, description="ONNX file; unset: the installed model, else the shipped one.")
+    path: OptionalPath = Field(
+        None, description="ONNX file; unset: the installed model, else, of a recording or a scene, the shipped one."
+    )
     atlas: bool = Field(True, description="Use the field atlas beside the model.")
     min_confidence: float = Field(0.5, ge=0, le=1, description="Least confidence of the network in a finger.")
     keep_confidence: float = Field(0.2, ge=0, le=1, description="The same while a contact is down.")

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.evaluation.matching import Matches, Position, Seen, join_matches, match, match_frames
-from touchd.evaluation.truth import TrueTouch, fingers_only, true_touches
+from touchd.evaluation.truth import TrueTouch, fingers_only, rough_frames, true_touches
 from touchd.event import Contact, TouchEvent
 from touchd.recording.data import Recording
 
@@ -111,7 +111,7 @@ def score_stream(recording: Recording, events: Sequence[TouchEvent]) -> StreamSc
 
     Each message assigns contacts to fingers, see `match`. A contact belongs to the touch that it matches in most
     messages, among touches that began before it. It is a ghost if it matches no touch in at least half of the messages
-    in which a finger is down.
+    in which a finger is down. Of the acts of `touchd record --label` taps alone tell positions.
     """
     recording = fingers_only(recording)
     touches, contacts = true_touches(recording), found_contacts(events)
@@ -121,7 +121,7 @@ def score_stream(recording: Recording, events: Sequence[TouchEvent]) -> StreamSc
     for contact in contacts:
         contact.touch = _touch_of(contact, touches, down)
     owned = [[contact for contact in contacts if contact.touch == i] for i in range(len(touches))]
-    errors = _errors(contacts, down)
+    errors = _errors(contacts, down, rough_frames(recording))
     parts = list(errors.values())
     error_mm = np.concatenate([error for error, _ in parts]) if parts else np.empty((0, 2))
     latency_ms = [
@@ -162,13 +162,15 @@ def settled_frames(recording: Recording, events: Iterable[TouchEvent]) -> Iterat
     changed_at = np.concatenate([numbers[:1] - SLACK_FRAMES, numbers[changes]])
     settled = numbers >= changed_at[np.searchsorted(changes, np.arange(len(numbers)), "right")] + SLACK_FRAMES
     touched = down.any(axis=1).tolist()
-    untouched = Seen((), ())
+    rough, untouched = rough_frames(recording), Seen((), ())
     for i, (number, is_settled) in enumerate(zip(numbers.tolist(), settled.tolist(), strict=True)):
         if number in messages:
             alive = tuple(contact for contact in messages[number] if contact.phase != "up")
-        if is_settled and not touched[i]:
+        if not is_settled or number in rough:
+            continue
+        if not touched[i]:
             yield Seen((), alive) if alive else untouched
-        elif is_settled:
+        else:
             places = [(x, y) for x, y in truth[i, down[i]].tolist()]
             force_n = recording.force_n[i, down[i]].tolist() if recording.force_n is not None else None
             faces = recording.faces[i, down[i]].tolist() if recording.faces is not None else None
@@ -221,11 +223,11 @@ def _switches(contact: FoundContact) -> int:
     return sum(before != after for before, after in pairwise(seen))
 
 
-def _errors(contacts: list[FoundContact], down: Down) -> Errors:
+def _errors(contacts: list[FoundContact], down: Down, rough: set[int]) -> Errors:
     """Return estimated less true position (n, 2) and whether the finger moves (n,), by contact and touch.
 
     A contact too far from every finger is compared with its own touch, unless another contact matches that touch:
-    large errors count.
+    large errors count. Frames of rough labels do not.
     """
     taken = {pair for contact in contacts for pair in zip(contact.frames, contact.followed, strict=True)}
     found: dict[tuple[int, int], list[tuple[float, float, bool]]] = {}
@@ -235,7 +237,7 @@ def _errors(contacts: list[FoundContact], down: Down) -> Errors:
         for number, (x_mm, y_mm), index in zip(contact.frames, contact.position_mm, contact.followed, strict=True):
             if index is None and (number, contact.touch) not in taken:
                 index = contact.touch
-            if index is not None and index in down.get(number, {}):
+            if index is not None and number not in rough and index in down.get(number, {}):
                 true_x_mm, true_y_mm, moving = down[number][index]
                 found.setdefault((name, index), []).append((x_mm - true_x_mm, y_mm - true_y_mm, moving))
     tables = {key: np.array(values) for key, values in found.items()}
