@@ -162,7 +162,9 @@ class ControlSettings(Section):
 class HealthSettings(Section):
     """The `health` topic."""
 
-    period_s: float = Field(1.0, ge=0.01, le=3600, description="Longest time between health messages, s.")
+    period_s: float = Field(
+        1.0, ge=0.01, le=3600, description="Longest time between health messages, s; without subscribers 10."
+    )
 
 
 class PreRollSettings(Section):

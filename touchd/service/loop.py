@@ -29,9 +29,11 @@ STALL_NS = 1_000_000_000
 """A source that is no device has stalled after this time without a frame, ns."""
 _FLOWING: tuple[State, ...] = ("streaming", "uncalibrated")
 """Frames flow."""
-_TICK_NS, _IDLE_TICK_NS = 4_000_000, 40_000_000
+_TICK_NS, _IDLE_TICK_NS = 4_000_000, 100_000_000
 """Sinks are polled this often, and all else is done that is due: at usual rates after each frame of a touch, and after
-every other one of an idle plate. Polling costs a fifth of an idle frame."""
+every fifth one of an idle plate. Polling costs a fifth of an idle frame."""
+_UNHEARD_NS = 10_000_000_000
+"""Health messages that nobody wants are this rare: one costs as much as ten idle frames."""
 _CONTROL_NS = 50_000_000
 """Commands are read this often: reading costs half as much as an idle frame."""
 
@@ -212,7 +214,9 @@ class Service:
         self._tick_ns = now_ns
         for sink in self._sinks:
             sink.poll()
-        if now_ns - self._health_ns >= self._health.period_ns:
+        if now_ns - self._health_ns >= self._health.period_ns and (
+            now_ns - self._health_ns >= _UNHEARD_NS or self._messages.wants("health")
+        ):
             self._publish_health()
         if self._rate is not None:
             self._rate.wanted = self._feed is not None and bool(self._feed.listeners)
