@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from docs import measured
-from docs.accuracy_plots import FieldImage, NoiseLevel, draw_field, draw_fingers, draw_learning, draw_noise
+from docs.accuracy_plots import FieldImage, NoiseLevel, draw_field, draw_learning, draw_noise
 from touchd.config.schema import ModelSettings, Settings
 from touchd.evaluation.cramer_rao import (
     atlas_field,
@@ -33,6 +33,7 @@ from touchd.evaluation.matching import match_frames, scores_by_fingers
 from touchd.evaluation.metrics import position_scores
 from touchd.evaluation.model_scores import Judgement
 from touchd.evaluation.plots.maps import draw_maps
+from touchd.evaluation.plots.session import draw_session
 from touchd.evaluation.single_frames import find_with, see, touched_frames
 from touchd.localization.atlas import Atlas
 from touchd.localization.model import Model
@@ -196,7 +197,7 @@ def session(bench: Bench) -> None:
     path = bench.folder / f"{SESSION}-{SESSION_SEED}.npz"
     bench.recording(path.stem, lambda: simulate_scene(SESSION, seed=SESSION_SEED, instrument=bench.instrument))
     outcome = replay(path, Settings(model=ModelSettings(path=MODEL)))
-    measured.picture(PAGE, draw_fingers(read(path), outcome.touches), "session")
+    draw_session(read(path), outcome.touches, PAGE.with_suffix("") / "session.png")
 
 
 def learning(bench: Bench) -> None:

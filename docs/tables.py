@@ -30,12 +30,11 @@ INPUTS = (
     "signal to noise: 30 dB",
 )
 TONES = ("-50 dB, within the band", "-40 dB, within the band")
-TOUCHES = ("700", "1500", "4483")
 
 
 def noise() -> str:
     """Return error, bound and standard error by noise."""
-    columns = {"noise_db": "noise, dB", "rmse_mm": "RMSE", "median_mm": "median", "p95_mm": "p95",
+    columns = {"noise_db": "noise, dB", "median_mm": "median", "p95_mm": "p95",
                "bound_mm": "Cramer-Rao bound", "within_1_sigma": "within sigma", "placed": "placed"}  # fmt: skip
     return _renamed(read_csv(ACCURACY / "noise.csv"), columns)
 
@@ -48,12 +47,6 @@ def contacts() -> str:
     found = read_csv(ACCURACY / "contacts.csv").pick(columns=list(columns))
     rows = [[*row[:-2], *(f"{float(share):.0%}" for share in row[-2:])] for row in found.rows]
     return table(list(columns.values()), rows)
-
-
-def learning() -> str:
-    """Return errors by training touches."""
-    columns = {"training_touches": "training touches", "median_mm": "median", "p95_mm": "p95"}
-    return _renamed(read_csv(ACCURACY / "learning.csv").pick(TOUCHES), columns)
 
 
 def worse() -> str:
@@ -100,7 +93,7 @@ def _renamed(found: Table, columns: dict[str, str]) -> str:
 
 
 BLOCKS: dict[Path, tuple[Callable[[], str], ...]] = {
-    DOCS / "accuracy.md": (noise, contacts, learning),
+    DOCS / "accuracy.md": (noise, contacts),
     DOCS / "robustness.md": (worse, limit, float64),
 }
 """By page: its tables, each in the block of its name."""

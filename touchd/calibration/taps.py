@@ -29,7 +29,7 @@ CLEARER = 0.5
 """Another orientation leaves less than this share of what the drawing's leaves. At a right one taps leave 0.01, at a
 wrong one half of their energy and more (twin)."""
 FITS = 0.2
-"""A tap that leaves more than this share is none: two fingers, or at no such place."""
+"""Refuse a tap that leaves more than this share unexplained: two fingers, or none at that place."""
 MISSED = 3.0
 """A tap this many median distances from its label missed it."""
 PRIOR_TAPS = 10.0

@@ -58,7 +58,7 @@ def command(
     force: bool,
     config: Path | None,
 ) -> None:
-    """Fit plate and discs to RECORDING, some ten seconds of frames that nobody touches, and write a model.
+    """Fit plate and discs to RECORDING, ten seconds of the untouched plate, and write a model.
 
     Without RECORDING the frames come from the running daemon, or else from the DAQ. No touch is needed. Beside the
     model lie its field atlas, .atlas.npz, a reference for `touchd doctor`, .untouched.npz, and a folder named .report.

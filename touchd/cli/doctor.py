@@ -50,7 +50,7 @@ def command(
     as_lines: bool,
     config: Path | None,
 ) -> None:
-    """Check all that the daemon opens, the DAQ, its frames and the computer; print one line for each check.
+    """Check all that the daemon opens, the DAQ, its frames and the computer, a line for each check.
 
     A running daemon's frames are checked, by its own user or root; else stop it first: only one program at a time can
     read the DAQ. Do not touch the plate meanwhile. A warning and a failure name a remedy.

@@ -204,7 +204,7 @@ def describer(
 ) -> Callable[[], FeedDescription]:
     """Return what describes a source's frames to those who record them; `plate` returns the model's plate."""
     known = getattr(source, "meta", None)
-    rate_hz = known.frame_rate_hz if known else float(settings.device.rate_hz)
+    rate_hz = known.frame_rate_hz if known else float(getattr(source, "rate_hz", settings.device.rate_hz))
 
     def description() -> FeedDescription:
         return FeedDescription(

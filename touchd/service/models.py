@@ -49,7 +49,7 @@ def model_path(settings: Settings) -> Path:
 
 
 def load_model(settings: Settings) -> Model:
-    """Load the model in use; ModelMissing if there is none."""
+    """Load the model in use; ModelMissing without one."""
     return Model(model_path(settings), atlas=settings.model.atlas)
 
 

@@ -40,6 +40,7 @@ POOR = {
                 "channel 3 is dead: check its disc and cable",
                 "receiver 2 may be 8.3 mm from where the drawing has it: measure it again"],
 }  # fmt: skip
+MAPPING = {"screen_mm": [20.4, 30.2, 160.1, 90.3], "rotate": 0, "residual_mm": 0.84}
 _TAPS = [
     {"target_mm": (p := target_mm(n, 200.4, 149.8)), "found_mm": [p[0] + 0.4, p[1] - 0.3]} for n in range(7)
 ]  # fmt: skip
@@ -57,6 +58,12 @@ STATES: dict[str, dict[str, Any]] = {
     "fit": NOTHING | {"plate": PLATE, "untouched": True, "running": "fit", "share": 0.63, "note": "candidates"},
     "verdict": _FITTED,
     "poor": _FITTED | {"result": POOR},
+    "screen": _FITTED | {"installed": True},
+    "mapped": _FITTED | {"installed": True, "mapping": MAPPING},
+    "crosses": _FITTED | {"installed": True, "running": "crosses", "cross": {"number": 2, "of": 4, "at": (0.9, 0.1)}},
+    "cross-shown": _FITTED | {
+        "installed": True, "running": "crosses", "cross": {"number": 3, "of": 4, "at": (0.9, 0.9)},
+    },
     "first-tap": _TAPPING | {"taps": [], "target_mm": target_mm(0, 200.4, 149.8)},
     "taps": _TAPPING | {"last": {"ok": True, "reason": "", "target_mm": _TAPS[-1]["target_mm"]},
                         "told": {"scatter_mm": 0.61, "orientation": "mirrored"}},

@@ -100,9 +100,19 @@ class Session:
         state = self._state
         due = [number for number, when in state["again"] if len(state["taps"]) >= when]
         number: int = due[0] if due else state["next"]
-        p = state.said().plate
-        state.set(target_mm=target_mm(number, p.width_mm, p.height_mm))
+        left_mm, top_mm, wide_mm, high_mm = self._area_mm()
+        x_mm, y_mm = target_mm(number, wide_mm, high_mm)
+        state.set(target_mm=(round(left_mm + x_mm, 1), round(top_mm + y_mm, 1)))
         return number
+
+    def _area_mm(self) -> tuple[float, float, float, float]:
+        """Return where targets are, x, y, width and height: on the screen, which shows them, if its place is known."""
+        p, mapping = self._state.said().plate, self._state["mapping"]
+        if not mapping:
+            return 0.0, 0.0, p.width_mm, p.height_mm
+        x, y, wide, high = mapping["screen_mm"]
+        left, top = max(x, 0.0), max(y, 0.0)
+        return left, top, min(x + wide, p.width_mm) - left, min(y + high, p.height_mm) - top
 
     def _keep(self, tapped: Tapped, meta: Any, label_mm: tuple[float, float]) -> None:
         """Write a tap as the recording's next chunk."""
