@@ -13,7 +13,6 @@ from pathlib import Path
 
 import click
 import onnx
-from click.testing import CliRunner
 
 from docs.tables import BLOCKS
 from touchd import errors
@@ -30,7 +29,6 @@ MODELS = ROOT / "models"
 MODEL = MODELS / "regression.onnx"
 CARD = ("n", "rmse_mm", "mean_mm", "sd_mm", "median_mm", "p95_mm", "max_mm", "within_sigma", "confident", "accuracy",
         "key_to_key_errors")  # fmt: skip
-WIDTH = 100
 SHOWN, WHOLE = ("full", "status", "ramp", "wrap"), 200
 """Test vectors on the page, and the hex digits up to which one is whole there."""
 SCORES = {"rmse_mm": "RMSE", "median_mm": "median", "p95_mm": "95th percentile"}
@@ -71,30 +69,32 @@ def command_line() -> str:
         "",
         "<!-- Generated from the commands' own help by docs/generate.py: do not edit. -->",
         "",
-        "`touchd` without a verb is the daemon, which reads the DAQ unless an option names another source:",
+        "`touchd` without a verb is the daemon, which reads the DAQ unless an option names another source. `--help`",
+        "lists the options, of a verb too. Each failure has an [exit status](troubleshooting.md#exit-status).",
         "",
-        "```text",
-        daemon_help(),
-        "```",
-        "",
-        "A verb's `--help` lists its options. Each failure has an [exit status](troubleshooting.md#exit-status).",
-        "",
+        f"- **touchd** `{daemon_options()}`",
     ]
     for verb in sorted(cli.VERBS):
         with click.Context(cli.touchd, info_name="touchd") as above:
             command = cli.touchd.get_command(above, verb)
             assert command is not None
             summary = " ".join((command.help or "").split("\n\n")[0].split())
-            written = synopsis(command, above)
-            lines.append(f"- **{verb}**{f' `{written}`' if written else ''}: {summary}")
+            takes = synopsis(command, above)
+            lines.append(f"- **{verb}**{f' `{takes}`' if takes else ''}: {summary}")
     return "\n".join(lines) + "\n"
 
 
-def daemon_help() -> str:
-    """Return the options of the daemon from its help."""
-    result = CliRunner().invoke(cli.touchd, ["--help"], prog_name="touchd", terminal_width=WIDTH)
-    options = result.output.split("\nVerbs:\n")[0].split("\nOptions:\n")[1]
-    return "\n".join(line.rstrip() for line in options.rstrip().splitlines() if "-h, --help" not in line)
+def daemon_options() -> str:
+    """Return the options of the daemon, as it is written."""
+    context = click.Context(cli.touchd, info_name="touchd")
+    options = (each for each in cli.touchd.params if isinstance(each, click.Option))
+    return " ".join(f"[{written(option, context)}]" for option in options)
+
+
+def written(option: click.Option, context: click.Context) -> str:
+    """Return an option with what it takes."""
+    name = option.opts[0] + ("" if option.is_flag else f" {option.make_metavar(context)}")
+    return name.removesuffix(" RANGE")
 
 
 def synopsis(command: click.Command, above: click.Context) -> str:
@@ -109,9 +109,7 @@ def synopsis(command: click.Command, above: click.Context) -> str:
     words = []
     for parameter in command.params:
         if isinstance(parameter, click.Option):
-            name = parameter.opts[0] + ("" if parameter.is_flag else f" {parameter.make_metavar(context)}")
-            name = name.removesuffix(" RANGE")
-            words += [name] * parameter.required
+            words += [written(parameter, context)] * parameter.required
     arguments = (parameter for parameter in command.params if isinstance(parameter, click.Argument))
     return " ".join((*words, *(argument.make_metavar(context) for argument in arguments)))
 

@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 def command(model: Path, recording: Path, as_json: bool) -> None:
     """Judge MODEL on RECORDING, a minute of anybody's touches and strokes.
 
-    Nobody needs to know where they were. Says whether the plate should be calibrated again, and why. RECORDING begins untouched.
+    Nobody needs to know where they were. Says whether the plate should be calibrated again, and why. RECORDING begins
+    untouched.
     """
     from touchd.calibration.check import check_model
 

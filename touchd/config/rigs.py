@@ -32,12 +32,8 @@ class NiSettings(Section):
 class AudioSettings(Section):
     """An audio interface (`--audio`); all its outputs play the chirp."""
 
-    device: str = Field(
-        "", description="ALSA name of `arecord -L`, such as hw:CARD=U192k."
-    )
-    sample_rate_hz: int = Field(
-        192_000, ge=8000, le=768_000, description="A multiple of `device.rate_hz`."
-    )
+    device: str = Field("", description="ALSA name of `arecord -L`, such as hw:CARD=U192k.")
+    sample_rate_hz: int = Field(192_000, ge=8000, le=768_000, description="A multiple of `device.rate_hz`.")
     channels: tuple[int, ...] = Field(
         (1, 2, 3, 4), description="The input of each disc, counted from 1, in the model's order."
     )

@@ -44,35 +44,23 @@ class ModelSettings(Section):
     """The network that places touches."""
 
     path: OptionalPath = Field(
-        None, description="ONNX file; unset: the installed model, for recordings and scenes else the shipped one."
+        None, description="ONNX file; unset: the installed model, else, of a recording or a scene, the shipped one."
     )
     atlas: bool = Field(True, description="Use the field atlas beside the model.")
-    min_confidence: float = Field(
-        0.5, ge=0, le=1, description="Least confidence of the network in a finger."
-    )
-    keep_confidence: float = Field(
-        0.2, ge=0, le=1, description="The same while a contact is down."
-    )
+    min_confidence: float = Field(0.5, ge=0, le=1, description="Least confidence of the network in a finger.")
+    keep_confidence: float = Field(0.2, ge=0, le=1, description="The same while a contact is down.")
     min_snr_db: float = Field(
         3.0, ge=0, le=100, description="Least signal-to-noise ratio of a touch that the network alone places, dB."
     )
-    max_sigma_mm: float = Field(
-        5.0, ge=0.001, le=1e9, description="Largest standard error of a reported position, mm."
-    )
+    max_sigma_mm: float = Field(5.0, ge=0.001, le=1e9, description="Largest standard error of a reported position, mm.")
 
 
 class BaselineSettings(Section):
     """The untouched plate, followed as it drifts."""
 
-    learn_frames: int = Field(
-        32, ge=2, le=1000, description="Frames averaged into the first baseline."
-    )
-    time_constant_s: float = Field(
-        0.5, ge=0.01, le=3600, description="Time constant with which it follows, s."
-    )
-    absorb_s: float = Field(
-        30.0, ge=0.1, le=86400, description="A change that lasts this long, s, becomes part of it."
-    )
+    learn_frames: int = Field(32, ge=2, le=1000, description="Frames averaged into the first baseline.")
+    time_constant_s: float = Field(0.5, ge=0.01, le=3600, description="Time constant with which it follows, s.")
+    absorb_s: float = Field(30.0, ge=0.1, le=86400, description="A change that lasts this long, s, becomes part of it.")
 
 
 class GateSettings(Section):
@@ -116,9 +104,7 @@ class TrackerSettings(Section):
         description="Frames in a row before a contact is `down`. Up to 2, one is enough for a "
         "lone finger with a confidence above 0.99 and a `sigma_mm` below 0.3.",
     )
-    reach_mm: float = Field(
-        25.0, ge=0.1, le=1000, description="Farthest that a contact moves between frames, mm."
-    )
+    reach_mm: float = Field(25.0, ge=0.1, le=1000, description="Farthest that a contact moves between frames, mm.")
     dead_band_mm: float = Field(
         0.1, ge=0, le=1000, description="Movement within this, or within 1.5 `sigma_mm` if that is more, is `hold`, mm."
     )
@@ -126,9 +112,7 @@ class TrackerSettings(Section):
         4.0, ge=0.001, le=1e6, description="One-Euro filter: cut-off of a still finger with a `sigma_mm` of 0.5, Hz; "
         "a smaller one raises it in proportion. From the next contact on.",
     )  # fmt: skip
-    beta: float = Field(
-        0.6, ge=0, le=1000, description="One-Euro filter: rise of the cut-off with speed, Hz per mm/s."
-    )
+    beta: float = Field(0.6, ge=0, le=1000, description="One-Euro filter: rise of the cut-off with speed, Hz per mm/s.")
     force_full_scale: float = Field(
         0.1, ge=1e-6, le=10, description="Change of the signal, as a share of it, that is `force` 1."
     )
@@ -158,9 +142,7 @@ class BusSettings(Section):
         description="Folder of the public keys that may subscribe; unset: every client with the server's key.",
     )
     insecure: bool = Field(False, description="Allow an address beyond loopback without keys.")
-    high_water_mark: int = Field(
-        1000, ge=1, le=100_000, description="Most messages that wait for a slow subscriber."
-    )
+    high_water_mark: int = Field(1000, ge=1, le=100_000, description="Most messages that wait for a slow subscriber.")
     max_subscribers: int = Field(64, ge=1, le=10000, description="Most connections at once.")
 
 
@@ -185,7 +167,8 @@ class PreRollSettings(Section):
 
     seconds: float = Field(10.0, ge=0, le=600, description="Time kept in memory, s.")
     folder: OptionalPath = Field(
-        None, description="Where they are saved; unset: `preroll` in the service's state directory, or in ~/.local/state/touchd."
+        None,
+        description="Where they are saved; unset: `preroll` in the service's state folder, or ~/.local/state/touchd.",
     )
     min_confidence: float = Field(
         0.0, ge=0, le=1, description="A touch that goes down with a lower confidence saves them, too."
@@ -196,9 +179,7 @@ class PreRollSettings(Section):
 class LogSettings(Section):
     """The log."""
 
-    level: Literal["debug", "info", "warning", "error"] = Field(
-        "info", description="Lowest level that is logged."
-    )
+    level: Literal["debug", "info", "warning", "error"] = Field("info", description="Lowest level that is logged.")
     format: Literal["auto", "console", "json"] = Field("auto", description="auto: console on a terminal, else json.")
 
 

@@ -161,15 +161,16 @@ def settled_frames(recording: Recording, events: Iterable[TouchEvent]) -> Iterat
     changes = np.flatnonzero((down[1:] != down[:-1]).any(axis=1)) + 1
     changed_at = np.concatenate([numbers[:1] - SLACK_FRAMES, numbers[changes]])
     settled = numbers >= changed_at[np.searchsorted(changes, np.arange(len(numbers)), "right")] + SLACK_FRAMES
-    settled &= ~np.isin(numbers, list(rough_frames(recording)))
     touched = down.any(axis=1).tolist()
-    untouched = Seen((), ())
+    rough, untouched = rough_frames(recording), Seen((), ())
     for i, (number, is_settled) in enumerate(zip(numbers.tolist(), settled.tolist(), strict=True)):
         if number in messages:
             alive = tuple(contact for contact in messages[number] if contact.phase != "up")
-        if is_settled and not touched[i]:
+        if not is_settled or number in rough:
+            continue
+        if not touched[i]:
             yield Seen((), alive) if alive else untouched
-        elif is_settled:
+        else:
             places = [(x, y) for x, y in truth[i, down[i]].tolist()]
             force_n = recording.force_n[i, down[i]].tolist() if recording.force_n is not None else None
             faces = recording.faces[i, down[i]].tolist() if recording.faces is not None else None

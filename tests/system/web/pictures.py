@@ -70,7 +70,7 @@ def calibrate(opened: Page, told: Wizard, step: str) -> None:
         "() => [...document.querySelectorAll('img')].every(one => one.complete || !one.offsetParent)"
     )
     if step.endswith("-shown"):  # on the whole screen
-        opened.get_by_role("button", name=re.compile("Show the crosses|on this screen")).click()
+        opened.get_by_role("button", name=re.compile("Show the crosses|on this screen|Show the ring")).click()
         expect(opened.locator(".stage .mark")).to_be_visible()
     if step == "first-tap":
         expect(opened.locator(".tapped")).to_contain_text("Live")  # what to do where no tap is seen

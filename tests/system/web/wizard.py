@@ -46,7 +46,15 @@ _TAPS = [
 ]  # fmt: skip
 _TARGET = target_mm(7, 200.4, 149.8)
 _FITTED = NOTHING | {"plate": PLATE, "untouched": True, "result": GOOD}
-_TAPPING = _FITTED | {"running": "taps", "taps": _TAPS, "target_mm": _TARGET, "installed": True}
+_X, _Y = np.meshgrid(np.linspace(-1, 1, 20), np.linspace(-1, 1, 20))
+_EXPECTED = {"mm": (0.1 + 0.3 * (_X**4 + _Y**4)).round(3).tolist(), "median_mm": 0.139, "top_mm": 0.62}
+_TAPPING = _FITTED | {
+    "running": "taps",
+    "taps": _TAPS,
+    "target_mm": _TARGET,
+    "installed": True,
+    "expected": _EXPECTED,
+}
 _COMPARED = {
     "new": {"used": 7, "taps": 7, "scatter_mm": 0.61, "unexplained": 0.0034},
     "old": {"used": 5, "taps": 7, "scatter_mm": 1.87, "unexplained": 0.0212},
@@ -67,6 +75,10 @@ STATES: dict[str, dict[str, Any]] = {
     "first-tap": _TAPPING | {"taps": [], "target_mm": target_mm(0, 200.4, 149.8)},
     "taps": _TAPPING | {"last": {"ok": True, "reason": "", "target_mm": _TAPS[-1]["target_mm"]},
                         "told": {"scatter_mm": 0.61, "orientation": "mirrored"}},
+    "ring-shown": _TAPPING | {
+        "mapping": MAPPING, "target_mm": (60.0, 50.0),
+        "last": {"ok": False, "reason": "unsteady", "target_mm": _TAPS[-1]["target_mm"]},
+    },
     "missed": _TAPPING | {"last": {"ok": False, "reason": "light", "target_mm": [60.0, 60.0]}},
     "compared": _TAPPING | {"running": None, "compared": _COMPARED, "last": None},
     "fault": NOTHING | {"plate": PLATE, "untouched": True, "problem": "untouched.npz: the plate was touched",

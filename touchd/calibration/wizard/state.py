@@ -14,10 +14,10 @@ from touchd.files import replacing
 NOTHING: dict[str, Any] = {
     "running": None, "share": 0.0, "note": "", "problem": "", "fix": "", "plate": None, "untouched": False,
     "result": None, "taps": [], "again": [], "next": 0, "target_mm": None, "last": None, "told": None,
-    "installed": False, "compared": None, "cross": None, "mapping": None,
+    "installed": False, "compared": None, "cross": None, "mapping": None, "expected": None,
 }  # fmt: skip
 """`running` is `untouched`, `fit`, `crosses`, `taps` or None; `taps` are the places tapped, each with its label;
-`mapping` is where the configuration has the screen."""
+`mapping` is where the configuration has the screen; `expected` is the map of the expected error."""
 _FLEETING = frozenset({"share", "note"})
 
 

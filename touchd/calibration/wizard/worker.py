@@ -85,8 +85,9 @@ class Worker:
         self._halt()
         self._state.set(running=running)
 
-    def answer(self, asked: dict[str, Any]) -> dict[str, Any]:
+    def answer(self, asked: Any) -> dict[str, Any]:
         """Obey a command, and return what is to be said of it: at least `ok`."""
+        asked = asked if isinstance(asked, dict) else {}
         name = str(asked.get("do"))
         try:
             with self._one:
@@ -195,7 +196,7 @@ class Worker:
     def _fit_now(self, stop: threading.Event) -> None:
         self._state.set(running="fit", share=0.0, note="")
         result = fit(self._state, stop, self._progress)
-        self._state.set(running=None, result=result, note="", compared=None, installed=False)
+        self._state.set(running=None, result=result, note="", compared=None, installed=False, expected=None)
 
     def _tap(self, stop: threading.Event) -> None:
         session = Session(self._state)
@@ -230,10 +231,11 @@ async def serve(worker: Worker, state: State, path: Path, manager: Notifier, rea
     ended = asyncio.Event()
 
     async def converse(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        with contextlib.suppress(OSError, ValueError, asyncio.IncompleteReadError), contextlib.closing(writer):
+        broken = (OSError, ValueError, RecursionError, asyncio.IncompleteReadError)
+        with contextlib.suppress(*broken), contextlib.closing(writer):
             while line := await reader.readline():
                 asked = json.loads(line)
-                if asked.get("do") == "watch":
+                if asked == {"do": "watch"}:
                     await _watch(state, writer, ended)
                     return
                 answer = await asyncio.to_thread(worker.answer, asked)

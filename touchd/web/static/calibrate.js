@@ -22,7 +22,8 @@ export function mount(root, page) {
   const again = button(t.fit.again, 'fit');
   const verdict = element('div', { class: 'fitted' });
   const pane = drawing(t.taps.pane), tapped = element('p', { class: 'tapped', role: 'status' });
-  const told = element('p', { class: 'muted' });
+  const told = element('p', { class: 'muted' }), most = element('b');
+  const scale = element('p', { class: 'scale', hidden: true }, element('b', {}, '0'), element('i'), most), expected = element('p', { class: 'muted' });
   const crosses = element('button', { type: 'button', class: 'primary', onclick: () => showOn('crosses') }, t.screen.start);
   const uncross = button(t.screen.stop, 'pause'), mapped = element('p', { class: 'mapped', role: 'status' });
   const overlay = stage(t.stage, () => { overlay.close(); act({ do: 'pause' }); });
@@ -38,7 +39,7 @@ export function mount(root, page) {
     panel('verdict', verdict),
     panel('screen', element('p', { class: 'muted' }, t.screen.hint), mapped, element('div', { class: 'row' }, crosses, uncross)),
     panel('taps', element('p', { class: 'muted' }, t.taps.hint), element('div', { class: 'tapping' }, pane.root,
-      element('div', {}, tapped, told, element('div', { class: 'row' }, tapOn, tap, pause, undo, refine)))),
+      element('div', {}, tapped, told, expected, scale, element('div', { class: 'row' }, tapOn, tap, pause, undo, refine)))),
   ];
   root.append(steps, problem, ...panels, overlay.root);
   let shown = '', awaited = '', unseen = false, timer = 0, reached = '', chosen = '', staged = '', begun = false;
@@ -154,16 +155,20 @@ export function mount(root, page) {
       element('div', { class: 'pictures' }, ...pictures));
   }
 
-  function showTaps({ running, cross, mapping, plate, taps, last, note, told: known, target_mm: target }) {
+  function showTaps({ running, cross, mapping, plate, taps, last, note, told: known, target_mm: target, expected: heat }) {
     const tapping = running === 'taps';
-    tap.hidden = tapOn.hidden = tapping;
-    tapOn.hidden ||= !mapping;
+    tap.hidden = tapping;
+    tapOn.hidden = !mapping;
+    say(tapOn, tapping ? t.taps.here : t.taps.on_screen);
     tap.classList.toggle('primary', !mapping);
     say(tap, taps.length ? t.taps.resume : t.taps.start);
     pause.hidden = !tapping;
     undo.hidden = refine.hidden = !taps.length;
     pane.root.toggleAttribute('hidden', !tapping && !taps.length); // an SVG has no property `hidden`
-    if (plate) pane.show(plate, taps, tapping ? target : null, last);
+    if (plate) pane.show(plate, taps, tapping ? target : null, last, heat);
+    scale.hidden = !heat;
+    say(expected, heat ? t.taps.expected(number(heat.median_mm, 2), taps.length) : '');
+    say(most, heat ? `${number(heat.top_mm, 1)} ${texts.units.mm}` : '');
     awaitTap({ tapping: tapping && !note || cross, taps: taps.length, last, target });
     tapped.dataset.level = unseen ? 'warning' : last ? (last.ok ? 'ok' : 'failure') : '';
     const result = last && !unseen ? (last.ok ? `✓ ${t.taps.good}` : `✕ ${t.taps.reasons[last.reason]}`) : '';

@@ -126,9 +126,10 @@ export const texts = {
     },
     taps: {
       hint: 'Optional: three taps tell a mirrored drawing, twenty how well you hit. Tap the ring with a fingertip, for half a second.',
-      on_screen: 'Tap targets on this screen', start: 'Tap targets', resume: 'Go on', pause: 'Pause', undo: 'Undo the last', refine: 'Fit again with the taps',
+      on_screen: 'Tap targets on this screen', here: 'Show the ring on this screen', start: 'Tap targets', resume: 'Go on', pause: 'Pause', undo: 'Undo the last', refine: 'Fit again with the taps',
       pane: 'The plate with the next target', count: n => (n === 1 ? '1 tap' : `${n} taps`),
-      good: 'Good.', scatter: mm => `Your taps scatter by ${mm} mm.`, waiting: 'Waiting for a tap at the ring.',
+      good: 'Good.', scatter: mm => `Your taps scatter by ${mm} mm.`,
+      expected: (mm, n) => `Expected error: ${mm} mm in the median, ${n ? `as ${n === 1 ? '1 tap measures' : `${n} taps measure`} it` : 'as the fit has it; taps measure it'}.`, waiting: 'Waiting for a tap at the ring.',
       unseen: 'No tap seen. Press more firmly, for half a second, then lift the finger. Live shows whether frames come.',
       turned: what => `The drawing is ${what}: the next fit sets that right.`,
       reasons: {

@@ -11,6 +11,8 @@ from typing import Any
 
 import pytest
 import zmq
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from tests.unit.bridges.events import contact, touch
 from touchd.bridges.fit import CROSSES, Touched
@@ -90,6 +92,23 @@ def test_unknown_command(tmp_path: Path) -> None:
     worker, _ = made(tmp_path)
     for asked in ({}, {"do": "format"}, {"do": 3}, {"do": "measures"}):
         assert worker.answer(asked)["ok"] is False
+
+
+JSON = st.recursive(
+    st.none() | st.booleans() | st.floats() | st.integers() | st.text(max_size=9),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.sampled_from(["plate", "discs", "x"]), inner),
+    max_leaves=8,
+)
+
+
+@settings(max_examples=200, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@given(asked=st.fixed_dictionaries({"do": st.sampled_from(["measures", "picture", "", "watch"])},
+                                   optional={"plate": JSON, "name": JSON}) | JSON)  # fmt: skip
+def test_nonsense(tmp_path: Path, asked: Any) -> None:
+    """Whatever a command holds is refused in words, and changes nothing."""
+    worker, state = made(tmp_path)
+    assert worker.answer(asked)["ok"] is False
+    assert state["plate"] is None
 
 
 def test_fit(tmp_path: Path, fits: list[threading.Event]) -> None:
