@@ -293,7 +293,10 @@ def mocked(found: dict[str, Any]) -> None:
         run("chmod", "-R", "a+rwX", str(mock))
 
     open_to_all()
-    drop_in(f"Environment=UMOCKDEV_DIR={testbed} LD_PRELOAD={PRELOAD}\nReadWritePaths={mock}")
+    model = LIBRARY / "touchd/models/regression.onnx"
+    drop_in(
+        f"Environment=UMOCKDEV_DIR={testbed} LD_PRELOAD={PRELOAD} TOUCHD_MODEL__PATH={model}\nReadWritePaths={mock}"
+    )
     found["mocked start"] = run("systemctl", "start", "touchd").returncode
     assert found["mocked start"] == 0
     client = subprocess.Popen(

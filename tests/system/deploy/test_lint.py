@@ -146,6 +146,22 @@ def test_systemd_takes_every_line_of_the_temporary_files(tmp_path: Path) -> None
     assert output_of(tmpfiles, f"--root={tmp_path}", "--create", "--clean", DEPLOY / "tmpfiles.conf") == ""
 
 
+def test_only_recordings_age(tmp_path: Path) -> None:
+    """Cleaning up deletes old recordings, and never an installed model or what the wizard keeps."""
+    tmpfiles = need_tool("systemd-tmpfiles", "systemd")
+    state = tmp_path / "var/lib/private/touchd"
+    kept = [state / "model.onnx", state / "model.atlas.npz", state / "wizard/state.json"]
+    recording = state / "preroll/preroll-20250101T000000Z-asked.npz"
+    for path in (*kept, recording):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch()
+    at_once = tmp_path / "at-once.conf"
+    at_once.write_text((DEPLOY / "tmpfiles.conf").read_text().replace(" 30d", " 0"))
+    output_of(tmpfiles, f"--root={tmp_path}", "--clean", at_once)
+    assert not recording.exists()
+    assert all(path.exists() for path in kept)
+
+
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: str(path.relative_to(ROOT)))
 def test_shellcheck_has_nothing_to_say(script: Path) -> None:
     assert output_of(need_tool("shellcheck", "shellcheck"), script) == ""
