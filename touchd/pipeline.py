@@ -221,7 +221,7 @@ class Pipeline:
         return self._tracker.track(detection.t_ns, ())
 
     def _lift_in_silence(self, t_ns: int) -> list[Contact]:
-        """End all contacts if no frame has been a measurement for so long that nobody knows where the fingers are."""
+        """End all contacts if the last measurement is too old to say where the fingers are."""
         if not self.detector.liveness.fault:
             return _NO_CONTACTS
         self._localizer.reset()

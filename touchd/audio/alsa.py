@@ -2,7 +2,7 @@
 
 Why not PortAudio (`sounddevice`): its blocking streams have four periods and no more, so blocks of 1 ms leave 3 ms
 before samples are lost; it lists cards once, when it is imported, opens each of them for that, and names them by a
-number that changes; after an xrun it restarts by itself. pyalsaaudio takes `hw:CARD=NAME`, which never resamples,
+number that changes; after an xrun it restarts. pyalsaaudio takes `hw:CARD=NAME`, which never resamples,
 blocks of 1 ms and buffers of 0.5 s, reports each xrun by a return value, and waits on file descriptors. It does not
 link playback and capture: their delay differs from start to start, and has to be found after each in any case.
 """

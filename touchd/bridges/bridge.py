@@ -41,7 +41,7 @@ def run(
     goes_on: Callable[[int], bool],
     clock: Callable[[], int] = time.monotonic_ns,
 ) -> None:
-    """Show what the daemon publishes at `address`; lift all fingers at the end, whatever ends it.
+    """Show what the daemon publishes at `address`; lift all fingers at the end, after errors too.
 
     Parameters
     ----------

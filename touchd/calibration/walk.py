@@ -34,7 +34,7 @@ TAP_S, STROKE_S, PALM_S = 0.1, 1.0, 1.0
 BEFORE_S, AFTER_S = 1.0, 0.3
 """Untouched frames kept before a touch, and those that end it; a finger that bounces lifts for less."""
 LONGEST_S = 30.0
-"""A longer touch is none: something lies on the plate."""
+"""A longer touch is an object on the plate."""
 LEAST_BEFORE = 4
 MARGIN = 2
 """Frames beside a touch that are labelled, too: in an untouched frame no finger comes near."""
@@ -146,7 +146,7 @@ class Walk:
         return sum(done.task.name == name for done in self._done.values()), sum(t.name == name for t in self.tasks)
 
     def recording(self, meta: Meta) -> Recording | None:
-        """Return the complete acts; None if there is none."""
+        """Return the complete acts; None without one."""
         if not self._done:
             return None
         acts: list[Act] = []

@@ -83,7 +83,7 @@ class Lines:
         self._text = b""
 
     def take(self) -> str | None:
-        """Return the next line, stripped; None if there is none yet."""
+        """Return the next line, stripped; None before one came."""
         if self._handle is not None and select.select([self._handle], [], [], 0)[0]:
             more = os.read(self._handle, 4096)
             self._text += more

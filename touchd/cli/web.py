@@ -37,7 +37,7 @@ def command(
 ) -> None:
     """Serve a page that shows the plate live, and checks the set-up; print its address.
 
-    The address holds a token behind its `#`, for whatever acts; it is new at each start. The server is reached from
+    The address holds a token behind its `#`, for views that act; each start draws a new one. The server is reached from
     this computer alone.
     """
     import structlog

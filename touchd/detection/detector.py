@@ -234,7 +234,7 @@ class Detector:
         return rms
 
     def miss(self, t_ns: int, fault: str) -> None:
-        """Take the time of a frame that is no measurement; `fault` says what it is, for a person."""
+        """Take the time of a frame that is no measurement; `fault` names the fault, for a person."""
         if self.liveness.is_silent(t_ns, fault):
             self._relearn.reset()  # a change on the plate is timed from the next measurement on
 

@@ -23,7 +23,7 @@ _SET_SHARE = 128
 _CLOSE_RATIO = 0.5
 """Hysteresis: the gate closes at this share of the excess that opens it."""
 _FEWEST_FRAMES, _MOST_ALARMS = 10, 0.1
-"""Limits of memory and rate, whatever the frame rate: those of the settings."""
+"""Limits of memory and rate, at every frame rate: those of the settings."""
 _CHANGED = 1.25
 """`update` reports a step of the noise energy by this factor or more."""
 

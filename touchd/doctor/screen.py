@@ -71,7 +71,7 @@ def _tagged(name: str) -> Finding:
         except OSError:
             continue
         if "E:ID_INPUT_TOUCHSCREEN=1\n" in said or "E:ID_INPUT_KEY=1\n" in said:
-            return Finding("screen", "ok", f"{name} is there, and udev knows what it is: {file.parent.name}")
+            return Finding("screen", "ok", f"{name} exists, tagged by udev: {file.parent.name}")
     return Finding("screen", "failure", f"{name} is there, and udev has not tagged it: no compositor takes it",
                    f"udevadm trigger --action=change /sys/class/input/{name}; is udev running?")  # fmt: skip
 

@@ -235,7 +235,7 @@ class Classifier:
         return sigmas_mm(fit.fisher_information, noise.variance + error)
 
     def _drop_at(self, position_mm: Position) -> Drop | None:
-        """Return the drop near a position that was water last; None if there is none. A drop stays where it is."""
+        """Return the drop near a position that was water last, or None. A drop stays where it is."""
         near = [one for one in self._drops if math.dist(one.position_mm, position_mm) < WATER_MM]
         return min(near, key=self._dryness_ns, default=None)
 

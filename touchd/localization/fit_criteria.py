@@ -34,8 +34,8 @@ class FitCriteria:
     """Share of the unexplained energy that the best scan position must explain for a search to go on after a fair fit.
     A missing finger explains more; model error of a human finger explains 0.13 to 0.17."""
     worth: float = 0.42
-    """A further finger has to leave less than this share of what was left without it. One that is there leaves less
-    than 0.35 of it, one that is not more than 0.44."""
+    """A further finger has to leave less than this share of what was left without it. An existing finger leaves
+    less than 0.35 of it, a false one more than 0.44."""
     shaped_worth: float = 0.47
     """The same of a good fit where fewer have shapes already, which explain part of a missing finger (twin)."""
     weak: float = 1.4

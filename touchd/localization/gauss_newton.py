@@ -160,7 +160,7 @@ class GaussNewton:
         return self.fit_several(bins, positions_mm, steps, _STILL_TOGETHER_MM, shapes)
 
     def fit_shapes(self, bins: Bins, fit: Fit, noise_energy: float, steps: int) -> Fit:
-        """Fit contacts with a size and a shape from those of a fit; no fit if a shape is none that a finger has."""
+        """Fit contacts with a size and a shape from those of a fit; no fit if no finger has such a shape."""
         variance = noise_energy / len(bins.vector)
         shaped = self._contacts.fit(bins, fit.positions_mm, variance, steps, fit.residual_energy)
         moved_mm = max(map(math.dist, shaped.positions_mm, fit.positions_mm))

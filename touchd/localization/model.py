@@ -143,7 +143,7 @@ class Model:
     def run(self, features: NDArray[np.float32]) -> Outputs:
         """Return the outputs for many feature vectors, shape (n, inputs), each with n rows; for offline jobs.
 
-        One by one, as the daemon runs them: an int8 network scales its activations by what it is given at once.
+        One by one, as the daemon runs them: an int8 network scales its activations by the whole batch.
         """
         rows: dict[str, list[NDArray[np.float32]]] = {name: [] for name in self.outputs}
         for self.features[0] in features:

@@ -23,7 +23,7 @@ from touchd.outcome import Outcome
 from touchd.touch import Touch
 
 EDGE_SIGMAS = 3.0
-"""A position beyond the plate by less is moved to its edge, one farther away is none."""
+"""A position beyond the plate by less is moved to its edge; one farther away is dropped."""
 _FAINT = Localization(Outcome.FAINT)
 _PLATE_MOVED = Localization(Outcome.FAINT, plate_moved=True)
 

@@ -154,7 +154,7 @@ def open_running(choice: SourceChoice, settings: Settings) -> DaemonSource | Non
 
 
 def open_daemon(control: Path) -> DaemonSource | None:
-    """Ask the daemon that listens at a control socket for its frames; None if there is none.
+    """Ask the daemon that listens at a control socket for its frames; None if no daemon listens.
 
     Raises
     ------

@@ -11,6 +11,7 @@ from touchd.config.schema import Settings
 from touchd.errors import ModelMismatch
 from touchd.localization.atlas import atlas_path
 from touchd.localization.model import Model, default_model_path
+from touchd.sources.open import SourceChoice
 
 _SERVICE_STATE = Path("/var/lib/touchd")
 Signature = tuple[object, ...]
@@ -29,6 +30,16 @@ def installed_path() -> Path:
     return Path(home) / "touchd" / "model.onnx"
 
 
+def settings_for(settings: Settings, choice: SourceChoice) -> Settings:
+    """Return the settings for a source: a device has the installed model if none is named, which may come later.
+
+    The shipped model knows the twin's plate alone.
+    """
+    if settings.model.path is not None or not choice.is_device:
+        return settings
+    return settings.model_copy(update={"model": settings.model.model_copy(update={"path": installed_path()})})
+
+
 def model_path(settings: Settings) -> Path:
     """Return the path of the model in use: the one that the settings name, else the installed or the shipped one."""
     if settings.model.path is not None:
@@ -38,7 +49,7 @@ def model_path(settings: Settings) -> Path:
 
 
 def load_model(settings: Settings) -> Model:
-    """Load the model in use; ModelMissing if there is none."""
+    """Load the model in use; ModelMissing without one."""
     return Model(model_path(settings), atlas=settings.model.atlas)
 
 

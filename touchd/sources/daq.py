@@ -63,7 +63,7 @@ class Daq(Protocol):
         """End the stream."""
 
     def read(self, timeout_s: float) -> DaqFrame | None:
-        """Return the next valid frame; None if there is none in time, or the device sent something else first."""
+        """Return the next valid frame; None if none came in time, or the device sent something else first."""
 
     def reset(self) -> None:
         """Reset the device, which breaks the connection."""

@@ -17,10 +17,10 @@ _FIT_BUCKETS = 8  # with fewer the fitted rate is noise, so the device's is take
 _JUDGE_BUCKETS = 4  # with fewer one late bucket is an edge of the hull
 _SETTLE_NS = 1_000_000_000
 _MAX_SLEW = 0.1
-# If the clocks part by more between two frames, or a frame has arrived so long before its time, the device's clock was
-# set.
+# If the clocks part by more between two frames, or a frame arrives earlier than its time by more, the device's clock
+# was set.
 _JUMP_NS = 1_000_000_000
-# A clock that is set so often, at such intervals and for so long, is none. A computer that stalls is slower.
+# A clock that is set this often, at these intervals, over this time keeps no time. A computer that stalls is slower.
 _RESTARTS, _RESTART_GAP_NS, _RESTARTING_NS = 6, 2_500_000_000, 2_000_000_000
 
 

@@ -11,7 +11,8 @@ from touchd.sources.daq import Daq, DaqFrame
 class Lending:
     """Lends a DAQ from the thread that keeps it to the thread that wants its frames.
 
-    So a frame wakes one thread instead of two. Whatever is no frame in time ends the loan, and the keeper sees to it.
+    So a frame wakes one thread instead of two. A read that returns no frame in time ends the loan, and the keeper
+    handles the cause.
     """
 
     def __init__(self) -> None:

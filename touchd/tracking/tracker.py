@@ -200,7 +200,7 @@ class Tracker:
 
 
 def _copy(contact: Contact, track: Track) -> Contact:
-    """Return a contact with what can be told of its face; a message must not change once it is made."""
+    """Return a contact with the size and direction of its face where known; a message must not change once made."""
     face, kind = track.face.face, track.kind.kind
     return replace(contact, kind=kind, **(structs.asdict(ellipse_of(face)) if face is not None else {}))
 

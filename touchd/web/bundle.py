@@ -73,7 +73,7 @@ async def log_lines() -> str:
 
 
 async def record(site: Site) -> tuple[str, bytes]:
-    """Return the name and the content of a recording of the running daemon's frames, or of why there is none."""
+    """Return the name and the content of a recording of the running daemon's frames, or of why it is missing."""
     with tempfile.TemporaryDirectory(prefix="touchd-web-") as folder:
         path = Path(folder) / "recording.npz"
         _, said = await child.output(

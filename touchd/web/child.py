@@ -24,13 +24,13 @@ def command(site: Site, *arguments: str) -> list[str]:
 
 
 def started(site: Site, *arguments: str) -> contextlib.AbstractAsyncContextManager[asyncio.subprocess.Process]:
-    """Run a verb; whatever ends the block ends the process."""
+    """Run a verb; the end of the block ends the process, by an error too."""
     return running(command(site, *arguments))
 
 
 @contextlib.asynccontextmanager
 async def running(line: list[str]) -> AsyncIterator[asyncio.subprocess.Process]:
-    """Run a command line; whatever ends the block ends the process."""
+    """Run a command line; the end of the block ends the process, by an error too."""
     process = await asyncio.create_subprocess_exec(
         *line, stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.PIPE,
         stderr=asyncio.subprocess.PIPE, env=os.environ | _QUIET, limit=MOST_LINE_BYTES,

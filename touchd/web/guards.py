@@ -49,7 +49,7 @@ class Access:
     Raises
     ------
     ConfigError
-        An origin is none.
+        An origin is malformed.
     """
 
     def __init__(self, port: int, origins: Iterable[str] = (), *, watched: bool = False) -> None:

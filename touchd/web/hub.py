@@ -201,7 +201,7 @@ class Hub:
         elif isinstance(event, HealthEvent):
             self.history.append(payload)
             if event.state in ("starting", "stopping"):
-                self.keypad = None  # it says anew what it is
+                self.keypad = None  # the new one will say
         if not self._may_show("touch"):
             for client in self._clients:
                 client.drop(PRIVATE)

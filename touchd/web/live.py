@@ -17,7 +17,7 @@ from touchd.web.site import Site
 PERIOD_S = 1 / 60
 """A screen shows no more."""
 BEAT_S = 1.0
-"""So often the page hears of this server, whatever the daemon does."""
+"""Interval of the server's own messages to the page; they come without a daemon, too."""
 _TRY_LATER, _NOT_UNDERSTOOD = 1013, 1003
 
 

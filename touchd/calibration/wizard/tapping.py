@@ -21,7 +21,7 @@ from touchd.training.field.place import place
 Floats = NDArray[np.float64]
 
 LEAST_FRAMES, MOST_FRAMES = 10, 400
-"""A shorter tap is none; of a longer one the last frames count."""
+"""Refuse a shorter tap; of a longer one the last frames count."""
 QUIET_FRAMES = 6
 """As many untouched frames end a tap."""
 BASELINE_FRAMES = 16

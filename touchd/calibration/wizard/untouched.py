@@ -77,7 +77,7 @@ def take_untouched(
             kept = 0
             progress(0.0, FINGER)
             continue
-        if kept and frame.sequence <= sequence[kept - 1]:  # the device began anew
+        if kept and frame.sequence <= sequence[kept - 1]:  # the device restarted
             kept = 0
         counts[kept], sequence[kept], t_ns[kept] = frame.counts, frame.sequence, frame.t_ns
         kept += 1

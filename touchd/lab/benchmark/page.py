@@ -51,7 +51,8 @@ def page(run: Run) -> str:
         TEMPLATE, run=run, shown=shown, pictures=PICTURES, times=_times,
         budgets=tables.budget_table(run).markdown(),
         estimators=tables.estimator_table(shown).pick(columns=ESTIMATOR).markdown(),
-        daemon=tables.daemon_table(shown).pick(columns=DAEMON).markdown(), skips=tables.skip_table(run).markdown(),
+        daemon=tables.daemon_table(shown).pick(columns=DAEMON).markdown(),
+        skips=", ".join(f"{one.name} ({one.scene}) {one.saved:.0%}" for one in run.skips),
     )  # fmt: skip
 
 

@@ -22,7 +22,7 @@ OPSET = 17
 TOLERANCE = 1e-4
 """Rounding errors of a network up to this size, mm or probability, are not worth a word."""
 ANOTHER_FUNCTION = 0.02
-"""A larger difference, mm or probability, is none of rounding."""
+"""Rounding makes no larger difference, mm or probability."""
 
 
 def make_graph(network: Network, description: Description) -> onnx.ModelProto:

@@ -16,6 +16,7 @@ export function mount(root, page) {
   const hidden = () => page.hello.shows_keys === false && (feed.last.plate?.keys.length ?? 0) > 0;
   const ends = [
     feed.on('hello', hello => plate.set('screen', hello.screen_mm)),
+    feed.on('calibrate', ({ mapping }) => mapping && plate.set('screen', mapping.screen_mm)),
     feed.on('plate', message => {
       plate.setPlate(message);
       plate.set('note', hidden() ? texts.keypad_hidden : '');
