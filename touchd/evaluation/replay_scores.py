@@ -162,7 +162,7 @@ def settled_frames(recording: Recording, events: Iterable[TouchEvent]) -> Iterat
     changes = np.flatnonzero((down[1:] != down[:-1]).any(axis=1)) + 1
     changed_at = np.concatenate([numbers[:1] - SLACK_FRAMES, numbers[changes]])
     settled = numbers >= changed_at[np.searchsorted(changes, np.arange(len(numbers)), "right")] + SLACK_FRAMES
-    touched = down.any(axis=1).tolist()
+    touched: list[bool] = np.asarray(down.any(axis=1)).tolist()
     rough, untouched = rough_frames(recording), Seen((), ())
     for i, (number, is_settled) in enumerate(zip(numbers.tolist(), settled.tolist(), strict=True)):
         if number in messages:

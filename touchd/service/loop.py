@@ -37,8 +37,6 @@ _UNHEARD_NS = 10_000_000_000
 _CONTROL_NS = 50_000_000
 """Commands are read this often: reading costs half as much as an idle frame."""
 
-_UNTOUCHED = Outcome.UNTOUCHED  # bound once: it is asked for in every frame
-
 log = structlog.get_logger()
 
 
@@ -169,7 +167,7 @@ class Service:
                     preroll.keep(frame, result.contacts)
                 if feed is not None and feed.listeners:
                     feed.send(frame)
-                if result.outcome is not _UNTOUCHED and rate is not None:
+                if result.outcome is not Outcome.UNTOUCHED and rate is not None:
                     rate.touched(frame.t_ns, result.outcome)
                 self._finish(frame)
             if self._stop:

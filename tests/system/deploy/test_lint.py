@@ -127,6 +127,13 @@ def test_the_rules_name_the_ids_that_are_the_default() -> None:
     )
 
 
+def test_a_device_that_is_allowed_has_its_driver() -> None:
+    """systemd asks what char-alsa stands for when the service starts: without a card, nobody has loaded ALSA yet."""
+    said = (DEPLOY / "audio.conf").read_text()
+    assert "DeviceAllow=char-alsa rw" in said
+    assert {"Wants=modprobe@snd.service", "After=modprobe@snd.service"} <= set(said.splitlines())
+
+
 # -- users, files, scripts -----------------------------------------------------------------------------
 
 
