@@ -60,7 +60,7 @@ install -D -m 755 deploy/debian/launcher "$stage/usr/bin/touchd"
 
 # --- the service
 install -d "$stage/lib/systemd/system"
-install -m 644 deploy/touchd{,-input,-tuio,-web,-wizard}.service "$stage/lib/systemd/system"
+install -m 644 deploy/touchd{,-input,-tuio,-web,-wizard,-mapping}.service deploy/touchd-mapping.path "$stage/lib/systemd/system"
 install -D -m 644 deploy/60-touchd.rules "$stage/lib/udev/rules.d/60-touchd.rules"
 install -D -m 644 deploy/sysusers.conf "$stage/usr/lib/sysusers.d/touchd.conf"
 install -D -m 644 deploy/tmpfiles.conf "$stage/usr/lib/tmpfiles.d/touchd.conf"

@@ -15,6 +15,7 @@ prefix=/opt/touchd
 python=${PYTHON:-/usr/bin/python3}
 units=$root/etc/systemd/system
 services="touchd.service touchd-input.service touchd-tuio.service touchd-web.service touchd-wizard.service"
+helpers="touchd-mapping.service touchd-mapping.path"
 rules=$root/etc/udev/rules.d/60-touchd.rules
 sysusers=$root/etc/sysusers.d/touchd.conf
 tmpfiles=$root/etc/tmpfiles.d/touchd.conf
@@ -32,10 +33,10 @@ running() { [ -z "$root" ] && [ -d /run/systemd/system ]; }
 uninstall() {
     if running; then
         # shellcheck disable=SC2086 # a list of words is meant
-        systemctl disable --now --quiet $services 2>/dev/null || true
+        systemctl disable --now --quiet $services touchd-mapping.path 2>/dev/null || true
     fi
     rm -rf "$root$prefix"
-    for service in $services; do rm -f "$units/$service"; done
+    for service in $services $helpers; do rm -f "$units/$service"; done
     rm -f "$rules" "$sysusers" "$tmpfiles" "$link"
     if [ "$1" = purge ]; then
         rm -rf "$root/etc/touchd" "$root/var/lib/private/touchd" "$root/var/lib/touchd"
@@ -71,7 +72,7 @@ install_all() {
 
     install -d "$units" "$(dirname "$rules")" "$(dirname "$sysusers")" "$(dirname "$tmpfiles")" \
         "$(dirname "$link")" "$(dirname "$config")"
-    for service in $services; do
+    for service in $services $helpers; do
         sed "s#/usr/bin/touchd#$prefix/bin/touchd#" "deploy/$service" > "$units/$service"
         chmod 644 "$units/$service"
     done

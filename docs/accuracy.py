@@ -12,12 +12,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from docs import measured
-from docs.accuracy_plots import FieldImage, NoiseLevel, draw_field, draw_fingers, draw_learning, draw_noise
+from docs.accuracy_plots import FieldImage, NoiseLevel, draw_field, draw_learning, draw_noise
 from touchd.config.schema import ModelSettings, Settings
 from touchd.evaluation.cramer_rao import (
     atlas_field,
@@ -29,10 +28,11 @@ from touchd.evaluation.cramer_rao import (
     twin_values,
 )
 from touchd.evaluation.dataset import Split, make_dataset, split
-from touchd.evaluation.matching import match_frames, scores_by_fingers
+from touchd.evaluation.matching import match_frames
 from touchd.evaluation.metrics import position_scores
 from touchd.evaluation.model_scores import Judgement
 from touchd.evaluation.plots.maps import draw_maps
+from touchd.evaluation.plots.session import draw_session
 from touchd.evaluation.single_frames import find_with, see, touched_frames
 from touchd.localization.atlas import Atlas
 from touchd.localization.model import Model
@@ -58,7 +58,6 @@ PAGE = ROOT / "docs" / "accuracy.md"
 LEVELS_DB = (70.0, 60.0, 50.0, 40.0)
 TOUCHES = 1500
 MAP_TOUCHES = 6000
-SEVERAL = 400
 SEED = 501
 """Of touches that no training saw."""
 FIELD_HZ, FIELD_CHANNEL, FIELD_MM = 75e3, 0, 2.0
@@ -154,49 +153,12 @@ def noise(bench: Bench) -> None:
     measured.picture(PAGE, draw_noise(levels), "noise")
 
 
-CONDITIONS: dict[str, tuple[int, dict[str, Any]]] = {
-    "one finger, silicone": (TOUCHES, {}),
-    "human fingers, 40-100 mm^2": (TOUCHES, {"finger": "human"}),
-    "the plate 10 K warmer": (TOUCHES, {"warmer_k": 10.0}),
-    "the plate 10 K colder": (TOUCHES, {"warmer_k": -10.0}),
-    "two fingers, 15 mm apart or more": (SEVERAL, {"fingers": 2, "apart_mm": 15.0}),
-    "two fingers, 8 mm from edge to edge": (SEVERAL, {"fingers": 2, "edge_gap_mm": 8.0}),
-    "five fingers, 25 mm apart or more": (SEVERAL, {"fingers": 5, "apart_mm": 25.0}),
-    "five human fingers, 25 mm apart or more": (SEVERAL, {"fingers": 5, "apart_mm": 25.0, "finger": "human"}),
-}
-"""By name: how many touches, and what of `simulate_touches` differs from the reference."""
-
-
-def conditions(bench: Bench) -> None:
-    """Measure what touches, plates and fingers of other kinds bring."""
-    rows = []
-    for number, (name, (count, options)) in enumerate(CONDITIONS.items()):
-        recording = bench.recording(
-            f"condition-{number}-{count}",
-            lambda: simulate_touches(count, seed=SEED + 10 + number, instrument=bench.instrument, **options),  # noqa: B023  called before the next round
-        )
-        frames = touched_frames(recording)
-        seen = match_frames(see(find_with(bench.model, bench.atlas, frames), frames))
-        ((_, s),) = scores_by_fingers(seen).items()
-        several = f"{s['told_apart']:.1%}" if "told_apart" in s else ""
-        rows.append((
-            name, s["n"], f"{s['rmse_mm']:.3f}", f"{s['median_mm']:.3f}", f"{s['p95_mm']:.3f}",
-            f"{s['count_right']:.1%}", f"{s['all_within_1_mm']:.1%}", f"{s['all_within_2_mm']:.1%}", several,
-            f"{s['within_1_sigma']:.0%}", f"{s['within_2_sigma']:.0%}",
-        ))  # fmt: skip
-    headings = (
-        "touches", "frames", "rmse_mm", "median_mm", "p95_mm", "count_right", "all_within_1_mm", "all_within_2_mm",
-        "told_apart", "within_1_sigma", "within_2_sigma",
-    )  # fmt: skip
-    measured.data(PAGE, "conditions", headings, rows)
-
-
 def session(bench: Bench) -> None:
     """Draw two fingers, followed by the whole pipeline."""
     path = bench.folder / f"{SESSION}-{SESSION_SEED}.npz"
     bench.recording(path.stem, lambda: simulate_scene(SESSION, seed=SESSION_SEED, instrument=bench.instrument))
     outcome = replay(path, Settings(model=ModelSettings(path=MODEL)))
-    measured.picture(PAGE, draw_fingers(read(path), outcome.touches), "session")
+    draw_session(read(path), outcome.touches, PAGE.with_suffix("") / "session.png")
 
 
 def learning(bench: Bench) -> None:
@@ -227,7 +189,7 @@ def learning(bench: Bench) -> None:
     measured.picture(PAGE, draw_learning(list(atlases), scores, freedom), "learning")
 
 
-PARTS = {part.__name__: part for part in (field, maps, noise, conditions, session, learning)}
+PARTS = {part.__name__: part for part in (field, maps, noise, session, learning)}
 
 
 def main() -> None:

@@ -1,4 +1,4 @@
-"""Pictures of docs/accuracy.md: learned field, error by noise and by training touches, tracked fingers."""
+"""Pictures of docs/accuracy.md: learned field, error by noise and by training touches."""
 
 from __future__ import annotations
 
@@ -13,22 +13,18 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullLocator
 from numpy.typing import NDArray
 
-from touchd.evaluation.matching import match
 from touchd.evaluation.metrics import position_scores
 from touchd.evaluation.model_scores import Judgement
 from touchd.evaluation.plots.model import sigma_deciles
 from touchd.evaluation.plots.session import COLOURS, TRUTH, draw_transducers
-from touchd.event import TouchEvent
 from touchd.frame import Plate
-from touchd.recording.data import Meta, Recording
+from touchd.recording.data import Meta
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 FLOOR_DB = -60.0
 """Lower limit of the spectrum's colour scale."""
-ERROR_MM = 0.4
-"""Half the range of the error axes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,72 +153,6 @@ def draw_learning(touches: Sequence[int], scores: Sequence[dict[str, float]], fr
     axes.grid(alpha=0.25)
     axes.legend(frameon=False, fontsize=9)
     return figure
-
-
-def draw_fingers(recording: Recording, events: Sequence[TouchEvent]) -> Figure:
-    """Plot contacts over the fingers' true paths; x, y and their errors over time, with the predicted sigma."""
-    figure = Figure(figsize=(13.5, 6.6), layout="constrained")
-    grid = figure.add_gridspec(4, 2, width_ratios=(1, 1.35))
-    plate_axes = figure.add_subplot(grid[:, 0])
-    x_axes = figure.add_subplot(grid[0, 1])
-    y_axes, ex_axes, ey_axes = (figure.add_subplot(grid[row, 1], sharex=x_axes) for row in (1, 2, 3))
-    assert recording.contacts_mm is not None
-    seconds = recording.timestamp_ns * 1e-9
-    for finger in range(recording.contacts_mm.shape[1]):
-        path = recording.contacts_mm[:, finger]
-        plate_axes.plot(*path.T, color=TRUTH, lw=7, solid_capstyle="round", label=None if finger else "truth")
-        x_axes.plot(seconds, path[:, 0], color=TRUTH, lw=5)
-        y_axes.plot(seconds, path[:, 1], color=TRUTH, lw=5)
-    for number, rows in enumerate(followed(recording, events)):
-        colour = COLOURS[number % len(COLOURS)]
-        t, x, y, sigma, true_x, true_y = rows.T
-        label = None if number else "contacts, one colour each"
-        plate_axes.plot(x, y, color=colour, lw=1, marker=".", ms=3, label=label)
-        for axes, error_axes, value, truth in ((x_axes, ex_axes, x, true_x), (y_axes, ey_axes, y, true_y)):
-            axes.plot(t, value, color=colour, lw=1)
-            error_axes.fill_between(t, -sigma, sigma, color=colour, alpha=0.22, lw=0)
-            error_axes.plot(t, value - truth, color=colour, lw=0.9, marker=".", ms=2.5)
-    _frame(plate_axes, recording.meta)
-    plate_axes.set_aspect("equal")
-    plate_axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.09), ncols=4, fontsize=9, frameon=False)
-    plate_axes.set_title("positions over the truth", fontsize=10)
-    plate = recording.meta.plate
-    x_axes.set(ylabel="x (mm)", ylim=(0, plate.width_mm))
-    y_axes.set(ylabel="y (mm)", ylim=(plate.height_mm, 0))
-    ex_axes.set(ylabel="error of x (mm)")
-    ey_axes.set(ylabel="error of y (mm)", xlabel="time (s)", xlim=(0, float(seconds[-1])))
-    figure.align_ylabels([x_axes, y_axes, ex_axes, ey_axes])
-    x_axes.set_title("position, and its error with the predicted standard error (shaded)", fontsize=10)
-    for axes in (ex_axes, ey_axes):
-        axes.set_ylim(-ERROR_MM, ERROR_MM)
-    for axes in (x_axes, y_axes, ex_axes):
-        axes.tick_params(labelbottom=False)
-    for axes in (plate_axes, x_axes, y_axes, ex_axes, ey_axes):
-        axes.grid(alpha=0.25)
-    return figure
-
-
-def followed(recording: Recording, events: Sequence[TouchEvent]) -> list[Floats]:
-    """Return each contact's messages with the true position of its finger, ordered by id.
-
-    Columns are time (s), x, y, sigma (mm), true x and y (NaN without a finger): shape (n, 6).
-    """
-    assert recording.contacts_mm is not None
-    row_of = {number: i for i, number in enumerate(recording.sequence.tolist())}
-    rows: dict[int, list[tuple[float, ...]]] = {}
-    for event in events:
-        i = row_of[event.frame]
-        truth = recording.contacts_mm[i]
-        fingers = [(x, y) for x, y in truth[np.isfinite(truth[:, 0])].tolist()]
-        alive = [c for c in event.contacts if c.phase != "up"]
-        own = {j: fingers[k] for k, j in match(fingers, [(c.x_mm, c.y_mm) for c in alive])}
-        for j, contact in enumerate(alive):
-            at = float(recording.timestamp_ns[i]) * 1e-9
-            true_x, true_y = own.get(j, (np.nan, np.nan))
-            rows.setdefault(contact.id, []).append(
-                (at, contact.x_mm, contact.y_mm, contact.sigma_mm, true_x, true_y)
-            )  # fmt: skip
-    return [np.array(rows[i]) for i in sorted(rows)]
 
 
 def _extent(image: FieldImage) -> tuple[float, float, float, float]:

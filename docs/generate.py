@@ -6,15 +6,12 @@
 from __future__ import annotations
 
 import json
-import math
 import re
 import sys
-import textwrap
 from pathlib import Path
 
 import click
 import onnx
-from click.testing import CliRunner
 
 from docs.tables import BLOCKS
 from touchd import errors
@@ -23,6 +20,7 @@ from touchd.config import render as configtext
 from touchd.config.schema import Settings
 from touchd.lab.benchmark import page as benchmarks
 from touchd.lab.benchmark import results as runs
+from touchd.lab.benchmark.estimators import cost_of
 from touchd.lab.reproduction import report as reproduction
 from touchd.localization.model import Model
 
@@ -31,7 +29,6 @@ MODELS = ROOT / "models"
 MODEL = MODELS / "regression.onnx"
 CARD = ("n", "rmse_mm", "mean_mm", "sd_mm", "median_mm", "p95_mm", "max_mm", "within_sigma", "confident", "accuracy",
         "key_to_key_errors")  # fmt: skip
-WIDTH = 100
 SHOWN, WHOLE = ("full", "status", "ramp", "wrap"), 200
 """Test vectors on the page, and the hex digits up to which one is whole there."""
 SCORES = {"rmse_mm": "RMSE", "median_mm": "median", "p95_mm": "95th percentile"}
@@ -72,48 +69,49 @@ def command_line() -> str:
         "",
         "<!-- Generated from the commands' own help by docs/generate.py: do not edit. -->",
         "",
-        "To see what there is; a verb's `--help` lists its options. `touchd` without a verb is the daemon, which reads",
-        "the DAQ unless an option names another source. Each failure has an [exit",
-        "status](troubleshooting.md#exit-status).",
+        "`touchd` without a verb is the daemon, which reads the DAQ unless an option names another source. `--help`",
+        "lists the options, of a verb too. Each failure has an [exit status](troubleshooting.md#exit-status).",
         "",
-        "```text",
-        daemon_help(),
-        "```",
+        f"- **touchd** `{daemon_options()}`",
     ]
     for verb in sorted(cli.VERBS):
         with click.Context(cli.touchd, info_name="touchd") as above:
             command = cli.touchd.get_command(above, verb)
             assert command is not None
             summary = " ".join((command.help or "").split("\n\n")[0].split())
-            lines += ["", f"## touchd {verb}", "", summary]
-            if (written := synopsis(command, above)) != f"touchd {verb} [OPTIONS]":
-                lines += ["", "```text", written, "```"]
+            takes = synopsis(command, above)
+            lines.append(f"- **{verb}**{f' `{takes}`' if takes else ''}: {summary}")
     return "\n".join(lines) + "\n"
 
 
-def daemon_help() -> str:
-    """Return the help of the daemon, without its verbs and the paragraphs between the first and the options."""
-    result = CliRunner().invoke(cli.touchd, ["--help"], prog_name="touchd", terminal_width=WIDTH)
-    before, options = result.output.split("\nVerbs:\n")[0].split("\nOptions:\n")
-    kept = [line.rstrip() for line in options.rstrip().splitlines() if "-h, --help" not in line]
-    return "\n\n".join(before.split("\n\n")[:2]).rstrip() + "\n\nOptions:\n" + "\n".join(kept)
+def daemon_options() -> str:
+    """Return the options of the daemon, as it is written."""
+    context = click.Context(cli.touchd, info_name="touchd")
+    options = (each for each in cli.touchd.params if isinstance(each, click.Option))
+    return " ".join(f"[{written(option, context)}]" for option in options)
+
+
+def written(option: click.Option, context: click.Context) -> str:
+    """Return an option with what it takes."""
+    name = option.opts[0] + ("" if option.is_flag else f" {option.make_metavar(context)}")
+    return name.removesuffix(" RANGE")
 
 
 def synopsis(command: click.Command, above: click.Context) -> str:
-    """Return how a verb is written: the options that it must have, and its arguments."""
+    """Return what follows a verb: its own verbs, or the options that it must have, and its arguments."""
     context = click.Context(command, parent=above, info_name=command.name)
     if isinstance(command, click.Group):
-        found = (command.get_command(context, name) for name in command.list_commands(context))
-        return "\n".join(synopsis(each, context) for each in found if each is not None)
-    words = [context.command_path]
+        return " | ".join(
+            f"{name} {synopsis(each, context)}".rstrip()
+            for name in command.list_commands(context)
+            if (each := command.get_command(context, name)) is not None
+        )
+    words = []
     for parameter in command.params:
         if isinstance(parameter, click.Option):
-            name = parameter.opts[0] + ("" if parameter.is_flag else f" {parameter.make_metavar(context)}")
-            name = name.removesuffix(" RANGE")
-            words += [name] * parameter.required
+            words += [written(parameter, context)] * parameter.required
     arguments = (parameter for parameter in command.params if isinstance(parameter, click.Argument))
-    words += ["[OPTIONS]", *(argument.make_metavar(context) for argument in arguments)]
-    return textwrap.fill(" ".join(words), WIDTH, subsequent_indent="    ", break_on_hyphens=False)
+    return " ".join((*words, *(argument.make_metavar(context) for argument in arguments)))
 
 
 def vectors() -> str:
@@ -129,13 +127,18 @@ def vectors() -> str:
                 lines.append(": ".join([f"{kind}, {name}", *filter(None, says)]))
                 lines += [f"    {shown[at : at + 96]}" for at in range(0, len(shown), 96)]
     wrong = ", ".join(f"`{vector['name']}`" for vector in kinds["corrupt"])
-    return "\n".join(["```text", *lines, "```", "", f"What must not pass, each `ramp` with one mistake: {wrong}."])
+    return "\n".join(["```text", *lines, "```", "", f"Must not pass, each `ramp` with one mistake: {wrong}."])
 
 
 def exit_codes() -> str:
-    """Return the list of exit statuses, from the tree at the top of `touchd.errors`; each message names its remedy."""
-    tree = re.findall(r"─ (\w+) +(\d+) +([^:\n]+)", errors.__doc__ or "")
-    return "\n".join(f"- {status}, `{name}`: {text}" for name, status, text in tree)
+    """Return the exit statuses, a line for each branch of the tree at the top of `touchd.errors`."""
+    lines: list[str] = []
+    for indent, name, status, text in re.findall(r"(?m)^(.*)─ (\w+) +(\d+) +([^:\n]+)", errors.__doc__ or ""):
+        if len(indent) == len("    ├─"):
+            lines.append(f"- {status} `{name}`: {text}")
+        else:
+            lines[-1] += f"{';' if '; ' not in lines[-1] else ','} {status} `{name}`"
+    return "\n".join(lines)
 
 
 def results() -> str:
@@ -179,21 +182,10 @@ def model_card(path: Path) -> str:
         "made by": f"`{d.command}`"
         + (f", then `touchd quantise` to {d.precision}" if d.precision != "float32" else ""),
         "training recording": f"sha256 {d.data_sha256[:16]}... of frames and truth",
-        "size": f"{path.stat().st_size / 1e3:.0f} kB, {multiply_adds(path) / 1e3:.1f} k multiply-adds",
+        "size": f"{path.stat().st_size / 1e3:.0f} kB, {cost_of(onnx.load(path))[0] / 1e3:.1f} k multiply-adds",
         "on the test touches": ", ".join(f"{key} {d.scores[key]:.4g}" for key in CARD if key in d.scores),
     }
     return "\n".join(["| | |", "|---|---|", *(f"| {name} | {value} |" for name, value in facts.items())])
-
-
-def multiply_adds(path: Path) -> int:
-    """Return the multiply-adds of a model's matrix products."""
-    graph = onnx.load(path).graph
-    sizes = {tensor.name: math.prod(tensor.dims) for tensor in graph.initializer}
-    constants = {
-        node.output[0]: math.prod(node.attribute[0].t.dims) for node in graph.node if node.op_type == "Constant"
-    }
-    products = (node for node in graph.node if node.op_type in ("Gemm", "MatMul", "MatMulInteger"))
-    return sum((sizes | constants).get(node.input[1], 0) for node in products)
 
 
 def with_block(text: str, name: str, content: str) -> str:

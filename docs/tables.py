@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from touchd.training.report.template import Table, read_csv, table
+from touchd.training.report.template import read_csv, table
 
 DOCS = Path(__file__).resolve().parent
 ACCURACY, ROBUSTNESS = DOCS / "accuracy", DOCS / "robustness"
@@ -15,29 +15,10 @@ WORSE = (
     ("noise of 40 dB", "noise", "40"),
     ("10 K warmer than in training", "temperature", "10"),
     ("1 K warmer than the baseline", "stale", "1"),
-    ("channel 0 at half its gain", "gain", "0.5"),
     ("channels 0 and 1 dead", "dead", "0+1"),
-    ("trained on 1000 touches", "learning", "1000"),
 )
 """What the page shows of the curves: the row's name, the curve, the point."""
-INPUTS = (
-    "frozen: the first frame again and again",
-    "clipped: 10 % of the samples",
-    "offset: 50 % of full scale",
-    "one channel dead",
-    "one channel inverted",
-    "bursts",
-    "signal to noise: 30 dB",
-)
 TONES = ("-50 dB, within the band", "-40 dB, within the band")
-TOUCHES = ("700", "1500", "4483")
-
-
-def noise() -> str:
-    """Return error, bound and standard error by noise."""
-    columns = {"noise_db": "noise, dB", "rmse_mm": "RMSE", "median_mm": "median", "p95_mm": "p95",
-               "bound_mm": "Cramer-Rao bound", "within_1_sigma": "within sigma", "placed": "placed"}  # fmt: skip
-    return _renamed(read_csv(ACCURACY / "noise.csv"), columns)
 
 
 def contacts() -> str:
@@ -48,12 +29,6 @@ def contacts() -> str:
     found = read_csv(ACCURACY / "contacts.csv").pick(columns=list(columns))
     rows = [[*row[:-2], *(f"{float(share):.0%}" for share in row[-2:])] for row in found.rows]
     return table(list(columns.values()), rows)
-
-
-def learning() -> str:
-    """Return errors by training touches."""
-    columns = {"training_touches": "training touches", "median_mm": "median", "p95_mm": "p95"}
-    return _renamed(read_csv(ACCURACY / "learning.csv").pick(TOUCHES), columns)
 
 
 def worse() -> str:
@@ -71,36 +46,27 @@ def _cell(median: str, p95: str, placed: str) -> str:
 
 
 def limit() -> str:
-    """Return how many taps are found among bad inputs."""
-    rows = read_csv(ROBUSTNESS / "limit.csv").rows
-    moments = list(dict.fromkeys(row[1] for row in rows))
-    found = {(row[0], row[1]): f"{row[5]} of {row[6]}" for row in rows}
+    """Return how many positions bad inputs make, and how many of them are wrong."""
     tones = [row for row in read_csv(ROBUSTNESS / "tones.csv").rows if row[0] in TONES]
-    shown = [[name, *(found[name, moment] for moment in moments)] for name in INPUTS]
-    shown += [[f"a tone, {row[0]}", f"{row[4]} of {row[5]}", "", ""] for row in tones]
-    published, wrong = (sum(int(row[at]) for row in (*rows, *tones)) for at in (-5, -4))
-    return table(("taps found", *moments), shown) + f"\n\nPublished: {published:,} positions; wrong: {wrong}."
+    rows = (*read_csv(ROBUSTNESS / "limit.csv").rows, *tones)
+    published, wrong = (sum(int(row[at]) for row in rows) for at in (-5, -4))
+    return f"Published: {published:,} positions; wrong: {wrong}."
 
 
 def float64() -> str:
-    """Return what single precision and early stopping cost."""
+    """Return what single precision and early stopping cost, in a sentence."""
     found = read_csv(ROBUSTNESS / "float64.csv")
     *scenes, every = (dict(zip(found.headings, row, strict=True)) for row in found.rows)
     same = sum(scene["same_events"] == "yes" for scene in scenes)
-    return table(("result", ""), [
-        ["scenes with the same events in float64", f"{same} of {len(scenes)}"],
-        ["rounding, at most", f"{every['rounding_most_mm']} mm, of {int(every['places']):,} places"],
-        ["stopping early", f"{every['truncation_median_mm']} mm in the median, {every['truncation_most_mm']} mm at "
-         f"most; at most {every['truncation_most_sigma']} sigma"],
-    ])  # fmt: skip
-
-
-def _renamed(found: Table, columns: dict[str, str]) -> str:
-    return table(list(columns.values()), found.pick(columns=list(columns)).rows)
+    return (
+        f"{same} of {len(scenes)} scenes have the same events; rounding moves {int(every['places']):,} places by at "
+        f"most {every['rounding_most_mm']} mm, stopping early by {every['truncation_median_mm']} mm in the median, at "
+        f"most {every['truncation_most_mm']} mm or {every['truncation_most_sigma']} sigma."
+    )
 
 
 BLOCKS: dict[Path, tuple[Callable[[], str], ...]] = {
-    DOCS / "accuracy.md": (noise, contacts, learning),
+    DOCS / "accuracy.md": (contacts,),
     DOCS / "robustness.md": (worse, limit, float64),
 }
 """By page: its tables, each in the block of its name."""

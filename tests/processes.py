@@ -37,9 +37,9 @@ def environment(**variables: str) -> dict[str, str]:
     return own | {"OPENBLAS_NUM_THREADS": "1"} | variables
 
 
-def command(*arguments: object) -> list[str]:
-    """The command line of touchd."""
-    return [sys.executable, "-m", "touchd", *map(str, arguments)]
+def command(*arguments: object, module: str = "touchd") -> list[str]:
+    """The command line of touchd, or of a module that changes it."""
+    return [sys.executable, "-m", module, *map(str, arguments)]
 
 
 def touchd(*arguments: object, cwd: Path = ROOT, patience_s: float = PATIENCE_S, **variables: str) -> Ended:
@@ -51,11 +51,11 @@ def touchd(*arguments: object, cwd: Path = ROOT, patience_s: float = PATIENCE_S,
 
 
 @contextmanager
-def started(*arguments: object, **variables: str) -> Iterator[subprocess.Popen[str]]:
+def started(*arguments: object, module: str = "touchd", **variables: str) -> Iterator[subprocess.Popen[str]]:
     """Run touchd beside the test; it always ends with the test."""
     process = subprocess.Popen(
-        command(*arguments), stdout=subprocess.PIPE, stderr=subprocess.PIPE, stdin=subprocess.DEVNULL, text=True,
-        cwd=ROOT, env=environment(**variables),
+        command(*arguments, module=module), stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        stdin=subprocess.DEVNULL, text=True, cwd=ROOT, env=environment(**variables),
     )  # fmt: skip
     with process:
         try:

@@ -9,10 +9,11 @@ import pytest
 
 from touchd.cli.main import main
 from touchd.frame import Plate
+from touchd.twin.cache import parts_kept
 from touchd.twin.electronics import Electronics, Impulses
 from touchd.twin.instrument import Instrument
 from touchd.twin.rig import Rig
-from touchd.twin.robot_session import Session, parts_kept, simulate_session
+from touchd.twin.robot_session import Session, simulate_session
 from touchd.twin.scenes.robot import TouchSet
 from touchd.twin.simulate import BLOCK, simulate_touches
 
@@ -41,9 +42,9 @@ def test_only_what_is_missing_is_computed_after_a_stop(tmp_path: Path, monkeypat
         if len(told) == 3:
             raise KeyboardInterrupt
 
-    with pytest.raises(KeyboardInterrupt), parts_kept(SESSION) as kept:
+    with pytest.raises(KeyboardInterrupt), parts_kept("touches", SESSION) as kept:
         simulate_session(SESSION, workers=1, chunk=BLOCK, kept=kept, progress=stop_in_the_middle)
-    with parts_kept(SESSION) as kept:
+    with parts_kept("touches", SESSION) as kept:
         assert kept is not None
         stored = {path: path.stat().st_mtime_ns for path in kept.iterdir()}
         assert len(stored) == 3

@@ -10,44 +10,16 @@ from docs.accuracy_plots import (
     FieldImage,
     NoiseLevel,
     draw_field,
-    draw_fingers,
     draw_learning,
     draw_noise,
-    followed,
 )
-from tests.unit.evaluation.test_replay_scores import META, message, truth
+from tests.unit.evaluation.test_replay_scores import META
 from touchd.evaluation.model_scores import Judgement
-
-TWO = truth([(0, 20, 50.0, 60.0)], [(0, 20, 150.0, 100.0)], frames=20)
-MESSAGES = [message(i, (1, "hold", 50.1, 60.0), (2, "hold", 150.0, 99.8)) for i in range(0, 20, 4)]
 
 
 def line(axes: Axes, label: str) -> np.ndarray:
     (found,) = (one for one in axes.lines if one.get_label() == label)
     return np.asarray(found.get_ydata(), float)
-
-
-def test_each_contact_is_followed_beside_its_own_finger() -> None:
-    one, other = followed(TWO, MESSAGES)
-    np.testing.assert_allclose(one[:, 1:3] - one[:, 4:6], [[0.1, 0.0]] * 5, atol=1e-5)
-    np.testing.assert_allclose(other[:, 1:3] - other[:, 4:6], [[0.0, -0.2]] * 5, atol=1e-5)
-    np.testing.assert_allclose(one[:, 0], 0.032 * np.arange(5))
-
-
-def test_a_contact_far_from_all_fingers_has_no_error() -> None:
-    (_, _, ghost) = followed(
-        TWO, [message(3, (1, "down", 50.1, 60.0), (2, "down", 150.0, 99.8), (3, "down", 10.0, 190.0))]
-    )
-    assert np.isnan(ghost[:, 4:]).all()
-    assert np.isfinite(ghost[:, :4]).all()
-
-
-def test_a_session_is_drawn_with_its_errors() -> None:
-    figure = draw_fingers(TWO, MESSAGES)
-    _, _, _, x_axes, y_axes = figure.axes
-    np.testing.assert_allclose(np.asarray(x_axes.lines[0].get_ydata(), float), 0.1, atol=1e-5)
-    np.testing.assert_allclose(np.asarray(y_axes.lines[1].get_ydata(), float), -0.2, atol=1e-5)
-    figure.draw_without_rendering()
 
 
 def test_error_and_bound_are_drawn_by_noise() -> None:

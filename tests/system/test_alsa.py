@@ -38,6 +38,13 @@ try:
     AlsaCard("hw:CARD=Nowhere,DEV=0", 48000, 4)
 except CardAbsent as absent:
     print(absent)
+import touchd.audio.alsa
+from pathlib import Path
+touchd.audio.alsa.CARDS = Path(sys.argv[1]).parent
+try:
+    AlsaCard("hw:CARD=Denied,DEV=0", 48000, 4)
+except CardAbsent as absent:
+    print(absent)
 """
 
 
@@ -45,6 +52,7 @@ except CardAbsent as absent:
 def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with what was captured and played, and with what was said of a card that is not there."""
     home = tmp_path_factory.mktemp("alsa")
+    (home / "Denied").mkdir()
     (home / "asound.conf").write_text(CONFIG.format(home=home))
     (np.arange(4 * 48_000).reshape(-1, 4) << 12).astype("<i4").tofile(home / "in.raw")
     done = subprocess.run(
@@ -73,5 +81,11 @@ def test_what_is_captured_is_the_upper_16_bits_in_order(home: Path) -> None:
 
 def test_a_card_that_is_not_there_is_told_in_one_line(home: Path) -> None:
     """ALSA's library would print lines of its own each time that the daemon looks."""
-    (line,) = (home / "said").read_text().splitlines()
+    line, _ = (home / "said").read_text().splitlines()
     assert line.startswith("there is no hw:CARD=Nowhere,DEV=0: plug it in")
+
+
+def test_a_card_that_may_not_be_opened_is_not_called_absent(home: Path) -> None:
+    """ALSA's library lists no card that this user may not open."""
+    _, line = (home / "said").read_text().splitlines()
+    assert line.startswith("hw:CARD=Denied,DEV=0 is there, but may not be opened: join the group audio")

@@ -20,8 +20,11 @@ from touchd.localization.atlas import atlas_path, save_atlas
 from touchd.localization.model import Description, default_model_path
 from touchd.localization.model_file import put_model
 from touchd.recording.format import write
-from touchd.twin.instrument import Instrument
-from touchd.twin.simulate import simulate_scene
+from touchd.twin.electronics import Electronics
+from touchd.twin.instrument import REFERENCE_C, Instrument
+from touchd.twin.scenes.timeline import Stage
+from touchd.twin.scenes.trajectory import still
+from touchd.twin.simulate import simulate_scene, simulate_stage
 
 
 def model_of(fit: PlateFit, path: Path) -> Path:
@@ -60,6 +63,22 @@ def test_right_model(folder: Path) -> None:
     assert checked.unexplained < 0.01
     assert checked.error_mm is not None
     assert checked.error_mm < 0.1
+
+
+@pytest.mark.parametrize(("kind", "apart_mm"), [("fingertip", 0.3), ("thumb", 0.8)])
+def test_wide_finger(folder: Path, kind: str, apart_mm: float) -> None:
+    """Faces as wide as the waves, which give way to them, are no reason to doubt a right model."""
+    n = 750
+    made = Stage(PLATE, 125.0, np.arange(n), np.full(n, REFERENCE_C), np.random.default_rng(5), Electronics())
+    for k, (x, y) in enumerate(made.rng.uniform([9, 9], [PLATE.width_mm - 9, PLATE.height_mm - 9], (10, 2))):
+        made.lay(kind, 1 + 0.5 * k, 1.25 + 0.5 * k, still(float(x), float(y)), force_n=0.6)
+    use = simulate_stage(made, Instrument(PLATE, layout=LAYOUT), 5)
+    path = folder / f"{kind}.npz"
+    write(path, replace(use, contacts_mm=None, force_n=None, faces=None))
+    checked = check_model(folder / "right.onnx", path)
+    assert checked.verdict == "good", checked
+    assert checked.apart_mm is not None
+    assert checked.apart_mm < apart_mm
 
 
 def test_moved_disc(folder: Path) -> None:

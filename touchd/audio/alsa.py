@@ -12,6 +12,7 @@ from __future__ import annotations
 import contextlib
 import re
 import select
+from pathlib import Path
 from typing import Any
 
 import alsaaudio
@@ -20,6 +21,8 @@ from numpy.typing import NDArray
 
 from touchd.audio.card import CardAbsent, CardGone, CardXrun, Floats, Samples
 
+CARDS = Path("/proc/asound")
+"""Has an entry for each card by its name, also for those that this user may not open."""
 BLOCK_S = 1e-3
 """Samples are read in blocks of this: what it adds to the latency, at most."""
 AHEAD_S = 0.1
@@ -57,6 +60,10 @@ class AlsaCard:
         # ALSA's library prints a line each time that a card is not there.
         named = re.search(r"CARD=([^,]+)", name)
         if named and named[1] not in alsaaudio.cards():
+            if (CARDS / named[1]).exists():
+                raise CardAbsent(
+                    f"{name} is there, but may not be opened: join the group audio; a service needs audio.conf"
+                )
             raise CardAbsent(f"there is no {name}: plug it in; arecord -L lists what is there")
         try:
             self._capture = self._open(alsaaudio.PCM_CAPTURE, inputs, _CAPTURE_S)

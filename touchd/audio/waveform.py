@@ -12,24 +12,35 @@ from touchd.frame import Acquisition, Chirp
 Floats = NDArray[np.float64]
 
 
+def rates_of(acquisition: Acquisition) -> list[int]:
+    """Return the frame rates that whole chirps fill, Hz: in steady state they follow each other without a pause."""
+    sample_rate_hz = acquisition.sample_rate_hz
+    period = _period(acquisition) or 1
+    most_hz = int(sample_rate_hz // max(acquisition.samples, period))
+    return [rate_hz for rate_hz in range(1, most_hz + 1) if sample_rate_hz / rate_hz % period == 0]
+
+
 def periods_of(acquisition: Acquisition, frame_rate_hz: int) -> tuple[int, int]:
     """Return the samples from chirp to chirp, and how many chirps make a frame.
 
     In steady state chirps follow each other with the acquisition's period, and frames are means of some; else there is
     one chirp a frame. Raises ConfigError unless both are whole.
     """
-    samples = acquisition.sample_rate_hz / frame_rate_hz
-    period = samples
-    if acquisition.chirp.period_s is not None:
-        period = round(acquisition.chirp.period_s * acquisition.sample_rate_hz)
-    chirps = samples / period
-    if period != round(period) or chirps != round(chirps) or acquisition.samples > period:
-        most = acquisition.sample_rate_hz / max(acquisition.samples, period if acquisition.chirp.period_s else 0)
-        raise ConfigError(
-            f"is {frame_rate_hz}: no whole number of chirps lasts as long as such a frame", "device.rate_hz",
-            f"use {most:g}, or a whole part of it",
-        )  # fmt: skip
-    return round(period), round(chirps)
+    fits = rates_of(acquisition)
+    if frame_rate_hz not in fits:
+        problem = f"is {frame_rate_hz}: no whole number of chirps lasts as long as such a frame"
+        if not fits:
+            raise ConfigError(problem, "device.rate_hz", "set another audio.chirp_s, such as 0.004: no rate fits")
+        raise ConfigError(problem, "device.rate_hz", f"use {fits[-1]}, or a whole part of it")
+    samples = round(acquisition.sample_rate_hz / frame_rate_hz)
+    period = _period(acquisition) or samples
+    return period, samples // period
+
+
+def _period(acquisition: Acquisition) -> int | None:
+    """Return the samples from chirp to chirp in steady state."""
+    period_s = acquisition.chirp.period_s
+    return None if period_s is None else round(period_s * acquisition.sample_rate_hz)
 
 
 def loop_of(chirp: Chirp, rate_hz: float, period: int, level_dbfs: float) -> Floats:

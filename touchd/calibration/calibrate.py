@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.calibration.physical_atlas import make_physical_atlas
+from touchd.calibration.place_correction import widths_of
 from touchd.calibration.plan import bound_mm
 from touchd.calibration.plate_file import PlateFile
 from touchd.calibration.plate_fit import PlateFit, Progress, fit_plate
@@ -107,7 +108,7 @@ def make_model(
         orientation = orientation_of(atlas, taps_of(taps, atlas))
         fitted = replace(fitted, fit=turned_fit(fitted.fit, orientation))
         atlas = make_atlas(fitted) if orientation else atlas
-        refined = refine(atlas, taps_of(taps, atlas), orientation)
+        refined = refine(atlas, taps_of(taps, atlas), orientation, widths_of(fitted.fit))
         atlas = refined.atlas
     description = Description(
         name="calibrated", head="regression", domain="frequency", input="residual",

@@ -17,25 +17,32 @@ from numpy.typing import NDArray
 
 from touchd.config.schema import Settings
 from touchd.errors import ModelMismatch, RecordingValues
-from touchd.localization.atlas import Atlas
+from touchd.localization.atlas import Array, Atlas
+from touchd.localization.fit import Bins, Fit
+from touchd.localization.gauss_newton import GaussNewton, shapes_of
 from touchd.localization.model import Model
 from touchd.localization.model_fit import LEAST, WORN
+from touchd.localization.spline import Position
 from touchd.pipeline import Pipeline
 from touchd.service.runner import frames_of
 from touchd.sources.replay import ReplaySource
-from touchd.training.field.place import FieldMap, Placed, place
 
 Floats = NDArray[np.float64]
-Complex = NDArray[np.complex128]
 
+STEPS = 6
+DEAD = 0.01
+"""A channel with less than this of its gain is dead, and stays so."""
+POINT = (0j, 0j, 0j, 0j)
+"""The shape of a point."""
 SETTLED_FRAMES = 4
 """A contact's first frames are left out: its force still rises."""
 MOST_FRAMES = 1500
 """Placed again for the check."""
 APART_MM = 0.3
 """Halves of the band that differ by more in a median touch call for another calibration."""
-NOISY = 2.0
-"""Where noise moves them further, they may differ by this many times what the standard errors tell."""
+NOISY = 3.0
+"""Where noise, or what the face leaves, moves them further, they may differ by this many times what the standard errors
+tell: a thumb's differ by 2.3 times as much (twin)."""
 WINDOW = 12
 """Successive frames of a stroke through which a parabola is laid."""
 STROKE_MM = 8.0
@@ -47,8 +54,8 @@ class Frame(NamedTuple):
 
     contact: int
     position_mm: tuple[float, float]
-    values: Complex
-    """Bins of the residual, shape (channels, bins)."""
+    vector: Floats
+    """Bins of the residual, as the solver takes them, shape (size,)."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +103,6 @@ def collect(model: Model, path: Path) -> tuple[list[Frame], int, float | None, f
     source = ReplaySource(path, speed=float("inf"))
     pipeline = Pipeline(source.acquisition, model, Settings())
     assert model.atlas is not None
-    bins = np.array(model.atlas.description.bins)
     to_bins = model.atlas.description.to_bins
     found: list[Frame] = []
     alive: dict[int, tuple[float, float]] = {}
@@ -115,9 +121,8 @@ def collect(model: Model, path: Path) -> tuple[list[Frame], int, float | None, f
             touches += len(set(alive) - before)
             settled = settled + 1 if len(alive) == result.touches == 1 and before == set(alive) else 0
             if settled > SETTLED_FRAMES:
-                parts = pipeline.residual.astype(np.float64) @ to_bins
-                values = parts[:, : len(bins)] + 1j * parts[:, len(bins) :]
-                found.extend(Frame(contact_id, position_mm, values) for contact_id, position_mm in alive.items())
+                vector = (pipeline.residual.astype(np.float64) @ to_bins).reshape(-1)
+                found.extend(Frame(contact_id, position_mm, vector) for contact_id, position_mm in alive.items())
     pipeline.release(0)
     return found, touches, pipeline.model_fit, pipeline.noise_counts()
 
@@ -125,54 +130,65 @@ def collect(model: Model, path: Path) -> tuple[list[Frame], int, float | None, f
 def consistency(
     atlas: Atlas, frames: list[Frame], noise_counts: float
 ) -> tuple[float | None, float | None, float | None]:
-    """Return how far the halves of the band place touches apart, how far they should, and how bent strokes are, mm."""
+    """Return how far the halves of the band place touches apart, how far they should, and how bent strokes are, mm.
+
+    A finger has the shape that the whole band tells.
+    """
     frames = frames[:: 1 + len(frames) // MOST_FRAMES]
     if len(frames) < LEAST:
         return None, None, None
-    start = np.array([frame.position_mm for frame in frames])
-    values = np.stack([frame.values for frame in frames])
-    whole = place(atlas, values, start)
-    values = values / channel_gains(atlas, values, whole)  # as the daemon corrects them
-    whole = place(atlas, values, whole.position_mm)
-    count = len(atlas.description.bins)
-    power = np.square(np.abs(values)).mean(axis=(0, 1)).cumsum()
-    middle = int(np.clip(np.searchsorted(power, power[-1] / 2), 1, count - 1))
-    halves = [place(part_of(atlas, part), values[..., part], whole.position_mm) for part in
-              (slice(0, middle), slice(middle, count))]  # fmt: skip
-    apart = np.linalg.norm(halves[0].position_mm - halves[1].position_mm, axis=1)
-    d = atlas.description
-    error = d.field_scale * float(atlas.error.mean()) / 2
-    noise = d.noise_scale * noise_counts**2 * float(np.square(d.to_bins).sum()) / (2 * len(d.bins))
-    expected2 = sum(
-        (noise + error * np.square(np.abs(half.amplitude)))
-        * np.trace(np.linalg.pinv(half.fisher_information), axis1=1, axis2=2)
-        for half in halves
-    )
+    d, solver = atlas.description, GaussNewton(atlas)
+    window = float(np.square(d.to_bins).sum())
+    noise_energy = noise_counts**2 * window * d.acquisition.channels
+    vectors = np.stack([frame.vector for frame in frames]).astype(atlas.coefficients.dtype)
+
+    def fit(vector: Array, position_mm: Position) -> Fit:
+        bins = Bins(vector, None, float(vector @ vector))
+        return solver.with_shapes(bins, solver.fit_one(bins, *position_mm, STEPS), noise_energy)
+
+    whole = [fit(vector, frame.position_mm) for vector, frame in zip(vectors, frames, strict=True)]
+    vectors = as_calibrated(atlas, solver, vectors, whole)
+    whole = [fit(vector, one.positions_mm[0]) for vector, one in zip(vectors, whole, strict=True)]
+    error, variance = d.field_scale * float(atlas.error.mean()) / 2, d.noise_scale * noise_counts**2 * window / 2
+    place_mm, expected2 = np.empty((2, len(frames), 2)), np.zeros(len(frames))
+    for half, mask in enumerate(halves(vectors, d.acquisition.channels)):
+        for k, (vector, one) in enumerate(zip(vectors * mask, whole, strict=True)):
+            bins = Bins(vector, mask, float(vector @ vector))
+            found = solver.fit_known(bins, one.positions_mm, STEPS, shapes_of(one) or [POINT])
+            place_mm[half, k] = found.positions_mm[0]
+            spread = np.trace(np.linalg.pinv(np.array(found.fisher_information)))
+            known = variance / len(d.bins) + error * abs(found.amplitudes[0]) ** 2
+            # What a finger's shape leaves moves it as noise does; a model that leaves more than a finger is worn.
+            expected2[k] += max(known, found.residual_energy / mask.sum()) * spread
+    apart = np.linalg.norm(place_mm[0] - place_mm[1], axis=1)
     median_of_two = np.sqrt(np.log(2))  # of a Rayleigh distribution, in roots of its mean square
     return (
         float(np.median(apart)),
         float(median_of_two * np.sqrt(np.median(expected2))),
-        bend(frames, whole.position_mm),
+        bend(frames, np.array([one.positions_mm[0] for one in whole])),
     )
 
 
-def channel_gains(atlas: Atlas, values: Complex, placed: Placed) -> Complex:
-    """Return each channel's gain since the calibration, shape (channels, 1), from placed touches."""
-    field = FieldMap(atlas).look_up(placed.position_mm)[0].reshape(values.shape)
-    predicted = placed.amplitude[:, None, None] * field
-    gains = np.einsum("ncb,ncb->c", predicted.conj(), values) / np.square(np.abs(predicted)).sum(axis=(0, 2))
-    return np.asarray(gains)[:, None]
+def as_calibrated(atlas: Atlas, solver: GaussNewton, vectors: Array, fits: list[Fit]) -> Array:
+    """Return the frames' bins, (n, size), with each channel's gain as it was at the calibration, as the daemon does."""
+    shape = len(vectors), atlas.description.acquisition.channels, 2, len(atlas.description.bins)
+    predicted = vectors - np.stack([
+        solver.residual(Bins(vector, None, 0.0), fit).copy() for vector, fit in zip(vectors, fits, strict=True)
+    ])  # fmt: skip
+    found, expected = (
+        each[:, :, 0] + 1j * each[:, :, 1] for each in (vectors.reshape(shape), predicted.reshape(shape))
+    )
+    gains = (expected.conj() * found).sum(axis=(0, 2)) / np.square(np.abs(expected)).sum(axis=(0, 2))
+    found = found / np.where(np.abs(gains) > DEAD, gains, 1)[:, None]
+    return np.stack([found.real, found.imag], axis=2).reshape(len(vectors), -1).astype(vectors.dtype)
 
 
-def part_of(atlas: Atlas, part: slice) -> Atlas:
-    """Return an atlas of some bins."""
-    d = atlas.description
-    shape = (*atlas.coefficients.shape[:2], d.acquisition.channels, 2, len(d.bins))
-    nodes = atlas.coefficients.reshape(shape)[..., part]
-    return Atlas(
-        d.model_copy(update={"bins": d.bins[part], "weights": d.weights[part]}),
-        np.ascontiguousarray(nodes.reshape(*shape[:2], -1)), atlas.baseline, np.ascontiguousarray(atlas.error[:, part]),
-    )  # fmt: skip
+def halves(vectors: Array, channels: int) -> list[Array]:
+    """Return the masks of the lower and the upper half of the band, each with half of the energy, shape (size,)."""
+    power = np.square(vectors).reshape(len(vectors), 2 * channels, -1).sum(axis=(0, 1)).cumsum()
+    middle = int(np.clip(np.searchsorted(power, power[-1] / 2), 1, len(power) - 1))
+    lower = np.arange(len(power)) < middle
+    return [np.tile(half, 2 * channels).astype(vectors.dtype) for half in (lower, ~lower)]
 
 
 def bend(frames: list[Frame], position_mm: Floats) -> float | None:

@@ -1,9 +1,9 @@
 """What taps at roughly known places tell of a fitted plate: its orientation, the labels' scatter, each bin's gain.
 
 The physical field places a tap ten times as exactly as a person hits a target, so that labels only choose among the
-rectangle's four symmetries, which sound the same untouched. The places themselves are latent: they are the field's own.
-From there each channel's gain in each bin is learned, with the physical field as prior, and kept only if it explains
-taps that it was not learned from.
+rectangle's four symmetries, which sound the same untouched, and tell what all places have in common. The places
+themselves are latent: they are the field's own. From there each channel's gain in each bin is learned, with the
+physical field as prior, and kept only if it explains taps that it was not learned from.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from touchd.calibration.place_correction import PlaceCorrection, Widths, correction_of, with_places
 from touchd.calibration.plate_fit import PlateFit
 from touchd.errors import CalibrationError
 from touchd.evaluation.dataset import baseline_frames, complex_bins, labels
@@ -58,6 +59,8 @@ class Refined:
     """Taps that the field explains."""
     scatter_mm: float
     """Standard deviation of the labels per axis: how well a person hits."""
+    moved_mm: float
+    """Root mean square of what is added to the taps' places."""
     unexplained: tuple[float, float]
     """Share of a tap's energy that the physical field and the refined one leave, median; of taps not learned from."""
 
@@ -116,14 +119,18 @@ def turned_fit(fit: PlateFit, orientation: int) -> PlateFit:
     return replace(fit, layout=layout, edges=fit.edges.turned(orientation), undecided=(), reasons=reasons)
 
 
-def refine(atlas: Atlas, taps: Taps, orientation: int = 0) -> Refined:
-    """Learn what taps tell of the atlas of a rightly turned drawing, and keep it if it explains other taps better."""
+def refine(atlas: Atlas, taps: Taps, orientation: int = 0, widths: Widths | None = None) -> Refined:
+    """Learn what taps tell of the atlas of a rightly turned drawing, and keep it if it explains other taps better.
+
+    Without `widths` all places stay.
+    """
     placed = place(atlas, taps.values, taps.label_mm)
     fits = placed.misfit < FITS
     if not fits.any():
         raise CalibrationError("no tap fits the calibrated plate", "--taps", "check the labels' places, in mm")
     apart = np.linalg.norm(placed.position_mm[fits] - taps.label_mm[fits], axis=1)
-    scatter_mm = float(np.sqrt(np.square(apart[apart <= MISSED * np.median(apart)]).mean() / 2))
+    hit = apart <= MISSED * np.median(apart)
+    scatter_mm, moved_mm = float(np.sqrt(np.square(apart[hit]).mean() / 2)), 0.0
     before = after = float(np.median(placed.misfit[fits]))
     some = Taps(taps.label_mm[fits], taps.values[fits])
     some_placed = Placed(*(getattr(placed, name)[fits] for name in Placed.__slots__))
@@ -137,9 +144,20 @@ def refine(atlas: Atlas, taps: Taps, orientation: int = 0) -> Refined:
         after = float(np.median(held))
         if after < before:
             atlas = with_gains(atlas, gains(atlas, some, some_placed, np.ones(len(held), bool)))
+    if widths is not None:
+        correction = _correction(atlas, Taps(some.label_mm[hit], some.values[hit]), widths)
+        moved_mm = float(np.sqrt(np.square(correction.at(some.label_mm)).sum(axis=1).mean()))
+        if moved_mm:
+            atlas, scatter_mm = with_places(atlas, correction), correction.label_mm
     return Refined(
-        ORIENTATIONS[orientation], atlas, len(fits), int(fits.sum()), scatter_mm, (before, min(before, after))
+        ORIENTATIONS[orientation], atlas, len(fits), int(fits.sum()), scatter_mm, moved_mm, (before, min(before, after))
     )
+
+
+def _correction(atlas: Atlas, taps: Taps, widths: Widths) -> PlaceCorrection:
+    placed = place(atlas, taps.values, taps.label_mm)
+    plate = atlas.description.plate
+    return correction_of(placed.position_mm, taps.label_mm, (plate.width_mm, plate.height_mm), widths)
 
 
 def gains(atlas: Atlas, taps: Taps, placed: Placed, chosen: NDArray[np.bool_]) -> Complex:

@@ -41,10 +41,10 @@ def command(
     as_json: bool,
     config: Path | None,
 ) -> None:
-    """Measure the audio interface DEVICE, an ALSA name such as hw:CARD=U192k, or else the configured one.
+    """Measure the audio interface DEVICE, or else the configured one.
 
-    Join an output to an input with a cable first, and take the discs off: tones are played. Says which band and level
-    to use.
+    DEVICE is an ALSA name such as hw:CARD=U192k. Join an output to an input with a cable first, and take the discs off:
+    tones are played. Says which band and level to use.
     """
     from touchd.audio.alsa import AlsaCard
     from touchd.audio.card import CardAbsent, CardGone

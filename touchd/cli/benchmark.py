@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
     from touchd.lab.benchmark.results import Run
     from touchd.training.report.template import Table
 
-WIDTH = 150
+WIDTH, STEADY_WIDTH = 150, 190
 """Columns that the widest table needs."""
 
 
@@ -37,7 +38,9 @@ WIDTH = 150
     "--also", type=click.Path(path_type=Path), multiple=True, metavar="FILE",
     help="Benchmark this model for the example rig too; repeatable.",
 )  # fmt: skip
-@click.option("--steady", is_flag=True, help="Measure steady rates alone: processor time, wake-ups, stages.")
+@click.option(
+    "--steady", is_flag=True, help="Measure steady rates alone: processor time, wake-ups, stages. Takes 12 minutes."
+)
 @click.option(
     "--against", type=click.Path(path_type=Path, exists=True, file_okay=False), metavar="FOLDER",
     help="With --steady: another checkout of touchd, run in turns with this one.",
@@ -63,7 +66,9 @@ def command(
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ[name] = "1"
     if steady or against:
-        _measure_steady(quick, against)
+        if other or docs or given or models or also:
+            raise click.UsageError("--steady and --against go with --quick and --json alone")
+        _measure_steady(quick, against, stored)
         return
     from rich.console import Console
 
@@ -83,19 +88,37 @@ def command(
         click.echo(f"{docs / 'benchmarks.md'}: written, with its plots and results")
 
 
-def _measure_steady(quick: bool, against: Path | None) -> None:
+def _measure_steady(quick: bool, against: Path | None, stored: Path | None) -> None:
+    from rich.console import Console
+
+    from touchd.files import replacing
     from touchd.lab.benchmark import steady
-    from touchd.lab.benchmark.scenes import make_loop
+    from touchd.lab.benchmark.machine import this_machine
+    from touchd.lab.benchmark.scenes import make_day, make_loop
     from touchd.twin.instrument import Instrument
     from touchd.twin.simulate import DEFAULT_PLATE
 
-    instrument = Instrument(DEFAULT_PLATE)
-    loops = {scene: make_loop(scene, instrument) for scene in steady.SCENES}
-    cells = steady.CELLS[:3] if quick else steady.CELLS
+    instrument, machine = Instrument(DEFAULT_PLATE), this_machine()
+    cells = steady.QUICK if quick else steady.CELLS
+    loops = {
+        scene: make_day(instrument) if scene == steady.DAY else make_loop(scene, instrument)
+        for scene in {cell.scene for cell in cells}
+    }
     found = steady.measure(
-        loops, cells, against=against, turns=1 if quick else 5, progress=lambda what: click.echo(what, err=True)
-    )
-    click.echo("\n".join(steady.lines(found)))
+        loops, cells, against=against, turns=1 if quick else 5, seconds=1.0 if quick else steady.SECONDS,
+        progress=lambda what: click.echo(what, err=True),
+    )  # fmt: skip
+    left_out = steady.left_out()
+    if stored:
+        with replacing(stored) as file:
+            run = {"machine": machine.model_dump(), "cells": found, "left_out": left_out}
+            file.write((json.dumps(run, indent=1) + "\n").encode())
+    console = Console(width=max(Console().width, STEADY_WIDTH))
+    console.print(machine.line(), highlight=False)
+    for table in steady.tables(found):
+        _print(console, table, names=2)
+    for line in (*steady.LEGEND, *(f"Left out: {what}" for what in left_out)):
+        console.print(line, highlight=False)
 
 
 def _measured(quick: bool, models: Path | None, also: tuple[Path, ...]) -> Run:
@@ -137,13 +160,13 @@ def _show(console: Console, run: Run, other: Run | None) -> None:
         console.print(f"Left out: {what}", highlight=False)
 
 
-def _print(console: Console, table: Table) -> None:
+def _print(console: Console, table: Table, names: int = 1) -> None:
     from rich import box
     from rich.table import Table as RichTable
 
     shown = RichTable(title=table.title, box=box.SIMPLE, title_justify="left", pad_edge=False)
     for i, heading in enumerate(table.headings):
-        shown.add_column(heading, justify="left" if i == 0 else "right", no_wrap=i == 0)
+        shown.add_column(heading, justify="left" if i < names else "right", no_wrap=i < names)
     for row in table.rows:
         shown.add_row(*row)
     console.print(shown, highlight=False)

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import signal
 from contextlib import closing
-from types import FrameType
 from typing import TYPE_CHECKING
 
 import click
 
 from touchd.bridges.bridge import Output, run
 from touchd.bridges.dark import HoldOff
+from touchd.cli.interrupt import stopping
 from touchd.service.systemd import Notifier
 
 if TYPE_CHECKING:  # a bridge does without pydantic's 20 MB
@@ -26,20 +25,12 @@ def serve(address: str | None, settings: InputSettings, output: Output, what: st
     """Run a bridge until SIGTERM or SIGINT, and report to the service manager meanwhile."""
     if settings.hold_off:
         output = HoldOff(output)
-    stopped = False
-
-    def stop(_number: int, _frame: FrameType | None) -> None:
-        nonlocal stopped
-        stopped = True
-
-    signal.signal(signal.SIGTERM, stop)
-    signal.signal(signal.SIGINT, stop)
-    with closing(Notifier.from_environment()) as notifier:
+    with stopping() as stop, closing(Notifier.from_environment()) as notifier:
 
         def goes_on(now_ns: int) -> bool:
             notifier.ready()  # once it has subscribed
             notifier.beat(now_ns)
-            return not stopped
+            return not stop.is_set()
 
         click.echo(f"touchd: {what} is there", err=True)
         notifier.status(what)

@@ -58,7 +58,7 @@ def command(
     force: bool,
     config: Path | None,
 ) -> None:
-    """Fit plate and discs to RECORDING, some ten seconds of frames that nobody touches, and write a model.
+    """Fit plate and discs to RECORDING, ten seconds of the untouched plate, and write a model.
 
     Without RECORDING the frames come from the running daemon, or else from the DAQ. No touch is needed. Beside the
     model lie its field atlas, .atlas.npz, a reference for `touchd doctor`, .untouched.npz, and a folder named .report.
@@ -108,7 +108,7 @@ def command(
     if made and (refined := made.refined):
         found["taps"] = {
             "taps": refined.taps, "used": refined.used, "orientation": refined.orientation or "as drawn",
-            "scatter_mm": refined.scatter_mm, "unexplained": refined.unexplained[1],
+            "scatter_mm": refined.scatter_mm, "moved_mm": refined.moved_mm, "unexplained": refined.unexplained[1],
         }  # fmt: skip
     click.echo(json.dumps(found) if as_json or as_lines else _text(found, PAGE))
     if poor:
@@ -168,7 +168,7 @@ def _text(found: dict[str, Any], page: str) -> str:
     if taps := found.get("taps"):
         lines.append(
             f"{taps['used']} of {taps['taps']} taps fit, and scatter by {taps['scatter_mm']:.1f} mm; the drawing is "
-            f"{taps['orientation']}"
+            f"{taps['orientation']}; places are moved by {taps['moved_mm']:.2f} mm"
         )
     if found["model"]:
         lines.append(f"{found['model']}: the model, with its atlas beside it")

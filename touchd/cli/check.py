@@ -18,9 +18,10 @@ if TYPE_CHECKING:
 @click.argument("recording", type=click.Path(path_type=Path))
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def command(model: Path, recording: Path, as_json: bool) -> None:
-    """Judge MODEL on RECORDING, a minute of anybody's touches and strokes; nobody needs to know where they were.
+    """Judge MODEL on RECORDING, a minute of anybody's touches and strokes.
 
-    Says whether the plate should be calibrated again, and why. RECORDING begins untouched.
+    Nobody needs to know where they were. Says whether the plate should be calibrated again, and why. RECORDING begins
+    untouched.
     """
     from touchd.calibration.check import check_model
 

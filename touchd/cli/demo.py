@@ -6,7 +6,7 @@ import json
 import subprocess
 import sys
 import tempfile
-import threading
+import time
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -17,16 +17,18 @@ import numpy as np
 
 from touchd.cli.listen import describe
 from touchd.cli.source import parse_speed
-from touchd.errors import BusError, RecordingValues
+from touchd.client import Subscriber
+from touchd.errors import BusError, BusTimeout, RecordingValues
 from touchd.evaluation.metrics import position_scores
 from touchd.evaluation.replay_scores import score_stream
-from touchd.event import Event, HealthEvent, TouchEvent, decode
+from touchd.event import Event, HealthEvent, TouchEvent
 from touchd.localization.model import Model
 from touchd.recording.format import read
 
 SESSION = Path(__file__).resolve().parent.parent / "demo" / "session.npz"
 """The recording that ships with touchd."""
 _PATIENCE_S = 30
+_LOOK_S = 0.5
 
 
 def _speed(ctx: click.Context, param: click.Parameter, value: str) -> str:
@@ -81,38 +83,33 @@ def command(recording: Path, as_json: bool, speed: str, model: Path | None) -> N
 
 
 def _received(recording: Path, speed: str, model: Path | None) -> Iterator[Event]:
-    """Run a daemon that replays `recording` and a subscriber; yield the subscriber's events."""
-    touchd = [sys.executable, "-m", "touchd"]
+    """Run a daemon that replays `recording`, and yield what it publishes."""
     with ExitStack() as stack:
         folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="touchd-demo-"))
         address = f"ipc://{folder}/bus"
-        replay = [*touchd, "--replay", str(recording), "--speed", speed, "--bind", address]
+        replay = [sys.executable, "-m", "touchd", "--replay", str(recording), "--speed", speed, "--bind", address]
         replay += ["--await-subscriber", str(_PATIENCE_S), *(["--model", str(model)] if model else [])]
-        listen = [*touchd, "listen", address, "--topic", "touch", "--topic", "health", "--json", "--until-stopped"]
         complaints = stack.enter_context(tempfile.TemporaryFile("w+"))
-        # Both run this program, with file names as their only input.
+        # It runs this program, with file names as its only input.
         daemon = stack.enter_context(subprocess.Popen(replay, stderr=complaints, stdin=subprocess.DEVNULL))  # noqa: S603
         stack.callback(daemon.terminate)
-        listener = stack.enter_context(
-            subprocess.Popen(  # noqa: S603
-                [*listen, "--timeout", str(_PATIENCE_S)], stdout=subprocess.PIPE, stderr=complaints
-            )
-        )
-        stack.callback(listener.terminate)
-
-        def end_with_the_daemon() -> None:
-            if daemon.wait():  # the daemon failed, so its "stopping" message never comes
-                listener.terminate()
-
-        threading.Thread(target=end_with_the_daemon, daemon=True).start()
-        assert listener.stdout is not None
-        for line in listener.stdout:
-            yield decode(json.loads(line)["type"], line)
-        for process, what in ((daemon, "the daemon"), (listener, "the subscriber")):
-            if process.wait(_PATIENCE_S):
-                complaints.seek(0)
-                said = complaints.read().strip().splitlines() or ["no word"]
-                raise BusError(f"{what} ended with status {process.returncode}: {said[-1]}", fix="see the line above")
+        events = stack.enter_context(Subscriber(address, ("touch", "health"), max_age_s=None))
+        deadline_s = time.monotonic() + _PATIENCE_S
+        while daemon.poll() is None or not daemon.returncode:
+            try:
+                event = events.receive(_LOOK_S)
+            except BusTimeout:
+                if time.monotonic() < deadline_s:
+                    continue
+                raise
+            yield event
+            deadline_s = time.monotonic() + _PATIENCE_S
+            if isinstance(event, HealthEvent) and event.state == "stopping":
+                break
+        if daemon.wait(_PATIENCE_S):
+            complaints.seek(0)
+            said = complaints.read().strip().splitlines() or ["no word"]
+            raise BusError(f"the daemon ended with status {daemon.returncode}: {said[-1]}", fix="see the line above")
 
 
 def _percentiles(latency_us: list[float]) -> dict[str, float] | None:

@@ -50,7 +50,7 @@ def command(
     as_lines: bool,
     config: Path | None,
 ) -> None:
-    """Check all that the daemon opens, the DAQ, its frames and the computer; print one line for each check.
+    """Check all that the daemon opens, the DAQ, its frames and the computer, a line for each check.
 
     A running daemon's frames are checked, by its own user or root; else stop it first: only one program at a time can
     read the DAQ. Do not touch the plate meanwhile. A warning and a failure name a remedy.
@@ -60,8 +60,8 @@ def command(
     from touchd.sources.open import SourceChoice
 
     settings = load(config or (ctx.obj or {}).get("config"))
-    configure(settings.log.model_copy(update={"level": "error"}))
     choice = SourceChoice(replay, simulate, float("inf"), seed=seed, ni=ni, audio=audio)
+    configure(settings.log.model_copy(update={"level": "error"}))
     findings = []
     for finding in _examine(settings, choice, seconds, reference):
         findings.append(finding)
@@ -92,6 +92,7 @@ def _examine(settings: Settings, choice: SourceChoice, seconds: float, reference
     from touchd.doctor.start import check_start, failure
     from touchd.service.control import SERVICE_PATH, path_of
     from touchd.service.frame_feed import open_daemon
+    from touchd.service.models import settings_for
 
     yield doctorhost.check_clock()
     running = None
@@ -99,6 +100,8 @@ def _examine(settings: Settings, choice: SourceChoice, seconds: float, reference
         running = open_daemon(path_of(settings.control) or SERVICE_PATH) if choice.kind == "usb" else None
     except BusError as error:
         yield Finding("daemon", "warning", f"{error.where}: {error.what}", error.fix)
+    if running is None or running.description.source not in ("simulated", "replay"):
+        settings = settings_for(settings, choice)
     parts, findings = check_start(settings, running=running is not None)
     yield from findings
     yield from check_screen(settings)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from math import inf
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 import click
 import numpy as np
 
+from touchd.cli.progress import Bars
 from touchd.config.load import load
 from touchd.config.schema import Settings
 from touchd.errors import RecordingValues
@@ -17,12 +19,11 @@ from touchd.evaluation.cramer_rao import median_bound_mm
 from touchd.evaluation.matching import Matches, match_frames, scores_by_fingers
 from touchd.evaluation.metrics import position_scores
 from touchd.evaluation.model_scores import Judgement, judge, scores
-from touchd.evaluation.replay_scores import score_stream
 from touchd.evaluation.single_frames import find_with, network_features, see, touched_frames
+from touchd.lab.replay_parts import score
 from touchd.localization.model import Model
 from touchd.recording.data import Recording
-from touchd.recording.format import read
-from touchd.service.replay import replay
+from touchd.recording.format import Reader, read
 
 STREAM_HZ = 20.0
 """Frames per second from which a recording is replayed; in a slower one each frame is scored alone."""
@@ -36,29 +37,36 @@ STREAM_HZ = 20.0
     "--plot", type=click.Path(path_type=Path), metavar="FILE.png",
     help="Plot position error and bias over the plate, or the confusion of zones or keys.",
 )  # fmt: skip
-def command(model: Path, recording: Path, as_json: bool, plot: Path | None) -> None:
+@click.option(
+    "--jobs", type=click.IntRange(min=1), metavar="N", help="Processes for hours of frames.  [default: all cores]"
+)
+def command(model: Path, recording: Path, as_json: bool, plot: Path | None, jobs: int | None) -> None:
     """Score MODEL on RECORDING, which must be labelled with true contacts.
 
-    A recording of 20 frames/s or more is replayed through the pipeline. A slower one is scored frame by frame: each
+    A recording of 20 frames/s or more is replayed through the pipeline; a folder of hours in parts, on all cores, and
+    after Ctrl-C the same command goes on from the parts that have ended. A slower one is scored frame by frame: each
     touched frame is compared with the untouched frames beside it. The field atlas beside the model is used if there is
     one. docs/plate-maker.md explains each score.
     """
-    truth = read(recording)
-    if truth.contacts_mm is None:
-        raise RecordingValues("no true contacts to compare with", str(recording), "use a recording with contacts_mm")
-    if truth.meta.frame_rate_hz >= STREAM_HZ:
+    if Reader(recording).meta.frame_rate_hz >= STREAM_HZ:
         if plot is not None:
             raise click.UsageError("--plot needs a recording below 20 frames/s; touchd draw plots a stream")
-        found = _score_replay(recording, truth, load(None, {"model": {"path": model}}))
+        found = _score_replay(recording, load(None, {"model": {"path": model}}), jobs)
     else:
+        truth = read(recording)
+        if truth.contacts_mm is None:
+            raise RecordingValues(
+                "no true contacts to compare with", str(recording), "use a recording with contacts_mm"
+            )
         loaded = Model(model)
         loaded.check(truth.acquisition)
         found = _score_frames(truth, loaded, plot)
     click.echo(json.dumps(found) if as_json else _table(found))
 
 
-def _score_replay(path: Path, truth: Recording, settings: Settings) -> dict[str, Any]:
-    result = score_stream(truth, replay(path, settings).touches)
+def _score_replay(path: Path, settings: Settings, jobs: int | None) -> dict[str, Any]:
+    with Bars() as bars:
+        result = score(path, settings, workers=jobs, progress=partial(bars.update, "frames"))
     names = ("touches", "found", "missed", "ghosts", "split", "switches", "down_latency_ms", "jitter_mm")
     return _positions(result.error_mm) | {name: getattr(result, name) for name in names} | {
         "moving_rmse_mm": _positions(result.error_mm[result.moving])["rmse_mm"],

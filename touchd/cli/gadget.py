@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import signal
 import sys
 import threading
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING
 
 import click
 
+from touchd.cli.interrupt import stopping
 from touchd.errors import GadgetError
 
 if TYPE_CHECKING:
@@ -113,28 +112,22 @@ def samples_of(source: Source) -> Iterator[bytes]:
 
 def _serve(gadget: Gadget, endpoints: FunctionFs, device: ConfigFs | None, udc: str, commands: bool) -> None:
     """Serve until a signal, the end of the commands, or a failure of the endpoints."""
-    stop = threading.Event()
+    with stopping() as stop:
 
-    def handle(_number: int, _frame: FrameType | None) -> None:
-        stop.set()
+        def obey() -> None:
+            for line in sys.stdin:
+                name = line.strip().removeprefix("!")
+                try:
+                    if name == "plug" and device is not None:
+                        device.plug(udc)
+                    elif name == "unplug" and device is not None:
+                        device.unplug()
+                    elif name:
+                        gadget.command(name)
+                except (ValueError, GadgetError) as error:
+                    click.echo(f"touchd: {error}", err=True)
+            stop.set()
 
-    def obey() -> None:
-        for line in sys.stdin:
-            name = line.strip().removeprefix("!")
-            try:
-                if name == "plug" and device is not None:
-                    device.plug(udc)
-                elif name == "unplug" and device is not None:
-                    device.unplug()
-                elif name:
-                    gadget.command(name)
-            except (ValueError, GadgetError) as error:
-                click.echo(f"touchd: {error}", err=True)
-        stop.set()
-
-    with ExitStack() as stack:
-        for number in (signal.SIGINT, signal.SIGTERM):
-            stack.callback(signal.signal, number, signal.signal(number, handle))
         if commands:
             threading.Thread(target=obey, daemon=True, name="gadget-commands").start()
         while not stop.wait(_LOOK_S):

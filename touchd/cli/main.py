@@ -73,8 +73,8 @@ class Verbs(click.Group):
 @click.option("--config", "config", type=click.Path(path_type=Path), help="Configuration file (TOML).")
 @source_options
 @click.option("--bind", multiple=True, metavar="ADDRESS", help="Publish at tcp:// or ipc:// ADDRESS; repeatable.")
-@click.option("--model", type=click.Path(path_type=Path), help="Model (ONNX).  [default: shipped]")
-@click.option("--print", "echo", is_flag=True, help="Also print each event as a line of JSON.")
+@click.option("--model", type=click.Path(path_type=Path), help="Model (ONNX).  [default: the installed one]")
+@click.option("--print", "echo", is_flag=True, help="Print each event as a line of JSON, too.")
 @click.option("--await-subscriber", default=0.0, metavar="SECONDS", help="Wait up to SECONDS for a subscriber first.")
 @click.option("--debug", is_flag=True, help="Print tracebacks, and log at level debug.")
 @click.version_option(__version__, prog_name="touchd")

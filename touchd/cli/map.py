@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-import re
-import tomllib
-from collections.abc import Iterator
+import json
+import math
 from pathlib import Path
 
 import click
 
-from touchd.bridges.fit import CROSSES, LEAST_TOUCHES, Mapping, Touched, fit
+from touchd.bridges.crosses import Crosses, keys_of
+from touchd.bridges.fit import CROSSES, LEAST_TOUCHES, Touched, fit
 from touchd.cli.bridge import bus_option
 from touchd.client import Subscriber
 from touchd.config.apart import load_apart
-from touchd.errors import BusTimeout, OutputError
-from touchd.event import TouchEvent
-from touchd.files import replacing, writing
+from touchd.config.edit import set_keys
+from touchd.errors import BridgeError
+from touchd.files import writing
 
-_PATIENCE_S = 120.0
+_PATIENCE_S, _MOST_BYTES = 120.0, 4096
 _PAGE = """\
 <!doctype html>
 <html lang="en"><meta charset="utf-8"><title>touchd map</title>
@@ -41,11 +41,18 @@ p {{ position: fixed; left: 20%; top: 25%; width: 60%; text-align: center }}
               metavar="N", help="How many crosses to touch.")  # fmt: skip
 @click.option("--page", type=click.Path(dir_okay=False, path_type=Path), metavar="FILE",
               help="Write a page with the crosses, for a browser on that screen, and end.")  # fmt: skip
+@click.option("--from", "given", type=click.Path(path_type=Path), metavar="FILE",
+              help="Take no touches: fit those that touchd wizard has left in FILE.")  # fmt: skip
 @click.option("--dry-run", is_flag=True, help="Print the mapping, and write nothing.")
 @bus_option
 @click.pass_obj
 def command(
-    settings: dict[str, Path | None] | None, touches: int, page: Path | None, dry_run: bool, address: str | None
+    settings: dict[str, Path | None] | None,
+    touches: int,
+    page: Path | None,
+    given: Path | None,
+    dry_run: bool,
+    address: str | None,
 ) -> None:
     """Take touches at crosses on the screen, fit where it lies on the plate, and write that to the configuration.
 
@@ -59,23 +66,12 @@ def command(
         return
     config = (settings or {}).get("config")
     load_apart(config)  # what cannot be read is not written over
-    taken = []
-    with Subscriber(address, timeout_s=_PATIENCE_S) as events:
-        taps = _taps(events)
-        for number, (across, along) in enumerate(CROSSES[:touches], 1):
-            click.echo(f"touch cross {number}: {across:.0%} of the screen's width from the left, {along:.0%} of its "
-                       "height from the top")  # fmt: skip
-            x_mm, y_mm = next(taps)
-            click.echo(f"  at {x_mm:.1f}, {y_mm:.1f} mm of the plate")
-            taken.append(Touched(across, along, x_mm, y_mm))
-    mapping = fit(taken)
-    lines = _lines(mapping)
-    click.echo("[input]\n" + "\n".join(f"{key} = {value}" for key, value in lines.items()))
+    mapping = fit(_read(given) if given else _take(address, touches))
+    keys = keys_of(mapping)
+    click.echo("[input]\n" + "\n".join(f"{key} = {value}" for key, value in keys.items()))
     if not dry_run:
         path = config or _default_config()
-        text = with_lines(path.read_text() if path.exists() else "", lines, str(path))
-        with replacing(path, mode=path.stat().st_mode & 0o777 if path.exists() else 0o644) as file:
-            file.write(text.encode())
+        set_keys(path, "input", keys)
         click.echo(f"written to {path}; now: systemctl restart touchd-input touchd-tuio")
 
 
@@ -85,54 +81,30 @@ def _default_config() -> Path:
     return DEFAULT_PATH
 
 
-def _taps(events: Subscriber[TouchEvent]) -> Iterator[tuple[float, float]]:
-    """Yield where each single finger was, on the mean, from its down to its up."""
-    places: dict[int, list[tuple[float, float]]] = {}
-    for event in events:
-        for contact in event.contacts:
-            if contact.phase == "down":
-                places[contact.id] = []
-            if contact.id in places and contact.phase != "up":
-                places[contact.id].append((contact.x_mm, contact.y_mm))
-            elif contact.id in places:
-                way = places.pop(contact.id)
-                yield sum(x for x, _ in way) / len(way), sum(y for _, y in way) / len(way)
-    raise BusTimeout("the daemon published nothing more", "bus", "check that it runs")
+def _take(address: str | None, touches: int) -> list[Touched]:
+    """Have the crosses touched."""
+    crosses = Crosses(touches)
+    with Subscriber(address, timeout_s=_PATIENCE_S) as events:
+        while crosses.due:
+            across, along = crosses.due
+            click.echo(f"touch cross {len(crosses.taken) + 1}: {across:.0%} of the screen's width from the left, "
+                       f"{along:.0%} of its height from the top")  # fmt: skip
+            while not crosses.feed(next(events)):
+                pass
+            click.echo(f"  at {crosses.taken[-1].x_mm:.1f}, {crosses.taken[-1].y_mm:.1f} mm of the plate")
+    return crosses.taken
 
 
-def _lines(mapping: Mapping) -> dict[str, str]:
-    screen = ", ".join(f"{value:g}" for value in mapping.screen_mm)
-    return {"screen_mm": f"[{screen}]", "rotate": str(mapping.rotate), "residual_mm": f"{mapping.residual_mm:g}"}
-
-
-def with_lines(text: str, lines: dict[str, str], where: str = "") -> str:
-    """Return a configuration file with keys of `[input]` set; comments and all else stay.
-
-    Raises
-    ------
-    OutputError
-        The file has a key in a form that this does not understand, such as a list over several lines.
-    """
-    parts = re.split(r"(?m)^(?=\[)", text)
-    at = next((n for n, part in enumerate(parts) if part.startswith("[input]")), None)
-    if at is None:
-        at = len(parts) + 1
-        parts += ["\n" if text else "", "[input]\n"]
-    head, _, body = parts[at].partition("\n")
-    for key, value in lines.items():
-        body, done = re.subn(rf"(?m)^{key}\s*=.*$", f"{key} = {value}", body)
-        if not done:
-            body = f"{key} = {value}\n{body}"
-    parts[at] = f"{head}\n{body}"
-    changed = "".join(parts)
-    wanted = tomllib.loads("\n".join(f"{key} = {value}" for key, value in lines.items()))
+def _read(path: Path) -> list[Touched]:
+    """Return the touches in a file, a list of [across, along, x_mm, y_mm]; whoever wrote it may be anybody."""
     try:
-        understood = wanted.items() <= tomllib.loads(changed)["input"].items()
-    except tomllib.TOMLDecodeError:
-        understood = False
-    if not understood:
-        raise OutputError("has the keys of [input] in an unusual form", where, "write the lines above by hand")
-    return changed
+        with path.open("rb") as file:
+            found = [Touched(*map(float, one)) for one in json.loads(file.read(_MOST_BYTES))]
+    except (OSError, ValueError, TypeError, RecursionError):
+        found = []
+    if not found or not all(math.isfinite(value) for one in found for value in one):
+        raise BridgeError("holds no touches", str(path), "touch the crosses in the page of touchd web again")
+    return found
 
 
 def page_of(crosses: tuple[tuple[float, float], ...]) -> str:

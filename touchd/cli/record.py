@@ -80,7 +80,7 @@ def command(
     source = open_running(choice, settings) or open_source(choice, settings)
     with ExitStack() as stack:
         stack.callback(source.close)
-        meta = _meta(source, plate, settings.device.rate_hz, choice.kind, notes)
+        meta = _meta(source, plate, getattr(source, "rate_hz", settings.device.rate_hz), choice.kind, notes)
         if label:
             from touchd.cli.label import walk_through
 

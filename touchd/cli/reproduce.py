@@ -41,9 +41,7 @@ def command(
 
     It takes about an hour on two cores. A repeated command resumes a stopped run.
     """
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
+    from touchd.cli.progress import Bars
     from touchd.files import replacing, writing
     from touchd.keypad import PHONE, load_layout
     from touchd.lab.reproduction.figures import draw
@@ -64,15 +62,10 @@ def command(
         scale = Scale(touches, max(200, round(part * scale.other_touches)), max(200, round(part * scale.held_out)),
                       epochs=epochs)  # fmt: skip
     keys = load_layout(layout or PHONE)
-    bar = Progress(
-        BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.description}"),
-        console=Console(stderr=True),
-    )  # fmt: skip
-    with bar:
-        task = bar.add_task("")
+    with Bars() as bars:
 
         def progress(what: str, done: int, steps: int) -> None:
-            bar.update(task, description=what, completed=done, total=steps)
+            bars.update("reproduce", done, steps, what)
 
         results = reproduce(
             given, keys, seed=seed, scale=scale, models=models, progress=progress,

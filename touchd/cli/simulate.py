@@ -16,10 +16,11 @@ from touchd.frame import ACQUISITIONS, Acquisition, Plate, parse_acquisition, pa
 from touchd.keypad import load_layout
 from touchd.recording import format as recording
 from touchd.service.log import configure
+from touchd.twin.cache import parts_kept
 from touchd.twin.physics.finger import TISSUES
 from touchd.twin.physics.material import MATERIALS
 from touchd.twin.rig import IDEAL, load_rig
-from touchd.twin.robot_session import Session, parts_kept, simulate_session
+from touchd.twin.robot_session import Session, simulate_session
 from touchd.twin.scenes.catalogue import SCENES
 from touchd.twin.scenes.robot import COUNT, MOST_FINGERS, TouchSet
 from touchd.twin.simulate import simulate_stage, stage_scene
@@ -173,7 +174,7 @@ def command(
         if scene == TOUCHES:
             described_rig = held.model_copy(update={"electronics": electronics})
             session = Session(touches, seed, described, loss, tail_period_s, described_rig, acquisition)
-            kept = stack.enter_context(parts_kept(session))
+            kept = stack.enter_context(parts_kept("touches", session))
             simulate = partial(simulate_session, session, workers=jobs, dask=dask, kept=kept)
         else:
             instrument = held.instrument(described, loss=loss, tail_period_s=tail_period_s, acquisition=acquisition)

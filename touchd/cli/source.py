@@ -25,14 +25,14 @@ def parse_speed(_ctx: click.Context, _param: click.Parameter, value: str) -> flo
 
 
 OPTIONS = (
-    click.option("--replay", type=click.Path(path_type=Path), help="Read frames from a recording: a file or a folder."),
-    click.option("--simulate", metavar="SCENE", help="Read frames from a scene of the digital twin, live."),
-    click.option("--ni", is_flag=True, help="Read frames from NI hardware: see [ni] in the configuration."),
-    click.option("--audio", metavar="DEVICE", help="Read frames from an audio interface: an ALSA name, see [audio]."),
+    click.option("--replay", type=click.Path(path_type=Path), help="Replay a recording: a file or a folder."),
+    click.option("--simulate", metavar="SCENE", help="Simulate a scene of the digital twin, live."),
+    click.option("--ni", is_flag=True, help="Read NI hardware: see [ni] in the configuration."),
+    click.option("--audio", metavar="DEVICE", help="Read an audio interface: an ALSA name, see [audio]."),
     click.option(
         "--speed", default="1", callback=parse_speed, metavar="N|max", help="Speed of a replay.  [default: 1]"
     ),
-    click.option("--loop", is_flag=True, help="Start again at the end of a recording or scene."),
+    click.option("--loop", is_flag=True, help="Repeat a recording or scene."),
     click.option("--seed", default=0, help="Seed of a simulated scene.", show_default=True),
 )
 

@@ -21,10 +21,11 @@ from touchd.errors import ConfigError, InsecureBind
 @bus_option
 @click.pass_obj
 def command(settings: dict[str, Path | None] | None, to: str | None, address: str | None) -> None:
-    """Send the touches that a running daemon publishes as TUIO 1.1 over UDP: /tuio/2Dcur, and /tuio/2Dblb with sizes.
+    """Send the touches that a running daemon publishes as TUIO 1.1 over UDP.
 
-    Coordinates are shares of the screen that `[input]` in the configuration describes: see `touchd map`. An address
-    beyond loopback takes `tuio.insecure = true`, since TUIO has no encryption.
+    /tuio/2Dcur, and /tuio/2Dblb for contacts with sizes. Coordinates are shares of the screen that `[input]` in the
+    configuration describes: see `touchd map`. An address beyond loopback takes `tuio.insecure = true`: TUIO has no
+    encryption.
     """
     overrides = {"tuio": {"to": to}} if to else {}
     found = load_apart((settings or {}).get("config"), overrides)

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import click
 
+from touchd.cli.bridge import bus_option
+
 
 @click.command(name="wizard", short_help="Calibrate step by step, as touchd web asks.")
 @click.option("--socket", "socket_path", type=click.Path(path_type=Path), metavar="FILE",
@@ -16,27 +18,40 @@ import click
               help="Where the state is kept.  [default: the service's state, or yours]")  # fmt: skip
 @click.option("--seconds", type=click.FloatRange(0.5), default=10.0, show_default=True, metavar="S",
               help="How long the plate stays untouched.")  # fmt: skip
+@bus_option
 @click.option("--config", "config", type=click.Path(path_type=Path), help="Configuration file (TOML).")
 @click.pass_context
 def command(
-    ctx: click.Context, socket_path: Path | None, folder: Path | None, seconds: float, config: Path | None
+    ctx: click.Context,
+    socket_path: Path | None,
+    folder: Path | None,
+    seconds: float,
+    address: str | None,
+    config: Path | None,
 ) -> None:
     """Run the calibrations that the page of `touchd web` asks for, one at a time, until SIGTERM.
 
-    Frames and changes of the model go through the daemon's control socket. What runs goes on after a restart.
+    Frames and changes of the model go through the daemon's control socket, the mapping goes to the configuration. What
+    runs goes on after a restart.
     """
-    from touchd.calibration.wizard.link import default_folder, default_socket
+    from touchd.calibration.wizard.crosses import shown
+    from touchd.calibration.wizard.link import HANDED, default_folder, default_socket
     from touchd.calibration.wizard.state import State
     from touchd.calibration.wizard.worker import Worker, serve
-    from touchd.config.load import load
+    from touchd.config.load import DEFAULT_PATH, load
     from touchd.service.control import SERVICE_PATH, path_of
     from touchd.service.models import installed_path
     from touchd.service.systemd import Notifier
 
-    settings = load(config or (ctx.obj or {}).get("config"))
+    config = config or (ctx.obj or {}).get("config")
+    settings = load(config)
     path = socket_path or default_socket()
     state = State(folder or default_folder())
     control = path_of(settings.control) if settings.control.socket else SERVICE_PATH
-    worker = Worker(state, control or SERVICE_PATH, settings.model.path or installed_path(), seconds)
+    state.set(mapping=shown(settings.input))
+    worker = Worker(
+        state, control or SERVICE_PATH, settings.model.path or installed_path(), seconds, config or DEFAULT_PATH,
+        path.with_name(HANDED), address,
+    )  # fmt: skip
     with closing(Notifier.from_environment()) as manager:
         asyncio.run(serve(worker, state, path, manager, lambda: click.echo(f"touchd: {path}: ready")))

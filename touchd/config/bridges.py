@@ -10,42 +10,31 @@ from touchd.config.kinds import Section
 
 
 class InputSettings(Section):
-    """The screen below the plate, for `touchd input` and `touchd tuio`. Both read it when they start."""
+    """The screen below the plate. `touchd input` and `touchd tuio` read it when they start."""
 
     screen_mm: tuple[float, ...] = Field(
-        (), description="Where the visible screen lies on the plate: [x, y, width, height], mm; `touchd map` measures "
-        "it. Without it neither starts.",
-    )  # fmt: skip
+        (), description="Where it lies on the plate: [x, y, width, height], mm; `touchd map` measures it. Needed."
+    )
     rotate: int = Field(
-        0, ge=0, le=270, multiple_of=90, description="How far the picture is turned clockwise on the plate, degrees: "
-        "0, 90, 180 or 270.",
-    )  # fmt: skip
+        0, ge=0, le=270, multiple_of=90, description="Degrees by which the picture is turned clockwise, by 90."
+    )
     residual_mm: float = Field(
-        0.0, ge=0, le=1000, description="RMS distance of the touches from the mapping that `touchd map` fitted to "
-        "them, mm, for `touchd doctor`; 0 for a mapping written by hand.",
-    )  # fmt: skip
+        0.0, ge=0, le=1000, description="RMS error of the mapping by `touchd map`, mm; 0: written by hand."
+    )
     border: Literal["clamp", "lift"] = Field(
-        "clamp", description="What a finger that leaves the screen does: stay at its border, or lift. One that comes "
-        "down outside is always dropped.",
-    )  # fmt: skip
+        "clamp", description="A finger that leaves the screen stays at its border, or lifts."
+    )
     edge_mm: float = Field(
-        0.0, ge=0, le=100, description="Fingers that come down nearer to the border of the screen than this are "
-        "dropped, mm.",
-    )  # fmt: skip
-    min_contact_s: float = Field(
-        0.0, ge=0, le=5, description="Time that a finger has to stay before it counts, to within 0.1 s, s; delays all "
-        "touches.",
-    )  # fmt: skip
+        0.0, ge=0, le=100, description="Fingers that come down nearer to the screen's border, mm, are dropped."
+    )
+    min_contact_s: float = Field(0.0, ge=0, le=5, description="Time before a finger counts, s, to within 0.1 s.")
     ignore: tuple[Literal["palm", "water", "object"], ...] = Field(
-        ("palm", "water", "object"), description="Kinds of contacts that are no touches."
+        ("palm", "water", "object"), description="Kinds of contacts to drop."
     )
     hold_off: bool = Field(
-        False, description="Show no touches while all screens are switched off or their backlights are; a finger that "
-        "comes down then never counts, so it wakes nothing.",
-    )  # fmt: skip
-    keypad: bool = Field(
-        False, description="Make a keypad that types the keys of `keypad.layout`, instead of a touch screen."
+        False, description="No touches while all screens or backlights are off; a finger then wakes nothing."
     )
+    keypad: bool = Field(False, description="Type the keys of `keypad.layout` instead of being a touch screen.")
 
     @field_validator("screen_mm")
     @classmethod
@@ -59,7 +48,5 @@ class InputSettings(Section):
 class TuioSettings(Section):
     """Where `touchd tuio` sends touches."""
 
-    to: str = Field("127.0.0.1:3333", description="HOST:PORT of the program that takes TUIO over UDP.", min_length=1)
-    insecure: bool = Field(
-        False, description="Allow an address beyond loopback: anybody on the way can read what is touched."
-    )
+    to: str = Field("127.0.0.1:3333", description="HOST:PORT, UDP.", min_length=1)
+    insecure: bool = Field(False, description="Allow an address beyond loopback, unencrypted.")

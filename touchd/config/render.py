@@ -109,10 +109,10 @@ _PAGE_HEAD = """\
 
 <!-- Generated from touchd/config/schema.py: do not edit. -->
 
-To look a setting up. `touchd config` prints what is in effect, `touchd config --default` a file to start from. touchd
-reads `--config` or `/etc/touchd/touchd.toml`; environment variables such as `TOUCHD_DEVICE__RATE_HZ=500` win over the
-file, the command line over both. In a variable, commas part a list. An empty text unsets a path. An unknown key is an
-error; one of an earlier version is ignored, with a warning. In brackets: the default, and what is allowed.
+Settings, with their defaults in brackets. `touchd config` prints those in effect, with ranges;
+`touchd config --default` a file to start from. touchd reads `--config` or `/etc/touchd/touchd.toml`; variables such as
+`TOUCHD_DEVICE__RATE_HZ=500` win over the file, options over both. In a variable, commas part a list. An empty text
+unsets a path. An unknown key is an error; one of an earlier version is ignored, with a warning.
 """
 
 
@@ -136,17 +136,9 @@ def markdown() -> str:
     for table, keys in _tables():
         text += f"\n## `[{table}]`\n\n{_summary(table)}\n\n"
         for key, field in keys:
-            default = ", ".join(filter(None, (f"`{toml_value(field.default, key)}`", _limits(field))))
-            text += f"- `{key}` ({default}): {field.description}\n"
+            choices = f", {words}" if (words := expected(field)).startswith("one of") else ""
+            text += f"- `{key}` (`{toml_value(field.default, key)}`{choices}): {field.description}\n"
     return text
-
-
-def _limits(field: FieldInfo) -> str:
-    """Return what a key takes without the kinds that its default shows."""
-    words = expected(field)
-    for kind in ("a whole number", "a number", "a text", "a path or empty", "true or false"):
-        words = words.removeprefix(kind)
-    return words.removeprefix(", ")
 
 
 def _tables() -> Iterator[tuple[str, Iterable[tuple[str, FieldInfo]]]]:

@@ -8,14 +8,14 @@ from touchd.config.kinds import Section
 
 
 class NiSettings(Section):
-    """A rig of NI hardware, which --ni takes instead of a DAQ on USB. Not tried on hardware."""
+    """NI hardware (`--ni`). Not tried on hardware."""
 
     inputs: str = Field("cDAQ1Mod1/ai0:3", description="Analog inputs, one for each receiver.", min_length=1)
     output: str = Field("cDAQ1Mod2/ao0", description="Analog output that plays the chirp.", min_length=1)
     trigger: str = Field(
-        "", description="Terminal that starts the inputs; empty is the start trigger of the output's chassis."
+        "", description="Terminal that starts the inputs; empty: the start trigger of the output's chassis."
     )
-    amplitude_v: float = Field(5.0, gt=0, le=10, description="Amplitude of the chirp, V.")
+    amplitude_v: float = Field(5.0, gt=0, le=10, description="Of the chirp, V.")
     output_limit_v: float = Field(
         10.0, gt=0, le=100, description="Highest voltage of the output, V, not below `amplitude_v`."
     )
@@ -30,22 +30,17 @@ class NiSettings(Section):
 
 
 class AudioSettings(Section):
-    """An audio interface, which --audio takes instead of a DAQ on USB; all its outputs play the chirp."""
+    """An audio interface (`--audio`); all its outputs play the chirp."""
 
-    device: str = Field(
-        "", description="ALSA name, as `arecord -L` lists it, such as hw:CARD=U192k; `--audio DEVICE` names another."
-    )
-    sample_rate_hz: int = Field(
-        192_000, ge=8000, le=768_000, description="Sample rate, Hz, a multiple of `device.rate_hz`."
-    )
+    device: str = Field("", description="ALSA name of `arecord -L`, such as hw:CARD=U192k.")
+    sample_rate_hz: int = Field(192_000, ge=8000, le=768_000, description="A multiple of `device.rate_hz`.")
     channels: tuple[int, ...] = Field(
         (1, 2, 3, 4), description="The input of each disc, counted from 1, in the model's order."
     )
     loopback: int = Field(
-        0, ge=0, le=256, description="Input that a cable joins to an output, counted from 1; it tells the delay from "
-        "playback to capture. 0: no cable; the model's untouched response tells it.",
+        0, ge=0, le=256, description="Input that a cable joins to an output, for the delay; 0: none.",
     )  # fmt: skip
-    level_dbfs: float = Field(-6.0, ge=-80, le=0, description="Level of the chirp, dB relative to full scale.")
+    level_dbfs: float = Field(-6.0, ge=-80, le=0, description="Level of the chirp, dB of full scale.")
     band_hz: tuple[float, float] = Field((20_000.0, 85_000.0), description="Start and end of the chirp, Hz.")
     chirp_s: float = Field(0.004, ge=1e-4, le=0.1, description="Length of the chirp and of a frame, s.")
 

@@ -15,90 +15,85 @@ from touchd.config.rigs import AudioSettings, NiSettings
 
 
 class DeviceSettings(Section):
-    """The DAQ, and the name under which its events are published."""
+    """The DAQ."""
 
-    name: str = Field("touchd", description="`device` in every message; tells several plates apart.", min_length=1)
+    name: str = Field("touchd", description="`device` in every message: tells plates apart.", min_length=1)
     vendor_id: int = Field(0x1209, ge=0, le=0xFFFF, description="USB vendor id.")
     product_id: int = Field(0x0001, ge=0, le=0xFFFF, description="USB product id.")
-    serial: str = Field("", description="USB serial number; empty takes the first device found.")
-    rate_hz: int = Field(125, ge=1, le=65535, description="Frame rate asked of the device, Hz.")
-    idle_rate_hz: int = Field(
-        50, ge=1, le=65535, description="The same once the plate has been untouched for 2 s, Hz, if the device can "
-        "change it; not above `rate_hz`. With the screen off it is 10.",
+    serial: str = Field("", description="USB serial number; empty: any.")
+    rate_hz: int = Field(
+        125, ge=1, le=65535, description="Frames a second; unset, an audio interface takes the nearest that whole "
+        "chirps fill.",
     )  # fmt: skip
+    idle_rate_hz: int = Field(
+        50,
+        ge=1,
+        le=65535,
+        description="The same of an untouched plate, if the device can change it; not above `rate_hz`.",
+    )
     stall_s: float = Field(
         1.0,
         ge=0.05,
         le=10,
-        description="After this time without a frame, contacts are lifted and the stream restarts, s.",
+        description="After this time without a frame, s, contacts lift and the stream restarts.",
     )
     queue_frames: int = Field(
-        64, ge=2, le=10000, description="Most frames that wait while the computer is busy; then the oldest are dropped."
+        64, ge=2, le=10000, description="Most frames that wait for a busy computer; then the oldest are dropped."
     )
 
 
 class ModelSettings(Section):
     """The network that places touches."""
 
-    path: OptionalPath = Field(None, description="ONNX file with touchd's description; unset uses the shipped model.")
-    atlas: bool = Field(True, description="Place fingers by the field atlas beside the model: several, and finer.")
-    min_confidence: float = Field(
-        0.5, ge=0, le=1, description="Least confidence of the network that a frame shows a finger."
+    path: OptionalPath = Field(
+        None, description="ONNX file; unset: the installed model, else, of a recording or a scene, the shipped one."
     )
-    keep_confidence: float = Field(
-        0.2, ge=0, le=1, description="The same while a contact is down: the hysteresis keeps it from splitting."
-    )
+    atlas: bool = Field(True, description="Use the field atlas beside the model.")
+    min_confidence: float = Field(0.5, ge=0, le=1, description="Least confidence of the network in a finger.")
+    keep_confidence: float = Field(0.2, ge=0, le=1, description="The same while a contact is down.")
     min_snr_db: float = Field(
-        3.0, ge=0, le=100, description="Least ratio of signal to noise of a touch that the network alone locates, dB."
+        3.0, ge=0, le=100, description="Least signal-to-noise ratio of a touch that the network alone places, dB."
     )
-    max_sigma_mm: float = Field(
-        5.0, ge=0.001, le=1e9, description="Largest predicted standard error of a reported position, mm."
-    )
+    max_sigma_mm: float = Field(5.0, ge=0.001, le=1e9, description="Largest standard error of a reported position, mm.")
 
 
 class BaselineSettings(Section):
     """The untouched plate, followed as it drifts."""
 
-    learn_frames: int = Field(
-        32, ge=2, le=1000, description="Frames averaged into the first baseline; until then touchd detects nothing."
-    )
-    time_constant_s: float = Field(
-        0.5, ge=0.01, le=3600, description="Time constant with which the baseline follows the untouched plate, s."
-    )
-    absorb_s: float = Field(
-        30.0, ge=0.1, le=86400, description="A change that lasts this long becomes part of the baseline, s."
-    )
+    learn_frames: int = Field(32, ge=2, le=1000, description="Frames averaged into the first baseline.")
+    time_constant_s: float = Field(0.5, ge=0.01, le=3600, description="Time constant with which it follows, s.")
+    absorb_s: float = Field(30.0, ge=0.1, le=86400, description="A change that lasts this long, s, becomes part of it.")
 
 
 class GateSettings(Section):
     """Detection: whether the plate is touched."""
 
     false_alarm_rate: float = Field(
-        1e-7, ge=LEAST_RATE, lt=0.1, description="Probability per frame that noise alone opens the gate, at 125 "
-        "frames/s; at other rates it is as rare per time.",
+        1e-7, ge=LEAST_RATE, lt=0.1, description="Probability per frame that noise opens the gate, at 125 frames/s; as "
+        "rare per time at any rate.",
     )  # fmt: skip
     noise_frames: int = Field(
-        1000, ge=10, le=1_000_000, description="Untouched frames over which the noise is averaged, at 125 "
-        "frames/s; at other rates it is the same time.",
+        1000, ge=10, le=1_000_000, description="Untouched frames over which noise is averaged, at 125 "
+        "frames/s; the same time at any rate.",
     )  # fmt: skip
 
 
 class SkipSettings(Section):
-    """Work that the scene does not need, which each key skips; false measures what it saves."""
+    """Work to skip; false measures what that saves."""
 
     gate: bool = Field(
         True,
-        description="No features and no network while the gate is closed.",
+        description="Features and network while the gate is closed.",
     )
     still: bool = Field(
         True,
-        description="Nor on a frame that differs from the last one examined by noise alone.",
+        description="The same of a frame that differs from the last one examined by noise alone.",
     )
     still_false_alarm_rate: float = Field(
-        0.01, ge=LEAST_RATE, lt=0.5, description="Probability per frame that noise alone examines a still finger again."
+        0.01, ge=LEAST_RATE, lt=0.5, description="Probability per frame that noise alone undoes that."
     )
-    unheard: bool = Field(True, description="No messages of a topic without subscribers.")
-    screen: bool = Field(True, description="No touches while the screen is off (`touchd screen off`).")
+    unheard: bool = Field(True, description="Messages without a subscriber.")
+    screen: bool = Field(True, description="Touches while the screen is off (`touchd screen off`).")
 
 
 class TrackerSettings(Section):
@@ -108,31 +103,28 @@ class TrackerSettings(Section):
         2,
         ge=1,
         le=100,
-        description="Consecutive frames before a contact is reported down: its delay. Up to 2, "
-        "one is enough for a lone finger with a confidence above 0.99 and a `sigma_mm` below 0.3.",
+        description="Frames in a row before a contact is `down`; up to 2, one of a sure lone finger.",
     )
-    reach_mm: float = Field(
-        25.0, ge=0.1, le=1000, description="Farthest a contact moves from one frame to the next, mm."
-    )
+    reach_mm: float = Field(25.0, ge=0.1, le=1000, description="Farthest that a contact moves between frames, mm.")
     dead_band_mm: float = Field(
         0.1, ge=0, le=1000, description="Movement within this, or within 1.5 `sigma_mm` if that is more, is `hold`, mm."
     )
     min_cutoff_hz: float = Field(
-        4.0, ge=0.001, le=1e6, description="One-Euro filter: cut-off for a still finger with a `sigma_mm` of 0.5, Hz; "
-        "a smaller `sigma_mm` raises it in proportion. From the next contact on.",
-    )  # fmt: skip
-    beta: float = Field(
-        0.6, ge=0, le=1000, description="One-Euro filter: how the cut-off rises with speed, Hz per mm/s."
+        4.0,
+        ge=0.001,
+        le=1e6,
+        description="One-Euro filter: cut-off of a still finger, Hz, in proportion to 0.5 / `sigma_mm`.",
     )
+    beta: float = Field(0.6, ge=0, le=1000, description="One-Euro filter: rise of the cut-off with speed, Hz per mm/s.")
     force_full_scale: float = Field(
-        0.1, ge=1e-6, le=10, description="Change of the signal, as a share of its size, that is reported as `force` 1."
+        0.1, ge=1e-6, le=10, description="Change of the signal, as a share of it, that is `force` 1."
     )
 
 
 class KeypadSettings(Section):
-    """Keypad mode."""
+    """Keys."""
 
-    layout: OptionalPath = Field(None, description="TOML file of keys, rectangles in mm; it turns keypad mode on.")
+    layout: OptionalPath = Field(None, description="TOML file of keys; it turns keypad mode on.")
 
 
 class BusSettings(Section):
@@ -140,24 +132,20 @@ class BusSettings(Section):
 
     bind: tuple[Endpoint, ...] = Field(
         (),
-        description="Addresses of the publisher. Unset is `bus` in the service's runtime folder, or "
-        "tcp://127.0.0.1:5570 without a service.",
+        description="Addresses of the publisher; unset: `bus` in the service's runtime folder, or tcp://127.0.0.1:5570.",
     )
     ipc_group: Group = Field(
-        "", description="Group that may use ipc:// sockets (mode 0660); empty keeps them private, "
-        "but for the service's own, which is for `touchd-bus`.",
+        "", description="Group that may use ipc:// sockets; empty: none, but `touchd-bus` the service's own.",
     )  # fmt: skip
     curve_secret_key: Annotated[OptionalPath, AfterValidator(refuse_key)] = Field(
-        None, description="Server key file made by `touchd keygen`; needed for any address beyond loopback."
+        None, description="Server key file made by `touchd keygen`; needed beyond loopback."
     )
     curve_clients: OptionalPath = Field(
         None,
-        description="Folder of the public keys that may subscribe; unset admits every client with the server's key.",
+        description="Folder of the public keys that may subscribe; unset: every client with the server's key.",
     )
     insecure: bool = Field(False, description="Allow an address beyond loopback without keys.")
-    high_water_mark: int = Field(
-        1000, ge=1, le=100_000, description="Most messages that wait for a slow subscriber; then it loses some."
-    )
+    high_water_mark: int = Field(1000, ge=1, le=100_000, description="Most messages that wait for a slow subscriber.")
     max_subscribers: int = Field(64, ge=1, le=10000, description="Most connections at once.")
 
 
@@ -166,45 +154,45 @@ class ControlSettings(Section):
 
     socket: OptionalPath = Field(
         None,
-        description="Socket file; unset is `control` in the service's runtime folder, or no socket without a service.",
+        description="Socket file; unset: `control` in the service's runtime folder, or none.",
     )
-    group: Group = Field("", description="Group that may use it (mode 0660); empty keeps it private.")
+    group: Group = Field("", description="Group that may use it.")
 
 
 class HealthSettings(Section):
     """The `health` topic."""
 
-    period_s: float = Field(1.0, ge=0.01, le=3600, description="Longest time between health messages, s.")
+    period_s: float = Field(
+        1.0, ge=0.01, le=3600, description="Longest time between health messages, s; without subscribers 10."
+    )
 
 
 class PreRollSettings(Section):
-    """The last seconds of frames, saved on SIGUSR1 to replay a ghost touch. They can reveal a PIN."""
+    """The last seconds of frames, saved on SIGUSR1. They can reveal a PIN."""
 
-    seconds: float = Field(10.0, ge=0, le=600, description="Time kept in memory, s; 0 keeps nothing.")
+    seconds: float = Field(10.0, ge=0, le=600, description="Time kept in memory, s.")
     folder: OptionalPath = Field(
-        None, description="Where they are saved; unset is the service's state directory, or ~/.local/state/touchd."
+        None,
+        description="Where they are saved; unset: in the service's state folder, or ~/.local/state.",
     )
     min_confidence: float = Field(
-        0.0, ge=0, le=1, description="A touch that goes down with a lower confidence saves them too; 0 never does."
+        0.0, ge=0, le=1, description="A touch that goes down with a lower confidence saves them, too."
     )
-    keep: int = Field(20, ge=1, le=10_000, description="Most files in the folder; older ones are deleted.")
+    keep: int = Field(20, ge=1, le=10_000, description="Most files kept.")
 
 
 class LogSettings(Section):
     """The log."""
 
-    level: Literal["debug", "info", "warning", "error"] = Field(
-        "info", description="Least severe level that is logged."
-    )
-    format: Literal["auto", "console", "json"] = Field("auto", description="auto: console on a terminal, else JSON.")
+    level: Literal["debug", "info", "warning", "error"] = Field("info", description="Lowest level that is logged.")
+    format: Literal["auto", "console", "json"] = Field("auto", description="auto: console on a terminal, else json.")
 
 
 class RealtimeSettings(Section):
-    """What makes latency steadier; for more see docs/integrator.md."""
+    """Latency: see docs/integrator.md."""
 
     awake_from_hz: float = Field(
-        500.0, ge=0, le=65535, description="Frame rate from which the processors are kept awake while a finger is on "
-        "the plate, Hz, if the system permits it; 0 never does.",
+        500.0, ge=0, le=65535, description="Frame rate from which a finger keeps the processors awake, Hz; 0: never.",
     )  # fmt: skip
 
 

@@ -51,7 +51,7 @@ def expected_rate_hz(source: Source, settings: DeviceSettings) -> float:
     if isinstance(source, DaemonSource):
         return source.description.rate_hz
     meta = getattr(source, "meta", None)
-    return meta.frame_rate_hz if isinstance(meta, Meta) else float(settings.rate_hz)
+    return meta.frame_rate_hz if isinstance(meta, Meta) else float(getattr(source, "rate_hz", settings.rate_hz))
 
 
 def take(source: Source, seconds: float) -> Sample:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from math import hypot
+from operator import attrgetter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -100,10 +101,32 @@ class Matches:
         )  # fmt: skip
 
 
+def join_matches(parts: Sequence[Matches]) -> Matches:
+    """Return the matches of frames that follow each other."""
+    before = np.cumsum([0, *(len(part.fingers) for part in parts)])
+
+    def every(name: str) -> NDArray[Any]:
+        return np.concatenate([attrgetter(name)(part) for part in parts])
+
+    return Matches(
+        every("fingers"), every("contacts"), every("told_apart"),
+        np.concatenate([part.frame + shift for part, shift in zip(parts, before, strict=False)]),
+        Judgement(
+            every("judged.true_mm"), every("judged.position_mm"), every("judged.sigma_mm"), every("judged.confidence")
+        ),
+        every("force"), every("force_n"), every("faces"),
+    )  # fmt: skip
+
+
 def match_frames(frames: Iterable[Seen], reach_mm: float = REACH_MM) -> Matches:
     """Match contacts with fingers in each frame; see `match`."""
     fingers, contacts, told_apart, where, rows = [], [], [], [], []
     for number, seen in enumerate(frames):
+        if not seen.true_mm and not seen.found:  # most frames of a day
+            fingers.append(0)
+            contacts.append(0)
+            told_apart.append(True)
+            continue
         places = [(touch.x_mm, touch.y_mm) for touch in seen.found]
         pairs = match(seen.true_mm, places, reach_mm)
         fingers.append(len(seen.true_mm))

@@ -6,12 +6,13 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.evaluation.matching import Matches, Position, Seen, match, match_frames
-from touchd.evaluation.truth import TrueTouch, fingers_only, true_touches
+from touchd.evaluation.matching import Matches, Position, Seen, join_matches, match, match_frames
+from touchd.evaluation.truth import TrueTouch, fingers_only, rough_frames, true_touches
 from touchd.event import Contact, TouchEvent
 from touchd.recording.data import Recording
 
@@ -40,7 +41,6 @@ class StreamScores:
     touches: int
     found: int
     """Touches with at least one contact."""
-    missed: int
     ghosts: int
     """Contacts without a touch."""
     split: int
@@ -53,12 +53,43 @@ class StreamScores:
     """Estimated less true position for each contact of each message, shape (n, 2)."""
     moving: NDArray[np.bool_]
     """Whether the finger moves, for each error, shape (n,)."""
-    jitter_mm: float | None
-    """RMS distance of a still finger's positions from their mean, over all touches."""
-    down_latency_ms: float | None
-    """Median time from a touch's first frame to its first message."""
+    wander_mm2: NDArray[np.float64]
+    """Square distances of still fingers' positions from their mean, shape (m,)."""
+    latency_ms: NDArray[np.float64]
+    """From a touch's first frame to its first message, shape (found,)."""
     settled: Matches
     """Contacts and fingers of the settled frames; see `settled_frames`."""
+
+    @property
+    def missed(self) -> int:
+        """Touches without a contact."""
+        return self.touches - self.found
+
+    @property
+    def jitter_mm(self) -> float | None:
+        """RMS distance of a still finger's positions from their mean, over all touches."""
+        return float(np.sqrt(self.wander_mm2.mean())) if len(self.wander_mm2) else None
+
+    @property
+    def down_latency_ms(self) -> float | None:
+        """Median time from a touch's first frame to its first message."""
+        return float(np.median(self.latency_ms)) if len(self.latency_ms) else None
+
+
+def joined(parts: Sequence[StreamScores]) -> StreamScores:
+    """Return the scores of recordings that follow each other as those of one."""
+
+    def total(name: str) -> int:
+        return sum(getattr(part, name) for part in parts)
+
+    def every(name: str) -> NDArray[Any]:
+        return np.concatenate([getattr(part, name) for part in parts])
+
+    return StreamScores(
+        total("touches"), total("found"), total("ghosts"), total("split"), total("switches"),
+        all(part.clean for part in parts), every("error_mm"), every("moving"), every("wander_mm2"),
+        every("latency_ms"), join_matches([part.settled for part in parts]),
+    )  # fmt: skip
 
 
 def found_contacts(events: Iterable[TouchEvent]) -> list[FoundContact]:
@@ -80,7 +111,7 @@ def score_stream(recording: Recording, events: Sequence[TouchEvent]) -> StreamSc
 
     Each message assigns contacts to fingers, see `match`. A contact belongs to the touch that it matches in most
     messages, among touches that began before it. It is a ghost if it matches no touch in at least half of the messages
-    in which a finger is down.
+    in which a finger is down. Of the acts of `touchd record --label` taps alone tell positions.
     """
     recording = fingers_only(recording)
     touches, contacts = true_touches(recording), found_contacts(events)
@@ -90,7 +121,7 @@ def score_stream(recording: Recording, events: Sequence[TouchEvent]) -> StreamSc
     for contact in contacts:
         contact.touch = _touch_of(contact, touches, down)
     owned = [[contact for contact in contacts if contact.touch == i] for i in range(len(touches))]
-    errors = _errors(contacts, down)
+    errors = _errors(contacts, down, rough_frames(recording))
     parts = list(errors.values())
     error_mm = np.concatenate([error for error, _ in parts]) if parts else np.empty((0, 2))
     latency_ms = [
@@ -104,15 +135,14 @@ def score_stream(recording: Recording, events: Sequence[TouchEvent]) -> StreamSc
     return StreamScores(
         touches=len(touches),
         found=found,
-        missed=len(touches) - found,
         ghosts=sum(contact.touch is None for contact in contacts),
         split=sum(map(len, owned)) - found,
         switches=sum(map(_switches, contacts)),
         clean=all(contact.downs == 1 and contact.ups == 1 for contact in contacts),
         error_mm=error_mm,
         moving=np.concatenate([moving for _, moving in parts]) if parts else np.empty(0, bool),
-        jitter_mm=float(np.sqrt(np.concatenate(wander).mean())) if wander else None,
-        down_latency_ms=float(np.median(latency_ms)) if latency_ms else None,
+        wander_mm2=np.concatenate([*wander, np.empty(0)]),
+        latency_ms=np.array(latency_ms, float),
         settled=match_frames(settled_frames(recording, events)),
     )
 
@@ -127,14 +157,21 @@ def settled_frames(recording: Recording, events: Iterable[TouchEvent]) -> Iterat
         return
     messages = {event.frame: event.contacts for event in events}
     alive: tuple[Contact, ...] = ()
-    down = np.isfinite(truth[:, :, 0])
-    changed_at = int(recording.sequence[0]) - SLACK_FRAMES
-    for i, number in enumerate(recording.sequence.tolist()):
+    down = np.asarray(np.isfinite(truth[:, :, 0]))
+    numbers = recording.sequence
+    changes = np.flatnonzero((down[1:] != down[:-1]).any(axis=1)) + 1
+    changed_at = np.concatenate([numbers[:1] - SLACK_FRAMES, numbers[changes]])
+    settled = numbers >= changed_at[np.searchsorted(changes, np.arange(len(numbers)), "right")] + SLACK_FRAMES
+    touched: list[bool] = np.asarray(down.any(axis=1)).tolist()
+    rough, untouched = rough_frames(recording), Seen((), ())
+    for i, (number, is_settled) in enumerate(zip(numbers.tolist(), settled.tolist(), strict=True)):
         if number in messages:
             alive = tuple(contact for contact in messages[number] if contact.phase != "up")
-        if i and (down[i] != down[i - 1]).any():
-            changed_at = number
-        if number >= changed_at + SLACK_FRAMES:
+        if not is_settled or number in rough:
+            continue
+        if not touched[i]:
+            yield Seen((), alive) if alive else untouched
+        else:
             places = [(x, y) for x, y in truth[i, down[i]].tolist()]
             force_n = recording.force_n[i, down[i]].tolist() if recording.force_n is not None else None
             faces = recording.faces[i, down[i]].tolist() if recording.faces is not None else None
@@ -187,11 +224,11 @@ def _switches(contact: FoundContact) -> int:
     return sum(before != after for before, after in pairwise(seen))
 
 
-def _errors(contacts: list[FoundContact], down: Down) -> Errors:
+def _errors(contacts: list[FoundContact], down: Down, rough: set[int]) -> Errors:
     """Return estimated less true position (n, 2) and whether the finger moves (n,), by contact and touch.
 
     A contact too far from every finger is compared with its own touch, unless another contact matches that touch:
-    large errors count.
+    large errors count. Frames of rough labels do not.
     """
     taken = {pair for contact in contacts for pair in zip(contact.frames, contact.followed, strict=True)}
     found: dict[tuple[int, int], list[tuple[float, float, bool]]] = {}
@@ -201,7 +238,7 @@ def _errors(contacts: list[FoundContact], down: Down) -> Errors:
         for number, (x_mm, y_mm), index in zip(contact.frames, contact.position_mm, contact.followed, strict=True):
             if index is None and (number, contact.touch) not in taken:
                 index = contact.touch
-            if index is not None and index in down.get(number, {}):
+            if index is not None and number not in rough and index in down.get(number, {}):
                 true_x_mm, true_y_mm, moving = down[number][index]
                 found.setdefault((name, index), []).append((x_mm - true_x_mm, y_mm - true_y_mm, moving))
     tables = {key: np.array(values) for key, values in found.items()}

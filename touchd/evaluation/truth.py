@@ -28,14 +28,25 @@ class TrueTouch:
 
 
 def fingers_only(recording: Recording) -> Recording:
-    """Remove the labels of palms and drops from a simulated recording; contacts found there then count as ghosts.
+    """Remove the labels of palms and drops; contacts found there then count as ghosts.
 
-    The twin labels palms and drops with a position but no force. In other recordings an unknown force means nothing.
+    The twin labels them with a position but no force; in other recordings an unknown force means nothing, and the act
+    tells a palm.
     """
     truth, force_n = recording.contacts_mm, recording.force_n
-    if truth is None or force_n is None or recording.meta.source != "simulated":
+    if truth is None:
         return recording
-    return replace(recording, contacts_mm=np.where(np.isfinite(force_n)[..., None], truth, np.float32(np.nan)))
+    none = np.repeat(recording.during("palm")[:, None], truth.shape[1], axis=1)
+    if force_n is not None and recording.meta.source == "simulated":
+        none |= ~np.isfinite(force_n)
+    if not none.any():
+        return recording
+    return replace(recording, contacts_mm=np.where(none[..., None], np.float32(np.nan), truth))
+
+
+def rough_frames(recording: Recording) -> set[int]:
+    """Return the sequence numbers of frames whose labels tell that a finger is down, but hardly where."""
+    return set(recording.sequence[recording.during("stroke", "thumb")].tolist())
 
 
 def true_touches(recording: Recording) -> list[TrueTouch]:

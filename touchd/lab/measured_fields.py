@@ -15,9 +15,8 @@ It needs the extras `train` and `dev` (for h5py).
 
 from __future__ import annotations
 
-import csv
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -30,6 +29,7 @@ from scipy.linalg import eigh
 
 from touchd.errors import RecordingError
 from touchd.training.field.kernel import covariance, distances
+from touchd.training.report.template import Table, write_csv
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -45,7 +45,8 @@ TESTED = 400
 RIDGES = np.geomspace(1e-5, 0.3, 14)
 LENGTHS = np.linspace(0.6, 1.8, 5)
 """Lengths of the generic kernel that are tried, in 1/k."""
-SCALES = {"kernel": 1.0, "k_20_percent_low": 0.8, "k_25_percent_high": 1.25}
+METHODS = ("nearest", "cubic", "generic", "kernel")
+HEADINGS = ("frequency_hz", "touches_per_freedom", *METHODS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,18 +112,6 @@ def read_field(path: Path) -> WaveField:
     return WaveField(values[: counts[0], : counts[1]], step_mm, frequency_hz)
 
 
-def random_field(like: WaveField, noise: float, rng: np.random.Generator) -> WaveField:
-    """Return ideal random waves of the same k and raster, with white noise of this share of the power."""
-    k, shape = like.wavenumber_per_mm, like.values.shape
-    x, y = (np.arange(n) * like.step_mm for n in shape)
-    angles = rng.uniform(0, 2 * np.pi, 400)
-    strengths = rng.standard_normal((2, 400)).T @ [1, 1j]
-    values = (np.exp(1j * k * np.outer(x, np.cos(angles))) * strengths) @ np.exp(1j * k * np.outer(np.sin(angles), y))
-    white = rng.standard_normal((*shape, 2)) @ [1, 1j]
-    values += white * np.sqrt(noise * np.mean(np.abs(values) ** 2) / 2)
-    return WaveField(np.asarray(values), like.step_mm, like.frequency_hz)
-
-
 @dataclass(frozen=True, slots=True)
 class Sample:
     """Positions of a part of the plate whose wave is known, and others where it is asked for."""
@@ -160,10 +149,6 @@ class Sample:
                 best = left_out, weights
         return self.error(kernel(distances(self.known_mm, self.asked_mm).astype(np.float64)).T @ best[1])
 
-    def wave_error(self, wavenumber_per_mm: float, waves: int) -> float:
-        """Return the error of the atlas' own kernel."""
-        return self.kernel_error(partial(covariance, wavenumber_per_mm=wavenumber_per_mm, waves=waves))
-
     def errors(self, wavenumber_per_mm: float) -> dict[str, float]:
         """Return the error of each method that a product of two waves is predicted by."""
         nearest = NearestNDInterpolator(self.known_mm, self.known)(self.asked_mm)
@@ -173,27 +158,20 @@ class Sample:
             "nearest": self.error(nearest),
             "cubic": self.error(np.where(np.isnan(cubic), nearest, cubic)),
             "generic": min(map(self.kernel_error, generic)),  # the best length on the test: more than it could know
-            **{name: self.wave_error(scale * wavenumber_per_mm, 2) for name, scale in SCALES.items()},
+            "kernel": self.kernel_error(partial(covariance, wavenumber_per_mm=wavenumber_per_mm)),
         }
 
 
-def measure(field: WaveField, repeats: int, seed: int) -> list[dict[str, float]]:
-    """Return one row per number of touches: the mean error of each method over parts of the plate."""
+def measure(field: WaveField, repeats: int, seed: int) -> Iterator[list[str]]:
+    """Yield one row per number of touches: the mean error of each of `METHODS` over parts of the plate."""
     k, product = field.wavenumber_per_mm, field.product()
-    noise = field.share_above(BAND_MARGIN * k)
-    rows = []
     for per_freedom in TOUCHES_PER_FREEDOM:
         draws = []
         for turn in range(repeats):
             rng = np.random.default_rng([seed, turn])
-            draw = partial(Sample.draw, wavenumber_per_mm=k, per_freedom=per_freedom, rng=rng)
-            found = draw(product).errors(k)
-            found["ideal_waves"] = draw(random_field(field, noise, rng).product()).wave_error(k, 2)
-            found["one_wave"] = draw(field).wave_error(k, 1)
-            draws.append(found)
-        mean = {name: float(np.mean([draw[name] for draw in draws])) for name in draws[0]}
-        rows.append({"frequency_hz": field.frequency_hz, "touches_per_freedom": per_freedom} | mean)
-    return rows
+            found = Sample.draw(product, k, per_freedom, rng).errors(k)
+            draws.append([found[method] for method in METHODS])
+        yield [f"{value:.4g}" for value in (field.frequency_hz, per_freedom, *np.mean(draws, axis=0))]
 
 
 def _gaussian(r_mm: Floats, length_mm: float) -> Floats:
@@ -213,16 +191,13 @@ def main(folder: Path, table: Path | None, repeats: int, seed: int) -> None:
         k = field.wavenumber_per_mm
         wave, product = field.share_above(BAND_MARGIN * k), field.product().share_above(2 * BAND_MARGIN * k)
         print(f"{path.name}: k = {k:.3f} rad/mm; above 1.15 k {wave:.2%}; of the product above 2.3 k {product:.2%}")
-        rows += measure(field, repeats, seed)
-        for row in rows[-len(TOUCHES_PER_FREEDOM) :]:
-            print("  " + "  ".join(f"{name} {value:.3g}" for name, value in row.items()), flush=True)
+        for row in measure(field, repeats, seed):
+            rows.append(row)
+            print("  " + "  ".join(f"{name} {value}" for name, value in zip(HEADINGS, row, strict=True)), flush=True)
     if not rows:
         sys.exit(f"{folder}: no file Data_AlSide_*.mat; it should be the folder Data of the repository")
     if table:
-        with table.open("w", newline="") as file:
-            writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
-            writer.writeheader()
-            writer.writerows([{name: f"{value:.4g}" for name, value in row.items()} for row in rows])
+        write_csv(table, Table(HEADINGS, rows))
 
 
 if __name__ == "__main__":

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -54,6 +54,11 @@ def read(path: Path) -> Recording:
         size_bytes += chunk.frames.nbytes
         if len(chunks) > 1 and 2 * size_bytes > npz.MEMORY_BYTES:  # they are copied into one array
             raise npz.too_large(path)
+    return join(chunks)
+
+
+def join(chunks: Sequence[Recording]) -> Recording:
+    """Return chunks that follow each other as one recording."""
     if len(chunks) == 1:
         return chunks[0]
     arrays = {
@@ -73,6 +78,8 @@ class Reader:
     ----------
     path : Path
         A `.npz` file, or a folder of files whose names end in a number.
+    files : sequence of Path, optional
+        Some of these files that follow each other, instead of all.
 
     Raises
     ------
@@ -80,9 +87,9 @@ class Reader:
         A subclass: on construction for the first chunk, during iteration for the others.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, files: Sequence[Path] = ()) -> None:
         self.path = path
-        self.chunk_paths = _chunk_paths(path)
+        self.chunk_paths = list(files) or chunk_paths(path)
         self._first = _read_file(self.chunk_paths[0])
         self.meta = self._first.meta
         self.acquisition = self._first.acquisition
@@ -98,7 +105,8 @@ class Reader:
             previous, previous_path = chunk, path
 
 
-def _chunk_paths(path: Path) -> list[Path]:
+def chunk_paths(path: Path) -> list[Path]:
+    """Return the files of a recording, in order."""
     try:
         if not path.is_dir():
             return [path]

@@ -29,7 +29,7 @@ from touchd.service.frame_feed import FeedDescription, FrameFeed
 from touchd.service.health import Health
 from touchd.service.loop import FrameKeeper, Service
 from touchd.service.messages import Messages, wants_of
-from touchd.service.models import ModelInUse
+from touchd.service.models import ModelInUse, settings_for
 from touchd.service.models import load_model as load_model
 from touchd.service.preroll import PreRoll
 from touchd.service.rate import ScanRate
@@ -204,7 +204,7 @@ def describer(
 ) -> Callable[[], FeedDescription]:
     """Return what describes a source's frames to those who record them; `plate` returns the model's plate."""
     known = getattr(source, "meta", None)
-    rate_hz = known.frame_rate_hz if known else float(settings.device.rate_hz)
+    rate_hz = known.frame_rate_hz if known else float(getattr(source, "rate_hz", settings.device.rate_hz))
 
     def description() -> FeedDescription:
         return FeedDescription(
@@ -253,6 +253,8 @@ def run(
     """
     from touchd.sinks.jsonl import JsonlSink
 
+    settings = settings_for(settings, choice)
+    reread = None if read_settings is None else lambda: settings_for(read_settings(), choice)
     realtime.raise_file_limit()
     with ExitStack() as stack:
         manager = stack.enter_context(closing(Notifier.from_environment()))
@@ -264,7 +266,7 @@ def run(
         bus, model = parts.bus, parts.model
         assert bus is not None
         # Last: the twin computes its plate for many seconds.
-        source = stack.enter_context(closing(open_source(choice, settings, model)))
+        source = stack.enter_context(closing(open_source(choice, settings, model, late=True)))
         sinks: list[Sink] = [bus, JsonlSink(sys.stdout)] if echo else [bus]
 
         service: Service | None = None
@@ -277,7 +279,7 @@ def run(
         preroll = stack.enter_context(closing(make_preroll(source, settings, description)))
         service = make_service(
             source, sinks, settings, model, manager=manager, preroll=preroll, control=parts.control,
-            read_settings=read_settings, feed=FrameFeed(description), describe=description,
+            read_settings=reread, feed=FrameFeed(description), describe=description,
         )  # fmt: skip
         stop_on_signals(service)
         if read_settings is not None:

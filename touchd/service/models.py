@@ -11,6 +11,7 @@ from touchd.config.schema import Settings
 from touchd.errors import ModelMismatch
 from touchd.localization.atlas import atlas_path
 from touchd.localization.model import Model, default_model_path
+from touchd.sources.open import SourceChoice
 
 _SERVICE_STATE = Path("/var/lib/touchd")
 Signature = tuple[object, ...]
@@ -27,6 +28,16 @@ def installed_path() -> Path:
         return _SERVICE_STATE / "model.onnx"
     home = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
     return Path(home) / "touchd" / "model.onnx"
+
+
+def settings_for(settings: Settings, choice: SourceChoice) -> Settings:
+    """Return the settings for a source: a device has the installed model if none is named, which may come later.
+
+    The shipped model knows the twin's plate alone.
+    """
+    if settings.model.path is not None or not choice.is_device:
+        return settings
+    return settings.model_copy(update={"model": settings.model.model_copy(update={"path": installed_path()})})
 
 
 def model_path(settings: Settings) -> Path:

@@ -21,9 +21,9 @@ from touchd.audio.delay import Delay, Doubtful, by_loopback, by_onset, by_refere
 from touchd.audio.highpass import HighPass
 from touchd.audio.spectrum import check_band
 from touchd.audio.watch import Watch
-from touchd.audio.waveform import loop_of, moved, periods_of
+from touchd.audio.waveform import loop_of, moved, periods_of, rates_of
 from touchd.config.rigs import AudioSettings
-from touchd.config.schema import Settings
+from touchd.config.schema import DeviceSettings, Settings
 from touchd.errors import ConfigError
 from touchd.frame import Acquisition, Chirp
 from touchd.localization.model import Model
@@ -58,6 +58,14 @@ def acquisition_of(settings: AudioSettings) -> Acquisition:
         channels=len(settings.channels), samples=round(settings.chirp_s * rate_hz), sample_rate_hz=rate_hz,
         full_scale_v=1.0, chirp=chirp,
     )  # fmt: skip
+
+
+def rate_of(acquisition: Acquisition, settings: DeviceSettings) -> int:
+    """Return the frame rate that is set; if none is, the one nearest to the default that whole chirps fill, Hz."""
+    default_hz = settings.rate_hz
+    if "rate_hz" in settings.model_fields_set:
+        return default_hz
+    return min(rates_of(acquisition), key=lambda rate_hz: abs(rate_hz - default_hz), default=default_hz)
 
 
 class AudioDaq:
@@ -262,12 +270,13 @@ def open_audio(
     ModelMismatch
         The model was made for another acquisition than [audio] says.
     """
-    audio, device = settings.audio, settings.device
+    audio = settings.audio
     if not name:
         raise ConfigError("is not set", "audio.device", "name a card: --audio hw:CARD=NAME; arecord -L lists them")
     acquisition = acquisition_of(audio)
     if model is not None:
         model.check(acquisition)
+    device = settings.device.model_copy(update={"rate_hz": rate_of(acquisition, settings.device)})
     periods_of(acquisition, device.rate_hz)
     reference = model.atlas.baseline.astype(np.float64) if model is not None and model.atlas is not None else None
 

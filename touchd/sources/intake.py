@@ -20,7 +20,7 @@ class Intake:
     def __init__(self, rate_hz: int) -> None:
         self.tally = Tally()
         self.numbering = Numbering()
-        self._late_ns = 1_000_000_000 // rate_hz
+        self._period_ns = 1_000_000_000 // rate_hz
         self._last_ns = -1
         self._corrupt = 0  # on earlier connections
         self._clock = DeviceClock(0)
@@ -40,11 +40,17 @@ class Intake:
         """What is wrong with the device's clock, for a person."""
         return self._clock.fault
 
-    def take(self, frame: DaqFrame, received_ns: int) -> tuple[int, int] | None:
-        """Return a frame's number and time; None if it is no measurement."""
+    def take(self, frame: DaqFrame, received_ns: int, away_ns: int = 0) -> tuple[int, int] | None:
+        """Return a frame's number and time; None if it is no measurement.
+
+        `away_ns` is for how long nobody has read the device before: what it sent then and could not keep was not lost
+        on its way, this computer was behind.
+        """
         tally, clock = self.tally, self._clock
         number, lost = self.numbering.number(frame.sequence, tally.corrupt)
-        if lost:
+        if lost and away_ns >= lost * self._period_ns:
+            tally.behind += lost
+        elif lost:
             tally.lost += lost
         if frame.withheld:
             tally.withheld[frame.withheld] = tally.withheld.get(frame.withheld, 0) + 1
@@ -52,7 +58,7 @@ class Intake:
         t_ns = self._last_ns = clock.map(frame.timestamp_us, received_ns)
         if frame.clipped:
             tally.clipped += 1
-        if clock.delay_ns > self._late_ns:
+        if clock.delay_ns > self._period_ns:
             tally.late += 1
         tally.clock_ppm = clock.ppm
         return number, t_ns

@@ -75,7 +75,7 @@ class DaqSource:
         clock: Callable[[], int] = time.monotonic_ns,
         direct: bool = True,
     ) -> None:
-        self.acquisition = acquisition
+        self.acquisition, self.rate_hz = acquisition, settings.rate_hz
         self._intake = Intake(settings.rate_hz)
         self.tally = self._intake.tally
         self.device = device or Device()
@@ -118,13 +118,14 @@ class DaqSource:
             if frame is not None or lent is None or ring.waiting:
                 return frame if lent is not None else self._checked(frame)
         wait_s = max(timeout_s, _STALL_FRAMES / self._rate_hz)  # a loan does not end between two frames
+        away_ns = self._clock() - self._alive_ns
         found = self._lending.read(wait_s)
         self._alive_ns = self._clock()  # the thread sleeps meanwhile
         self._intake.count_corrupt(lent)
         if found is None:
             return None
         self._seen_ns = self._alive_ns
-        return self._take(found, self._seen_ns, direct=True)
+        return self._take(found, self._seen_ns, away_ns=away_ns, direct=True)
 
     def _checked(self, frame: Frame | None) -> Frame | None:
         """Return what came from the thread, unless it can bring no more."""
@@ -235,16 +236,17 @@ class DaqSource:
             if self._rate_hz != self._settings.rate_hz:
                 daq.set_rate(self._rate_hz)
 
-    def _take(self, frame: DaqFrame, received_ns: int, *, direct: bool = False) -> Frame | None:
+    def _take(self, frame: DaqFrame, received_ns: int, *, away_ns: int = 0, direct: bool = False) -> Frame | None:
         """Take a frame in and queue it; return it instead if it goes on directly and nothing waits."""
-        taken = self._intake.take(frame, received_ns)
+        taken = self._intake.take(frame, received_ns, away_ns)
         if self._state != "streaming" or self._intake.fault != self._clock_fault:
             self._enter_streaming(self._intake.fault)
         if taken is not None and direct and not self._ring.waiting:
             return Frame(frame.counts, *taken, received_ns)
         if taken is not None:
+            dropped = self._ring.dropped
             self._ring.put(frame.counts, *taken, received_ns)
-            self.tally.behind = self._ring.dropped
+            self.tally.behind += self._ring.dropped - dropped
         return None
 
     def _enter_streaming(self, fault: str | None) -> None:

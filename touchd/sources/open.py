@@ -7,8 +7,8 @@ from math import inf
 from pathlib import Path
 
 from touchd.config.schema import Settings
-from touchd.errors import SourceError
-from touchd.frame import ACQUISITIONS
+from touchd.errors import DeviceLost, SourceError
+from touchd.frame import ACQUISITIONS, Acquisition
 from touchd.localization.model import Model
 from touchd.sources.source import Source
 
@@ -41,8 +41,15 @@ class SourceChoice:
         named = {"simulated": self.simulate, "replay": self.replay, "audio": self.audio}
         return next((kind for kind, value in named.items() if value is not None), "ni" if self.ni else "usb")
 
+    @property
+    def is_device(self) -> bool:
+        """Whether a real plate is measured."""
+        return self.replay is None and self.simulate is None
 
-def open_source(choice: SourceChoice, settings: Settings, model: Model | None = None) -> Source:
+
+def open_source(
+    choice: SourceChoice, settings: Settings, model: Model | None = None, *, late: bool = False
+) -> Source:  # fmt: skip
     """Open the source that was chosen; import its backend only then.
 
     Parameters
@@ -52,7 +59,9 @@ def open_source(choice: SourceChoice, settings: Settings, model: Model | None = 
         `device`, `ni` and `audio` configure a DAQ.
     model : Model, optional
         The model that the frames are for. With a model a DAQ may be plugged in later, and a DAQ that the model does not
-        fit is refused; without one a DAQ on USB must be plugged in.
+        fit is refused; without one a DAQ on USB decides what frames are.
+    late : bool
+        Without a model, too, a DAQ on USB may be plugged in later. It must then be like the paper's.
 
     Raises
     ------
@@ -72,7 +81,7 @@ def open_source(choice: SourceChoice, settings: Settings, model: Model | None = 
         return _simulate(choice.simulate, choice, model)
     if choice.audio is not None:
         return _open_audio(settings, model, choice.audio)
-    return _open_ni(settings, model) if choice.ni else _open_usb(settings, model)
+    return _open_ni(settings, model) if choice.ni else _open_usb(settings, model, late=late)
 
 
 def _simulate(scene: str, choice: SourceChoice, model: Model | None) -> Source:
@@ -103,9 +112,19 @@ def _open_audio(settings: Settings, model: Model | None, name: str) -> Source:
     return open_audio(settings, AlsaCard, name or settings.audio.device, model)
 
 
-def _open_usb(settings: Settings, model: Model | None) -> Source:
+def _open_usb(settings: Settings, model: Model | None, *, late: bool) -> Source:
     from touchd.sources.usb import open_usb
 
-    if model is None:
+    if model is not None:
+        return open_usb(settings.device, model.description.acquisition, model.check)
+    try:
         return open_usb(settings.device)
-    return open_usb(settings.device, model.description.acquisition, model.check)
+    except DeviceLost:
+        if not late:
+            raise
+    return open_usb(settings.device, PAPER, _check_usual)
+
+
+def _check_usual(found: Acquisition) -> None:
+    if found != PAPER:
+        raise SourceError(f"its frames are {found}", "device", "restart touchd, which then takes them")

@@ -56,7 +56,7 @@ class Tally:
     corrupt: int = 0
     """Failed a check."""
     behind: int = 0
-    """Dropped, the oldest first, because the pipeline was behind."""
+    """Dropped because the pipeline was behind: the oldest of those that wait, or what the device could not keep."""
     withheld: dict[str, int] = field(default_factory=dict)
     """Valid, but no measurement of the plate: `test_pattern`, or `emitter_fault` for a chirp that was not sent."""
     clipped: int = 0

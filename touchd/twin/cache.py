@@ -7,8 +7,9 @@ import hashlib
 import json
 import os
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from shutil import rmtree
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 
 from touchd.errors import OutputError
 from touchd.files import replacing
+from touchd.jobs import digest
 
 Arrays = dict[str, NDArray[np.float64]]
 
@@ -26,15 +28,30 @@ def folder() -> Path:
     return (Path(base) if base else Path("~/.cache").expanduser()) / "touchd"
 
 
+@contextlib.contextmanager
+def parts_kept(name: str, identity: Any) -> Iterator[Path | None]:
+    """Yield the folder of a long job's finished parts, or None without a home folder; remove it after success.
+
+    A run that is stopped goes on from them. `identity` is all that the parts depend on; see `touchd.jobs.digest`.
+    """
+    try:
+        kept = folder() / "jobs" / f"{name}-{digest(identity)[:24]}"
+    except RuntimeError:
+        yield None
+        return
+    yield kept
+    rmtree(kept, ignore_errors=True)
+
+
 def remember(name: str, parameters: Mapping[str, Any], compute: Callable[[], Arrays]) -> Arrays:
     """Return the named arrays of `compute`, from disk if they were computed before with equal parameters.
 
     The file's name begins with `name`. `parameters` are all that the result depends on, with a version of the
     algorithm; JSON types only. An unwritable folder or a damaged file only costs computing again.
     """
-    digest = hashlib.sha256(json.dumps(parameters, sort_keys=True).encode()).hexdigest()[:24]
+    key = hashlib.sha256(json.dumps(parameters, sort_keys=True).encode()).hexdigest()[:24]
     try:
-        path = folder() / f"{name}-{digest}.npz"
+        path = folder() / f"{name}-{key}.npz"
     except RuntimeError:  # no home folder
         return compute()
     try:

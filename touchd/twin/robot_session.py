@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from shutil import rmtree
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from touchd.frame import ACQUISITIONS, Acquisition, Plate
-from touchd.jobs import Job, digest, run
+from touchd.jobs import Job, run
 from touchd.recording.data import Recording
-from touchd.twin import cache
 from touchd.twin.electronics import noise_states
 from touchd.twin.instrument import Instrument
 from touchd.twin.rig import IDEAL, Rig
@@ -67,7 +64,7 @@ def simulate_session(
     workers, dask
         See `touchd.jobs.run`; without both, few frames are computed in this process.
     kept : Path, optional
-        Folder of finished parts; see `parts_kept`.
+        Folder of finished parts; see `touchd.twin.cache.parts_kept`.
     progress : callable, optional
         Receives the number of frames just finished.
     chunk : int
@@ -100,21 +97,6 @@ def simulate_session(
     for name, counts in run(jobs, workers=workers, dask=dask, cache=kept, progress=advance).items():
         frames[places[name]] = counts
     return recording_of(stage, instrument, frames)
-
-
-@contextmanager
-def parts_kept(session: Session) -> Iterator[Path | None]:
-    """Yield the folder of finished parts, or None without a home folder; remove it after success.
-
-    A run that ends before the recording is written resumes from these parts.
-    """
-    try:
-        folder = cache.folder() / "jobs" / f"touches-{digest(session)[:24]}"
-    except RuntimeError:
-        yield None
-        return
-    yield folder
-    rmtree(folder, ignore_errors=True)
 
 
 def part(session: Session, start: int, stop: int, noise: dict[str, Any]) -> NDArray[np.int16]:

@@ -20,6 +20,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,7 @@ DROP_INS = Path("/run/systemd/system/touchd.service.d")
 SESSION = LIBRARY / "touchd/demo/session.npz"
 CONFIG = Path("/etc/touchd/touchd.toml")
 PRELOAD = "libumockdev-preload.so.0"
+WIZARD = ("touchd-wizard.service", "touchd-mapping.service", "touchd-mapping.path")
 BUS = "ipc:///run/touchd/bus"
 PATIENCE_S = 60.0
 
@@ -74,6 +76,7 @@ def install() -> None:
     for source, target, mode in (
         ("debian/launcher", "/usr/bin/touchd", 0o755),
         ("touchd.service", "/lib/systemd/system/touchd.service", 0o644),
+        *((name, f"/lib/systemd/system/{name}", 0o644) for name in WIZARD),
         ("touchd.toml", str(CONFIG), 0o644),
     ):
         Path(target).parent.mkdir(parents=True, exist_ok=True)
@@ -212,6 +215,50 @@ def waiting(found: dict[str, Any]) -> None:
     found["waiting stop"] = run("systemctl", "stop", "touchd").returncode
 
 
+def mapped(found: dict[str, Any]) -> None:
+    """Crosses: what the wizard may not write, root writes for it, once it has fitted the touches itself."""
+    import zmq
+
+    from touchd.event import Contact, Phase, TouchEvent, encode
+
+    os.makedirs("/run/touchd", exist_ok=True)
+    bus: zmq.Socket[bytes] = zmq.Context.instance().socket(zmq.XPUB)
+    bus.bind(BUS)
+    os.chmod("/run/touchd/bus", 0o666)
+    before = CONFIG.read_text()
+    found["wizard start"] = run("systemctl", "start", "touchd-wizard").returncode
+    with socket.socket(socket.AF_UNIX) as asked:
+        asked.connect("/run/touchd-wizard/socket")
+        asked.sendall(b'{"do":"crosses"}\n')
+        bus.recv()
+
+        def state() -> dict[str, Any]:
+            with socket.socket(socket.AF_UNIX) as watched, watched.makefile() as lines:
+                watched.connect("/run/touchd-wizard/socket")
+                watched.sendall(b'{"do":"watch"}\n')
+                said: dict[str, Any] = json.loads(lines.readline())
+                return said
+
+        def due(number: int) -> bool:
+            return (state()["cross"] or {}).get("number") == number
+
+        for number, (x_mm, y_mm) in enumerate(((18, 26), (82, 26), (82, 74), (18, 74)), 1):
+            wait(f"cross {number}", partial(due, number))
+            phases: tuple[Phase, ...] = ("down", "up")
+            for phase in phases:
+                contact = Contact(number, phase, float(x_mm), float(y_mm), 0.5, 0.1, 0.99, 0.0, 0.0)
+                event = TouchEvent("d", 2 * number + (phase == "up"), time.monotonic_ns(), "", number, [contact])
+                bus.send_multipart([b"touch", encode(event)])
+        wait("mapped", lambda: state()["running"] is None)
+        found["mapped"] = {name: state()[name] for name in ("mapping", "problem")}
+    found["mapped file"] = [CONFIG.stat().st_uid, "screen_mm = [10, 20, 80, 60]" in CONFIG.read_text()]
+    found["wizard stop"] = run("systemctl", "stop", "touchd-wizard").returncode
+    found["mapping unit"] = run("systemctl", "is-failed", "touchd-mapping.service").stdout.strip()
+    run("journalctl", "--unit=touchd-mapping", "--unit=touchd-wizard", "--no-pager", "--output=cat")
+    CONFIG.write_text(before)
+    bus.close()
+
+
 def mocked(found: dict[str, Any]) -> None:
     """The mocked device of the tests of USB behind the shipped unit: its whole life, and that of the daemon."""
     from touchd.client import Subscriber
@@ -246,7 +293,10 @@ def mocked(found: dict[str, Any]) -> None:
         run("chmod", "-R", "a+rwX", str(mock))
 
     open_to_all()
-    drop_in(f"Environment=UMOCKDEV_DIR={testbed} LD_PRELOAD={PRELOAD}\nReadWritePaths={mock}")
+    model = LIBRARY / "touchd/models/regression.onnx"
+    drop_in(
+        f"Environment=UMOCKDEV_DIR={testbed} LD_PRELOAD={PRELOAD} TOUCHD_MODEL__PATH={model}\nReadWritePaths={mock}"
+    )
     found["mocked start"] = run("systemctl", "start", "touchd").returncode
     assert found["mocked start"] == 0
     client = subprocess.Popen(
@@ -299,7 +349,7 @@ def main() -> None:
         loopback_up()
         install()
         sys.path.append(str(LIBRARY))
-        for part in (replayed, stuck, wrong, waiting, mocked):
+        for part in (replayed, stuck, wrong, waiting, mapped, mocked):
             say(f"-- {part.__name__}")
             part(found)
     finally:

@@ -20,7 +20,8 @@ SCRIPT = ROOT / "deploy/install.sh"
 MADE = {
     "opt/touchd", "etc/systemd/system/touchd.service", "etc/systemd/system/touchd-input.service",
     "etc/systemd/system/touchd-tuio.service", "etc/systemd/system/touchd-web.service",
-    "etc/systemd/system/touchd-wizard.service",
+    "etc/systemd/system/touchd-wizard.service", "etc/systemd/system/touchd-mapping.service",
+    "etc/systemd/system/touchd-mapping.path",
     "etc/udev/rules.d/60-touchd.rules", "etc/sysusers.d/touchd.conf", "etc/tmpfiles.d/touchd.conf",
     "usr/local/bin/touchd",
 }  # fmt: skip
@@ -63,6 +64,8 @@ def test_life(tmp_path: Path, wheels: Path) -> None:
         "touchd-tuio.service",
         "touchd-web.service",
         "touchd-wizard.service",
+        "touchd-mapping.service",
+        "touchd-mapping.path",
     ):
         unit = (tmp_path / "etc/systemd/system" / name).read_text()
         assert unit == (ROOT / "deploy" / name).read_text().replace("/usr/bin/touchd", "/opt/touchd/bin/touchd")

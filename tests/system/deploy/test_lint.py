@@ -14,7 +14,7 @@ from tests.processes import PATIENCE_S, ROOT
 
 DEPLOY = ROOT / "deploy"
 UNIT = DEPLOY / "touchd.service"
-UNITS = [UNIT, *(DEPLOY / f"touchd-{name}.service" for name in ("input", "tuio", "web"))]
+UNITS = [UNIT, *(DEPLOY / f"touchd-{name}.service" for name in ("input", "tuio", "web", "wizard", "mapping"))]
 RULES = DEPLOY / "60-touchd.rules"
 HIGHEST_EXPOSURE = 1.5
 SCRIPTS = sorted(
@@ -127,6 +127,13 @@ def test_the_rules_name_the_ids_that_are_the_default() -> None:
     )
 
 
+def test_a_device_that_is_allowed_has_its_driver() -> None:
+    """systemd asks what char-alsa stands for when the service starts: without a card, nobody has loaded ALSA yet."""
+    said = (DEPLOY / "audio.conf").read_text()
+    assert "DeviceAllow=char-alsa rw" in said
+    assert {"Wants=modprobe@snd.service", "After=modprobe@snd.service"} <= set(said.splitlines())
+
+
 # -- users, files, scripts -----------------------------------------------------------------------------
 
 
@@ -144,6 +151,22 @@ def test_the_groups_of_unit_and_rules_are_made(tmp_path: Path) -> None:
 def test_systemd_takes_every_line_of_the_temporary_files(tmp_path: Path) -> None:
     tmpfiles = need_tool("systemd-tmpfiles", "systemd")
     assert output_of(tmpfiles, f"--root={tmp_path}", "--create", "--clean", DEPLOY / "tmpfiles.conf") == ""
+
+
+def test_only_recordings_age(tmp_path: Path) -> None:
+    """Cleaning up deletes old recordings, and never an installed model or what the wizard keeps."""
+    tmpfiles = need_tool("systemd-tmpfiles", "systemd")
+    state = tmp_path / "var/lib/private/touchd"
+    kept = [state / "model.onnx", state / "model.atlas.npz", state / "wizard/state.json"]
+    recording = state / "preroll/preroll-20250101T000000Z-asked.npz"
+    for path in (*kept, recording):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch()
+    at_once = tmp_path / "at-once.conf"
+    at_once.write_text((DEPLOY / "tmpfiles.conf").read_text().replace(" 30d", " 0"))
+    output_of(tmpfiles, f"--root={tmp_path}", "--clean", at_once)
+    assert not recording.exists()
+    assert all(path.exists() for path in kept)
 
 
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: str(path.relative_to(ROOT)))

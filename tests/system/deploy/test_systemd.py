@@ -135,6 +135,14 @@ def test_without_a_device_it_is_ready_and_says_what_it_waits_for(found: Found) -
     }  # fmt: skip
 
 
+def test_crosses_become_the_mapping_by_root_alone(found: Found) -> None:
+    assert (found["wizard start"], found["wizard stop"], found["mapping unit"]) == (0, 0, "inactive")
+    assert found["mapped"] == {
+        "mapping": {"screen_mm": [10.0, 20.0, 80.0, 60.0], "rotate": 0, "residual_mm": 0.0}, "problem": ""
+    }  # fmt: skip
+    assert found["mapped file"] == [0, True]
+
+
 def test_a_device_behind_the_unit_lives_through_everything(found: Found) -> None:
     assert (found["mocked start"], found["mocked client"]) == (0, 0)
     assert tuple(step["step"] for step in found["mocked steps"]) == STEPS

@@ -17,6 +17,7 @@ import pytest
 from tests.processes import PATIENCE_S, ROOT, command, environment
 from tests.system.usb.client import Scenario
 from tests.system.usb.plate import write
+from touchd.localization.model import default_model_path
 from touchd.recording.format import read
 
 PRELOAD = "libumockdev-preload.so.0"
@@ -53,13 +54,17 @@ def plate(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 
 
 @contextmanager
-def mocked(plate: tuple[Path, Path], *program: str, log: Path) -> Iterator[subprocess.Popen[str]]:
-    """Run a program on the mocked kernel; lines to its standard input steer the device."""
+def mocked(plate: tuple[Path, Path], *program: str, log: Path, **variables: str) -> Iterator[subprocess.Popen[str]]:
+    """Run a program on the mocked kernel, with the model of its plate; lines to its standard input steer the device."""
+    variables = {
+        "TOUCHD_MODEL__PATH": str(default_model_path()), "TOUCHD_HEALTH__PERIOD_S": "0.2",
+        "TOUCHD_DEVICE__STALL_S": "0.5", **variables,
+    }  # fmt: skip
     with log.open("w") as lines:
         process = subprocess.Popen(
             [PYTHON, str(HERE / "mockkernel.py"), *map(str, plate), *program], stdin=subprocess.PIPE, stderr=lines,
             stdout=subprocess.PIPE, text=True, cwd=ROOT,
-            env=environment(LD_PRELOAD=PRELOAD, TOUCHD_HEALTH__PERIOD_S="0.2", TOUCHD_DEVICE__STALL_S="0.5"),
+            env=environment(LD_PRELOAD=PRELOAD, **variables),
         )  # fmt: skip
         with process:
             try:
@@ -122,6 +127,20 @@ def test_plugged_in_later(plate: tuple[Path, Path], tmp_path: Path) -> None:
         scenario.close()
     assert device.returncode == 0, log.read_text()
     assert states(log)[-3:] == ["lost", "streaming", "stopping"]
+
+
+def test_uncalibrated(plate: tuple[Path, Path], tmp_path: Path) -> None:
+    """Without a model it waits for a device all the same, and is uncalibrated: no other plate's model is taken."""
+    address, log = f"ipc://{tmp_path}/bus", tmp_path / "log"
+    without = {"TOUCHD_MODEL__PATH": "", "STATE_DIRECTORY": str(tmp_path)}
+    with mocked(plate, *command("--bind", address), log=log, **without) as device:
+        steer(device, "unplug")
+        scenario = Scenario(address, lambda line: steer(device, line), PATIENCE_S)
+        scenario.waits_for("lost")
+        steer(device, "plug")
+        scenario.waits_for("uncalibrated")
+        scenario.close()
+    assert device.returncode == 0, log.read_text()
 
 
 def test_record(plate: tuple[Path, Path], tmp_path: Path) -> None:

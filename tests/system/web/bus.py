@@ -97,10 +97,10 @@ def five(frame: int, phase: Phase = "move") -> list[Contact]:
     ]  # fmt: skip
 
 
-def play(bus: Bus, seconds: float = math.inf) -> None:
-    """Publish five fingers at the rate of a DAQ."""
+def play(bus: Bus, rate_hz: float = RATE_HZ) -> None:
+    """Publish five fingers, at the rate of a DAQ or faster."""
     begin_s, frame = time.monotonic(), 0
-    while frame < seconds * RATE_HZ:
+    while True:
         bus.poll()
         bus.touch(frame, five(frame, "move" if frame else "down"))
         if "spectrum" in bus.wanted:
@@ -108,8 +108,8 @@ def play(bus: Bus, seconds: float = math.inf) -> None:
         if frame % RATE_HZ == 0:
             bus.health(frame)
         frame += 1
-        time.sleep(max(0.0, begin_s + frame / RATE_HZ - time.monotonic()))
+        time.sleep(max(0.0, begin_s + frame / rate_hz - time.monotonic()))
 
 
 if __name__ == "__main__":
-    play(Bus(sys.argv[1], keypad="keypad" in sys.argv))
+    play(Bus(sys.argv[1], keypad="keypad" in sys.argv), 12 * RATE_HZ if "hurried" in sys.argv else RATE_HZ)

@@ -5,6 +5,7 @@ Into docs/web/, or for a look at all of them, each in two sizes, light and dark,
 
 from __future__ import annotations
 
+import re
 import sys
 import tempfile
 from contextlib import ExitStack
@@ -48,7 +49,19 @@ def calibrate(opened: Page, told: Wizard, step: str) -> None:
     """Bring the calibration to a step."""
     told.show(step)
     opened.get_by_role("link", name="Calibrate").click()
-    shown = {"finger": "untouched", "poor": "verdict", "compared": "verdict", "missed": "taps", "first-tap": "taps"}
+    shown = {
+        "finger": "untouched",
+        "poor": "verdict",
+        "compared": "verdict",
+        "missed": "taps",
+        "first-tap": "taps",
+        "mapped": "screen",
+        "crosses": "screen",
+        "cross-shown": "screen",
+        "ring-shown": "taps",
+    }
+    if step in ("screen", "mapped"):
+        opened.get_by_role("button", name="5 Screen").click()
     if step == "fault":
         expect(opened.get_by_role("alert")).to_be_visible()
     else:
@@ -56,6 +69,9 @@ def calibrate(opened: Page, told: Wizard, step: str) -> None:
     opened.wait_for_function(
         "() => [...document.querySelectorAll('img')].every(one => one.complete || !one.offsetParent)"
     )
+    if step.endswith("-shown"):  # on the whole screen
+        opened.get_by_role("button", name=re.compile("Show the crosses|on this screen|Show the ring")).click()
+        expect(opened.locator(".stage .mark")).to_be_visible()
     if step == "first-tap":
         expect(opened.locator(".tapped")).to_contain_text("Live")  # what to do where no tap is seen
 

@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 pytest.importorskip("playwright", reason="of the extra dev")
@@ -21,6 +23,8 @@ from playwright.sync_api import TimeoutError as Late
 from tests.needs import need
 from tests.processes import PATIENCE_S, ROOT, environment, started
 from tests.system.web.rig import CHROMIUM, PATIENCE_MS, Web, chromium, page, web
+from tests.unit.bridges.tuioclient import Client
+from touchd.config.load import load
 from touchd.localization.model_file import install
 
 SECONDS = 3.0
@@ -29,16 +33,22 @@ MEASURES = {
     "emitter.y": "49.8", "receiver0.x": "12.3", "receiver0.y": "11.8", "receiver1.x": "97.6", "receiver1.y": "18.4",
     "receiver2.x": "85.3", "receiver2.y": "77.7",
 }  # fmt: skip
-FOLLOW = """() => {
+SCREEN_MM = (15.0, 12.0, 80.0, 64.0)
+"""Where the twin's plate has a screen, which the browser's page fills."""
+FOLLOW = """([left, top, wide, high]) => {
   const finger = event => {
+    if (event.target.closest('.stage')) {
+      window.finger(`${left + wide * event.clientX / innerWidth} ${top + high * event.clientY / innerHeight}`);
+      return;
+    }
     const pane = document.querySelector('[data-panel=taps] svg');
     const at = new DOMPoint(event.clientX, event.clientY).matrixTransform(pane.getScreenCTM().inverse());
     window.finger(`${at.x} ${at.y}`);
   };
-  document.addEventListener('pointerdown', event => event.target.closest('svg') && finger(event));
+  document.addEventListener('pointerdown', event => event.target.closest('svg, .stage') && finger(event));
   document.addEventListener('pointerup', () => window.finger(''));
 }"""
-"""Has the twin's finger go where the pointer is on the plate's drawing."""
+"""Has the twin's finger go where the pointer is on the plate's drawing, or on the screen."""
 expect.set_options(timeout=PATIENCE_MS)
 
 
@@ -46,7 +56,8 @@ class Rig:
     """A daemon on a twin, the wizard and the page's server, each of which can be killed and started again."""
 
     def __init__(self, folder: Path) -> None:
-        self.folder, self.finger = folder, folder / "finger"
+        self.folder, self.finger, self.config = folder, folder / "finger", folder / "touchd.toml"
+        self.config.touch()
         self.variables = {
             "TOUCHD_CONTROL__SOCKET": str(folder / "control"), "TOUCHD_MODEL__PATH": str(folder / "model.onnx"),
             "TOUCHD_BUS__BIND": json.dumps([f"ipc://{folder}/bus"]),
@@ -67,7 +78,8 @@ class Rig:
 
     @contextmanager
     def wizard(self) -> Iterator[subprocess.Popen[str]]:
-        options = ("--socket", self.folder / "wizard", "--folder", self.folder / "state", "--seconds", SECONDS)
+        options = ("--socket", self.folder / "wizard", "--folder", self.folder / "state", "--seconds", SECONDS,
+                   "--bus", f"ipc://{self.folder}/bus", "--config", self.config)  # fmt: skip
         with started("wizard", *options, **self.variables) as process:
             assert process.stdout is not None
             assert "ready" in process.stdout.readline()
@@ -79,17 +91,49 @@ class Rig:
         return web(f"ipc://{self.folder}/bus", *options, port=0, **self.variables)
 
 
-def tap(opened: Page, ms: int = 600, x: float = 0.0) -> None:
-    """Press the ring, or a place `x` CSS pixels beside it."""
-    opened.locator("circle.target").first.scroll_into_view_if_needed()
-    middle = opened.evaluate(
-        "() => { const r = document.querySelector('circle.target').getBoundingClientRect();"
-        " return [r.x + r.width / 2, r.y + r.height / 2]; }"
+def tap(opened: Page, what: str = "circle.target") -> None:
+    """Press the middle of a mark."""
+    opened.locator(what).first.scroll_into_view_if_needed()
+    middle = opened.locator(what).first.evaluate(
+        "one => { const r = one.getBoundingClientRect(); return [r.x + r.width / 2, r.y + r.height / 2]; }"
     )
-    opened.mouse.move(middle[0] + x, middle[1])
+    opened.mouse.move(*middle)
     opened.mouse.down()
-    opened.wait_for_timeout(ms)
+    opened.wait_for_timeout(600)
     opened.mouse.up()
+
+
+def touch_marks(opened: Page, said: str, done: str) -> None:
+    """Press marks on the stage until the page shows `done` there, or the stage ends."""
+    for _ in range(20):
+        before = opened.locator(said).text_content()
+        tap(opened, ".stage .mark")
+        with suppress(Late):  # on a busy computer a touch may be lost: the next one counts
+            opened.wait_for_function(
+                "([said, before]) => document.querySelector('.stage').hidden"
+                " || document.querySelector(said).textContent !== before",
+                arg=[said, before], timeout=10_000,
+            )  # fmt: skip
+        if opened.locator(".stage").is_hidden() or (done and done in (opened.locator(said).text_content() or "")):
+            return
+    raise AssertionError(opened.locator(said).text_content())
+
+
+def seen_at_mm(rig: Rig, x_mm: float, y_mm: float) -> tuple[float, float]:
+    """Where a program on the screen sees the finger, mm from its top left corner."""
+    client = Client()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp:
+        udp.bind(("127.0.0.1", 0))
+        udp.settimeout(PATIENCE_S)
+        to = f"127.0.0.1:{udp.getsockname()[1]}"
+        with started("--config", rig.config, "tuio", "--to", to, "--bus", f"ipc://{rig.folder}/bus"):
+            client.take(udp.recv(2000))  # it runs
+            rig.press(f"{x_mm} {y_mm}")
+            while not client.rows:
+                client.take(udp.recv(2000))
+            rig.press("")
+            across, along = next(iter(client.rows.values()))[:2]
+    return SCREEN_MM[2] * across, SCREEN_MM[3] * along
 
 
 def said(opened: Page, text: str) -> None:
@@ -171,7 +215,7 @@ def test_whole_wizard(tmp_path: Path, follow: str) -> None:
         second = stack.enter_context(rig.serve())
         with page(browser, second.url, high=1400) as opened:
             opened.expose_function("finger", rig.press)
-            opened.evaluate(follow)
+            opened.evaluate(follow, SCREEN_MM)
             expect(opened.locator("#views a")).not_to_have_count(0)
             opened.locator("#views a", has_text="Calibrate").click()
             expect(opened.locator(".fitted .word")).to_have_text("Good", timeout=2 * PATIENCE_MS)
@@ -187,11 +231,31 @@ def test_whole_wizard(tmp_path: Path, follow: str) -> None:
             opened.get_by_role("button", name="Try this model").click()
             expect(opened.get_by_text("This model is in use.")).to_be_visible()
             expect(opened.get_by_role("alert")).to_be_hidden()
+            # The screen: crosses become the mapping in the configuration, and a program's finger follows.
+            opened.get_by_role("button", name="Next: the screen").click()
+            opened.get_by_role("button", name="Touch the crosses").click()
+            expect(opened.locator(".stage .mark")).to_be_visible()
+            touch_marks(opened, ".stage .what", "")
+            expect(opened.locator(".mapped")).to_contain_text("The screen is")
+            found = load(rig.config).input
+            assert np.allclose(found.screen_mm, SCREEN_MM, atol=1.0), found
+            assert 0.0 < found.residual_mm < 1.0
+            for across, along in ((0.3, 0.6), (0.7, 0.4)):
+                at_mm = SCREEN_MM[2] * across, SCREEN_MM[3] * along
+                seen_mm = seen_at_mm(rig, SCREEN_MM[0] + at_mm[0], SCREEN_MM[1] + at_mm[1])
+                assert np.hypot(seen_mm[0] - at_mm[0], seen_mm[1] - at_mm[1]) < 1.0
+            # Targets on the screen itself.
+            opened.get_by_role("button", name="6 Taps").click()
+            opened.get_by_role("button", name="Tap targets on this screen").click()
+            expect(opened.locator(".stage .mark")).to_be_visible()
+            opened.wait_for_timeout(1500)  # the plate is learned
+            touch_marks(opened, ".stage .result", "1 tap")
+            opened.get_by_role("button", name="Stop").click()
+            expect(opened.locator(".stage")).to_be_hidden()
             # Taps; which are bad, and why, tests/unit/calibration/wizard says.
-            opened.get_by_role("button", name="Tap targets").click()
+            opened.get_by_role("button", name="Go on").click()
             opened.locator("circle.target").first.wait_for()
             opened.wait_for_timeout(1500)  # the plate is learned
-            tap_until_good(opened, 1)
             tap_until_good(opened, 2)
             before = frames(opened)
             daemon.send_signal(signal.SIGKILL)

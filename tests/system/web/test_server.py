@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import http.client
 import io
+import json
 import signal
-import time
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,8 +18,14 @@ from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Origin
 
 from tests.processes import PATIENCE_S, started, touchd
-from tests.system.web.rig import Web, web
+from tests.system.web.bus import RATE_HZ
+from tests.system.web.rig import Web, bus, web
 from touchd.recording.format import read
+from touchd.web.live import PERIOD_S
+
+OWN = "own"
+HURRIED = "tests.system.web.hurried"
+POSTS = ("/session", "/check/start", "/check/bundle", "/calibrate/do")
 
 
 @pytest.fixture(scope="module")
@@ -41,9 +47,6 @@ def ask(server: Web, method: str, path: str, **headers: str) -> tuple[int, bytes
         connection.close()
 
 
-OWN = "own"
-
-
 def live(server: Web, origin: str | None = OWN, max_queue: int = 16) -> ClientConnection:
     """Open the WebSocket, from the page's own origin unless another is named."""
     said = f"http://127.0.0.1:{server.port}" if origin == OWN else origin
@@ -61,6 +64,17 @@ def end_of(socket: ClientConnection, most: int) -> int | None:
     except ConnectionClosed as closed:
         return closed.rcvd.code if closed.rcvd else 0
     return None
+
+
+def read_on(socket: ClientConnection, updates: int, frames: int) -> None:
+    """Read until so many updates have come, and so many frames have passed."""
+    first = last = None
+    while updates > 0 or last is None or first is None or last - first < frames:
+        updates -= 1
+        for message in json.loads(socket.recv(timeout=PATIENCE_S))["messages"]:
+            if message["type"] == "touch":
+                last = message["frame"]
+                first = first or last
 
 
 @settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -98,16 +112,42 @@ def test_foreign_page(server: Web, origin: str | None) -> None:
         live(server, origin=origin)
     assert refused.value.response.status_code == 403
     said = {} if origin is None else {"Origin": origin}
-    for path in ("/session", "/check/start", "/check/bundle"):
+    for path in POSTS:
         assert ask(server, "POST", path, **{"Content-Length": "0"}, **said)[0] == 403
 
 
 def test_no_session(server: Web) -> None:
     """From the right page without the token, nothing acts."""
     said = {"Origin": f"http://127.0.0.1:{server.port}", "Content-Length": "0"}
-    for path in ("/check/start", "/check/bundle"):
+    for path in POSTS[1:]:
         assert ask(server, "POST", path, **said)[0] == 401
     assert ask(server, "POST", "/session", **said)[0] == 403
+
+
+NAMES = st.sampled_from(["127.0.0.1", "localhost", "[::1]", "0.0.0.0", "127.0.0.1.evil.example", "2130706433", "evil"])
+PORTS = st.sampled_from(["", ":80", ":1", ":OWN", ":0OWN", ":OWN.", ":OWN@evil"])
+SCHEMES = st.sampled_from(["http://", "https://", "HTTP://", "ws://", "null", "", "file://"])
+COOKIES = st.sampled_from(["", "touchd-OWN=", "touchd-OWN=x", 'touchd-OWN="', "touchd-OWN=x; touchd-OWN=y", "=;=,"])
+
+
+@settings(max_examples=200, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@given(
+    host=st.builds("".join, st.tuples(NAMES, PORTS)), origin=st.builds("".join, st.tuples(SCHEMES, NAMES, PORTS)),
+    cookie=COOKIES, method=st.sampled_from(["POST", "GET", "PUT", "OPTIONS", "DELETE"]),
+    path=st.sampled_from([*POSTS, "/live", "/calibrate//do", "/calibrate/do/", "/calibrate/picture/../do", "//live"]),
+)  # fmt: skip
+def test_strangers(server: Web, host: str, origin: str, cookie: str, method: str, path: str) -> None:
+    """No mixture of hosts, origins, cookies, methods and paths acts or listens, but the page's own may listen."""
+    host, origin, cookie = (text.replace("OWN", str(server.port)) for text in (host, origin, cookie))
+    upgrade = {"Upgrade": "websocket", "Connection": "Upgrade", "Sec-WebSocket-Version": "13"}
+    upgrade |= {"Sec-WebSocket-Key": "x3JJHMbDL1EzLkh9GBhXDw=="}
+    said = {"Host": host, "Origin": origin, "Cookie": cookie, "Content-Length": "0"}
+    status = ask(server, method, path, **said, **(upgrade if "live" in path else {}))[0]
+    own = {f"{name}:{server.port}" for name in ("127.0.0.1", "localhost", "[::1]")}
+    if host in own and origin.removeprefix("http://") in own and (method, path) == ("GET", "/live"):
+        assert status == 101
+    else:
+        assert status in (400, 401, 403, 404, 405, 421)
 
 
 @settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -127,22 +167,18 @@ def test_long_message(server: Web) -> None:
         assert end_of(socket, 10_000) is not None
 
 
-def test_slow_reader(server: Web) -> None:
-    """Browsers that read nothing cost at most 5 MB, and hold up nobody."""
-    with live(server) as reader:
-        reader.recv(timeout=PATIENCE_S)
+def test_slow_reader(tmp_path: Path) -> None:
+    """A browser that reads nothing of a minute's frames and updates costs at most 5 MB, and holds up nobody."""
+    where = f"ipc://{tmp_path}/bus"
+    with bus(where, "hurried"), web(where, module=HURRIED) as server, live(server) as reader:
+        read_on(reader, 100, 100)
         before = server.memory_bytes()
-        sleepers = [live(server, max_queue=1) for _ in range(8)]
+        sleeper = live(server, max_queue=1)
         try:
-            begin_s, count = time.monotonic(), 0
-            while time.monotonic() - begin_s < 6.0:
-                reader.recv(timeout=PATIENCE_S)
-                count += 1
-            assert count > 20
+            read_on(reader, round(60 / PERIOD_S), 60 * RATE_HZ)
             assert server.memory_bytes() - before < 5_000_000
         finally:
-            for one in sleepers:
-                one.socket.close()
+            sleeper.socket.close()
 
 
 def test_end(address: str) -> None:

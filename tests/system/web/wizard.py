@@ -40,12 +40,21 @@ POOR = {
                 "channel 3 is dead: check its disc and cable",
                 "receiver 2 may be 8.3 mm from where the drawing has it: measure it again"],
 }  # fmt: skip
+MAPPING = {"screen_mm": [20.4, 30.2, 160.1, 90.3], "rotate": 0, "residual_mm": 0.84}
 _TAPS = [
     {"target_mm": (p := target_mm(n, 200.4, 149.8)), "found_mm": [p[0] + 0.4, p[1] - 0.3]} for n in range(7)
 ]  # fmt: skip
 _TARGET = target_mm(7, 200.4, 149.8)
 _FITTED = NOTHING | {"plate": PLATE, "untouched": True, "result": GOOD}
-_TAPPING = _FITTED | {"running": "taps", "taps": _TAPS, "target_mm": _TARGET, "installed": True}
+_X, _Y = np.meshgrid(np.linspace(-1, 1, 20), np.linspace(-1, 1, 20))
+_EXPECTED = {"mm": (0.1 + 0.3 * (_X**4 + _Y**4)).round(3).tolist(), "median_mm": 0.139, "top_mm": 0.62}
+_TAPPING = _FITTED | {
+    "running": "taps",
+    "taps": _TAPS,
+    "target_mm": _TARGET,
+    "installed": True,
+    "expected": _EXPECTED,
+}
 _COMPARED = {
     "new": {"used": 7, "taps": 7, "scatter_mm": 0.61, "unexplained": 0.0034},
     "old": {"used": 5, "taps": 7, "scatter_mm": 1.87, "unexplained": 0.0212},
@@ -57,10 +66,23 @@ STATES: dict[str, dict[str, Any]] = {
     "fit": NOTHING | {"plate": PLATE, "untouched": True, "running": "fit", "share": 0.63, "note": "candidates"},
     "verdict": _FITTED,
     "poor": _FITTED | {"result": POOR},
+    "screen": _FITTED | {"installed": True},
+    "mapped": _FITTED | {"installed": True, "mapping": MAPPING},
+    "crosses": _FITTED | {"installed": True, "running": "crosses", "cross": {"number": 2, "of": 4, "at": (0.9, 0.1)}},
+    "cross-shown": _FITTED | {
+        "installed": True, "running": "crosses", "cross": {"number": 3, "of": 4, "at": (0.9, 0.9)},
+    },
     "first-tap": _TAPPING | {"taps": [], "target_mm": target_mm(0, 200.4, 149.8)},
     "taps": _TAPPING | {"last": {"ok": True, "reason": "", "target_mm": _TAPS[-1]["target_mm"]},
-                        "told": {"scatter_mm": 0.61, "orientation": "mirrored"}},
-    "missed": _TAPPING | {"last": {"ok": False, "reason": "light", "target_mm": [60.0, 60.0]}},
+                        "told": {"scatter_mm": 0.61, "orientation": ""}},
+    "ring-shown": _TAPPING | {
+        "mapping": MAPPING, "target_mm": (60.0, 50.0),
+        "last": {"ok": False, "reason": "unsteady", "target_mm": _TAPS[-1]["target_mm"]},
+    },
+    "missed": _TAPPING | {
+        "last": {"ok": False, "reason": "light", "target_mm": [60.0, 60.0]}, "expected": None,
+        "told": {"scatter_mm": 0.61, "orientation": "mirrored left to right"},
+    },
     "compared": _TAPPING | {"running": None, "compared": _COMPARED, "last": None},
     "fault": NOTHING | {"plate": PLATE, "untouched": True, "problem": "untouched.npz: the plate was touched",
                         "fix": "take everything off the plate, and listen again"},

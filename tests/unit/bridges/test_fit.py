@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from tests.unit.bridges.events import contact
 from touchd.bridges.area import Area
 from touchd.bridges.fit import CROSSES, Touched, fit
-from touchd.cli.map import page_of, with_lines
+from touchd.cli.map import page_of
 from touchd.config.bridges import InputSettings
-from touchd.errors import BridgeError, OutputError
+from touchd.errors import BridgeError
 
 SCREENS = st.builds(
     lambda x, y, w, h, rotate: InputSettings(screen_mm=(x, y, w, h), rotate=rotate),
@@ -82,27 +82,6 @@ def test_a_bad_mapping_is_refused(bad: str) -> None:
     with pytest.raises(BridgeError) as refused:
         fit(touches)
     assert refused.value.fix
-
-
-LINES = {"screen_mm": "[1, 2, 30, 40]", "rotate": "90"}
-
-
-def test_the_file_keeps_all_else() -> None:
-    """Only the keys of the mapping change; comments, order and other tables stay."""
-    text = "# mine\n[bus]\n# rotate = 3\nhigh_water_mark = 5\n\n[input] # here\n# Default: 0\nrotate = 0\n\n[log]\n"
-    changed = with_lines(text, LINES)
-    assert changed == text.replace("rotate = 0\n", "rotate = 90\n").replace(
-        "[input] # here\n", "[input] # here\nscreen_mm = [1, 2, 30, 40]\n"
-    )
-    assert with_lines(changed, LINES) == changed
-    assert with_lines("", LINES) == "[input]\nrotate = 90\nscreen_mm = [1, 2, 30, 40]\n"
-    assert with_lines("# mine\n", LINES) == "# mine\n\n[input]\nrotate = 90\nscreen_mm = [1, 2, 30, 40]\n"
-
-
-def test_an_unusual_file_is_left() -> None:
-    """A list over several lines is not broken: the user is asked to write the lines by hand."""
-    with pytest.raises(OutputError, match="by hand"):
-        with_lines("[input]\nscreen_mm = [\n 1, 2,\n 3, 4]\n", LINES)
 
 
 def test_the_page_has_the_crosses() -> None:

@@ -11,7 +11,7 @@ def test_bend() -> None:
     """A smooth stroke is straight, one that a wrong field bends is not."""
     t = np.linspace(0, 1, 120)
     smooth = np.stack([20 + 100 * t, 30 + 20 * t**2], axis=1)
-    frames = [Frame(1, (0.0, 0.0), np.zeros((1, 1), complex))] * len(t)
+    frames = [Frame(1, (0.0, 0.0), np.zeros(2))] * len(t)
     straight, bent = bend(frames, smooth), bend(frames, smooth + np.stack([0 * t, 0.3 * np.sin(60 * t)], axis=1))
     assert straight is not None
     assert bent is not None

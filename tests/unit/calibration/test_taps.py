@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tests.unit.calibration.plates import LAYOUT, PLATE, exact_fit
+from touchd.calibration.place_correction import PlaceCorrection, Widths, with_places
 from touchd.calibration.taps import (
     ORIENTATIONS,
     Taps,
@@ -19,7 +21,7 @@ from touchd.calibration.taps import (
     with_gains,
 )
 from touchd.errors import CalibrationError
-from touchd.localization.atlas import Atlas
+from touchd.localization.atlas import Atlas, load_atlas, save_atlas
 from touchd.training.field.place import place
 from touchd.twin.instrument import Instrument
 from touchd.twin.simulate import simulate_touches
@@ -86,6 +88,38 @@ def test_never_worse(atlas: Atlas, exact: Taps) -> None:
         rough = roughly(exact, error_mm)
         refined = refine(atlas, Taps(rough.label_mm[:count], rough.values[:count]))
         assert median_mm(refined.atlas, exact) < 1.02 * median_mm(atlas, exact)
+
+
+@pytest.mark.parametrize("error_mm", [1.0, 2.0])
+def test_wrong_places(atlas: Atlas, exact: Taps, tmp_path: Path, error_mm: float) -> None:
+    """Where a clamp leaves all places uncertain, taps bring them nearer by a third and more, in the file too."""
+    off = np.zeros(12)
+    off[0] = 0.9
+    wrong = with_places(atlas, PlaceCorrection(SIZE_MM, off, 1.0))
+    assert median_mm(wrong, exact) == pytest.approx(0.9, abs=0.05)
+    refined = refine(wrong, roughly(exact, error_mm), 0, Widths((0.7, 0.02), 0.0, 0.02))
+    save_atlas(refined.atlas, tmp_path / "plate.atlas.npz")
+    assert median_mm(load_atlas(tmp_path / "plate.atlas.npz"), exact) < 0.67 * median_mm(wrong, exact)
+    assert refined.scatter_mm == pytest.approx(error_mm, rel=0.3)
+
+
+def test_wrong_ruler(atlas: Atlas, exact: Taps) -> None:
+    """The factor that all places share is found as far as the labels tell it, and the plate becomes larger by it."""
+    ruler = np.zeros(12)
+    ruler[2] = -0.005
+    short = with_places(atlas, PlaceCorrection(SIZE_MM, ruler, 1.0))
+    assert short.description.plate.width_mm == pytest.approx(0.995 * SIZE_MM[0])
+    refined = refine(short, roughly(exact, 1.0), 0, Widths((0.02, 0.02), 0.003, 0.02))
+    assert median_mm(refined.atlas, exact) < 0.67 * median_mm(short, exact)
+    assert refined.atlas.description.plate.width_mm == pytest.approx(SIZE_MM[0], abs=0.67 * 0.005 * SIZE_MM[0])
+
+
+def test_right_places(atlas: Atlas, exact: Taps) -> None:
+    """Where the physics are right and the ruler too, no place moves."""
+    for count, error_mm in ((20, 1.0), (60, 1.0), (60, 2.0)):
+        rough = roughly(exact, error_mm)
+        refined = refine(atlas, Taps(rough.label_mm[:count], rough.values[:count]), 0, Widths((0.02, 0.02), 5e-4, 0.02))
+        assert refined.moved_mm == 0, (count, error_mm)
 
 
 def test_no_taps(atlas: Atlas, exact: Taps) -> None:

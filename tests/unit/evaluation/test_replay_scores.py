@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from touchd.evaluation.replay_scores import SLACK_FRAMES, found_contacts, score_
 from touchd.evaluation.truth import true_touches
 from touchd.event import Contact, Phase, TouchEvent
 from touchd.frame import Plate
-from touchd.recording.data import Meta, Recording
+from touchd.recording.data import Act, Meta, Recording
 
 META = Meta(sample_rate_hz=250e3, bits=16, full_scale_v=10, frame_rate_hz=125, plate=Plate(width_mm=200, height_mm=200))
 FIRST = 1000
@@ -139,3 +140,16 @@ def test_without_a_contact_there_is_neither_latency_nor_jitter() -> None:
     scores = score_stream(TWO, [])
     assert scores.down_latency_ms is None
     assert scores.jitter_mm is None
+
+
+@pytest.mark.parametrize(("name", "ghosts"), [("stroke", 0), ("thumb", 0), ("palm", 1)])
+def test_rough_labels(name: str, ghosts: int) -> None:
+    """Of what a person was asked to do, taps alone tell positions; a stroke or a thumb is found or missed, and what is
+    found under a palm is a ghost."""
+    one = truth([(start, start + 20, 30.0, 30.0) for start in (10, 40, 70)])
+    acts = tuple(Act(name=act, begin=begin, end=begin + 30) for act, begin in (("tap", 5), (name, 35), ("tap", 65)))
+    one = replace(one, meta=one.meta.model_copy(update={"acts": acts}))
+    scores = score_stream(one, contact(1, 12, 32, 31, 30) + contact(2, 42, 62, 45, 30) + contact(3, 72, 92, 34, 30))
+    assert (scores.touches, scores.missed, scores.ghosts) == (3 - ghosts, 0, ghosts)
+    for errors in (scores.error_mm, scores.settled.judged.error_mm):
+        assert set(errors[:, 0].round(3).tolist()) == {1.0, 4.0}

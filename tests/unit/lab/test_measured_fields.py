@@ -8,16 +8,19 @@ import pytest
 
 from touchd.errors import RecordingError
 from touchd.lab import measured_fields
-from touchd.lab.measured_fields import Sample, WaveField, random_field, read_field
+from touchd.lab.measured_fields import Sample, WaveField, read_field
 
 K_PER_MM = 0.5
 
 
 @pytest.fixture(scope="module")
 def waves() -> WaveField:
+    """Random waves of one wavenumber."""
     rng = np.random.default_rng(3)
-    first = np.exp(1j * K_PER_MM * 0.8 * np.arange(160))[:, None] * np.ones(150)
-    return random_field(WaveField(first, 0.8, 1e5), 0.0, rng)
+    x, y, angles = 0.8 * np.arange(160), 0.8 * np.arange(150), rng.uniform(0, 2 * np.pi, 400)
+    along_x, along_y = K_PER_MM * np.outer(x, np.cos(angles)), K_PER_MM * np.outer(np.sin(angles), y)
+    strengths = rng.standard_normal((2, 400)).T @ [1, 1j]
+    return WaveField((np.exp(1j * along_x) * strengths) @ np.exp(1j * along_y), 0.8, 1e5)
 
 
 def scan(path: Path, field: WaveField) -> Path:

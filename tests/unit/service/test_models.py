@@ -18,7 +18,8 @@ from touchd.pipeline import Pipeline, Result
 from touchd.service.daemon import find_model, make_reloader
 from touchd.service.health import Health
 from touchd.service.messages import Messages, all_but_spectra
-from touchd.service.models import installed_path, model_path
+from touchd.service.models import installed_path, model_path, settings_for
+from touchd.sources.open import SourceChoice
 from touchd.sources.replay import ReplaySource
 
 SHIPPED = default_model_path()
@@ -137,3 +138,18 @@ def test_which(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     install(SHIPPED, installed_path())
     assert model_path(Settings()) == tmp_path / "model.onnx"
     assert model_path(settings_of(Path("/another.onnx"))) == Path("/another.onnx")
+
+
+def test_of_a_device(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """A device is never placed on the shipped model, which knows another plate: it is uncalibrated until one comes."""
+    monkeypatch.setenv("STATE_DIRECTORY", str(tmp_path))
+    for choice in (SourceChoice(), SourceChoice(ni=True), SourceChoice(audio="hw:0")):
+        assert find_model(settings_for(Settings(), choice)) is None
+    for choice in (SourceChoice(replay=tmp_path), SourceChoice(simulate="tap")):
+        assert settings_for(Settings(), choice) == Settings()
+    install(SHIPPED, installed_path())
+    found = find_model(settings_for(Settings(), SourceChoice()))
+    assert found is not None
+    assert found.path == tmp_path / "model.onnx"
+    named = settings_of(Path("/another.onnx"))
+    assert settings_for(named, SourceChoice()) == named

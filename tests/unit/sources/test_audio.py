@@ -11,8 +11,9 @@ import pytest
 
 from tests.audiocard import FakeCard, answers
 from tests.processes import PATIENCE_S
+from touchd.audio.card import Card, CardAbsent
 from touchd.audio.highpass import HighPass
-from touchd.audio.waveform import periods_of
+from touchd.audio.waveform import periods_of, rates_of
 from touchd.cli.demo import SESSION
 from touchd.config.rigs import AudioSettings
 from touchd.config.schema import DeviceSettings, Settings
@@ -21,7 +22,7 @@ from touchd.frame import ACQUISITIONS, Frame
 from touchd.localization.model import Model, default_model_path
 from touchd.pipeline import Pipeline
 from touchd.recording.format import read
-from touchd.sources.audio import AudioDaq, acquisition_of
+from touchd.sources.audio import AudioDaq, acquisition_of, open_audio, rate_of
 from touchd.sources.daq import DaqAbsent, DaqFrame, DaqGone
 from touchd.sources.live import DaqSource
 from touchd.sources.waits import Waits
@@ -322,3 +323,29 @@ def test_a_frame_rate_that_no_chirps_fill_is_refused() -> None:
     """192 kHz and chirps of 4 ms make 250 frames a second, or a whole part of that."""
     with pytest.raises(ConfigError, match="use 250, or a whole part of it"):
         periods_of(ACQUISITIONS["audio-192"], 100)
+
+
+@pytest.mark.parametrize(
+    ("sample_rate_hz", "chirp_s", "rate_hz"), [(192_000, 0.004, 125), (96_000, 0.001, 125), (192_000, 0.005, 100)]
+)
+def test_the_default_rate_is_one_that_chirps_fill(sample_rate_hz: int, chirp_s: float, rate_hz: int) -> None:
+    """Whoever sets no frame rate gets the one nearest to 125 without a pause between chirps; one that is set stays."""
+    audio = AudioSettings(sample_rate_hz=sample_rate_hz, band_hz=(15e3, 44e3), chirp_s=chirp_s)
+    acquisition = acquisition_of(audio)
+    assert rate_of(acquisition, DeviceSettings()) == rate_hz
+    assert rate_of(acquisition, DeviceSettings(rate_hz=50)) == 50
+    source = open_audio(Settings(audio=audio), refuse, "hw:CARD=none", None)
+    source.close()
+    assert source.rate_hz == rate_hz
+
+
+def refuse(name: str, _rate_hz: int, _inputs: int) -> Card:
+    raise CardAbsent(name)
+
+
+def test_chirps_that_fill_no_rate_are_refused() -> None:
+    """Of chirps of 3 ms no number lasts a whole part of a second."""
+    acquisition = acquisition_of(AudioSettings(chirp_s=0.003))
+    assert rates_of(acquisition) == []
+    with pytest.raises(ConfigError, match="set another audio"):
+        periods_of(acquisition, rate_of(acquisition, DeviceSettings()))

@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -123,6 +124,10 @@ class Steady(Stubborn):
         super().start(rate_hz)
         self.silent = False
 
+    def skip(self, frames: int) -> None:
+        """Send these frames to nobody."""
+        self._sequence += frames
+
     def read(self, timeout_s: float) -> DaqFrame | None:
         self.readers.append(threading.current_thread().name)
         if self.silent:
@@ -139,11 +144,13 @@ class Steady(Stubborn):
 class Reading:
     """A source on a steady device, read until something is so."""
 
-    def __init__(self, waits: Waits = AT_ONCE, **settings: float) -> None:
+    def __init__(self, waits: Waits = AT_ONCE, clock: Callable[[], int] = time.monotonic_ns, **settings: float) -> None:
         self.daq = Steady()
         chosen = DeviceSettings.model_validate({"stall_s": 0.05, **settings})
         self.opened = 0
-        self.source = DaqSource(lambda: iter([self.open]), chosen, ACQUISITION, lambda _: None, waits=waits)
+        self.source = DaqSource(
+            lambda: iter([self.open]), chosen, ACQUISITION, lambda _: None, waits=waits, clock=clock
+        )
         self.numbers: list[int] = []
         self.states: list[str] = []
 
@@ -171,7 +178,7 @@ class Reading:
 def reading() -> Iterator[Callable[..., Reading]]:
     made: list[Reading] = []
 
-    def make(**settings: float) -> Reading:
+    def make(**settings: Any) -> Reading:
         made.append(Reading(AT_ONCE, **settings))
         return made[-1]
 
@@ -207,6 +214,21 @@ def test_busy_caller(before: str) -> None:
         one.until(lambda: len(one.numbers) > count + 20)
     finally:
         one.source.close()
+
+
+@pytest.mark.parametrize(("away_ns", "lost", "behind"), [(80_000_000, 0, 10), (79_999_999, 10, 0)])
+def test_frames_that_the_device_could_not_keep(
+    reading: Callable[..., Reading], away_ns: int, lost: int, behind: int
+) -> None:
+    """Ten frames missing after their reader was away for as long were not lost by a cable: this computer was behind."""
+    now_ns = 10**12
+    one = reading(clock=lambda: now_ns, rate_hz=125)
+    one.until_direct()
+    now_ns += away_ns
+    one.daq.skip(10)
+    count = len(one.numbers)
+    one.until(lambda: len(one.numbers) > count)
+    assert (one.source.tally.lost, one.source.tally.behind) == (lost, behind)
 
 
 def test_high_rate(reading: Callable[..., Reading]) -> None:

@@ -31,7 +31,7 @@ def same(one: Recording, other: Recording) -> bool:
 
 
 def test_pinch_has_two_fingers_at_once_and_drop_a_drop(instrument: Instrument) -> None:
-    assert (touching(simulate_scene("pinch", instrument=instrument)).sum(axis=1) == 2).any()
+    assert (touching(simulate_scene("pinch", instrument=instrument, frames=250)).sum(axis=1) == 2).any()
     drop = simulate_scene("drop", instrument=instrument)
     assert drop.force_n is not None
     on = touching(drop)
@@ -95,7 +95,7 @@ def test_the_default_keys_are_a_telephones() -> None:
 
 
 def test_a_circle_is_round_and_a_hold_keeps_growing(instrument: Instrument) -> None:
-    circle = simulate_scene("circle", instrument=instrument)
+    circle = simulate_scene("circle", instrument=instrument, frames=250)
     assert circle.contacts_mm is not None
     place = circle.contacts_mm[touching(circle)[:, 0], 0] - 100
     np.testing.assert_allclose(np.hypot(*place.T), 60, atol=0.01)

@@ -6,6 +6,8 @@ import os
 from pathlib import Path
 
 SERVICE_SOCKET = Path("/run/touchd-wizard/socket")
+HANDED = "touched.json"
+"""Beside the socket: touches for touchd-mapping.service."""
 MOST_BYTES = 1 << 22
 """A line's: pictures are in the answers."""
 

@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 
 from touchd.calibration.taps import ORIENTATIONS, Taps, orientation_of, refine, taps_of
+from touchd.calibration.wizard.error_map import ErrorMap
 from touchd.calibration.wizard.state import State
 from touchd.calibration.wizard.tapping import Tapped, Tapper
 from touchd.calibration.wizard.targets import target_mm
 from touchd.calibration.wizard.untouched import Stopped, meta_of
 from touchd.errors import BusError, TouchdError
-from touchd.localization.atlas import atlas_path, load_atlas
+from touchd.localization.atlas import Atlas, atlas_path, load_atlas
 from touchd.recording.data import Recording
 from touchd.recording.format import read, write
 from touchd.service.frame_feed import DaemonSource
@@ -50,7 +51,10 @@ class Session:
         """
         self._folder.mkdir(mode=0o700, exist_ok=True)
         state = self._state
-        tapper = Tapper(load_atlas(atlas_path(state.model)))
+        atlas = load_atlas(atlas_path(state.model))
+        tapper = Tapper(atlas)
+        errors = ErrorMap(atlas, state.model.with_suffix(".untouched.npz"))
+        self._tell(atlas, errors)
         meta = meta_of(source, state.said())
         number = self._show_target()
         for frame in frames_of(source):
@@ -71,7 +75,9 @@ class Session:
                 state.set(taps=[*state["taps"], {"target_mm": label, "found_mm": tapped.found_mm}])
             state.set(last=last, again=again, next=max(state["next"], number + 1))
             number = self._show_target()
-            state.set(told=(told := self.told()))
+            if not tapped.reason:
+                self._tell(atlas, errors)
+            told = state["told"]
             tapper.orientation = ORIENTATIONS.index(told["orientation"]) if told else None
         raise BusError("the daemon has ended", "", "the taps go on once it runs")
 
@@ -81,28 +87,40 @@ class Session:
         if chunks:
             chunks[-1].unlink()
             self._state.set(taps=self._state["taps"][:-1], last=None)
-            self._state.set(told=self.told())
+            atlas = load_atlas(atlas_path(self._state.model))
+            self._tell(atlas, ErrorMap(atlas, self._state.model.with_suffix(".untouched.npz")))
 
-    def told(self) -> dict[str, Any] | None:
-        """Return how the taps scatter, and whether the drawing is turned; None of too few."""
-        if len(self._state["taps"]) < LEAST_TO_TELL:
-            return None
-        atlas = load_atlas(atlas_path(self._state.model))
-        taps = taps_of(read(self._folder), atlas)
-        orientation = orientation_of(atlas, taps)
-        found = np.array([tap["found_mm"] for tap in self._state["taps"]])
-        label = np.array([tap["target_mm"] for tap in self._state["taps"]])
-        apart = np.linalg.norm(found - label, axis=1)
-        return {"scatter_mm": float(np.sqrt(np.square(apart).mean() / 2)), "orientation": ORIENTATIONS[orientation]}
+    def _tell(self, atlas: Atlas, errors: ErrorMap) -> None:
+        """Tell what the taps do: the expected error, and, of three or more, their scatter and the drawing's turn."""
+        taps = taps_of(read(self._folder), atlas) if self._state["taps"] else None
+        told, orientation = None, 0
+        if taps is not None and len(self._state["taps"]) >= LEAST_TO_TELL:
+            orientation = orientation_of(atlas, taps)
+            found = np.array([tap["found_mm"] for tap in self._state["taps"]])
+            label = np.array([tap["target_mm"] for tap in self._state["taps"]])
+            apart = np.linalg.norm(found - label, axis=1)
+            told = {"scatter_mm": float(np.sqrt(np.square(apart).mean() / 2)), "orientation": ORIENTATIONS[orientation]}
+        # Taps on a drawing that is turned tell nothing of places on it.
+        self._state.set(told=told, expected=None if orientation else errors.shown(taps))
 
     def _show_target(self) -> int:
         """Show the next target, and return its number."""
         state = self._state
         due = [number for number, when in state["again"] if len(state["taps"]) >= when]
         number: int = due[0] if due else state["next"]
-        p = state.said().plate
-        state.set(target_mm=target_mm(number, p.width_mm, p.height_mm))
+        left_mm, top_mm, wide_mm, high_mm = self._area_mm()
+        x_mm, y_mm = target_mm(number, wide_mm, high_mm)
+        state.set(target_mm=(round(left_mm + x_mm, 1), round(top_mm + y_mm, 1)))
         return number
+
+    def _area_mm(self) -> tuple[float, float, float, float]:
+        """Return where targets are, x, y, width and height: on the screen, which shows them, if its place is known."""
+        p, mapping = self._state.said().plate, self._state["mapping"]
+        if not mapping:
+            return 0.0, 0.0, p.width_mm, p.height_mm
+        x, y, wide, high = mapping["screen_mm"]
+        left, top = max(x, 0.0), max(y, 0.0)
+        return left, top, min(x + wide, p.width_mm) - left, min(y + high, p.height_mm) - top
 
     def _keep(self, tapped: Tapped, meta: Any, label_mm: tuple[float, float]) -> None:
         """Write a tap as the recording's next chunk."""

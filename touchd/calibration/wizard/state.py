@@ -14,9 +14,10 @@ from touchd.files import replacing
 NOTHING: dict[str, Any] = {
     "running": None, "share": 0.0, "note": "", "problem": "", "fix": "", "plate": None, "untouched": False,
     "result": None, "taps": [], "again": [], "next": 0, "target_mm": None, "last": None, "told": None,
-    "installed": False, "compared": None,
+    "installed": False, "compared": None, "cross": None, "mapping": None, "expected": None,
 }  # fmt: skip
-"""`running` is `untouched`, `fit`, `taps` or None; `taps` are the places tapped, each with its label."""
+"""`running` is `untouched`, `fit`, `crosses`, `taps` or None; `taps` are the places tapped, each with its label;
+`mapping` is where the configuration has the screen; `expected` is the map of the expected error."""
 _FLEETING = frozenset({"share", "note"})
 
 
@@ -40,7 +41,8 @@ class State:
         """Counts the changes."""
 
     def __getitem__(self, name: str) -> Any:
-        return self._known[name]
+        with self._lock:  # what is told is on disk
+            return self._known[name]
 
     def set(self, **changes: Any) -> None:
         """Change fields, and keep them on disk, all but progress."""
@@ -71,7 +73,7 @@ class State:
         """Forget all but the measures."""
         for chunk in self.taps.glob("*.npz"):
             chunk.unlink()
-        self.set(**NOTHING | {"plate": self["plate"]})
+        self.set(**NOTHING | {"plate": self["plate"], "mapping": self["mapping"]})
 
     @property
     def plate_file(self) -> Path:

@@ -18,6 +18,7 @@ from typing import Any
 
 import structlog
 
+from touchd.calibration.wizard.crosses import keep, take_crosses
 from touchd.calibration.wizard.fitting import fit
 from touchd.calibration.wizard.link import MOST_BYTES
 from touchd.calibration.wizard.session import Session, compare
@@ -49,14 +50,29 @@ class Worker:
         The model in use, which `install` replaces.
     seconds : float
         How long the plate stays untouched.
+    config : Path
+        The configuration, which takes the mapping.
+    handed : Path
+        Where touches are left for a mapping that this process may not write.
+    bus : str, optional
+        Where the daemon publishes.
     """
 
-    def __init__(self, state: State, control: Path, target: Path, seconds: float) -> None:
+    def __init__(
+        self, state: State, control: Path, target: Path, seconds: float, config: Path, handed: Path,
+        bus: str | None = None,
+    ) -> None:  # fmt: skip
         self._state, self._control, self._target, self._seconds = state, control, target, seconds
+        self._config, self._handed, self._bus = config, handed, bus
         self._one = threading.Lock()
         self._stop = threading.Event()
         self._thread: threading.Thread | None = None
-        self._jobs: dict[str, Job] = {"untouched": self._take, "fit": self._fit, "taps": self._tap}
+        self._jobs: dict[str, Job] = {
+            "untouched": self._take,
+            "fit": self._fit,
+            "taps": self._tap,
+            "crosses": self._map,
+        }
 
     def resume(self) -> None:
         """Go on with the job that was running."""
@@ -69,8 +85,9 @@ class Worker:
         self._halt()
         self._state.set(running=running)
 
-    def answer(self, asked: dict[str, Any]) -> dict[str, Any]:
+    def answer(self, asked: Any) -> dict[str, Any]:
         """Obey a command, and return what is to be said of it: at least `ok`."""
+        asked = asked if isinstance(asked, dict) else {}
         name = str(asked.get("do"))
         try:
             with self._one:
@@ -86,7 +103,7 @@ class Worker:
         return {
             "measures": self._measures, "untouched": lambda _: self._run("untouched"),
             "fit": lambda _: self._run("fit"),
-            "taps": lambda _: self._run("taps"),
+            "taps": lambda _: self._run("taps"), "crosses": lambda _: self._run("crosses"),
             "pause": lambda _: self._halt(), "undo": lambda _: self._undo(),
             "install": lambda _: self._install(), "rollback": lambda _: self._rollback(),
             "compare": lambda _: self._compare(), "begin": lambda _: self._begin(), "picture": self._picture,
@@ -179,11 +196,19 @@ class Worker:
     def _fit_now(self, stop: threading.Event) -> None:
         self._state.set(running="fit", share=0.0, note="")
         result = fit(self._state, stop, self._progress)
-        self._state.set(running=None, result=result, note="", compared=None, installed=False)
+        self._state.set(running=None, result=result, note="", compared=None, installed=False, expected=None)
 
     def _tap(self, stop: threading.Event) -> None:
         session = Session(self._state)
         self._with_frames(stop, lambda feed: session.collect(feed, stop))
+
+    def _map(self, stop: threading.Event) -> None:
+        try:
+            touched = take_crosses(self._bus, stop, lambda due: self._state.set(cross=due))
+        finally:
+            self._state.set(cross=None)
+        self._state.set(mapping=keep(touched, self._config, self._handed))
+        self._state.set(running=None)
 
     def _with_frames(self, stop: threading.Event, use: Callable[[Any], None]) -> None:
         """Run `use` on the daemon's frames; while no daemon runs say so, and wait for one."""
@@ -206,10 +231,11 @@ async def serve(worker: Worker, state: State, path: Path, manager: Notifier, rea
     ended = asyncio.Event()
 
     async def converse(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        with contextlib.suppress(OSError, ValueError, asyncio.IncompleteReadError), contextlib.closing(writer):
+        broken = (OSError, ValueError, RecursionError, asyncio.IncompleteReadError)
+        with contextlib.suppress(*broken), contextlib.closing(writer):
             while line := await reader.readline():
                 asked = json.loads(line)
-                if asked.get("do") == "watch":
+                if asked == {"do": "watch"}:
                     await _watch(state, writer, ended)
                     return
                 answer = await asyncio.to_thread(worker.answer, asked)

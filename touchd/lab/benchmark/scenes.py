@@ -13,8 +13,11 @@ from touchd.lab.benchmark.loop import Loop
 from touchd.twin.electronics import Digitiser, Electronics
 from touchd.twin.instrument import REFERENCE_C, Instrument
 from touchd.twin.physics.finger import Contact
+from touchd.twin.scenes.one_finger import FORCES_N
 from touchd.twin.scenes.robot import AREAS_MM2, MARGIN_MM
-from touchd.twin.simulate import simulate_scene
+from touchd.twin.scenes.timeline import Stage
+from touchd.twin.scenes.trajectory import anywhere, line, still
+from touchd.twin.simulate import DEFAULT_PLATE, simulate_scene, simulate_stage
 
 SEED, SCENE_SEED = 210, 211
 """Unseen in training."""
@@ -30,6 +33,11 @@ LEARN_FRAMES = 60
 """Least number of untouched frames before a scene's first touch, from which the baseline is learned."""
 RAMP_FRAMES = 10
 """Frames in which a finger comes down or lifts."""
+
+DAY_S = 20.0
+"""A day in little: taps, a finger that holds and one that moves, for 4 % of the time; else untouched."""
+DAY = (("tap", 0.1), ("tap", 0.1), ("hold", 0.3), ("move", 0.3))
+"""Its touches, one a second: what each is, and for how long, s."""
 
 Array = NDArray[np.float32]
 
@@ -119,3 +127,16 @@ def make_loop(name: str, instrument: Instrument) -> Loop:
     first, last = runs[(runs[:, 1] - runs[:, 0]).argmax()].tolist()
     ramp = RAMP_FRAMES if fingers else 0
     return Loop(recording.acquisition, recording.frames[: last - ramp], first + ramp)
+
+
+def make_day(instrument: Instrument) -> Loop:
+    """Simulate `DAY_S` of a typical day at 125 frames/s, which begins and ends untouched."""
+    rng, rate_hz = np.random.default_rng(SCENE_SEED), 125.0
+    sequence = np.arange(LEARN_FRAMES + round(DAY_S * rate_hz))
+    stage = Stage(DEFAULT_PLATE, rate_hz, sequence, np.full(len(sequence), REFERENCE_C), rng, Electronics())
+    for second, (what, seconds) in enumerate(DAY, start=2):
+        start, stop = anywhere(stage), anywhere(stage)
+        path = line(start, stop, seconds) if what == "move" else still(*start)
+        stage.lay("fingertip", second, second + seconds, path, force_n=rng.uniform(*FORCES_N["fingertip"]))
+    recording = simulate_stage(stage, instrument, SCENE_SEED)
+    return Loop(recording.acquisition, recording.frames, LEARN_FRAMES)

@@ -8,7 +8,8 @@ import subprocess
 import sys
 import tempfile
 import threading
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from statistics import median
 from typing import Any, NamedTuple
@@ -17,24 +18,40 @@ import numpy as np
 
 import touchd
 from touchd.errors import JobError
+from touchd.event import TouchEvent, decode
 from touchd.lab.benchmark import steady_child
 from touchd.lab.benchmark.daemon import FOREVER_S, daemon_cpus
 from touchd.lab.benchmark.loop import Loop
+from touchd.lab.benchmark.scenes import DAY_S
+from touchd.lab.benchmark.steady_child import RAPL, STAGES
+from touchd.lab.benchmark.tables import number
+from touchd.training.report.template import Table
 
 RATES_HZ = 30, 125, 250, 500
 SCENES = "idle", "moving", "two fingers"
-WARM_S, SECONDS = 4.0, 4.0
+DAY = "day"
+WARM_S, FALL_S, SECONDS = 1.5, 4.0, 4.0
+"""What is not counted: until the plate is learned, and until the rate has fallen."""
+COUNTERS = "instructions:u", "instructions:k", "cache-misses:u"
+"""Events of `perf stat`, where the processor lets it count them."""
 _HERE = Path(touchd.__file__).resolve().parent.parent
-_COLUMNS = "cpu_us_per_s", "cpu_us_per_frame", "wakeups_hz", "frames_hz", "wake_us", "handed_us", "socket_us",\
-    "socket_p99_us", "faults_hz"  # fmt: skip
-
-_LEGEND = (
-    "cpu: of all threads; wakeups: switches to any thread; wake: from the last sample until the reader has the frame;",
-    "handed: from there until its messages are handed over; socket: both. Instructions and cache misses are not",
-    "counted here: `perf stat -e instructions:u,cache-misses` does, where the processor lets it.",
+COLUMNS = {
+    "cpu_us_per_s": "CPU us/s", "cpu_us_per_frame": "us/frame", "wakeups_hz": "wake-ups/s", "frames_hz": "frames/s",
+    "wake_us": "wake us", "sent_us": "sent us", "done_us": "done us", "socket_us": "socket us", "socket_p99_us": "p99",
+    "subscriber_us": "subscriber us", "subscriber_p99_us": "p99", "faults_hz": "faults/s", "energy_w": "W",
+    **{event: event for event in COUNTERS},
+}  # fmt: skip
+"""Keys of a result, and their headings."""
+LEGEND = (
+    "CPU: of all threads. wake-ups: switches to any thread. wake: from the last sample until the reader has the frame;",
+    "sent: from there until its message is about to be sent; done: from the last sample until the frame is done with;",
+    "socket: until its message is about to be sent; subscriber: until another process has it. A ratio is this tree's",
+    "over the other's, median of the turns. Stages: time a frame, in brackets its processor time; what is left of the",
+    "latter is waking up.",
 )
 
 Found = dict[str, Any]
+Cells = dict[str, dict[str, Found]]
 
 
 class Cell(NamedTuple):
@@ -51,13 +68,17 @@ class Cell(NamedTuple):
         return f"{self.scene}, {self.rate_hz} frames/s{', falling' if self.adaptive else ''}"
 
 
-CELLS = (Cell("idle", 125, adaptive=True), *(Cell(scene, rate) for rate in RATES_HZ for scene in SCENES))
+CELLS = (
+    Cell("idle", 125, adaptive=True), Cell(DAY, 125, adaptive=True),
+    *(Cell(scene, rate) for rate in RATES_HZ for scene in SCENES),
+)  # fmt: skip
+QUICK = CELLS[0], Cell("moving", 125)
 
 
 def measure(
-    loops: dict[str, Loop], cells: tuple[Cell, ...] = CELLS, *, against: Path | None = None, turns: int = 5,
+    loops: dict[str, Loop], cells: Sequence[Cell] = CELLS, *, against: Path | None = None, turns: int = 5,
     seconds: float = SECONDS, progress: Callable[[str], object] = lambda _: None,
-) -> dict[str, dict[str, Found]]:  # fmt: skip
+) -> Cells:  # fmt: skip
     """Return medians by cell, then by tree (`here`, `against`), and the ratio of the trees' pairs; each turn runs both.
 
     Raises
@@ -66,7 +87,8 @@ def measure(
         A daemon fails.
     """
     trees = {"here": _HERE, **({"against": against.resolve()} if against else {})}
-    found: dict[str, dict[str, Found]] = {}
+    found: Cells = {}
+    events = countable()
     with tempfile.TemporaryDirectory(prefix="touchd-steady-") as name:
         folder = Path(name)
         for scene, loop in loops.items():
@@ -77,25 +99,52 @@ def measure(
                 for tree, path in list(trees.items())[:: 1 if turn % 2 else -1]:
                     progress(f"{cell.name}: {tree}, turn {turn + 1} of {turns}")
                     runs[tree].append(_run(cell, path, folder, seconds))
-            stages = {tree: _run(cell, path, folder, seconds, stages=True) for tree, path in trees.items()}
-            found[cell.name] = {tree: _middle(some) | _split(stages[tree]) for tree, some in runs.items()}
+            found[cell.name] = {tree: _middle(some) for tree, some in runs.items()}
+            for tree, path in trees.items():
+                progress(f"{cell.name}: {tree}, stages")
+                found[cell.name][tree]["stages"] = _run(cell, path, folder, seconds, stages=True)["stages"]
+                if events:
+                    found[cell.name][tree] |= _run(cell, path, folder, seconds, events=events)["events"]
             if against:
                 found[cell.name]["ratio"] = _ratios(runs["here"], runs["against"])
     return found
 
 
-def lines(found: dict[str, dict[str, Found]]) -> list[str]:
-    """Return the results as text."""
-    made = list(_LEGEND)
-    for name, trees in found.items():
-        for tree, one in trees.items():
-            made.append(f"{name:32} {tree:8} " + "  ".join(f"{k} {one[k]:.4g}" for k in _COLUMNS if k in one))
-            made += [f"{'':41} {key}: {one[key]}" for key in ("threads_hz", "stages_us") if one.get(key)]
-    energy = sorted(Path("/sys/class/powercap").glob("*/energy_uj"))
-    return [*made, "energy: /sys/class/powercap is readable" if energy else "energy: this computer has no RAPL"]
+def tables(found: Cells) -> list[Table]:
+    """Return what the cells cost, and the stages of their frames."""
+    rows = [(name, tree, one) for name, trees in found.items() for tree, one in trees.items()]
+    keys = [key for key in COLUMNS if any(key in one for _, _, one in rows)]
+    costs = [[name, tree, *(number(one[key]) if key in one else "-" for key in keys)] for name, tree, one in rows]
+    split = [
+        [name, tree, *("{} ({})".format(*map(number, one["stages"][stage])) for stage in STAGES)]
+        for name, tree, one in rows if "stages" in one
+    ]  # fmt: skip
+    return [
+        Table(("scene", "tree", *(COLUMNS[key] for key in keys)), costs, "Steady rates"),
+        Table(("scene", "tree", *(f"{stage} us" for stage in STAGES)), split, "Where a frame's time goes"),
+    ]
 
 
-def _run(cell: Cell, tree: Path, folder: Path, seconds: float, *, stages: bool = False) -> Found:
+def left_out() -> list[str]:
+    """Return what this computer does not let anybody measure, for a person."""
+    missing = [event for event in COUNTERS if event not in countable()]
+    said = [f"{', '.join(missing)}: perf is not installed, or may or can not count them here"] if missing else []
+    return said if steady_child.energy_uj() is not None else [*said, f"energy: {RAPL} is not there, or not readable"]
+
+
+def countable() -> tuple[str, ...]:
+    """Return those of `COUNTERS` that perf can count here."""
+    asked = ["perf", "stat", "-x", ",", *(part for event in COUNTERS for part in ("-e", event)), "true"]
+    try:
+        told = subprocess.run(asked, check=False, capture_output=True, text=True).stderr  # noqa: S603 - as written
+    except OSError:
+        return ()
+    return tuple(steady_child.counts(told))
+
+
+def _run(
+    cell: Cell, tree: Path, folder: Path, seconds: float, *, stages: bool = False, events: Sequence[str] = ()
+) -> Found:
     address = f"ipc://{folder}/bus"
     device: dict[str, Any] = {"rate_hz": cell.rate_hz}
     if not cell.adaptive and (tree / "touchd/service/rate.py").exists():
@@ -107,10 +156,11 @@ def _run(cell: Cell, tree: Path, folder: Path, seconds: float, *, stages: bool =
             "device": device,
         },
         "cpus": daemon_cpus(), "frames": str(folder / f"{cell.scene}.npz"), "stages": stages, "subscriber": touched,
-        "warm_s": WARM_S, "seconds": seconds,
+        "events": list(events), "full_hz": cell.rate_hz if cell.scene == DAY else 0,
+        "warm_s": FALL_S if cell.adaptive else WARM_S, "seconds": DAY_S if cell.scene == DAY else seconds,
     }  # fmt: skip
-    stop = threading.Event()
-    listener = threading.Thread(target=_listen, args=(address, stop))
+    stop, heard = threading.Event(), list[tuple[int, float, int]]()
+    listener = threading.Thread(target=_listen, args=(address, stop, heard))
     if touched:
         listener.start()
     try:
@@ -125,11 +175,11 @@ def _run(cell: Cell, tree: Path, folder: Path, seconds: float, *, stages: bool =
     if done.returncode:
         raise JobError(f"the daemon failed: {done.stderr[-800:]}", str(tree), "see the cause")
     made: Found = json.loads(done.stdout)
-    return made
+    return made | _arrived(made.pop("frames"), heard)
 
 
-def _listen(address: str, stop: threading.Event) -> None:
-    """Subscribe to touches, and read them."""
+def _listen(address: str, stop: threading.Event, heard: list[tuple[int, float, int]]) -> None:
+    """Subscribe to touches, and note of each its frame, its latency (us), and when it is here."""
     import zmq
 
     with zmq.Context() as context, context.socket(zmq.SUB) as socket:
@@ -137,19 +187,34 @@ def _listen(address: str, stop: threading.Event) -> None:
         socket.subscribe(b"touch")
         while not stop.is_set():
             if socket.poll(100):
-                socket.recv_multipart()
+                body, now_ns = socket.recv_multipart()[1], time.monotonic_ns()
+                event = decode("touch", body)
+                assert isinstance(event, TouchEvent)
+                heard.append((event.frame, event.latency_us, now_ns))
+
+
+def _arrived(frames: dict[str, list[int]], heard: list[tuple[int, float, int]]) -> Found:
+    """Return how long after a frame's last sample its message was about to be sent, and here."""
+    counted = [(*frames[str(number)], *rest) for number, *rest in heard if str(number) in frames]
+    if not counted:
+        return {}
+    socket_us = [(received_ns - due_ns) * 1e-3 + latency_us for due_ns, received_ns, latency_us, _ in counted]
+    here_us = [(now_ns - due_ns) * 1e-3 for due_ns, _, _, now_ns in counted]
+    return {
+        "sent_us": median(latency_us for _, _, latency_us, _ in counted), "socket_us": median(socket_us),
+        "socket_p99_us": float(np.percentile(socket_us, 99)),
+        "subscriber_us": median(here_us), "subscriber_p99_us": float(np.percentile(here_us, 99)),
+    }  # fmt: skip
 
 
 def _middle(runs: list[Found]) -> Found:
-    return {key: median(run[key] for run in runs) for key in _COLUMNS} | {"threads_hz": runs[-1]["threads_hz"]}
-
-
-def _split(run: Found) -> Found:
-    return {"stages_us": run["stages_us"]}
+    return {
+        key: median(run[key] for run in runs) for key in COLUMNS if all(key in run for run in runs)
+    } | {"threads_hz": runs[-1]["threads_hz"]}  # fmt: skip
 
 
 def _ratios(here: list[Found], against: list[Found]) -> Found:
     return {
         key: median(a[key] / b[key] for a, b in zip(here, against, strict=True))
-        for key in _COLUMNS if all(run[key] for run in against)
+        for key in COLUMNS if all(run.get(key) for run in (*here, *against))
     }  # fmt: skip

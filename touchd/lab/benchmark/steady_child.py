@@ -10,6 +10,8 @@ import functools
 import json
 import os
 import resource
+import signal
+import subprocess
 import sys
 import threading
 import time
@@ -32,21 +34,29 @@ from touchd.sources.recorder import describe
 from touchd.sources.usb_protocol import Header, Info, Request, build_frame
 from touchd.sources.usb_stream import UsbDaq
 
+STAGES = "USB read", "detection", "localization", "tracking", "message", "bus", "pre-roll"
+"""Of a frame; waking up is what is left of its processor time."""
+RAPL = Path("/sys/class/powercap/intel-rapl:0/energy_uj")
+
 
 class Device:
-    """A `Connection` of the USB room: frames come when they are due; building them is counted apart."""
+    """A `Connection` of the USB room: frames come when they are due; building them is counted apart.
+
+    The frames after the lead-in are played to and fro, at any rate; or, if `full_hz` is the rate that they were taken
+    at, again and again by their times, so that a lower rate leaves some out.
+    """
 
     packet_bytes, serial = 512, "bench"
 
-    def __init__(self, frames: np.ndarray, lead: int) -> None:
+    def __init__(self, frames: np.ndarray, lead: int, full_hz: int = 0) -> None:
         channels, samples = frames.shape[1:]
         try:
             self.info = Info(channels, samples, 250_000, capabilities=1)
         except TypeError:  # a tree of before
             self.info = Info(channels, samples, 250_000)
-        bodies = [frame.T.astype("<i2").tobytes() for frame in frames]
-        there = bodies[lead:]
-        self._bodies: Iterator[bytes] = chain(bodies[:lead], cycle([*there, *there[-2:0:-1]]))
+        bodies: list[bytes] = [frame.T.astype("<i2").tobytes() for frame in frames]
+        self._lead, self._there, self._full_hz = bodies[:lead], bodies[lead:], full_hz
+        self._bodies: Iterator[bytes] = chain(self._lead, cycle([*self._there, *self._there[-2:0:-1]]))
         self._rate_hz, self._chirp_ns, self._sequence = 0, 0, 0
         self.own_cpu_s = 0.0
         self.due_ns: list[int] = []
@@ -65,9 +75,9 @@ class Device:
             return None
         if not self.due_ns:
             self.go.wait()
-            self._chirp_ns = time.monotonic_ns()
+            self._first_ns = self._chirp_ns = time.monotonic_ns()
         header = Header(self._sequence, self._chirp_ns // 1000)
-        transfer = build_frame(self.info, header, next(self._bodies))
+        transfer = build_frame(self.info, header, self._body())
         buffer[: len(transfer)] = array("B", transfer)
         due_ns = self._chirp_ns + 1_000_000
         self.due_ns.append(due_ns)
@@ -77,6 +87,12 @@ class Device:
         while (left_ns := due_ns - time.monotonic_ns()) > 0:
             time.sleep(left_ns * 1e-9)
         return len(transfer)
+
+    def _body(self) -> bytes:
+        if not self._full_hz or self._sequence < len(self._lead):
+            return next(self._bodies)
+        at = round((self._chirp_ns - self._first_ns) * 1e-9 * self._full_hz) - len(self._lead)
+        return self._there[at % len(self._there)]
 
     def clear_halt(self) -> None:
         """Nothing is halted."""
@@ -111,20 +127,35 @@ def switches() -> dict[str, int]:
     return found
 
 
-def timed(owner: Any, name: str, stage: str, times: dict[str, list[int]]) -> None:
-    """Replace a method by one that notes the time of each call."""
+def timed(owner: Any, name: str, taken: list[int], sign: int = 1) -> None:
+    """Replace a method by one that adds each call's time, and its processor time, to two sums, ns; or subtracts it."""
     call: Callable[..., Any] = getattr(owner, name)
-    taken = times.setdefault(stage, [])
+    wall, cpu = time.perf_counter_ns, time.thread_time_ns
 
     @functools.wraps(call)
     def noted(*args: Any, **kwargs: Any) -> Any:
-        before_ns = time.perf_counter_ns()
+        cpu_ns, wall_ns = cpu(), wall()
         try:
             return call(*args, **kwargs)
         finally:
-            taken.append(time.perf_counter_ns() - before_ns)
+            taken[0] += sign * (wall() - wall_ns)
+            taken[1] += sign * (cpu() - cpu_ns)
 
     setattr(owner, name, noted)
+
+
+def energy_uj() -> int | None:
+    """Return the processor's energy counter, uJ; None where it has none, or only root may read it."""
+    try:
+        return int(RAPL.read_text())
+    except (OSError, ValueError):
+        return None
+
+
+def counts(told: str) -> dict[str, float]:
+    """Return the events that `perf stat -x ,` has counted, by name."""
+    rows = [line.split(",") for line in told.splitlines() if line.count(",") > 2]
+    return {row[2]: float(row[0]) for row in rows if row[0].replace(".", "").isdigit()}
 
 
 def run(task: dict[str, Any]) -> dict[str, Any]:
@@ -135,25 +166,27 @@ def run(task: dict[str, Any]) -> dict[str, Any]:
     settings = Settings.model_validate(task["settings"])
     model = load_model(settings)
     stored = np.load(task["frames"])
-    device = Device(stored["frames"], int(stored["lead"]))
+    device = Device(stored["frames"], int(stored["lead"]), task["full_hz"])
     daq = UsbDaq(device)
     source = DaqSource(lambda: iter([lambda: daq]), settings.device, daq.acquisition, lambda _: None)
     bus = ZeromqSink(settings.bus)
     meta = describe(source.acquisition, model.description.plate, settings.device.rate_hz, source="bench", device=None)
     preroll = Handed(source.acquisition, settings.device.rate_hz, lambda: meta, settings.preroll)
     preroll.done = []
-    times: dict[str, list[int]] = {}
+    stages = {stage: [0, 0] for stage in STAGES}
     service = make_service(source, [bus], settings, model, preroll=preroll)
     if task["stages"]:
         pipeline = service.pipeline
-        for owner, name, stage in (
-            (daq, "_decode", "usb decode"), (source, "_take", "usb to ring"), (pipeline.detector, "detect", "detect"),
-            (pipeline.detector, "adapt", "adapt"), (pipeline._localizer, "localize", "localize"),
-            (pipeline._localizer, "observe", "observe"), (pipeline._tracker, "track", "track"),
-            (service._messages, "make", "message"), (bus, "publish", "bus"), (bus, "poll", "bus poll"),
-            (preroll, "keep", "pre-roll"),
+        for stage, *owned in (
+            ("USB read", (daq, "read"), (source, "_take")),
+            ("detection", (pipeline.detector, "detect"), (pipeline.detector, "adapt")),
+            ("localization", (pipeline._localizer, "localize"), (pipeline._localizer, "observe")),
+            ("tracking", (pipeline._tracker, "track")), ("message", (service._messages, "make")),
+            ("bus", (bus, "publish"), (bus, "poll")), ("pre-roll", (preroll, "keep")),
         ):  # fmt: skip
-            timed(owner, name, stage, times)
+            for owner, name in owned:
+                timed(owner, name, stages[stage])
+        timed(device, "fill", stages["USB read"], -1)  # waits, and is the device's
     realtime.freeze()
     if task["subscriber"]:
         bus.wait_for_subscriber(20.0)
@@ -163,9 +196,11 @@ def run(task: dict[str, Any]) -> dict[str, Any]:
         usage = resource.getrusage(resource.RUSAGE_SELF)
         return {
             "cpu_s": time.process_time() - device.own_cpu_s, "wall_s": time.monotonic(), "switches": switches(),
-            "faults": usage.ru_minflt, "frames": len(preroll.done), "stages": {k: len(v) for k, v in times.items()},
+            "faults": usage.ru_minflt, "frames": len(preroll.done), "stages": {k: [*v] for k, v in stages.items()},
+            "energy_uj": energy_uj(),
         }  # fmt: skip
 
+    perf: list[subprocess.Popen[str]] = []
     clock, keep = time.monotonic, preroll.keep
     since_s = clock()
     device.go.set()
@@ -174,6 +209,8 @@ def run(task: dict[str, Any]) -> dict[str, Any]:
         keep(frame, contacts)
         now_s = clock()
         if not begin and now_s - since_s >= task["warm_s"]:
+            if task["events"]:
+                perf.append(counting(task["events"]))
             begin.update(sample())
         elif begin and now_s - begin["wall_s"] >= task["seconds"]:
             service.stop()
@@ -188,32 +225,45 @@ def run(task: dict[str, Any]) -> dict[str, Any]:
 
     service._release = left  # type: ignore[method-assign]
     service.run()
-    return _result(begin, ended, preroll.done, device.due_ns, times)
+    found = _result(begin, ended, preroll.done, device.due_ns)
+    for process in perf:
+        process.send_signal(signal.SIGINT)
+        counted = ended["frames"] - begin["frames"]
+        found["events"] = {event: count / counted for event, count in counts(process.communicate()[1]).items()}
+    return found
+
+
+def counting(events: list[str]) -> subprocess.Popen[str]:
+    """Let perf count events in all threads of this process until it is interrupted."""
+    asked = ["perf", "stat", "-x", ",", *(part for event in events for part in ("-e", event)), "-p", str(os.getpid())]
+    return subprocess.Popen(asked, stderr=subprocess.PIPE, text=True)  # noqa: S603 - as written
 
 
 def _result(
-    begin: dict[str, Any], ended: dict[str, Any], done: list[tuple[int, int, int]], due_ns: list[int],
-    times: dict[str, list[int]],
-) -> dict[str, Any]:  # fmt: skip
+    begin: dict[str, Any], ended: dict[str, Any], done: list[tuple[int, int, int]], due_ns: list[int]
+) -> dict[str, Any]:
     wall_s, frames = ended["wall_s"] - begin["wall_s"], ended["frames"] - begin["frames"]
     counted = done[begin["frames"] : ended["frames"]]
-    wake_us = [(received - due_ns[number]) * 1e-3 for number, received, _ in counted]
-    handed_us = [(at - received) * 1e-3 for _, received, at in counted]
-    whole_us = [(at - due_ns[number]) * 1e-3 for number, _, at in counted]
     threads = {
         name: round((count - begin["switches"].get(name, 0)) / wall_s, 2) for name, count in ended["switches"].items()
     }
-    return {
-        "frames_hz": frames / wall_s, "cpu_us_per_s": 1e6 * (ended["cpu_s"] - begin["cpu_s"]) / wall_s,
+    found = {
+        "cpu_us_per_s": 1e6 * (ended["cpu_s"] - begin["cpu_s"]) / wall_s,
         "cpu_us_per_frame": 1e6 * (ended["cpu_s"] - begin["cpu_s"]) / frames,
-        "wakeups_hz": sum(threads.values()), "threads_hz": threads,
+        "wakeups_hz": sum(threads.values()), "threads_hz": threads, "frames_hz": frames / wall_s,
         "faults_hz": (ended["faults"] - begin["faults"]) / wall_s,
-        "wake_us": float(np.median(wake_us)), "handed_us": float(np.median(handed_us)),
-        "socket_us": float(np.median(whole_us)), "socket_p99_us": float(np.percentile(whole_us, 99)),
-        "stages_us": {
-            stage: round(sum(taken[begin["stages"][stage] :]) * 1e-3 / frames, 2) for stage, taken in times.items()
+        "wake_us": float(np.median([(received - due_ns[number]) * 1e-3 for number, received, _ in counted])),
+        "done_us": float(np.median([(at - due_ns[number]) * 1e-3 for number, _, at in counted])),
+        "stages": {
+            stage: [round((after - before) * 1e-3 / frames, 2)
+                    for after, before in zip(taken, begin["stages"][stage], strict=True)]
+            for stage, taken in ended["stages"].items()
         },
+        "frames": {number: (due_ns[number], received) for number, received, _ in counted},
     }  # fmt: skip
+    if begin["energy_uj"] is not None:
+        found["energy_w"] = 1e-6 * (ended["energy_uj"] - begin["energy_uj"]) / wall_s
+    return found
 
 
 if __name__ == "__main__":

@@ -73,6 +73,7 @@ CASES = {
     "swapped": Case(G220, swapped=True, poor=True),
     "audio-192": Case((200.0, 200.0, 5.0), acquisition="audio-192"),
     "audio-96": Case((200.0, 200.0, 5.0), acquisition="audio-96"),
+    "tape-not-said": Case(G220, mounting=Mounting(left="tape")),
 }
 
 

@@ -14,15 +14,19 @@ from typing import Any
 import numpy as np
 
 from touchd.calibration.calibrate import Fitted, fit_recording, make_model
+from touchd.calibration.place_correction import widths_of
+from touchd.calibration.taps import Taps, refine, taps_of
 from touchd.errors import TouchdError
 from touchd.evaluation.matching import Seen
-from touchd.evaluation.single_frames import find_with, see, touched_frames
+from touchd.evaluation.single_frames import TouchedFrames, find_with, see, touched_frames
 from touchd.lab.plates.cases import CASES, Made, make
+from touchd.localization.atlas import Atlas
 from touchd.localization.model import Model
 from touchd.twin.simulate import simulate_scene, simulate_touches
 
 FRAMES = 1250
 """Ten seconds."""
+TAPS = (20, 50, 200)
 FINGERS = ("silicone", "robot")
 """A rigid silicone tip and a compliant one."""
 
@@ -35,16 +39,20 @@ def calibrate(made: Made, seed: int = 0) -> Fitted:
     return fit_recording(recording, made.said)
 
 
-def scores(made: Made, model: Model, finger: str, touches: int, seed: int) -> dict[str, float]:
-    """Place single touches all over the plate with the daemon's localizer.
+def touches_on(made: Made, finger: str, touches: int, seed: int, *, warmer_k: float = 0.0) -> TouchedFrames:
+    """Simulate single touches all over the plate."""
+    return touched_frames(simulate_touches(
+        touches, seed=seed + 1, instrument=made.instrument, electronics=made.electronics, finger=finger,
+        warmer_k=warmer_k,
+    ))  # fmt: skip
+
+
+def scores(model: Model, atlas: Atlas | None, frames: TouchedFrames) -> dict[str, float]:
+    """Place touches with the daemon's localizer.
 
     `less_scale` are the errors without the factor that all places share: the ruler's, which no untouched plate tells.
     """
-    recording = simulate_touches(
-        touches, seed=seed + 1, instrument=made.instrument, electronics=made.electronics, finger=finger
-    )
-    frames = touched_frames(recording)
-    seen = see(find_with(model, model.atlas, frames), frames)
+    seen = see(find_with(model, atlas, frames), frames)
     true = np.array([each.true_mm[0] for each in seen])
     found = np.array([_nearest(each) for each in seen])
     error_mm = np.hypot(*(found - true).T)
@@ -66,7 +74,31 @@ def _nearest(seen: Seen) -> tuple[float, float]:
     return (near.x_mm, near.y_mm) if near else (np.inf, np.inf)
 
 
-def row(name: str, touches: int, seed: int = 0, fingers: Sequence[str] = FINGERS) -> dict[str, Any]:
+def tapped(
+    made: Made, fitted: Fitted, model: Model, frames: dict[str, TouchedFrames], labels_mm: Sequence[float], seed: int
+) -> list[dict[str, Any]]:
+    """Score the same touches after 20, 50 and 200 taps, whose labels err by `labels_mm` per axis."""
+    found: list[dict[str, Any]] = []
+    assert model.atlas is not None
+    for label_mm in labels_mm:
+        taps = taps_of(simulate_touches(
+            max(TAPS), seed=seed + 1000, instrument=made.instrument, electronics=made.electronics, finger="fingertip",
+            label_noise_mm=label_mm,
+        ), model.atlas)  # fmt: skip
+        for count in TAPS:
+            some = Taps(taps.label_mm[:count], taps.values[:count])
+            refined = refine(model.atlas, some, 0, widths_of(fitted.fit))
+            found.append({
+                "taps": count, "label_mm": label_mm, "scatter_mm": refined.scatter_mm, "moved_mm": refined.moved_mm,
+                "unexplained": refined.unexplained,
+            } | {finger: scores(model, refined.atlas, each) for finger, each in frames.items()})  # fmt: skip
+    return found
+
+
+def row(
+    name: str, touches: int, seed: int = 0, fingers: Sequence[str] = FINGERS, labels_mm: Sequence[float] = (),
+    warmer_k: float = 0.0,
+) -> dict[str, Any]:  # fmt: skip
     """Return one plate's row of the table; without touches only the fit."""
     made = make(name, seed)
     started_s = time.process_time()
@@ -87,7 +119,10 @@ def row(name: str, touches: int, seed: int = 0, fingers: Sequence[str] = FINGERS
         with tempfile.TemporaryDirectory() as folder:
             model = make_model(fitted, Path(folder) / "plate.onnx").model
         result["model_s"] = time.process_time() - started_s
-        result |= {finger: scores(made, model, finger, touches, seed) for finger in fingers}
+        frames = {finger: touches_on(made, finger, touches, seed, warmer_k=warmer_k) for finger in fingers}
+        result |= {finger: scores(model, model.atlas, each) for finger, each in frames.items()}
+        if labels_mm:
+            result["after_taps"] = tapped(made, fitted, model, frames, labels_mm, seed)
     return result
 
 
@@ -98,10 +133,13 @@ def main() -> None:
     parser.add_argument("--touches", type=int, default=300)
     parser.add_argument("--seed", type=int, nargs="+", default=[0], help="what the ruler errs by, and the touches")
     parser.add_argument("--fingers", nargs="+", default=FINGERS)
+    parser.add_argument("--labels-mm", type=float, nargs="+", default=[], help="also after taps with these errors")
+    parser.add_argument("--warmer-k", type=float, default=0.0, help="the plate at the touches, over its calibration")
     asked = parser.parse_args()
     for name in asked.plates:
         for seed in asked.seed:
-            sys.stdout.write(json.dumps({"seed": seed} | row(name, asked.touches, seed, asked.fingers)) + "\n")
+            found = row(name, asked.touches, seed, asked.fingers, asked.labels_mm, asked.warmer_k)
+            sys.stdout.write(json.dumps({"seed": seed} | found) + "\n")
             sys.stdout.flush()
 
 

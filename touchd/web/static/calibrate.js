@@ -3,6 +3,7 @@
 import { element, number, post, say } from './dom.js';
 import { measures } from './measures.js';
 import { drawing } from './drawing.js';
+import { onScreen, stage } from './stage.js';
 
 const UNSEEN_MS = 8000;
 const PICTURES = ['response.png', 'residual.png', 'expected-error.png'];
@@ -15,14 +16,19 @@ export function mount(root, page) {
   const button = (text, command, primary = false) =>
     element('button', { type: 'button', ...(primary && { class: 'primary' }), onclick: () => act({ do: command }) }, text);
   const bar = element('progress', { max: 1, value: 0 });
-  const share = element('span', { 'aria-hidden': 'true' }), doing = element('p', { class: 'muted', role: 'status' });
+  const share = element('span', { 'aria-hidden': 'true' }), doing = element('p', { class: 'doing', role: 'status' });
   const form = measures(t.measures, async plate => await act({ do: 'measures', plate }) && choose('untouched'));
   const listen = button(t.untouched.start, 'untouched', true), stop = button(t.untouched.stop, 'pause');
   const again = button(t.fit.again, 'fit');
   const verdict = element('div', { class: 'fitted' });
   const pane = drawing(t.taps.pane), tapped = element('p', { class: 'tapped', role: 'status' });
-  const told = element('p', { class: 'muted' });
-  const tap = button(t.taps.start, 'taps', true), pause = button(t.taps.pause, 'pause');
+  const told = element('p', { class: 'muted' }), most = element('b');
+  const scale = element('p', { class: 'scale', hidden: true }, element('b', {}, '0'), element('i'), most), expected = element('p', { class: 'muted' });
+  const crosses = element('button', { type: 'button', class: 'primary', onclick: () => showOn('crosses') }, t.screen.start);
+  const uncross = button(t.screen.stop, 'pause'), mapped = element('p', { class: 'mapped', role: 'status' });
+  const overlay = stage(t.stage, () => { overlay.close(); act({ do: 'pause' }); });
+  const tapOn = element('button', { type: 'button', class: 'primary', onclick: () => showOn('taps') }, t.taps.on_screen);
+  const tap = button(t.taps.start, 'taps'), pause = button(t.taps.pause, 'pause');
   const undo = button(t.taps.undo, 'undo'), refine = button(t.taps.refine, 'fit');
   const panel = (name, ...parts) => element('section', { class: 'panel', 'data-panel': name }, element('h2', {}, t.steps[name]), ...parts);
   const panels = [
@@ -31,17 +37,27 @@ export function mount(root, page) {
     panel('fit', element('p', { class: 'muted' }, t.fit.hint), again),
     element('section', { class: 'panel' }, doing, element('div', { class: 'share' }, bar, share), stop),
     panel('verdict', verdict),
+    panel('screen', element('p', { class: 'muted' }, t.screen.hint), mapped, element('div', { class: 'row' }, crosses, uncross)),
     panel('taps', element('p', { class: 'muted' }, t.taps.hint), element('div', { class: 'tapping' }, pane.root,
-      element('div', {}, tapped, told, element('div', { class: 'row' }, tap, pause, undo, refine)))),
+      element('div', {}, tapped, told, expected, scale, element('div', { class: 'row' }, tapOn, tap, pause, undo, refine)))),
   ];
-  root.append(steps, problem, ...panels);
-  let shown = '', awaited = '', unseen = false, timer = 0, reached = '', chosen = '';
+  root.append(steps, problem, ...panels, overlay.root);
+  let shown = '', awaited = '', unseen = false, timer = 0, reached = '', chosen = '', staged = '', begun = false;
 
   async function act(command) {
     const done = await post('calibrate/do', JSON.stringify(command)).catch(() => null);
     const answer = done?.status === 401 ? { problem: texts.no_session } : await done?.json().catch(() => null) ?? { problem: t.failed };
     fault(answer.ok ? '' : answer.problem, answer.fix);
     return answer.ok;
+  }
+
+  // Fills the screen with the marks of a job, and begins it unless it runs.
+  async function showOn(job) {
+    [staged, begun] = [job, false];
+    overlay.show('', null, '');
+    if (!await overlay.open()) fault(...t.stage.too_small);
+    else if (feed.last.calibrate.running === job || await act({ do: job })) update(feed.last.calibrate);
+    else overlay.close();
   }
 
   function fault(what, fix) {
@@ -57,13 +73,13 @@ export function mount(root, page) {
   function update(state) {
     for (const each of panels) each.hidden = true;
     steps.hidden = !state.wizard;
-    if (!state.wizard) { fault(...t.no_wizard); return; }
+    if (!state.wizard) { overlay.close(); fault(...t.no_wizard); return; }
     if (state.problem || state.running) fault(state.problem, state.fix);
     else if (problem.textContent.startsWith(t.no_wizard[0])) fault('');
     const { running, plate, result } = state, listening = running === 'untouched', fitting = running === 'fit';
-    const step = listening ? 'untouched' : fitting ? 'fit' : running === 'taps' ? 'taps' : result ? 'verdict' : plate ? 'untouched' : 'measures';
+    const step = listening ? 'untouched' : fitting ? 'fit' : running === 'taps' ? 'taps' : running === 'crosses' ? 'screen' : result ? 'verdict' : plate ? 'untouched' : 'measures';
     if (step !== reached) chosen = reached = step;
-    const open = { measures: true, untouched: plate, fit: state.untouched || fitting, verdict: result && !fitting, taps: result?.model && !fitting };
+    const open = { measures: true, untouched: plate, fit: state.untouched || fitting, verdict: result && !fitting, screen: (state.installed || state.mapping) && !fitting, taps: result?.model && !fitting };
     for (const { firstChild: each } of steps.children) {
       if (each.dataset.step === chosen) each.setAttribute('aria-current', 'step');
       else each.removeAttribute('aria-current');
@@ -72,12 +88,13 @@ export function mount(root, page) {
     }
     root.dataset.step = chosen;
     form.show(plate);
-    const [measuring, hearing, refitting, busy, judging, tapping] = panels;
+    const [measuring, hearing, refitting, busy, judging, screening, tapping] = panels;
     measuring.hidden = chosen !== 'measures';
     hearing.hidden = chosen !== 'untouched';
     refitting.hidden = chosen !== 'fit';
     busy.hidden = !(listening || fitting);
     judging.hidden = chosen !== 'verdict';
+    screening.hidden = chosen !== 'screen';
     tapping.hidden = !open.taps || chosen !== 'verdict' && chosen !== 'taps';
     listen.hidden = again.hidden = listening || fitting;
     say(listen, state.untouched ? t.untouched.again : t.untouched.start);
@@ -88,7 +105,28 @@ export function mount(root, page) {
       : fitting ? t.fit.running(t.fit.stages[state.note] ?? t.fit.stages.fit) : '');
     doing.dataset.level = listening && state.note ? 'warning' : 'ok';
     if (result) showVerdict(state);
+    showScreen(state);
     showTaps(state);
+    showMark(state);
+  }
+
+  function showScreen({ running, mapping }) {
+    const crossing = running === 'crosses', s = t.screen;
+    uncross.hidden = !crossing;
+    say(crosses, crossing ? s.here : mapping ? s.again : s.start);
+    const [x, y, wide, high] = (mapping?.screen_mm ?? []).map(mm => number(mm, 1));
+    say(mapped, crossing ? s.elsewhere : !mapping ? s.unknown : s.known(wide, high, x, y, mapping.rotate, mapping.residual_mm && number(mapping.residual_mm, 1)));
+  }
+
+  // Shows on the whole screen what the job asks for; without the job, nothing.
+  function showMark({ running, cross, target_mm: target, mapping }) {
+    if (running !== staged) {
+      if (begun) overlay.close();
+      return;
+    }
+    begun = true;
+    if (staged === 'crosses') overlay.show('cross', cross?.at, cross ? t.stage.cross(cross.number, cross.of) : '', unseen ? t.taps.unseen : '', 'warning');
+    else overlay.show('ring', target && onScreen(target, mapping), t.stage.target, tapped.textContent, tapped.dataset.level);
   }
 
   function showVerdict({ result, installed, compared, taps }) {
@@ -104,7 +142,8 @@ export function mount(root, page) {
         element('figcaption', {}, v.pictures[name])));
     const row = element('div', { class: 'row' });
     if (result.model && !installed) row.append(button(v.install, 'install', true));
-    if (installed) row.append(element('p', { class: 'verdict', 'data-level': 'ok' }, v.installed), button(v.rollback, 'rollback'));
+    if (installed) row.append(element('p', { class: 'verdict', 'data-level': 'ok' }, v.installed), button(v.rollback, 'rollback'),
+      element('button', { type: 'button', onclick: () => choose('screen') }, t.screen.next));
     if (result.model && taps.length) row.append(button(v.compare, 'compare'));
     row.append(button(v.begin, 'begin'));
     const comparison = Object.entries(compared ?? {}).map(([name, one]) =>
@@ -116,15 +155,21 @@ export function mount(root, page) {
       element('div', { class: 'pictures' }, ...pictures));
   }
 
-  function showTaps({ running, plate, taps, last, note, told: known, target_mm: target }) {
+  function showTaps({ running, cross, mapping, plate, taps, last, note, told: known, target_mm: target, expected: heat }) {
     const tapping = running === 'taps';
     tap.hidden = tapping;
+    tapOn.hidden = !mapping;
+    say(tapOn, tapping ? t.taps.here : t.taps.on_screen);
+    tap.classList.toggle('primary', !mapping);
     say(tap, taps.length ? t.taps.resume : t.taps.start);
     pause.hidden = !tapping;
     undo.hidden = refine.hidden = !taps.length;
     pane.root.toggleAttribute('hidden', !tapping && !taps.length); // an SVG has no property `hidden`
-    if (plate) pane.show(plate, taps, tapping ? target : null, last);
-    awaitTap({ tapping: tapping && !note, taps: taps.length, last, target });
+    if (plate) pane.show(plate, taps, tapping ? target : null, last, heat);
+    scale.hidden = !heat;
+    say(expected, heat ? t.taps.expected(number(heat.median_mm, 2), taps.length) : '');
+    say(most, heat ? `${number(heat.top_mm, 1)} ${texts.units.mm}` : '');
+    awaitTap({ tapping: tapping && !note || cross, taps: taps.length, last, target });
     tapped.dataset.level = unseen ? 'warning' : last ? (last.ok ? 'ok' : 'failure') : '';
     const result = last && !unseen ? (last.ok ? `✓ ${t.taps.good}` : `✕ ${t.taps.reasons[last.reason]}`) : '';
     const missing = tapping && (note || (unseen ? t.taps.unseen : !last && t.taps.waiting));
@@ -144,5 +189,5 @@ export function mount(root, page) {
 
   for (const each of panels) each.hidden = true;
   const end = feed.on('calibrate', update);
-  return () => { clearTimeout(timer); end(); };
+  return () => { clearTimeout(timer); overlay.remove(); end(); };
 }

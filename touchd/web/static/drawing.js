@@ -1,4 +1,6 @@
 // The plate with its discs as an SVG in millimetres, for measures and taps.
+import { colour } from './dom.js';
+
 const SPACE = 'http://www.w3.org/2000/svg';
 
 function shape(name, attributes, text) {
@@ -8,13 +10,25 @@ function shape(name, attributes, text) {
   return made;
 }
 
+// A map as a picture of one pixel each: the more error, the denser the accent.
+function picture({ mm, top_mm: most }) {
+  const canvas = document.createElement('canvas'), graphics = canvas.getContext('2d');
+  [canvas.width, canvas.height] = [mm[0].length, mm.length];
+  graphics.fillStyle = colour('accent');
+  mm.forEach((row, y) => row.forEach((error, x) => {
+    graphics.globalAlpha = 0.6 * Math.min(1, error / most);
+    graphics.fillRect(x, y, 1, 1);
+  }));
+  return canvas.toDataURL();
+}
+
 export function drawing(label) {
   const root = shape('svg', { class: 'plate-drawing', role: 'img', 'aria-label': label });
   let shown = '';
 
-  // Draws the plate; taps as dots, the target as a ring.
-  function show({ plate, discs }, taps = [], target = null, last = null) {
-    const key = JSON.stringify([plate, discs, taps, target, last]);
+  // Draws the plate; taps as dots, the target as a ring, `heat` (rows of mm, and the most) as a map below them.
+  function show({ plate, discs }, taps = [], target = null, last = null, heat = null) {
+    const key = JSON.stringify([plate, discs, taps, target, last, heat, colour('accent')]);
     if (key === shown) return;
     shown = key;
     const width = plate.width_mm, height = plate.height_mm;
@@ -27,6 +41,7 @@ export function drawing(label) {
       shape('text', { class: 'length', x: width / 2, y: -size / 2, 'font-size': size }, `x → ${width} mm`),
       shape('text', { class: 'length', x: -height / 2, y: -size / 2, 'font-size': size, transform: 'rotate(-90)' }, `${height} mm ← y`),
     ];
+    if (heat) found.splice(1, 0, shape('image', { href: picture(heat), x: 0, y: 0, width, height, preserveAspectRatio: 'none' }));
     for (const [index, [x, y]] of [discs.emitter_mm, ...discs.receivers_mm].entries()) {
       if (!Number.isFinite(x) || !Number.isFinite(y)) continue;
       found.push(shape('circle', { class: index ? 'disc' : 'disc emitter', cx: x, cy: y, r: Math.max(discs.diameter_mm / 2, large / 80) || 1 }));

@@ -81,7 +81,7 @@ export const texts = {
 
   calibrate: {
     no_wizard: ['No wizard: touchd wizard does not answer', 'start it: systemctl start touchd-wizard'],
-    steps: { measures: '1 Measures', untouched: '2 Untouched', fit: '3 Fit', verdict: '4 Verdict', taps: '5 Taps' },
+    steps: { measures: '1 Measures', untouched: '2 Untouched', fit: '3 Fit', verdict: '4 Verdict', screen: '5 Screen', taps: '6 Taps' },
     failed: 'touchd web does not answer: look whether it runs, and try again.',
     measures: {
       hint: 'Measure from the plate’s top left corner as you look at it: x to the right, y down, in millimetres.',
@@ -112,11 +112,24 @@ export const texts = {
       fits: (used, all, mm, share) => `${used} of ${all} taps fit, ${mm} mm from the targets, ${share} % unexplained`,
       begin: 'Begin again',
     },
+    screen: {
+      hint: 'Of a plate over a screen: open this page on that screen, and touch the crosses. They tell where the screen lies. If they are refused as mirrored, do the taps first.',
+      next: 'Next: the screen', start: 'Touch the crosses', again: 'Touch the crosses again', here: 'Show the crosses here', stop: 'Stop',
+      elsewhere: 'The crosses are shown on another page, or in one that was closed.',
+      unknown: 'Where the screen lies is not known yet.',
+      known: (wide, high, x, y, rotate, residual) => `The screen is ${wide} × ${high} mm, its corner at x ${x} mm, y ${y} mm${rotate ? `, its picture turned by ${rotate}°` : ''}.${residual ? ` The touches were ${residual} mm off.` : ''}`,
+    },
+    stage: {
+      label: 'What to touch, on the whole screen', stop: 'Stop',
+      too_small: ['This page does not fill the screen', 'press F11, set zoom to 100 %, and try again'],
+      cross: (n, all) => `Touch the middle of the cross: ${n}\u00a0of\u00a0${all}`, target: 'Tap the ring with a fingertip, for half a second.',
+    },
     taps: {
       hint: 'Optional: three taps tell a mirrored drawing, twenty how well you hit. Tap the ring with a fingertip, for half a second.',
-      start: 'Tap targets', resume: 'Go on', pause: 'Pause', undo: 'Undo the last', refine: 'Fit again with the taps',
+      on_screen: 'Tap targets on this screen', here: 'Show the ring on this screen', start: 'Tap targets', resume: 'Go on', pause: 'Pause', undo: 'Undo the last', refine: 'Fit again with the taps',
       pane: 'The plate with the next target', count: n => (n === 1 ? '1 tap' : `${n} taps`),
-      good: 'Good.', scatter: mm => `Your taps scatter by ${mm} mm.`, waiting: 'Waiting for a tap at the ring.',
+      good: 'Good.', scatter: mm => `Your taps scatter by ${mm} mm.`,
+      expected: (mm, n) => `Expected error: ${mm} mm in the median, ${n ? `as ${n === 1 ? '1 tap measures' : `${n} taps measure`} it` : 'as the fit has it; taps measure it'}.`, waiting: 'Waiting for a tap at the ring.',
       unseen: 'No tap seen. Press more firmly, for half a second, then lift the finger. Live shows whether frames come.',
       turned: what => `The drawing is ${what}: the next fit sets that right.`,
       reasons: {

@@ -5,17 +5,26 @@ from __future__ import annotations
 import threading
 import time
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
+import zmq
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
+from tests.unit.bridges.events import contact, touch
+from touchd.bridges.fit import CROSSES, Touched
 from touchd.calibration.wizard import worker as worker_module
+from touchd.calibration.wizard.crosses import keep
 from touchd.calibration.wizard.state import State, to_toml
 from touchd.calibration.wizard.untouched import Stopped
 from touchd.calibration.wizard.worker import Worker
-from touchd.errors import CalibrationError
+from touchd.cli.main import main
+from touchd.config.load import load
+from touchd.errors import BridgeError, CalibrationError
+from touchd.event import Phase, encode
 from touchd.localization.model import default_model_path
 from touchd.localization.model_file import install
 
@@ -28,7 +37,10 @@ RESULT = {"verdict": "good", "expected_mm": 0.1, "reasons": [], "undecided": [],
 
 def made(folder: Path) -> tuple[Worker, State]:
     state = State(folder / "state")
-    return Worker(state, folder / "no-daemon", folder / "model.onnx", 1.0), state
+    handed, bus = folder / "touched.json", f"ipc://{folder}/bus"
+    return Worker(
+        state, folder / "no-daemon", folder / "model.onnx", 1.0, folder / "config/touchd.toml", handed, bus
+    ), state
 
 
 def await_that(fact: Callable[[], bool]) -> None:
@@ -80,6 +92,23 @@ def test_unknown_command(tmp_path: Path) -> None:
     worker, _ = made(tmp_path)
     for asked in ({}, {"do": "format"}, {"do": 3}, {"do": "measures"}):
         assert worker.answer(asked)["ok"] is False
+
+
+JSON = st.recursive(
+    st.none() | st.booleans() | st.floats() | st.integers() | st.text(max_size=9),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.sampled_from(["plate", "discs", "x"]), inner),
+    max_leaves=8,
+)
+
+
+@settings(max_examples=200, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@given(asked=st.fixed_dictionaries({"do": st.sampled_from(["measures", "picture", "", "watch"])},
+                                   optional={"plate": JSON, "name": JSON}) | JSON)  # fmt: skip
+def test_nonsense(tmp_path: Path, asked: Any) -> None:
+    """Whatever a command holds is refused in words, and changes nothing."""
+    worker, state = made(tmp_path)
+    assert worker.answer(asked)["ok"] is False
+    assert state["plate"] is None
 
 
 def test_fit(tmp_path: Path, fits: list[threading.Event]) -> None:
@@ -134,6 +163,92 @@ def test_failed_fit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         await_that(lambda: state["running"] is None)
         assert said in state["problem"]
         assert state["fix"]
+
+
+def await_cross(state: State, number: int) -> None:
+    """Wait until a cross is due."""
+    await_that(lambda: (state["cross"] or {}).get("number") == number)
+
+
+@pytest.fixture
+def taps(tmp_path: Path) -> Iterator[Callable[[int, float, float], None]]:
+    """Publishes a tap of a number at a place, once there is a subscriber."""
+    context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
+    socket = context.socket(zmq.XPUB)
+    socket.setsockopt(zmq.LINGER, 0)
+    socket.bind(f"ipc://{tmp_path}/bus")
+    heard: list[bytes] = []
+
+    def tap(number: int, x_mm: float, y_mm: float) -> None:
+        while not heard:
+            heard.append(socket.recv())
+        phases: tuple[Phase, ...] = ("down", "move", "up")
+        for seq, phase in enumerate(phases, 3 * number):
+            event = touch(contact(number, phase, x_mm, y_mm), seq=seq + 1, t_ns=time.monotonic_ns())
+            socket.send_multipart([b"touch", encode(event)])
+
+    yield tap
+    socket.close()
+    context.term()
+
+
+def test_crosses(tmp_path: Path, taps: Callable[[int, float, float], None]) -> None:
+    """Taps at the crosses become the mapping in the configuration, whose other lines stay."""
+    worker, state = made(tmp_path)
+    config = tmp_path / "config/touchd.toml"
+    config.parent.mkdir()
+    config.write_text("# mine\n")
+    worker.answer({"do": "crosses"})
+    for number, (across, along) in enumerate(CROSSES[:4]):
+        await_cross(state, number + 1)
+        taps(number, 10 + 80 * across, 20 + 60 * along)
+    await_that(lambda: state["running"] is None)
+    assert (state["problem"], state["cross"]) == ("", None)
+    assert state["mapping"] == {"screen_mm": [10, 20, 80, 60], "rotate": 0, "residual_mm": 0}
+    assert load(config).input.screen_mm == (10, 20, 80, 60)
+    assert config.read_text().startswith("# mine\n")
+
+
+def test_refused_crosses(tmp_path: Path, taps: Callable[[int, float, float], None]) -> None:
+    """Taps that no screen explains are refused with what to do, and the mapping stays."""
+    worker, state = made(tmp_path)
+    (tmp_path / "config").mkdir()
+    worker.answer({"do": "crosses"})
+    for number, (across, along) in enumerate(CROSSES[:4]):
+        await_cross(state, number + 1)
+        taps(number, 90 - 80 * across, 20 + 60 * along)  # mirrored
+    await_that(lambda: state["running"] is None)
+    assert "mirrored" in state["problem"]
+    assert state["fix"]
+    assert state["mapping"] is None
+    assert not (tmp_path / "config/touchd.toml").exists()
+
+
+def test_handed_over(tmp_path: Path) -> None:
+    """Where the configuration is root's, root's own verb takes the touches, fits and writes them."""
+    touched = [Touched(x, y, 10 + 80 * x, 20 + 60 * y) for x, y in CROSSES[:4]]
+    config, handed = tmp_path / "touchd.toml", tmp_path / "touched.json"
+
+    def root() -> None:
+        await_that(handed.exists)
+        main(["--config", str(config), "map", "--from", str(handed)])
+
+    config.touch()
+    other = threading.Thread(target=root)
+    other.start()
+    found = keep(touched, config, handed, writable=False)
+    other.join()
+    assert found == {"screen_mm": [10, 20, 80, 60], "rotate": 0, "residual_mm": 0}
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", "[[1, 2, 3]]", "[[0, 0, 0, NaN]]", "[" * 5000])
+def test_handed_nonsense(tmp_path: Path, text: str) -> None:
+    """What is no list of touches changes nothing."""
+    config, handed = tmp_path / "touchd.toml", tmp_path / "touched.json"
+    config.touch()
+    handed.write_text(text)
+    assert main(["--config", str(config), "map", "--from", str(handed)]) == BridgeError.exit_code
+    assert config.read_text() == ""
 
 
 def test_no_daemon(tmp_path: Path) -> None:

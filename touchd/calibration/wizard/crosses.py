@@ -1,0 +1,88 @@
+"""Where the screen lies on the plate, by touches at crosses that the page shows: what `touchd map` does."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import threading
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from touchd.bridges.crosses import Crosses, keys_of
+from touchd.bridges.fit import LEAST_TOUCHES, Mapping, Touched, fit
+from touchd.calibration.wizard.untouched import Stopped
+from touchd.client import Subscriber
+from touchd.config.bridges import InputSettings
+from touchd.config.edit import set_keys
+from touchd.config.load import load
+from touchd.errors import BusTimeout, OutputError
+from touchd.files import replacing
+
+_LOOK_S = 0.2
+_TAKEN_S = 15.0
+"""How long touchd-mapping.service may need."""
+
+
+def take_crosses(address: str | None, stop: threading.Event, due: Callable[[Any], object]) -> list[Touched]:
+    """Take a touch at each cross; `due` is called with the next one, for the page.
+
+    Raises
+    ------
+    Stopped
+        `stop` was set.
+    """
+    crosses = Crosses()
+    with Subscriber(address, max_age_s=None) as events:
+        while crosses.due:
+            due({"number": len(crosses.taken) + 1, "of": LEAST_TOUCHES, "at": crosses.due})
+            while not stop.is_set():
+                with contextlib.suppress(BusTimeout):
+                    if crosses.feed(events.receive(_LOOK_S)):
+                        break
+            else:
+                raise Stopped
+    return crosses.taken
+
+
+def keep(
+    touched: Sequence[Touched], config: Path, handed: Path, *, writable: bool | None = None
+) -> dict[str, Any] | None:
+    """Fit the mapping, write it to the configuration, and return it as `shown` does.
+
+    Where the configuration is root's, the touches are left at `handed`: touchd-mapping.service fits and writes them.
+
+    Raises
+    ------
+    BridgeError
+        No mapping explains the touches.
+    OutputError
+        Nobody writes it.
+    """
+    mapping = fit(touched)
+    if os.access(config.parent, os.W_OK) if writable is None else writable:
+        set_keys(config, "input", keys_of(mapping))
+    else:
+        with replacing(handed) as file:
+            file.write(json.dumps(touched).encode())
+        _await(mapping, config, handed)
+    return shown(load(config).input)
+
+
+def shown(settings: InputSettings) -> dict[str, Any] | None:
+    """Return where the screen lies, for the page; None where nobody knows."""
+    if not settings.screen_mm:
+        return None
+    return {"screen_mm": list(settings.screen_mm), "rotate": settings.rotate, "residual_mm": settings.residual_mm}
+
+
+def _await(mapping: Mapping, config: Path, handed: Path) -> None:
+    until_s = time.monotonic() + _TAKEN_S
+    while time.monotonic() < until_s:
+        found = load(config if config.exists() else None).input
+        if (tuple(found.screen_mm), found.rotate) == (mapping.screen_mm, mapping.rotate):
+            return
+        time.sleep(_LOOK_S)
+    raise OutputError("nobody has written the mapping", str(config), f"as root: touchd map --from {handed}")
