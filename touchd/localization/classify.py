@@ -93,26 +93,31 @@ class Classifier:
         """
         if self._known:
             self._known = [one for one in self._known if one.until_ns >= t_ns]
+        several = len(fit.positions_mm) > 1
         sizes, leads = list(map(abs, fit.amplitudes)), list(map(cmath.phase, fit.amplitudes))
         for k, turn in enumerate(fit.turns):
             leads[k] = cmath.phase(fit.amplitudes[k] * turn)
         self.departure = min(map(abs, leads)) > DEPARTURE_RAD
-        variance = self._variance(fit, sizes)
-        errors_mm = sigmas_mm(fit.fisher_information, variance)
-        doubtful = self._cornered(fit.positions_mm) | self._edged(fit) if len(sizes) > 1 else ()
+        noise, error = self._noise.variance, self._error_variance(fit, sizes)
+        errors_mm = sigmas_mm(fit.fisher_information, noise + error)
+        doubtful = self._cornered(fit.positions_mm) | self._edged(fit) if several else ()
         fingers: list[Finger] = []
         for k, position in enumerate(fit.positions_mm):
             lead, energy = leads[k], fit.energies[k]
             if not LAG_RAD < lead < DEPARTURE_RAD:
                 continue
-            sigma_rad = math.sqrt(variance / energy) if energy > 0 else math.inf
+            sigma_rad = math.sqrt((noise + error) / energy) if energy > 0 else math.inf
             known = self._known_at(position) if self._known else None
             is_clear = sizes[k] >= CLEAR_SIZE and lead + CLEAR_SIGMAS * sigma_rad < CLEAR_RAD  # the usual case
             if not (is_clear and known is None):
                 amplitude = self._solver.amplitude(bins, fit, k, self._mass)
-                look = Look(-cmath.phase(amplitude), sigma_rad, abs(amplitude))
-                came = self._was_finger(position, several=len(sizes) > 1)
-                if not self._is_finger(position, look, known, t_ns, SURE_ALONE if alone else SURE, came=came):
+                by_noise, by_error = (math.sqrt(one / energy) if energy > 0 else math.inf for one in (noise, error))
+                look = Look(-cmath.phase(amplitude), by_noise, by_error, abs(amplitude))
+                if not (
+                    look.log_odds() > SURE_ALONE
+                    if alone
+                    else self._is_finger(position, look, known, t_ns, several=several)
+                ):
                     continue
             if k not in doubtful:
                 fingers.append((position, errors_mm[k], sizes[k]))
@@ -120,33 +125,31 @@ class Classifier:
         return fingers
 
     def _is_finger(
-        self, position_mm: Position, look: Look, known: Evidence | None, t_ns: int, sure: float, *, came: bool
+        self, position_mm: Position, look: Look, known: Evidence | None, t_ns: int, *, several: bool
     ) -> bool:
-        """Return whether a contact is a finger, by all its frames; `came` says that there was one beside it."""
-        if known is not None and known.state is State.WATER and came and look.log_odds() > SURE:
-            return True  # it covers the drop
+        """Return whether a contact is a finger, by all its frames."""
         if known is None:
-            known = Evidence(position_mm)
-            if self._was_finger(position_mm, several=True):
-                known.state = State.FINGER
+            beside = self._was_finger(position_mm, several=True)
+            known = Evidence(position_mm, State.FINGER if beside else State.UNDECIDED)
             if len(self._known) < MOST:
                 self._known.append(known)
-        known.update(position_mm, look, t_ns, sure)
-        return known.state is State.FINGER
+        elif known.state is State.WATER and look.log_odds() > SURE and self._was_finger(position_mm, several=several):
+            return True  # it covers the drop
+        known.update(position_mm, look, t_ns)
+        return known.is_placed
 
     def _known_at(self, position_mm: Position) -> Evidence | None:
         """Return what is known of the contact nearest to a position; None if there is none."""
         near = [one for one in self._known if math.dist(one.position_mm, position_mm) < NEAR_MM]
         return min(near, key=lambda one: math.dist(one.position_mm, position_mm), default=None)
 
-    def _variance(self, fit: Fit, sizes: list[float]) -> float:
-        """Return the variance of a value: by noise, by the field's error, and by what the fit leaves."""
+    def _error_variance(self, fit: Fit, sizes: list[float]) -> float:
+        """Return the variance of a value by the field's error, and by what the fit leaves, counts squared."""
         noise = self._noise
         missed = noise.mean_error * sum(map(mul, sizes, sizes)) / 2
         left = max(fit.residual_energy - noise.ceiling, 0.0) / noise.active_bins
         unusual = UNUSUAL_SHAPE if len(fit.shapes) == 1 else UNUSUAL
-        error = WELL_KNOWN * self._field_scale * missed + unusual * max(left - TYPICAL * missed, 0.0)
-        return float(noise.variance + error)
+        return float(WELL_KNOWN * self._field_scale * missed + unusual * max(left - TYPICAL * missed, 0.0))
 
     def _was_finger(self, position_mm: Position, *, several: bool) -> bool:
         """Return whether a finger of the last frame may have come to a position; of several fingers none comes far."""

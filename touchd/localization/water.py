@@ -3,14 +3,16 @@
 A drop is a mass, its impedance i omega m. Tissue takes power from the plate: a piston of radius a on it lags a mass by
 0.6 a / c, c the speed of sound in it, alike at all frequencies (Kinsler & Frey, Fundamentals of Acoustics). Its
 amplitude grows as a^3, so a finger of amplitude A lags a mass by at least `TISSUE_RAD` A^(1/3), a drop by nothing.
-`ratio` is the lag over that of a finger: 0 is water, 1 or more a finger.
+
+The sum is kept twice, less and plus what the field's error may add to it, and within `MOST_ODDS` of 0 (Page, Biometrika
+41:100, 1954): what a finger has left behind is water as soon as its own frames say so.
 
 =============  ===================  ===================================================================
-contact        becomes              if the log likelihood ratio
+contact        becomes              if the sum
 =============  ===================  ===================================================================
-undecided      finger, water        is above `SURE`, below -`SURE`
-finger         water                is below -`SURE`
-water          finger               is above `SURE` for 30 ms; at once within 0.1 s if the ratio is above 1
+undecided      finger, water        reaches `SURE`, -`MOST_ODDS`
+finger         water                reaches -`MOST_ODDS`; it is not placed while the sum is negative
+water          finger               stays at `SURE` for 30 ms; at once within 0.1 s if it lags as a finger
 =============  ===================  ===================================================================
 """
 
@@ -29,14 +31,19 @@ MASS_LEAD_S = 1.47e-6
 TISSUE_RAD = 0.39
 """Lag behind a mass of a piston on soft tissue, at amplitude 1: gloves of 3 to 8 mm^2 lag by 0.16 to 0.26 rad (twin).
 Slower or lossy tissue, as silicone and skin, lags by more."""
-BIAS_RAD = 0.03
+BIAS_RAD = 0.02
 """Standard deviation of what does not average out: the error of the field's phase, from place to place (twin)."""
-SURE = 6.0
-"""Log likelihood ratio: at most 1 drop in 400 is ever taken for a finger (Wald's bound)."""
+ERROR_SIGMAS = 1.5
+"""Standard errors by what the field misses of all contacts that are added to it."""
+SURE = 4.0
+"""Log likelihood ratio: at most 1 drop in 55 is ever taken for a finger (Wald's bound), with the field's error in its
+favour; 1 in 400 without."""
+MOST_ODDS = 6.0
+"""More evidence would make a contact slow to change."""
 SURE_ALONE = 2.5
 """The same of a frame that is judged alone: one look takes 1 drop in 400 for a finger (twin, 60 dB)."""
-MEMORY = 4.0
-"""Frames count until their noise has this part of the power of `BIAS_RAD`: more would tell nothing more."""
+MOST_LAG = 2.0
+"""A contact that lags by more than this, over a finger's least lag, tells no more."""
 LAY_NS, DRY_NS = 100_000_000, 30_000_000
 """What leads for less than 0.1 s may be a finger that lands; of water one frame may say otherwise."""
 NEAR_MM = 3.0
@@ -52,8 +59,10 @@ class Look(NamedTuple):
 
     lag_rad: float
     """Behind a mass."""
-    sigma_rad: float
-    """Its standard error."""
+    noise_rad: float
+    """Its standard error by noise."""
+    error_rad: float
+    """And by what the field misses of all contacts, which is alike in the next frames."""
     size: float
     """Modulus of the amplitude."""
 
@@ -62,10 +71,16 @@ class Look(NamedTuple):
         """Return the least lag of a finger of this amplitude."""
         return TISSUE_RAD * math.cbrt(max(self.size, 1e-6))
 
+    @property
+    def bias_rad(self) -> float:
+        """Return the error that is alike in all frames."""
+        return BIAS_RAD + ERROR_SIGMAS * self.error_rad
+
     def log_odds(self) -> float:
-        """Return the log likelihood ratio of a finger over water."""
+        """Return the log likelihood ratio of a finger over water in this frame alone."""
         own = self.finger_lag_rad
-        return _log_odds(self.lag_rad / own, (self.sigma_rad**2 + BIAS_RAD**2) / own**2)
+        ratio = self.lag_rad / own
+        return (ratio * ratio - min(ratio - 1, 0.0) ** 2) * own**2 / (2 * (self.noise_rad**2 + self.bias_rad**2))
 
 
 class State(Enum):
@@ -80,44 +95,49 @@ class Evidence(Struct):
     """What the frames of one contact have told."""
 
     position_mm: Position
+    state: State = State.UNDECIDED
     until_ns: int = 0
     """When it is forgotten unless it is seen."""
-    state: State = State.UNDECIDED
-    ratio: float = 0.0
-    """Weighted mean over the frames."""
-    weight: float = 0.0
-    """Of it: the inverse of its variance by noise."""
+    least: float = 0.0
+    """Sum of the log likelihood ratios of a finger over water, less what the field's error may add."""
+    most: float = 0.0
+    """The same plus what it takes away where one contact is alone."""
     since_ns: int = 0
     """When it became water."""
     likely_ns: int | None = None
     """Since when water has been likely to be a finger."""
 
-    def update(self, position_mm: Position, look: Look, t_ns: int, sure: float = SURE) -> None:
-        """Take the contact of a frame; `sure` is the ratio from which an undecided one is a finger."""
+    @property
+    def is_placed(self) -> bool:
+        """Whether it is a finger, and not about to become water."""
+        return self.state is State.FINGER and self.most >= 0
+
+    def update(self, position_mm: Position, look: Look, t_ns: int) -> None:
+        """Take the contact of a frame."""
         own = look.finger_lag_rad
-        bias2 = (BIAS_RAD / own) ** 2
-        weight = (own / look.sigma_rad) ** 2 if look.sigma_rad > 0 else 1e12
-        self.weight = min(self.weight, MEMORY / bias2) + weight
-        self.ratio += weight / self.weight * (look.lag_rad / own - self.ratio) if weight > 0 else 0.0
+        weight = own**2 / (2 * max(look.noise_rad**2 + look.error_rad**2, 1e-12))
+        if weight > 0:
+            odds, margin = 2 * min(look.lag_rad / own, MOST_LAG) - 1, 2 / own
+            self.least = _limited(self.least + weight * (odds - margin * look.bias_rad))
+            self.most = _limited(self.most + weight * (odds + margin * BIAS_RAD))
         self.position_mm = position_mm
-        self._decide(_log_odds(self.ratio, 1 / max(self.weight, 1e-12) + bias2), t_ns, sure)
+        self._decide(t_ns, lags=look.lag_rad > own)
         self.until_ns = t_ns + (FINGER_NS if self.state is State.FINGER else WATER_NS)
 
-    def _decide(self, log_odds: float, t_ns: int, sure: float) -> None:
+    def _decide(self, t_ns: int, *, lags: bool) -> None:
         if self.state is not State.WATER:
-            if log_odds < -SURE:
+            if self.most <= -MOST_ODDS:
                 self.state, self.since_ns, self.likely_ns = State.WATER, t_ns, None
-            elif log_odds > sure:
+            elif self.least >= SURE:
                 self.state = State.FINGER
-        elif log_odds <= SURE:
+        elif self.least < SURE:
             self.likely_ns = None
         else:
             self.likely_ns = t_ns if self.likely_ns is None else self.likely_ns
-            landed = self.ratio > 1 and self.likely_ns - self.since_ns < LAY_NS
+            landed = lags and self.likely_ns - self.since_ns < LAY_NS
             if landed or t_ns - self.likely_ns >= DRY_NS:
                 self.state = State.FINGER
 
 
-def _log_odds(ratio: float, variance: float) -> float:
-    """Return the log likelihood ratio of a finger, which has a `ratio` of 1 or more, over water, which has 0."""
-    return (ratio * ratio - min(ratio - 1, 0.0) ** 2) / (2 * variance)
+def _limited(log_odds: float) -> float:
+    return max(-MOST_ODDS, min(log_odds, MOST_ODDS))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from touchd.localization.water import BIAS_RAD, SURE_ALONE, TISSUE_RAD, WATER_NS, Evidence, Look, State
+from touchd.localization.water import BIAS_RAD, TISSUE_RAD, WATER_NS, Evidence, Look, State
 
 FRAME_NS = 8_000_000
 
@@ -13,7 +13,7 @@ FRAME_NS = 8_000_000
 def looks(lag_rad: float, sigma_rad: float, size: float, frames: int, rng: np.random.Generator) -> list[Look]:
     """A contact's frames: noise in each, and an error of the field that is the same in all."""
     lag_rad += BIAS_RAD * rng.standard_normal()
-    return [Look(lag_rad + sigma_rad * noise, sigma_rad, size) for noise in rng.standard_normal(frames)]
+    return [Look(lag_rad + sigma_rad * noise, sigma_rad, 0.0, size) for noise in rng.standard_normal(frames)]
 
 
 def states(seen: list[Look]) -> list[State]:
@@ -47,25 +47,45 @@ def test_gloves(size: float, sigma_rad: float, frames: int) -> None:
 def test_a_landing_finger_grows() -> None:
     """What a finger's first frames tell, in which its contact is small, counts in its own scale."""
     sizes = np.linspace(0.05, 0.3, 8)
-    found = states([Look(TISSUE_RAD * float(np.cbrt(size)), 0.01 / size, float(size)) for size in sizes])
+    found = states([Look(TISSUE_RAD * float(np.cbrt(size)), 0.01 / size, 0.0, float(size)) for size in sizes])
     assert State.WATER not in found
     assert found[-1] is State.FINGER
 
 
+def test_a_drop_under_a_finger() -> None:
+    """Of 100 drops that a finger leaves behind 95 are not placed after 0.1 s, however long the finger lay on them."""
+    rng = np.random.default_rng(3)
+    late = []
+    for _ in range(200):
+        evidence = Evidence((0.0, 0.0), State.FINGER)
+        seen = [*looks(0.5, 0.02, 1.0, 250, rng), *looks(0.0, 0.1, 0.15, 100, rng)]
+        placed = []
+        for i, look in enumerate(seen):
+            evidence.update((0.0, 0.0), look, i * FRAME_NS)
+            placed.append(evidence.is_placed)
+        assert all(placed[:250])
+        late.append(sum(placed[250:]))
+    assert np.percentile(late, 95) * FRAME_NS < 100_000_000
+
+
+def test_beside_another_contact() -> None:
+    """Where the field misses as much as a finger lags, a contact stays undecided instead of becoming a finger."""
+    size, frames = 0.05, 250
+    lag_rad = TISSUE_RAD * float(np.cbrt(size))
+    assert states([Look(lag_rad, 0.07, 0.0, size)] * frames)[-1] is State.FINGER
+    assert State.FINGER not in states([Look(lag_rad, 0.07, 0.06, size)] * frames)
+
+
 def test_one_look() -> None:
-    """A frame that is judged alone needs less: the odds of one look, not of many."""
-    look, states = Look(0.2, 0.06, 0.2), []
-    for sure in (SURE_ALONE, 6.0):
-        evidence = Evidence((0.0, 0.0))
-        evidence.update((0.0, 0.0), look, 0, sure)
-        states.append(evidence.state)
-    assert states == [State.FINGER, State.UNDECIDED]
+    """A frame's own odds are those that its noise and the field's error leave: less by either."""
+    clear, noisy, beside = Look(0.2, 0.03, 0.0, 0.2), Look(0.2, 0.06, 0.0, 0.2), Look(0.2, 0.03, 0.06, 0.2)
+    assert clear.log_odds() > noisy.log_odds() > beside.log_odds() > 0 > Look(0.0, 0.03, 0.0, 0.2).log_odds()
 
 
 def test_nothing_seen() -> None:
     """A contact without energy tells nothing; without noise it tells all, and it is remembered for 10 s."""
     evidence = Evidence((0.0, 0.0))
-    evidence.update((0.0, 0.0), Look(0.3, float("inf"), 0.0), 0)
+    evidence.update((0.0, 0.0), Look(0.3, float("inf"), float("inf"), 0.0), 0)
     assert evidence.state is State.UNDECIDED
-    evidence.update((0.0, 0.0), Look(0.0, 0.0, 0.3), 0)
+    evidence.update((0.0, 0.0), Look(0.0, 0.0, 0.0, 0.3), 0)
     assert (evidence.state, evidence.until_ns) == (State.WATER, WATER_NS)
