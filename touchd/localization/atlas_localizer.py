@@ -263,16 +263,14 @@ class AtlasLocalizer:
         moved_mm = self._prediction.moved_mm if self._skips_still else math.inf
         self._still.update(bins, fit, moved_mm, self._noise.variance)
         fingers = self._classifier.fingers(bins, fit, t_ns, alone=alone)
-        self._departure = self._classifier.departure
-        faces = dict(zip(fit.positions_mm, self._faces, strict=True))
+        self._departure, faces = self._classifier.departure, dict(zip(fit.positions_mm, self._faces, strict=True))
         # Change of the signal, as a share of its size, by a finger of amplitude 1.
         change = self._field_rms / self._plate.signal_rms
-        make = self._touch_maker.touch
         touches = []
         for at, sigma_mm, size in fingers:
             if sigma_mm <= self._max_sigma_mm:
-                face = faces[at]
-                touches.append(make(*at, sigma_mm, confidence, size * change, None, face, kind_of(size, face)))
+                as_kind = None, faces[at], kind_of(size, faces[at])
+                touches.append(self._touch_maker.touch(*at, sigma_mm, confidence, size * change, *as_kind))
         return tuple(touches)
 
     def _rests(self, residual: Signal) -> bool:

@@ -17,16 +17,15 @@ import cmath
 import math
 from operator import mul
 
-import numpy as np
-
 from touchd.localization.atlas import Atlas
 from touchd.localization.fit import Bins, Fit, sigmas_mm
 from touchd.localization.fit_criteria import CRITERIA
 from touchd.localization.gauss_newton import GaussNewton
+from touchd.localization.lag import MassPhase
 from touchd.localization.noise import NoiseModel
 from touchd.localization.prediction import LONGEST_STEP_MM
 from touchd.localization.spline import Position
-from touchd.localization.water import MASS_LEAD_S, MOST, NEAR_MM, SURE, SURE_ALONE, Evidence, Look, State
+from touchd.localization.water import MOST, NEAR_MM, SURE, SURE_ALONE, Evidence, Look, State
 
 LAG_RAD = -1.2
 """A finger lags by less. Human fingers lag by up to 0.4 rad (twin)."""
@@ -66,13 +65,10 @@ class Classifier:
     """
 
     def __init__(self, atlas: Atlas, noise: NoiseModel, solver: GaussNewton) -> None:
-        self._noise, self._solver = noise, solver
+        self._noise, self._phase = noise, MassPhase(atlas, solver)
         d = atlas.description
         self._field_scale = d.field_scale
         self._low_mm, self._high_mm = d.low_mm, d.high_mm
-        a = d.acquisition
-        turn = np.exp(2j * np.pi * MASS_LEAD_S * np.array(d.bins) * a.sample_rate_hz / a.samples)
-        self._mass = np.tile(turn, a.channels)  # what a mass adds to the phases of the field
         self.departure = False
         """Whether the last fit shows the negative of fingers alone."""
         self.reset()
@@ -110,14 +106,11 @@ class Classifier:
             known = self._known_at(position) if self._known else None
             is_clear = sizes[k] >= CLEAR_SIZE and lead + CLEAR_SIGMAS * sigma_rad < CLEAR_RAD  # the usual case
             if not (is_clear and known is None):
-                amplitude = self._solver.amplitude(bins, fit, k, self._mass)
                 by_noise, by_error = (math.sqrt(one / energy) if energy > 0 else math.inf for one in (noise, error))
-                look = Look(-cmath.phase(amplitude), by_noise, by_error, abs(amplitude))
-                if not (
-                    look.log_odds() > SURE_ALONE
-                    if alone
-                    else self._is_finger(position, look, known, t_ns, several=several)
-                ):
+                look = Look(self._phase.lag_rad(bins, fit, k), by_noise, by_error, sizes[k])
+                if alone and look.log_odds() <= SURE_ALONE:
+                    continue
+                if not (alone or self._is_finger(position, look, known, t_ns, several=several)):
                     continue
             if k not in doubtful:
                 fingers.append((position, errors_mm[k], sizes[k]))

@@ -19,7 +19,7 @@ from touchd.localization import joint
 from touchd.localization.anytime import Steps, finish
 from touchd.localization.atlas import Array, Atlas
 from touchd.localization.contact_field import ContactField, Shape
-from touchd.localization.contact_model import TYPICAL, Complex, ContactModel, size_mm2
+from touchd.localization.contact_model import TYPICAL, ContactModel, size_mm2
 from touchd.localization.fit import Bins, Fit, Matrix, no_fit
 from touchd.localization.fit_criteria import CRITERIA
 from touchd.localization.spline import Position, Spline
@@ -224,39 +224,18 @@ class GaussNewton:
 
     def residual(self, bins: Bins, fit: Fit) -> Array:
         """Return what a fit leaves of the bins, shape (channels * 2 * bins,); valid until the next call."""
-        self._leave(bins, fit).take(self._back, None, self._residual, "wrap")
-        return self._residual
-
-    def amplitude(self, bins: Bins, fit: Fit, k: int, turn: Complex) -> complex:
-        """Return the amplitude of a fit's contact `k` as a point whose field is turned bin by bin.
-
-        `turn`, shape (size / 2,), has the modulus 1.
-        """
-        left = self._leave(bins, fit, k)
-        self._look_up(*fit.positions_mm[k])
-        real, imaginary = self._value
-        field = (real + _I * imaginary) * turn
-        power = float(np.vdot(field, field).real)
-        return complex(np.vdot(field, left[0] + _I * left[1])) / power if power > 0 else 0j
-
-    def _leave(self, bins: Bins, fit: Fit, without: int | None = None) -> Array:
-        """Return what the fingers of a fit leave of the bins, in the solver's order, shape (2, size / 2).
-
-        Finger `without` stays in it.
-        """
         self._load(bins)
         left, turn = self._left, self._turn
         left[...] = self._known.reshape(2, -1)
         shapes: Sequence[Shape | None] = shapes_of(fit) or [None] * len(fit.positions_mm)
-        for k, ((x, y), amplitude, shape) in enumerate(zip(fit.positions_mm, fit.amplitudes, shapes, strict=True)):
-            if k == without:
-                continue
+        for (x, y), amplitude, shape in zip(fit.positions_mm, fit.amplitudes, shapes, strict=True):
             self._look_up(x, y, shape)
             turn[0, 0] = turn[1, 1] = amplitude.real
             turn[1, 0], turn[0, 1] = amplitude.imag, -amplitude.imag
             turn.dot(self._value, self._part)
             np.subtract(left, self._part, left)
-        return left
+        left.take(self._back, None, self._residual, "wrap")
+        return self._residual
 
     def _load(self, bins: Bins) -> None:
         """Copy the bins beside the field, in the solver's order, unless they are there."""

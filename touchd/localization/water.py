@@ -26,8 +26,6 @@ from msgspec import Struct
 
 from touchd.localization.spline import Position
 
-MASS_LEAD_S = 1.47e-6
-"""By which a mass leads a silicone tip of 20 mm^2, the middle of the training's (piston on a half-space)."""
 TISSUE_RAD = 0.39
 """Lag behind a mass of a piston on soft tissue, at amplitude 1: gloves of 3 to 8 mm^2 lag by 0.16 to 0.26 rad (twin).
 Slower or lossy tissue, as silicone and skin, lags by more."""
