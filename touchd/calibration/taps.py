@@ -128,8 +128,8 @@ def refine(atlas: Atlas, taps: Taps, orientation: int = 0, widths: Widths | None
     fits = placed.misfit < FITS
     if not fits.any():
         raise CalibrationError("no tap fits the calibrated plate", "--taps", "check the labels' places, in mm")
+    hit = hits(placed.position_mm[fits], taps.label_mm[fits])
     apart = np.linalg.norm(placed.position_mm[fits] - taps.label_mm[fits], axis=1)
-    hit = apart <= MISSED * np.median(apart)
     scatter_mm, moved_mm = float(np.sqrt(np.square(apart[hit]).mean() / 2)), 0.0
     before = after = float(np.median(placed.misfit[fits]))
     some = Taps(taps.label_mm[fits], taps.values[fits])
@@ -152,6 +152,12 @@ def refine(atlas: Atlas, taps: Taps, orientation: int = 0, widths: Widths | None
     return Refined(
         ORIENTATIONS[orientation], atlas, len(fits), int(fits.sum()), scatter_mm, moved_mm, (before, min(before, after))
     )
+
+
+def hits(placed_mm: Floats, label_mm: Floats) -> NDArray[np.bool_]:
+    """Return which taps, at `placed_mm` (n, 2), did not miss their labels."""
+    apart = np.linalg.norm(placed_mm - label_mm, axis=1)
+    return np.asarray(apart <= MISSED * np.median(apart))
 
 
 def _correction(atlas: Atlas, taps: Taps, widths: Widths) -> PlaceCorrection:
