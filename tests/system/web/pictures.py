@@ -59,9 +59,13 @@ def calibrate(opened: Page, told: Wizard, step: str) -> None:
         "crosses": "screen",
         "cross-shown": "screen",
         "ring-shown": "taps",
+        "trained": "train",
+        "untrainable": "train",
     }
     if step in ("screen", "mapped"):
         opened.get_by_role("button", name="5 Screen").click()
+    if step in ("trained", "untrainable"):
+        opened.get_by_role("button", name="7 Train").click()
     if step == "fault":
         expect(opened.get_by_role("alert")).to_be_visible()
     else:
