@@ -57,6 +57,8 @@ class Refined:
     taps: int
     used: int
     """Taps that the field explains."""
+    placed_mm: Floats
+    """Where those lie that did not miss their labels, shape (m, 2)."""
     scatter_mm: float
     """Standard deviation of the labels per axis: how well a person hits."""
     moved_mm: float
@@ -150,8 +152,9 @@ def refine(atlas: Atlas, taps: Taps, orientation: int = 0, widths: Widths | None
         if moved_mm:
             atlas, scatter_mm = with_places(atlas, correction), correction.label_mm
     return Refined(
-        ORIENTATIONS[orientation], atlas, len(fits), int(fits.sum()), scatter_mm, moved_mm, (before, min(before, after))
-    )
+        ORIENTATIONS[orientation], atlas, len(fits), int(fits.sum()), some_placed.position_mm[hit], scatter_mm,
+        moved_mm, (before, min(before, after)),
+    )  # fmt: skip
 
 
 def hits(placed_mm: Floats, label_mm: Floats) -> NDArray[np.bool_]:

@@ -8,8 +8,8 @@ It is the root of three variances:
 - a touch's own: the Cramer-Rao bound in the plate's noise with the field's error. The fit takes that to be alike
   everywhere; a tap measures it, near its place: it grows where the field is worse than the fit has it
 
-It does not contain a fingertip's shape, which shifts its place by 0.3 mm in the median (twin), nor another temperature.
-A fit that may be good leaves its places as they are while taps tell them little: its error then is that without taps.
+It does not contain another temperature. A fit that may be good leaves its places as they are while taps tell them
+little: its error then is that without taps. On simulated plates the median is 0.8 to 2.4 times that of touches.
 """
 
 from __future__ import annotations
