@@ -129,7 +129,7 @@ export const texts = {
       on_screen: 'Tap targets on this screen', here: 'Show the ring on this screen', start: 'Tap targets', resume: 'Go on', pause: 'Pause', undo: 'Undo the last', refine: 'Fit again with the taps',
       pane: 'The plate with the next target', count: n => (n === 1 ? '1 tap' : `${n} taps`),
       good: 'Good.', scatter: mm => `Your taps scatter by ${mm} mm.`,
-      expected: (mm, before, n) => n < 8 ? `Expected error: ${mm} mm in the median. From the eighth tap on, a new fit corrects all places together.` : `Expected error with these ${n} taps in the fit: ${mm} mm in the median; without them ${before} mm.`, waiting: 'Waiting for a tap at the ring.',
+      expected: (mm, before, n) => n < 8 ? `Expected error: ${mm}\u00a0mm in the median. From the eighth tap on, a new fit corrects all places together.` : `Expected error with these ${n} taps in the fit: ${mm}\u00a0mm in the median; without them ${before}\u00a0mm.`, waiting: 'Waiting for a tap at the ring.',
       unseen: 'No tap seen. Press more firmly, for half a second, then lift the finger. Live shows whether frames come.',
       turned: what => `The drawing is ${what}: the next fit sets that right.`,
       reasons: {
