@@ -31,8 +31,8 @@ UNUSUAL = 14.0
 of silicone and human fingers are within one and two standard errors at 40 to 80 dB (twin)."""
 HIDDEN = 0.7
 """What half the fingertips leave, in the same unit: a shape's fit in noise that may hide as much leaves no less."""
-MOMENT_MM2 = 0.25
-"""Root mean square moment of contacts fitted as points: 0 of rigid ones, 0.17 to 0.6 of silicone tips (twin)."""
+MOMENT_MM2 = 0.2
+"""Moment that a point may have unseen: 0 of a rigid tip, 0.2 to 0.5 of a soft one of silicone (twin)."""
 
 
 class PositionError:
