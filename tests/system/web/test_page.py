@@ -211,6 +211,20 @@ def test_unseen_tap(browser: Browser, address: str, tmp_path: Path) -> None:
         expect(opened.locator(".tapped")).not_to_contain_text("Press more firmly")
 
 
+def test_marks(browser: Browser, address: str, tmp_path: Path) -> None:
+    """On a screen of any width a cross lies where its share of the screen says."""
+    with wizard(tmp_path / "wizard") as told, web(address, "--wizard", tmp_path / "wizard") as server:
+        told.show("cross-shown")
+        for wide, high in ((800, 480), (1920, 1080), (2560, 1440)):
+            with page(browser, server.url, wide=wide, high=high) as opened:
+                opened.get_by_role("link", name="Calibrate").click()
+                opened.get_by_role("button", name="Show the crosses here").click()
+                at = opened.locator(".stage .mark").bounding_box()
+                assert at is not None
+                middle = (at["x"] + at["width"] / 2, at["y"] + at["height"] / 2)
+                assert middle == pytest.approx((0.9 * wide, 0.9 * high), abs=1)
+
+
 def test_steps(browser: Browser, address: str, tmp_path: Path) -> None:
     """A step that is done can be looked at again; the wizard's next one comes to the front when it begins."""
     with (
