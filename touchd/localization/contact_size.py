@@ -27,7 +27,7 @@ from math import hypot, sqrt
 from touchd.localization.atlas import Atlas
 from touchd.localization.fit import Fit
 from touchd.localization.noise import NoiseModel
-from touchd.localization.shape_information import PHASE_RAD, ShapeInformation
+from touchd.localization.shape_information import PHASE_RAD, shape_information
 from touchd.touch import Face
 
 SIZES_MM2 = (0.0, 8.0, 14.0, 20.0, 27.0, 34.0, 42.0, 52.0, 70.0)
@@ -58,7 +58,7 @@ class ContactSize:
         self._noise = noise
         self._values = atlas.size
         self._turn = cmath.rect(1.0, -PHASE_RAD)
-        self._information = ShapeInformation(atlas)
+        self._information = shape_information(atlas)
 
     def faces(self, fit: Fit) -> list[Face | None]:
         """Return the faces of a fit's contacts, None of those that cannot be told."""
@@ -70,7 +70,7 @@ class ContactSize:
         for position, z, (_, xx, yy, xy) in zip(fit.positions_mm, fit.amplitudes, fit.shapes, strict=True):
             power = abs(z) ** 2
             moment = ((xx + yy) / (2 * z) * self._turn).real if power > 0 else 0.0
-            of_mean, of_oval = self._information.variances(position)
+            of_mean, of_oval = self._information.mean.at(*position), self._information.oval.at(*position)
             sigma = sqrt(of_mean * variance / max(power, 1e-30) + (MEAN_SHARE * moment) ** 2)
             if not moment > TOLD_SIGMAS * sigma:  # asked this way round, so that NaN is not told
                 found.append(None)

@@ -21,7 +21,7 @@ from operator import mul
 from touchd.localization.atlas import Atlas
 from touchd.localization.fit import Fit, sigmas_mm
 from touchd.localization.noise import NoiseModel
-from touchd.localization.shape_information import ShapeInformation
+from touchd.localization.shape_information import shape_information
 
 TYPICAL, TYPICAL_SHAPE = 0.4, 0.3
 """Model error of half the touches, as a share of its mean, which is that of a few badly known places: of points, and of
@@ -46,8 +46,8 @@ class PositionError:
 
     def __init__(self, atlas: Atlas, noise: NoiseModel) -> None:
         self._noise = noise
-        self._field_scale = atlas.description.field_scale
-        self._information = ShapeInformation(atlas)
+        self._field_scale: float = atlas.description.field_scale
+        self._bias2 = shape_information(atlas).bias2
 
     def variance(self, fit: Fit, sizes: list[float]) -> float:
         """Return noise and model error of a value, counts squared; `sizes` are the moduli of the fit's amplitudes."""
@@ -63,10 +63,7 @@ class PositionError:
     def sigmas_mm(self, fit: Fit, variance: float) -> list[float]:
         """Return the standard error of each position per axis; `variance` is that of the fit."""
         sigmas = sigmas_mm(fit.fisher_information, variance)
-        if fit.shapes:
-            return sigmas
-        bias2 = self._information.bias2
-        return [
-            math.sqrt(sigma * sigma + MOMENT_MM2**2 * bias2(position))
-            for sigma, position in zip(sigmas, fit.positions_mm, strict=True)
-        ]
+        if not fit.shapes:
+            for k, (x_mm, y_mm) in enumerate(fit.positions_mm):
+                sigmas[k] = math.sqrt(sigmas[k] ** 2 + MOMENT_MM2**2 * self._bias2.at(x_mm, y_mm))
+        return sigmas
