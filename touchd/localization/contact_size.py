@@ -58,7 +58,7 @@ class ContactSize:
         self._noise = noise
         self._values = atlas.size
         self._turn = cmath.rect(1.0, -PHASE_RAD)
-        self._information = shape_information(atlas)
+        self._of_mean, self._of_oval, _ = shape_information(atlas)
 
     def faces(self, fit: Fit) -> list[Face | None]:
         """Return the faces of a fit's contacts, None of those that cannot be told."""
@@ -70,7 +70,7 @@ class ContactSize:
         for position, z, (_, xx, yy, xy) in zip(fit.positions_mm, fit.amplitudes, fit.shapes, strict=True):
             power = abs(z) ** 2
             moment = ((xx + yy) / (2 * z) * self._turn).real if power > 0 else 0.0
-            of_mean, of_oval = self._information.mean.at(*position), self._information.oval.at(*position)
+            of_mean, of_oval = self._of_mean.at(*position), self._of_oval.at(*position)
             sigma = sqrt(of_mean * variance / max(power, 1e-30) + (MEAN_SHARE * moment) ** 2)
             if not moment > TOLD_SIGMAS * sigma:  # asked this way round, so that NaN is not told
                 found.append(None)
