@@ -52,7 +52,7 @@ class PositionError:
     def variance(self, fit: Fit, sizes: list[float]) -> float:
         """Return noise and model error of a value, counts squared; `sizes` are the moduli of the fit's amplitudes."""
         noise = self._noise
-        missed = noise.mean_error * sum(map(mul, sizes, sizes)) / 2
+        missed: float = noise.mean_error * sum(map(mul, sizes, sizes)) / 2
         left, typical = max(fit.residual_energy - noise.ceiling, 0.0) / noise.active_bins, TYPICAL
         if len(fit.shapes) == 1:
             typical = TYPICAL_SHAPE

@@ -36,7 +36,8 @@ class NodeTable:
     def __init__(self, atlas: Atlas, values: NDArray[np.float64]) -> None:
         self._x0_mm, self._y0_mm = map(float, atlas.description.origin_mm)
         self._per_mm = 1 / float(atlas.description.step_mm)
-        self._last_x, self._last_y = values.shape[1] - 1.001, values.shape[0] - 1.001
+        rows, columns = values.shape
+        self._last_x, self._last_y = float(columns) - 1.001, float(rows) - 1.001
         self._rows: list[list[float]] = values.tolist()
 
     def at(self, x_mm: float, y_mm: float) -> float:
