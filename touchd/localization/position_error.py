@@ -23,9 +23,10 @@ from touchd.localization.fit import Fit, sigmas_mm
 from touchd.localization.noise import NoiseModel
 from touchd.localization.shape_information import shape_information
 
-TYPICAL, TYPICAL_SHAPE = 0.4, 0.3
-"""Model error of half the touches, as a share of its mean, which is that of a few badly known places: of points, and of
-one contact with a shape, whose five amplitudes take part of the error with them (twin)."""
+TYPICAL, TYPICAL_SHAPE, TYPICAL_SEVERAL = 0.4, 0.3, 0.5
+"""Model error of half the touches, as a share of its mean, which is that of a few badly known places: of one point, of
+one contact with a shape, whose five amplitudes take part of the error with them, and of several contacts, of which one
+is at such a place more often (twin)."""
 UNUSUAL = 14.0
 """Weight, relative to noise, of what a touch leaves beyond that: model error is alike in many bins. With it 68 and 95 %
 of silicone and human fingers are within one and two standard errors at 40 to 80 dB (twin)."""
@@ -53,7 +54,8 @@ class PositionError:
         """Return noise and model error of a value, counts squared; `sizes` are the moduli of the fit's amplitudes."""
         noise = self._noise
         missed: float = noise.mean_error * sum(map(mul, sizes, sizes)) / 2
-        left, typical = max(fit.residual_energy - noise.ceiling, 0.0) / noise.active_bins, TYPICAL
+        left = max(fit.residual_energy - noise.ceiling, 0.0) / noise.active_bins
+        typical = TYPICAL if len(sizes) == 1 else TYPICAL_SEVERAL
         if len(fit.shapes) == 1:
             typical = TYPICAL_SHAPE
             left = max(left, min((noise.ceiling - noise.noise_energy) / noise.active_bins, HIDDEN * missed))
