@@ -175,7 +175,7 @@ class AtlasLocalizer:
             fit = self._follower.expected(bins, t_ns)
         elif tracked:
             fit = self._follower.follow(bins, t_ns, signal)
-        elif search.pending and not search.doubts:
+        elif search.pending and not (search.doubts and signal > CRITERIA.faint * noise.noise_energy):
             fit = no_fit(bins.energy)  # the search that goes on finds where to begin
         else:
             inferred = True

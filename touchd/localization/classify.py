@@ -1,4 +1,4 @@
-"""Finger, water or departure? The phase of a fitted amplitude tells, and the standard errors are its own.
+"""Finger, water or departure? The phase of a fitted amplitude tells.
 
 A finger has losses, a drop of water is a mass: its amplitude leads in phase. `lead` is that phase, rad.
 
@@ -15,14 +15,14 @@ from __future__ import annotations
 
 import cmath
 import math
-from operator import mul
 
 from touchd.localization.atlas import Atlas
-from touchd.localization.fit import Bins, Fit, sigmas_mm
+from touchd.localization.fit import Bins, Fit
 from touchd.localization.fit_criteria import CRITERIA
 from touchd.localization.gauss_newton import GaussNewton
 from touchd.localization.lag import MassPhase
 from touchd.localization.noise import NoiseModel
+from touchd.localization.position_error import PositionError
 from touchd.localization.prediction import LONGEST_STEP_MM
 from touchd.localization.spline import Position
 from touchd.localization.water import MOST, NEAR_MM, SURE, SURE_ALONE, Evidence, Look, State
@@ -39,15 +39,6 @@ one finger there looks like two, one along either edge."""
 EDGE_MM, WAVE_MM = 12.0, 30.0
 """A faint finger this near to an edge, with another within a wavelength, is not placed: the field is badly known there,
 and one finger looks like two on either side of it, or with a second one beside it."""
-TYPICAL = 0.5
-"""Model error of half the touches, as a share of its mean: the mean is that of a few badly known places (twin)."""
-WELL_KNOWN = 0.6
-"""Share of the field's mean error that moves a touch which leaves no more than is typical (twin, 40-70 dB)."""
-UNUSUAL = 14.0
-"""Weight, relative to noise, of what a touch leaves beyond that: model error is alike in many bins. With it 68 and 95 %
-of silicone and human fingers are within one and two standard errors (twin)."""
-UNUSUAL_SHAPE = 19.0
-"""The same of one contact with a shape, whose five amplitudes take part of the error with them (twin)."""
 
 
 Finger = tuple[Position, float, float]
@@ -67,7 +58,7 @@ class Classifier:
     def __init__(self, atlas: Atlas, noise: NoiseModel, solver: GaussNewton) -> None:
         self._noise, self._phase = noise, MassPhase(atlas, solver)
         d = atlas.description
-        self._field_scale = d.field_scale
+        self._errors = PositionError(atlas, noise)
         self._low_mm, self._high_mm = d.low_mm, d.high_mm
         self.departure = False
         """Whether the last fit shows the negative of fingers alone."""
@@ -94,15 +85,16 @@ class Classifier:
         for k, turn in enumerate(fit.turns):
             leads[k] = cmath.phase(fit.amplitudes[k] * turn)
         self.departure = min(map(abs, leads)) > DEPARTURE_RAD
-        noise, error = self._noise.variance, self._error_variance(fit, sizes)
-        errors_mm = sigmas_mm(fit.fisher_information, noise + error)
+        noise, variance = self._noise.variance, self._errors.variance(fit, sizes)
+        error = max(variance - noise, 0.0)
+        errors_mm = self._errors.sigmas_mm(fit, variance)
         doubtful = self._cornered(fit.positions_mm) | self._edged(fit) if several else ()
         fingers: list[Finger] = []
         for k, position in enumerate(fit.positions_mm):
             lead, energy = leads[k], fit.energies[k]
             if not LAG_RAD < lead < DEPARTURE_RAD:
                 continue
-            sigma_rad = math.sqrt((noise + error) / energy) if energy > 0 else math.inf
+            sigma_rad = math.sqrt(variance / energy) if energy > 0 else math.inf
             known = self._known_at(position) if self._known else None
             is_clear = sizes[k] >= CLEAR_SIZE and lead + CLEAR_SIGMAS * sigma_rad < CLEAR_RAD  # the usual case
             if not (is_clear and known is None):
@@ -135,14 +127,6 @@ class Classifier:
         """Return what is known of the contact nearest to a position; None if there is none."""
         near = [one for one in self._known if math.dist(one.position_mm, position_mm) < NEAR_MM]
         return min(near, key=lambda one: math.dist(one.position_mm, position_mm), default=None)
-
-    def _error_variance(self, fit: Fit, sizes: list[float]) -> float:
-        """Return the variance of a value by the field's error, and by what the fit leaves, counts squared."""
-        noise = self._noise
-        missed = noise.mean_error * sum(map(mul, sizes, sizes)) / 2
-        left = max(fit.residual_energy - noise.ceiling, 0.0) / noise.active_bins
-        unusual = UNUSUAL_SHAPE if len(fit.shapes) == 1 else UNUSUAL
-        return float(WELL_KNOWN * self._field_scale * missed + unusual * max(left - TYPICAL * missed, 0.0))
 
     def _was_finger(self, position_mm: Position, *, several: bool) -> bool:
         """Return whether a finger of the last frame may have come to a position; of several fingers none comes far."""

@@ -93,8 +93,9 @@ def main() -> None:
         stack.enter_context(bus(address))
         options = ("--replay", "touchd/demo/session.npz", "--wizard", Path(scratch) / "wizard")
         told = stack.enter_context(wizard(Path(scratch) / "wizard"))
-        settings = {"TOUCHD_INPUT__SCREEN_MM": "20,30,160,100", "TOUCHD_MODEL__PATH": str(default_model_path())}
-        server = stack.enter_context(web(address, *options, **settings))
+        server = stack.enter_context(web(
+            address, *options, TOUCHD_INPUT__SCREEN_MM="20,30,160,100", TOUCHD_MODEL__PATH=str(default_model_path())
+        ))  # fmt: skip
         browser = stack.enter_context(chromium())
         for view in VIEWS:
             for wide, high, scheme in ALL if chosen else [SHOWN.get(view, USUAL)]:

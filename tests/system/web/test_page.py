@@ -156,9 +156,11 @@ def test_phone_and_kiosk(browser: Browser, server: Web) -> None:
     with page(browser, server.url) as opened:
         for view in ("Live", "Check"):
             opened.get_by_role("link", name=view).click()
-            for wide, high in ((1024, 600), (600, 1024), (1920, 1080), (390, 844)):
+            for wide, high in ((1024, 600), (1024, 900), (600, 1024), (1920, 1080), (390, 844)):
                 opened.set_viewport_size({"width": wide, "height": high})
                 assert opened.evaluate("document.documentElement.scrollWidth") <= wide
+                fits = "one => { one.textContent = 'Uncalibrated'; return one.scrollWidth <= one.clientWidth; }"
+                assert opened.locator(STATUS).evaluate(fits), (view, wide, high)
                 sizes = "all => all.map(one => one.getBoundingClientRect()).map(r => Math.min(r.width, r.height))"
                 assert min(opened.locator("button:visible, nav a:visible").evaluate_all(sizes)) >= 44
 
