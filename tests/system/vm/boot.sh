@@ -9,7 +9,7 @@ shift 2
 rm -f "$folder"/{status,out.log,console.log}
 # Emulated, for the same everywhere: a machine that is virtual itself may offer KVM and fail at the first odd instruction.
 # One processor: with two on busy cores, USB/IP fell to a twentieth of its speed.
-exec qemu-system-x86_64 -M q35 -accel tcg,thread=multi -cpu max -smp 1 -m 1536 \
+exec qemu-system-x86_64 -M q35 -accel tcg -cpu max -smp 1 -m 1536 \
     -no-reboot -nodefaults -no-user-config -display none \
     -kernel "$image/vmlinux" -initrd "$image/initrd.img" \
     -append "console=ttyS0 root=/dev/vda rw mitigations=off nokaslr panic=-1 quiet systemd.show_status=0 systemd.unit=hosttest.target" \
