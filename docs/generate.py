@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import json
-import math
 import re
 import sys
 from pathlib import Path
@@ -21,6 +20,7 @@ from touchd.config import render as configtext
 from touchd.config.schema import Settings
 from touchd.lab.benchmark import page as benchmarks
 from touchd.lab.benchmark import results as runs
+from touchd.lab.benchmark.estimators import cost_of
 from touchd.lab.reproduction import report as reproduction
 from touchd.localization.model import Model
 
@@ -182,21 +182,10 @@ def model_card(path: Path) -> str:
         "made by": f"`{d.command}`"
         + (f", then `touchd quantise` to {d.precision}" if d.precision != "float32" else ""),
         "training recording": f"sha256 {d.data_sha256[:16]}... of frames and truth",
-        "size": f"{path.stat().st_size / 1e3:.0f} kB, {multiply_adds(path) / 1e3:.1f} k multiply-adds",
+        "size": f"{path.stat().st_size / 1e3:.0f} kB, {cost_of(onnx.load(path))[0] / 1e3:.1f} k multiply-adds",
         "on the test touches": ", ".join(f"{key} {d.scores[key]:.4g}" for key in CARD if key in d.scores),
     }
     return "\n".join(["| | |", "|---|---|", *(f"| {name} | {value} |" for name, value in facts.items())])
-
-
-def multiply_adds(path: Path) -> int:
-    """Return the multiply-adds of a model's matrix products."""
-    graph = onnx.load(path).graph
-    sizes = {tensor.name: math.prod(tensor.dims) for tensor in graph.initializer}
-    constants = {
-        node.output[0]: math.prod(node.attribute[0].t.dims) for node in graph.node if node.op_type == "Constant"
-    }
-    products = (node for node in graph.node if node.op_type in ("Gemm", "MatMul", "MatMulInteger"))
-    return sum((sizes | constants).get(node.input[1], 0) for node in products)
 
 
 def with_block(text: str, name: str, content: str) -> str:

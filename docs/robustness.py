@@ -245,12 +245,6 @@ def conditioning(bench: Bench) -> None:
     measured.data(PAGE, "conditioning", ("where", *VERDICT, "worst_mm"), rows)
 
 
-def denormals(_bench: Bench) -> None:
-    """Time denormals in alternation with ordinary numbers."""
-    rows = [(slow.what, f"{slow.ratio:.2f}") for slow in degenerate.slowdowns(turns=1000)]
-    measured.data(PAGE, "denormals", ("what", "time_ratio"), rows)
-
-
 def long(_bench: Bench) -> None:
     """Run long what is carried on from frame to frame."""
     rng = np.random.default_rng(3)
@@ -318,7 +312,7 @@ def learning(bench: Bench) -> None:
 
 
 PARTS: dict[str, Callable[[Bench], None]] = {
-    part.__name__: part for part in (float64, cut_up, limit, tones, conditioning, denormals, long)
+    part.__name__: part for part in (float64, cut_up, limit, tones, conditioning, long)
 }
 PARTS |= {axis.name: curve(axis) for axis in curves.AXES}
 PARTS["learning"] = learning

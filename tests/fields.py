@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 from scipy.ndimage import spline_filter1d
@@ -31,12 +32,24 @@ class Field:
     """In each channel and bin the product of two sums of plane waves, one from the emitter and one to the receiver."""
 
     def __init__(self, seed: int = 0, waves: int = 6) -> None:
+        self._drawn = seed, waves
         rng = np.random.default_rng(seed)
         shape = (2, waves, RIG.channels, len(BINS))
         angle = rng.uniform(0, 2 * np.pi, (*shape[:3], 1))
         k = wavenumber_rad_mm(np.array(BINS) * RIG.sample_rate_hz / RIG.samples)
         self._kx, self._ky = np.cos(angle) * k, np.sin(angle) * k
         self._size = (rng.normal(size=shape) + 1j * rng.normal(size=shape)) * np.sqrt(COUNTS / (2 * waves))
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Field) and self._drawn == other._drawn
+
+    def __hash__(self) -> int:
+        return hash(self._drawn)
+
+    def value(self, x_mm: float, y_mm: float) -> np.ndarray:
+        """The field alone."""
+        waves = self._size * np.exp(1j * (self._kx * x_mm + self._ky * y_mm))
+        return np.asarray(np.multiply(*waves.sum(axis=1)))
 
     def at(self, x_mm: float, y_mm: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The field and its derivatives by x and y (1/mm), each of shape (channels, bins)."""
@@ -48,9 +61,12 @@ class Field:
 
     def frame(self, fingers: list[Finger], noise: float = 0.0, seed: int = 0) -> np.ndarray:
         """Features of fingers and of white noise of a standard deviation, shape (channels * 2 * bins,)."""
-        bins = sum((z * self.at(x, y)[0] for x, y, z in fingers), np.zeros((RIG.channels, len(BINS)), complex))
-        white = np.random.default_rng(seed).standard_normal(RIG.channels * 2 * len(BINS))
-        return np.asarray(features_of(bins) + noise * white)
+        features = features_of(
+            sum((z * self.value(x, y) for x, y, z in fingers), np.zeros((RIG.channels, len(BINS)), complex))
+        )
+        if noise:
+            features += noise * np.random.default_rng(seed).standard_normal(len(features))
+        return features
 
     def residual(self, fingers: list[Finger], noise: float = 0.0, seed: int = 0) -> np.ndarray:
         """The shortest samples that have the features of these fingers, and white noise, (channels, samples)."""
@@ -83,11 +99,12 @@ def untouched(stretch: float = 0.0, delay_s: float = 0.0, seed: int = 1) -> np.n
     return np.asarray(1000 * heard[:, : RIG.samples])
 
 
+@cache
 def make_atlas(field: Field) -> Atlas:
-    """The field as the daemon has it: sampled on the grid, as coefficients of B-splines."""
+    """The field as the daemon has it: sampled on the grid, as coefficients of B-splines; one for all tests."""
     beyond = 8  # nodes that the filter needs before the mirror is forgotten; two of them stay
     x, y = (np.arange(LOW_MM[i] - beyond * STEP_MM, HIGH_MM[i] + (beyond + 0.5) * STEP_MM, STEP_MM) for i in (0, 1))
-    grid = np.array([[features_of(field.at(x_mm, y_mm)[0]) for x_mm in x] for y_mm in y])
+    grid = np.array([[features_of(field.value(x_mm, y_mm)) for x_mm in x] for y_mm in y])
     for axis in (0, 1):
         grid = spline_filter1d(grid, 3, axis=axis, mode="mirror")
     cut = slice(beyond - 2, 2 - beyond)

@@ -1,7 +1,7 @@
 """Find the delay from playback to capture: another one after each start, an unknown number of samples and a fraction.
 
 By the first of these that exists: a cable from an output to an input, the untouched response that the model was made
-from, or the first sound that arrives, to some microseconds.
+from, or the first sound that arrives, to some 50 microseconds.
 """
 
 from __future__ import annotations

@@ -26,9 +26,11 @@ class DeviceSettings(Section):
         "chirps fill.",
     )  # fmt: skip
     idle_rate_hz: int = Field(
-        50, ge=1, le=65535, description="The same of a plate untouched for 2 s, if the device can change its rate; not "
-        "above `rate_hz`. With the screen off it is 10.",
-    )  # fmt: skip
+        50,
+        ge=1,
+        le=65535,
+        description="The same of an untouched plate, if the device can change it; not above `rate_hz`.",
+    )
     stall_s: float = Field(
         1.0,
         ge=0.05,
@@ -67,8 +69,8 @@ class GateSettings(Section):
     """Detection: whether the plate is touched."""
 
     false_alarm_rate: float = Field(
-        1e-7, ge=LEAST_RATE, lt=0.1, description="Probability per frame, at 125 frames/s, that noise opens "
-        "the gate; per time it is the same at any rate.",
+        1e-7, ge=LEAST_RATE, lt=0.1, description="Probability per frame that noise opens the gate, at 125 frames/s; as "
+        "rare per time at any rate.",
     )  # fmt: skip
     noise_frames: int = Field(
         1000, ge=10, le=1_000_000, description="Untouched frames over which noise is averaged, at 125 "
@@ -101,17 +103,18 @@ class TrackerSettings(Section):
         2,
         ge=1,
         le=100,
-        description="Frames in a row before a contact is `down`. Up to 2, one is enough for a "
-        "lone finger with a confidence above 0.99 and a `sigma_mm` below 0.3.",
+        description="Frames in a row before a contact is `down`; up to 2, one of a sure lone finger.",
     )
     reach_mm: float = Field(25.0, ge=0.1, le=1000, description="Farthest that a contact moves between frames, mm.")
     dead_band_mm: float = Field(
         0.1, ge=0, le=1000, description="Movement within this, or within 1.5 `sigma_mm` if that is more, is `hold`, mm."
     )
     min_cutoff_hz: float = Field(
-        4.0, ge=0.001, le=1e6, description="One-Euro filter: cut-off of a still finger with a `sigma_mm` of 0.5, Hz; "
-        "a smaller one raises it in proportion. From the next contact on.",
-    )  # fmt: skip
+        4.0,
+        ge=0.001,
+        le=1e6,
+        description="One-Euro filter: cut-off of a still finger, Hz, in proportion to 0.5 / `sigma_mm`.",
+    )
     beta: float = Field(0.6, ge=0, le=1000, description="One-Euro filter: rise of the cut-off with speed, Hz per mm/s.")
     force_full_scale: float = Field(
         0.1, ge=1e-6, le=10, description="Change of the signal, as a share of it, that is `force` 1."
@@ -159,7 +162,9 @@ class ControlSettings(Section):
 class HealthSettings(Section):
     """The `health` topic."""
 
-    period_s: float = Field(1.0, ge=0.01, le=3600, description="Longest time between health messages, s.")
+    period_s: float = Field(
+        1.0, ge=0.01, le=3600, description="Longest time between health messages, s; without subscribers 10."
+    )
 
 
 class PreRollSettings(Section):
@@ -168,7 +173,7 @@ class PreRollSettings(Section):
     seconds: float = Field(10.0, ge=0, le=600, description="Time kept in memory, s.")
     folder: OptionalPath = Field(
         None,
-        description="Where they are saved; unset: `preroll` in the service's state folder, or ~/.local/state/touchd.",
+        description="Where they are saved; unset: in the service's state folder, or ~/.local/state.",
     )
     min_confidence: float = Field(
         0.0, ge=0, le=1, description="A touch that goes down with a lower confidence saves them, too."

@@ -157,11 +157,12 @@ def settled_frames(recording: Recording, events: Iterable[TouchEvent]) -> Iterat
         return
     messages = {event.frame: event.contacts for event in events}
     alive: tuple[Contact, ...] = ()
-    down, numbers = np.isfinite(truth[:, :, 0]), recording.sequence
+    down = np.asarray(np.isfinite(truth[:, :, 0]))
+    numbers = recording.sequence
     changes = np.flatnonzero((down[1:] != down[:-1]).any(axis=1)) + 1
     changed_at = np.concatenate([numbers[:1] - SLACK_FRAMES, numbers[changes]])
     settled = numbers >= changed_at[np.searchsorted(changes, np.arange(len(numbers)), "right")] + SLACK_FRAMES
-    touched = down.any(axis=1).tolist()
+    touched: list[bool] = np.asarray(down.any(axis=1)).tolist()
     rough, untouched = rough_frames(recording), Seen((), ())
     for i, (number, is_settled) in enumerate(zip(numbers.tolist(), settled.tolist(), strict=True)):
         if number in messages:

@@ -39,6 +39,8 @@ def fingers_only(recording: Recording) -> Recording:
     none = np.repeat(recording.during("palm")[:, None], truth.shape[1], axis=1)
     if force_n is not None and recording.meta.source == "simulated":
         none |= ~np.isfinite(force_n)
+    if not none.any():
+        return recording
     return replace(recording, contacts_mm=np.where(none[..., None], np.float32(np.nan), truth))
 
 

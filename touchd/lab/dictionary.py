@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from sklearn.neighbors import NearestNeighbors
+from sklearn.neighbors import KNeighborsRegressor
 
 from touchd.evaluation.dataset import complex_bins
 
@@ -18,25 +18,15 @@ LAGS_S = np.arange(-8, 9, 2) * 1e-6
 
 
 class Nearest:
-    """kNN: mean position of the k nearest recorded touches.
+    """kNN with k = 1, as in the paper: the position of the nearest of recorded touches (n, inputs) at (n, 2) mm."""
 
-    Parameters
-    ----------
-    features : array of shape (n, inputs)
-    position_mm : array of shape (n, 2)
-    k : int
-        The paper uses 1.
-    """
-
-    def __init__(self, features: Rows, position_mm: Rows, k: int = 1) -> None:
-        self._search = NearestNeighbors(n_neighbors=k, algorithm="brute").fit(features)
-        self._position_mm = position_mm
+    def __init__(self, features: Rows, position_mm: Rows) -> None:
+        self._search = KNeighborsRegressor(1, algorithm="brute").fit(features, position_mm)
         self.bytes = features.nbytes
 
     def locate(self, features: Rows) -> Rows:
         """Return the positions (m, 2) in mm for features (m, inputs)."""
-        nearest = self._search.kneighbors(features, return_distance=False)
-        return np.asarray(self._position_mm[nearest].mean(axis=1))
+        return np.asarray(self._search.predict(features))
 
 
 class Correlation:

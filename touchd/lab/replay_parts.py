@@ -57,6 +57,8 @@ class Part:
     """The first frame to score."""
     last: int
     """The last one."""
+    before: int
+    """How many frames of the recording come before those that are scored."""
     frames: int
     """How many are scored."""
 
@@ -81,7 +83,7 @@ def score(
     jobs = [
         Job(f"frames {part.first} to {part.last}", score_part, {
             "part": part, "settings": chosen,
-            "versions": [_version(Path(file)) for file in (model, atlas_path(model), *part.files)],
+            "versions": [_version(file) for file in (model, atlas_path(model), *map(Path, part.files))],
         })
         for part in parts
     ]  # fmt: skip
@@ -113,8 +115,8 @@ def plan(path: Path, part_frames: int) -> list[Part]:
         early = np.searchsorted(calm, np.searchsorted(t_ns, t_ns[first] - LEAD_NS, "right"))
         begin = int(calm[early - 1]) if first and early else 0
         low, high = np.searchsorted(starts, (begin, after - 1), "right") - 1
-        numbers = sequence[[begin, first, after - 1]].tolist()
-        parts.append(Part([str(file) for file in files[low : high + 1]], *numbers, after - first))
+        played, scored, last = sequence[[begin, first, after - 1]].tolist()
+        parts.append(Part([str(file) for file in files[low : high + 1]], played, scored, last, first, after - first))
     return parts
 
 
@@ -159,7 +161,12 @@ class _Span:
 
     def labels(self) -> Recording:
         """Return what is scored of the frames that were read, without their counts."""
-        return join(self._scored)
+        made, before = join(self._scored), self.part.before
+        acts = [
+            act.model_copy(update={"begin": max(act.begin - before, 0), "end": max(act.end - before, 0)})
+            for act in made.meta.acts
+        ]
+        return replace(made, meta=made.meta.model_copy(update={"acts": tuple(acts)}))
 
     def _play(self) -> Iterator[Frame]:
         part = self.part

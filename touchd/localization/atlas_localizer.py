@@ -111,6 +111,7 @@ class AtlasLocalizer:
                 self.reset()
             else:  # water, or what a finger left that was lost as it lifted: water stays known
                 self._prediction.reset()
+                self._search.cancel()
                 self._drift.reset()
         if detection.noise_changed:
             self._noise.restart()
@@ -159,8 +160,7 @@ class AtlasLocalizer:
     def _place(self, detection: Detection, min_confidence: float, complete: bool) -> tuple[tuple[Touch, ...], bool]:
         """Return the fingers of a frame, and whether the network ran."""
         noise, search = self._noise, self._search
-        tracked = bool(self._prediction.positions_mm)
-        inferred = False
+        tracked, inferred = bool(self._prediction.positions_mm), False
         self._touched = True
         self._departure = self._plate_moved = False
         bins = self._plate.bins(detection.residual, detection.hits)
@@ -170,7 +170,10 @@ class AtlasLocalizer:
             bins, signal, 0.0 if tracked else noise.plate_energy(bins.vector), detection.t_ns
         ):
             return self._lose(), inferred
-        if tracked:
+        held = tracked and self._follower.waits(bins, signal)
+        if held:
+            fit = self._follower.expected(bins, detection.t_ns)
+        elif tracked:
             fit = self._follower.follow(bins, detection.t_ns, signal)
         elif search.pending:
             fit = no_fit(bins.energy)  # the search that goes on finds where to begin
@@ -178,7 +181,7 @@ class AtlasLocalizer:
             inferred = True
             fit = self._landing.fit(detection, bins, signal)
         bins, fit = self._settle(detection, bins, fit)
-        if not fit.shapes:
+        if not fit.shapes and not held:
             bins, fit = self._settle(detection, bins, self._solver.with_shapes(bins, fit, noise.noise_energy))
         signal = bins.energy - noise.noise_energy
         excess = noise.excess(fit.residual_energy, signal)
@@ -188,23 +191,26 @@ class AtlasLocalizer:
             and self._is_untouched(bins, signal, noise.plate_energy(bins.vector), detection.t_ns)
         ):
             return self._lose(), inferred
-        # Only one well explained finger can wait for what may be beside it; of several, or after a change, one may be
-        # lost while the search takes its time. One that has just landed waits for the next frame.
+        # What may be beside one well explained finger that has just landed is sought from the next frame on.
         waits = len(fit.positions_mm) == 1 and excess < CRITERIA.fair
         if (tracked or complete or search.pending or not waits) and search.is_due(excess, signal):
-            limited = not complete and (not tracked or waits)
             if not search.pending and self._plate.drop_silent(detection):
                 bins = self._plate.bins(detection.residual, detection.hits)
                 signal = bins.energy - noise.noise_energy
                 fit = self._solver.fit_one(bins, *fit.positions_mm[0], FIRST_STEPS) if fit.positions_mm else fit
             else:
-                fit, known = search.search(bins, fit, signal, tracked=tracked, limited=limited)
-                bins, fit = self._settle(detection, bins, fit)
+                found, known = search.search(bins, fit, signal, tracked=tracked, limited=not complete)
+                if tracked and self._follower.waits(bins, signal, excess):
+                    return self._found.touches, inferred
+                if held and found is fit:
+                    found = self._follower.follow(bins, detection.t_ns, signal)
+                bins, fit = self._settle(detection, bins, found)
                 signal = bins.energy - noise.noise_energy
                 if not known:
                     self._prediction.forget_velocities()
             excess = noise.excess(fit.residual_energy, signal)
-        self._model_fit.add(fit.residual_energy - noise.noise_energy, signal, noise.noise_energy)
+        if fit.positions_mm or inferred or not search.pending:
+            self._model_fit.add(fit.residual_energy - noise.noise_energy, signal, noise.noise_energy)
         significant = sum(fit.energies) > noise.min_signal_energy
         confidence = CRITERIA.confidence(excess) if significant else 0.0
         # An emitter that falls silent, or a gain that changes, looks like a finger on the emitter; but the plate's own
@@ -213,11 +219,15 @@ class AtlasLocalizer:
         doubtful = faint or excess > (CRITERIA.good if tracked else CRITERIA.enough)
         by_plate = doubtful and bins.energy - noise.plate_energy(bins.vector) < fit.residual_energy
         by_palms = excess > CRITERIA.poor and signal > CRITERIA.most_poor * self._drift.signal_energy and not tracked
-        if by_plate or by_palms or not confidence >= min_confidence or (search.pending and not tracked):
+        if by_plate or by_palms or not confidence >= min_confidence or not fit.positions_mm:
             return self._lose(), inferred
         # Shapes that no finger has make up for wrong positions: of several, where the field is badly known.
-        several = fit.shapes and len(fit.positions_mm) > 1
-        if several and not tracked and excess > CRITERIA.good and elongation(fit) > CRITERIA.most_elongation:
+        if (
+            len(fit.shapes) > 1
+            and not tracked
+            and excess > CRITERIA.good
+            and elongation(fit) > CRITERIA.most_elongation
+        ):
             return self._lose(), inferred
         if len(fit.positions_mm) == 1 and not tracked and self._landing.is_ambiguous(bins, fit, signal, faint=faint):
             return self._lose(), inferred
@@ -252,24 +262,16 @@ class AtlasLocalizer:
         self._still.update(bins, fit, moved_mm, self._noise.variance)
         fingers = self._classifier.fingers(fit, confidence, t_ns)
         self._departure = self._classifier.departure
-        make = self._touch_maker.touch
         faces = dict(zip(fit.positions_mm, self._faces, strict=True))
         # Change of the signal, as a share of its size, by a finger of amplitude 1.
         change = self._field_rms / self._plate.signal_rms
-        return tuple(
-            [
-                make(
-                    *position_mm,
-                    sigma_mm,
-                    confidence,
-                    amplitude * change,
-                    face=(face := faces[position_mm]),
-                    kind=kind_of(amplitude, face),
-                )
-                for position_mm, sigma_mm, amplitude in fingers
-                if sigma_mm <= self._max_sigma_mm
-            ]
-        )
+        make = self._touch_maker.touch
+        touches = []
+        for at, sigma_mm, size in fingers:
+            if sigma_mm <= self._max_sigma_mm:
+                face = faces[at]
+                touches.append(make(*at, sigma_mm, confidence, size * change, None, face, kind_of(size, face)))
+        return tuple(touches)
 
     def _rests(self, residual: Signal) -> bool:
         """Return whether the finger of the last fit is still where it was, but for the noise."""

@@ -113,7 +113,6 @@ class Classifier:
         d = atlas.description
         self._field_scale = d.field_scale
         self._low_mm, self._high_mm = d.low_mm, d.high_mm
-        self._corners_mm = [(x, y) for x in (d.low_mm[0], d.high_mm[0]) for y in (d.low_mm[1], d.high_mm[1])]
         self.departure = False
         """Whether the last fit shows the negative of fingers alone."""
         self.t_ns = 0
@@ -249,11 +248,14 @@ class Classifier:
 
     def _cornered(self, positions_mm: list[Position]) -> set[int]:
         """Return which of several fingers are, with another one, too near to one corner to be two."""
+        (low_x, low_y), (high_x, high_y) = self._low_mm, self._high_mm
         found: set[int] = set()
-        for x, y in self._corners_mm:
-            near = [k for k, (x_mm, y_mm) in enumerate(positions_mm) if math.hypot(x_mm - x, y_mm - y) < CORNER_MM]
-            if len(near) > 1:
-                found.update(near)
+        seen: dict[tuple[float, float], int] = {}
+        for k, (x_mm, y_mm) in enumerate(positions_mm):
+            corner = low_x if 2 * x_mm < low_x + high_x else high_x, low_y if 2 * y_mm < low_y + high_y else high_y
+            if math.dist(corner, (x_mm, y_mm)) < CORNER_MM:
+                found.update({seen[corner], k} if corner in seen else ())
+                seen[corner] = k
         return found
 
     def _edged(self, fit: Fit) -> set[int]:

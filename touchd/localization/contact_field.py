@@ -7,17 +7,17 @@ shape mixes the splines' weights, not the rows.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
 from touchd.localization.atlas import Array, Atlas
 from touchd.localization.spline import CONTACT_PER_CELL, Position, Raster, spline_weights
 
-Shape = Sequence[complex]
+Shape = tuple[complex, ...]
 """Slope along the band, and the second-order amplitudes (mm^2) along xx, yy and xy, all over the amplitude."""
 
+SHAPES = 8
+"""Shapes whose tables are kept: those of the fingers that are followed."""
 ORDERS = ((0, 0), (2, 0), (0, 2), (1, 1), (1, 0), (0, 1), (3, 0), (0, 3), (2, 1), (1, 2))
 """Derivatives along x and y, in the order of `derivatives`: what a contact's field holds, then what its slopes hold."""
 U, XX, YY, XY, X, Y, XXX, YYY, XXY, XYY = range(10)
@@ -45,8 +45,7 @@ class ContactField(Raster):
         self._parts = np.zeros(9, dtype)
         self._parts[0] = 1
         self._terms = _terms(dtype)
-        self._mix = np.zeros(240, dtype)
-        self._mixture = self._mix.reshape(24, 10)
+        self._mixtures: dict[Shape, Array] = {(complex(k),): np.zeros((24, 10), dtype) for k in range(SHAPES)}
         self._mixed = np.zeros((24, 16), dtype)
         self._shares, self._halves = self._mixed.reshape(12, 32), into.reshape(6, half)
         self._sums = np.zeros((12, half), dtype)
@@ -63,17 +62,24 @@ class ContactField(Raster):
 
     def of_shape(self, x_mm: float, y_mm: float, shape: Shape) -> Position:
         """Evaluate the field of a contact of amplitude 1, as `Spline.at` does that of a point."""
-        parts = self._parts
-        slope, xx, yy, xy = shape
-        parts[1], parts[2], parts[3], parts[4] = slope.real, slope.imag, xx.real, xx.imag
-        parts[5], parts[6], parts[7], parts[8] = yy.real, yy.imag, xy.real, xy.imag
-        parts.dot(self._terms, self._mix)
+        mixture = self._mixtures.get(shape)
+        if mixture is None:
+            mixture = self._mix(shape)
         position, around = self._weigh(x_mm, y_mm)
-        self._mixture.dot(self._by_order, self._mixed)
+        mixture.dot(self._by_order, self._mixed)
         self._shares.dot(around.reshape(32, -1), self._sums)
         np.multiply(self._along, self.band, self._along)
         np.add(self._alone, self._along, self._halves)
         return position
+
+    def _mix(self, shape: Shape) -> Array:
+        """Return how a shape mixes derivatives; a followed finger keeps its shape, and so the table."""
+        mixture = self._mixtures[shape] = self._mixtures.pop(next(iter(self._mixtures)))
+        parts = self._parts
+        for k, part in enumerate(shape):
+            parts[2 * k + 1], parts[2 * k + 2] = part.real, part.imag
+        parts.dot(self._terms, mixture.reshape(-1))
+        return mixture
 
     def _weigh(self, x_mm: float, y_mm: float) -> tuple[Position, Array]:
         """Set the weights of each derivative; return the raster point and the nodes around it."""

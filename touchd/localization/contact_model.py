@@ -15,6 +15,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from touchd.localization.anytime import SHAPE_COST, Steps, finish
 from touchd.localization.atlas import Array, Atlas
 from touchd.localization.contact_field import TERMS, ContactField, Shape
 from touchd.localization.fit import Bins, Fit
@@ -55,11 +56,18 @@ class ContactModel:
     def fit(
         self, bins: Bins, positions_mm: Sequence[Position], variance: float, steps: int, unexplained: float = 0.0
     ) -> Fit:
+        """Fit contacts jointly from positions nearby: all of `pieces` at once."""
+        return finish(self.pieces(bins, positions_mm, variance, steps, unexplained))
+
+    def pieces(
+        self, bins: Bins, positions_mm: Sequence[Position], variance: float, steps: int, unexplained: float = 0.0
+    ) -> Steps[Fit]:
         """Fit contacts jointly from positions nearby, in at most `steps` steps (at least one).
 
         Parameters
         ----------
         bins : Bins
+            They must stay valid until the end.
         positions_mm : sequence of c positions, at least one
         variance : float
             Of the noise of a value, counts squared: it weighs the prior.
@@ -69,9 +77,9 @@ class ContactModel:
         """
         count = len(positions_mm)
         own = _AMPLITUDES * count
-        self._load(bins, count)
         at = [self._field.inside(*position) for position in positions_mm]
         while True:
+            self._load(bins, count)  # others may have been fitted since the last piece
             at, gram = self._gram(at)
             normal, right = gram[:own, :own], gram[:own, -1]
             ridge = _ridge(normal, right, max(variance, unexplained / bins.vector.size))
@@ -90,6 +98,7 @@ class ContactModel:
             steps -= 1
             if steps <= 0 or longest_mm < STILL_MM:
                 break
+            yield SHAPE_COST * count
         if longest_mm <= LONGEST_STEP_MM:
             # What the last step changes, to second order and to first: no need to look again.
             unexplained -= float(gradient @ move)

@@ -33,6 +33,8 @@ class FitCriteria:
     seen: float = 0.2
     """Share of the unexplained energy that the best scan position must explain for a search to go on after a fair fit.
     A missing finger explains more; model error of a human finger explains 0.13 to 0.17."""
+    seen_beside: float = 0.15
+    """The same after fingers were found together that leave a good fit: a fifth explains 0.168 or more (twin)."""
     worth: float = 0.42
     """A further finger has to leave less than this share of what was left without it. An existing finger leaves
     less than 0.35 of it, a false one more than 0.44."""

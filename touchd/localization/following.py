@@ -19,6 +19,8 @@ from touchd.localization.spline import Position
 FOLLOW_STEPS, _SHAPE_STEPS = 3, 2
 
 
+_LIFTED = 0.8
+"""A signal that falls below this share shows a finger that lifts."""
 _DOUBT_NS = 50_000_000
 """Energy that other shapes explain in part belongs to another finger, unless a search has found none for this long."""
 
@@ -59,12 +61,28 @@ class Follower:
         self._known: _Shapes | None = None
         self._last: Fit | None = None
         self._doubted_ns: int | None = None
+        self._excess = self._signal = 0.0
+
+    def waits(self, bins: Bins, signal: float, excess: float | None = None) -> bool:
+        """Return whether the fingers stay where they are until a search says what has come beside them.
+
+        Their fit leaves the share `excess`, too much to tell where they are; before it is known, that of the last frame
+        counts. A finger that has lifted, or a gain that has changed, is none that has come.
+        """
+        self._excess = self._excess if excess is None else excess
+        return (
+            self._search.explains
+            and self._excess > CRITERIA.fair
+            and signal > _LIFTED * self._signal
+            and signal - self._noise.plate_energy(bins.vector) > CRITERIA.fair * signal
+        )
 
     def update(self, bins: Bins, fit: Fit, excess: float) -> bool:
         """Take the fit of a frame, which leaves the share `excess`; return whether its shapes are new.
 
         They are those of the frames to come.
         """
+        self._excess, self._signal = excess, bins.energy - self._noise.noise_energy
         if fit is self._last:
             return False
         self._last = fit
@@ -83,6 +101,12 @@ class Follower:
         self._known = _Shapes(shapes, fit.turns, shares, max(excess, 0.0) * CRITERIA.shape_older + CRITERIA.shape_worn)
         return True
 
+    def expected(self, bins: Bins, t_ns: int) -> Fit:
+        """Return the fingers of the last frame where they were going, not fitted: all energy is unexplained."""
+        positions = self._prediction.ahead(t_ns)
+        nothing = [0.0] * len(positions)
+        return Fit(positions, [0j] * len(positions), nothing, (), bins.energy)
+
     def follow(self, bins: Bins, t_ns: int, signal: float) -> Fit:
         """Fit the fingers of the last frame from where they were going, less those that have lifted."""
         positions = self._prediction.ahead(t_ns)
@@ -91,9 +115,11 @@ class Follower:
             return fit if fit.positions_mm else self._follow_point(bins, positions[0], signal)
         if not fit.positions_mm:
             fit = self._solver.fit_several(bins, positions, FOLLOW_STEPS - 1, STILL_MM / 4)
+        if self._search.explains:
+            return fit  # what another finger leaves makes these look weak
         fit, dropped = self._search.prune(bins, fit, signal)
-        for count, k in enumerate(dropped):
-            self._prediction.remove(k, len(positions) - count)
+        for k in dropped:
+            self._prediction.remove(k)
         return fit
 
     def _follow_shapes(self, bins: Bins, t_ns: int, positions_mm: list[Position], signal: float) -> Fit:

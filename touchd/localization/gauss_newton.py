@@ -16,6 +16,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from touchd.localization import joint
+from touchd.localization.anytime import Steps, finish
 from touchd.localization.atlas import Array, Atlas
 from touchd.localization.contact_field import ContactField, Shape
 from touchd.localization.contact_model import TYPICAL, ContactModel, size_mm2
@@ -27,7 +28,9 @@ LONGEST_STEP_MM = 3.0
 """About a tenth of the field's wavelength: a longer step would leave the valley that it starts in."""
 STILL_MM = 0.2
 """After a shorter step the next one, of second order, would be less than 0.01 mm in 95 of 100 cases (twin)."""
-_SHAPE_STEPS = 4
+_SHAPE_STEPS = 3
+_MISSING = 0.5
+"""Contacts of typical size that leave more than this share have fingers missing beside them."""
 _STILL_TOGETHER_MM = STILL_MM / 4
 """After a shorter step of several fingers the next one would be less than 1e-3 mm; few tracked ones step farther."""
 _I = np.complex64(1j)
@@ -135,17 +138,27 @@ class GaussNewton:
         return Fit(at, z, energies, found.information, max(bins.energy - explained - gained, 0.0), of_found)
 
     def with_shapes(self, bins: Bins, fit: Fit, noise_energy: float, worth: float = CRITERIA.shape_worth) -> Fit:
+        """Return a fit of contacts with a size and a shape, if they are worth it: all of `shape_pieces` at once."""
+        return finish(self.shape_pieces(bins, fit, noise_energy, worth))
+
+    def shape_pieces(
+        self, bins: Bins, fit: Fit, noise_energy: float, worth: float = CRITERIA.shape_worth
+    ) -> Steps[Fit]:
         """Return a fit of contacts with a size and a shape, where points leave more than the field's own error.
 
         The fit stays as it is unless its contacts get shapes that fingers have, and these leave less than the share
-        `worth` of what points leave, and explain more than noise.
+        `worth` of what points leave, and explain more than noise. With `worth` 1, while fingers are missing, contacts
+        of typical size do: no shape explains all, but each leaves the next finger clearer.
         """
         signal, left = bins.energy - noise_energy, fit.residual_energy - noise_energy
         if not fit.positions_mm or signal < CRITERIA.faint * noise_energy or left <= CRITERIA.shape_above * signal:
             return fit
-        sized = self.fit_known(bins, fit.positions_mm, _SHAPE_STEPS, [TYPICAL] * len(fit.positions_mm))
+        count = len(fit.positions_mm)
+        sized = self.fit_known(bins, fit.positions_mm, _SHAPE_STEPS, [TYPICAL] * count)
+        yield float(count * _SHAPE_STEPS)
         start = min(fit, sized, key=lambda one: one.residual_energy)
-        shaped = self.fit_shapes(bins, start, noise_energy, _SHAPE_STEPS)
+        missing = worth == 1.0 and start.residual_energy - noise_energy > _MISSING * signal
+        shaped = start if missing else (yield from self._shape_pieces(bins, start, noise_energy, _SHAPE_STEPS))
         if not shaped.positions_mm and worth == 1.0:
             shaped = start
         limit = worth * left - CRITERIA.shape_noise * noise_energy / len(bins.vector)
@@ -160,9 +173,12 @@ class GaussNewton:
         return self.fit_several(bins, positions_mm, steps, _STILL_TOGETHER_MM, shapes)
 
     def fit_shapes(self, bins: Bins, fit: Fit, noise_energy: float, steps: int) -> Fit:
-        """Fit contacts with a size and a shape from those of a fit; no fit if no finger has such a shape."""
+        """Fit contacts with a size and a shape from those of a fit; no fit if a shape is none that a finger has."""
+        return finish(self._shape_pieces(bins, fit, noise_energy, steps))
+
+    def _shape_pieces(self, bins: Bins, fit: Fit, noise_energy: float, steps: int) -> Steps[Fit]:
         variance = noise_energy / len(bins.vector)
-        shaped = self._contacts.fit(bins, fit.positions_mm, variance, steps, fit.residual_energy)
+        shaped = yield from self._contacts.pieces(bins, fit.positions_mm, variance, steps, fit.residual_energy)
         moved_mm = max(map(math.dist, shaped.positions_mm, fit.positions_mm))
         is_finger = moved_mm < CRITERIA.merged_mm and size_mm2(shaped) < CRITERIA.most_size_mm2
         return shaped if is_finger else no_fit(bins.energy)
@@ -269,5 +285,6 @@ class GaussNewton:
 def shapes_of(fit: Fit) -> list[Shape]:
     """Return the shapes of a fit's fingers, over their amplitudes; none of points."""
     return [
-        [part / z for part in shape] if z else [0j] * 4 for z, shape in zip(fit.amplitudes, fit.shapes, strict=False)
+        tuple([part / z for part in shape]) if z else (0j,) * 4
+        for z, shape in zip(fit.amplitudes, fit.shapes, strict=False)
     ]

@@ -3,31 +3,35 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Generator
 from typing import TypeVar
 
 import numpy as np
 from msgspec.structs import replace
 
+from touchd.localization.anytime import Steps
 from touchd.localization.fit import Bins, Fit, no_fit
 from touchd.localization.fit_criteria import CRITERIA
-from touchd.localization.gauss_newton import GaussNewton
+from touchd.localization.gauss_newton import GaussNewton, shapes_of
 from touchd.localization.noise import NoiseModel
 from touchd.localization.pursuit import Pursuit, are_merged, is_worth
 from touchd.localization.spline import Position
 
-FITS_A_SECOND = 1250.0
-"""A search may take this many fits per second of the frames' time: a fit costs about a fifth of a millisecond."""
-FITS_AT_ONCE = 65.0
-"""Fits allowed in the first frame of a search before any finger is tracked: enough for five, added one by one."""
-_LONGEST_NS = 100_000_000
-"""A gap between frames counts as this much time at most."""
-_BEGIN_COST = 1.0
-"""Cost of starting a search, in fits: it takes more than its first frame's allowance."""
+LOOK_UPS_A_SECOND = 8000.0
+"""A search may cost this much per second of the frames' time, a quarter of a processor's, ..."""
+MOST_LOOK_UPS = 50.0
+"""... and this much in a frame: 1.5 ms. It ends with the piece that uses the allowance up; the next frame gets less."""
+_CONFIRM_LOOK_UPS = 10.0
+"""Cost of each finger found that is fitted in a later frame."""
 _SOON_NS, _AGAIN_NS, _SELDOM_NS = 20_000_000, 50_000_000, 2_000_000_000
 """Pauses after a search: if much more has become unexplained, after one search in vain, and at most."""
 _GAIN = 0.8
 """A search that leaves less than this share of the energy was worth its time."""
+_FOLLOW_LOOK_UPS = 6.0
+"""Cost of each finger that is followed meanwhile."""
+_OUTDATED = 4.0
+"""A search for fingers that land begins again once the signal has grown by this factor: they were faint at first."""
+_HOLD_NS = 48_000_000
+"""Tracked fingers wait for a search for this long."""
 _STEPS = 2
 
 T = TypeVar("T")
@@ -52,14 +56,21 @@ class MultitouchSearch:
 
     def reset(self) -> None:
         """End the search, and allow the next one at once."""
-        self._running: Generator[float, None, Found] | None = None
+        self._running: Steps[Found] | None = None
         self._searched_ns: int | None = None
         self._pause_ns, self._unexplained = 0, math.inf
+        self._tracked, self._begun, self._begun_ns, self._credit = False, 0.0, 0, 0.0  # of the search that goes on
+        self._grown = 0  # fingers from which it went on in a later frame
 
     @property
     def pending(self) -> bool:
         """Whether a search goes on."""
         return self._running is not None
+
+    @property
+    def explains(self) -> bool:
+        """Whether a search, begun not long ago, is about to say what has come beside tracked fingers."""
+        return self._running is not None and self._tracked and 0 <= self._t_ns - self._begun_ns < _HOLD_NS
 
     def cancel(self) -> None:
         """End the search that goes on, if any: the fingers that it began with have changed."""
@@ -96,24 +107,40 @@ class MultitouchSearch:
         limited : bool
             Whether the search may go on in later frames; if not, it runs to its end now.
         """
-        fresh = self._running is None
+        if tracked is not self._tracked or (not tracked and signal > _OUTDATED * self._begun):
+            self._running = None
+        fresh, count = self._running is None, len(fit.positions_mm)
         if self._running is None:
-            self._running = self._all(bins.copy(), fit, signal, tracked=tracked)
-            self._credit = -_BEGIN_COST if tracked else FITS_AT_ONCE
-        if not limited:
-            self._credit = math.inf
-        elif tracked or not fresh:
-            self._credit += FITS_A_SECOND * 1e-9 * min(max(self._t_ns - self._before_ns, 0), _LONGEST_NS)
+            self._running = self._all(bins.copy(), fit, signal, count if tracked else 0, grow=tracked)
+            self._tracked, self._begun, self._begun_ns = tracked, signal, self._t_ns
+            self._grown, self._credit = 0, 0.0
+        self._credit += self._allowance(fit, landing=fresh and not tracked) if limited else math.inf
+        waiting = (fit, count) if tracked else (no_fit(bins.energy), 0)
         try:
             while self._credit > 0:
                 self._credit -= next(self._running)
         except StopIteration as end:
-            self._running = None
             found, known = end.value
-            if not fresh:
-                found, known = self._as_of_now(bins, found, known, fit, signal)
-            return self._settle(bins, found, known, fit, signal)
-        return fit, len(fit.positions_mm)
+        else:
+            return waiting
+        self._running = None
+        if known and known != count:
+            return fit, 0  # fingers have come or gone meanwhile
+        if not fresh:
+            found, known = self._as_of_now(bins, found, known, fit, signal)
+            missing = self._noise.excess(found.residual_energy, signal) > CRITERIA.fair
+            if missing and limited and len(found.positions_mm) > max(known, self._grown):
+                # Others have landed meanwhile: from here on they are searched in this frame.
+                self._grown = len(found.positions_mm)
+                self._running = self._all(bins.copy(), found, signal, known, grow=True)
+                return waiting
+        return self._settle(bins, found, known, fit, signal)
+
+    def _allowance(self, fit: Fit, *, landing: bool) -> float:
+        """Return how many look-ups the search may take in this frame; fingers that it has fitted take some of them."""
+        elapsed_s = max(self._t_ns - self._before_ns, 0) * 1e-9
+        followed = _FOLLOW_LOOK_UPS * len(fit.positions_mm) if fit.fisher_information else 0.0
+        return (MOST_LOOK_UPS if landing else min(LOOK_UPS_A_SECOND * elapsed_s, MOST_LOOK_UPS)) - followed
 
     def prune(self, bins: Bins, fit: Fit, signal: float) -> tuple[Fit, list[int]]:
         """Return a fit without the fingers that explain next to nothing, and the indices of those, one by one.
@@ -133,28 +160,38 @@ class MultitouchSearch:
             fit = self._fit(bins, _without(fit.positions_mm, weakest))
         return fit, dropped
 
-    def _all(self, bins: Bins, fit: Fit, signal: float, *, tracked: bool) -> Generator[float, None, Found]:
-        """Look for more fingers than those tracked; if that is not enough, for all of them from the start."""
+    def _all(self, bins: Bins, fit: Fit, signal: float, known: int, *, grow: bool) -> Steps[Found]:
+        """Look for more fingers than a fit has, if it may `grow`; if that is not enough, for all from the start."""
         pursuit, noise_energy = self._pursuit, self._noise.noise_energy
         found = fit
-        if tracked:
+        if grow:
             found = yield from pursuit.steps(bins, fit, noise_energy)
-        if self._noise.excess(found.residual_energy, signal) > CRITERIA.fair or not tracked:
+        if self._noise.excess(found.residual_energy, signal) > CRITERIA.fair or not grow:
             fresh = yield from pursuit.steps(bins, no_fit(bins.energy), noise_energy)
             if is_worth(fresh, found, noise_energy, signal):
-                return fresh, 0
-        return found, len(fit.positions_mm)
+                found, known = fresh, 0
+        yield _CONFIRM_LOOK_UPS * len(found.positions_mm)
+        return found, known
 
     def _as_of_now(self, bins: Bins, found: Fit, known: int, fit: Fit, signal: float) -> Found:
         """Return what was found in an earlier frame as a fit of this one, if it beats the present fit."""
         count = len(fit.positions_mm)
-        if known and (known != count or len(found.positions_mm) == count):
-            return fit, count  # fingers have come or gone meanwhile, or nothing was found
+        if known and len(found.positions_mm) == count:
+            return fit, count  # nothing was found
         positions_mm = [*(fit.positions_mm if known else []), *found.positions_mm[known:]]
-        now = self._fit(bins, positions_mm)
+        now = self._again(bins, positions_mm, found)
         if not are_merged(now) and is_worth(now, fit, self._noise.noise_energy, signal):
             return now, known
         return fit, count
+
+    def _again(self, bins: Bins, positions_mm: list[Position], found: Fit) -> Fit:
+        """Fit contacts found in an earlier frame from positions nearby, with the shapes that they had or new ones."""
+        if not found.shapes:
+            return self._fit(bins, positions_mm)
+        as_found = self._solver.fit_known(bins, positions_mm, _STEPS, shapes_of(found))
+        shaped = self._solver.fit_shapes(bins, as_found, self._noise.noise_energy, _STEPS)
+        grown = sum(as_found.energies) / max(sum(found.energies), 1e-30)
+        return replace(shaped if shaped.positions_mm else as_found, points_energy=grown * found.points_energy)
 
     def _settle(self, bins: Bins, found: Fit, known: int, fit: Fit, signal: float) -> Found:
         """Return what was found without false fingers, and decide when to search again."""

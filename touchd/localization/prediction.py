@@ -35,10 +35,10 @@ class Prediction:
         """Forget the velocities: the next fingers come in another order, or are others."""
         self._velocities_mm_s = []
 
-    def remove(self, k: int, count: int) -> None:
-        """Forget the velocity of finger `k` of `count`, which has lifted."""
-        if len(self._velocities_mm_s) == count:
-            del self._velocities_mm_s[k]
+    def remove(self, k: int) -> None:
+        """Forget finger `k`, which has lifted."""
+        self.positions_mm = [*self.positions_mm[:k], *self.positions_mm[k + 1 :]]
+        self._velocities_mm_s = [*self._velocities_mm_s[:k], *self._velocities_mm_s[k + 1 :]]
 
     def rest(self, t_ns: int) -> None:
         """Keep all fingers where they are: they rest in the frame of this time."""

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Generator, Iterator
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
+from touchd.localization.anytime import REST_COST, SCAN_COST, SHAPE_COST, Steps, finish
 from touchd.localization.atlas import Array, Atlas
 from touchd.localization.contact_model import TYPICAL
 from touchd.localization.fit import Bins, Fit
@@ -22,12 +21,6 @@ MOST_FINGERS = 5
 SCAN_NODES = 2
 """Spacing of the scan, 5 mm on 5 mm glass: half of it, on the diagonal, is within reach of Gauss-Newton."""
 _CANDIDATES = 3
-_BLOCKS, _BLOCK_COST = 6, 0.7
-"""A scan runs in 6 blocks, each of which takes as long as 0.7 fits."""
-SHAPED_COST = 4.0
-"""Cost in fits of one of points and one with shapes."""
-_COLD_COST, _REST_COST = 0.3, 0.5
-"""Cost in fits of the first block's cache misses, and of the steps before and after a scan."""
 _APART_MM = 7.0
 """Candidates closer to each other lead to the same position."""
 _WIDTHS = (1, 3)
@@ -35,7 +28,10 @@ _WIDTHS = (1, 3)
 _SAME = 1e-4
 _MOVED = 0.9
 """A finger goes to another place if that leaves less than this share."""
-_FIRST_STEPS, _STEPS = 3, 4
+_FIRST_STEPS, _POINT_STEPS, _STEPS = 1, 2, 4
+_LEAST_GAIN = 0.25
+"""A missing finger explains this share of what a good fit without it leaves, after its first step. One of five explains
+0.31 or more, none 0.12 to 0.6 (twin)."""
 
 
 class Candidate(NamedTuple):
@@ -65,8 +61,8 @@ class Pursuit:
         values = (lines[:, :-2] + 4 * lines[:, 1:-1] + lines[:, 2:])[:, 1:-1:every] / 6
         x_mm = d.origin_mm[0] + d.step_mm * (2 + every * np.arange(values.shape[1]))
         y_mm = d.origin_mm[1] + d.step_mm * (2 + every * np.arange(values.shape[0]))
-        self._positions_mm = np.stack(np.meshgrid(x_mm, y_mm), axis=-1).reshape(-1, 2)
-        rows = values.reshape(len(self._positions_mm), -1)
+        self._x_mm, self._y_mm = x_mm, y_mm
+        rows = values.reshape(len(x_mm) * len(y_mm), -1)
         norm = np.linalg.norm(rows, axis=1, keepdims=True)
         self.mean_energy = float(np.square(norm).mean())
         """Mean field energy over the touched part of the plate: that of a finger of amplitude 1, counts squared."""
@@ -74,21 +70,17 @@ class Pursuit:
         self._parts = d.acquisition.channels, 2, len(d.bins)
         self._pair = np.zeros((atlas.size, 2), dtype)
         self._products = np.zeros((len(rows), 2), dtype)
-        ends = np.linspace(0, len(rows), _BLOCKS + 1).astype(int).tolist()
-        self._blocks = [slice(*pair) for pair in pairwise(ends)]
 
     def candidates(self, vector: Array, count: int = _CANDIDATES) -> list[Candidate]:
         """Return the positions at which one finger would explain most of a vector of bins, the best first."""
-        for _ in self._scan(vector):
-            pass
-        return self._best(self._score(), count)
+        return self._best(self._scan(vector), count)
 
     def add(self, bins: Bins, fit: Fit, noise_energy: float) -> Fit:
         """Return a fit with as many more fingers as are worth it: all `steps` at once."""
         return finish(self.steps(bins, fit, noise_energy))
 
-    def steps(self, bins: Bins, fit: Fit, noise_energy: float) -> Generator[float, None, Fit]:
-        """Add fingers to a fit, step by step; yield what each step has cost, in fits, and return the fit.
+    def steps(self, bins: Bins, fit: Fit, noise_energy: float) -> Steps[Fit]:
+        """Add fingers to a fit, piece by piece.
 
         The strongest finger is looked for first, then the next in what it leaves. Where this leads nowhere, several
         alternatives are followed side by side.
@@ -109,7 +101,8 @@ class Pursuit:
             for share in (limit.enough, limit.search_above, limit.good, limit.fair)
         )
         # Shapes that were fitted in an earlier frame leave more than those of this one.
-        anew = solver.fit_shapes(bins, fit, noise_energy, _STEPS) if fit.shapes else fit
+        anew = solver.fit_shapes(bins, fit, noise_energy, _POINT_STEPS) if fit.shapes else fit
+        yield SHAPE_COST * _POINT_STEPS * len(fit.shapes)
         shaped_energy = min(anew.residual_energy, fit.residual_energy)
         best = fit
         for width in _WIDTHS:
@@ -117,30 +110,30 @@ class Pursuit:
             while beam and _may_grow(beam[0], enough):
                 more = []
                 for one in beam:
-                    left = solver.residual(bins, one)
-                    yield _REST_COST
-                    yield from self._scan(left)
-                    score = self._score()
-                    yield _REST_COST
-                    was_fair = one is fit and fit.positions_mm and fit.residual_energy < fair
-                    if was_fair and not score.max() > limit.seen * fit.residual_energy:
+                    score = self._scan(solver.residual(bins, one))
+                    yield REST_COST + SCAN_COST
+                    seen = score.max() / max(one.residual_energy, 1e-30)
+                    if fit.positions_mm and one is fit and fit.residual_energy < fair and not seen > limit.seen:
                         return fit
+                    if one is best and one is not fit and one.residual_energy < good and not seen > limit.seen_beside:
+                        return best
                     for candidate in self._best(score, _CANDIDATES):
                         shapes = [*shapes_of(one), TYPICAL] if one.shapes else ()
                         positions_mm = [*one.positions_mm, candidate.position_mm]
                         more.append(solver.fit_several(bins, positions_mm, _FIRST_STEPS, shapes=shapes))
-                        yield 1.0
+                        yield _cost(positions_mm, _FIRST_STEPS)
                 more.sort(key=_residual_energy)
+                if beam[0] is best and best.residual_energy < good and _gain(more, best, noise_energy) < _LEAST_GAIN:
+                    return best
                 more = _different([one for one in more if not are_merged(one)])[:width]
                 beam = []
                 for one in more:
-                    points = solver.fit_several(bins, one.positions_mm, _STEPS)
-                    # While fingers are missing no shape explains all, but each leaves the next finger clearer.
-                    shaped = solver.with_shapes(bins, points, noise_energy, 1.0)
+                    points = solver.fit_several(bins, one.positions_mm, _POINT_STEPS)
+                    yield _cost(one.positions_mm, _POINT_STEPS)
+                    shaped = yield from solver.shape_pieces(bins, points, noise_energy, 1.0)
                     if shaped.shapes and one.residual_energy < shaped.points_energy:
                         shaped = replace(shaped, points_energy=one.residual_energy)
                     beam.append(shaped)
-                    yield SHAPED_COST
                 beam = [one for one in beam if not are_merged(one)]  # some may have since
                 beam.sort(key=_residual_energy)
                 deepest = beam[0] if beam else deepest
@@ -164,8 +157,8 @@ class Pursuit:
                 break
         return best
 
-    def _swap(self, bins: Bins, fit: Fit, noise_energy: float) -> Generator[float, None, Fit]:
-        """Take out one finger after another, the weakest first, and look for a better place; yield costs as `steps`.
+    def _swap(self, bins: Bins, fit: Fit, noise_energy: float) -> Steps[Fit]:
+        """Take out one finger after another, the weakest first, and look for a better place, piece by piece.
 
         The finger found first may be at none: two others together looked like it.
         """
@@ -178,65 +171,49 @@ class Pursuit:
             if shapes:
                 del shapes[k]
             rest = solver.fit_several(bins, places, _FIRST_STEPS, shapes=shapes)
-            yield 1.0
-            left = solver.residual(bins, rest)
-            yield _REST_COST
-            yield from self._scan(left)
+            yield _cost(places, _FIRST_STEPS)
+            score = self._scan(solver.residual(bins, rest))
+            yield REST_COST + SCAN_COST
             trials = []
-            for candidate in self._best(self._score(), _CANDIDATES):
+            for candidate in self._best(score, _CANDIDATES):
                 if math.dist(candidate.position_mm, left_mm) >= _APART_MM:
                     positions_mm, of_all = [*places, candidate.position_mm], [*shapes, TYPICAL] if shapes else ()
                     trials.append(solver.fit_several(bins, positions_mm, _FIRST_STEPS, shapes=of_all))
-                    yield 1.0
+                    yield _cost(positions_mm, _FIRST_STEPS)
             trials.sort(key=_residual_energy)
             for trial in trials[:1]:
                 if are_merged(trial) or trial.residual_energy > max(fit.residual_energy, fit.points_energy):
                     continue
                 points = solver.fit_several(bins, trial.positions_mm, _STEPS)
-                moved = solver.with_shapes(bins, points, noise_energy, 1.0)
-                yield SHAPED_COST
+                yield _cost(trial.positions_mm, _STEPS)
+                moved = yield from solver.shape_pieces(bins, points, noise_energy, 1.0)
                 if not are_merged(moved) and moved.residual_energy < _MOVED * fit.residual_energy:
                     fit, tried = moved, 0
         return fit
 
-    def _scan(self, vector: Array) -> Iterator[float]:
-        """Correlate a vector of bins with the field at each position, block by block; yield each block's cost."""
+    def _scan(self, vector: Array) -> Array:
+        """Return the energy that a finger at each position would explain of a vector of bins, counts squared."""
         parts = vector.reshape(self._parts)
         self._pair[:, 0] = vector
         self._pair[:, 1] = np.stack([parts[:, 1], -parts[:, 0]], axis=1).reshape(-1)
-        cost = _BLOCK_COST + _COLD_COST
-        for rows in self._blocks:
-            np.dot(self._unit[rows], self._pair, out=self._products[rows])
-            yield cost
-            cost = _BLOCK_COST
-
-    def _score(self) -> Array:
-        """Return the energy that a finger at each position of the last scan would explain, counts squared."""
+        np.dot(self._unit, self._pair, out=self._products)
         score: Array = np.einsum("ij,ij->i", self._products, self._products)
         return score
 
     def _best(self, score: Array, count: int) -> list[Candidate]:
         """Return the best positions of a scan. Writes over `score`."""
         found: list[Candidate] = []
+        table = score.reshape(len(self._y_mm), -1)
         for _ in range(count):
             best = int(score.argmax())
             if not score[best] > 0:
                 break
-            x_mm, y_mm = self._positions_mm[best].tolist()
+            row, column = divmod(best, table.shape[1])
+            x_mm, y_mm = float(self._x_mm[column]), float(self._y_mm[row])
             found.append(Candidate((x_mm, y_mm), float(score[best])))
-            near = np.square(self._positions_mm - self._positions_mm[best]).sum(axis=1) < _APART_MM**2
-            score[near] = 0
+            apart_mm2 = np.square(self._y_mm - y_mm)[:, None] + np.square(self._x_mm - x_mm)
+            table[apart_mm2 < _APART_MM**2] = 0
         return found
-
-
-def finish(steps: Generator[float, None, Fit]) -> Fit:
-    """Take all steps of a search at once."""
-    while True:
-        try:
-            next(steps)
-        except StopIteration as end:
-            found: Fit = end.value
-            return found
 
 
 def is_worth(fit: Fit, other: Fit, noise_energy: float, signal: float) -> bool:
@@ -276,6 +253,17 @@ def apart_mm(fit: Fit) -> float:
 
 def _may_grow(fit: Fit, enough: float) -> bool:
     return (not fit.positions_mm or enough < fit.residual_energy) and len(fit.positions_mm) < MOST_FINGERS
+
+
+def _gain(more: list[Fit], fit: Fit, noise_energy: float) -> float:
+    """Return the share of what a fit leaves that the best of several others explains."""
+    least = min(map(_residual_energy, more), default=fit.residual_energy)
+    return (fit.residual_energy - least) / max(fit.residual_energy - noise_energy, 1e-30)
+
+
+def _cost(positions_mm: list[Position], steps: int) -> float:
+    """Return the cost of a fit of several, in look-ups: one a finger and step, and one where they end."""
+    return float(len(positions_mm) * (steps + 1))
 
 
 def _residual_energy(fit: Fit) -> float:

@@ -79,7 +79,7 @@ class Recording:
 
     def during(self, *names: str) -> NDArray[np.bool_]:
         """Return which frames belong to acts of these names, shape (n,)."""
-        found = np.zeros(len(self.frames), np.bool_)
+        found = np.zeros(len(self.sequence), np.bool_)
         for act in self.meta.acts:
             if act.name in names:
                 found[act.begin : act.end] = True

@@ -29,13 +29,13 @@ STALL_NS = 1_000_000_000
 """A source that is no device has stalled after this time without a frame, ns."""
 _FLOWING: tuple[State, ...] = ("streaming", "uncalibrated")
 """Frames flow."""
-_TICK_NS, _IDLE_TICK_NS = 4_000_000, 40_000_000
-"""Sinks are polled this often, and all else is done that is due: at usual rates after each frame of a touch, and after
-every other one of an idle plate. Polling costs a fifth of an idle frame."""
+_TICK_NS, _IDLE_TICK_NS = 4_000_000, 100_000_000
+"""Sinks are polled this often, and all else is done that is due: after each frame of a touch, and every fifth of an
+idle plate. Polling costs a fifth of an idle frame."""
+_UNHEARD_NS = 10_000_000_000
+"""Health messages that nobody wants are this rare: one costs as much as ten idle frames."""
 _CONTROL_NS = 50_000_000
 """Commands are read this often: reading costs half as much as an idle frame."""
-
-_UNTOUCHED = Outcome.UNTOUCHED  # bound once: it is asked for in every frame
 
 log = structlog.get_logger()
 
@@ -167,7 +167,7 @@ class Service:
                     preroll.keep(frame, result.contacts)
                 if feed is not None and feed.listeners:
                     feed.send(frame)
-                if result.outcome is not _UNTOUCHED and rate is not None:
+                if result.outcome is not Outcome.UNTOUCHED and rate is not None:
                     rate.touched(frame.t_ns, result.outcome)
                 self._finish(frame)
             if self._stop:
@@ -212,7 +212,8 @@ class Service:
         self._tick_ns = now_ns
         for sink in self._sinks:
             sink.poll()
-        if now_ns - self._health_ns >= self._health.period_ns:
+        quiet_ns = now_ns - self._health_ns
+        if quiet_ns >= self._health.period_ns and (quiet_ns >= _UNHEARD_NS or self._messages.wants("health")):
             self._publish_health()
         if self._rate is not None:
             self._rate.wanted = self._feed is not None and bool(self._feed.listeners)

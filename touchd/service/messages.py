@@ -46,7 +46,8 @@ class Messages:
 
     def configure(self, settings: Settings) -> None:
         """Start or stop skipping the messages that nobody wants."""
-        self._wants = self._asked if settings.skip.unheard else _everybody
+        self.wants = self._asked if settings.skip.unheard else _everybody
+        """Returns whether messages of a topic are made."""
 
     def make(self, result: Result, spectrum: Callable[[], list[float]]) -> list[Event]:
         """Return the messages that are due for a result; `spectrum` returns the frame's features.
@@ -57,7 +58,7 @@ class Messages:
         t_ns, frame, contacts = result.t_ns, result.sequence, result.contacts
         events = _NOTHING
         if contacts:
-            if self._wants("touch") or is_change(contacts):
+            if self.wants("touch") or is_change(contacts):
                 wall = self._wall(t_ns)
                 events = [TouchEvent(self._device, next(self._seq["touch"]), t_ns, wall, frame, contacts)]
                 for key in result.keys:
@@ -66,7 +67,7 @@ class Messages:
             else:
                 self.unheard["touch"] += 1
         if result.touches:
-            if self._wants("spectrum"):
+            if self.wants("spectrum"):
                 events = [*events, SpectrumEvent(*self.stamp("spectrum", t_ns), frame, spectrum())]
             else:
                 self.unheard["spectrum"] += 1

@@ -2,11 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
-import tempfile
-import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -16,12 +11,8 @@ from numpy.typing import NDArray
 from onnx import numpy_helper
 
 from tests.scenes.numerics import reference
-from touchd.config.schema import BaselineSettings
-from touchd.detection.baseline import Baseline
 from touchd.localization.atlas import Atlas
-from touchd.localization.fit import Bins
-from touchd.localization.gauss_newton import GaussNewton
-from touchd.localization.model import Model, default_model_path
+from touchd.localization.model import default_model_path
 from touchd.recording.data import Recording
 from touchd.twin.electronics import Electronics
 from touchd.twin.instrument import REFERENCE_C, Instrument
@@ -110,67 +101,3 @@ def flushed(path: Path, features: NDArray[np.float32], *, flush: bool) -> dict[s
     session = ort.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
     outputs = session.run(None, {session.get_inputs()[0].name: features})
     return dict(zip([output.name for output in session.get_outputs()], outputs, strict=True))
-
-
-@dataclass(frozen=True, slots=True)
-class Slowdown:
-    """How much longer something takes with denormals than without, in alternation in one process."""
-
-    what: str
-    ratio: float
-    """Median over the turns."""
-
-
-def slowdowns(turns: int = 300) -> Iterator[Slowdown]:
-    """Ratios of time with denormals to time without; only a page shows them, since they depend on the clock."""
-    rng = np.random.default_rng(0)
-    atlas = Model(default_model_path()).atlas
-    assert atlas is not None
-    features = (1000 * rng.standard_normal(392)).astype(np.float32)
-
-    def inference(path: Path, scale: float) -> Callable[[], object]:
-        model = Model(path, atlas=False)
-        model.features[0] = features * np.float32(scale)
-        return model.infer
-
-    def fit(scale: float) -> Callable[[], object]:
-        solver = GaussNewton(atlas)
-        vector = (scale * np.random.default_rng(1).standard_normal(atlas.size)).astype(np.float32)
-        bins = Bins(vector, None, float(vector @ vector))
-        return lambda: solver.fit_one(bins, 100.0, 100.0, 3)
-
-    def following(scale: float) -> Callable[[], object]:
-        baseline = Baseline((4, 250), BaselineSettings())
-        mean = (scale * np.random.default_rng(2).standard_normal((4, 250))).astype(np.float32)
-        silence, times_ns = np.zeros((4, 250), np.int16), itertools.count(0, 8_000_000)
-
-        def step() -> None:
-            baseline.mean[:] = mean
-            baseline.subtract(silence, next(times_ns))
-            baseline.follow()
-
-        return step
-
-    with tempfile.TemporaryDirectory() as folder:
-        plain = default_model_path()
-        small = with_small_weights(0.1, 1e-38, Path(folder))
-        pairs = {
-            "network, all features denormal": (inference(plain, 1.0), inference(plain, 1e-42)),
-            "network, a tenth of the weights denormal": (inference(plain, 1.0), inference(small, 1.0)),
-            "Gauss-Newton, the frame denormal": (fit(1e3), fit(1e-42)),
-            "baseline of a channel that fades to denormals": (following(1e3), following(1e-40)),
-        }
-        for what, (usual, tiny) in pairs.items():
-            yield Slowdown(what, _ratio(usual, tiny, turns))
-
-
-def _ratio(one: Callable[[], object], other: Callable[[], object], turns: int) -> float:
-    ratios = []
-    for _ in range(turns):
-        times = [time.perf_counter_ns()]
-        for call in (one, other):
-            for _ in range(5):
-                call()
-            times.append(time.perf_counter_ns())
-        ratios.append((times[2] - times[1]) / (times[1] - times[0]))
-    return float(np.median(ratios))

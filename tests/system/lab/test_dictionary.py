@@ -37,12 +37,6 @@ def test_touches_never_seen_are_placed_near_by(dataset: Dataset) -> None:
         assert np.median(error) < guess / 4
 
 
-def test_k_neighbours_are_averaged() -> None:
-    features = np.array([[0.0], [1.0], [10.0]], np.float32)
-    place_mm = np.array([[0, 0], [2, 4], [50, 50]], np.float32)
-    np.testing.assert_array_equal(Nearest(features, place_mm, k=2).locate(features[:1]), [[1, 2]])
-
-
 @given(st.sampled_from(list(LAGS_S)), st.floats(0.01, 100.0), st.integers(0, 2**31))
 def test_the_correlation_minds_neither_size_nor_a_delay_of_a_listed_lag(lag_s: float, size: float, seed: int) -> None:
     f_hz = np.arange(51, 100) * 1e3

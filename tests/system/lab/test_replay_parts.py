@@ -10,9 +10,11 @@ import pytest
 
 from touchd.config.schema import Settings
 from touchd.errors import RecordingValues
-from touchd.lab import replay_parts
 from touchd.lab.replay_parts import CALM_NS, LEAD_NS, plan, score
+from touchd.recording.data import Act
 from touchd.recording.format import read, write
+from touchd.service.replay import Replayed, run_through
+from touchd.sources.source import Source
 from touchd.twin.instrument import Instrument
 from touchd.twin.simulate import simulate_scene
 
@@ -88,12 +90,28 @@ def test_resume(folder: Path, cache: Path, monkeypatch: pytest.MonkeyPatch) -> N
 
     with pytest.raises(KeyboardInterrupt):
         score(folder, Settings(), workers=1, progress=stop, part_frames=PART)
-    played: list[object] = []
-    play = replay_parts.run_through
-    monkeypatch.setattr(replay_parts, "run_through", lambda *of: (played.append(of), play(*of))[1])
+    played: list[Source] = []
+
+    def noted(source: Source, settings: Settings) -> Replayed:
+        played.append(source)
+        return run_through(source, settings)
+
+    monkeypatch.setattr("touchd.lab.replay_parts.run_through", noted)
     score(folder, Settings(), workers=1, progress=lambda *_: None, part_frames=PART)
     assert len(played) == PARTS - 1
     assert not list(cache.rglob("*.result"))
+
+
+def test_acts(folder: Path, tmp_path: Path) -> None:
+    """What a person was asked to do is known of the frames of each part: contacts of a palm are ghosts."""
+    palms = Act(name="palm", begin=11 * CHUNK, end=12 * CHUNK)
+    for number in range(CHUNKS):
+        chunk = read(folder / f"{number:06d}.npz")
+        write(tmp_path / f"{number}.npz", replace(chunk, meta=chunk.meta.model_copy(update={"acts": (palms,)})),
+              compress=False)  # fmt: skip
+    found = score(tmp_path, Settings(), workers=1, progress=lambda *_: None, part_frames=PART)
+    assert found.ghosts > 0
+    assert found.touches == found.found == found.ghosts * (CHUNKS // 2 - 1), "as many in each other chunk"
 
 
 def test_labels_are_needed(folder: Path, tmp_path: Path) -> None:

@@ -40,11 +40,9 @@ class Web(NamedTuple):
 
 
 @contextmanager
-def web(bus: str, *options: object, port: int = 0, hurried: bool = False, **variables: str) -> Iterator[Web]:
-    """Serve a page until the block ends; `hurried` sends as fast as it can."""
-    module = "tests.system.web.hurried" if hurried else "touchd"
-    asked = ("web", "--bind", f"127.0.0.1:{port}", "--bus", bus, *options)
-    with started(*asked, module=module, **variables) as process:
+def web(bus: str, *options: object, port: int = 0, **variables: str) -> Iterator[Web]:
+    """Serve a page until the block ends."""
+    with started("web", "--bind", f"127.0.0.1:{port}", "--bus", bus, *options, **variables) as process:
         assert process.stdout is not None
         line = process.stdout.readline()
         assert "http://" in line, process.communicate()

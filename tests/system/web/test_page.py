@@ -144,6 +144,7 @@ def test_keypad(browser: Browser, tmp_path: Path) -> None:
             opened.wait_for_function("() => touchd.feed.last.plate?.keys.length === 9")
             opened.wait_for_timeout(300)
             assert opened.evaluate("touchd.feed.last.touch ?? null") is None
+            expect(opened.locator(".fingers")).to_contain_text("since they tell the PIN")
         with page(browser, open_server.url) as opened:
             expect(opened.locator(".fingers tbody tr")).to_have_count(5)
         with page(browser, open_server.base) as stranger:
@@ -188,6 +189,10 @@ def test_accessible(browser: Browser, address: str, tmp_path: Path) -> None:
                 for scheme in ("light", "dark"):
                     opened.emulate_media(color_scheme="dark" if scheme == "dark" else "light")
                     assert opened.evaluate(violations) == [], (view, step, scheme)
+        told.show("cross-shown")
+        opened.get_by_role("button", name="Show the crosses here").click()
+        expect(opened.locator(".stage .mark")).to_be_visible()
+        assert opened.evaluate(violations) == [], "the crosses"
 
 
 def test_unseen_tap(browser: Browser, address: str, tmp_path: Path) -> None:

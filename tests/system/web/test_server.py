@@ -24,6 +24,7 @@ from touchd.recording.format import read
 from touchd.web.live import PERIOD_S
 
 OWN = "own"
+HURRIED = "tests.system.web.hurried"
 POSTS = ("/session", "/check/start", "/check/bundle", "/calibrate/do")
 
 
@@ -169,7 +170,7 @@ def test_long_message(server: Web) -> None:
 def test_slow_reader(tmp_path: Path) -> None:
     """A browser that reads nothing of a minute's frames and updates costs at most 5 MB, and holds up nobody."""
     where = f"ipc://{tmp_path}/bus"
-    with bus(where, "hurried"), web(where, hurried=True) as server, live(server) as reader:
+    with bus(where, "hurried"), web(where, module=HURRIED) as server, live(server) as reader:
         read_on(reader, 100, 100)
         before = server.memory_bytes()
         sleeper = live(server, max_queue=1)

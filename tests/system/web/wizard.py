@@ -74,12 +74,15 @@ STATES: dict[str, dict[str, Any]] = {
     },
     "first-tap": _TAPPING | {"taps": [], "target_mm": target_mm(0, 200.4, 149.8)},
     "taps": _TAPPING | {"last": {"ok": True, "reason": "", "target_mm": _TAPS[-1]["target_mm"]},
-                        "told": {"scatter_mm": 0.61, "orientation": "mirrored"}},
+                        "told": {"scatter_mm": 0.61, "orientation": ""}},
     "ring-shown": _TAPPING | {
         "mapping": MAPPING, "target_mm": (60.0, 50.0),
         "last": {"ok": False, "reason": "unsteady", "target_mm": _TAPS[-1]["target_mm"]},
     },
-    "missed": _TAPPING | {"last": {"ok": False, "reason": "light", "target_mm": [60.0, 60.0]}},
+    "missed": _TAPPING | {
+        "last": {"ok": False, "reason": "light", "target_mm": [60.0, 60.0]}, "expected": None,
+        "told": {"scatter_mm": 0.61, "orientation": "mirrored left to right"},
+    },
     "compared": _TAPPING | {"running": None, "compared": _COMPARED, "last": None},
     "fault": NOTHING | {"plate": PLATE, "untouched": True, "problem": "untouched.npz: the plate was touched",
                         "fix": "take everything off the plate, and listen again"},

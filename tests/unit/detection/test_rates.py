@@ -14,7 +14,7 @@ from touchd.frame import Frame
 from touchd.outcome import Outcome
 
 SHAPE = (2, 250)
-RATES_HZ = [10, 50, 125, 500]
+RATES_HZ = [10, 50, 125, 250, 500]
 
 
 class Plate:

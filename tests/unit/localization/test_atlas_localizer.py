@@ -86,7 +86,7 @@ def test_departure() -> None:
     """The negative of a finger is one that has left the baseline, and no touch."""
     rig = Rig()
     shown: list[tuple[Finger, ...]] = [((40, 50, -1),), ((40, 50, 1),), (), ((40, 50, -1), (80, 30, -0.8))]
-    found = [rig.see(rig.residual(*fingers), (40.7, 49.3)) for fingers in shown]
+    found = [[rig.see(rig.residual(*fingers), (40.7, 49.3)) for _ in range(8)][-1] for fingers in shown]
     assert [(len(one.touches), one.departure) for one in found] == [(0, True), (1, False), (0, False), (0, True)]
 
 
@@ -115,6 +115,7 @@ def test_drop_with_any_phase(
     """A drop that leads like a finger for a frame is not placed, and a finger on it is after 30 ms."""
     rig = Rig()
     phases = [*[0.6] * 30, 0.0, 0.6, 2.5, 0.0, 0.6, -2.5, 0.0, 0.6, -0.2, 0.6, *[0.0] * 20]
+    rig.land(*others, (70, 30, cmath.rect(0.7, 0.6)))
     found = [len(rig.touch(*others, (70, 30, cmath.rect(0.7, phase)))) - len(others) for phase in phases]
     assert found == [0] * (40 + WAIT) + [1] * (20 - WAIT)
 
@@ -125,6 +126,7 @@ def test_over_a_drop(step_mm: float) -> None:
     rig = Rig()
     for _ in range(40):
         assert rig.touch((70, 30, cmath.rect(0.5, 0.6))) == ()
+    rig.land((50, 30, 1.0))
     for i in range(math.floor(40 / step_mm)):
         x_mm = 50 + step_mm * i
         assert at(rig.touch((x_mm, 30, 1.0)), (x_mm, 30)), f"at {x_mm} mm"
@@ -136,6 +138,7 @@ def test_drop_with_a_finger() -> None:
     half_way = (70, 30, cmath.rect(0.7, 0.42))
     assert not any(rig.touch(half_way if i % 4 == 3 else drop) for i in range(40))
     finger = (30.0, 60.0, 1.0)
+    rig.land(finger, drop)
     for i in range(60):
         seen = [finger] if i % 10 < 2 else [finger, half_way if i % 3 else drop]
         assert at(rig.touch(*seen), (30, 60)), f"frame {i}"
@@ -308,9 +311,9 @@ def test_faint_pair_at_an_edge() -> None:
     """Two faint fingers near each other at an edge may be one between them; one is placed, and so are strong ones."""
     x, _ = ATLAS.description.low_mm
     one, other = (x + 3.0, 35.0), (x + 3.0, 55.0)
-    assert not Rig(noise=10.0).touch((*one, 0.3), (*other, 0.3))
+    assert not Rig(noise=10.0).land((*one, 0.3), (*other, 0.3))
     assert at(Rig(noise=10.0).touch((*one, 0.3)), one, within_mm=2)
-    assert at(Rig(noise=10.0).touch((*one, 1), (*other, 1)), one, other, within_mm=2)
+    assert at(Rig(noise=10.0).land((*one, 1), (*other, 1)), one, other, within_mm=2)
 
 
 def test_sharp_turn() -> None:

@@ -102,7 +102,7 @@ def test_two() -> None:
 def test_known_shape(at: tuple[float, float], shape: tuple[float, float, float], slope: float, way: float) -> None:
     """A contact of known shape is placed as a point is: exactly, from its field and the slopes of that."""
     second = np.exp(0.2j) * np.array(shape)
-    known = [slope * np.exp(-0.4j), *second.tolist()]
+    known = (slope * np.exp(-0.4j), *second.tolist())
     of_shape = contact(*at, 1.0, second) + known[0] * SOLVER._contact_field.band * field(*at)
     bins = as_bins((0.8 + 0.5j) * of_shape)
     start = at[0] + 0.5 * math.cos(way), at[1] + 0.5 * math.sin(way)

@@ -173,3 +173,17 @@ def test_any_numbers(seed: int, size: float, elapsed_ns: int) -> None:
     for t_ns in (0, elapsed_ns):
         drift.update(corrected(drift, residual), t_ns)
     assert np.isfinite(corrected(drift, residual)).all()
+
+
+@pytest.mark.parametrize("rate_hz", [10, 50, 125, 250, 500])
+def test_any_rate(rate_hz: int) -> None:
+    """A step of the plate under a finger is followed to 63 % in 0.3 s and an update at any frame rate."""
+    drift = after(untouched())
+    step, nothing, time_s, left = 10 * drift.directions[0], np.zeros(untouched().shape), 0.0, 1.0
+    while left > np.exp(-1) * 1.001:
+        if drift.is_due(t_ns := 10**9 + round(time_s * 1e9)):
+            drift.update(step + corrected(drift, nothing), t_ns)
+        left = float((step + corrected(drift, nothing)) @ step / (step @ step))
+        time_s += 1 / rate_hz
+    reached_s = time_s - 1 / rate_hz
+    assert FOLLOW_S - 1e-6 <= reached_s <= FOLLOW_S + FOLLOW_EVERY_NS * 1e-9 + 1 / rate_hz

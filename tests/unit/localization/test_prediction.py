@@ -54,8 +54,7 @@ def test_movement() -> None:
 def test_lifted_finger() -> None:
     """A finger that lifts leaves the others their speeds."""
     prediction = moving(30, (100.0, 0.0), (-50.0, 20.0), (0.0, 80.0))
-    prediction.remove(1, 3)
-    prediction.positions_mm = [prediction.positions_mm[0], prediction.positions_mm[2]]
+    prediction.remove(1)
     (x, _), (_, y) = prediction.ahead(prediction.t_ns + FRAME_NS)
     assert x == pytest.approx(100 * 30 * FRAME_S, abs=1e-3)
     assert y == pytest.approx(80 * 30 * FRAME_S, abs=1e-3)

@@ -10,9 +10,10 @@ import pytest
 from msgspec.structs import replace
 
 from tests.fields import BINS, Field, Finger, bins_of, in_double, make_atlas
+from touchd.localization.anytime import finish
 from touchd.localization.fit import Fit, no_fit
 from touchd.localization.gauss_newton import GaussNewton
-from touchd.localization.pursuit import Pursuit, apart_mm, finish, is_worth
+from touchd.localization.pursuit import Pursuit, apart_mm, is_worth
 
 FIELD = Field()
 ATLAS = make_atlas(FIELD)

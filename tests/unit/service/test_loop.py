@@ -78,9 +78,10 @@ class Keeper:
         self.polls = 0
         self._clock = clock
         self._heard = heard
+        self.unwanted: Callable[[str], bool] = lambda topic: topic == "spectrum"
 
     def wants(self, topic: str) -> bool:
-        return topic != "spectrum"
+        return not self.unwanted(topic)
 
     def publish(self, event: Event, received_ns: int) -> None:
         assert not self.closed
@@ -184,6 +185,20 @@ def test_period(make: Callable[..., Bench], circle: list[Frame]) -> None:
     assert gaps_ns.max() <= 200_000_000 + TIMEOUT_NS
     # "starting" and "streaming", and "stopping" at the end, come when they come.
     assert gaps_ns[1:-1].min() >= 200_000_000
+
+
+def test_health_that_nobody_wants(make: Callable[..., Bench]) -> None:
+    """Without subscribers health is made every 10 s; the first one has it within 0.1 s, then each second."""
+    bench = make([None] * 700, period_s=1.0)
+    began_ns = bench.clock()
+    for keeper in (bench.sink, bench.other):
+        keeper.unwanted = lambda topic: topic == "health" and bench.clock() - began_ns < 25_500_000_000
+    bench.service.run()
+    times_s = [(at_ns - began_ns) * 1e-9 for at_ns, event in zip(bench.sink.times_ns, bench.sink.events, strict=True)
+               if isinstance(event, HealthEvent) and event.state == "starting"]  # fmt: skip
+    assert times_s[:3] == pytest.approx([0, 10, 20], abs=0.2)
+    assert times_s[3:] == pytest.approx([25.55 + i for i in range(len(times_s) - 3)], abs=0.2)
+    assert len(times_s) > 10
 
 
 def test_counts(make: Callable[..., Bench], circle: list[Frame]) -> None:

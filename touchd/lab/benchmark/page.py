@@ -21,8 +21,8 @@ GROUPS = {
     "given": ("other models", COLOURS[5], "^"),
 }
 PAPER = "#555555"
-ESTIMATOR = ("estimator", "p50 us", "p99.9 us", "x bare", "median mm", "p95 mm", "missed")
-DAEMON = ("scene", "frames/s", "ends at", "p50 us", "p99.9 us", "CPU")
+ESTIMATOR = ("estimator", "p50 us", "p99.9 us", "median mm", "missed")
+DAEMON = ("scene", "frames/s", "p50 us", "p99.9 us", "CPU")
 VARIANTS = ("grid10", "keypad", "time")
 """Estimators that only the terminal and the stored run show."""
 

@@ -18,7 +18,7 @@ import numpy as np
 
 import touchd
 from touchd.errors import JobError
-from touchd.event import decode
+from touchd.event import TouchEvent, decode
 from touchd.lab.benchmark import steady_child
 from touchd.lab.benchmark.daemon import FOREVER_S, daemon_cpus
 from touchd.lab.benchmark.loop import Loop
@@ -189,7 +189,8 @@ def _listen(address: str, stop: threading.Event, heard: list[tuple[int, float, i
             if socket.poll(100):
                 body, now_ns = socket.recv_multipart()[1], time.monotonic_ns()
                 event = decode("touch", body)
-                heard.append((event.frame, event.latency_us, now_ns))  # type: ignore[union-attr]  # a TouchEvent
+                assert isinstance(event, TouchEvent)
+                heard.append((event.frame, event.latency_us, now_ns))
 
 
 def _arrived(frames: dict[str, list[int]], heard: list[tuple[int, float, int]]) -> Found:

@@ -54,7 +54,7 @@ class Device:
             self.info = Info(channels, samples, 250_000, capabilities=1)
         except TypeError:  # a tree of before
             self.info = Info(channels, samples, 250_000)
-        bodies = [frame.T.astype("<i2").tobytes() for frame in frames]
+        bodies: list[bytes] = [frame.T.astype("<i2").tobytes() for frame in frames]
         self._lead, self._there, self._full_hz = bodies[:lead], bodies[lead:], full_hz
         self._bodies: Iterator[bytes] = chain(self._lead, cycle([*self._there, *self._there[-2:0:-1]]))
         self._rate_hz, self._chirp_ns, self._sequence = 0, 0, 0

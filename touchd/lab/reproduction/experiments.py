@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.evaluation.dataset import Dataset, make_dataset, split, thin
-from touchd.evaluation.model_scores import Judgement, judge
+from touchd.evaluation.model_scores import Judgement, judge, key_scores, labels_of, zones_of
 from touchd.keypad import Layout
 from touchd.lab.benchmark.stopwatch import Stopwatch, spread
 from touchd.lab.dictionary import Correlation, Nearest
@@ -128,6 +128,18 @@ def loaded(model: bytes) -> Model:
 def inputs_of(data: Dataset, model: Model) -> Rows:
     """Return the dataset's features (n, inputs) that the model expects."""
     return data.residual if model.description.input == "residual" else data.signal
+
+
+def zone_accuracy(judged: Judgement, grid: int, size_mm: tuple[float, float]) -> float:
+    """Return the share of touches in the right zone, on a grid over a plate of this size."""
+    true, found = (zones_of(each, grid, np.array(size_mm)) for each in (judged.true_mm, judged.position_mm))
+    return float((true == found).mean())
+
+
+def keypad_scores(judged: Judgement, layout: Layout) -> dict[str, float]:
+    """Return accuracy and key-to-key errors; models without keys estimate the key under their position."""
+    found = labels_of(judged.position_mm, layout) if judged.found_class is None else judged.found_class
+    return key_scores(found, labels_of(judged.true_mm, layout), len(layout.key))
 
 
 def _median_us(locate: Callable[[int], object], touches: NDArray[np.int64]) -> float:

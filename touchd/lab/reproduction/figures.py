@@ -11,9 +11,8 @@ from touchd.evaluation.model_scores import Judgement
 from touchd.evaluation.plots.model import draw_confusion
 from touchd.evaluation.plots.session import COLOURS, TRUTH, save
 from touchd.lab.reproduction import paper, plan
-from touchd.lab.reproduction.experiments import loaded
+from touchd.lab.reproduction.experiments import keypad_scores, loaded
 from touchd.lab.reproduction.run import CIRCLE_HEADS, Results
-from touchd.lab.reproduction.scores import keypad_scores
 
 DOMAIN_STYLE = {"frequency": (COLOURS[0], "o"), "time": (COLOURS[3], "s")}
 PAPER = "black"

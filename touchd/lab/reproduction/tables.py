@@ -9,7 +9,7 @@ import numpy as np
 from touchd import __version__
 from touchd.evaluation.metrics import position_scores
 from touchd.lab.reproduction import paper, plan
-from touchd.lab.reproduction.experiments import Trial
+from touchd.lab.reproduction.experiments import Trial, keypad_scores, zone_accuracy
 from touchd.lab.reproduction.paper import Reported
 from touchd.lab.reproduction.report import Figures
 from touchd.lab.reproduction.run import (
@@ -23,7 +23,6 @@ from touchd.lab.reproduction.run import (
     TRAINING_SEED,
     Results,
 )
-from touchd.lab.reproduction.scores import keypad_scores, zone_accuracy
 from touchd.training.report.template import Table
 
 STATISTICS = ("rmse_mm", "mean_mm", "sd_mm", "median_mm", "p95_mm", "max_mm")

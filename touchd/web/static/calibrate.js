@@ -16,7 +16,7 @@ export function mount(root, page) {
   const button = (text, command, primary = false) =>
     element('button', { type: 'button', ...(primary && { class: 'primary' }), onclick: () => act({ do: command }) }, text);
   const bar = element('progress', { max: 1, value: 0 });
-  const share = element('span', { 'aria-hidden': 'true' }), doing = element('p', { class: 'muted', role: 'status' });
+  const share = element('span', { 'aria-hidden': 'true' }), doing = element('p', { class: 'doing', role: 'status' });
   const form = measures(t.measures, async plate => await act({ do: 'measures', plate }) && choose('untouched'));
   const listen = button(t.untouched.start, 'untouched', true), stop = button(t.untouched.stop, 'pause');
   const again = button(t.fit.again, 'fit');

@@ -16,7 +16,7 @@ function picture({ mm, top_mm: most }) {
   [canvas.width, canvas.height] = [mm[0].length, mm.length];
   graphics.fillStyle = colour('accent');
   mm.forEach((row, y) => row.forEach((error, x) => {
-    graphics.globalAlpha = 0.8 * Math.min(1, error / most);
+    graphics.globalAlpha = 0.6 * Math.min(1, error / most);
     graphics.fillRect(x, y, 1, 1);
   }));
   return canvas.toDataURL();

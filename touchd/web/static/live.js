@@ -7,7 +7,8 @@ import { Fingers, Figures, Budget, LatencyChart, Noise, Spectrum } from './panel
 export function mount(root, page) {
   const { texts, feed } = page;
   const plate = new PlateView(texts), status = new Status(texts, feed);
-  const panels = [new Fingers(texts), new Figures(texts), new Budget(texts), new Noise(texts), new LatencyChart(texts),
+  const fingers = new Fingers(texts);
+  const panels = [fingers, new Figures(texts), new Budget(texts), new Noise(texts), new LatencyChart(texts),
     new Spectrum(texts, feed)];
   const footer = element('span'), age = element('span');
   const side = element('div', { class: 'side', tabindex: 0, role: 'region', 'aria-label': texts.figures.title },
@@ -19,7 +20,7 @@ export function mount(root, page) {
     feed.on('calibrate', ({ mapping }) => mapping && plate.set('screen', mapping.screen_mm)),
     feed.on('plate', message => {
       plate.setPlate(message);
-      plate.set('note', hidden() ? texts.keypad_hidden : '');
+      say(fingers.none, hidden() ? texts.keypad_hidden : texts.fingers.none);
       for (const panel of panels) panel.plate?.(message);
     }),
     feed.on('touch', message => {

@@ -20,7 +20,6 @@ export class PlateView {
     this.trails = new Map(); // id -> points {x, y, at}
     this.gone = new Map(); // id -> {contact, at}
     this.stale = false;
-    this.note = '';
     this.drawn = 0;
     this.observer = new ResizeObserver(() => this.resize());
     this.observer.observe(this.root);
@@ -95,7 +94,7 @@ export class PlateView {
     g.clearRect(0, 0, wide, high);
     g.font = '12px system-ui, sans-serif';
     if (!this.plate?.width_mm) {
-      this.write(this.texts.plate.unknown, wide / 2, high / 2, 'muted', 'center');
+      this.write(this.texts.plate.unknown, wide / 2, high / 2, 'muted', 'center', 16);
       return;
     }
     const { width_mm: w, height_mm: h } = this.plate;
@@ -110,7 +109,6 @@ export class PlateView {
     for (const contact of this.contacts) this.paintFinger(contact, 1);
     this.paintTruth();
     g.globalAlpha = 1;
-    if (this.note) this.write(this.note, this.left + (w * scale) / 2, this.top + (h * scale) / 2, 'text', 'center', 15);
     if (moving || fading) this.draw();
   }
 

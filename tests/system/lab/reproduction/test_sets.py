@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from touchd.evaluation.model_scores import Judgement, labels_of
 from touchd.keypad import PHONE, load_layout
 from touchd.lab.reproduction import paper
-from touchd.lab.reproduction.scores import keypad_scores, zone_accuracy
+from touchd.lab.reproduction.experiments import keypad_scores, zone_accuracy
 from touchd.lab.reproduction.sets import central
 from touchd.recording.data import Recording
 from touchd.twin.instrument import Instrument

@@ -1,0 +1,144 @@
+"""How soon a finger that lands is reported: `python -m touchd.lab.landings`, on the twin, in this process.
+
+Fingertips land at random places with a contact that grows from nothing to 55-90 mm^2 within 20 to 120 ms. The time
+counts from the moment when the contact has 3 mm^2 to the end of the frame that brings the `down`; what the computer
+takes from there to a subscriber is `touchd benchmark`'s to measure.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from touchd.config.schema import Settings
+from touchd.event import TouchEvent
+from touchd.frame import Frame
+from touchd.outcome import Outcome
+from touchd.service.daemon import make_pipeline
+from touchd.service.messages import Messages, all_but_spectra
+from touchd.service.runner import frames_of
+from touchd.sources.source import EndOfStream
+from touchd.twin.electronics import Electronics
+from touchd.twin.instrument import REFERENCE_C, Instrument
+from touchd.twin.physics.finger import area_of
+from touchd.twin.scenes.one_finger import FORCES_N
+from touchd.twin.scenes.timeline import Stage
+from touchd.twin.scenes.trajectory import anywhere, still
+from touchd.twin.simulate import DEFAULT_PLATE, stream
+
+FIRST_MM2 = 3.0
+"""The contact exists from this area on."""
+LAND_S = 0.020, 0.120
+PRESS_S, PAUSE_S, LEARN_S = 0.25, 0.35, 1.0
+QUIET_S = 0.15
+"""From a lift to the idle rate, here: sooner than the daemon, so that each landing begins at it."""
+KIND = "fingertip"
+
+
+class Landing(NamedTuple):
+    """When one finger landed, and what came of it, s; infinite if nothing did."""
+
+    land_s: float
+    first_s: float
+    gate_s: float
+    found_s: float
+    down_s: float
+
+
+class _Frames:
+    """A source of a stage's frames that leaves some out at a lower rate, as a device does."""
+
+    def __init__(self, stage: Stage, instrument: Instrument, seed: int) -> None:
+        self.acquisition = instrument.acquisition
+        self._frames = (frame for block in stream(stage, instrument, seed) for frame in block)
+        self._times_ns: Iterator[int] = iter(np.round(stage.time_s * 1e9).astype(int).tolist())
+        self._number, self._last_ns, self.period_ns = 0, -(10**12), 0.0
+
+    def read(self, timeout_s: float) -> Frame:  # noqa: ARG002 - frames are always there
+        for counts, t_ns in zip(self._frames, self._times_ns, strict=False):
+            if t_ns - self._last_ns >= self.period_ns - 1:
+                self._last_ns = t_ns
+                self._number += 1
+                return Frame(counts, self._number, t_ns, t_ns)
+        raise EndOfStream
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+
+def landings(count: int, rate_hz: float, idle_hz: float, seed: int, settings: Settings) -> tuple[list[Landing], int]:
+    """Let fingertips land, and return when each was reported, and how many contacts there were beyond them."""
+    stage, begun = _stage(count, rate_hz, seed)
+    instrument = Instrument(DEFAULT_PLATE)
+    source = _Frames(stage, instrument, seed)
+    pipeline = make_pipeline(source, settings)
+    messages = Messages(settings, all_but_spectra)
+    length_s = source.acquisition.samples / source.acquisition.sample_rate_hz
+    seen: dict[str, list[float]] = {"gate": [], "found": [], "down": []}
+    busy_s = 0.0
+    for frame in frames_of(source):
+        assert frame is not None  # they are always there
+        result = pipeline.process(frame)
+        at_s = frame.t_ns * 1e-9 + length_s
+        if result.outcome is not Outcome.UNTOUCHED:
+            seen["gate"].append(at_s)
+            busy_s = at_s
+        source.period_ns = 1e9 / (rate_hz if at_s - busy_s < QUIET_S else idle_hz)
+        if result.touches:
+            seen["found"].append(at_s)
+        for event in messages.make(result, pipeline.spectrum):
+            if isinstance(event, TouchEvent):
+                seen["down"] += [at_s for contact in event.contacts if contact.phase == "down"]
+    made = [
+        Landing(land_s, first_s, *(_next(seen[name], start_s, start_s + PRESS_S) for name in ("gate", "found", "down")))
+        for land_s, start_s, first_s in begun
+    ]
+    return made, len(seen["down"]) - sum(one.down_s < np.inf for one in made)
+
+
+def _stage(count: int, rate_hz: float, seed: int) -> tuple[Stage, list[tuple[float, float, float]]]:
+    """Write the timeline, and return the time of landing, its begin, and when the contact has 3 mm^2, of each."""
+    rng = np.random.default_rng(seed)
+    each_s = PRESS_S + PAUSE_S
+    sequence = np.arange(round((LEARN_S + count * each_s) * rate_hz))
+    stage = Stage(DEFAULT_PLATE, rate_hz, sequence, np.full(len(sequence), REFERENCE_C), rng, Electronics())
+    begun = []
+    for i in range(count):
+        start_s = LEARN_S + i * each_s + rng.uniform(0, 1 / rate_hz)
+        land_s, force_n = rng.uniform(*LAND_S), rng.uniform(*FORCES_N[KIND])
+        stage.lay(KIND, start_s, start_s + PRESS_S, still(*anywhere(stage)), force_n=force_n, land_s=land_s)
+        share = np.sqrt(FIRST_MM2 / float(area_of(KIND, force_n)))
+        begun.append((land_s, start_s, start_s + land_s * 2 / np.pi * float(np.arcsin(share)) - 1e-3))
+    return stage, begun
+
+
+def _next(times_s: list[float], start_s: float, stop_s: float) -> float:
+    found = next((t for t in times_s if t > start_s), np.inf)
+    return found if found <= stop_s else np.inf
+
+
+def main() -> None:
+    """Print median and 99th percentile, of all landings and of the quick and the slow."""
+    parser = argparse.ArgumentParser(description=main.__doc__)
+    parser.add_argument("--count", type=int, default=1000)
+    parser.add_argument("--rate", type=float, default=125.0)
+    parser.add_argument("--idle-rate", type=float, default=0.0, help="0 for the same")
+    parser.add_argument("--seed", type=int, default=0)
+    asked = parser.parse_args()
+    idle_hz, settings = asked.idle_rate or asked.rate, Settings()
+    made, more = landings(asked.count, asked.rate, idle_hz, asked.seed, settings)
+    print(f"{asked.count} landings at {asked.rate:g} frames/s, from {idle_hz:g}; confirm_frames "
+          f"{settings.tracker.confirm_frames}; {sum(one.down_s == np.inf for one in made)} missed, "
+          f"{more} contacts more")  # fmt: skip
+    for name, some in (("all", made), ("quick, < 50 ms", [one for one in made if one.land_s < 0.05]),
+                       ("slow, > 90 ms", [one for one in made if one.land_s > 0.09])):  # fmt: skip
+        for what in ("gate", "found", "down"):
+            late_ms = 1e3 * np.array([getattr(one, f"{what}_s") - one.first_s for one in some])
+            print(f"{name:15} {what:6} median {np.median(late_ms):6.1f} ms, p99 {np.percentile(late_ms, 99):6.1f} ms")
+
+
+if __name__ == "__main__":
+    main()
