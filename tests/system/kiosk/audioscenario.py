@@ -15,6 +15,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import zmq
@@ -22,6 +23,7 @@ import zmq
 Message = dict[str, Any]
 PATIENCE_S = 300.0
 NEAR_MM = 3.0
+CONFIG = Path("/etc/touchd/touchd.toml")
 UNBIND = "/sys/bus/platform/drivers/snd_aloop/unbind"
 
 
@@ -129,6 +131,10 @@ def main(address: str, places: str) -> None:
     h = plate.health
     step("counts", h["frames"], h["lost"], h["corrupt"], h["clipped"], h["skipped"])
     step("delays", delays())
+    config = CONFIG.read_text()
+    CONFIG.write_text(config.replace("= 48000", "= 96000").replace("audio.onnx", "none.onnx"))
+    subprocess.run(["systemctl", "restart", "--no-block", "touchd"], check=True)
+    step("rate", plate.until(lambda: "takes 48000 samples a second, not 96000" in (plate.health.get("reason") or "")))
 
 
 if __name__ == "__main__":

@@ -37,6 +37,12 @@ settle() {
     lines=0
     wait_for 60 quiet
 }
+# screen_opened PROCESS: a desktop takes the screen some time after the bridge has made it
+screen_opened() {
+    local name
+    name=$(grep -l '^touchd screen$' /sys/class/input/event*/device/name | cut -d/ -f5)
+    [ -n "$name" ] && find "/proc/$1/fd" -lname "/dev/input/$name" | grep -q .
+}
 # scene COMMAND KIND TIMES [LABEL]
 scene() {
     mark scene "${4:-$1}"
@@ -68,6 +74,7 @@ gestures() {
     scene pinch touchend 2
     scene five touchend 5
 }
+# finger_of_a_killed_bridge NAME DESKTOP'S-PROCESS
 finger_of_a_killed_bridge() {
     local before
     scene hold touchstart 1 "$1"
@@ -77,6 +84,7 @@ finger_of_a_killed_bridge() {
     wait_for 600 another_bridge "$before"
     found "$1" $?
     command wait
+    wait_for 120 screen_opened "$2" || say "not opened: the screen"
     command release
 }
 
@@ -116,7 +124,7 @@ stdbuf -oL libinput debug-events > kills.events 2>&1 5>&- &
 libinput=$!
 wait_for 120 grep -q DEVICE_ADDED kills.events
 command flood
-PYTHONPATH=/usr/lib/touchd python3 -B kills.py 100 > kills.json 5>&-
+PYTHONPATH=/usr/lib/touchd python3 -B kills.py 100 $libinput > kills.json 5>&-
 found kills $?
 command calm
 kill $libinput
@@ -142,7 +150,7 @@ mark begin weston
 gestures
 scene corner touchend 2
 picture weston
-finger_of_a_killed_bridge weston-killed
+finger_of_a_killed_bridge weston-killed $weston
 scene tap touchend 1 "tap after"
 leave
 kill $weston
@@ -183,7 +191,7 @@ xrandr --output "$output" --rotate normal
 xinput map-to-output "touchd screen" "$output"
 sleep 5
 mark begin xorg-killed
-finger_of_a_killed_bridge xorg-killed
+finger_of_a_killed_bridge xorg-killed $xorg
 scene hold touchstart 1 "stopped"
 systemctl stop touchd-input
 found xorg-stopped "$(bridge Result)"

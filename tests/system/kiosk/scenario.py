@@ -1,8 +1,6 @@
 """`make kiosk-test`: the package's touch screen under Weston and Xorg, and its audio interface on a loopback card.
 
 All is done in one boot, by `guest.sh`; the tests look at what a page in Chromium heard, and at what a subscriber did.
-The machine's processor is emulated and its clock counts instructions, 2 ns each: a busy host makes it take longer, and
-changes nothing that it sees.
 """
 
 from __future__ import annotations
@@ -13,6 +11,7 @@ import socket
 import subprocess
 import sys
 import threading
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -60,9 +59,7 @@ def found(host: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Foun
     monitor, ended = tmp_path_factory.mktemp("monitor") / "qmp", threading.Event()
     pictures = threading.Thread(target=take_pictures, args=(host, monitor, ended))
     pictures.start()
-    # The processor is one that Chromium's network service lives on: with all that QEMU can emulate it does not.
-    options = ("-cpu", "Nehalem", "-icount", "shift=1", "-m", "2560", "-device", "virtio-vga,xres=1024,yres=768",
-               "-qmp", f"unix:{monitor},server,nowait")  # fmt: skip
+    options = ("-m", "2560", "-device", "virtio-vga,xres=1024,yres=768", "-qmp", f"unix:{monitor},server,nowait")
     logs = ("screen.err", "pageserver.err", "weston.log", "weston.out", "xorg.out", "chromium.out", "page.log",
             "audio.err", "audio.steps")  # fmt: skip
     # The model takes some minutes: the machine begins meanwhile.
@@ -118,20 +115,21 @@ def test_no_slot_is_stuck_after_a_hundred_kills(found: Found, host: Path) -> Non
     assert sum(fingers > 0 for fingers in said["held"]) >= 70
     assert not said["left"]
     down: set[str] = set()
-    ended = {"UP": 0, "CANCEL": 0, "REMOVED": 0}
+    counted = Counter[str]()
     events = (host / "kills.events").read_text()
-    for kind, slot in re.findall(r"(?:TOUCH|DEVICE)_(DOWN|UP|CANCEL|REMOVED)\s+\S+(?:\s+(\d+) \(\d+\))?", events):
-        if kind == "DOWN":
+    course = r"TOUCH_(DOWN|UP|CANCEL)\s+\S+\s+(\d+) \(\d+\)|DEVICE_(ADDED|REMOVED)\s+touchd screen"
+    for touch, slot, device in re.findall(course, events):
+        counted[touch or device] += 1
+        if touch == "DOWN":
             assert slot not in down
             down.add(slot)
-            continue
-        ended[kind] += 1
-        if kind == "REMOVED":
-            assert not down
-        else:
+        elif touch:
             down.remove(slot)
-    assert ended["REMOVED"] == 101
-    assert ended["CANCEL"] >= 70
+        else:
+            assert not down
+    assert counted["ADDED"] == counted["REMOVED"] > 75, "a device that goes at once libinput need not see"
+    assert counted["CANCEL"] >= 70
+    print("kills:", Counter(said["held"]), counted)
 
 
 @pytest.mark.parametrize("desk", ["weston", "xorg"])
@@ -176,7 +174,12 @@ def test_x11_takes_a_killed_bridge_for_a_lifted_finger(found: Found, heard: Hear
     (killed,) = heard["xorg-killed xorg-killed"]
     assert kinds(killed)[0] == "touchstart"
     assert kinds(killed)[-1] in ("touchend", "touchcancel")
+
+
+def test_a_stopped_bridge_lifts_first(found: Found, heard: Heard) -> None:
     assert found["xorg-stopped"] == "success"
+    (stopped,) = heard["xorg-killed stopped"]
+    assert kinds(stopped) == ["touchstart", "touchend"]
 
 
 def test_touches_follow_a_turned_picture(found: Found, heard: Heard) -> None:
@@ -208,8 +211,8 @@ def test_an_audio_interface_finds_fingers(steps: dict[str, list[Any]]) -> None:
 
 
 def test_an_audio_interface_is_lost_and_found(steps: dict[str, list[Any]]) -> None:
-    """A process that stood still counts its xruns, a card that goes is told and awaited, and each start finds another
-    delay."""
+    """A process that stood still counts its xruns, a card that goes is told and awaited, each start finds another
+    delay, and a card at another rate is refused with its rate."""
     assert steps["xrun"] == [True, True, True]
     assert steps["unplugged"][0]
     assert steps["plugged"] == [True, True, True]
@@ -217,3 +220,4 @@ def test_an_audio_interface_is_lost_and_found(steps: dict[str, list[Any]]) -> No
     (delays,) = steps["delays"]
     assert len(delays) >= 4, "start, xrun, plug, restart"
     assert len(set(delays)) > 1
+    assert steps["rate"] == [True]
