@@ -24,8 +24,9 @@ test-packages:
 demo: setup
 	@$(BIN)/touchd demo $(ARGS)
 
-# The tests of a file stay together, for what they share; the order is that of pyproject's `testpaths`.
-SIDE_BY_SIDE := --numprocesses auto --dist loadscope --no-loadscope-reorder
+# The tests of a file stay together, for what they share; the order is that of pyproject's `testpaths`. Two more than
+# there are processors: a third of the time tests wait for processes that they started.
+SIDE_BY_SIDE := --numprocesses $(shell expr $$(nproc) + 2) --dist loadscope --no-loadscope-reorder
 
 # Everything; some minutes.
 test: setup test-packages lint

@@ -31,10 +31,10 @@ def test_taps(rig: str, finger: str, instrument: Instrument) -> None:
 
 @pytest.mark.parametrize("rig", RIGS)
 def test_idle(rig: str, instrument: Instrument) -> None:
-    """Twenty seconds of an untouched plate bring no touch; of 500 impulses nine in ten open no gate."""
+    """Twenty seconds of an untouched plate bring no touch; the network runs for one of eight of its 500 impulses."""
     stage = empty_stage(20.0)
     stage.electronics = RIGS[rig]
     outcome = play(stage, instrument)
     print(f"{rig}: {outcome.counters}")
     assert outcome.touches == []
-    assert outcome.counters.inferred < 50
+    assert outcome.counters.inferred <= 500 / 8

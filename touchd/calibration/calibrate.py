@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.calibration.physical_atlas import make_physical_atlas
-from touchd.calibration.place_correction import widths_of
+from touchd.calibration.place_correction import left_mm, widths_of
 from touchd.calibration.plan import bound_mm
 from touchd.calibration.plate_file import PlateFile
 from touchd.calibration.plate_fit import PlateFit, Progress, fit_plate
@@ -130,19 +130,24 @@ def make_model(
     return Calibrated(model, atlas, time.monotonic() - started_s, fitted, refined)
 
 
-def expected_error_mm(fitted: Fitted, atlas: Atlas) -> Floats:
+def expected_error_mm(made: Calibrated) -> Floats:
     """Return the expected error of a light touch over the plate, shape (rows, columns), mm.
 
-    The root mean square distance of the Cramer-Rao bound in the plate's noise, with the field's own error.
+    The root mean square distance of the Cramer-Rao bound in the plate's noise, with the field's own error, and of what
+    ruler, clamp and wrong physics leave uncertain after the taps.
     """
-    d = atlas.description
-    x_mm, y_mm = ((np.arange(GRID) + 0.5) / GRID * side for side in (d.plate.width_mm, d.plate.height_mm))
+    d, fitted = made.atlas.description, made.fitted
+    size_mm = d.plate.width_mm, d.plate.height_mm
+    x_mm, y_mm = ((np.arange(GRID) + 0.5) / GRID * side for side in size_mm)
     places = np.stack(np.meshgrid(x_mm, y_mm), axis=-1).reshape(-1, 2)
-    u, by_x, by_y = FieldMap(atlas).look_up(places)
+    u, by_x, by_y = FieldMap(made.atlas).look_up(places)
     window = float(np.square(d.to_bins).sum()) / (2 * len(d.bins))
     noise = BASELINE_NOISE * fitted.noise_counts**2 * window
-    variance = d.noise_scale * noise + d.field_scale * float(atlas.error.mean()) / 2
-    return bound_mm(u, by_x, by_y, variance).reshape(GRID, GRID)
+    variance = d.noise_scale * noise + d.field_scale * float(made.atlas.error.mean()) / 2
+    own_mm, widths = bound_mm(u, by_x, by_y, variance), widths_of(fitted.fit)
+    told = (made.refined.placed_mm, made.refined.scatter_mm) if made.refined else (np.empty((0, 2)), 1.0)
+    common_mm = left_mm(places, *told, size_mm, widths)
+    return np.sqrt(own_mm**2 + common_mm**2 + widths.varying_mm**2).reshape(GRID, GRID)
 
 
 def _reference(fitted: Fitted) -> Recording:

@@ -40,7 +40,7 @@ _INVERTED = 4
 
 
 class Widths(NamedTuple):
-    """Standard deviations of what may be wrong with all places."""
+    """Standard deviations of what may be wrong with places."""
 
     shift_mm: tuple[float, float]
     """Of all places together, along x and y."""
@@ -48,6 +48,8 @@ class Widths(NamedTuple):
     """Of the factor that all places share."""
     bent_mm: float
     """Of each other term, at the plate's corners."""
+    varying_mm: float = 0.0
+    """Of what varies within a wavelength: no tap tells it for another place."""
 
 
 class PlaceCorrection(NamedTuple):
@@ -68,12 +70,13 @@ def widths_of(fit: PlateFit) -> Widths:
     """Return how far the places of a fit may be off."""
     left = max(fit.unexplained - fit.noise_share, 0.0)
     wavelength_mm = 2e3 * np.pi / float(mindlin_wavenumber(fit.plate, np.mean(fit.acquisition.chirp.band_hz)))
-    common_mm = COMMON * MODEL * wavelength_mm * float(np.sqrt(left))
+    varying_mm = MODEL * wavelength_mm * float(np.sqrt(left))
+    common_mm = COMMON * varying_mm
     clamped = [side for side, kind in fit.edges.kinds.items() if kind == "clamped"]
     if clamped:
         common_mm = float(np.hypot(common_mm, BESIDE * CLAMPED_MM))
     x_mm, y_mm = (CLAMPED_MM if {*sides} & {*clamped} else common_mm for sides in (SIDES[:2], SIDES[2:]))
-    return Widths((x_mm, y_mm), fit.scale_error, common_mm)
+    return Widths((x_mm, y_mm), fit.scale_error, common_mm, varying_mm)
 
 
 def correction_of(placed_mm: Floats, label_mm: Floats, size_mm: tuple[float, float], widths: Widths) -> PlaceCorrection:
@@ -99,6 +102,27 @@ def correction_of(placed_mm: Floats, label_mm: Floats, size_mm: tuple[float, flo
     return PlaceCorrection(size_mm, coefficients, label)
 
 
+def label_scatter_mm(placed_mm: Floats, label_mm: Floats, size_mm: tuple[float, float], widths: Widths) -> float:
+    """Return the standard deviation per axis of labels `label_mm` of taps at `placed_mm`, each (n, 2)."""
+    u, s, _ = np.linalg.svd(_terms(placed_mm, size_mm) * _prior(widths), full_matrices=False)
+    return _label_error(u, s, (label_mm - placed_mm).reshape(-1))
+
+
+def left_mm(
+    position_mm: Floats, placed_mm: Floats, scatter_mm: float, size_mm: tuple[float, float], widths: Widths
+) -> Floats:
+    """Return what stays wrong at places (n, 2) after a correction by taps at `placed_mm` (m, 2): RMS distances, mm.
+
+    Of the terms' posterior covariance, which the taps' places and their labels' scatter alone decide: another tap never
+    widens it. Fewer than `LEAST_FOR_PLACES` correct nothing.
+    """
+    prior = _prior(widths)
+    told = _terms(placed_mm if len(placed_mm) >= LEAST_FOR_PLACES else placed_mm[:0], size_mm) * prior / scatter_mm
+    root = np.linalg.cholesky(np.eye(len(prior)) + told.T @ told)
+    spread = np.linalg.solve(root, (_terms(position_mm, size_mm) * prior).T)
+    return np.asarray(np.sqrt(np.square(spread).sum(axis=0).reshape(-1, 2).sum(axis=1)))
+
+
 def _prior(widths: Widths) -> Floats:
     return np.array([*widths.shift_mm, widths.scale, *[widths.bent_mm] * 9])
 
@@ -110,7 +134,7 @@ def _terms(position_mm: Floats, size_mm: tuple[float, float]) -> Floats:
     zero, one = np.zeros_like(x), np.ones_like(x)
     along_x = [one, zero, position_mm[:, 0], x, -y, y, x * x, x * y, y * y, zero, zero, zero]
     along_y = [zero, one, position_mm[:, 1], -y, x, x, zero, zero, zero, x * x, x * y, y * y]
-    return np.stack([np.stack(along_x, axis=1), np.stack(along_y, axis=1)], axis=1).reshape(2 * len(x), -1)
+    return np.stack([np.stack(along_x, axis=1), np.stack(along_y, axis=1)], axis=1).reshape(2 * len(x), len(along_x))
 
 
 def _label_error(u: Floats, s: Floats, found: Floats) -> float:

@@ -27,7 +27,7 @@ def write_calibration_report(fitted: Fitted, made: Calibrated | None, path: Path
     pictures = {"response.png": draw_response(fitted), "residual.png": draw_residual(fitted)}
     error_mm = None
     if made is not None:
-        error_mm = expected_error_mm(fitted, made.atlas)
+        error_mm = expected_error_mm(made)
         pictures["expected-error.png"] = draw_expected(fitted.fit.plate, {"": (error_mm, fitted.fit.layout.centres_mm)})
     text = render(
         TEMPLATE, name=path.name, fitted=fitted, fit=fitted.fit, made=made, pictures=list(pictures),

@@ -57,6 +57,8 @@ class Refined:
     taps: int
     used: int
     """Taps that the field explains."""
+    placed_mm: Floats
+    """Where those lie that did not miss their labels, shape (m, 2)."""
     scatter_mm: float
     """Standard deviation of the labels per axis: how well a person hits."""
     moved_mm: float
@@ -128,8 +130,8 @@ def refine(atlas: Atlas, taps: Taps, orientation: int = 0, widths: Widths | None
     fits = placed.misfit < FITS
     if not fits.any():
         raise CalibrationError("no tap fits the calibrated plate", "--taps", "check the labels' places, in mm")
+    hit = hits(placed.position_mm[fits], taps.label_mm[fits])
     apart = np.linalg.norm(placed.position_mm[fits] - taps.label_mm[fits], axis=1)
-    hit = apart <= MISSED * np.median(apart)
     scatter_mm, moved_mm = float(np.sqrt(np.square(apart[hit]).mean() / 2)), 0.0
     before = after = float(np.median(placed.misfit[fits]))
     some = Taps(taps.label_mm[fits], taps.values[fits])
@@ -150,8 +152,15 @@ def refine(atlas: Atlas, taps: Taps, orientation: int = 0, widths: Widths | None
         if moved_mm:
             atlas, scatter_mm = with_places(atlas, correction), correction.label_mm
     return Refined(
-        ORIENTATIONS[orientation], atlas, len(fits), int(fits.sum()), scatter_mm, moved_mm, (before, min(before, after))
-    )
+        ORIENTATIONS[orientation], atlas, len(fits), int(fits.sum()), some_placed.position_mm[hit], scatter_mm,
+        moved_mm, (before, min(before, after)),
+    )  # fmt: skip
+
+
+def hits(placed_mm: Floats, label_mm: Floats) -> NDArray[np.bool_]:
+    """Return which taps, at `placed_mm` (n, 2), did not miss their labels."""
+    apart = np.linalg.norm(placed_mm - label_mm, axis=1)
+    return np.asarray(apart <= MISSED * np.median(apart))
 
 
 def _correction(atlas: Atlas, taps: Taps, widths: Widths) -> PlaceCorrection:

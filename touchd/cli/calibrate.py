@@ -146,11 +146,13 @@ def _take(settings: Settings, choice: SourceChoice, said: PlateFile, seconds: fl
 
 
 def _result(fitted: Fitted, model: Path | None, report: Path | None) -> dict[str, Any]:
+    from touchd.calibration.place_correction import widths_of
+
     fit = fitted.fit
     return {
         "verdict": fit.verdict, "expected_mm": fit.expected_mm, "reasons": list(fit.reasons),
         "parameters": [parameter._asdict() for parameter in fit.parameters], "undecided": list(fit.undecided),
-        "scale_error": fit.scale_error, "unexplained": fit.unexplained,
+        "scale_error": fit.scale_error, "places": widths_of(fit)._asdict(), "unexplained": fit.unexplained,
         "model": model and str(model), "report": report and str(report),
     }  # fmt: skip
 

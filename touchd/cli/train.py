@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import os
 from pathlib import Path
@@ -36,6 +37,7 @@ _RECIPES = "\n".join(["\b", "Recipes:", *(f"  {recipe.name:16}  {recipe.what}" f
     "--patience", type=click.IntRange(min=1),
     help="Paper recipes: stop after this many epochs without a better validation RMSE.  [default: 30]",
 )  # fmt: skip
+@click.option("--lines", "as_lines", is_flag=True, help="Print one JSON object a line: progress, then the result.")
 @click.option("--no-report", is_flag=True, help="Write no report.")
 @click.option("--force", is_flag=True, help="Replace what exists.")
 def command(
@@ -48,6 +50,7 @@ def command(
     seed: int,
     epochs: int | None,
     patience: int | None,
+    as_lines: bool,
     no_report: bool,
     force: bool,
 ) -> None:
@@ -80,7 +83,11 @@ def command(
     bars = Bars()
 
     def progress(what: str, done: int, steps: int, rmse_mm: float) -> None:
-        bars.update(what, done, steps, "" if math.isnan(rmse_mm) else f"validation {rmse_mm:.2f} mm")
+        note = "" if math.isnan(rmse_mm) else f"validation {rmse_mm:.2f} mm"
+        if as_lines:
+            click.echo(json.dumps({"stage": what, "share": round(done / steps, 3), "note": note}))
+        else:
+            bars.update(what, done, steps, note)
 
     with bars:
         if chosen.atlas:
@@ -105,10 +112,13 @@ def command(
             )
             scores, path = result.scores, output
             atlas_path(output).unlink(missing_ok=True)  # the replaced model's atlas
-    click.echo(f"{path}: on {scores['n']:.0f} touches never seen in training:")
-    for name, value in scores.items():
-        if name != "n":
-            click.echo(f"  {name:17} {value:8.3f}")
+    if as_lines:
+        click.echo(json.dumps({"model": str(path), "scores": scores}))
+    else:
+        click.echo(f"{path}: on {scores['n']:.0f} touches never seen in training:")
+        for name, value in scores.items():
+            if name != "n":
+                click.echo(f"  {name:17} {value:8.3f}")
     for each in (output, atlas_path(output)):
         if no_report or not (made or each == output):
             remove_report(each)  # the replaced model's report
@@ -116,10 +126,10 @@ def command(
         return
     if result:
         folder = write_report(result, touches.meta, names)
-        click.echo(f"{folder / PAGE}: scores, learning curve and plots")
+        click.echo(f"{folder / PAGE}: scores, learning curve and plots", err=as_lines)
     if made:
         folder = write_atlas_report(made, touches.meta, names)
-        click.echo(f"{folder / PAGE}: the atlas' scores, maps and plots")
+        click.echo(f"{folder / PAGE}: the atlas' scores, maps and plots", err=as_lines)
 
 
 def _check_free(output: Path, network: Path | None, *, force: bool) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from contextlib import closing
+from importlib.util import find_spec
 from pathlib import Path
 
 import click
@@ -29,7 +30,7 @@ def command(
     address: str | None,
     config: Path | None,
 ) -> None:
-    """Run the calibrations that the page of `touchd web` asks for, one at a time, until SIGTERM.
+    """Run the calibrations and trainings that the page of `touchd web` asks for, one at a time, until SIGTERM.
 
     Frames and changes of the model go through the daemon's control socket, the mapping goes to the configuration. What
     runs goes on after a restart.
@@ -38,6 +39,7 @@ def command(
     from touchd.calibration.wizard.link import HANDED, default_folder, default_socket
     from touchd.calibration.wizard.state import State
     from touchd.calibration.wizard.worker import Worker, serve
+    from touchd.cli.main import missing_extra
     from touchd.config.load import DEFAULT_PATH, load
     from touchd.service.control import SERVICE_PATH, path_of
     from touchd.service.models import installed_path
@@ -48,7 +50,9 @@ def command(
     path = socket_path or default_socket()
     state = State(folder or default_folder())
     control = path_of(settings.control) if settings.control.socket else SERVICE_PATH
-    state.set(mapping=shown(settings.input))
+    trains = find_spec("torch") is not None
+    untrainable = "" if trains else str(missing_extra(ModuleNotFoundError(name="torch")))
+    state.set(mapping=shown(settings.input), untrainable=untrainable)
     worker = Worker(
         state, control or SERVICE_PATH, settings.model.path or installed_path(), seconds, config or DEFAULT_PATH,
         path.with_name(HANDED), address,

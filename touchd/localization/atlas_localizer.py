@@ -159,7 +159,7 @@ class AtlasLocalizer:
 
     def _place(self, detection: Detection, min_confidence: float, complete: bool) -> tuple[tuple[Touch, ...], bool]:
         """Return the fingers of a frame, and whether the network ran."""
-        noise, search = self._noise, self._search
+        noise, search, t_ns = self._noise, self._search, detection.t_ns
         tracked, inferred = bool(self._prediction.positions_mm), False
         self._touched = True
         self._departure = self._plate_moved = False
@@ -167,15 +167,15 @@ class AtlasLocalizer:
         signal = bins.energy - noise.noise_energy
         # Most tracked fingers are far above noise and drift: that is quickly asked.
         if not (tracked and signal > noise.noise_energy + self._drift.energy) and self._is_untouched(
-            bins, signal, 0.0 if tracked else noise.plate_energy(bins.vector), detection.t_ns
+            bins, signal, 0.0 if tracked else noise.plate_energy(bins.vector), t_ns
         ):
             return self._lose(), inferred
         held = tracked and self._follower.waits(bins, signal)
         if held:
-            fit = self._follower.expected(bins, detection.t_ns)
+            fit = self._follower.expected(bins, t_ns)
         elif tracked:
-            fit = self._follower.follow(bins, detection.t_ns, signal)
-        elif search.pending:
+            fit = self._follower.follow(bins, t_ns, signal)
+        elif search.pending and not (search.doubts and signal > CRITERIA.faint * noise.noise_energy):
             fit = no_fit(bins.energy)  # the search that goes on finds where to begin
         else:
             inferred = True
@@ -185,15 +185,14 @@ class AtlasLocalizer:
             bins, fit = self._settle(detection, bins, self._solver.with_shapes(bins, fit, noise.noise_energy))
         signal = bins.energy - noise.noise_energy
         excess = noise.excess(fit.residual_energy, signal)
-        if (
-            tracked
-            and excess > CRITERIA.fair
-            and self._is_untouched(bins, signal, noise.plate_energy(bins.vector), detection.t_ns)
-        ):
+        left = tracked and excess > CRITERIA.fair
+        if left and self._is_untouched(bins, signal, noise.plate_energy(bins.vector), t_ns):
             return self._lose(), inferred
         # What may be beside one well explained finger that has just landed is sought from the next frame on.
-        waits = len(fit.positions_mm) == 1 and excess < CRITERIA.fair
-        if (tracked or complete or search.pending or not waits) and search.is_due(excess, signal):
+        waits = not (tracked or complete) and len(fit.positions_mm) == 1 and excess < CRITERIA.fair
+        if waits:
+            search.cancel()
+        elif search.is_due(excess, signal):
             if not search.pending and self._plate.drop_silent(detection):
                 bins = self._plate.bins(detection.residual, detection.hits)
                 signal = bins.energy - noise.noise_energy
@@ -203,7 +202,7 @@ class AtlasLocalizer:
                 if tracked and self._follower.waits(bins, signal, excess):
                     return self._found.touches, inferred
                 if held and found is fit:
-                    found = self._follower.follow(bins, detection.t_ns, signal)
+                    found = self._follower.follow(bins, t_ns, signal)
                 bins, fit = self._settle(detection, bins, found)
                 signal = bins.energy - noise.noise_energy
                 if not known:
@@ -231,7 +230,7 @@ class AtlasLocalizer:
             return self._lose(), inferred
         if len(fit.positions_mm) == 1 and not tracked and self._landing.is_ambiguous(bins, fit, signal, faint=faint):
             return self._lose(), inferred
-        return self._accept(bins, fit, confidence, excess, detection.t_ns), inferred
+        return self._accept(bins, fit, confidence, excess, t_ns), inferred
 
     def _is_untouched(self, bins: Bins, signal: float, plate_energy: float, t_ns: int) -> bool:
         """Return whether noise and the plate's own movement explain a frame, and if so follow that movement.
@@ -266,12 +265,11 @@ class AtlasLocalizer:
         # Change of the signal, as a share of its size, by a finger of amplitude 1.
         change = self._field_rms / self._plate.signal_rms
         make = self._touch_maker.touch
-        touches = []
-        for at, sigma_mm, size in fingers:
-            if sigma_mm <= self._max_sigma_mm:
-                face = faces[at]
-                touches.append(make(*at, sigma_mm, confidence, size * change, None, face, kind_of(size, face)))
-        return tuple(touches)
+        return tuple(
+            make(*at, sigma_mm, confidence, size * change, None, faces[at], kind_of(size, faces[at]))
+            for at, sigma_mm, size in fingers
+            if sigma_mm <= self._max_sigma_mm
+        )
 
     def _rests(self, residual: Signal) -> bool:
         """Return whether the finger of the last fit is still where it was, but for the noise."""

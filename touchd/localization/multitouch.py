@@ -24,6 +24,10 @@ _CONFIRM_LOOK_UPS = 10.0
 """Cost of each finger found that is fitted in a later frame."""
 _SOON_NS, _AGAIN_NS, _SELDOM_NS = 20_000_000, 50_000_000, 2_000_000_000
 """Pauses after a search: if much more has become unexplained, after one search in vain, and at most."""
+_DOUBT_FRAMES = 5
+"""Every fifth frame of a search for fingers that land is fitted as one finger's: the first may be like no other."""
+_LANDING_LOOK_UPS = 25.0
+"""Cost of that."""
 _GAIN = 0.8
 """A search that leaves less than this share of the energy was worth its time."""
 _FOLLOW_LOOK_UPS = 6.0
@@ -61,11 +65,17 @@ class MultitouchSearch:
         self._pause_ns, self._unexplained = 0, math.inf
         self._tracked, self._begun, self._begun_ns, self._credit = False, 0.0, 0, 0.0  # of the search that goes on
         self._grown = 0  # fingers from which it went on in a later frame
+        self._frames = 0  # in which it went on
 
     @property
     def pending(self) -> bool:
         """Whether a search goes on."""
         return self._running is not None
+
+    @property
+    def doubts(self) -> bool:
+        """Whether this frame is to be fitted anew beside the search that goes on, which began with another."""
+        return self._frames % _DOUBT_FRAMES == _DOUBT_FRAMES - 1
 
     @property
     def explains(self) -> bool:
@@ -113,8 +123,9 @@ class MultitouchSearch:
         if self._running is None:
             self._running = self._all(bins.copy(), fit, signal, count if tracked else 0, grow=tracked)
             self._tracked, self._begun, self._begun_ns = tracked, signal, self._t_ns
-            self._grown, self._credit = 0, 0.0
+            self._grown, self._frames, self._credit = 0, 0, 0.0
         self._credit += self._allowance(fit, landing=fresh and not tracked) if limited else math.inf
+        self._frames += 1
         waiting = (fit, count) if tracked else (no_fit(bins.energy), 0)
         try:
             while self._credit > 0:
@@ -140,6 +151,8 @@ class MultitouchSearch:
         """Return how many look-ups the search may take in this frame; fingers that it has fitted take some of them."""
         elapsed_s = max(self._t_ns - self._before_ns, 0) * 1e-9
         followed = _FOLLOW_LOOK_UPS * len(fit.positions_mm) if fit.fisher_information else 0.0
+        if self.doubts and not self._tracked:
+            followed = _LANDING_LOOK_UPS
         return (MOST_LOOK_UPS if landing else min(LOOK_UPS_A_SECOND * elapsed_s, MOST_LOOK_UPS)) - followed
 
     def prune(self, bins: Bins, fit: Fit, signal: float) -> tuple[Fit, list[int]]:

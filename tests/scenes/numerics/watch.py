@@ -52,6 +52,7 @@ class Look:
     variance: float
     """Of a value's noise, as it weighs the prior on shapes."""
     touches: tuple[Touch, ...]
+    """Of this frame; none if those of an earlier one stay, while a search goes on."""
 
 
 @dataclass(slots=True)
@@ -103,6 +104,7 @@ class _Watch:
     looks: list[Look] = field(default_factory=list)
     shapes: NDArray[np.complex128] | None = None
     known: bool = False
+    fitted: bool = False
 
 
 def _watch(localizer: AtlasLocalizer) -> _Watch:
@@ -111,6 +113,7 @@ def _watch(localizer: AtlasLocalizer) -> _Watch:
     follower, update = localizer._follower, localizer._follower.update
 
     def accepted(bins: Bins, fit: Fit, excess: float) -> bool:
+        watch.fitted = True
         watch.shapes = np.array(shapes_of(fit), np.complex128) if fit.shapes else None
         watch.known = fit is follower._last
         return update(bins, fit, excess)
@@ -120,13 +123,15 @@ def _watch(localizer: AtlasLocalizer) -> _Watch:
         features, nothing = (np.zeros_like(plate._vector) for _ in range(2))
         drift.correct(residual, features)
         drift.correct(np.zeros_like(residual), nothing)
+        watch.fitted = False
         touches, inferred = place(detection, min_confidence, complete)
         mask, at = plate.noise.mask, list(localizer._prediction.positions_mm)
         watch.looks.append(
             Look(
                 watch.number, residual.copy(), plate._baseline.copy(), features, -nothing,
                 None if mask is None else mask > 0, at,
-                watch.shapes, watch.known, plate.noise.noise_energy / len(features), touches,
+                watch.shapes, watch.known, plate.noise.noise_energy / len(features),
+                touches if watch.fitted else (),
             )
         )  # fmt: skip
         return touches, inferred

@@ -16,6 +16,7 @@ from playwright.sync_api import Page, expect
 from tests.processes import PATIENCE_S, ROOT
 from tests.system.web.rig import bus, chromium, page, web
 from tests.system.web.wizard import STATES, Wizard, wizard
+from touchd.localization.model import default_model_path
 
 VIEWS = ("Live", "Replay", "Check")
 STEP = "taps"
@@ -59,9 +60,13 @@ def calibrate(opened: Page, told: Wizard, step: str) -> None:
         "crosses": "screen",
         "cross-shown": "screen",
         "ring-shown": "taps",
+        "trained": "train",
+        "untrainable": "train",
     }
     if step in ("screen", "mapped"):
         opened.get_by_role("button", name="5 Screen").click()
+    if step in ("trained", "untrainable"):
+        opened.get_by_role("button", name="7 Train").click()
     if step == "fault":
         expect(opened.get_by_role("alert")).to_be_visible()
     else:
@@ -88,7 +93,9 @@ def main() -> None:
         stack.enter_context(bus(address))
         options = ("--replay", "touchd/demo/session.npz", "--wizard", Path(scratch) / "wizard")
         told = stack.enter_context(wizard(Path(scratch) / "wizard"))
-        server = stack.enter_context(web(address, *options, TOUCHD_INPUT__SCREEN_MM="20,30,160,100"))
+        server = stack.enter_context(web(
+            address, *options, TOUCHD_INPUT__SCREEN_MM="20,30,160,100", TOUCHD_MODEL__PATH=str(default_model_path())
+        ))  # fmt: skip
         browser = stack.enter_context(chromium())
         for view in VIEWS:
             for wide, high, scheme in ALL if chosen else [SHOWN.get(view, USUAL)]:

@@ -10,6 +10,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -279,3 +280,38 @@ def test_whole_wizard(tmp_path: Path, follow: str) -> None:
             rig.press("60 40")
             expect(opened.locator(".fingers tbody tr")).to_have_count(1)
             expect(opened.locator(".fingers tbody tr")).to_contain_text("60.")
+
+
+def test_training(tmp_path: Path, follow: str) -> None:
+    """A training outlives its tab and the page's server, tells progress and log, is stopped, and says why it fails."""
+    assert follow
+    need(find_spec("torch") is not None, "PyTorch, of the extra train")
+    rig, touches = Rig(tmp_path), tmp_path / "touches.npz"
+    with started("simulate", "touches", "-o", touches, "--count", 120, "--jobs", 1) as simulated:
+        assert simulated.wait(PATIENCE_S) == 0
+    with rig.wizard(), chromium() as browser:
+        with rig.serve() as server, page(browser, server.url) as opened:
+            begin_training(opened, tmp_path / "none.npz")
+            expect(opened.get_by_role("alert")).to_contain_text("none.npz")
+            expect(opened.locator(".log")).to_contain_text("none.npz")
+            begin_training(opened, touches)
+            expect(opened.locator(".log")).to_contain_text("validation")
+        with rig.serve() as server, page(browser, server.url) as opened:
+            opened.locator("#views a", has_text="Calibrate").click()
+            expect(opened.locator(".steps [aria-current]")).to_have_text("7 Train")
+            before = opened.locator(".log").text_content() or ""
+            assert "validation" in before
+            expect(opened.locator(".log")).not_to_have_text(before)
+            assert opened.evaluate("document.querySelector('progress').value") > 0
+            opened.get_by_role("button", name="Stop").click()
+            expect(opened.get_by_role("button", name="Train", exact=True)).to_be_visible()
+            assert not (tmp_path / "state/trained.onnx").exists()
+
+
+def begin_training(opened: Page, recording: Path) -> None:
+    """Ask for a training, by its step."""
+    opened.locator("#views a", has_text="Calibrate").click()
+    opened.get_by_role("button", name="7 Train").click()
+    opened.locator("[name=recording]").fill(str(recording))
+    opened.locator("[name=recipe]").select_option("small")
+    opened.get_by_role("button", name="Train", exact=True).click()

@@ -156,9 +156,11 @@ def test_phone_and_kiosk(browser: Browser, server: Web) -> None:
     with page(browser, server.url) as opened:
         for view in ("Live", "Check"):
             opened.get_by_role("link", name=view).click()
-            for wide, high in ((1024, 600), (600, 1024), (1920, 1080), (390, 844)):
+            for wide, high in ((1024, 600), (1024, 900), (600, 1024), (1920, 1080), (390, 844)):
                 opened.set_viewport_size({"width": wide, "height": high})
                 assert opened.evaluate("document.documentElement.scrollWidth") <= wide
+                fits = "one => { one.textContent = 'Uncalibrated'; return one.scrollWidth <= one.clientWidth; }"
+                assert opened.locator(STATUS).evaluate(fits), (view, wide, high)
                 sizes = "all => all.map(one => one.getBoundingClientRect()).map(r => Math.min(r.width, r.height))"
                 assert min(opened.locator("button:visible, nav a:visible").evaluate_all(sizes)) >= 44
 
@@ -209,6 +211,20 @@ def test_unseen_tap(browser: Browser, address: str, tmp_path: Path) -> None:
         told.show("taps")
         expect(opened.locator(".tapped")).to_contain_text("Good")
         expect(opened.locator(".tapped")).not_to_contain_text("Press more firmly")
+
+
+def test_marks(browser: Browser, address: str, tmp_path: Path) -> None:
+    """On a screen of any width a cross lies where its share of the screen says."""
+    with wizard(tmp_path / "wizard") as told, web(address, "--wizard", tmp_path / "wizard") as server:
+        told.show("cross-shown")
+        for wide, high in ((800, 480), (1920, 1080), (2560, 1440)):
+            with page(browser, server.url, wide=wide, high=high) as opened:
+                opened.get_by_role("link", name="Calibrate").click()
+                opened.get_by_role("button", name="Show the crosses here").click()
+                at = opened.locator(".stage .mark").bounding_box()
+                assert at is not None
+                middle = (at["x"] + at["width"] / 2, at["y"] + at["height"] / 2)
+                assert middle == pytest.approx((0.9 * wide, 0.9 * high), abs=1)
 
 
 def test_steps(browser: Browser, address: str, tmp_path: Path) -> None:

@@ -73,5 +73,5 @@ class FollowingTwin:
 
 if __name__ == "__main__":
     finger = Path(sys.argv.pop(1))
-    setattr(daemon, "open_source", lambda *_: FollowingTwin(finger))  # noqa: B010 - not exported
+    setattr(daemon, "open_source", lambda *_, **__: FollowingTwin(finger))  # noqa: B010 - not exported
     run()

@@ -8,6 +8,6 @@ page -> `touchd web` -> socket -> `worker` -> control socket -> daemon
 - `targets.py`, `tapping.py`: where to tap, and what a tap is worth
 - `session.py`, `error_map.py`: what taps tell, kept tap by tap; the expected error over the plate
 - `crosses.py`: where the screen lies, by touches at crosses
-- `fitting.py`: `touchd calibrate` in a child process
+- `verbs.py`: `touchd calibrate` and `touchd train` in a child process
 - `link.py`: the socket, for both ends
 """

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from touchd.calibration.place_correction import Widths
 from touchd.calibration.taps import ORIENTATIONS, Taps, orientation_of, refine, taps_of
 from touchd.calibration.wizard.error_map import ErrorMap
 from touchd.calibration.wizard.state import State
@@ -53,7 +54,7 @@ class Session:
         state = self._state
         atlas = load_atlas(atlas_path(state.model))
         tapper = Tapper(atlas)
-        errors = ErrorMap(atlas, state.model.with_suffix(".untouched.npz"))
+        errors = self._errors(atlas)
         self._tell(atlas, errors)
         meta = meta_of(source, state.said())
         number = self._show_target()
@@ -87,10 +88,19 @@ class Session:
         if chunks:
             chunks[-1].unlink()
             self._state.set(taps=self._state["taps"][:-1], last=None)
-            atlas = load_atlas(atlas_path(self._state.model))
-            self._tell(atlas, ErrorMap(atlas, self._state.model.with_suffix(".untouched.npz")))
+            self.tell()
 
-    def _tell(self, atlas: Atlas, errors: ErrorMap) -> None:
+    def tell(self) -> None:
+        """Tell what the taps do, of the model that is there."""
+        atlas = load_atlas(atlas_path(self._state.model))
+        self._tell(atlas, self._errors(atlas))
+
+    def _errors(self, atlas: Atlas) -> ErrorMap | None:
+        """Return the map of a fit; None of one by a version that did not say how far its places may be off."""
+        widths = self._state["result"].get("places")
+        return ErrorMap(atlas, self._state.model.with_suffix(".untouched.npz"), Widths(**widths)) if widths else None
+
+    def _tell(self, atlas: Atlas, errors: ErrorMap | None) -> None:
         """Tell what the taps do: the expected error, and, of three or more, their scatter and the drawing's turn."""
         taps = taps_of(read(self._folder), atlas) if self._state["taps"] else None
         told, orientation = None, 0
@@ -101,7 +111,7 @@ class Session:
             apart = np.linalg.norm(found - label, axis=1)
             told = {"scatter_mm": float(np.sqrt(np.square(apart).mean() / 2)), "orientation": ORIENTATIONS[orientation]}
         # Taps on a drawing that is turned tell nothing of places on it.
-        self._state.set(told=told, expected=None if orientation else errors.shown(taps))
+        self._state.set(told=told, expected=None if orientation or not errors else errors.shown(taps))
 
     def _show_target(self) -> int:
         """Show the next target, and return its number."""

@@ -15,10 +15,14 @@ NOTHING: dict[str, Any] = {
     "running": None, "share": 0.0, "note": "", "problem": "", "fix": "", "plate": None, "untouched": False,
     "result": None, "taps": [], "again": [], "next": 0, "target_mm": None, "last": None, "told": None,
     "installed": False, "compared": None, "cross": None, "mapping": None, "expected": None,
+    "log": [], "training": None, "trained": None, "untrainable": "",
 }  # fmt: skip
-"""`running` is `untouched`, `fit`, `crosses`, `taps` or None; `taps` are the places tapped, each with its label;
-`mapping` is where the configuration has the screen; `expected` is the map of the expected error."""
-_FLEETING = frozenset({"share", "note"})
+"""`running` is `untouched`, `fit`, `crosses`, `taps`, `train` or None; `taps` are the places tapped, each with its
+label; `mapping` is where the configuration has the screen; `expected` is the map of the expected error; `installed` is
+whether the fitted model is in use, or "trained"; `training` is what to train on and how, `trained` what came of it, and
+`untrainable` why this computer cannot."""
+_FLEETING = frozenset({"share", "note", "log"})
+_LASTING = ("plate", "mapping", "training", "trained", "untrainable")
 
 
 class State:
@@ -70,10 +74,10 @@ class State:
         self.set(plate=said.model_dump(mode="json", exclude_unset=True), problem="")
 
     def begin_again(self) -> None:
-        """Forget all but the measures."""
+        """Forget all but the measures, the mapping and the training."""
         for chunk in self.taps.glob("*.npz"):
             chunk.unlink()
-        self.set(**NOTHING | {"plate": self["plate"], "mapping": self["mapping"]})
+        self.set(**NOTHING | {name: self[name] for name in _LASTING})
 
     @property
     def plate_file(self) -> Path:
@@ -89,6 +93,11 @@ class State:
     def model(self) -> Path:
         """The fitted model."""
         return self.folder / "plate.onnx"
+
+    @property
+    def trained(self) -> Path:
+        """The trained model."""
+        return self.folder / "trained.onnx"
 
     @property
     def taps(self) -> Path:

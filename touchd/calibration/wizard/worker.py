@@ -19,17 +19,21 @@ from typing import Any
 import structlog
 
 from touchd.calibration.wizard.crosses import keep, take_crosses
-from touchd.calibration.wizard.fitting import fit
 from touchd.calibration.wizard.link import MOST_BYTES
 from touchd.calibration.wizard.session import Session, compare
 from touchd.calibration.wizard.state import State
 from touchd.calibration.wizard.untouched import Stopped, open_feed, take_untouched
-from touchd.errors import BusError, TouchdError
+from touchd.calibration.wizard.verbs import fit, train
+from touchd.errors import BusError, CalibrationError, TouchdError
 from touchd.localization.model_file import install, previous_path, rollback
 from touchd.service.control import send
 from touchd.service.systemd import Notifier
 
 PICTURES = ("response.png", "residual.png", "expected-error.png")
+LONG = ("fit", "train")
+"""Jobs that no other one ends: a person stops them first."""
+ENDING = ("untouched", "fit", "taps", "crosses", "train", "undo", "begin")
+"""Commands that end the running job."""
 _AGAIN_S = 1.0
 """After a loss of the daemon's frames."""
 _PERIOD_S = 0.1
@@ -72,6 +76,7 @@ class Worker:
             "fit": self._fit,
             "taps": self._tap,
             "crosses": self._map,
+            "train": self._train,
         }
 
     def resume(self) -> None:
@@ -91,6 +96,8 @@ class Worker:
         name = str(asked.get("do"))
         try:
             with self._one:
+                if name in ENDING and self._state["running"] in LONG:
+                    raise CalibrationError("a fit or a training runs", "", "wait for its end, or stop it first")
                 found = self._commands()[name](asked)
         except KeyError:
             return {"ok": False, "problem": f"no such command, or a part of it is missing: {name[:20]}"}
@@ -103,9 +110,9 @@ class Worker:
         return {
             "measures": self._measures, "untouched": lambda _: self._run("untouched"),
             "fit": lambda _: self._run("fit"),
-            "taps": lambda _: self._run("taps"), "crosses": lambda _: self._run("crosses"),
+            "taps": lambda _: self._run("taps"), "crosses": lambda _: self._run("crosses"), "train": self._ask_to_train,
             "pause": lambda _: self._halt(), "undo": lambda _: self._undo(),
-            "install": lambda _: self._install(), "rollback": lambda _: self._rollback(),
+            "install": self._install, "rollback": lambda _: self._rollback(),
             "compare": lambda _: self._compare(), "begin": lambda _: self._begin(), "picture": self._picture,
         }  # fmt: skip
 
@@ -122,10 +129,15 @@ class Worker:
         if running:
             self._run(running)
 
-    def _install(self) -> None:
+    def _ask_to_train(self, asked: dict[str, Any]) -> None:
+        self._state.set(training={name: str(asked[name]) for name in ("recording", "recipe")})
+        self._run("train")
+
+    def _install(self, asked: dict[str, Any]) -> None:
+        trained = asked.get("model") == "trained"
         self._target.parent.mkdir(parents=True, exist_ok=True)
-        install(self._state.model, self._target)
-        self._state.set(installed=True)
+        install(self._state.trained if trained else self._state.model, self._target)
+        self._state.set(installed="trained" if trained else True)
         self._tell()
 
     def _rollback(self) -> None:
@@ -158,7 +170,7 @@ class Worker:
     def _run(self, name: str) -> None:
         self._halt()
         self._stop = threading.Event()
-        self._state.set(running=name, share=0.0, note="", problem="", fix="")
+        self._state.set(running=name, share=0.0, note="", problem="", fix="", log=[])
         self._thread = threading.Thread(target=self._guard, args=(self._jobs[name], self._stop), name=name, daemon=True)
         self._thread.start()
 
@@ -196,7 +208,13 @@ class Worker:
     def _fit_now(self, stop: threading.Event) -> None:
         self._state.set(running="fit", share=0.0, note="")
         result = fit(self._state, stop, self._progress)
-        self._state.set(running=None, result=result, note="", compared=None, installed=False, expected=None)
+        self._state.set(result=result, compared=None, installed=False, expected=None)
+        if result["model"] and self._state["taps"]:
+            Session(self._state).tell()
+        self._state.set(running=None, note="")
+
+    def _train(self, stop: threading.Event) -> None:
+        self._state.set(running=None, trained=train(self._state, stop, self._progress), note="")
 
     def _tap(self, stop: threading.Event) -> None:
         session = Session(self._state)

@@ -4,6 +4,7 @@ import { element, number, post, say } from './dom.js';
 import { measures } from './measures.js';
 import { drawing } from './drawing.js';
 import { onScreen, stage } from './stage.js';
+import { training } from './training.js';
 
 const UNSEEN_MS = 8000;
 const PICTURES = ['response.png', 'residual.png', 'expected-error.png'];
@@ -30,6 +31,7 @@ export function mount(root, page) {
   const tapOn = element('button', { type: 'button', class: 'primary', onclick: () => showOn('taps') }, t.taps.on_screen);
   const tap = button(t.taps.start, 'taps'), pause = button(t.taps.pause, 'pause');
   const undo = button(t.taps.undo, 'undo'), refine = button(t.taps.refine, 'fit');
+  const learning = training(t.train, act);
   const panel = (name, ...parts) => element('section', { class: 'panel', 'data-panel': name }, element('h2', {}, t.steps[name]), ...parts);
   const panels = [
     panel('measures', element('p', { class: 'muted' }, t.measures.hint), form.root),
@@ -40,6 +42,7 @@ export function mount(root, page) {
     panel('screen', element('p', { class: 'muted' }, t.screen.hint), mapped, element('div', { class: 'row' }, crosses, uncross)),
     panel('taps', element('p', { class: 'muted' }, t.taps.hint), element('div', { class: 'tapping' }, pane.root,
       element('div', {}, tapped, told, expected, scale, element('div', { class: 'row' }, tapOn, tap, pause, undo, refine)))),
+    panel('train', element('p', { class: 'muted' }, t.train.hint), learning.root),
   ];
   root.append(steps, problem, ...panels, overlay.root);
   let shown = '', awaited = '', unseen = false, timer = 0, reached = '', chosen = '', staged = '', begun = false;
@@ -61,7 +64,7 @@ export function mount(root, page) {
   }
 
   function fault(what, fix) {
-    say(problem, [what, fix].filter(Boolean).join(' → '));
+    say(problem, [what, fix].filter(Boolean).join(' → ').replaceAll(' -> ', ' → '));
     problem.hidden = !what;
   }
 
@@ -76,10 +79,11 @@ export function mount(root, page) {
     if (!state.wizard) { overlay.close(); fault(...t.no_wizard); return; }
     if (state.problem || state.running) fault(state.problem, state.fix);
     else if (problem.textContent.startsWith(t.no_wizard[0])) fault('');
-    const { running, plate, result } = state, listening = running === 'untouched', fitting = running === 'fit';
-    const step = listening ? 'untouched' : fitting ? 'fit' : running === 'taps' ? 'taps' : running === 'crosses' ? 'screen' : result ? 'verdict' : plate ? 'untouched' : 'measures';
-    if (step !== reached) chosen = reached = step;
-    const open = { measures: true, untouched: plate, fit: state.untouched || fitting, verdict: result && !fitting, screen: (state.installed || state.mapping) && !fitting, taps: result?.model && !fitting };
+    const { running, plate, result } = state, listening = running === 'untouched', fitting = running === 'fit', taught = running === 'train';
+    const step = listening ? 'untouched' : fitting ? 'fit' : taught ? 'train' : running === 'taps' ? 'taps' : running === 'crosses' ? 'screen' : result ? 'verdict' : plate ? 'untouched' : 'measures';
+    if (step !== reached && reached !== 'train') chosen = step; // what came of a training is looked at where it was
+    reached = step;
+    const open = { measures: true, untouched: plate, fit: state.untouched || fitting, verdict: result && !fitting, screen: (state.installed || state.mapping) && !fitting, taps: result?.model && !fitting, train: true };
     for (const { firstChild: each } of steps.children) {
       if (each.dataset.step === chosen) each.setAttribute('aria-current', 'step');
       else each.removeAttribute('aria-current');
@@ -88,25 +92,28 @@ export function mount(root, page) {
     }
     root.dataset.step = chosen;
     form.show(plate);
-    const [measuring, hearing, refitting, busy, judging, screening, tapping] = panels;
+    const [measuring, hearing, refitting, busy, judging, screening, tapping, teaching] = panels;
     measuring.hidden = chosen !== 'measures';
     hearing.hidden = chosen !== 'untouched';
     refitting.hidden = chosen !== 'fit';
-    busy.hidden = !(listening || fitting);
+    busy.hidden = !(listening || fitting || taught);
     judging.hidden = chosen !== 'verdict';
     screening.hidden = chosen !== 'screen';
     tapping.hidden = !open.taps || chosen !== 'verdict' && chosen !== 'taps';
-    listen.hidden = again.hidden = listening || fitting;
+    teaching.hidden = chosen !== 'train';
+    listen.hidden = again.hidden = listening || fitting || taught;
     say(listen, state.untouched ? t.untouched.again : t.untouched.start);
     bar.value = state.share;
     say(share, `${number(100 * state.share)} %`);
     bar.setAttribute('aria-label', t.steps[step]);
     say(doing, listening ? (state.note === 'finger' ? t.untouched.finger : state.note || t.untouched.running)
-      : fitting ? t.fit.running(t.fit.stages[state.note] ?? t.fit.stages.fit) : '');
+      : fitting ? t.fit.running(t.fit.stages[state.note] ?? t.fit.stages.fit)
+      : taught ? t.train.running(t.train.stages[state.note] ?? '') : '');
     doing.dataset.level = listening && state.note ? 'warning' : 'ok';
     if (result) showVerdict(state);
     showScreen(state);
     showTaps(state);
+    learning.show(state);
     showMark(state);
   }
 
@@ -141,8 +148,8 @@ export function mount(root, page) {
       element('figure', {}, element('img', { src: `calibrate/picture/${name}?${fresh ? Date.now() : ''}`, alt: v.pictures[name], loading: 'lazy' }),
         element('figcaption', {}, v.pictures[name])));
     const row = element('div', { class: 'row' });
-    if (result.model && !installed) row.append(button(v.install, 'install', true));
-    if (installed) row.append(element('p', { class: 'verdict', 'data-level': 'ok' }, v.installed), button(v.rollback, 'rollback'),
+    if (result.model && installed !== true) row.append(button(v.install, 'install', true));
+    if (installed === true) row.append(element('p', { class: 'verdict', 'data-level': 'ok' }, v.installed), button(v.rollback, 'rollback'),
       element('button', { type: 'button', onclick: () => choose('screen') }, t.screen.next));
     if (result.model && taps.length) row.append(button(v.compare, 'compare'));
     row.append(button(v.begin, 'begin'));
@@ -167,7 +174,7 @@ export function mount(root, page) {
     pane.root.toggleAttribute('hidden', !tapping && !taps.length); // an SVG has no property `hidden`
     if (plate) pane.show(plate, taps, tapping ? target : null, last, heat);
     scale.hidden = !heat;
-    say(expected, heat ? t.taps.expected(number(heat.median_mm, 2), taps.length) : '');
+    say(expected, heat ? t.taps.expected(number(heat.median_mm, 2), number(heat.fitted_mm, 2), taps.length) : '');
     say(most, heat ? `${number(heat.top_mm, 1)} ${texts.units.mm}` : '');
     awaitTap({ tapping: tapping && !note || cross, taps: taps.length, last, target });
     tapped.dataset.level = unseen ? 'warning' : last ? (last.ok ? 'ok' : 'failure') : '';

@@ -81,7 +81,7 @@ export const texts = {
 
   calibrate: {
     no_wizard: ['No wizard: touchd wizard does not answer', 'start it: systemctl start touchd-wizard'],
-    steps: { measures: '1 Measures', untouched: '2 Untouched', fit: '3 Fit', verdict: '4 Verdict', screen: '5 Screen', taps: '6 Taps' },
+    steps: { measures: '1 Measures', untouched: '2 Untouched', fit: '3 Fit', verdict: '4 Verdict', screen: '5 Screen', taps: '6 Taps', train: '7 Train' },
     failed: 'touchd web does not answer: look whether it runs, and try again.',
     measures: {
       hint: 'Measure from the plate’s top left corner as you look at it: x to the right, y down, in millimetres.',
@@ -105,7 +105,7 @@ export const texts = {
       words: { good: 'Good', usable: 'Usable', poor: 'Poor' },
       expected: mm => `Expected median error of a touch: ${mm} mm`,
       poor: 'No model was made. Mend what is named; then save the measures, or listen again.',
-      reasons: 'What to check', undecided: 'Undecided',
+      reasons: 'What to check', undecided: 'Not known before step 6, Taps',
       pictures: { 'response.png': 'Untouched response, measured and fitted', 'residual.png': 'What the fit leaves, by frequency', 'expected-error.png': 'Expected error over the plate' },
       install: 'Try this model', installed: 'This model is in use.', rollback: 'Go back to the model before', compare: 'Compare both on the taps',
       comparison: 'On the taps', compared: { new: 'this model', old: 'the other' },
@@ -113,7 +113,7 @@ export const texts = {
       begin: 'Begin again',
     },
     screen: {
-      hint: 'Of a plate over a screen: open this page on that screen, and touch the crosses. They tell where the screen lies. If they are refused as mirrored, do the taps first.',
+      hint: 'For a plate over a screen: open this page on that screen, and touch the crosses. They tell where the screen lies. If they are refused as mirrored, do the taps first.',
       next: 'Next: the screen', start: 'Touch the crosses', again: 'Touch the crosses again', here: 'Show the crosses here', stop: 'Stop',
       elsewhere: 'The crosses are shown on another page, or in one that was closed.',
       unknown: 'Where the screen lies is not known yet.',
@@ -125,11 +125,11 @@ export const texts = {
       cross: (n, all) => `Touch the middle of the cross: ${n}\u00a0of\u00a0${all}`, target: 'Tap the ring with a fingertip, for half a second.',
     },
     taps: {
-      hint: 'Optional: three taps tell a mirrored drawing, twenty how well you hit. Tap the ring with a fingertip, for half a second.',
+      hint: 'Optional: three taps tell a mirrored drawing, twenty how well you hit, fifty correct what clamp or ruler leave uncertain. Tap the ring with a fingertip, for half a second.',
       on_screen: 'Tap targets on this screen', here: 'Show the ring on this screen', start: 'Tap targets', resume: 'Go on', pause: 'Pause', undo: 'Undo the last', refine: 'Fit again with the taps',
       pane: 'The plate with the next target', count: n => (n === 1 ? '1 tap' : `${n} taps`),
       good: 'Good.', scatter: mm => `Your taps scatter by ${mm} mm.`,
-      expected: (mm, n) => `Expected error: ${mm} mm in the median, ${n ? `as ${n === 1 ? '1 tap measures' : `${n} taps measure`} it` : 'as the fit has it; taps measure it'}.`, waiting: 'Waiting for a tap at the ring.',
+      expected: (mm, before, n) => n < 8 ? `Expected error: ${mm}\u00a0mm in the median. From the eighth tap on, a new fit corrects all places together.` : `Expected error with these ${n} taps in the fit: ${mm}\u00a0mm in the median; without them ${before}\u00a0mm.`, waiting: 'Waiting for a tap at the ring.',
       unseen: 'No tap seen. Press more firmly, for half a second, then lift the finger. Live shows whether frames come.',
       turned: what => `The drawing is ${what}: the next fit sets that right.`,
       reasons: {
@@ -137,6 +137,15 @@ export const texts = {
         light: 'Too light: press more.', unsteady: 'The finger moved: hold it still.', no_fit: 'Two touches, or no fingertip: tap with one.',
         beside: 'That was not at the ring: tap its middle.',
       },
+    },
+    train: {
+      hint: 'Optional: a network learns from a recording of touches at known places, as a robot or touchd record --label makes it. It takes some ten minutes, and goes on when this page is closed.',
+      recording: 'Labelled recording, a path on the plate’s computer', recipe: 'Recipe', start: 'Train', log: 'Log of the training',
+      recipes: { atlas: 'atlas: network and field', best: 'best: network alone', small: 'small: a tenth of the work' },
+      running: what => `Training: ${what} …`, stages: { field: 'the touch’s field', network: 'the network' },
+      untrainable: why => `This computer cannot train: ${why}`,
+      trained: (mm, n) => `Trained: ${mm} mm in the median, on ${n} touches that it had not seen.`,
+      install: 'Try the trained model', installed: 'It is in use.', rollback: 'Go back to the model before',
     },
   },
 

@@ -20,7 +20,7 @@ from touchd.calibration.wizard import worker as worker_module
 from touchd.calibration.wizard.crosses import keep
 from touchd.calibration.wizard.state import State, to_toml
 from touchd.calibration.wizard.untouched import Stopped
-from touchd.calibration.wizard.worker import Worker
+from touchd.calibration.wizard.worker import ENDING, Worker
 from touchd.cli.main import main
 from touchd.config.load import load
 from touchd.errors import BridgeError, CalibrationError
@@ -120,6 +120,45 @@ def test_fit(tmp_path: Path, fits: list[threading.Event]) -> None:
     fits[0].set()
     await_that(lambda: state["running"] is None)
     assert State(state.folder)["result"] == RESULT
+
+
+def test_training(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A training that was asked for begins again after its process, is ended by no other command, and is kept."""
+    begun: list[dict[str, str]] = []
+
+    def train(state: State, stop: threading.Event, _progress: object) -> dict[str, Any]:
+        begun.append(state["training"])
+        while len(begun) < 3:
+            if stop.wait(0.01):
+                raise Stopped
+        return {"scores": {"n": 10.0, "median_mm": 0.5}}
+
+    monkeypatch.setattr(worker_module, "train", train)
+    worker, _ = made(tmp_path)
+    asked = {"recording": "touches.npz", "recipe": "small"}
+    worker.answer({"do": "train"} | asked)
+    await_that(lambda: begun == [asked])
+    for name in ENDING:
+        assert "stop it first" in worker.answer({"do": name} | asked)["fix"]
+    worker.end()
+    after, state = made(tmp_path)
+    after.resume()
+    await_that(lambda: begun == [asked] * 2)
+    after.answer({"do": "pause"})
+    assert (state["running"], state["trained"]) == (None, None)
+    after.answer({"do": "train"} | asked)
+    await_that(lambda: state["running"] is None)
+    after.answer({"do": "begin"})
+    assert state["trained"]["scores"]["median_mm"] == 0.5
+
+
+def test_last_line(tmp_path: Path) -> None:
+    """A verb that fails says its last line, and its log has it."""
+    worker, state = made(tmp_path)
+    worker.answer({"do": "fit"})  # nobody has measured
+    await_that(lambda: state["running"] is None)
+    assert "PLATE.toml" in state["problem"]
+    assert state["log"][-1] == state["problem"]
 
 
 def test_resume(tmp_path: Path, fits: list[threading.Event]) -> None:
@@ -267,7 +306,9 @@ def test_install(tmp_path: Path) -> None:
     install(default_model_path(), state.model)
     assert worker.answer({"do": "install"}) == {"ok": True}
     assert worker.answer({"do": "rollback"})["ok"] is False
-    assert worker.answer({"do": "install"}) == {"ok": True}
+    install(default_model_path(), state.trained)
+    assert worker.answer({"do": "install", "model": "trained"}) == {"ok": True}
+    assert state["installed"] == "trained"
     assert (worker.answer({"do": "rollback"}), state["installed"]) == ({"ok": True}, False)
 
 
