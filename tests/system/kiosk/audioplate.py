@@ -17,6 +17,7 @@ DEVICE = "hw:CARD=Loopback,DEV=1"
 BLOCK = 960
 BUFFER_S = 0.5
 MOST_DELAY = 192
+NOISE = 1 << 16
 AHEAD = 2 * BLOCK
 """How much is answered before it is needed: the daemon listens 0.15 s after it began to play."""
 
@@ -34,8 +35,7 @@ def main(path: str) -> None:
     taps, channels = responses.shape[2], responses.shape[1]
     size = 1 << (BLOCK + taps + MOST_DELAY - 1).bit_length()
     spectra = np.fft.rfft(responses, size)
-    drawn = noise * 2.0**16 * np.random.default_rng(0).standard_normal((16, channels, BLOCK))
-    number = 0
+    drawn = noise * 2.0**16 * np.random.default_rng(0).standard_normal((channels, NOISE))
     tail = np.zeros((channels, size))
     finger = 0
     captured = b""
@@ -65,8 +65,8 @@ def main(path: str) -> None:
         tail[:, :-BLOCK] = tail[:, BLOCK:]
         tail[:, -BLOCK:] = 0
         tail += np.fft.irfft(np.fft.rfft(block, size) * delayed[finger], size)
-        answer = tail[:, :BLOCK] + drawn[number % len(drawn)]
-        number += 1
+        at = int(draw.integers(NOISE - BLOCK))  # frames that repeat are those of a card that hangs
+        answer = tail[:, :BLOCK] + drawn[:, at : at + BLOCK]
         counts = np.clip(np.rint(answer), -(2**31), 2**31 - 1).astype("<i4")
         if played.write(counts.T.tobytes()) < 0:  # the processor was too slow: begin again, with another delay
             print("dry", flush=True)
