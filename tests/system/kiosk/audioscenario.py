@@ -81,10 +81,16 @@ class Scenario:
 
     def finger(self, number: int) -> bool:
         """Whether one finger is found where it is, and lifted."""
+        rested = self.rested()
+        self.until(lambda: self.rested() > rested)  # while it learns the plate, a finger would be part of it
         self.steer(f"touch {number}")
         found = self.until(lambda: [self.place(one) for one in self.touched] == [number])
         self.steer("release")
         return self.until(lambda: not self.touched) and found
+
+    def rested(self) -> int:
+        """How many frames were those of a plate that is known, and not touched."""
+        return int(self.health.get("skipped", {}).get("gate", 0))
 
     def place(self, contact: Message) -> int:
         """The number of the finger that lies where a contact is; 0 if none does."""
@@ -100,7 +106,7 @@ def pid() -> int:
 def delays() -> list[int]:
     """The delay from playback to capture that each start found, samples."""
     said = subprocess.run(["journalctl", "-u", "touchd", "-o", "cat", "--no-pager"], capture_output=True, text=True)
-    return [int(found) for found in re.findall(r"delay found\b.*?samples\W+(\d+)", said.stdout)]
+    return [int(found) for found in re.findall(r'"samples": (\d+),.*"delay found"', said.stdout)]
 
 
 def main(address: str, places: str) -> None:

@@ -47,8 +47,8 @@ def handed_in(folder: Path, script: Path, *files: Path) -> Path:
     plain = folder / "plain"
     subprocess.run(["dpkg-deb", "--raw-extract", ROOT / built.stdout.split()[-1], plain], check=True)
     library = plain / "usr/lib/touchd"
-    compiling = [sys.executable, "-m", "compileall", "-q", "-j", "0", "-s", library, "-p", "/usr/lib/touchd", library]
-    subprocess.run(compiling, check=True)
+    compiling = [sys.executable, "-m", "compileall", "-q", "-j", "0", "-p", "/usr/lib/touchd"]
+    subprocess.run([*compiling, "-s", str(library), str(library)], check=True)
     subprocess.run(["dpkg-deb", "--root-owner-group", "-Znone", "--build", plain, folder], check=True)
     shutil.rmtree(plain)
     shutil.copy(script, folder / "run.sh")
