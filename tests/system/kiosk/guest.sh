@@ -113,20 +113,6 @@ wait_for 600 another_bridge 0
 found screen-starts $?
 command wait
 
-say kills
-systemctl stop touchd-input
-stdbuf -oL libinput debug-events > kills.events 2>&1 5>&- &
-libinput=$!
-wait_for 120 grep -q DEVICE_ADDED kills.events
-command flood
-PYTHONPATH=/usr/lib/touchd python3 -B kills.py 100 $libinput > kills.json 5>&-
-found kills $?
-command calm
-kill $libinput
-wait $libinput 2> /dev/null
-systemctl start touchd-input
-command wait
-
 weston_with() {
     printf '[core]\nidle-time=0\nshell=kiosk-shell.so\nrequire-input=false\n[output]\nname=Virtual-1\nmode=1024x768\n%s\n' "$1" > /run/weston.ini
     weston --tty=2 --backend=drm-backend.so --use-pixman --config=/run/weston.ini --socket=wayland-1 \
