@@ -1,4 +1,4 @@
-"""Finger, water or departure? The phase of a fitted amplitude tells, and the standard errors are its own.
+"""Finger, water or departure? The phase of a fitted amplitude tells.
 
 A finger has losses, a drop of water is a mass: its amplitude leads in phase. `lead` is that phase, rad.
 
@@ -23,13 +23,13 @@ from __future__ import annotations
 import cmath
 import math
 from enum import Enum
-from operator import mul
 from typing import NamedTuple
 
 from touchd.localization.atlas import Atlas
-from touchd.localization.fit import Fit, sigmas_mm
+from touchd.localization.fit import Fit
 from touchd.localization.fit_criteria import CRITERIA
 from touchd.localization.noise import NoiseModel
+from touchd.localization.position_error import PositionError
 from touchd.localization.prediction import LONGEST_STEP_MM
 from touchd.localization.spline import Position
 
@@ -61,15 +61,6 @@ one finger there looks like two, one along either edge."""
 EDGE_MM, WAVE_MM = 12.0, 30.0
 """A faint finger this near to an edge, with another within a wavelength, is not placed: the field is badly known there,
 and one finger looks like two on either side of it, or with a second one beside it."""
-TYPICAL = 0.5
-"""Model error of half the touches, as a share of its mean: the mean is that of a few badly known places (twin)."""
-WELL_KNOWN = 0.6
-"""Share of the field's mean error that moves a touch which leaves no more than is typical (twin, 40-70 dB)."""
-UNUSUAL = 14.0
-"""Weight, relative to noise, of what a touch leaves beyond that: model error is alike in many bins. With it 68 and 95 %
-of silicone and human fingers are within one and two standard errors (twin)."""
-UNUSUAL_SHAPE = 19.0
-"""The same of one contact with a shape, whose five amplitudes take part of the error with them (twin)."""
 
 
 class Substance(Enum):
@@ -111,7 +102,7 @@ class Classifier:
     def __init__(self, atlas: Atlas, noise: NoiseModel) -> None:
         self._noise = noise
         d = atlas.description
-        self._field_scale = d.field_scale
+        self._errors = PositionError(atlas, noise)
         self._low_mm, self._high_mm = d.low_mm, d.high_mm
         self.departure = False
         """Whether the last fit shows the negative of fingers alone."""
@@ -143,7 +134,7 @@ class Classifier:
             if sizes[k] >= SMALL:
                 leads[k] = cmath.phase(fit.amplitudes[k] * turn)
         self.departure = min(map(abs, leads)) > DEPARTURE_RAD
-        errors_mm = self._errors_mm(fit, sizes)
+        errors_mm = self._errors.sigmas_mm(fit, self._errors.variance(fit, sizes))
         doubtful = self._cornered(fit.positions_mm) | self._edged(fit) if several else ()
         fingers: list[Finger] = []
         drops: list[Drop] = []
@@ -223,15 +214,6 @@ class Classifier:
     def _scatter_rad(self, energy: float) -> float:
         """Return `PHASE_SIGMAS` standard errors of the phase: the noise over the contact's energy is its variance."""
         return PHASE_SIGMAS * math.sqrt(self._noise.variance / energy) if energy > 0 else math.inf
-
-    def _errors_mm(self, fit: Fit, sizes: list[float]) -> list[float]:
-        """Return the standard error of each position: by noise, by the field's error, and by what the fit leaves."""
-        noise = self._noise
-        missed = noise.mean_error * sum(map(mul, sizes, sizes)) / 2
-        left = max(fit.residual_energy - noise.ceiling, 0.0) / noise.active_bins
-        unusual = UNUSUAL_SHAPE if len(fit.shapes) == 1 else UNUSUAL
-        error = WELL_KNOWN * self._field_scale * missed + unusual * max(left - TYPICAL * missed, 0.0)
-        return sigmas_mm(fit.fisher_information, noise.variance + error)
 
     def _drop_at(self, position_mm: Position) -> Drop | None:
         """Return the drop near a position that was water last, or None. A drop stays where it is."""

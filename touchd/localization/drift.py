@@ -54,7 +54,7 @@ class Drift:
         self.energy = 0.0
         """Of what is subtracted, counts squared."""
         self.t_ns: int | None = None
-        """Time of the last update."""
+        """Time of the last update, or of the first frame with a finger."""
         self.stretch = 0.0
         """Relative rise of the plate's resonances since training; -4.5e-5 a kelvin on glass."""
         self.gains = np.ones(a.channels)
@@ -89,8 +89,10 @@ class Drift:
             np.subtract(out, self._drifted, out)
 
     def is_due(self, t_ns: int) -> bool:
-        """Return whether an update is due at a time."""
-        return self.t_ns is None or not 0 <= t_ns - self.t_ns <= FOLLOW_EVERY_NS
+        """Return whether an update is due at a time. A first frame starts the clock: in no time nothing drifts."""
+        if self.t_ns is None:
+            self.t_ns = t_ns
+        return not 0 <= t_ns - self.t_ns <= FOLLOW_EVERY_NS
 
     def update(self, unexplained: Array, t_ns: int) -> None:
         """Follow the drift by what the fingers leave of a frame's bins, shape (size,)."""

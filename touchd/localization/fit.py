@@ -65,7 +65,11 @@ def sigmas_mm(fisher_information: Matrix, variance: float) -> list[float]:
     variance : float
         Of the noise of a value, counts squared.
     """
-    if len(fisher_information) <= 4:
+    if len(fisher_information) == 2:  # one finger, the usual case
+        (a, b), (_, c) = fisher_information
+        det = a * c - b * b
+        return [math.sqrt(variance * (a + c) / (2 * det)) if det > 0 < a else math.inf]
+    if len(fisher_information) == 4:
         return [
             math.sqrt(variance * (a + c) / (2 * det)) if (det := a * c - b * b) > 0 < a else math.inf
             for a, b, c in blocks(fisher_information)

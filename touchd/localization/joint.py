@@ -112,10 +112,7 @@ def inverse(block: Block) -> Block:
 
 
 def blocks(information: Sequence[Sequence[float]]) -> list[Block]:
-    """Return what is left of the information on each of one or two fingers when the other must be found too."""
-    if len(information) == 2:
-        (xx, xy), (_, yy) = information
-        return [(xx, xy, yy)]
+    """Return what is left of the information on each of two fingers when the other must be found too."""
     (xx, xy, xv, xw), (_, yy, yv, yw), (_, _, vv, vw), (_, _, _, ww) = information
     left = []
     for own, other, across in (

@@ -124,7 +124,8 @@ class MultitouchSearch:
             self._running = self._all(bins.copy(), fit, signal, count if tracked else 0, grow=tracked)
             self._tracked, self._begun, self._begun_ns = tracked, signal, self._t_ns
             self._grown, self._frames, self._credit = 0, 0, 0.0
-        self._credit += self._allowance(fit, landing=fresh and not tracked) if limited else math.inf
+        allowance = self._allowance(fit, landing=fresh and not tracked) if limited else math.inf
+        self._credit = min(self._credit, 0.0) + allowance  # what the last frame has left is none of this one
         self._frames += 1
         waiting = (fit, count) if tracked else (no_fit(bins.energy), 0)
         try:

@@ -166,7 +166,8 @@ def _clipped(share: float) -> Change:
     """Amplified until so many of the samples lie beyond full scale."""
 
     def apply(x: NDArray[np.float64], _rng: np.random.Generator) -> NDArray[np.float64]:
-        return np.asarray(x * (FULL / np.quantile(np.abs(x[:32]), 1 - share)))
+        reached = np.quantile(np.abs(x[:32]), 1 - share)
+        return np.asarray(x * (FULL / reached if reached > 0 else 1.0))  # nothing is not amplified
 
     return apply
 

@@ -121,7 +121,7 @@ class Victim:
         self._listener.join()
 
     def _listen(self) -> None:
-        with Subscriber(self.bus, ("touch", "health")) as events:
+        with Subscriber(self.bus, ("touch", "health"), max_age_s=None) as events:
             while not self._stop.is_set():
                 with suppress(BusTimeout):
                     self.events.append(events.receive(0.1))

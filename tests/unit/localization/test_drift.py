@@ -111,9 +111,10 @@ def test_time_constant(steps_ns: list[int]) -> None:
 
 
 def test_due() -> None:
-    """An update is due first, after 40 ms, and when the clock steps back, which moves nothing."""
+    """An update is due 40 ms after the first frame and each update, and if the clock steps back: that moves nothing."""
     drift, drifted = after(untouched()), 0.01 * untouched()
-    assert drift.is_due(0)
+    assert not drift.is_due(10**12 - FOLLOW_EVERY_NS - 1), "in no time nothing drifts"
+    assert drift.is_due(10**12)
     drift.update(corrected(drift, drifted), 10**12)
     assert not drift.is_due(10**12 + FOLLOW_EVERY_NS)
     assert drift.is_due(10**12 + FOLLOW_EVERY_NS + 1)
