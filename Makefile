@@ -45,11 +45,12 @@ vm-packages:
 
 # The package in a virtual machine with the kernel's own USB; the machine is made once and kept in ~/.cache/touchd-vm.
 vm-test: setup test-packages vm-packages
-	$(BIN)/python -m pytest -o faulthandler_timeout=1300 tests/system/vm/scenario.py $(ARGS)
+	$(BIN)/python -m pytest -o faulthandler_timeout=1900 tests/system/vm/scenario.py $(ARGS)
 
-# The touch screen under Weston and Xorg, as a page in Chromium hears it; ten minutes, and ten more for a new machine.
+# The touch screen under Weston and Xorg, as a page in Chromium hears it, and an audio interface on a loopback card: a
+# quarter of an hour on an idle machine, and ten minutes more for a new virtual one.
 kiosk-test: setup test-packages vm-packages
-	$(BIN)/python -m pytest -s -o faulthandler_timeout=3600 tests/system/kiosk/scenario.py $(ARGS)
+	$(BIN)/python -m pytest -s -o faulthandler_timeout=5500 tests/system/kiosk/scenario.py $(ARGS)
 
 lint: setup
 	$(BIN)/ruff check .

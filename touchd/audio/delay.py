@@ -27,6 +27,8 @@ SILENT = 1e-8
 """Energy relative to full scale, a sample: -80 dB, below which nothing is heard."""
 _FINER = 4  # the correlation is sampled this many times as finely as the signal
 _ROUNDS = 6
+_CONVERGED = 1e-7
+"""Change of delay and stretch that ends them: the card plays on meanwhile, from a buffer of 0.1 s."""
 _STEPS = 8  # of a stretch, each to first order
 _MOST_STRETCH = 4e-3
 _MOST_PERMUTED = 5
@@ -55,10 +57,8 @@ class _Emission:
     def bend(self, signal: Floats) -> Floats:
         """Return the derivative by a stretch of the plate's response, see `touchd.localization.thermal`."""
         slope = np.fft.rfft(_slope(signal))
-        found = np.zeros_like(signal)
-        for mask, later in zip(self._masks, self._later, strict=True):
-            found += later * np.fft.irfft(slope * mask, signal.shape[1])
-        return found
+        parts = np.fft.irfft(slope[:, None] * self._masks, signal.shape[1])  # (channels, parts, period)
+        return np.asarray(np.einsum("ps,cps->cs", self._later, parts))
 
 
 class Delay(NamedTuple):
@@ -199,6 +199,8 @@ def _refine(
         delay += float(np.clip(step[0], -0.5, 0.5))
         if emission is not None:
             stretch = float(np.clip(stretch + step[1], -_MOST_STRETCH, _MOST_STRETCH))
+        if np.abs(step).max() < _CONVERGED:
+            break
     share = 1 - float(np.square(error).sum() / max(np.square(aligned).sum(), 1e-30))
     size = np.sqrt(np.maximum(np.square(aligned).sum(axis=1) * norm, 1e-30))
     return delay, stretch, share, np.asarray(gains * norm / size)

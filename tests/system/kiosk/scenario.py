@@ -1,13 +1,14 @@
-"""`make kiosk-test`: the package's touch screen under Weston and Xorg, and what a page in Chromium hears of it.
+"""`make kiosk-test`: the package's touch screen under Weston and Xorg, and its audio interface on a loopback card.
 
-All is done in one boot, by `guest.sh`, some ten minutes; the tests look at what the page heard. The machine's processor
-is emulated, so times in it mean nothing.
+All is done in one boot, by `guest.sh`; the tests look at what a page in Chromium heard, and at what a subscriber did.
 """
 
 from __future__ import annotations
 
 import json
 import socket
+import subprocess
+import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,7 +16,7 @@ from typing import Any
 
 import pytest
 
-from tests.processes import ROOT
+from tests.processes import ROOT, environment
 from tests.system.vm.machine import Found, boot, handed_in, made
 
 HERE = Path(__file__).parent
@@ -45,7 +46,8 @@ def take_pictures(host: Path, monitor: Path, ended: threading.Event) -> None:
 @pytest.fixture(scope="session")
 def host(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What goes into the machine, and comes out of it."""
-    files = (HERE / "page.html", HERE / "pageserver.py", ROOT / "tests/system/vm/screenbus.py")
+    names = ("page.html", "pageserver.py", "audio.sh", "audioplate.py", "audioscenario.py")
+    files = [*(HERE / name for name in names), ROOT / "tests/system/vm/screenbus.py", ROOT / "deploy/audio.conf"]
     return handed_in(tmp_path_factory.mktemp("host"), HERE / "guest.sh", *files)
 
 
@@ -55,13 +57,16 @@ def found(host: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Foun
     monitor, ended = tmp_path_factory.mktemp("monitor") / "qmp", threading.Event()
     pictures = threading.Thread(target=take_pictures, args=(host, monitor, ended))
     pictures.start()
-    # The processor is one that Chromium's network service lives on: with all that QEMU can emulate it does not.
-    options = ("-cpu", "Nehalem", "-m", "2560", "-device", "virtio-vga,xres=1024,yres=768",
-               "-qmp", f"unix:{monitor},server,nowait")  # fmt: skip
-    logs = ("screen.err", "pageserver.err", "weston.log", "weston.out", "xorg.out", "chromium.out", "page.log")
+    options = ("-m", "2560", "-device", "virtio-vga,xres=1024,yres=768", "-qmp", f"unix:{monitor},server,nowait")
+    logs = ("screen.err", "pageserver.err", "weston.log", "weston.out", "xorg.out", "chromium.out", "page.log",
+            "audio.err", "audio.steps")  # fmt: skip
+    # The model takes some minutes: the machine begins meanwhile.
+    making = subprocess.Popen([sys.executable, "-m", "tests.system.kiosk.audiohost", host], cwd=ROOT, env=environment())
     try:
-        yield boot(made("kiosk"), host, logs, *options, limit_s=3000)
+        yield boot(made("kiosk"), host, logs, *options, limit_s=5400)
     finally:
+        making.kill()
+        making.wait()
         ended.set()
         pictures.join()
         print(*host.glob("*.png"))
@@ -141,7 +146,12 @@ def test_x11_takes_a_killed_bridge_for_a_lifted_finger(found: Found, heard: Hear
     (killed,) = heard["xorg-killed xorg-killed"]
     assert kinds(killed)[0] == "touchstart"
     assert kinds(killed)[-1] in ("touchend", "touchcancel")
+
+
+def test_a_stopped_bridge_lifts_first(found: Found, heard: Heard) -> None:
     assert found["xorg-stopped"] == "success"
+    (stopped,) = heard["xorg-killed stopped"]
+    assert kinds(stopped) == ["touchstart", "touchend"]
 
 
 def test_touches_follow_a_turned_picture(found: Found, heard: Heard) -> None:
@@ -154,3 +164,32 @@ def test_touches_follow_a_turned_picture(found: Found, heard: Heard) -> None:
     turned = touches(mapped)[0]
     assert kinds(tap) == kinds(mapped) == ["touchstart", "touchend"]
     print("turned:", start, turned)
+
+
+@pytest.fixture(scope="session")
+def steps(found: Found, host: Path) -> dict[str, list[Any]]:
+    """What became of each step with the audio interface."""
+    assert found["audio-scenario"] == "0"
+    lines = map(json.loads, (host / "audio.steps").read_text().splitlines())
+    return {line["step"]: line["values"] for line in lines}
+
+
+def test_an_audio_interface_finds_fingers(steps: dict[str, list[Any]]) -> None:
+    """From ALSA to the subscriber: ten fingers on the plate behind the kernel's loopback card, no more, in order."""
+    assert steps["streams"] == [True]
+    touched, order = steps["fingers"]
+    assert touched == [True] * 10
+    assert order == list(range(1, 11))
+
+
+def test_an_audio_interface_is_lost_and_found(steps: dict[str, list[Any]]) -> None:
+    """A process that stood still counts its xruns, a card that goes is told and awaited, each start finds another
+    delay, and a card at another rate is refused with its rate."""
+    assert steps["xrun"] == [True, True, True]
+    assert steps["unplugged"][0]
+    assert steps["plugged"] == [True, True, True]
+    assert steps["restarted"] == [True, True, True]
+    (delays,) = steps["delays"]
+    assert len(delays) >= 4, "start, xrun, plug, restart"
+    assert len(set(delays)) > 1
+    assert steps["rate"] == [True]

@@ -65,12 +65,7 @@ found before-plug "$(show ActiveState)"
 
 say screen
 found screen-shipped "$(systemctl is-enabled touchd-input touchd-tuio touchd-web 2>&1 | sort -u)"
-PYTHONPATH=/usr/lib/touchd python3 -B - << 'PYTHON'
-from pathlib import Path
-from touchd.cli.map import with_lines
-config = Path("/etc/touchd/touchd.toml")
-config.write_text(with_lines(config.read_text(), {"screen_mm": "[0.0, 0.0, 200.0, 200.0]"}))
-PYTHON
+sed -i 's/^screen_mm = \[\]$/screen_mm = [0.0, 0.0, 200.0, 200.0]/' /etc/touchd/touchd.toml
 mkfifo /run/screen-commands
 exec 5<> /run/screen-commands
 PYTHONPATH=/usr/lib/touchd python3 -B screenbus.py < /run/screen-commands > screen.bus 2> screen.err 5>&- &

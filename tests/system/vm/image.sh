@@ -3,7 +3,8 @@
 # with systemd and udev, and an initrd of busybox and the few modules that reach the disk.
 #
 # usage: image.sh FOLDER [kiosk]    FOLDER then holds vmlinux, initrd.img and root.ext4; an interrupted run leaves none.
-#                                   kiosk: with a picture, Weston, X and Chromium, for `make kiosk-test`.
+#                                   kiosk: with a picture, Weston, X and Chromium, and a sound card, for
+#                                   `make kiosk-test`.
 set -euo pipefail
 export LC_ALL=C
 
@@ -11,9 +12,9 @@ final=$1
 packages=systemd,systemd-sysv,udev,kmod,dbus,python3,libusb-1.0-0,iproute2,procps,libinput-tools
 guest=(usbcore vhci_hcd dummy_hcd libcomposite usb_f_fs configfs autofs4 uinput evdev)
 if [ "${2:-}" = kiosk ]; then
-    packages+=,dbus-user-session,weston,chromium,fonts-dejavu-core,libgl1-mesa-dri
+    packages+=,dbus-user-session,libasound2,weston,chromium,fonts-dejavu-core,libgl1-mesa-dri
     packages+=,xserver-xorg-core,xserver-xorg-input-libinput,xinput,x11-xserver-utils
-    guest+=(virtio-gpu)
+    guest+=(virtio-gpu snd-aloop)
 fi
 suite=bookworm
 work=$(mktemp -d -p "$(dirname "$final")" making.XXXXXX)

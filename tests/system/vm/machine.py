@@ -6,6 +6,7 @@ import hashlib
 import os
 import shutil
 import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from tests.processes import ROOT
 
 HERE = Path(__file__).parent
 CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-BOOT_S = 1200
+BOOT_S = 1800
 Found = dict[str, str]
 
 
@@ -42,7 +43,14 @@ def handed_in(folder: Path, script: Path, *files: Path) -> Path:
     folder.chmod(0o755)
     built = subprocess.run(["bash", ROOT / "deploy/build-deb.sh"], capture_output=True, text=True, cwd=ROOT)
     assert built.returncode == 0, built.stderr
-    shutil.copy(ROOT / built.stdout.split()[-1], folder)
+    # Not compressed, and compiled: an emulated processor would unpack, and then compile, for minutes.
+    plain = folder / "plain"
+    subprocess.run(["dpkg-deb", "--raw-extract", ROOT / built.stdout.split()[-1], plain], check=True)
+    library = plain / "usr/lib/touchd"
+    compiling = [sys.executable, "-m", "compileall", "-q", "-j", "0", "-p", "/usr/lib/touchd"]
+    subprocess.run([*compiling, "-s", str(library), str(library)], check=True)
+    subprocess.run(["dpkg-deb", "--root-owner-group", "-Znone", "--build", plain, folder], check=True)
+    shutil.rmtree(plain)
     shutil.copy(script, folder / "run.sh")
     for file in files:
         shutil.copy(file, folder)
