@@ -261,7 +261,7 @@ class AtlasLocalizer:
             self._faces = self._size.faces(fit) if fit.shapes else [None] * len(fit.positions_mm)
         moved_mm = self._prediction.moved_mm if self._skips_still else math.inf
         self._still.update(bins, fit, moved_mm, self._noise.variance)
-        fingers = self._classifier.fingers(bins, fit, t_ns, alone=alone)
+        fingers = self._classifier.fingers(bins, fit, t_ns, alone=alone, lacking=self._search.explains)
         self._departure, faces = self._classifier.departure, dict(zip(fit.positions_mm, self._faces, strict=True))
         # Change of the signal, as a share of its size, by a finger of amplitude 1.
         change = self._field_rms / self._plate.signal_rms

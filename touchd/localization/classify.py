@@ -73,10 +73,11 @@ class Classifier:
         """Forget water: the plate is untouched."""
         self._known = []
 
-    def fingers(self, bins: Bins, fit: Fit, t_ns: int, *, alone: bool = False) -> list[Finger]:
+    def fingers(self, bins: Bins, fit: Fit, t_ns: int, *, alone: bool = False, lacking: bool = False) -> list[Finger]:
         """Return the fingers among the contacts of a frame's fit, with their standard errors.
 
-        `alone` says that no further frame will be judged.
+        `alone` says that no further frame will be judged, `lacking` that the fit lacks a finger. That turns the others'
+        phases: they stay what they are.
         """
         if self._known:
             self._known = [one for one in self._known if one.until_ns >= t_ns]
@@ -102,7 +103,9 @@ class Classifier:
                 look = Look(self._phase.lag_rad(bins, fit, k), by_noise, by_error, sizes[k])
                 if alone and look.log_odds() <= SURE_ALONE:
                     continue
-                if not (alone or self._is_finger(position, look, known, t_ns, several=several)):
+                if lacking and known is not None and known.is_placed:
+                    known.position_mm, known.until_ns = position, max(known.until_ns, t_ns)
+                elif not (alone or self._is_finger(position, look, known, t_ns, several=several)):
                     continue
             if k not in doubtful:
                 fingers.append((position, errors_mm[k], sizes[k]))

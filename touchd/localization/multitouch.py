@@ -34,7 +34,7 @@ _FOLLOW_LOOK_UPS = 6.0
 """Cost of each finger that is followed meanwhile."""
 _OUTDATED = 4.0
 """A search for fingers that land begins again once the signal has grown by this factor: they were faint at first."""
-_HOLD_NS = 48_000_000
+_HOLD_NS = 120_000_000
 """Tracked fingers wait for a search for this long."""
 _STEPS = 2
 

@@ -96,15 +96,16 @@ def test_one_of_several(at: tuple[float, float], amplitude: complex, seed: int) 
 @given(st.permutations(range(3)), SEEDS)
 @settings(max_examples=20)
 def test_several_fingers(order: list[int], seed: int) -> None:
-    """Several fingers are placed in any order as the reference places them, in float64 to 10 nm.
+    """Several fingers are placed in any order as the reference places them, in float64 to 20 nm.
 
-    They differ by what keeps the system of two merged fingers regular, a millionth of its trace.
+    It ends a micrometre before the last step. They differ by what keeps the system of two merged fingers regular, a
+    millionth of its trace.
     """
     features = FIELD.frame(THREE, noise=8.0, seed=seed).astype(np.float32)
     starts = np.array(PLACES) + np.random.default_rng(seed).uniform(-1, 1, (3, 2))
     positions, amplitudes = gauss_newton(ATLAS, features, starts)
     for solver, dtype, still_mm, within_mm, share in (
-        (SINGLE, np.float32, STILL_MM / 10, 2e-3, 5e-3), (DOUBLE, np.float64, 1e-3, 1e-5, 1e-5)
+        (SINGLE, np.float32, STILL_MM / 10, 2e-3, 5e-3), (DOUBLE, np.float64, 1e-3, 2e-5, 1e-5)
     ):  # fmt: skip
         fit = solver.fit_several(bins_of(features, dtype=dtype), [tuple(starts[k]) for k in order], 40, still_mm)
         np.testing.assert_allclose(fit.positions_mm, positions[order], atol=within_mm)
