@@ -98,14 +98,14 @@ class Classifier:
             sigma_rad = math.sqrt(variance / energy) if energy > 0 else math.inf
             known = self._known_at(position) if self._known else None
             is_clear = sizes[k] >= CLEAR_SIZE and lead + CLEAR_SIGMAS * sigma_rad < CLEAR_RAD  # the usual case
-            if not (is_clear and known is None):
+            if known is not None and (known.is_placed if lacking else known.is_settled(sizes[k], t_ns)):
+                known.see(position, t_ns)
+            elif not (is_clear and known is None):
                 by_noise, by_error = (math.sqrt(one / energy) if energy > 0 else math.inf for one in (noise, error))
                 look = Look(self._phase.lag_rad(bins, fit, k), by_noise, by_error, sizes[k])
                 if alone and look.log_odds() <= SURE_ALONE:
                     continue
-                if lacking and known is not None and known.is_placed:
-                    known.position_mm, known.until_ns = position, max(known.until_ns, t_ns)
-                elif not (alone or self._is_finger(position, look, known, t_ns, several=several)):
+                if not (alone or self._is_finger(position, look, known, t_ns, several=several)):
                     continue
             if k not in doubtful:
                 fingers.append((position, errors_mm[k], sizes[k]))

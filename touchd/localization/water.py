@@ -42,6 +42,8 @@ SURE_ALONE = 2.5
 """The same of a frame that is judged alone: one look takes 1 drop in 400 for a finger (twin, 60 dB)."""
 MOST_LAG = 2.0
 """A contact that lags by more than this, over a finger's least lag, tells no more."""
+LOOK_NS, LOOK_SHARE = 200_000_000, 0.1
+"""So often, and at a change of its amplitude by such a share, a sure finger is looked at."""
 LAY_NS, DRY_NS = 100_000_000, 30_000_000
 """What leads for less than 0.1 s may be a finger that lands; of water one frame may say otherwise."""
 NEAR_MM = 3.0
@@ -104,11 +106,28 @@ class Evidence(Struct):
     """When it became water."""
     likely_ns: int | None = None
     """Since when water has been likely to be a finger."""
+    looked_ns: int = 0
+    size: float = 0.0
+    """Modulus of the amplitude at the last look."""
 
     @property
     def is_placed(self) -> bool:
         """Whether it is a finger, and not about to become water."""
         return self.state is State.FINGER and self.most >= 0
+
+    def is_settled(self, size: float, t_ns: int) -> bool:
+        """Return whether it is so surely a finger that another look would tell nothing yet."""
+        return (
+            self.state is State.FINGER
+            and self.least >= MOST_ODDS
+            and abs(size - self.size) < LOOK_SHARE * self.size
+            and 0 <= t_ns - self.looked_ns < LOOK_NS
+        )
+
+    def see(self, position_mm: Position, t_ns: int) -> None:
+        """Take a frame in which it is not looked at: it stays what it is."""
+        self.position_mm = position_mm
+        self.until_ns = t_ns + (FINGER_NS if self.state is State.FINGER else WATER_NS)
 
     def update(self, position_mm: Position, look: Look, t_ns: int) -> None:
         """Take the contact of a frame."""
@@ -118,9 +137,9 @@ class Evidence(Struct):
             odds, margin = 2 * min(look.lag_rad / own, MOST_LAG) - 1, 2 / own
             self.least = _limited(self.least + weight * (odds - margin * look.bias_rad))
             self.most = _limited(self.most + weight * (odds + margin * BIAS_RAD))
-        self.position_mm = position_mm
+        self.looked_ns, self.size = t_ns, look.size
         self._decide(t_ns, lags=look.lag_rad > own)
-        self.until_ns = t_ns + (FINGER_NS if self.state is State.FINGER else WATER_NS)
+        self.see(position_mm, t_ns)
 
     def _decide(self, t_ns: int, *, lags: bool) -> None:
         if self.state is not State.WATER:

@@ -94,9 +94,9 @@ class Rig:
 
 def tap(opened: Page, what: str = "circle.target") -> None:
     """Press the middle of a mark."""
-    opened.locator(what).first.scroll_into_view_if_needed()
     middle = opened.locator(what).first.evaluate(
-        "one => { const r = one.getBoundingClientRect(); return [r.x + r.width / 2, r.y + r.height / 2]; }"
+        "one => { one.scrollIntoView({ block: 'nearest' }); const r = one.getBoundingClientRect();"
+        " return [r.x + r.width / 2, r.y + r.height / 2]; }"
     )
     opened.mouse.move(*middle)
     opened.mouse.down()
@@ -107,8 +107,13 @@ def tap(opened: Page, what: str = "circle.target") -> None:
 def touch_marks(opened: Page, said: str, done: str) -> None:
     """Press marks on the stage until the page shows `done` there, or the stage ends."""
     for _ in range(20):
+        # After the last mark the stage shows none for a moment, and ends.
+        opened.wait_for_function(
+            "() => document.querySelector('.stage').hidden || !document.querySelector('.stage .mark').hidden"
+        )
         before = opened.locator(said).text_content()
-        tap(opened, ".stage .mark")
+        if opened.locator(".stage").is_visible():
+            tap(opened, ".stage .mark")
         with suppress(Late):  # on a busy computer a touch may be lost: the next one counts
             opened.wait_for_function(
                 "([said, before]) => document.querySelector('.stage').hidden"
