@@ -24,17 +24,16 @@ test-packages:
 demo: setup
 	@$(BIN)/touchd demo $(ARGS)
 
-# The tests of a file stay together, for what they share; the order is that of pyproject's `testpaths`. Two more than
-# there are processors: a third of the time tests wait for processes that they started.
-SIDE_BY_SIDE := --numprocesses $(shell expr $$(nproc) + 2) --dist loadscope --no-loadscope-reorder
+# The tests of a file stay together, for what they share; the order is that of pyproject's `testpaths`.
+SIDE_BY_SIDE := --dist loadscope --no-loadscope-reorder --numprocesses
 
-# Everything; some minutes.
+# Everything; some minutes. Two more side by side than there are processors: they often wait for processes they started.
 test: setup test-packages lint
-	$(BIN)/python -m pytest $(SIDE_BY_SIDE) $(ARGS)
+	$(BIN)/python -m pytest $(SIDE_BY_SIDE) $(shell expr $$(nproc) + 2) $(ARGS)
 
 # What needs no other process, socket of the network or kernel, on a quarter of the random examples: under a minute.
 unit: setup
-	$(BIN)/python -m pytest $(SIDE_BY_SIDE) --hypothesis-profile=quick tests/unit $(ARGS)
+	$(BIN)/python -m pytest $(SIDE_BY_SIDE) auto --hypothesis-profile=quick tests/unit $(ARGS)
 
 # The Debian package, in dist/. DEBIAN=13 and ARCH=arm64 make one for another system; only the default is tried.
 deb: setup
