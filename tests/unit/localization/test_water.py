@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from touchd.localization.water import BIAS_RAD, TISSUE_RAD, WATER_NS, Evidence, Look, State
+from touchd.localization.water import BIAS_RAD, LOOK_NS, LOOK_SHARE, TISSUE_RAD, WATER_NS, Evidence, Look, State
 
 FRAME_NS = 8_000_000
 
@@ -26,7 +26,7 @@ def states(seen: list[Look]) -> list[State]:
 
 @pytest.mark.parametrize(("size", "sigma_rad"), [(0.1, 0.1), (0.2, 0.06), (0.3, 0.04), (0.6, 0.02)])
 def test_drops(size: float, sigma_rad: float) -> None:
-    """Of 200 faint drops in noise none is ever taken for a finger within 4 s; in single frames 1 in 14 would be."""
+    """Of 200 faint drops in noise one at most is taken for a finger within 4 s; in single frames 1 in 14 would be."""
     rng = np.random.default_rng(1)
     found = [states(looks(0.0, sigma_rad, size, 500, rng)) for _ in range(200)]
     assert sum(State.FINGER in one for one in found) <= 1
@@ -89,3 +89,17 @@ def test_nothing_seen() -> None:
     assert evidence.state is State.UNDECIDED
     evidence.update((0.0, 0.0), Look(0.0, 0.0, 0.0, 0.3), 0)
     assert (evidence.state, evidence.until_ns) == (State.WATER, WATER_NS)
+
+
+def test_settled() -> None:
+    """A sure finger is looked at five times a second, and at once when its amplitude changes; another in each frame."""
+    sure, faint = Evidence((0.0, 0.0)), Evidence((0.0, 0.0))
+    sure.update((0.0, 0.0), Look(1.0, 0.01, 0.0, 0.5), 0)
+    faint.update((0.0, 0.0), Look(0.2, 0.3, 0.0, 0.1), 0)
+    assert not faint.is_settled(0.1, FRAME_NS)
+    assert sure.is_settled(0.5, LOOK_NS - 1)
+    assert not sure.is_settled(0.5, LOOK_NS)
+    assert not sure.is_settled(0.5 * (1 - 1.01 * LOOK_SHARE), FRAME_NS)
+    sure.see((1.0, 0.0), FRAME_NS)
+    assert sure.position_mm == (1.0, 0.0)
+    assert sure.state is State.FINGER
