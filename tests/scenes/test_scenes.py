@@ -50,11 +50,7 @@ def test_several_fingers_are_found_and_none_is_lost_while_others_come(
 
 @pytest.mark.parametrize(
     ("name", "finger"),
-    [
-        *itertools.product(["tap", "swipe", "keypad"], ["fingertip", "thumb", "child"]),
-        ("hold", "fingertip"),
-        ("two", "fingertip"),
-    ],
+    [*itertools.product(["tap", "hold", "swipe", "keypad"], ["fingertip", "thumb", "child"]), ("two", "fingertip")],
 )
 def test_real_fingers(name: str, finger: str, instrument: Instrument) -> None:
     """A finger whose face gives way to the wave is one finger: each touch found once, none split, no ghost."""

@@ -185,10 +185,11 @@ class AtlasLocalizer:
             bins, fit = self._settle(detection, bins, self._solver.with_shapes(bins, fit, noise.noise_energy))
         signal = bins.energy - noise.noise_energy
         excess = noise.excess(fit.residual_energy, signal)
-        left = tracked and excess > CRITERIA.fair
-        if left and self._is_untouched(bins, signal, noise.plate_energy(bins.vector), t_ns):
+        may_be_gone = tracked and excess > CRITERIA.fair
+        if may_be_gone and self._is_untouched(bins, signal, noise.plate_energy(bins.vector), t_ns):
             return self._lose(), inferred
-        # What may be beside one well explained finger that has just landed is sought from the next frame on.
+        # What may be beside one well explained finger that has just landed is sought from the next frame on; a search
+        # that goes on began with a frame that was not like this.
         waits = not (tracked or complete) and len(fit.positions_mm) == 1 and excess < CRITERIA.fair
         if waits:
             search.cancel()
