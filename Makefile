@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: setup demo test unit lint bench soak ghosts hostile golden docs lock packages test-packages deb vm-packages vm-test kiosk-test clean
+.PHONY: setup demo test unit lint bench soak ghosts hostile golden docs lock packages test-packages deb vm-packages vm-test kiosk-test promise-test clean
 
 setup: .venv/.ready
 
@@ -50,6 +50,10 @@ vm-test: setup test-packages vm-packages
 # quarter of an hour on an idle machine, and ten minutes more for a new virtual one.
 kiosk-test: setup test-packages vm-packages
 	$(BIN)/python -m pytest -s -o faulthandler_timeout=5500 tests/system/kiosk/scenario.py $(ARGS)
+
+# From a bare plate to a page that hears touches, in the same: calibration, wizard, screen.
+promise-test: setup test-packages vm-packages
+	$(BIN)/python -m pytest -s -o faulthandler_timeout=7300 tests/system/kiosk/promise.py $(ARGS)
 
 lint: setup
 	$(BIN)/ruff check .

@@ -48,19 +48,20 @@ def write(folder: Path) -> None:
     idle = simulate_scene("idle", instrument=Instrument(DEFAULT_PLATE, acquisition=acquisition), rate_hz=25, frames=60)
     (folder / "PLATE.toml").write_text(SAID)
     make_model(fit_recording(idle, read_plate_file(folder / "PLATE.toml")), folder / "audio.onnx")
-    np.savez(folder / "audio.npz", responses=responses(acquisition), rate_hz=SETTINGS.sample_rate_hz, noise=NOISE)
+    fingers = [[Contact(x, y, 100.0, "fingertip")] for x, y in PLACES_MM]
+    heard = responses(SETTINGS, acquisition, fingers)
+    np.savez(folder / "audio.npz", responses=heard, rate_hz=SETTINGS.sample_rate_hz, noise=NOISE)
     (folder / "places.json").write_text(json.dumps(PLACES_MM))
 
 
-def responses(acquisition: Acquisition) -> NDArray[np.float32]:
-    """Impulse responses without a finger and under each, shape (1 + fingers, channels, taps)."""
-    period = SETTINGS.sample_rate_hz // FRAMES_HZ
+def responses(settings: AudioSettings, acquisition: Acquisition, touches: list[list[Contact]]) -> NDArray[np.float32]:
+    """Impulse responses without a touch and under each, shape (1 + touches, channels, taps)."""
+    period = settings.sample_rate_hz // FRAMES_HZ
     once = acquisition.chirp.model_copy(update={"period_s": None})
     whole = Instrument(DEFAULT_PLATE, acquisition=acquisition.model_copy(update={"samples": period, "chirp": once}))
     untouched = whole.untouched([REFERENCE_C])
-    fingers = [[Contact(x, y, 100.0, "fingertip")] for x, y in PLACES_MM]
-    heard = np.concatenate([untouched, untouched + whole.change(fingers, [REFERENCE_C] * len(fingers))])
-    loop = loop_of(acquisition.chirp, SETTINGS.sample_rate_hz, period, SETTINGS.level_dbfs)
+    heard = np.concatenate([untouched, untouched + whole.change(touches, [REFERENCE_C] * len(touches))])
+    loop = loop_of(acquisition.chirp, settings.sample_rate_hz, period, settings.level_dbfs)
     size = 2 * period
     played = np.fft.rfft(loop, size)
     power = np.abs(played) ** 2
