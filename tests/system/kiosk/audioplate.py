@@ -67,8 +67,8 @@ def main(path: str) -> None:
         block = np.frombuffer(captured[: BLOCK * 8], "<i4").reshape(-1, 2)[:, 0]
         captured = captured[BLOCK * 8 :]
         at += (end > at) - (end < at)
-        if select.select([sys.stdin], [], [], 0)[0]:
-            at, end = asked(sys.stdin.readline())
+        if select.select([sys.stdin], [], [], 0)[0] and (line := sys.stdin.readline()):
+            at, end = asked(line)
         if not block.any() and not quiet:
             delay = np.exp(turns * draw.uniform(0.0, MOST_DELAY))
         quiet = not block.any()
