@@ -133,6 +133,7 @@ wayland() {
     finger_of_a_killed_bridge weston-killed $desktop
     scene tap touchend 1 "tap after"
     leave
+    touchd doctor > doctor.txt 2>&1
     kill $desktop
     wait $desktop
 }
@@ -164,6 +165,7 @@ x11() {
     sleep 5
     mark begin xorg
     gestures
+    picture xorg
     output=$(xrandr | sed -n 's/ connected.*//p' | head -n 1)
     xrandr --output "$output" --rotate left
     sleep 5
@@ -171,7 +173,6 @@ x11() {
     scene tap touchend 1 "tap turned"
     xinput map-to-output "touchd screen" "$output"
     scene tap touchend 1 "tap mapped"
-    picture xorg-turned
     xrandr --output "$output" --rotate normal
     xinput map-to-output "touchd screen" "$output"
     sleep 5

@@ -199,25 +199,39 @@ def test_a_stopped_bridge_lifts_first(found: Found, heard: Heard) -> None:
     assert kinds(stopped) == ["touchstart", "touchend"]
 
 
-@pytest.mark.parametrize(("scene", "page", "picture"), [
-    ("turned tap", "turned-page", "turned"), ("xorg-turned tap mapped", "xorg-page", "xorg-turned"),
-])  # fmt: skip
-def test_touches_follow_a_turned_picture(
-    found: Found, heard: Heard, host: Path, scene: str, page: str, picture: str
-) -> None:
-    """The page hears the tap where its own picture lies below the finger, and draws its mark below the finger.
+@pytest.mark.parametrize(("scene", "page"), [("turned tap", "turned-page"), ("xorg-turned tap mapped", "xorg-page")])
+def test_touches_follow_a_turned_picture(found: Found, heard: Heard, scene: str, page: str) -> None:
+    """Weston turns the touches with the picture, and X11 does after `xinput map-to-output`.
 
-    The picture is turned counter-clockwise: its top is at the screen's left, its left at the screen's bottom. Weston
-    turns the touches with it; X11 does after `xinput map-to-output`.
+    Counter-clockwise: the picture's top is at the screen's left, its left at the screen's bottom.
     """
     assert found[page] == "0"
     (tap,) = heard[scene]
     assert kinds(tap) == ["touchstart", "touchend"]
     across_px, down_px = px(*TAP_MM)
     assert all(off_px(event, HEIGHT_PX - down_px, across_px) <= NEAR_PX for event in touches(tap))
+    print(f"{scene}:", touches(tap)[0])
+
+
+@pytest.mark.parametrize("picture", ["weston", "turned", "xorg"])
+def test_the_mark_of_a_tap_lies_below_the_finger(found: Found, host: Path, picture: str) -> None:
+    """On the screen, whichever way the picture is turned."""
+    assert found[f"{picture}-page"] == "0"
+    across_px, down_px = px(*TAP_MM)
     seen = imread(host / f"picture-{picture}.png")
     assert seen[round(down_px), round(across_px), :3] == pytest.approx(RED, abs=0.02)
-    print(scene, touches(tap)[0], "below the finger:", seen[round(down_px), round(across_px), :3])
+
+
+def test_doctor_sees_the_screen(found: Found, host: Path) -> None:
+    """Mapping, compositor with its output, and the device that udev has tagged."""
+    assert found["weston-killed"] == "0"
+    said = (host / "doctor.txt").read_text()
+    for finding in (
+        r"ok +mapping +200 x 200 mm at 0, 0 mm", r"ok +compositor +weston; connected outputs: Virtual-1$",
+        r"ok +screen +input\d+ exists, tagged by udev: event\d+$",
+    ):  # fmt: skip
+        (line,) = re.findall(rf"(?m)^{finding}.*", said)
+        print("doctor:", line)
 
 
 @pytest.fixture(scope="session")
