@@ -59,7 +59,7 @@ class FitCriteria:
     shape_worth: float = 0.4
     """Shapes have to leave less than this share of what points leave. Fingers' leave 0.02 to 0.15 of it; more may be
     those that make up for a missing finger."""
-    lone_shape_worth: float = 0.9
+    lone_shape_worth: float = 0.75
     """The same of one point: a soft robot's tip leaves 0.6 of it, and is placed better by a fifth (twin)."""
     shape_noise: float = 16.0
     """And as much less, in variances of a value's noise: its eight numbers explain 8 of noise alone."""
