@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.localization.atlas import Array, Atlas
-from touchd.localization.spline import CONTACT_PER_CELL, Position, Raster, spline_weights
+from touchd.localization.spline import CONTACT_PER_CELL, Position, Raster
 
 Shape = tuple[complex, ...]
 """Slope along the band, and the second-order amplitudes (mm^2) along xx, yy and xy, all over the amplitude."""
@@ -36,12 +36,9 @@ class ContactField(Raster):
     """
 
     def __init__(self, atlas: Atlas, into: Array) -> None:
-        d, dtype, half = atlas.description, into.dtype, atlas.size // 2
+        dtype, half = into.dtype, atlas.size // 2
         self.band: Array = place_in_band(atlas).astype(dtype)
-        super().__init__(atlas, CONTACT_PER_CELL, (2, 16, half))
-        self._of_rows, self._of_columns = spline_weights(d.step_mm, into.dtype, ORDERS, CONTACT_PER_CELL)
-        self._weights = np.zeros(160, dtype)
-        self._by_order = self._weights.reshape(10, 16)
+        super().__init__(atlas, CONTACT_PER_CELL, (2, 16, half), ORDERS)
         self._parts = np.zeros(9, dtype)
         self._parts[0] = 1
         self._terms = _terms(dtype)
@@ -80,12 +77,6 @@ class ContactField(Raster):
             parts[2 * k + 1], parts[2 * k + 2] = part.real, part.imag
         parts.dot(self._terms, mixture.reshape(-1))
         return mixture
-
-    def _weigh(self, x_mm: float, y_mm: float) -> tuple[Position, Array]:
-        """Set the weights of each derivative; return the raster point and the nodes around it."""
-        position, row, column, around = self._find(x_mm, y_mm)
-        np.multiply(self._of_rows[row], self._of_columns[column], self._weights)
-        return position, around
 
     def _copy(self, nodes: Array, around: Array) -> None:
         """Copy the nodes around a cell, shape (4, 4, 2, channels, bins): all real parts, then all imaginary ones."""

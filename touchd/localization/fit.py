@@ -42,12 +42,15 @@ class Fit(Struct, gc=False, frozen=True):
     the noise variance of a value is the covariance of the positions in mm^2."""
     residual_energy: float
     """Energy that the fingers do not explain, ADC counts squared."""
-    shapes: list[list[complex]] = []
-    """Of each finger what `contact_model` adds: slope along the band, u_xx, u_yy, u_xy; [] of points."""
-    turns: list[complex] = []
-    """Of each finger with a shape, its amplitude as a point's over its own, on average over the bins; [] of points."""
+    shapes: Sequence[Sequence[complex]] = ()
+    """Of each finger what `contact_model` adds: slope along the band, u_xx, u_yy, u_xy; none of points."""
+    turns: Sequence[complex] = ()
+    """Of each finger with a shape, its amplitude as a point's over its own, on average over the bins; none of
+    points."""
     points_energy: float = 0.0
     """What as many points leave, of a fit with shapes."""
+    shares: Sequence[float] = ()
+    """Of the information on each finger's position, what is left when its shape must be found too; none if all is."""
 
 
 def no_fit(energy: float) -> Fit:

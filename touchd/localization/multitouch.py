@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import TypeVar
 
-import numpy as np
 from msgspec.structs import replace
 
 from touchd.localization.anytime import Steps
@@ -164,7 +164,7 @@ class MultitouchSearch:
         dropped = []
         noise_energy = self._noise.noise_energy
         while len(fit.positions_mm) > 1:
-            weakest = int(np.argmin(fit.energies))
+            weakest = fit.energies.index(min(fit.energies))
             energy, unexplained = fit.energies[weakest], fit.residual_energy - noise_energy
             is_weak = energy <= CRITERIA.weak * max(unexplained, CRITERIA.enough * signal)
             is_faint = energy < CRITERIA.faint * noise_energy
@@ -248,6 +248,6 @@ class MultitouchSearch:
         return self._solver.with_shapes(bins, fit, self._noise.noise_energy)
 
 
-def _without(values: list[T], k: int) -> list[T]:
+def _without(values: Sequence[T], k: int) -> list[T]:
     """Return all values but the one at index `k`; none of none."""
-    return values[:k] + values[k + 1 :]
+    return [*values[:k], *values[k + 1 :]]

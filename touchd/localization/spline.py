@@ -35,37 +35,47 @@ class Raster:
         Points of the raster per cell, along each axis.
     around : tuple of int
         Shape of a copy.
+    orders : tuple of pairs
+        Of the derivatives, along x and y.
     """
 
-    def __init__(self, atlas: Atlas, per_cell: int, around: tuple[int, ...]) -> None:
-        d = atlas.description
+    def __init__(
+        self, atlas: Atlas, per_cell: int, around: tuple[int, ...], orders: tuple[tuple[int, int], ...]
+    ) -> None:
+        d, dtype = atlas.description, atlas.coefficients.dtype
+        self._of_rows, self._of_columns = spline_weights(d.step_mm, dtype, orders, per_cell)
+        self._weights = np.zeros(16 * len(orders), dtype)
+        self._by_order = self._weights.reshape(-1, 16)
         rows, columns, _ = atlas.coefficients.shape
         self._nodes = atlas.coefficients.reshape(rows, columns, d.acquisition.channels, 2, -1).swapaxes(2, 3)
-        (self._x0_mm, self._y0_mm), self._unit_mm = d.origin_mm, d.step_mm / per_cell
-        self._per_unit, self._per_cell = per_cell / d.step_mm, per_cell
+        self._grid = per_cell, per_cell / d.step_mm, d.step_mm / per_cell, *d.origin_mm
         self.low_mm, self.high_mm = known_part_mm(atlas)
         self._limits = (*self.low_mm, *self.high_mm)
-        self._cells = {(-1, k): np.zeros(around, atlas.coefficients.dtype) for k in range(CELLS)}
+        self._cells = {(-1, k): np.zeros(around, dtype) for k in range(CELLS)}
 
     def inside(self, x_mm: float, y_mm: float) -> Position:
         """Return the nearest position at which the field is known."""
         low_x, low_y, high_x, high_y = self._limits
+        if low_x < x_mm < high_x and low_y < y_mm < high_y:
+            return x_mm, y_mm
         # Written so that NaN becomes a corner instead of an index.
         x = x_mm if low_x < x_mm < high_x else high_x if x_mm >= high_x else low_x
         y = y_mm if low_y < y_mm < high_y else high_y if y_mm >= high_y else low_y
         return x, y
 
-    def _find(self, x_mm: float, y_mm: float) -> tuple[Position, int, int, Array]:
-        """Return the raster point nearest to a position inside, its row and column in its cell, and the nodes."""
-        per_cell = self._per_cell
-        across = int((x_mm - self._x0_mm) * self._per_unit + 0.5)
-        down = int((y_mm - self._y0_mm) * self._per_unit + 0.5)
+    def _weigh(self, x_mm: float, y_mm: float) -> tuple[Position, Array]:
+        """Set the nodes' weights in each derivative for the raster point nearest to a position inside.
+
+        Return that point, and the nodes around it.
+        """
+        per_cell, per_unit, unit_mm, x0_mm, y0_mm = self._grid
+        across, down = int((x_mm - x0_mm) * per_unit + 0.5), int((y_mm - y0_mm) * per_unit + 0.5)
         cell = down // per_cell, across // per_cell
         around = self._cells.get(cell)
         if around is None:
             around = self._fetch(cell)
-        position = self._x0_mm + across * self._unit_mm, self._y0_mm + down * self._unit_mm
-        return position, down % per_cell, across % per_cell, around
+        np.multiply(self._of_rows[down % per_cell], self._of_columns[across % per_cell], self._weights)
+        return (x0_mm + across * unit_mm, y0_mm + down * unit_mm), around
 
     def _fetch(self, cell: tuple[int, int]) -> Array:
         """Copy the nodes around a cell over those of the cell fetched longest ago."""
@@ -91,17 +101,13 @@ class Spline(Raster):
     """
 
     def __init__(self, atlas: Atlas, into: Array) -> None:
-        super().__init__(atlas, PER_CELL, (16, atlas.size))
-        self._of_rows, self._of_columns = spline_weights(atlas.description.step_mm, into.dtype, SLOPES, PER_CELL)
+        super().__init__(atlas, PER_CELL, (16, atlas.size), SLOPES)
         self._into = into
-        self._weights = np.zeros(48, into.dtype)
-        self._shares = self._weights.reshape(3, 16)
 
     def at(self, x_mm: float, y_mm: float) -> Position:
         """Evaluate the field at the raster point nearest to a position inside, and return that point."""
-        position, row, column, around = self._find(x_mm, y_mm)
-        np.multiply(self._of_rows[row], self._of_columns[column], self._weights)
-        self._shares.dot(around, self._into)
+        position, around = self._weigh(x_mm, y_mm)
+        self._by_order.dot(around, self._into)
         return position
 
 
