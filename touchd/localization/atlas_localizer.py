@@ -171,10 +171,8 @@ class AtlasLocalizer:
         ):
             return self._lose(), inferred
         held = tracked and self._follower.waits(bins, signal)
-        if held:
-            fit = self._follower.expected(bins, t_ns)
-        elif tracked:
-            fit = self._follower.follow(bins, t_ns, signal)
+        if tracked:
+            fit = (self._follower.expected if held else self._follower.follow)(bins, t_ns, signal)
         elif search.pending and not (search.doubts and signal > CRITERIA.faint * noise.noise_energy):
             fit = no_fit(bins.energy)  # the search that goes on finds where to begin
         else:
@@ -187,10 +185,10 @@ class AtlasLocalizer:
         excess = noise.excess(fit.residual_energy, signal)
         significant = sum(fit.energies) > noise.min_signal_energy
         confidence = CRITERIA.confidence(excess) if significant else 0.0
-        faint = signal < CRITERIA.faint * noise.noise_energy
-        if tracked and excess <= CRITERIA.search_above and confidence >= min_confidence and not (faint or search.pending):
+        clear = excess <= CRITERIA.search_above and signal >= CRITERIA.faint * noise.noise_energy
+        if tracked and clear and confidence >= min_confidence and not search.pending:  # the usual case
             self._model_fit.add(fit.residual_energy - noise.noise_energy, signal, noise.noise_energy)
-            return self._accept(bins, fit, confidence, excess, t_ns, alone=complete), False  # the usual case
+            return self._accept(bins, fit, confidence, excess, t_ns, alone=complete), False
         may_be_gone = tracked and excess > CRITERIA.fair
         if may_be_gone and self._is_untouched(bins, signal, noise.plate_energy(bins.vector), t_ns):
             return self._lose(), inferred
@@ -228,12 +226,8 @@ class AtlasLocalizer:
         if by_plate or by_palms or not confidence >= min_confidence or not fit.positions_mm:
             return self._lose(), inferred
         # Shapes that no finger has make up for wrong positions: of several, where the field is badly known.
-        if (
-            len(fit.shapes) > 1
-            and not tracked
-            and excess > CRITERIA.good
-            and elongation(fit) > CRITERIA.most_elongation
-        ):
+        several_shapes = len(fit.shapes) > 1 and not tracked
+        if several_shapes and excess > CRITERIA.good and elongation(fit) > CRITERIA.most_elongation:
             return self._lose(), inferred
         if len(fit.positions_mm) == 1 and not tracked and self._landing.is_ambiguous(bins, fit, signal, faint=faint):
             return self._lose(), inferred
@@ -266,7 +260,8 @@ class AtlasLocalizer:
         self._prediction.update(fit.positions_mm, t_ns)
         if self._follower.update(bins, fit, excess):
             self._faces = self._size.faces(fit) if fit.shapes else [None] * len(fit.positions_mm)
-        self._still.update(bins, fit, self._prediction.moved_mm if self._skips_still else math.inf, self._noise.variance)
+        if self._skips_still:
+            self._still.update(bins, fit, self._prediction.moved_mm, self._noise.variance)
         fingers = self._classifier.fingers(bins, fit, t_ns, alone=alone, lacking=self._search.explains)
         self._departure = self._classifier.departure
         # Change of the signal, as a share of its size, by a finger of amplitude 1.
@@ -287,12 +282,11 @@ class AtlasLocalizer:
 
     def _settle(self, detection: Detection, bins: Bins, fit: Fit) -> tuple[Bins, Fit]:
         """Give fingers back what the frame's delay and hit samples took from them; too few fingers cannot tell it."""
-        if not self._plate.nuisance.engaged:
+        noise_energy, nuisance = self._noise.noise_energy, self._plate.nuisance
+        lacking = fit.residual_energy > CRITERIA.half_confidence * bins.energy + noise_energy
+        if not nuisance.engaged or (lacking and not detection.hits):
             return bins, fit
-        lacking = fit.residual_energy > CRITERIA.half_confidence * bins.energy + self._noise.noise_energy
-        if lacking and not detection.hits:
-            return bins, fit
-        return self._plate.nuisance.settle(bins, fit, self._solver, self._noise.noise_energy)
+        return nuisance.settle(bins, fit, self._solver, noise_energy)
 
     def _set_channels(self, live: NDArray[np.bool_]) -> None:
         self._live = live

@@ -9,6 +9,7 @@ import numpy as np
 from msgspec import Struct
 
 from touchd.localization.atlas import Array
+from touchd.localization.contact_field import Shape
 from touchd.localization.joint import blocks
 from touchd.localization.spline import Position
 
@@ -56,6 +57,14 @@ class Fit(Struct, gc=False, frozen=True):
 def no_fit(energy: float) -> Fit:
     """Return the fit of no fingers, which leaves all energy unexplained."""
     return Fit([], [], [], (), energy)
+
+
+def shapes_of(fit: Fit) -> list[Shape]:
+    """Return the shapes of a fit's fingers, over their amplitudes; none of points."""
+    return [
+        tuple([part / z for part in shape]) if z else (0j,) * 4
+        for z, shape in zip(fit.amplitudes, fit.shapes, strict=False)
+    ]
 
 
 def sigmas_mm(fisher_information: Matrix, variance: float) -> list[float]:

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from touchd.localization.contact_field import Shape
-from touchd.localization.fit import Bins, Fit, no_fit, sigmas_mm
+from touchd.localization.fit import Bins, Fit, no_fit, shapes_of, sigmas_mm
 from touchd.localization.fit_criteria import CRITERIA
-from touchd.localization.gauss_newton import STILL_MM, GaussNewton, shapes_of
+from touchd.localization.gauss_newton import STILL_MM, GaussNewton
 from touchd.localization.landing import FIRST_STEPS
 from touchd.localization.multitouch import MultitouchSearch
 from touchd.localization.noise import NoiseModel
@@ -103,7 +103,7 @@ class Follower:
         """Return the shapes of the fingers followed, if they are a fit's."""
         return self._known.shapes if self._known and fit is self._last else ()
 
-    def expected(self, bins: Bins, t_ns: int) -> Fit:
+    def expected(self, bins: Bins, t_ns: int, _signal: float) -> Fit:
         """Return the fingers of the last frame where they were going, not fitted: all energy is unexplained."""
         positions = self._prediction.ahead(t_ns)
         nothing = [0.0] * len(positions)

@@ -16,11 +16,11 @@ import numpy as np
 from msgspec.structs import replace
 
 from touchd.localization import joint
-from touchd.localization.anytime import Steps, finish
+from touchd.localization.anytime import SHAPE_COST, Steps, finish
 from touchd.localization.atlas import Array, Atlas
 from touchd.localization.contact_field import ContactField, Shape
 from touchd.localization.contact_model import TYPICAL, ContactModel, size_mm2
-from touchd.localization.fit import Bins, Fit, Matrix, no_fit
+from touchd.localization.fit import Bins, Fit, Matrix, no_fit, shapes_of
 from touchd.localization.fit_criteria import CRITERIA
 from touchd.localization.spline import Position, Spline
 
@@ -56,37 +56,33 @@ class GaussNewton:
         rows = np.zeros((4, n), dtype)
         self._field, self._known = rows[:3], rows[3]
         halves = rows.reshape(8, -1)
-        self._fields, self._columns, self._value = halves[:6], halves.T, halves[:2]
+        self._fields, self._columns, self._value, self._value_known = halves[:6], halves.T, halves[:2], halves[6:]
         self._spline = Spline(atlas, self._field)
         self._contact_field = ContactField(atlas, self._field)
         self._contacts = ContactModel(atlas, self._contact_field)
         self._gram, self._of_gram, self._sums = np.zeros((6, 8), dtype), joint.sums_of_one(dtype), np.zeros(14, dtype)
         self._flat_gram = self._gram.reshape(-1)
         self._turn = np.zeros((2, 2), dtype)
-        self._left, self._part = np.zeros((2, n // 2), dtype), np.zeros((2, n // 2), dtype)
+        self._left, self._parts = np.zeros((2, n // 2), dtype), np.zeros((1, 2, n // 2), dtype)
+        self._parted: tuple[Bins | None, Fit | None] = None, None  # to which `_parts` belong
         self._residual = np.zeros(n, dtype)
         self._many = np.zeros((7, n), dtype)  # two fingers; for more it grows
         self._loaded: Bins | None = None
+        self._look_ups = 0
         self._mask: Array | None = None
         self._ordered_mask: Array | None = None
 
     def fit_one(
-        self,
-        bins: Bins,
-        x_mm: float,
-        y_mm: float,
-        steps: int,
-        shape: Shape | None = None,
-        turns: Sequence[complex] = (),
-        shares: Sequence[float] = (),
-    ) -> Fit:
+        self, bins: Bins, x_mm: float, y_mm: float, steps: int, shape: Shape | None = None,
+        turns: Sequence[complex] = (), shares: Sequence[float] = (),
+    ) -> Fit:  # fmt: skip
         """Fit one finger from a position nearby, in at most `steps` steps (at least one); of known shape, if any.
 
         `turns` and `shares` are the fit's, if they are known.
         """
         if bins is not self._loaded:
             self._load(bins)
-        inside, look_up = self._spline.inside, self._look_up
+        inside, look_up, most = self._spline.inside, self._look_up, steps
         x, y = inside(x_mm, y_mm)
         while True:
             x, y = look_up(x, y, shape)
@@ -109,6 +105,7 @@ class GaussNewton:
                     explained += right_x * step_x + right_y * step_y
                     amplitude /= 1 + step_x * along_x + step_y * along_y
                 break
+        self._look_ups += most - steps
         shapes = [[amplitude * part for part in shape]] if shape else []
         left = bins.energy - explained
         return Fit(
@@ -116,15 +113,9 @@ class GaussNewton:
         )
 
     def fit_several(
-        self,
-        bins: Bins,
-        positions_mm: Sequence[Position],
-        steps: int,
-        still_mm: float = STILL_MM / 10,
-        shapes: Sequence[Shape] = (),
-        turns: Sequence[complex] = (),
-        shares: Sequence[float] = (),
-    ) -> Fit:
+        self, bins: Bins, positions_mm: Sequence[Position], steps: int, still_mm: float = STILL_MM / 10,
+        shapes: Sequence[Shape] = (), turns: Sequence[complex] = (), shares: Sequence[float] = (),
+    ) -> Fit:  # fmt: skip
         """Fit any number of fingers jointly from positions nearby, in at most `steps` steps (at least one).
 
         Steps shorter than `still_mm` end it. `shapes` are the fingers', `turns` and `shares` the fit's, if known.
@@ -189,14 +180,9 @@ class GaussNewton:
         return replace(shaped, points_energy=start.residual_energy)
 
     def fit_known(
-        self,
-        bins: Bins,
-        positions_mm: Sequence[Position],
-        steps: int,
-        shapes: Sequence[Shape],
-        turns: Sequence[complex] = (),
-        shares: Sequence[float] = (),
-    ) -> Fit:
+        self, bins: Bins, positions_mm: Sequence[Position], steps: int, shapes: Sequence[Shape],
+        turns: Sequence[complex] = (), shares: Sequence[float] = (),
+    ) -> Fit:  # fmt: skip
         """Fit contacts of known shapes from positions nearby."""
         if len(positions_mm) == 1:
             x_mm, y_mm = positions_mm[0]
@@ -223,6 +209,7 @@ class GaussNewton:
         if length > len(self._many):
             self._many = np.zeros((length, len(self._known)), self._known.dtype)
         rows = self._many[:length]
+        self._look_ups += count
         at = []
         for k, position in enumerate(positions_mm):
             at.append(self._look_up(*position, shapes[k] if shapes else None))
@@ -236,6 +223,11 @@ class GaussNewton:
         np.add(parts[:, 0, :, 0], parts[:, 1, :, 1], table.real)
         np.subtract(parts[:, 0, :, 1], parts[:, 1, :, 0], table.imag)
         return at, table
+
+    @property
+    def spent(self) -> float:
+        """Cost of all fits so far, in the unit of `anytime`."""
+        return self._look_ups + SHAPE_COST * self._contacts.steps
 
     def shift(self, bins: Bins, fit: Fit) -> tuple[Array, Matrix]:
         """Return the matrix from a small change of the bins to that of one finger's x and y, mm, (2, size).
@@ -253,23 +245,33 @@ class GaussNewton:
         information = rows @ rows.T
         return np.linalg.solve(information, rows), information.tolist()
 
-    def residual(self, bins: Bins, fit: Fit, shapes: Sequence[Shape] = ()) -> Array:
+    def residual(self, bins: Bins, fit: Fit, shapes: Sequence[Shape] = (), *, without: int | None = None) -> Array:
         """Return what a fit leaves of the bins, shape (channels * 2 * bins,); valid until the next call.
 
-        `shapes` are the fit's, if they are known: their tables are kept.
+        `shapes` are the fit's, if they are known: their tables are kept. One finger of the fit may be left out.
         """
         self._load(bins)
-        left, turn = self._left, self._turn
-        left[...] = self._known.reshape(2, -1)
-        of_all: Sequence[Shape | None] = shapes or shapes_of(fit) or [None] * len(fit.positions_mm)
-        for (x, y), amplitude, shape in zip(fit.positions_mm, fit.amplitudes, of_all, strict=True):
+        if bins is not self._parted[0] or fit is not self._parted[1]:
+            self._parted = bins, fit
+            self._part_by_finger(fit, shapes or shapes_of(fit) or [None] * len(fit.positions_mm))
+        left = self._left
+        left[...] = self._value_known
+        for k in range(len(fit.positions_mm)):
+            if k != without:
+                np.subtract(left, self._parts[k], left)
+        left.take(self._back, None, self._residual, "wrap")
+        return self._residual
+
+    def _part_by_finger(self, fit: Fit, shapes: Sequence[Shape | None]) -> None:
+        """Put each finger's part of the bins into `_parts`."""
+        if len(shapes) > len(self._parts):
+            self._parts = np.zeros((len(shapes), *self._left.shape), self._left.dtype)
+        turn = self._turn
+        for (x, y), amplitude, shape, part in zip(fit.positions_mm, fit.amplitudes, shapes, self._parts, strict=False):
             self._look_up(x, y, shape)
             turn[0, 0] = turn[1, 1] = amplitude.real
             turn[1, 0], turn[0, 1] = amplitude.imag, -amplitude.imag
-            turn.dot(self._value, self._part)
-            np.subtract(left, self._part, left)
-        left.take(self._back, None, self._residual, "wrap")
-        return self._residual
+            turn.dot(self._value, part)
 
     def _load(self, bins: Bins) -> None:
         """Copy the bins beside the field, in the solver's order, unless they are there."""
@@ -288,11 +290,3 @@ class GaussNewton:
         if self._ordered_mask is not None:
             np.multiply(self._field, self._ordered_mask, self._field)
         return position
-
-
-def shapes_of(fit: Fit) -> list[Shape]:
-    """Return the shapes of a fit's fingers, over their amplitudes; none of points."""
-    return [
-        tuple([part / z for part in shape]) if z else (0j,) * 4
-        for z, shape in zip(fit.amplitudes, fit.shapes, strict=False)
-    ]

@@ -117,8 +117,9 @@ def _of_several(products: Products) -> Step:
 
 def _of_two(products: Products) -> Step:
     # Real and imaginary parts in turn: of the fields u and v, then of the slopes of u and of v.
-    first, second, *slopes = products.view(np.float64).tolist()
-    uu, vv, ud, ud_i, vd, vd_i = first[0], second[2], *first[-2:], *second[-2:]
+    parts: list[list[float]] = products.view(np.float64).tolist()
+    first, second, *slopes = parts
+    uu, vv, (ud, ud_i), (vd, vd_i) = first[0], second[2], first[-2:], second[-2:]
     ridge = RIDGE / 2 * (uu + vv) + _TINY
     along_u, t, t_i = uu + ridge, first[2] / (uu + ridge), first[3] / (uu + ridge)
     # v less (t + i t_i) u, its part along u: its energy, and its products with the frame and the slopes.
@@ -139,7 +140,8 @@ def _of_two(products: Products) -> Step:
     (ax, bx, cx, dx), (ay, by, cy, dy), (av, bv, cv, dv), (aw, bw, cw, dw) = sides
     ad, bd, cd, dd = u_root * ud, u_root * ud_i, v_root * wd, v_root * wd_i
     of_x, of_y, of_v, of_w = slopes
-    u2, v2, uv, uv_i = z_u * z_u + z_ui * z_ui, z_v * z_v + z_vi * z_vi, z_u * z_v + z_ui * z_vi, z_u * z_vi - z_ui * z_v
+    u2, v2 = z_u * z_u + z_ui * z_ui, z_v * z_v + z_vi * z_vi
+    uv, uv_i = z_u * z_v + z_ui * z_vi, z_u * z_vi - z_ui * z_v
     xx = u2 * of_x[4] - ax * ax - bx * bx - cx * cx - dx * dx
     xy = u2 * of_x[6] - ax * ay - bx * by - cx * cy - dx * dy
     xv = uv * of_x[8] - uv_i * of_x[9] - ax * av - bx * bv - cx * cv - dx * dv

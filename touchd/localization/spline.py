@@ -17,7 +17,7 @@ PER_CELL = 4096
 """The field is looked up on a raster of 4096 points per cell (0.6 um on the shipped grid), so that the spline weights
 come from a table. A fit starts from the raster's point, and its last step leads anywhere: nothing is rounded away."""
 CONTACT_PER_CELL = 256
-"""The same of contacts with a shape, which need more derivatives: 10 um. Small tables stay in a cache between frames."""
+"""The same of contacts with a shape, which need more derivatives: 10 um. Small tables stay in the caches."""
 SLOPES = ((0, 0), (1, 0), (0, 1))
 """Orders along x and y of the field, and of its slopes."""
 CELLS = 4
