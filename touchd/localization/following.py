@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
-from msgspec.structs import replace
-
 from touchd.localization.contact_field import Shape
-from touchd.localization.fit import Bins, Fit, Matrix, no_fit, sigmas_mm
+from touchd.localization.fit import Bins, Fit, no_fit, shapes_of, sigmas_mm
 from touchd.localization.fit_criteria import CRITERIA
-from touchd.localization.gauss_newton import STILL_MM, GaussNewton, shapes_of
+from touchd.localization.gauss_newton import STILL_MM, GaussNewton
 from touchd.localization.landing import FIRST_STEPS
 from touchd.localization.multitouch import MultitouchSearch
 from touchd.localization.noise import NoiseModel
@@ -31,10 +30,9 @@ class _Shapes(NamedTuple):
     """Shapes of the fingers followed, as one frame had them."""
 
     shapes: list[Shape]
-    turns: list[complex]
-    """As in their fit."""
+    turns: Sequence[complex]
     shares: list[float]
-    """Of the information on each finger's position, what is left when its shape must be found too."""
+    """Both as in a fit."""
     excess: float
     """More unexplained energy than this, as a share of the signal's, and the shapes are fitted again."""
 
@@ -98,7 +96,7 @@ class Follower:
         shapes = shapes_of(fit)
         alone = self._solver.fit_known(bins, fit.positions_mm, 1, shapes)
         shares = [
-            min((own / full) ** 2, 1.0)
+            min(max((own / full) ** 2, 1e-30), 1.0)
             for own, full in zip(
                 sigmas_mm(alone.fisher_information, 1.0), sigmas_mm(fit.fisher_information, 1.0), strict=True
             )
@@ -114,7 +112,11 @@ class Follower:
         before, signal_then = self._points
         return excess > _worn(before) or signal > _STRONGER * signal_then
 
-    def expected(self, bins: Bins, t_ns: int) -> Fit:
+    def shapes_of(self, fit: Fit) -> Sequence[Shape]:
+        """Return the shapes of the fingers followed, if they are a fit's."""
+        return self._known.shapes if self._known and fit is self._last else ()
+
+    def expected(self, bins: Bins, t_ns: int, _signal: float) -> Fit:
         """Return the fingers of the last frame where they were going, not fitted: all energy is unexplained."""
         positions = self._prediction.ahead(t_ns)
         nothing = [0.0] * len(positions)
@@ -140,7 +142,7 @@ class Follower:
         known = self._known
         if known is None or len(known.shapes) != len(positions_mm):
             return no_fit(bins.energy)
-        fit = self._solver.fit_known(bins, positions_mm, FOLLOW_STEPS, known.shapes)
+        fit = self._solver.fit_known(bins, positions_mm, FOLLOW_STEPS, known.shapes, known.turns, known.shares)
         excess = self._noise.excess(fit.residual_energy, signal)
         if excess > known.excess:
             again = self._solver.fit_shapes(bins, fit, self._noise.noise_energy, _SHAPE_STEPS)
@@ -151,8 +153,7 @@ class Follower:
                 return no_fit(bins.energy)
         else:
             self._doubted_ns = None
-        information = _scaled(fit.fisher_information, known.shares)
-        self._last = fit = replace(fit, fisher_information=information, turns=known.turns)
+        self._last = fit
         return fit
 
     def _waited(self, t_ns: int) -> bool:
@@ -174,15 +175,3 @@ class Follower:
 def _worn(excess: float) -> float:
     """Return what shapes, or points, that left the share `excess` may leave before they are asked for others."""
     return max(excess, 0.0) * CRITERIA.shape_older + CRITERIA.shape_worn
-
-
-def _scaled(information: Matrix, shares: list[float]) -> Matrix:
-    """Return what is left of the information on positions, of each finger its share."""
-    if len(shares) == 1:
-        (share,), ((a, b), (_, c)) = shares, information
-        return (a * share, b * share), (b * share, c * share)
-    scales = [share**0.5 for share in shares for _ in "xy"]
-    return [
-        [one * value * other for value, other in zip(row, scales, strict=True)]
-        for row, one in zip(information, scales, strict=True)
-    ]
