@@ -115,7 +115,7 @@ def px(x_mm: float, y_mm: float) -> tuple[float, float]:
 
 
 def off_px(event: dict[str, Any], x_px: float, y_px: float) -> float:
-    return max(abs(event["x"] - x_px), abs(event["y"] - y_px))
+    return float(max(abs(event["x"] - x_px), abs(event["y"] - y_px)))
 
 
 def is_at(event: dict[str, Any], x_mm: float, y_mm: float) -> bool:
