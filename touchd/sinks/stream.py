@@ -68,7 +68,8 @@ class Stream:
             self._lost[event.type] += event.seq - last[0] - 1
         if not self._is_stale(event):
             if isinstance(event, TouchEvent):
-                self._touched = any([contact.phase != "up" for contact in event.contacts])
+                # A generator is another function in each frame.
+                self._touched = any([contact.phase != "up" for contact in event.contacts])  # noqa: C419
             elif isinstance(event, KeyEvent):
                 self._note(event)
             return event
