@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import signal
 import sys
@@ -82,9 +83,11 @@ def atlas_model() -> Model:
 
 
 @pytest.fixture(scope="session")
-def instrument() -> Instrument:
-    """The default plate."""
-    return Instrument(DEFAULT_PLATE)
+def instrument(tmp_path_factory: pytest.TempPathFactory) -> Instrument:
+    """The default plate; of the tests' processes one solves its modes, where they are not on disk yet."""
+    with (tmp_path_factory.getbasetemp().parent / "modes.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        return Instrument(DEFAULT_PLATE)
 
 
 @pytest.fixture(scope="session")
