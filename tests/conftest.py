@@ -68,6 +68,15 @@ def fresh_log() -> Iterator[None]:
     structlog.reset_defaults()
 
 
+@pytest.fixture
+def own_settings(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """No setting comes from the environment, or from this computer's file."""
+    for name in list(os.environ):
+        if name.upper().startswith("TOUCHD_"):
+            monkeypatch.delenv(name)
+    monkeypatch.setattr("touchd.config.load.DEFAULT_PATH", tmp_path / "etc" / "touchd.toml")
+
+
 @pytest.fixture(scope="session")
 def model() -> Model:
     """The shipped network, alone."""
