@@ -179,7 +179,7 @@ class AtlasLocalizer:
             inferred = True
             fit = self._landing.fit(detection, bins, signal)
         bins, fit = self._settle(detection, bins, fit)
-        if not fit.shapes and not held:
+        if not (fit.shapes or held) and self._follower.asks_shapes(noise.excess(fit.residual_energy, signal), signal):
             bins, fit = self._settle(detection, bins, self._solver.with_shapes(bins, fit, noise.noise_energy))
         signal = bins.energy - noise.noise_energy
         excess = noise.excess(fit.residual_energy, signal)

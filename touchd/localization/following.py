@@ -20,6 +20,8 @@ FOLLOW_STEPS, _SHAPE_STEPS = 3, 2
 
 _LIFTED = 0.8
 """A signal that falls below this share shows a finger that lifts."""
+_STRONGER = 1.5
+"""A signal that has grown by this much may tell a shape that it did not tell before."""
 _DOUBT_NS = 50_000_000
 """Energy that other shapes explain in part belongs to another finger, unless a search has found none for this long."""
 
@@ -57,6 +59,7 @@ class Follower:
     def reset(self) -> None:
         """Forget the fingers' shapes."""
         self._known: _Shapes | None = None
+        self._points: tuple[float, float] | None = None  # what they left, and the signal, when they had no shapes
         self._last: Fit | None = None
         self._doubted_ns: int | None = None
         self._excess = self._signal = 0.0
@@ -85,8 +88,11 @@ class Follower:
             return False
         self._last = fit
         if not fit.shapes:
+            if self.asks_shapes(excess, self._signal):
+                self._points = excess, self._signal
             self._known = None
             return True
+        self._points = None
         shapes = shapes_of(fit)
         alone = self._solver.fit_known(bins, fit.positions_mm, 1, shapes)
         shares = [
@@ -96,8 +102,15 @@ class Follower:
             )
         ]
         self._doubted_ns = None
-        self._known = _Shapes(shapes, fit.turns, shares, max(excess, 0.0) * CRITERIA.shape_older + CRITERIA.shape_worn)
+        self._known = _Shapes(shapes, fit.turns, shares, _worn(excess))
         return True
+
+    def asks_shapes(self, excess: float, signal: float) -> bool:
+        """Return whether points that leave the share `excess` may have shapes: not if they had none in such a frame."""
+        if self._points is None:
+            return True
+        before, signal_then = self._points
+        return excess > _worn(before) or signal > _STRONGER * signal_then
 
     def shapes_of(self, fit: Fit) -> Sequence[Shape]:
         """Return the shapes of the fingers followed, if they are a fit's."""
@@ -157,3 +170,8 @@ class Follower:
         # It may have turned sharply, or stopped: then it is nearer to where it was.
         other = self._solver.fit_one(bins, *self._prediction.positions_mm[0], FIRST_STEPS)
         return min(fit, other, key=lambda one: one.residual_energy)
+
+
+def _worn(excess: float) -> float:
+    """Return what shapes, or points, that left the share `excess` may leave before they are asked for others."""
+    return max(excess, 0.0) * CRITERIA.shape_older + CRITERIA.shape_worn
