@@ -238,7 +238,7 @@ def test_taps_in_a_cycle(scene: Scene, make: Callable[..., Pipeline]) -> None:
 
 @pytest.mark.parametrize("wide", [True, False])
 def test_creeping(wide: bool, scene: Scene, make: Callable[..., Pipeline]) -> None:
-    """`fault` names interference while what creeps in phase keeps the gate open, unless it is a tone: that is removed."""
+    """`fault` names interference while what creeps in phase keeps the gate open; a tone is taken out instead."""
     frames = frames_of(scene("idle"))
     shape, pipeline = frames[0].counts.shape, make()
     turn = 2 * np.pi * 0.3 * np.arange(shape[0] * shape[1]).reshape(shape)
