@@ -49,7 +49,8 @@ pip install --target "$stage/usr/lib/touchd" --no-compile --only-binary :all: \
     --implementation cp --python-version "3.$minor" "${platforms[@]}" \
     --constraint requirements.lock --no-warn-conflicts "${wheel[0]}[$extras]"
 # Not needed to run: console scripts, which name this computer's interpreter, tests, and tools to build or convert.
-rm -rf "$stage"/usr/lib/touchd/{bin,share,onnxruntime/{transformers,tools,quantization,datasets},numpy/{distutils,f2py}}
+# (numpy.f2py stays: SciPy takes all names of NumPy.)
+rm -rf "$stage"/usr/lib/touchd/{bin,share,onnxruntime/{transformers,tools,quantization,datasets},numpy/distutils}
 # Of the extra `calibrate`: interpreters of ONNX graphs, and examples.
 rm -rf "$stage"/usr/lib/touchd/{onnx/{backend,reference},matplotlib/mpl-data/sample_data}
 find "$stage/usr/lib/touchd" -depth -type d \( -name tests -o -name __pycache__ \) -exec rm -rf {} +

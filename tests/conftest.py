@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 
 # A shell makes what it runs in the background ignore Ctrl-C, and nohup SIGHUP: every process that a test starts would
 # inherit that. A handler is not inherited; this one ignores the signal for this process as before.
@@ -17,6 +18,10 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 # cores wait for each other for milliseconds.
 for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ[_name] = "1"
+# Some environments say so to keep folders clean: each process that a test starts would then compile touchd, which takes
+# as long as all its imports.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 from collections.abc import Callable, Iterator
 from functools import cache

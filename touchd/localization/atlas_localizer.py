@@ -70,7 +70,7 @@ class AtlasLocalizer:
         self._still = StillFinger(atlas, self._solver)
         self._faces: list[Face | None] = []  # of the fingers followed, as their shapes were fitted
         self._model_fit = ModelFit()
-        self._found = UNTOUCHED
+        self._touches: tuple[Touch, ...] = ()  # of the last touched frame
         self._touched = False  # whether a frame was fitted since the last untouched one
         self._departure = self._plate_moved = False
         self._untouched_ns = 0  # since the noise model was updated
@@ -87,8 +87,7 @@ class AtlasLocalizer:
 
     def reset(self) -> None:
         """Forget all fingers, and water."""
-        self._lose()
-        self._found = UNTOUCHED
+        self._touches = self._lose()
         self._still.reset()
         self._classifier.reset()
         self._search.reset()
@@ -105,7 +104,7 @@ class AtlasLocalizer:
         if self._touched:
             self._touched = False
             self._model_fit.end_touch()
-            if self._found.touches:
+            if self._touches:
                 self.reset()
             else:  # water, or what a finger left that was lost as it lifted: water stays known
                 self._prediction.reset()
@@ -128,14 +127,15 @@ class AtlasLocalizer:
         self._listen(detection)
         t_ns = detection.t_ns
         self._search.update(t_ns)
-        if self._found.touches and not detection.hits and self._rests(detection.residual):
+        if self._still.armed and self._touches and not detection.hits and self._rests(detection.residual):
             self._prediction.rest(t_ns)
-            return self._found
+            return Localization(Outcome.STILL, self._touches)
         tracked = bool(self._prediction.positions_mm)
-        touches, inferred = self._place(detection, self._keep_confidence if alive else self._min_confidence, complete)
-        self._found = Localization(Outcome.STILL, touches)
+        self._touches, inferred = self._place(
+            detection, self._keep_confidence if alive else self._min_confidence, complete
+        )
         outcome = Outcome.INFERRED if inferred else Outcome.TRACKED if tracked else Outcome.FAINT
-        return Localization(outcome, touches, self._departure, self._plate_moved)
+        return Localization(outcome, self._touches, self._departure, self._plate_moved)
 
     @property
     def stretch(self) -> float | None:
@@ -165,20 +165,24 @@ class AtlasLocalizer:
         ):
             return self._lose(), inferred
         held = tracked and self._follower.waits(bins, signal)
-        if held:
-            fit = self._follower.expected(bins, t_ns)
-        elif tracked:
-            fit = self._follower.follow(bins, t_ns, signal)
+        if tracked:
+            fit = (self._follower.expected if held else self._follower.follow)(bins, t_ns, signal)
         elif search.pending and not (search.doubts and signal > CRITERIA.faint * noise.noise_energy):
             fit = no_fit(bins.energy)  # the search that goes on finds where to begin
         else:
             inferred = True
             fit = self._landing.fit(detection, bins, signal)
         bins, fit = self._settle(detection, bins, fit)
-        if not fit.shapes and not held:
+        if not (fit.shapes or held) and self._follower.asks_shapes(noise.excess(fit.residual_energy, signal), signal):
             bins, fit = self._settle(detection, bins, self._solver.with_shapes(bins, fit, noise.noise_energy))
         signal = bins.energy - noise.noise_energy
         excess = noise.excess(fit.residual_energy, signal)
+        significant = sum(fit.energies) > noise.min_signal_energy
+        confidence = CRITERIA.confidence(excess) if significant else 0.0
+        clear = excess <= CRITERIA.search_above and signal >= CRITERIA.faint * noise.noise_energy
+        if tracked and clear and confidence >= min_confidence and not search.pending:  # the usual case
+            self._model_fit.add(fit.residual_energy - noise.noise_energy, signal, noise.noise_energy)
+            return self._accept(bins, fit, confidence, excess, t_ns, alone=complete), False
         may_be_gone = tracked and excess > CRITERIA.fair
         if may_be_gone and self._is_untouched(bins, noise.plate_energy(bins.vector), t_ns):
             return self._lose(), inferred
@@ -190,6 +194,8 @@ class AtlasLocalizer:
             bins, fit = self._settle(detection, bins, fit)
             signal = bins.energy - noise.noise_energy
             excess = noise.excess(fit.residual_energy, signal)
+            significant = sum(fit.energies) > noise.min_signal_energy
+            confidence = CRITERIA.confidence(excess) if significant else 0.0
         # What may be beside one well explained finger that has just landed is sought from the next frame on; a search
         # that goes on began with a frame that was not like this.
         waits = not (tracked or complete) and len(fit.positions_mm) == 1 and excess < CRITERIA.fair
@@ -203,7 +209,7 @@ class AtlasLocalizer:
             else:
                 found, known = search.search(bins, fit, signal, tracked=tracked, limited=not complete)
                 if tracked and self._follower.waits(bins, signal, excess):
-                    return self._found.touches, inferred
+                    return self._touches, inferred
                 if held and found is fit:
                     found = self._follower.follow(bins, t_ns, signal)
                 bins, fit = self._settle(detection, bins, found)
@@ -211,10 +217,10 @@ class AtlasLocalizer:
                 if not known:
                     self._prediction.forget_velocities()
             excess = noise.excess(fit.residual_energy, signal)
+            significant = sum(fit.energies) > noise.min_signal_energy
+            confidence = CRITERIA.confidence(excess) if significant else 0.0
         if fit.positions_mm or inferred or not search.pending:
             self._model_fit.add(fit.residual_energy - noise.noise_energy, signal, noise.noise_energy)
-        significant = sum(fit.energies) > noise.min_signal_energy
-        confidence = CRITERIA.confidence(excess) if significant else 0.0
         # An emitter that falls silent, or a gain that changes, looks like a finger on the emitter; but the plate's own
         # directions explain it better. A tracked finger was none of that.
         faint = signal < CRITERIA.faint * noise.noise_energy
@@ -224,12 +230,8 @@ class AtlasLocalizer:
         if by_plate or by_palms or not confidence >= min_confidence or not fit.positions_mm:
             return self._lose(), inferred
         # Shapes that no finger has make up for wrong positions: of several, where the field is badly known.
-        if (
-            len(fit.shapes) > 1
-            and not tracked
-            and excess > CRITERIA.good
-            and elongation(fit) > CRITERIA.most_elongation
-        ):
+        several_shapes = len(fit.shapes) > 1 and not tracked
+        if several_shapes and excess > CRITERIA.good and elongation(fit) > CRITERIA.most_elongation:
             return self._lose(), inferred
         if len(fit.positions_mm) == 1 and not tracked and self._landing.is_ambiguous(bins, fit, signal, faint=faint):
             return self._lose(), inferred
@@ -248,37 +250,37 @@ class AtlasLocalizer:
     ) -> tuple[Touch, ...]:
         """Track the fingers of a fit, and return them as touches."""
         if excess < CRITERIA.good and self._drift.is_due(t_ns):
-            self._drift.update(self._solver.residual(bins, fit), t_ns)
+            self._drift.update(self._solver.residual(bins, fit, self._follower.shapes_of(fit)), t_ns)
         self._prediction.update(fit.positions_mm, t_ns)
         if self._follower.update(bins, fit, excess):
             self._faces = self._size.faces(fit) if fit.shapes else [None] * len(fit.positions_mm)
-        moved_mm = self._prediction.moved_mm if self._skips_still else math.inf
-        self._still.update(bins, fit, moved_mm, self._noise.variance)
+        if self._skips_still:
+            self._still.update(bins, fit, self._prediction.moved_mm, self._noise.variance)
         fingers = self._classifier.fingers(bins, fit, t_ns, alone=alone, lacking=self._search.explains)
-        self._departure, faces = self._classifier.departure, dict(zip(fit.positions_mm, self._faces, strict=True))
+        self._departure = self._classifier.departure
         # Change of the signal, as a share of its size, by a finger of amplitude 1.
-        change = self._field_rms / self._plate.signal_rms
-        make = self._touch_maker.touch
-        return tuple(
-            make(*at, sigma_mm, confidence, size * change, None, faces[at], kind_of(size, faces[at]))
-            for at, sigma_mm, size in fingers
-            if sigma_mm <= self._max_sigma_mm
-        )
+        change, touches = self._field_rms / self._plate.signal_rms, []
+        for k, sigma_mm, size in fingers:
+            if sigma_mm <= self._max_sigma_mm:
+                (x_mm, y_mm), face = fit.positions_mm[k], self._faces[k]
+                touches.append(self._touch_maker.touch(
+                    x_mm, y_mm, sigma_mm, confidence, size * change, None, face, kind_of(size, face)
+                ))  # fmt: skip
+        return tuple(touches)
 
     def _rests(self, residual: Signal) -> bool:
         """Return whether the finger of the last fit is still where it was, but for the noise."""
-        if not self._still.armed:
-            return False
         self._drift.correct(residual, self._still.vector)
         self._plate.nuisance.align(self._still.vector)
         return self._still.holds(2 * (1 + CRITERIA.noise_margin) * self._noise.noise_energy)
 
     def _settle(self, detection: Detection, bins: Bins, fit: Fit) -> tuple[Bins, Fit]:
         """Give fingers back what the frame's delay and hit samples took from them; too few fingers cannot tell it."""
-        lacking = fit.residual_energy > CRITERIA.half_confidence * bins.energy + self._noise.noise_energy
-        if lacking and not detection.hits:
+        noise_energy, nuisance = self._noise.noise_energy, self._plate.nuisance
+        lacking = fit.residual_energy > CRITERIA.half_confidence * bins.energy + noise_energy
+        if not nuisance.engaged or (lacking and not detection.hits):
             return bins, fit
-        return self._plate.nuisance.settle(bins, fit, self._solver, self._noise.noise_energy)
+        return nuisance.settle(bins, fit, self._solver, noise_energy)
 
     def _listen(self, detection: Detection) -> None:
         """Use the channels that are live, and no bin beside a tone."""

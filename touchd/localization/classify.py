@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import cmath
 import math
+from operator import mul
 
 from touchd.localization.atlas import Atlas
 from touchd.localization.fit import Bins, Fit
@@ -51,8 +52,8 @@ EDGE_MM, WAVE_MM = 12.0, 30.0
 and one finger looks like two on either side of it, or with a second one beside it."""
 
 
-Finger = tuple[Position, float, float]
-"""A finger among the contacts of a fit: position, standard error (mm) and modulus of the amplitude."""
+Finger = tuple[int, float, float]
+"""A finger among the contacts of a fit: its index, standard error (mm) and modulus of the amplitude."""
 
 
 class Classifier:
@@ -92,36 +93,36 @@ class Classifier:
         if self._known:
             self._known = [one for one in self._known if one.until_ns >= t_ns]
         several = len(fit.positions_mm) > 1
-        sizes, leads = list(map(abs, fit.amplitudes)), list(map(cmath.phase, fit.amplitudes))
-        for k, turn in enumerate(fit.turns):
-            leads[k] = cmath.phase(fit.amplitudes[k] * turn)
+        sizes = list(map(abs, fit.amplitudes))
+        leads = list(map(cmath.phase, map(mul, fit.amplitudes, fit.turns) if fit.turns else fit.amplitudes))
         self.departure = min(map(abs, leads)) > DEPARTURE_RAD
-        noise, variance = self._noise.variance, self._errors.variance(fit, sizes)
-        error = max(variance - noise, 0.0)
+        variance = self._errors.variance(fit, sizes)
         errors_mm = self._errors.sigmas_mm(fit, variance)
         doubtful = self._cornered(fit.positions_mm) | self._edged(fit) if several else ()
         fingers: list[Finger] = []
-        for k, position in enumerate(fit.positions_mm):
-            lead, energy = leads[k], fit.energies[k]
+        for k, lead in enumerate(leads):
             if not LAG_RAD < lead < DEPARTURE_RAD:
                 continue
+            position, energy, size = fit.positions_mm[k], fit.energies[k], sizes[k]
             sigma_rad = math.sqrt(variance / energy) if energy > 0 else math.inf
             known = self._known_at(position, errors_mm[k]) if self._known else None
-            is_clear = sizes[k] >= CLEAR_SIZE and lead + CLEAR_SIGMAS * sigma_rad < CLEAR_RAD  # the usual case
-            if known is not None and (known.is_placed if lacking else known.is_settled(sizes[k], t_ns)):
+            is_clear = size >= CLEAR_SIZE and lead + CLEAR_SIGMAS * sigma_rad < CLEAR_RAD  # the usual case
+            if known is not None and (known.is_placed if lacking else known.is_settled(size, t_ns)):
                 known.see(position, t_ns)
-            elif not (is_clear and known is None):
+            elif known is not None or not is_clear:
                 lag_rad, share = self._phase.lag_rad(bins, fit, k)
-                told = energy * share
-                by_noise, by_error = (math.sqrt(one / told) if told > 0 else math.inf for one in (noise, error))
-                look = Look(lag_rad, by_noise, by_error, sizes[k])
+                noise, told = self._noise.variance, energy * share
+                by_noise, by_error = (
+                    math.sqrt(one / told) if told > 0 else math.inf for one in (noise, max(variance - noise, 0.0))
+                )
+                look = Look(lag_rad, by_noise, by_error, size)
                 if alone and look.log_odds() <= SURE_ALONE:
                     continue
                 if not (alone or self._is_finger(position, look, known, t_ns, several=several)):
                     continue
             if k not in doubtful:
-                fingers.append((position, errors_mm[k], sizes[k]))
-        self._fingers = [position for position, _, _ in fingers]
+                fingers.append((k, errors_mm[k], size))
+        self._fingers = [fit.positions_mm[k] for k, _, _ in fingers]
         return fingers
 
     def _is_finger(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import cmath
 
 import numpy as np
-from msgspec.structs import replace
 
 from touchd.localization.atlas import Atlas
 from touchd.localization.fit import Bins, Fit
@@ -46,14 +45,7 @@ class MassPhase:
 
         Both are 0 of a contact without energy.
         """
-        others = [i for i in range(len(fit.positions_mm)) if i != k]
-        rest = replace(
-            fit,
-            positions_mm=[fit.positions_mm[i] for i in others],
-            amplitudes=[fit.amplitudes[i] for i in others],
-            shapes=[fit.shapes[i] for i in others] if fit.shapes else [],
-        )
-        left = self._solver.residual(bins, rest)  # without the bins that are left out
+        left = self._solver.residual(bins, fit, without=k)  # without the bins that are left out
         self._spline.at(*fit.positions_mm[k])
         real, imaginary = self._rows[0].reshape(2, *self._parts[::2])
         mass = (real + 1j * imaginary) * self._turn

@@ -243,6 +243,7 @@ def test_whole_wizard(tmp_path: Path, follow: str) -> None:
             expect(opened.locator(".stage .mark")).to_be_visible()
             touch_marks(opened, ".stage .what", "")
             expect(opened.locator(".mapped")).to_contain_text("The screen is")
+            expect(opened.locator(".mapped")).to_be_visible()
             found = load(rig.config).input
             assert np.allclose(found.screen_mm, SCREEN_MM, atol=1.0), found
             assert 0.0 < found.residual_mm < 1.0

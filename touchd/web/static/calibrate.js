@@ -81,7 +81,7 @@ export function mount(root, page) {
     else if (problem.textContent.startsWith(t.no_wizard[0])) fault('');
     const { running, plate, result } = state, listening = running === 'untouched', fitting = running === 'fit', taught = running === 'train';
     const step = listening ? 'untouched' : fitting ? 'fit' : taught ? 'train' : running === 'taps' ? 'taps' : running === 'crosses' ? 'screen' : result ? 'verdict' : plate ? 'untouched' : 'measures';
-    if (step !== reached && reached !== 'train') chosen = step; // what came of a training is looked at where it was
+    if (step !== reached && !['screen', 'train'].includes(reached)) chosen = step; // what came of these is looked at where it was
     reached = step;
     const open = { measures: true, untouched: plate, fit: state.untouched || fitting, verdict: result && !fitting, screen: (state.installed || state.mapping) && !fitting, taps: result?.model && !fitting, train: true };
     for (const { firstChild: each } of steps.children) {
