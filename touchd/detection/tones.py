@@ -26,6 +26,8 @@ MOST = 8
 """Tones at once; more are noise, whose level the gate learns."""
 SAME_BINS = 0.5
 """Lines nearer to each other are one tone."""
+PAIR_SHARE = 0.8
+"""Of a line's energy, two neighbouring bins have this much at least, wherever between them it lies."""
 _PADDED = 4
 """Points of the spectrum for each bin: a line between two of them loses 5 % at most."""
 _FIRST_BIN = 3
@@ -50,6 +52,14 @@ class Tones:
         self._edge = _FIRST_BIN * _PADDED
         self._works = samples > 4 * _FIRST_BIN
         self._before: Signal = np.zeros((channels, samples), dtype)
+        self._difference, self._part = np.zeros_like(self._before), np.zeros_like(self._before)
+        self._flat, self._energy = self._difference.reshape(-1), np.zeros((), dtype)
+        # A look at a frame with a finger makes no array.
+        bins = samples // 2
+        phase = (np.outer(np.arange(samples), np.arange(bins)) % samples) * (2 * np.pi / samples)
+        self._to_bins: Signal = np.concatenate([np.cos(phase), np.sin(phase)], axis=1).astype(dtype)
+        self._bins, self._bin_power = np.zeros((channels, 2 * bins), dtype), np.zeros(2 * bins, dtype)
+        self._pairs: Signal = np.zeros(bins - 1, dtype)
         self._follows = False  # whether `_before` is an earlier frame of this touch
         self.known_hz: tuple[float, ...] = ()
         """Frequencies of the tones; another object whenever one changes."""
@@ -71,12 +81,15 @@ class Tones:
             power = self._power(residuals) / len(residuals)
             # White noise has the same power at each point.
             self._search(residuals, self._samples * float(np.median(power)))
-            self.remove(residuals)
+            for residual in residuals:
+                self.remove(residual)
         return bool(self.known_hz)
 
     def remove(self, residual: Signal) -> None:
-        """Remove the known tones from residuals, (..., channels, samples), in place."""
-        residual -= (residual @ self._basis.T) @ self._basis
+        """Remove the known tones from a residual, (channels, samples), in place."""
+        np.dot(residual, self._columns, self._along)
+        np.dot(self._along, self._basis, self._part)
+        np.subtract(residual, self._part, residual)
 
     def find(self, residual: Signal, noise_energy: float) -> bool:
         """Look for further tones in a touched frame, (channels, samples); remove them, and return whether there is one.
@@ -85,9 +98,11 @@ class Tones:
         """
         if not self._works:
             return False
-        found = self._search(
-            *(residual - self._before, 2 * noise_energy) if self._follows else (residual, noise_energy)
-        )
+        if not self._follows:
+            found = self._search(residual, noise_energy)
+        else:
+            np.subtract(residual, self._before, self._difference)
+            found = self._has_line(2 * noise_energy) and self._search(self._difference, 2 * noise_energy)
         if found:
             self.remove(residual)
         self._before[...] = residual
@@ -101,6 +116,22 @@ class Tones:
         self._search(residual, noise_energy)
         same = [next((old for old in before if self._is_same(old, one)), one) for one in self.known_hz]
         self._set(before if sorted(same) == sorted(before) else tuple(same))
+
+    def _has_line(self, noise_energy: float) -> bool:
+        """Return whether one line may explain half of what noise leaves of the difference."""
+        self._flat.dot(self._flat, self._energy)
+        energy = self._energy.item() - noise_energy
+        if not energy > LEAST * noise_energy:
+            return False
+        np.dot(self._difference, self._to_bins, self._bins)
+        np.multiply(self._bins, self._bins, self._bins)
+        np.sum(self._bins, axis=0, out=self._bin_power)
+        real, imaginary = self._bin_power.reshape(2, -1)
+        np.add(real, imaginary, real)
+        np.add(real[1:], real[:-1], self._pairs)
+        np.max(self._pairs, out=self._energy)
+        most: float = self._energy.item()
+        return bool(2 * most > PAIR_SHARE * SHARE * energy * self._samples)
 
     def _search(self, residuals: Signal, noise_energy: float) -> bool:
         """Take the tones found in residuals, (..., channels, samples), for known; return whether there are any."""
@@ -117,7 +148,8 @@ class Tones:
             if share < FIRST_SHARE or share * energy < LEAST * noise_energy:
                 break
             self._set((*self.known_hz, self._frequency_hz(power, best)))
-            self.remove(left)
+            for one in left.reshape(-1, *self._before.shape):
+                self.remove(one)
             energy = float(np.vdot(left, left)) / frames - noise_energy
             if share > SHARE or energy < (1 - SEVERAL_SHARE) * first:
                 known, first = self.known_hz, energy
@@ -153,3 +185,5 @@ class Tones:
         rows = np.concatenate([waves.real, waves.imag, slopes.real, slopes.imag])
         basis = np.linalg.qr(rows.T)[0].T if len(rows) else rows
         self._basis: Signal = basis.astype(self._before.dtype)
+        self._columns: Signal = np.ascontiguousarray(self._basis.T)
+        self._along: Signal = np.zeros((len(self._before), len(basis)), self._before.dtype)
