@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import signal
 import sys
@@ -67,6 +68,15 @@ def fresh_log() -> Iterator[None]:
     structlog.reset_defaults()
 
 
+@pytest.fixture
+def own_settings(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """No setting comes from the environment, or from this computer's file."""
+    for name in list(os.environ):
+        if name.upper().startswith("TOUCHD_"):
+            monkeypatch.delenv(name)
+    monkeypatch.setattr("touchd.config.load.DEFAULT_PATH", tmp_path / "etc" / "touchd.toml")
+
+
 @pytest.fixture(scope="session")
 def model() -> Model:
     """The shipped network, alone."""
@@ -82,9 +92,11 @@ def atlas_model() -> Model:
 
 
 @pytest.fixture(scope="session")
-def instrument() -> Instrument:
-    """The default plate."""
-    return Instrument(DEFAULT_PLATE)
+def instrument(tmp_path_factory: pytest.TempPathFactory) -> Instrument:
+    """The default plate; of the tests' processes one solves its modes, where they are not on disk yet."""
+    with (tmp_path_factory.getbasetemp().parent / "modes.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        return Instrument(DEFAULT_PLATE)
 
 
 @pytest.fixture(scope="session")

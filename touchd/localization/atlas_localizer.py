@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from touchd.config.schema import Settings
 from touchd.detection.baseline import Signal
-from touchd.detection.detector import Detection
+from touchd.detection.detection import Detection
 from touchd.keypad import Layout
 from touchd.localization.atlas import Atlas
 from touchd.localization.classify import Classifier
@@ -100,12 +100,10 @@ class AtlasLocalizer:
 
     def observe(self, detection: Detection) -> Localization:
         """Follow noise and temperature on an untouched frame, and forget fingers and water."""
-        if detection.live is not self._live:
-            self._set_channels(detection.live)
+        self._listen(detection)
         if self._touched:
             self._touched = False
             self._model_fit.end_touch()
-            self._plate.calm()
             if self._touches:
                 self.reset()
             else:  # water, or what a finger left that was lost as it lifted: water stays known
@@ -126,8 +124,7 @@ class AtlasLocalizer:
 
     def localize(self, detection: Detection, *, alive: bool, complete: bool = False) -> Localization:
         """Return the fingers of a touched frame."""
-        if detection.live is not self._live:
-            self._set_channels(detection.live)
+        self._listen(detection)
         t_ns = detection.t_ns
         self._search.update(t_ns)
         if self._still.armed and self._touches and not detection.hits and self._rests(detection.residual):
@@ -137,7 +134,6 @@ class AtlasLocalizer:
         self._touches, inferred = self._place(
             detection, self._keep_confidence if alive else self._min_confidence, complete
         )
-        self._plate.watch(detection, finger=alive or bool(self._touches))
         outcome = Outcome.INFERRED if inferred else Outcome.TRACKED if tracked else Outcome.FAINT
         return Localization(outcome, self._touches, self._departure, self._plate_moved)
 
@@ -155,8 +151,6 @@ class AtlasLocalizer:
         """Share of a touch's energy that the model explains; None before it is known."""
         return self._model_fit.value
 
-    # -- one frame ------------------------------------------------------------------------------------
-
     def _place(self, detection: Detection, min_confidence: float, complete: bool) -> tuple[tuple[Touch, ...], bool]:
         """Return the fingers of a frame, and whether the network ran."""
         noise, search, t_ns = self._noise, self._search, detection.t_ns
@@ -167,7 +161,7 @@ class AtlasLocalizer:
         signal = bins.energy - noise.noise_energy
         # Most tracked fingers are far above noise and drift: that is quickly asked.
         if not (tracked and signal > noise.noise_energy + self._drift.energy) and self._is_untouched(
-            bins, signal, 0.0 if tracked else noise.plate_energy(bins.vector), t_ns
+            bins, 0.0 if tracked else noise.plate_energy(bins.vector), t_ns
         ):
             return self._lose(), inferred
         held = tracked and self._follower.waits(bins, signal)
@@ -190,8 +184,18 @@ class AtlasLocalizer:
             self._model_fit.add(fit.residual_energy - noise.noise_energy, signal, noise.noise_energy)
             return self._accept(bins, fit, confidence, excess, t_ns, alone=complete), False
         may_be_gone = tracked and excess > CRITERIA.fair
-        if may_be_gone and self._is_untouched(bins, signal, noise.plate_energy(bins.vector), t_ns):
+        if may_be_gone and self._is_untouched(bins, noise.plate_energy(bins.vector), t_ns):
             return self._lose(), inferred
+        rest = self._follower.rest(bins) if may_be_gone else None
+        if rest is not None and self._plate.explains(rest, noise.plate_energy(rest.vector), t_ns):
+            # The plate has moved at once, and the contacts have not.
+            held, bins = False, self._plate.bins(detection.residual, detection.hits)
+            fit = self._follower.follow(bins, t_ns, bins.energy - noise.noise_energy)
+            bins, fit = self._settle(detection, bins, fit)
+            signal = bins.energy - noise.noise_energy
+            excess = noise.excess(fit.residual_energy, signal)
+            significant = sum(fit.energies) > noise.min_signal_energy
+            confidence = CRITERIA.confidence(excess) if significant else 0.0
         # What may be beside one well explained finger that has just landed is sought from the next frame on; a search
         # that goes on began with a frame that was not like this.
         waits = not (tracked or complete) and len(fit.positions_mm) == 1 and excess < CRITERIA.fair
@@ -233,22 +237,12 @@ class AtlasLocalizer:
             return self._lose(), inferred
         return self._accept(bins, fit, confidence, excess, t_ns, alone=complete), inferred
 
-    def _is_untouched(self, bins: Bins, signal: float, plate_energy: float, t_ns: int) -> bool:
-        """Return whether noise and the plate's own movement explain a frame, and if so follow that movement.
-
-        A trigger that comes early or late delays all channels alike, which looks like a faint finger on the emitter; so
-        does what is left of a change of temperature when a finger lifts.
-        """
-        drift, noise_spread = self._drift, CRITERIA.noise_spread * self._noise.noise_energy
-        evidence, moved = signal - plate_energy, drift.energy + plate_energy
-        plausible = moved < CRITERIA.most_moved * drift.signal_energy
-        # Asked this way round, so that NaN is not followed.
-        if not evidence <= noise_spread + (CRITERIA.plate * moved if plausible else 0.0):
+    def _is_untouched(self, bins: Bins, plate_energy: float, t_ns: int) -> bool:
+        """Return whether noise and the plate's own movement explain a frame, and if so follow that movement."""
+        if not self._plate.explains(bins, plate_energy, t_ns):
             return False
         self._search.cancel()
-        if plausible:
-            drift.absorb(bins.vector, t_ns)
-            self._plate_moved = drift.energy > max(evidence, noise_spread)
+        self._plate_moved = self._plate.moved
         return True
 
     def _accept(
@@ -288,10 +282,15 @@ class AtlasLocalizer:
             return bins, fit
         return nuisance.settle(bins, fit, self._solver, noise_energy)
 
-    def _set_channels(self, live: NDArray[np.bool_]) -> None:
-        self._live = live
-        self._plate.set_channels(live)
-        self._still.reset()
+    def _listen(self, detection: Detection) -> None:
+        """Use the channels that are live, and no bin beside a tone."""
+        if detection.live is not self._live:
+            self._live = detection.live
+            self._plate.set_channels(detection.live)
+            self._still.reset()
+        if detection.tones_hz is not self._plate.tones_hz:
+            self._plate.set_tones(detection.tones_hz)
+            self._still.reset()
 
     def _lose(self) -> tuple[Touch, ...]:
         self._plate.nuisance.forget_fingers()

@@ -122,6 +122,13 @@ class Follower:
         nothing = [0.0] * len(positions)
         return Fit(positions, [0j] * len(positions), nothing, (), bins.energy)
 
+    def rest(self, bins: Bins) -> Bins | None:
+        """Return what the last fit leaves of a frame, valid until the next fit; None without a last fit."""
+        if self._last is None:
+            return None
+        left = self._solver.residual(bins, self._last)
+        return Bins(left, bins.mask, float(left @ left))
+
     def follow(self, bins: Bins, t_ns: int, signal: float) -> Fit:
         """Fit the fingers of the last frame from where they were going, less those that have lifted."""
         positions = self._prediction.ahead(t_ns)

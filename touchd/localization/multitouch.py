@@ -19,10 +19,14 @@ from touchd.localization.spline import Position
 LOOK_UPS_A_SECOND = 8000.0
 """A search may cost this much per second of the frames' time, a quarter of a processor's, ..."""
 MOST_LOOK_UPS = 50.0
-"""... and this much in a frame, with all that is fitted besides: 1.5 ms. It ends with the piece that uses the allowance
-up; the next frame gets less."""
+"""... and this much in a frame: 1.5 ms. It ends with the piece that uses the allowance up; the next frame gets less."""
 _LEAST_SHARE = 0.2
-"""Share of it that a search may take however much is fitted besides."""
+"""Share of it that a search may take however much else is fitted in a frame."""
+_FOLLOW_LOOK_UPS, _LANDING_LOOK_UPS = 6.0, 25.0
+"""Cost of each finger that is followed meanwhile, and of a frame fitted as one finger's."""
+_FREE_LOOK_UPS = 50.0
+"""What is fitted in a frame beyond this is taken from the search, if it is more than that cost. Less makes searches
+beside four fingers so long that contacts break (twin)."""
 _CONFIRM_LOOK_UPS = 10.0
 """Cost of each finger found that is fitted in a later frame."""
 _SOON_NS, _AGAIN_NS, _SELDOM_NS = 20_000_000, 50_000_000, 2_000_000_000
@@ -124,7 +128,7 @@ class MultitouchSearch:
             self._running = self._all(bins.copy(), fit, signal, count if tracked else 0, grow=tracked)
             self._tracked, self._begun, self._begun_ns = tracked, signal, self._t_ns
             self._grown, self._frames, self._credit = 0, 0, 0.0
-        allowance = self._allowance(landing=fresh and not tracked) if limited else math.inf
+        allowance = self._allowance(fit, landing=fresh and not tracked) if limited else math.inf
         self._credit = min(self._credit, 0.0) + allowance  # what the last frame has left is none of this one
         self._frames += 1
         waiting = (fit, count) if tracked else (no_fit(bins.energy), 0)
@@ -148,11 +152,15 @@ class MultitouchSearch:
                 return waiting
         return self._settle(bins, found, known, fit, signal)
 
-    def _allowance(self, *, landing: bool) -> float:
+    def _allowance(self, fit: Fit, *, landing: bool) -> float:
         """Return how many look-ups the search may take in this frame; what was fitted in it has taken some of them."""
         elapsed_s = max(self._t_ns - self._before_ns, 0) * 1e-9
         most = MOST_LOOK_UPS if landing else min(LOOK_UPS_A_SECOND * elapsed_s, MOST_LOOK_UPS)
-        return max(most - (self._solver.spent - self._spent), _LEAST_SHARE * most)
+        fitted = _FOLLOW_LOOK_UPS * len(fit.positions_mm) if fit.fisher_information else 0.0
+        if self.doubts and not self._tracked:
+            fitted = _LANDING_LOOK_UPS
+        beyond = self._solver.spent - self._spent - _FREE_LOOK_UPS
+        return most - fitted if beyond <= fitted else min(most - fitted, max(most - beyond, _LEAST_SHARE * most))
 
     def prune(self, bins: Bins, fit: Fit, signal: float) -> tuple[Fit, list[int]]:
         """Return a fit without the fingers that explain next to nothing, and the indices of those, as they go.

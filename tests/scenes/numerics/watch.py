@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from tests.scenes.numerics.double import double_model
 from tests.scenes.stages import shipped
 from touchd.config.schema import Settings
-from touchd.detection.detector import Detection
+from touchd.detection.detection import Detection
 from touchd.event import Event, TouchEvent
 from touchd.frame import Frame
 from touchd.localization.atlas_localizer import AtlasLocalizer
