@@ -50,7 +50,8 @@ class Tones:
         self._point_hz = acquisition.sample_rate_hz / self._points
         self._rate_hz = acquisition.sample_rate_hz
         self._edge = _FIRST_BIN * _PADDED
-        self._works = samples > 4 * _FIRST_BIN
+        # In steady state what a contact changes are lines itself, its harmonics: nothing tells them from tones.
+        self._works = samples > 4 * _FIRST_BIN and not acquisition.is_whole_period
         self._before: Signal = np.zeros((channels, samples), dtype)
         self._difference, self._part = np.zeros_like(self._before), np.zeros_like(self._before)
         self._flat, self._energy = self._difference.reshape(-1), np.zeros((), dtype)

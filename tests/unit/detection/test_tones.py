@@ -121,3 +121,14 @@ def test_few_samples() -> None:
     short = USB.model_copy(update={"samples": 12})
     assert not Tones(short).find(np.ones(short.shape, np.float32), 1.0)
     assert not Tones(short).learn(np.ones((4, *short.shape), np.float32))
+
+
+@pytest.mark.parametrize("name", ["audio-96", "audio-192"])
+def test_steady_state(name: str) -> None:
+    """In frames that are whole periods a contact's harmonics are lines, which are no tones."""
+    acquisition = ACQUISITIONS[name]
+    channels, samples = acquisition.shape
+    harmonic = np.sin(2 * np.pi * 30 * np.arange(samples) / samples) * np.ones((channels, 1))
+    tones = Tones(acquisition)
+    assert not tones.find(harmonic.astype(np.float32), 1.0)
+    assert not tones.learn(np.stack([harmonic, -harmonic] * 8).astype(np.float32))
