@@ -1,22 +1,25 @@
 # `make demo` and `make test` do all the set-up they need on a fresh machine (Debian 12, python3, make).
 PYTHON ?= python3
 BIN := .venv/bin
+# Without bytecode each process would compile what it imports.
+unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: setup demo test unit lint bench soak ghosts hostile golden docs lock packages test-packages deb vm-packages vm-test kiosk-test promise-test clean
+.PHONY: setup demo test all-tests unit lint style types bench soak ghosts hostile golden docs lock packages test-packages deb vm-packages vm-test kiosk-test promise-test clean
 
 setup: .venv/.ready
 
 # Everything at the exact versions of requirements.lock; touchd itself is installed in place.
 .venv/.ready: requirements.lock pyproject.toml | packages
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -r requirements.lock
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile -r requirements.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --no-deps --no-build-isolation -e .
 	touch $@
 
 packages:
 	@deploy/debian-packages.sh run
 
-test-packages:
+# After `packages`, as apt runs once at a time.
+test-packages: packages
 	@deploy/debian-packages.sh test
 	@sh docs/examples/install-node-zeromq.sh
 	@sh docs/examples/install-node-zeromq.sh tests/system/web
@@ -27,8 +30,14 @@ demo: setup
 # The tests of a file stay together, for what they share; the order is that of pyproject's `testpaths`.
 SIDE_BY_SIDE := --dist loadscope --no-loadscope-reorder --numprocesses
 
-# Everything; some minutes. Two more side by side than there are processors: they often wait for processes they started.
-test: setup test-packages lint
+# Everything; some minutes. The set-up waits for the network in two ways at once, and mypy works on one processor alone.
+test:
+	@$(MAKE) --no-print-directory --jobs 2 setup test-packages
+	@$(MAKE) --no-print-directory style
+	@$(MAKE) --no-print-directory --jobs 2 types all-tests
+
+# Two more side by side than there are processors: they often wait for processes they started.
+all-tests:
 	$(BIN)/python -m pytest $(SIDE_BY_SIDE) $(shell expr $$(nproc) + 2) $(ARGS)
 
 # What needs no other process, socket of the network or kernel, on a quarter of the random examples: under a minute.
@@ -56,8 +65,13 @@ promise-test: setup test-packages vm-packages
 	$(BIN)/python -m pytest -s -o faulthandler_timeout=7300 tests/system/kiosk/promise.py $(ARGS)
 
 lint: setup
+	@$(MAKE) --no-print-directory style types
+
+style:
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+
+types:
 	$(BIN)/mypy
 
 # Time against error, beside the bare network in the same process.

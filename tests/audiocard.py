@@ -6,7 +6,7 @@ periodic. The delay is drawn at each start, as whole samples and a fraction, and
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -140,11 +140,6 @@ class FakeCard:
             heard = heard + self.disturbance * self._rng.standard_normal(heard.shape)
         heard = heard[self.order] * self.gains[:, None]
         return np.asarray(np.clip(np.rint(heard), -(2**15), 2**15 - 1), np.int16)
-
-
-def openers(card: FakeCard, make: Callable[[FakeCard], object]) -> Callable[[], Iterator[Callable[[], object]]]:
-    """Candidates of a source: the one card."""
-    return lambda: iter([lambda: make(card.open())])
 
 
 class CableCard:

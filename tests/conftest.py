@@ -4,8 +4,10 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import signal
+import sys
 
 # A shell makes what it runs in the background ignore Ctrl-C, and nohup SIGHUP: every process that a test starts would
 # inherit that. A handler is not inherited; this one ignores the signal for this process as before.
@@ -17,6 +19,10 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 # cores wait for each other for milliseconds.
 for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ[_name] = "1"
+# Some environments say so to keep folders clean: each process that a test starts would then compile touchd, which takes
+# as long as all its imports.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 from collections.abc import Callable, Iterator
 from functools import cache
@@ -62,6 +68,15 @@ def fresh_log() -> Iterator[None]:
     structlog.reset_defaults()
 
 
+@pytest.fixture
+def own_settings(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """No setting comes from the environment, or from this computer's file."""
+    for name in list(os.environ):
+        if name.upper().startswith("TOUCHD_"):
+            monkeypatch.delenv(name)
+    monkeypatch.setattr("touchd.config.load.DEFAULT_PATH", tmp_path / "etc" / "touchd.toml")
+
+
 @pytest.fixture(scope="session")
 def model() -> Model:
     """The shipped network, alone."""
@@ -77,9 +92,11 @@ def atlas_model() -> Model:
 
 
 @pytest.fixture(scope="session")
-def instrument() -> Instrument:
-    """The default plate."""
-    return Instrument(DEFAULT_PLATE)
+def instrument(tmp_path_factory: pytest.TempPathFactory) -> Instrument:
+    """The default plate; of the tests' processes one solves its modes, where they are not on disk yet."""
+    with (tmp_path_factory.getbasetemp().parent / "modes.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        return Instrument(DEFAULT_PLATE)
 
 
 @pytest.fixture(scope="session")

@@ -10,7 +10,11 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+if TYPE_CHECKING:
+    from touchd.client import Subscriber
+    from touchd.event import Event
 
 PATIENCE_S = 120.0
 """How long anything may take, on a computer that is busy with something else."""
@@ -88,3 +92,13 @@ def wait_until(done: Callable[[], object]) -> None:
     while not done():
         assert time.monotonic() < until
         time.sleep(0.01)
+
+
+def until(events: Subscriber[Event], what: Callable[[Event], bool]) -> list[Event]:
+    """Receive events up to one that is so."""
+    heard: list[Event] = []
+    for event in events:
+        heard.append(event)
+        if what(event):
+            return heard
+    raise AssertionError("the subscription has ended")

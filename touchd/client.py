@@ -243,10 +243,15 @@ class Subscriber(Generic[E]):
         if wait_ms != self._wait_ms:
             self._socket.setsockopt(zmq.RCVTIMEO, wait_ms)
             self._wait_ms = wait_ms
+        parts, more = [], True
         try:
-            return self._socket.recv_multipart()
+            while more:  # recv_multipart asks after each part in Python
+                part = self._socket.recv(copy=False)
+                parts.append(part.bytes)
+                more = part.more
         except zmq.Again:
             return None
+        return parts
 
 
 def _default_addresses() -> tuple[str, ...]:

@@ -13,8 +13,10 @@ from msgspec import Struct
 
 from touchd.config.schema import Settings
 from touchd.detection.baseline import Signal
-from touchd.detection.detector import Detection, Detector, Notify
+from touchd.detection.detection import Detection
+from touchd.detection.detector import Detector, Notify
 from touchd.detection.impulses import Impulses
+from touchd.detection.tones import Tones
 from touchd.event import Contact
 from touchd.frame import Acquisition, Frame
 from touchd.keypad import Layout
@@ -78,7 +80,9 @@ class Pipeline:
         self.counters = Counters()
         self._acquisition = acquisition
         dtype = model.dtype if model else np.float32
-        self.detector = Detector(acquisition.shape, settings, notify, dtype, Impulses(acquisition, dtype))
+        self.detector = Detector(
+            acquisition.shape, settings, notify, dtype, Impulses(acquisition, dtype), Tones(acquisition, dtype)
+        )
         self._localizer = make_localizer(model, settings, layout)
         self._tracker = Tracker(settings.tracker)
         self._keys = Keys()

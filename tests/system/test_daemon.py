@@ -171,7 +171,7 @@ import sys
 asked = set()
 class Refuse:
     def find_spec(self, name, path=None, target=None):
-        if name in {{"torch", "scipy", "matplotlib", "sklearn", "distributed", "onnx", "rich"}}:
+        if name in {{"torch", "scipy", "matplotlib", "distributed", "onnx", "rich"}}:
             asked.add(name)
             raise ModuleNotFoundError(name=name)
 sys.meta_path.insert(0, Refuse())

@@ -32,7 +32,18 @@ LIFTED = -1
 Slots = tuple[int | None, ...]
 """The number of the finger in each slot."""
 EMPTY: Slots = (None,) * SLOTS
-_event = struct.Struct("@llHHi").pack  # struct input_event; the kernel sets the time
+
+
+def _head(kind: int, code: int) -> bytes:
+    """Return a `struct input_event` without its value; the kernel sets the time."""
+    return struct.pack("@llHH", 0, 0, kind, code)
+
+
+_SLOT, _ID, _TOUCHED = _head(EV_ABS, ABS_MT_SLOT), _head(EV_ABS, ABS_MT_TRACKING_ID), _head(EV_KEY, BTN_TOUCH)
+_AT = tuple(_head(EV_ABS, code) for code in (ABS_MT_POSITION_X, ABS_MT_POSITION_Y, ABS_MT_PRESSURE, *_SIZE))
+_POINTER = tuple(_head(EV_ABS, code) for code in (ABS_X, ABS_Y, ABS_PRESSURE))
+_REPORT = _head(EV_SYN, SYN_REPORT)
+_one, _two, _three, _five, _six = (struct.Struct("@" + f"{len(_SLOT)}si" * n).pack for n in (1, 2, 3, 5, 6))
 
 
 class Finger(Struct, gc=False):
@@ -68,38 +79,38 @@ def encode(slots: Slots, fingers: Mapping[int, Finger]) -> tuple[bytes, Slots]:
     the frame. A slot that this frame frees is taken by no finger of this frame: a reader that looks at each frame's
     end alone would take both for one.
     """
-    events: list[tuple[int, int, int]] = []
+    events = []
     after = list(slots)
     free = [slot for slot, number in enumerate(slots) if number is None]
     for slot, number in enumerate(slots):
         if number is not None and number not in fingers:
-            events += (EV_ABS, ABS_MT_SLOT, slot), (EV_ABS, ABS_MT_TRACKING_ID, LIFTED)
+            events.append(_two(_SLOT, slot, _ID, LIFTED))
             after[slot] = None
+    x, y, pressure, major, minor, angle = _AT
     for number, one in fingers.items():
         if number not in slots:
             if not free:
                 continue
             slot = free.pop(0)
             after[slot] = number
-            events += (EV_ABS, ABS_MT_SLOT, slot), (EV_ABS, ABS_MT_TRACKING_ID, number & 0xFFFF)
+            events.append(_two(_SLOT, slot, _ID, number & 0xFFFF))
         else:
-            events.append((EV_ABS, ABS_MT_SLOT, slots.index(number)))
-        events += (EV_ABS, ABS_MT_POSITION_X, one.x), (EV_ABS, ABS_MT_POSITION_Y, one.y)
-        events.append((EV_ABS, ABS_MT_PRESSURE, one.pressure))
-        events += [(EV_ABS, code, value) for code, value in zip(_SIZE, one.size, strict=True)]
+            events.append(_one(_SLOT, slots.index(number)))
+        long, short, turned = one.size
+        events.append(_six(x, one.x, y, one.y, pressure, one.pressure, major, long, minor, short, angle, turned))
     held = [number for number in after if number is not None]
-    events.append((EV_KEY, BTN_TOUCH, int(bool(held))))
+    x, y, pressure = _POINTER
     if held:
         oldest = fingers[min(held)]
-        events += (EV_ABS, ABS_X, oldest.x), (EV_ABS, ABS_Y, oldest.y)
-    events.append((EV_ABS, ABS_PRESSURE, oldest.pressure if held else 0))
-    events.append((EV_SYN, SYN_REPORT, 0))
-    return pack(*events), tuple(after)
+        events.append(_five(_TOUCHED, 1, x, oldest.x, y, oldest.y, pressure, oldest.pressure, _REPORT, 0))
+    else:
+        events.append(_three(_TOUCHED, 0, pressure, 0, _REPORT, 0))
+    return b"".join(events), tuple(after)
 
 
 def pack(*events: tuple[int, int, int]) -> bytes:
     """Return the bytes of events, each its type, code and value."""
-    return b"".join([_event(0, 0, *event) for event in events])
+    return b"".join([_one(_head(kind, code), value) for kind, code, value in events])
 
 
 def lift_all() -> bytes:

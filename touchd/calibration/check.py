@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from touchd.config.schema import Settings
 from touchd.errors import ModelMismatch, RecordingValues
 from touchd.localization.atlas import Array, Atlas
-from touchd.localization.fit import Bins, Fit
-from touchd.localization.gauss_newton import GaussNewton, shapes_of
+from touchd.localization.fit import Bins, Fit, shapes_of
+from touchd.localization.gauss_newton import GaussNewton
 from touchd.localization.model import Model
 from touchd.localization.model_fit import LEAST, WORN
 from touchd.localization.spline import Position

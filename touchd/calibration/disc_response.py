@@ -119,7 +119,9 @@ class DiscResponse:
             self._load = np.concatenate([self._load, total], axis=1)
         free = self._mutual(self._phi)
         V = free.shape[1]
-        self._turn = np.linalg.solve(np.eye(V) + self._load[:, :, None] * free, np.eye(V, D)[None])
+        system = self._load[:, :, None] * free
+        system.reshape(len(system), -1)[:, :: V + 1] += 1  # in place: it is the largest array of a fit
+        self._turn = np.linalg.solve(system, np.eye(V, D)[None])
         """What of each disc's rotation remains as forces, shape (F, V, D)."""
         self._G = free @ self._turn
         """What each vector of the loaded plate answers to each disc, shape (F, V, D)."""

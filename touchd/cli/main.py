@@ -42,7 +42,7 @@ VERBS = {
     "wizard": "Calibrate step by step, as touchd web asks.",
     "web": "Look at the plate in a browser.",
 }
-EXTRAS = {"torch": "train", "sklearn": "train", "dask": "train", "distributed": "train", "scipy": "calibrate",
+EXTRAS = {"torch": "train", "dask": "train", "distributed": "train", "scipy": "calibrate",
           "onnx": "calibrate", "matplotlib": "calibrate", "rich": "calibrate", "jinja2": "calibrate",
           "nidaqmx": "ni", "alsaaudio": "audio", "starlette": "web", "uvicorn": "web", "websockets": "web",
           }  # fmt: skip

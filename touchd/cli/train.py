@@ -60,13 +60,8 @@ def command(
     touches, appear first. 70 % of the touches train, 20 % validate, 10 % test; the test scores are printed and stored
     in the model. Beside it lies a folder named .report, and with the recipe atlas the field atlas, .atlas.npz.
     """
-    from touchd.cli.progress import Bars
-    from touchd.keypad import PHONE, load_layout
     from touchd.recording.format import read
     from touchd.training.data.join import join
-    from touchd.training.report.report import PAGE, remove_report, write_atlas_report, write_report
-    from touchd.training.train_atlas import train_atlas
-    from touchd.training.train_network import train
 
     chosen = RECIPES[recipe]
     if network and not chosen.atlas:
@@ -80,6 +75,13 @@ def command(
     names = [path.name for path in recording]
     said = f"touchd train {' '.join(names)} -o {output.name} --recipe {recipe}{options}"
     touches = join([read(path) for path in recording], [str(path) for path in recording])
+    # Only now, as PyTorch takes seconds: what is wrong with the recordings is said at once.
+    from touchd.cli.progress import Bars
+    from touchd.keypad import PHONE, load_layout
+    from touchd.training.report.report import PAGE, remove_report, write_atlas_report, write_report
+    from touchd.training.train_atlas import train_atlas
+    from touchd.training.train_network import train
+
     bars = Bars()
 
     def progress(what: str, done: int, steps: int, rmse_mm: float) -> None:

@@ -101,9 +101,7 @@ class Baseline:
             self._filled = len(frames) - half
             return None
         self.reset()
-        self.window = frames
-        self._delay, self.delay_energy = delay_direction(self.mean, residuals), 0.0
-        return energies if self._delay is None else _energies(residuals, self._delay)
+        return self.learn_from(frames)
 
     def leave_out(self, hit: NDArray[np.bool_]) -> NDArray[np.float64]:
         """Learn from the window without the frames that impulses have hit, shape (learn_frames,), unless most are.
@@ -113,10 +111,22 @@ class Baseline:
         ndarray of shape (n,)
             The residual energies of the frames learned from.
         """
-        self.window = self.window[~hit] if 2 * hit.sum() < len(hit) else self.window
-        np.mean(self.window, axis=0, out=self.mean)
-        residuals = self.window - self.mean
-        self._delay, self.delay_energy = delay_direction(self.mean, residuals), 0.0
+        return self.learn_from(self.window[~hit] if 2 * hit.sum() < len(hit) else self.window)
+
+    def learn_from(self, frames: Signal) -> NDArray[np.float64]:
+        """Take frames of the untouched plate, shape (n, channels, samples), as those to learn from.
+
+        Returns
+        -------
+        ndarray of shape (n,)
+            Their residual energies.
+        """
+        self.window = frames
+        np.mean(frames, axis=0, out=self.mean)
+        residuals = self.learned()
+        found = delay_direction(self.mean, residuals)
+        # A trigger that has jittered still does, also where louder noise hides it.
+        self._delay, self.delay_energy = self._delay if found is None else found, 0.0
         return _energies(residuals, self._delay)
 
     def learned(self) -> Signal:
@@ -148,6 +158,10 @@ class Baseline:
         """Return the energy of the untouched signal, counts squared; at least 1, since a dead DAQ sends zeros."""
         flat = self.mean.reshape(-1)
         return max(float(flat.dot(flat)), 1.0)
+
+    def shift(self, change: Signal) -> None:
+        """Move the mean by a change, shape (channels, samples)."""
+        _add(self.mean, change, self.mean)
 
     def follow(self, *, quickly: bool = False) -> None:
         """Move the mean towards the last frame, by the time since the frame before it."""

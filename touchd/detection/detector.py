@@ -11,17 +11,18 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from msgspec import Struct
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import DTypeLike
 
 from touchd.config.schema import Settings
 from touchd.detection.baseline import Baseline, Signal
+from touchd.detection.detection import Detection
 from touchd.detection.gate import Gate
 from touchd.detection.impulses import Impulses
 from touchd.detection.liveness import Liveness
-from touchd.detection.pace import USUAL_NS, Pace
-from touchd.detection.relearn import Relearn
+from touchd.detection.pace import Pace
+from touchd.detection.relearn import Reason, Relearn
 from touchd.detection.stuck import LONGEST_CYCLE, Stuck
+from touchd.detection.tones import Tones
 from touchd.frame import Frame
 from touchd.outcome import Outcome
 
@@ -33,50 +34,15 @@ KEEP_EVERY = 16
 """Stuck channels and cycles: the detector watches another channel and keeps another frame after every 16th untouched
 frame; another channel after every touched frame, and another frame after every 8th."""
 
+LISTEN_EVERY = 4
+"""Tones are looked for in this part of the frames with a finger, and in every other touched frame."""
+RENEW_EVERY = 128
+"""Known tones are looked for again in this part of the untouched frames."""
+
 _NO_FRAME = -(2**62)
 _TOUCHED, _UNTOUCHED = Outcome.TOUCHED, Outcome.UNTOUCHED  # bound once: they are asked for in every frame
 
 Notify = Callable[[str, dict[str, float]], None]
-
-
-class Detection(Struct, gc=False, frozen=True):
-    """What the detector makes of one frame. Its arrays are views, valid until the next frame."""
-
-    outcome: Outcome
-    """REPEATED, STUCK, LEARNING, UNTOUCHED or TOUCHED."""
-    t_ns: int
-    energy: float
-    """Of the residual, counts squared; without that of a delay where the trigger jitters."""
-    noise_root: float
-    noise_deviation: float
-    """Mean and standard deviation of the cube root of the energy of untouched frames' residuals."""
-    signal: Signal
-    """The frame, shape (channels, samples), ADC counts."""
-    residual: Signal
-    """The frame less the baseline; zero in channels that are not live."""
-    baseline: Signal
-    """The untouched plate, shape (channels, samples)."""
-    live: NDArray[np.bool_]
-    """Channels that are not stuck, shape (channels,). Another object whenever one changes."""
-    noise_changed: bool = False
-    """Whether the noise level has stepped."""
-    learned: Signal | None = None
-    """Residuals of the frames that the baseline was learned from, (n, channels, samples), once it is learned."""
-    lost: int = 0
-    """Frames missing before this one."""
-    period_ns: int = USUAL_NS
-    """From frame to frame at the present rate."""
-    hits: tuple[int, ...] = ()
-    """Starts of the runs of samples that an impulse has hit; the residual is zero there."""
-
-    @property
-    def noise_energy(self) -> float:
-        """Mean energy of the residual of an untouched frame, counts squared."""
-        return self.noise_root**3
-
-    def energy_above(self, quantile: float) -> float:
-        """Return the energy that untouched frames exceed as a normal deviate exceeds the quantile, counts squared."""
-        return (self.noise_root + quantile * self.noise_deviation) ** 3
 
 
 class Detector:
@@ -93,6 +59,8 @@ class Detector:
         Of all arrays.
     impulses : Impulses, optional
         Finds the samples that an impulse has hit; without it none are.
+    tones : Tones, optional
+        Finds interfering tones, and takes them out; without it none are.
     """
 
     def __init__(
@@ -102,8 +70,10 @@ class Detector:
         notify: Notify,
         dtype: DTypeLike = np.float32,
         impulses: Impulses | None = None,
+        tones: Tones | None = None,
     ) -> None:
-        self._impulses = impulses
+        self._impulses, self._tones = impulses, tones
+        self._tones_hz: tuple[float, ...] = ()
         self.gate = Gate(settings.gate)
         self.liveness = Liveness()
         self._baseline = Baseline(shape, settings.baseline, dtype)
@@ -159,7 +129,14 @@ class Detector:
             return self._learning_frame(frame, lost)
         energy = baseline.subtract(frame.counts, frame.t_ns)
         gate, was_open = self.gate, self.gate.is_open
+        if self._tones_hz:
+            energy = self._without_tones(frame.sequence, was_open)
         touched = gate.decide(energy)
+        listens = touched and (not self._alive or not frame.sequence % LISTEN_EVERY)
+        if listens and self._tones and self._tones.find(baseline.residual, gate.noise_energy):
+            self._tones_hz, energy = self._tones.known_hz, baseline.residual_energy()
+            gate.is_open = was_open
+            touched = gate.decide(energy)
         if self._alive and not touched and gate.is_too_quiet(energy):
             touched = gate.is_open = True  # not the finger has lifted, but a tone has ended that was louder
         if stuck.doubtful or (touched and stuck.returns(energy)):
@@ -179,7 +156,7 @@ class Detector:
                 outcome = _UNTOUCHED
         return Detection(
             outcome, frame.t_ns, energy, gate.noise_root, gate.noise_deviation, baseline.signal, baseline.residual,
-            baseline.mean, self._live, changed, None, lost, pace.period_ns, hits,
+            baseline.mean, self._live, changed, None, lost, pace.period_ns, self._tones_hz, hits,
         )  # fmt: skip
 
     def adapt(self, detection: Detection, found: bool, departure: bool, alive: bool, moved: bool = False) -> None:
@@ -202,6 +179,8 @@ class Detector:
         if detection.outcome is _UNTOUCHED:
             if self._relearn.active:
                 self._relearn.reset()
+                if self._tones:
+                    self._tones.end_touch()
             if not self.sequence % KEEP_EVERY:
                 self._stuck.keep(detection.signal)
             if self._impulses and not self.sequence % self._pace.slow_every:
@@ -222,7 +201,11 @@ class Detector:
         if reason is not None:
             level_db = 10 * math.log10(energy / self._signal_energy)
             self._notify(reason.value, {"frame": self.sequence, "level_db": round(level_db, 1)})
-            self._learn()
+            if reason is Reason.LIFTED:  # the rest is known, and the next finger may land at once
+                self._baseline.shift(self._relearn.left)
+                self._relearn.reset()
+            else:
+                self._learn()
 
     def noise_counts(self) -> float:
         """Return the RMS of an untouched frame against the baseline, ADC counts; 0 before it is known."""
@@ -275,6 +258,9 @@ class Detector:
         energies = baseline.learn(frame.counts, frame.t_ns)
         learned = None
         if energies is not None:
+            if self._tones and self._tones.learn(residuals := baseline.learned()):
+                energies = baseline.learn_from(baseline.mean + residuals)
+            self._tones_hz = self._tones.known_hz if self._tones else ()
             if self._impulses and (hit := self._impulses.learn(baseline.window)).any():
                 energies = baseline.leave_out(hit)
             self.gate.learn(energies)
@@ -284,6 +270,16 @@ class Detector:
             self.followed_ns = self.liveness.measured_ns = frame.t_ns
             learned = baseline.learned()
         return self._without_measurement(Outcome.LEARNING, frame, lost, learned)
+
+    def _without_tones(self, sequence: int, was_open: bool) -> float:
+        """Take the known tones out of the residual, and return what energy is left; counts squared."""
+        assert self._tones
+        baseline = self._baseline
+        if not sequence % RENEW_EVERY and not was_open:
+            self._tones.renew(baseline.residual, self.gate.noise_energy)
+            self._tones_hz = self._tones.known_hz
+        self._tones.remove(baseline.residual)
+        return baseline.residual_energy()
 
     def _without_measurement(
         self, outcome: Outcome, frame: Frame, lost: int, learned: Signal | None = None

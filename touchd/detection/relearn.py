@@ -32,8 +32,8 @@ _UNSTEADY_NS = 1_000_000_000
 """A change without a finger that never repeats for this long is noise."""
 _RESTLESS_NS = 2_000_000_000
 """A change without a finger that goes on for this long, and has not stayed the same, is interference or water."""
-_LIFTED_FRAMES = 3
-"""One odd frame during a press must not cost the baseline."""
+_LIFTING_FRAMES, _LIFTED_FRAMES = 4, 16
+"""What has lifted is gone after 4 frames, and the next 16 tell what it has left: with a sixteenth of one's noise."""
 
 
 class Relearn:
@@ -47,6 +47,7 @@ class Relearn:
         self._previous = np.zeros(size, dtype)
         self._previous_energy = 0.0
         self._product = np.zeros((), dtype)
+        self._left = np.zeros(shape, dtype)
         self.reset()
 
     def configure(self, settings: BaselineSettings) -> None:
@@ -92,9 +93,8 @@ class Relearn:
             self._begin(t_ns, flat, energy)
         if not finger:
             self._compare(t_ns, flat, energy)
-            self._lifted = self._lifted + 1 if departure else 0
-
-        if self._lifted >= _LIFTED_FRAMES:
+            self._follow_departure(residual, departure)
+        if self._lifted == _LIFTING_FRAMES + _LIFTED_FRAMES:
             return Reason.LIFTED
         if t_ns - self._same_since_ns >= self._absorb_ns:
             return Reason.ABSORBED
@@ -111,6 +111,20 @@ class Relearn:
             and self._looked_ns - since_ns >= _RESTLESS_NS
             and self._same_since_ns - since_ns >= _UNSTEADY_NS
         )
+
+    @property
+    def left(self) -> Signal:
+        """What a finger leaves that was part of the baseline and has lifted, shape (channels, samples)."""
+        return self._left
+
+    def _follow_departure(self, residual: Signal, departure: bool) -> None:
+        """Average what a finger has left that was part of the baseline."""
+        self._lifted = self._lifted + 1 if departure else 0
+        frames = self._lifted - _LIFTING_FRAMES
+        if frames == 1:
+            self._left[...] = residual
+        elif frames > 1:
+            self._left += (residual - self._left) / frames
 
     def _begin(self, t_ns: int, flat: Signal, energy: float) -> None:
         self._same_since_ns = t_ns

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.config.schema import Settings
-from touchd.detection.detector import Detection
+from touchd.detection.detection import Detection
 from touchd.detection.impulses import Impulses
 from touchd.errors import RecordingValues
 from touchd.evaluation.dataset import baseline_frames, beyond, noise_energy, noise_of, residual_of

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel
 
-LIBRARIES = ("numpy", "scipy", "scikit-learn", "torch", "onnx", "onnxruntime")
+LIBRARIES = ("numpy", "scipy", "torch", "onnx", "onnxruntime")
 """A new version of one of these may round differently."""
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from touchd.config.schema import Settings
 from touchd.detection.baseline import Signal
-from touchd.detection.detector import Detection
+from touchd.detection.detection import Detection
 from touchd.keypad import Layout
 from touchd.localization.atlas import Atlas
 from touchd.localization.classify import Classifier
@@ -70,7 +70,7 @@ class AtlasLocalizer:
         self._still = StillFinger(atlas, self._solver)
         self._faces: list[Face | None] = []  # of the fingers followed, as their shapes were fitted
         self._model_fit = ModelFit()
-        self._found = UNTOUCHED
+        self._touches: tuple[Touch, ...] = ()  # of the last touched frame
         self._touched = False  # whether a frame was fitted since the last untouched one
         self._departure = self._plate_moved = False
         self._untouched_ns = 0  # since the noise model was updated
@@ -87,8 +87,7 @@ class AtlasLocalizer:
 
     def reset(self) -> None:
         """Forget all fingers, and water."""
-        self._lose()
-        self._found = UNTOUCHED
+        self._touches = self._lose()
         self._still.reset()
         self._classifier.reset()
         self._search.reset()
@@ -101,13 +100,11 @@ class AtlasLocalizer:
 
     def observe(self, detection: Detection) -> Localization:
         """Follow noise and temperature on an untouched frame, and forget fingers and water."""
-        if detection.live is not self._live:
-            self._set_channels(detection.live)
+        self._listen(detection)
         if self._touched:
             self._touched = False
             self._model_fit.end_touch()
-            self._plate.calm()
-            if self._found.touches:
+            if self._touches:
                 self.reset()
             else:  # water, or what a finger left that was lost as it lifted: water stays known
                 self._prediction.reset()
@@ -127,19 +124,18 @@ class AtlasLocalizer:
 
     def localize(self, detection: Detection, *, alive: bool, complete: bool = False) -> Localization:
         """Return the fingers of a touched frame."""
-        if detection.live is not self._live:
-            self._set_channels(detection.live)
+        self._listen(detection)
         t_ns = detection.t_ns
         self._search.update(t_ns)
-        if self._found.touches and not detection.hits and self._rests(detection.residual):
+        if self._still.armed and self._touches and not detection.hits and self._rests(detection.residual):
             self._prediction.rest(t_ns)
-            return self._found
+            return Localization(Outcome.STILL, self._touches)
         tracked = bool(self._prediction.positions_mm)
-        touches, inferred = self._place(detection, self._keep_confidence if alive else self._min_confidence, complete)
-        self._plate.watch(detection, finger=bool(touches) or alive)
-        self._found = Localization(Outcome.STILL, touches)
+        self._touches, inferred = self._place(
+            detection, self._keep_confidence if alive else self._min_confidence, complete
+        )
         outcome = Outcome.INFERRED if inferred else Outcome.TRACKED if tracked else Outcome.FAINT
-        return Localization(outcome, touches, self._departure, self._plate_moved)
+        return Localization(outcome, self._touches, self._departure, self._plate_moved)
 
     @property
     def stretch(self) -> float | None:
@@ -155,8 +151,6 @@ class AtlasLocalizer:
         """Share of a touch's energy that the model explains; None before it is known."""
         return self._model_fit.value
 
-    # -- one frame ------------------------------------------------------------------------------------
-
     def _place(self, detection: Detection, min_confidence: float, complete: bool) -> tuple[tuple[Touch, ...], bool]:
         """Return the fingers of a frame, and whether the network ran."""
         noise, search, t_ns = self._noise, self._search, detection.t_ns
@@ -167,27 +161,41 @@ class AtlasLocalizer:
         signal = bins.energy - noise.noise_energy
         # Most tracked fingers are far above noise and drift: that is quickly asked.
         if not (tracked and signal > noise.noise_energy + self._drift.energy) and self._is_untouched(
-            bins, signal, 0.0 if tracked else noise.plate_energy(bins.vector), t_ns
+            bins, 0.0 if tracked else noise.plate_energy(bins.vector), t_ns
         ):
             return self._lose(), inferred
         held = tracked and self._follower.waits(bins, signal)
-        if held:
-            fit = self._follower.expected(bins, t_ns)
-        elif tracked:
-            fit = self._follower.follow(bins, t_ns, signal)
+        if tracked:
+            fit = (self._follower.expected if held else self._follower.follow)(bins, t_ns, signal)
         elif search.pending and not (search.doubts and signal > CRITERIA.faint * noise.noise_energy):
             fit = no_fit(bins.energy)  # the search that goes on finds where to begin
         else:
             inferred = True
             fit = self._landing.fit(detection, bins, signal)
         bins, fit = self._settle(detection, bins, fit)
-        if not fit.shapes and not held:
+        if not (fit.shapes or held) and self._follower.asks_shapes(noise.excess(fit.residual_energy, signal), signal):
             bins, fit = self._settle(detection, bins, self._solver.with_shapes(bins, fit, noise.noise_energy))
         signal = bins.energy - noise.noise_energy
         excess = noise.excess(fit.residual_energy, signal)
+        significant = sum(fit.energies) > noise.min_signal_energy
+        confidence = CRITERIA.confidence(excess) if significant else 0.0
+        clear = excess <= CRITERIA.search_above and signal >= CRITERIA.faint * noise.noise_energy
+        if tracked and clear and confidence >= min_confidence and not search.pending:  # the usual case
+            self._model_fit.add(fit.residual_energy - noise.noise_energy, signal, noise.noise_energy)
+            return self._accept(bins, fit, confidence, excess, t_ns, alone=complete), False
         may_be_gone = tracked and excess > CRITERIA.fair
-        if may_be_gone and self._is_untouched(bins, signal, noise.plate_energy(bins.vector), t_ns):
+        if may_be_gone and self._is_untouched(bins, noise.plate_energy(bins.vector), t_ns):
             return self._lose(), inferred
+        rest = self._follower.rest(bins) if may_be_gone else None
+        if rest is not None and self._plate.explains(rest, noise.plate_energy(rest.vector), t_ns):
+            # The plate has moved at once, and the contacts have not.
+            held, bins = False, self._plate.bins(detection.residual, detection.hits)
+            fit = self._follower.follow(bins, t_ns, bins.energy - noise.noise_energy)
+            bins, fit = self._settle(detection, bins, fit)
+            signal = bins.energy - noise.noise_energy
+            excess = noise.excess(fit.residual_energy, signal)
+            significant = sum(fit.energies) > noise.min_signal_energy
+            confidence = CRITERIA.confidence(excess) if significant else 0.0
         # What may be beside one well explained finger that has just landed is sought from the next frame on; a search
         # that goes on began with a frame that was not like this.
         waits = not (tracked or complete) and len(fit.positions_mm) == 1 and excess < CRITERIA.fair
@@ -201,7 +209,7 @@ class AtlasLocalizer:
             else:
                 found, known = search.search(bins, fit, signal, tracked=tracked, limited=not complete)
                 if tracked and self._follower.waits(bins, signal, excess):
-                    return self._found.touches, inferred
+                    return self._touches, inferred
                 if held and found is fit:
                     found = self._follower.follow(bins, t_ns, signal)
                 bins, fit = self._settle(detection, bins, found)
@@ -209,10 +217,10 @@ class AtlasLocalizer:
                 if not known:
                     self._prediction.forget_velocities()
             excess = noise.excess(fit.residual_energy, signal)
+            significant = sum(fit.energies) > noise.min_signal_energy
+            confidence = CRITERIA.confidence(excess) if significant else 0.0
         if fit.positions_mm or inferred or not search.pending:
             self._model_fit.add(fit.residual_energy - noise.noise_energy, signal, noise.noise_energy)
-        significant = sum(fit.energies) > noise.min_signal_energy
-        confidence = CRITERIA.confidence(excess) if significant else 0.0
         # An emitter that falls silent, or a gain that changes, looks like a finger on the emitter; but the plate's own
         # directions explain it better. A tracked finger was none of that.
         faint = signal < CRITERIA.faint * noise.noise_energy
@@ -222,33 +230,19 @@ class AtlasLocalizer:
         if by_plate or by_palms or not confidence >= min_confidence or not fit.positions_mm:
             return self._lose(), inferred
         # Shapes that no finger has make up for wrong positions: of several, where the field is badly known.
-        if (
-            len(fit.shapes) > 1
-            and not tracked
-            and excess > CRITERIA.good
-            and elongation(fit) > CRITERIA.most_elongation
-        ):
+        several_shapes = len(fit.shapes) > 1 and not tracked
+        if several_shapes and excess > CRITERIA.good and elongation(fit) > CRITERIA.most_elongation:
             return self._lose(), inferred
         if len(fit.positions_mm) == 1 and not tracked and self._landing.is_ambiguous(bins, fit, signal, faint=faint):
             return self._lose(), inferred
         return self._accept(bins, fit, confidence, excess, t_ns, alone=complete), inferred
 
-    def _is_untouched(self, bins: Bins, signal: float, plate_energy: float, t_ns: int) -> bool:
-        """Return whether noise and the plate's own movement explain a frame, and if so follow that movement.
-
-        A trigger that comes early or late delays all channels alike, which looks like a faint finger on the emitter; so
-        does what is left of a change of temperature when a finger lifts.
-        """
-        drift, noise_spread = self._drift, CRITERIA.noise_spread * self._noise.noise_energy
-        evidence, moved = signal - plate_energy, drift.energy + plate_energy
-        plausible = moved < CRITERIA.most_moved * drift.signal_energy
-        # Asked this way round, so that NaN is not followed.
-        if not evidence <= noise_spread + (CRITERIA.plate * moved if plausible else 0.0):
+    def _is_untouched(self, bins: Bins, plate_energy: float, t_ns: int) -> bool:
+        """Return whether noise and the plate's own movement explain a frame, and if so follow that movement."""
+        if not self._plate.explains(bins, plate_energy, t_ns):
             return False
         self._search.cancel()
-        if plausible:
-            drift.absorb(bins.vector, t_ns)
-            self._plate_moved = drift.energy > max(evidence, noise_spread)
+        self._plate_moved = self._plate.moved
         return True
 
     def _accept(
@@ -256,42 +250,47 @@ class AtlasLocalizer:
     ) -> tuple[Touch, ...]:
         """Track the fingers of a fit, and return them as touches."""
         if excess < CRITERIA.good and self._drift.is_due(t_ns):
-            self._drift.update(self._solver.residual(bins, fit), t_ns)
+            self._drift.update(self._solver.residual(bins, fit, self._follower.shapes_of(fit)), t_ns)
         self._prediction.update(fit.positions_mm, t_ns)
         if self._follower.update(bins, fit, excess):
             self._faces = self._size.faces(fit) if fit.shapes else [None] * len(fit.positions_mm)
-        moved_mm = self._prediction.moved_mm if self._skips_still else math.inf
-        self._still.update(bins, fit, moved_mm, self._noise.variance)
+        if self._skips_still:
+            self._still.update(bins, fit, self._prediction.moved_mm, self._noise.variance)
         fingers = self._classifier.fingers(bins, fit, t_ns, alone=alone, lacking=self._search.explains)
-        self._departure, faces = self._classifier.departure, dict(zip(fit.positions_mm, self._faces, strict=True))
+        self._departure = self._classifier.departure
         # Change of the signal, as a share of its size, by a finger of amplitude 1.
-        change = self._field_rms / self._plate.signal_rms
-        make = self._touch_maker.touch
-        return tuple(
-            make(*at, sigma_mm, confidence, size * change, None, faces[at], kind_of(size, faces[at]))
-            for at, sigma_mm, size in fingers
-            if sigma_mm <= self._max_sigma_mm
-        )
+        change, touches = self._field_rms / self._plate.signal_rms, []
+        for k, sigma_mm, size in fingers:
+            if sigma_mm <= self._max_sigma_mm:
+                (x_mm, y_mm), face = fit.positions_mm[k], self._faces[k]
+                touches.append(self._touch_maker.touch(
+                    x_mm, y_mm, sigma_mm, confidence, size * change, None, face, kind_of(size, face)
+                ))  # fmt: skip
+        return tuple(touches)
 
     def _rests(self, residual: Signal) -> bool:
         """Return whether the finger of the last fit is still where it was, but for the noise."""
-        if not self._still.armed:
-            return False
         self._drift.correct(residual, self._still.vector)
         self._plate.nuisance.align(self._still.vector)
         return self._still.holds(2 * (1 + CRITERIA.noise_margin) * self._noise.noise_energy)
 
     def _settle(self, detection: Detection, bins: Bins, fit: Fit) -> tuple[Bins, Fit]:
         """Give fingers back what the frame's delay and hit samples took from them; too few fingers cannot tell it."""
-        lacking = fit.residual_energy > CRITERIA.half_confidence * bins.energy + self._noise.noise_energy
-        if lacking and not detection.hits:
+        noise_energy, nuisance = self._noise.noise_energy, self._plate.nuisance
+        lacking = fit.residual_energy > CRITERIA.half_confidence * bins.energy + noise_energy
+        if not nuisance.engaged or (lacking and not detection.hits):
             return bins, fit
-        return self._plate.nuisance.settle(bins, fit, self._solver, self._noise.noise_energy)
+        return nuisance.settle(bins, fit, self._solver, noise_energy)
 
-    def _set_channels(self, live: NDArray[np.bool_]) -> None:
-        self._live = live
-        self._plate.set_channels(live)
-        self._still.reset()
+    def _listen(self, detection: Detection) -> None:
+        """Use the channels that are live, and no bin beside a tone."""
+        if detection.live is not self._live:
+            self._live = detection.live
+            self._plate.set_channels(detection.live)
+            self._still.reset()
+        if detection.tones_hz is not self._plate.tones_hz:
+            self._plate.set_tones(detection.tones_hz)
+            self._still.reset()
 
     def _lose(self) -> tuple[Touch, ...]:
         self._plate.nuisance.forget_fingers()

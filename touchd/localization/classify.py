@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import cmath
 import math
+from operator import mul
 
 from touchd.localization.atlas import Atlas
 from touchd.localization.fit import Bins, Fit
@@ -25,7 +26,17 @@ from touchd.localization.noise import NoiseModel
 from touchd.localization.position_error import PositionError
 from touchd.localization.prediction import LONGEST_STEP_MM
 from touchd.localization.spline import Position
-from touchd.localization.water import MOST, NEAR_MM, SURE, SURE_ALONE, Evidence, Look, State
+from touchd.localization.water import (
+    MOST,
+    MOST_REACH_MM,
+    NEAR_MM,
+    REACH_SIGMAS,
+    SURE,
+    SURE_ALONE,
+    Evidence,
+    Look,
+    State,
+)
 
 LAG_RAD = -1.2
 """A finger lags by less. Human fingers lag by up to 0.4 rad (twin)."""
@@ -41,8 +52,8 @@ EDGE_MM, WAVE_MM = 12.0, 30.0
 and one finger looks like two on either side of it, or with a second one beside it."""
 
 
-Finger = tuple[Position, float, float]
-"""A finger among the contacts of a fit: position, standard error (mm) and modulus of the amplitude."""
+Finger = tuple[int, float, float]
+"""A finger among the contacts of a fit: its index, standard error (mm) and modulus of the amplitude."""
 
 
 class Classifier:
@@ -56,7 +67,7 @@ class Classifier:
     """
 
     def __init__(self, atlas: Atlas, noise: NoiseModel, solver: GaussNewton) -> None:
-        self._noise, self._phase = noise, MassPhase(atlas, solver)
+        self._noise, self._phase = noise, MassPhase(atlas, solver, noise)
         d = atlas.description
         self._errors = PositionError(atlas, noise)
         self._low_mm, self._high_mm = d.low_mm, d.high_mm
@@ -82,34 +93,36 @@ class Classifier:
         if self._known:
             self._known = [one for one in self._known if one.until_ns >= t_ns]
         several = len(fit.positions_mm) > 1
-        sizes, leads = list(map(abs, fit.amplitudes)), list(map(cmath.phase, fit.amplitudes))
-        for k, turn in enumerate(fit.turns):
-            leads[k] = cmath.phase(fit.amplitudes[k] * turn)
+        sizes = list(map(abs, fit.amplitudes))
+        leads = list(map(cmath.phase, map(mul, fit.amplitudes, fit.turns) if fit.turns else fit.amplitudes))
         self.departure = min(map(abs, leads)) > DEPARTURE_RAD
-        noise, variance = self._noise.variance, self._errors.variance(fit, sizes)
-        error = max(variance - noise, 0.0)
+        variance = self._errors.variance(fit, sizes)
         errors_mm = self._errors.sigmas_mm(fit, variance)
         doubtful = self._cornered(fit.positions_mm) | self._edged(fit) if several else ()
         fingers: list[Finger] = []
-        for k, position in enumerate(fit.positions_mm):
-            lead, energy = leads[k], fit.energies[k]
+        for k, lead in enumerate(leads):
             if not LAG_RAD < lead < DEPARTURE_RAD:
                 continue
+            position, energy, size = fit.positions_mm[k], fit.energies[k], sizes[k]
             sigma_rad = math.sqrt(variance / energy) if energy > 0 else math.inf
-            known = self._known_at(position) if self._known else None
-            is_clear = sizes[k] >= CLEAR_SIZE and lead + CLEAR_SIGMAS * sigma_rad < CLEAR_RAD  # the usual case
-            if known is not None and (known.is_placed if lacking else known.is_settled(sizes[k], t_ns)):
+            known = self._known_at(position, errors_mm[k]) if self._known else None
+            is_clear = size >= CLEAR_SIZE and lead + CLEAR_SIGMAS * sigma_rad < CLEAR_RAD  # the usual case
+            if known is not None and (known.is_placed if lacking else known.is_settled(size, t_ns)):
                 known.see(position, t_ns)
-            elif not (is_clear and known is None):
-                by_noise, by_error = (math.sqrt(one / energy) if energy > 0 else math.inf for one in (noise, error))
-                look = Look(self._phase.lag_rad(bins, fit, k), by_noise, by_error, sizes[k])
+            elif known is not None or not is_clear:
+                lag_rad, share = self._phase.lag_rad(bins, fit, k)
+                noise, told = self._noise.variance, energy * share
+                by_noise, by_error = (
+                    math.sqrt(one / told) if told > 0 else math.inf for one in (noise, max(variance - noise, 0.0))
+                )
+                look = Look(lag_rad, by_noise, by_error, size)
                 if alone and look.log_odds() <= SURE_ALONE:
                     continue
                 if not (alone or self._is_finger(position, look, known, t_ns, several=several)):
                     continue
             if k not in doubtful:
-                fingers.append((position, errors_mm[k], sizes[k]))
-        self._fingers = [position for position, _, _ in fingers]
+                fingers.append((k, errors_mm[k], size))
+        self._fingers = [fit.positions_mm[k] for k, _, _ in fingers]
         return fingers
 
     def _is_finger(
@@ -126,9 +139,10 @@ class Classifier:
         known.update(position_mm, look, t_ns)
         return known.is_placed
 
-    def _known_at(self, position_mm: Position) -> Evidence | None:
-        """Return what is known of the contact nearest to a position; None if there is none."""
-        near = [one for one in self._known if math.dist(one.position_mm, position_mm) < NEAR_MM]
+    def _known_at(self, position_mm: Position, sigma_mm: float) -> Evidence | None:
+        """Return what is known of the contact nearest to a position with its standard error; None if there is none."""
+        reach_mm = min(NEAR_MM + REACH_SIGMAS * sigma_mm, MOST_REACH_MM)
+        near = [one for one in self._known if math.dist(one.position_mm, position_mm) < reach_mm]
         return min(near, key=lambda one: math.dist(one.position_mm, position_mm), default=None)
 
     def _was_finger(self, position_mm: Position, *, several: bool) -> bool:

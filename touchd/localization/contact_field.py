@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.localization.atlas import Array, Atlas
-from touchd.localization.spline import CONTACT_PER_CELL, Position, Raster, spline_weights
+from touchd.localization.spline import CONTACT_PER_CELL, Position, Raster
 
 Shape = tuple[complex, ...]
 """Slope along the band, and the second-order amplitudes (mm^2) along xx, yy and xy, all over the amplitude."""
@@ -36,20 +36,19 @@ class ContactField(Raster):
     """
 
     def __init__(self, atlas: Atlas, into: Array) -> None:
-        d, dtype, half = atlas.description, into.dtype, atlas.size // 2
+        dtype, half = into.dtype, atlas.size // 2
         self.band: Array = place_in_band(atlas).astype(dtype)
-        super().__init__(atlas, CONTACT_PER_CELL, (2, 16, half))
-        self._of_rows, self._of_columns = spline_weights(d.step_mm, into.dtype, ORDERS, CONTACT_PER_CELL)
-        self._weights = np.zeros(160, dtype)
-        self._by_order = self._weights.reshape(10, 16)
+        super().__init__(atlas, CONTACT_PER_CELL, ORDERS)
+        self._of_nodes = self._by_order.T
         self._parts = np.zeros(9, dtype)
         self._parts[0] = 1
         self._terms = _terms(dtype)
-        self._mixtures: dict[Shape, Array] = {(complex(k),): np.zeros((24, 10), dtype) for k in range(SHAPES)}
-        self._mixed = np.zeros((24, 16), dtype)
-        self._shares, self._halves = self._mixed.reshape(12, 32), into.reshape(6, half)
+        self._mixtures: dict[Shape, Array] = {(complex(k),): np.zeros((10, 24), dtype) for k in range(SHAPES)}
+        self._mixed = np.zeros((16, 24), dtype)
+        self._shares, self._halves = self._mixed.reshape(32, 12).T, into.reshape(6, half)
         self._sums = np.zeros((12, half), dtype)
         self._alone, self._along = self._sums[:6], self._sums[6:]
+        self._bands = np.tile(self.band, (6, 1))  # written out: a product of like shapes is quicker
 
     def derivatives(self, x_mm: float, y_mm: float, into: Array) -> Position:
         """Evaluate u and its derivatives at the raster point nearest to a position inside, and return that point.
@@ -57,7 +56,7 @@ class ContactField(Raster):
         `into`, shape (2, 10, size / 2), receives real and imaginary parts of `ORDERS`, per mm.
         """
         position, around = self._weigh(x_mm, y_mm)
-        np.matmul(self._by_order, around, into)
+        np.matmul(self._by_order, around.reshape(16, 2, -1).swapaxes(0, 1), into)
         return position
 
     def of_shape(self, x_mm: float, y_mm: float, shape: Shape) -> Position:
@@ -66,9 +65,9 @@ class ContactField(Raster):
         if mixture is None:
             mixture = self._mix(shape)
         position, around = self._weigh(x_mm, y_mm)
-        mixture.dot(self._by_order, self._mixed)
+        self._of_nodes.dot(mixture, self._mixed)
         self._shares.dot(around.reshape(32, -1), self._sums)
-        np.multiply(self._along, self.band, self._along)
+        np.multiply(self._along, self._bands, self._along)
         np.add(self._alone, self._along, self._halves)
         return position
 
@@ -81,16 +80,6 @@ class ContactField(Raster):
         parts.dot(self._terms, mixture.reshape(-1))
         return mixture
 
-    def _weigh(self, x_mm: float, y_mm: float) -> tuple[Position, Array]:
-        """Set the weights of each derivative; return the raster point and the nodes around it."""
-        position, row, column, around = self._find(x_mm, y_mm)
-        np.multiply(self._of_rows[row], self._of_columns[column], self._weights)
-        return position, around
-
-    def _copy(self, nodes: Array, around: Array) -> None:
-        """Copy the nodes around a cell, shape (4, 4, 2, channels, bins): all real parts, then all imaginary ones."""
-        np.copyto(around.reshape(2, *nodes.shape[:2], *nodes.shape[3:]), nodes.transpose(2, 0, 1, 3, 4))
-
 
 def place_in_band(atlas: Atlas) -> NDArray[np.float64]:
     """Return the place of each channel's bins in the band, -1 to 1, shape (size / 2,)."""
@@ -102,7 +91,7 @@ def place_in_band(atlas: Atlas) -> NDArray[np.float64]:
 def _terms(dtype: np.dtype[np.floating]) -> Array:
     """Return how a shape's real and imaginary parts mix derivatives to fields, shape (9, 240).
 
-    Columns: alone and along the band (2), field and slopes (3), their parts (2), the nodes' parts (2), derivative (10).
+    Columns: derivative (10), the nodes' parts (2), alone and along the band (2), field and slopes (3), their parts (2).
     """
     terms = np.zeros((9, 2, 3, 2, 2, 10), dtype)
     for field, (own, *second) in enumerate(TERMS):
@@ -114,4 +103,4 @@ def _terms(dtype: np.dtype[np.floating]) -> Array:
             if imaginary is not None:
                 terms[imaginary, along, field, 0, 1, order] = -1
                 terms[imaginary, along, field, 1, 0, order] = 1
-    return terms.reshape(9, -1)
+    return terms.transpose(0, 5, 4, 1, 2, 3).reshape(9, -1)

@@ -52,6 +52,8 @@ class ContactModel:
         # precision: what many amplitudes leave of the frame is a small difference of large products.
         self._rows = np.zeros((2, _AMPLITUDES + _SLOPES + 1, half))
         self._mask: Array | None = None
+        self.steps = 0
+        """Steps of a contact so far."""
 
     def fit(
         self, bins: Bins, positions_mm: Sequence[Position], variance: float, steps: int, unexplained: float = 0.0
@@ -135,6 +137,7 @@ class ContactModel:
         count, block, band, at = len(positions_mm), self._block, self._field.band, []
         last = (_AMPLITUDES + _SLOPES) * count
         rows = self._rows[:, : last + 1]
+        self.steps += count
         for k, position in enumerate(positions_mm):
             at.append(self._field.derivatives(*position, block))
             if self._mask is not None:

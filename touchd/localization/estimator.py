@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from touchd.config.schema import Settings
-from touchd.detection.detector import Detection
+from touchd.detection.detection import Detection
 from touchd.keypad import Layout
 from touchd.localization.features import make_features, noise_to_signal
 from touchd.localization.model import Estimate, Model

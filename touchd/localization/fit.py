@@ -9,6 +9,7 @@ import numpy as np
 from msgspec import Struct
 
 from touchd.localization.atlas import Array
+from touchd.localization.contact_field import Shape
 from touchd.localization.joint import blocks
 from touchd.localization.spline import Position
 
@@ -42,17 +43,28 @@ class Fit(Struct, gc=False, frozen=True):
     the noise variance of a value is the covariance of the positions in mm^2."""
     residual_energy: float
     """Energy that the fingers do not explain, ADC counts squared."""
-    shapes: list[list[complex]] = []
-    """Of each finger what `contact_model` adds: slope along the band, u_xx, u_yy, u_xy; [] of points."""
-    turns: list[complex] = []
-    """Of each finger with a shape, its amplitude as a point's over its own, on average over the bins; [] of points."""
+    shapes: Sequence[Sequence[complex]] = ()
+    """Of each finger what `contact_model` adds: slope along the band, u_xx, u_yy, u_xy; none of points."""
+    turns: Sequence[complex] = ()
+    """Of each finger with a shape, its amplitude as a point's over its own, on average over the bins; none of
+    points."""
     points_energy: float = 0.0
     """What as many points leave, of a fit with shapes."""
+    shares: Sequence[float] = ()
+    """Of the information on each finger's position, what is left when its shape must be found too; none if all is."""
 
 
 def no_fit(energy: float) -> Fit:
     """Return the fit of no fingers, which leaves all energy unexplained."""
     return Fit([], [], [], (), energy)
+
+
+def shapes_of(fit: Fit) -> list[Shape]:
+    """Return the shapes of a fit's fingers, over their amplitudes; none of points."""
+    return [
+        tuple([part / z for part in shape]) if z else (0j,) * 4
+        for z, shape in zip(fit.amplitudes, fit.shapes, strict=False)
+    ]
 
 
 def sigmas_mm(fisher_information: Matrix, variance: float) -> list[float]:

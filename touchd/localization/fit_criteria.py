@@ -51,12 +51,16 @@ class FitCriteria:
     most_size_mm2: float = 12.0
     """A contact with a larger second moment is no finger. Thumbs have up to 7 (twin)."""
     shape_above: float = 0.004
-    """Points that leave less than this share pay for no shape: a robot's tip leaves 0.003 to 0.01 (twin)."""
+    """Points that leave less than this share pay for no shape: a robot's soft tip leaves 0.003 to 0.01 (twin)."""
+    lone_shape_above: float = 0.0005
+    """The same of one point."""
     shape_grown: float = 0.15
     """A followed finger's shape has changed if another one leaves less than this share of what its own leaves."""
     shape_worth: float = 0.4
-    """A shape has to leave less than this share of what a point leaves. A finger's leaves 0.02 to 0.15 of it; at an
-    edge, where the field is badly known, a point's own leaves 0.5 to 0.8 (twin)."""
+    """Shapes have to leave less than this share of what points leave. Fingers' leave 0.02 to 0.15 of it; more may be
+    those that make up for a missing finger."""
+    lone_shape_worth: float = 0.75
+    """The same of one point: a soft robot's tip leaves 0.6 of it, and is placed better by a fifth (twin)."""
     shape_noise: float = 16.0
     """And as much less, in variances of a value's noise: its eight numbers explain 8 of noise alone."""
     shape_older: float = 1.2

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
-from msgspec.structs import replace
-
 from touchd.localization.contact_field import Shape
-from touchd.localization.fit import Bins, Fit, Matrix, no_fit, sigmas_mm
+from touchd.localization.fit import Bins, Fit, no_fit, shapes_of, sigmas_mm
 from touchd.localization.fit_criteria import CRITERIA
-from touchd.localization.gauss_newton import STILL_MM, GaussNewton, shapes_of
+from touchd.localization.gauss_newton import STILL_MM, GaussNewton
 from touchd.localization.landing import FIRST_STEPS
 from touchd.localization.multitouch import MultitouchSearch
 from touchd.localization.noise import NoiseModel
@@ -21,6 +20,8 @@ FOLLOW_STEPS, _SHAPE_STEPS = 3, 2
 
 _LIFTED = 0.8
 """A signal that falls below this share shows a finger that lifts."""
+_STRONGER = 1.5
+"""A signal that has grown by this much may tell a shape that it did not tell before."""
 _DOUBT_NS = 50_000_000
 """Energy that other shapes explain in part belongs to another finger, unless a search has found none for this long."""
 
@@ -29,10 +30,9 @@ class _Shapes(NamedTuple):
     """Shapes of the fingers followed, as one frame had them."""
 
     shapes: list[Shape]
-    turns: list[complex]
-    """As in their fit."""
+    turns: Sequence[complex]
     shares: list[float]
-    """Of the information on each finger's position, what is left when its shape must be found too."""
+    """Both as in a fit."""
     excess: float
     """More unexplained energy than this, as a share of the signal's, and the shapes are fitted again."""
 
@@ -59,6 +59,7 @@ class Follower:
     def reset(self) -> None:
         """Forget the fingers' shapes."""
         self._known: _Shapes | None = None
+        self._points: tuple[float, float] | None = None  # what they left, and the signal, when they had no shapes
         self._last: Fit | None = None
         self._doubted_ns: int | None = None
         self._excess = self._signal = 0.0
@@ -87,25 +88,46 @@ class Follower:
             return False
         self._last = fit
         if not fit.shapes:
+            if self.asks_shapes(excess, self._signal):
+                self._points = excess, self._signal
             self._known = None
             return True
+        self._points = None
         shapes = shapes_of(fit)
         alone = self._solver.fit_known(bins, fit.positions_mm, 1, shapes)
         shares = [
-            min((own / full) ** 2, 1.0)
+            min(max((own / full) ** 2, 1e-30), 1.0)
             for own, full in zip(
                 sigmas_mm(alone.fisher_information, 1.0), sigmas_mm(fit.fisher_information, 1.0), strict=True
             )
         ]
         self._doubted_ns = None
-        self._known = _Shapes(shapes, fit.turns, shares, max(excess, 0.0) * CRITERIA.shape_older + CRITERIA.shape_worn)
+        self._known = _Shapes(shapes, fit.turns, shares, _worn(excess))
         return True
 
-    def expected(self, bins: Bins, t_ns: int) -> Fit:
+    def asks_shapes(self, excess: float, signal: float) -> bool:
+        """Return whether points that leave the share `excess` may have shapes: not if they had none in such a frame."""
+        if self._points is None:
+            return True
+        before, signal_then = self._points
+        return excess > _worn(before) or signal > _STRONGER * signal_then
+
+    def shapes_of(self, fit: Fit) -> Sequence[Shape]:
+        """Return the shapes of the fingers followed, if they are a fit's."""
+        return self._known.shapes if self._known and fit is self._last else ()
+
+    def expected(self, bins: Bins, t_ns: int, _signal: float) -> Fit:
         """Return the fingers of the last frame where they were going, not fitted: all energy is unexplained."""
         positions = self._prediction.ahead(t_ns)
         nothing = [0.0] * len(positions)
         return Fit(positions, [0j] * len(positions), nothing, (), bins.energy)
+
+    def rest(self, bins: Bins) -> Bins | None:
+        """Return what the last fit leaves of a frame, valid until the next fit; None without a last fit."""
+        if self._last is None:
+            return None
+        left = self._solver.residual(bins, self._last)
+        return Bins(left, bins.mask, float(left @ left))
 
     def follow(self, bins: Bins, t_ns: int, signal: float) -> Fit:
         """Fit the fingers of the last frame from where they were going, less those that have lifted."""
@@ -127,7 +149,7 @@ class Follower:
         known = self._known
         if known is None or len(known.shapes) != len(positions_mm):
             return no_fit(bins.energy)
-        fit = self._solver.fit_known(bins, positions_mm, FOLLOW_STEPS, known.shapes)
+        fit = self._solver.fit_known(bins, positions_mm, FOLLOW_STEPS, known.shapes, known.turns, known.shares)
         excess = self._noise.excess(fit.residual_energy, signal)
         if excess > known.excess:
             again = self._solver.fit_shapes(bins, fit, self._noise.noise_energy, _SHAPE_STEPS)
@@ -138,8 +160,7 @@ class Follower:
                 return no_fit(bins.energy)
         else:
             self._doubted_ns = None
-        information = _scaled(fit.fisher_information, known.shares)
-        self._last = fit = replace(fit, fisher_information=information, turns=known.turns)
+        self._last = fit
         return fit
 
     def _waited(self, t_ns: int) -> bool:
@@ -158,13 +179,6 @@ class Follower:
         return min(fit, other, key=lambda one: one.residual_energy)
 
 
-def _scaled(information: Matrix, shares: list[float]) -> Matrix:
-    """Return what is left of the information on positions, of each finger its share."""
-    if len(shares) == 1:
-        (share,), ((a, b), (_, c)) = shares, information
-        return (a * share, b * share), (b * share, c * share)
-    scales = [share**0.5 for share in shares for _ in "xy"]
-    return [
-        [one * value * other for value, other in zip(row, scales, strict=True)]
-        for row, one in zip(information, scales, strict=True)
-    ]
+def _worn(excess: float) -> float:
+    """Return what shapes, or points, that left the share `excess` may leave before they are asked for others."""
+    return max(excess, 0.0) * CRITERIA.shape_older + CRITERIA.shape_worn

@@ -16,11 +16,11 @@ import numpy as np
 from msgspec.structs import replace
 
 from touchd.localization import joint
-from touchd.localization.anytime import Steps, finish
+from touchd.localization.anytime import SHAPE_COST, Steps, finish
 from touchd.localization.atlas import Array, Atlas
 from touchd.localization.contact_field import ContactField, Shape
 from touchd.localization.contact_model import TYPICAL, ContactModel, size_mm2
-from touchd.localization.fit import Bins, Fit, Matrix, no_fit
+from touchd.localization.fit import Bins, Fit, Matrix, no_fit, shapes_of
 from touchd.localization.fit_criteria import CRITERIA
 from touchd.localization.spline import Position, Spline
 
@@ -56,27 +56,41 @@ class GaussNewton:
         rows = np.zeros((4, n), dtype)
         self._field, self._known = rows[:3], rows[3]
         halves = rows.reshape(8, -1)
-        self._fields, self._columns, self._value = halves[:6], halves.T, halves[:2]
+        self._fields, self._columns, self._value, self._value_known = halves[:6], halves.T, halves[:2], halves[6:]
         self._spline = Spline(atlas, self._field)
         self._contact_field = ContactField(atlas, self._field)
         self._contacts = ContactModel(atlas, self._contact_field)
-        self._gram = np.zeros((6, 8), dtype)
+        self._gram, self._of_gram, self._sums = np.zeros((6, 8), dtype), joint.sums_of_one(dtype), np.zeros(14, dtype)
+        self._flat_gram = self._gram.reshape(-1)
         self._turn = np.zeros((2, 2), dtype)
-        self._left, self._part = np.zeros((2, n // 2), dtype), np.zeros((2, n // 2), dtype)
+        self._left, self._parts = np.zeros((2, n // 2), dtype), np.zeros((1, 2, n // 2), dtype)
+        self._parted: tuple[Bins | None, Fit | None] = None, None  # to which `_parts` belong
         self._residual = np.zeros(n, dtype)
         self._many = np.zeros((7, n), dtype)  # two fingers; for more it grows
         self._loaded: Bins | None = None
+        self._look_ups = 0
         self._mask: Array | None = None
         self._ordered_mask: Array | None = None
 
-    def fit_one(self, bins: Bins, x_mm: float, y_mm: float, steps: int, shape: Shape | None = None) -> Fit:
-        """Fit one finger from a position nearby, in at most `steps` steps (at least one); of known shape, if any."""
-        self._load(bins)
-        inside = self._spline.inside
+    def fit_one(
+        self, bins: Bins, x_mm: float, y_mm: float, steps: int, shape: Shape | None = None,
+        turns: Sequence[complex] = (), shares: Sequence[float] = (),
+    ) -> Fit:  # fmt: skip
+        """Fit one finger from a position nearby, in at most `steps` steps (at least one); of known shape, if any.
+
+        `turns` and `shares` are the fit's, if they are known.
+        """
+        if bins is not self._loaded:
+            self._load(bins)
+        inside, look_up, most = self._spline.inside, self._look_up, steps
         x, y = inside(x_mm, y_mm)
         while True:
-            x, y = self._look_up(x, y, shape)
-            amplitude, a, b, c, right_x, right_y, explained, along_x, along_y = self._normal_equations()
+            x, y = look_up(x, y, shape)
+            self._fields.dot(self._columns, self._gram)
+            self._flat_gram.dot(self._of_gram, self._sums)
+            amplitude, explained, (a, b, c), (right_x, right_y), (along_x, along_y) = joint.step_of_one(
+                self._sums.tolist()
+            )
             steps -= 1
             det = a * c - b * b
             if det <= 0:
@@ -91,20 +105,20 @@ class GaussNewton:
                     explained += right_x * step_x + right_y * step_y
                     amplitude /= 1 + step_x * along_x + step_y * along_y
                 break
+        self._look_ups += most - steps
         shapes = [[amplitude * part for part in shape]] if shape else []
-        return Fit([(x, y)], [amplitude], [explained], ((a, b), (b, c)), max(bins.energy - explained, 0.0), shapes)
+        left = bins.energy - explained
+        return Fit(
+            [(x, y)], [amplitude], [explained], ((a, b), (b, c)), left if left > 0 else 0.0, shapes, turns, 0.0, shares
+        )
 
     def fit_several(
-        self,
-        bins: Bins,
-        positions_mm: Sequence[Position],
-        steps: int,
-        still_mm: float = STILL_MM / 10,
-        shapes: Sequence[Shape] = (),
-    ) -> Fit:
+        self, bins: Bins, positions_mm: Sequence[Position], steps: int, still_mm: float = STILL_MM / 10,
+        shapes: Sequence[Shape] = (), turns: Sequence[complex] = (), shares: Sequence[float] = (),
+    ) -> Fit:  # fmt: skip
         """Fit any number of fingers jointly from positions nearby, in at most `steps` steps (at least one).
 
-        Steps shorter than `still_mm` end it. `shapes` are the fingers', if they are known.
+        Steps shorter than `still_mm` end it. `shapes` are the fingers', `turns` and `shares` the fit's, if known.
         """
         count = len(positions_mm)
         if not count:
@@ -117,43 +131,43 @@ class GaussNewton:
             found = joint.step(products)
             if step == steps:
                 break
-            longest_mm, moved = 0.0, []
-            for (x, y), step_x, step_y in zip(at, found.move[::2], found.move[1::2], strict=True):
-                length = math.hypot(step_x, step_y)
+            longest_mm, moves = 0.0, iter(found.move)
+            for k, (x, y) in enumerate(at):
+                step_x, step_y = next(moves), next(moves)
+                length = (step_x * step_x + step_y * step_y) ** 0.5
                 shorter = LONGEST_STEP_MM / length if length > LONGEST_STEP_MM else 1.0
-                moved.append(inside(x + shorter * step_x, y + shorter * step_y))
-                longest_mm = max(longest_mm, length)
-            at = moved
+                at[k] = inside(x + shorter * step_x, y + shorter * step_y)
+                if length > longest_mm:
+                    longest_mm = length
             if longest_mm < still_mm:
                 # What the last step changes, to second order and to first, as with one finger.
                 gained = sum(map(mul, found.gradient, found.move))
                 break
         z = found.amplitudes
-        explained = sum((part.conjugate() * row[-1]).real for part, row in zip(z, products.tolist(), strict=False))
-        norms = products.diagonal()[:count].real.tolist()
-        energies = [abs(part) ** 2 * norm for part, norm in zip(z, norms, strict=True)]
         if gained:
             z = list(map(add, z, found.changes))
         of_found = [[part * one for one in shape] for part, shape in zip(z, shapes, strict=False)]
-        return Fit(at, z, energies, found.information, max(bins.energy - explained - gained, 0.0), of_found)
+        left = max(bins.energy - found.explained - gained, 0.0)
+        return Fit(at, z, found.energies, found.information, left, of_found, turns, 0.0, shares)
 
-    def with_shapes(self, bins: Bins, fit: Fit, noise_energy: float, worth: float = CRITERIA.shape_worth) -> Fit:
+    def with_shapes(self, bins: Bins, fit: Fit, noise_energy: float, worth: float | None = None) -> Fit:
         """Return a fit of contacts with a size and a shape, if they are worth it: all of `shape_pieces` at once."""
         return finish(self.shape_pieces(bins, fit, noise_energy, worth))
 
-    def shape_pieces(
-        self, bins: Bins, fit: Fit, noise_energy: float, worth: float = CRITERIA.shape_worth
-    ) -> Steps[Fit]:
+    def shape_pieces(self, bins: Bins, fit: Fit, noise_energy: float, worth: float | None = None) -> Steps[Fit]:
         """Return a fit of contacts with a size and a shape, where points leave more than the field's own error.
 
         The fit stays as it is unless its contacts get shapes that fingers have, and these leave less than the share
-        `worth` of what points leave, and explain more than noise. With `worth` 1, while fingers are missing, contacts
-        of typical size do: no shape explains all, but each leaves the next finger clearer.
+        `worth` of what points leave (by default that of the criteria), and explain more than noise. With `worth` 1,
+        while fingers are missing, contacts of typical size do: no shape explains all, but each leaves the next finger
+        clearer.
         """
-        signal, left = bins.energy - noise_energy, fit.residual_energy - noise_energy
-        if not fit.positions_mm or signal < CRITERIA.faint * noise_energy or left <= CRITERIA.shape_above * signal:
+        signal, left, count = bins.energy - noise_energy, fit.residual_energy - noise_energy, len(fit.positions_mm)
+        above = CRITERIA.lone_shape_above if count == 1 else CRITERIA.shape_above
+        if not count or signal < CRITERIA.faint * noise_energy or left <= above * signal:
             return fit
-        count = len(fit.positions_mm)
+        if worth is None:
+            worth = CRITERIA.lone_shape_worth if count == 1 else CRITERIA.shape_worth
         sized = self.fit_known(bins, fit.positions_mm, _SHAPE_STEPS, [TYPICAL] * count)
         yield float(count * _SHAPE_STEPS)
         start = min(fit, sized, key=lambda one: one.residual_energy)
@@ -166,11 +180,15 @@ class GaussNewton:
             return fit
         return replace(shaped, points_energy=start.residual_energy)
 
-    def fit_known(self, bins: Bins, positions_mm: Sequence[Position], steps: int, shapes: Sequence[Shape]) -> Fit:
+    def fit_known(
+        self, bins: Bins, positions_mm: Sequence[Position], steps: int, shapes: Sequence[Shape],
+        turns: Sequence[complex] = (), shares: Sequence[float] = (),
+    ) -> Fit:  # fmt: skip
         """Fit contacts of known shapes from positions nearby."""
         if len(positions_mm) == 1:
-            return self.fit_one(bins, *positions_mm[0], steps, shapes[0])
-        return self.fit_several(bins, positions_mm, steps, _STILL_TOGETHER_MM, shapes)
+            x_mm, y_mm = positions_mm[0]
+            return self.fit_one(bins, x_mm, y_mm, steps, shapes[0], turns, shares)
+        return self.fit_several(bins, positions_mm, steps, _STILL_TOGETHER_MM, shapes, turns, shares)
 
     def fit_shapes(self, bins: Bins, fit: Fit, noise_energy: float, steps: int) -> Fit:
         """Fit contacts with a size and a shape from those of a fit; no fit if a shape is none that a finger has."""
@@ -192,6 +210,7 @@ class GaussNewton:
         if length > len(self._many):
             self._many = np.zeros((length, len(self._known)), self._known.dtype)
         rows = self._many[:length]
+        self._look_ups += count
         at = []
         for k, position in enumerate(positions_mm):
             at.append(self._look_up(*position, shapes[k] if shapes else None))
@@ -205,6 +224,11 @@ class GaussNewton:
         np.add(parts[:, 0, :, 0], parts[:, 1, :, 1], table.real)
         np.subtract(parts[:, 0, :, 1], parts[:, 1, :, 0], table.imag)
         return at, table
+
+    @property
+    def spent(self) -> float:
+        """Cost of all fits so far, in the unit of `anytime`."""
+        return self._look_ups + SHAPE_COST * self._contacts.steps
 
     def shift(self, bins: Bins, fit: Fit) -> tuple[Array, Matrix]:
         """Return the matrix from a small change of the bins to that of one finger's x and y, mm, (2, size).
@@ -222,20 +246,33 @@ class GaussNewton:
         information = rows @ rows.T
         return np.linalg.solve(information, rows), information.tolist()
 
-    def residual(self, bins: Bins, fit: Fit) -> Array:
-        """Return what a fit leaves of the bins, shape (channels * 2 * bins,); valid until the next call."""
+    def residual(self, bins: Bins, fit: Fit, shapes: Sequence[Shape] = (), *, without: int | None = None) -> Array:
+        """Return what a fit leaves of the bins, shape (channels * 2 * bins,); valid until the next call.
+
+        `shapes` are the fit's, if they are known: their tables are kept. One finger of the fit may be left out.
+        """
         self._load(bins)
-        left, turn = self._left, self._turn
-        left[...] = self._known.reshape(2, -1)
-        shapes: Sequence[Shape | None] = shapes_of(fit) or [None] * len(fit.positions_mm)
-        for (x, y), amplitude, shape in zip(fit.positions_mm, fit.amplitudes, shapes, strict=True):
+        if bins is not self._parted[0] or fit is not self._parted[1]:
+            self._parted = bins, fit
+            self._part_by_finger(fit, shapes or shapes_of(fit) or [None] * len(fit.positions_mm))
+        left = self._left
+        left[...] = self._value_known
+        for k in range(len(fit.positions_mm)):
+            if k != without:
+                np.subtract(left, self._parts[k], left)
+        left.take(self._back, None, self._residual, "wrap")
+        return self._residual
+
+    def _part_by_finger(self, fit: Fit, shapes: Sequence[Shape | None]) -> None:
+        """Put each finger's part of the bins into `_parts`."""
+        if len(shapes) > len(self._parts):
+            self._parts = np.zeros((len(shapes), *self._left.shape), self._left.dtype)
+        turn = self._turn
+        for (x, y), amplitude, shape, part in zip(fit.positions_mm, fit.amplitudes, shapes, self._parts, strict=False):
             self._look_up(x, y, shape)
             turn[0, 0] = turn[1, 1] = amplitude.real
             turn[1, 0], turn[0, 1] = amplitude.imag, -amplitude.imag
-            turn.dot(self._value, self._part)
-            np.subtract(left, self._part, left)
-        left.take(self._back, None, self._residual, "wrap")
-        return self._residual
+            turn.dot(self._value, part)
 
     def _load(self, bins: Bins) -> None:
         """Copy the bins beside the field, in the solver's order, unless they are there."""
@@ -254,37 +291,3 @@ class GaussNewton:
         if self._ordered_mask is not None:
             np.multiply(self._field, self._ordered_mask, self._field)
         return position
-
-    def _normal_equations(self) -> tuple[complex, float, float, float, float, float, float, complex, complex]:
-        """Return the amplitude, Re(J^H J) as xx, xy, yy, both parts of Re(J^H r), the energy explained, and more.
-
-        The last two are the parts of u_x and u_y along u: to first order, what a step of 1 mm adds to the field.
-        """
-        self._fields.dot(self._columns, self._gram)
-        # Products of real (r) and imaginary parts (i) of u (0), u_x, u_y and the frame.
-        (
-            (r0r0, _, r0rx, r0ix, r0ry, r0iy, r0rd, r0id), (_, i0i0, i0rx, i0ix, i0ry, i0iy, i0rd, i0id),
-            (_, _, rxrx, _, rxry, _, rxrd, rxid), (_, _, _, ixix, _, ixiy, ixrd, ixid),
-            (_, _, _, _, ryry, _, ryrd, ryid), (_, _, _, _, _, iyiy, iyrd, iyid),
-        ) = self._gram.tolist()  # fmt: skip
-        uu = r0r0 + i0i0
-        if uu <= 0:
-            return 0j, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0j, 0j
-        z, z_i = (r0rd + i0id) / uu, (r0id - i0rd) / uu
-        ux, ux_i, uy, uy_i = r0rx + i0ix, r0ix - i0rx, r0ry + i0iy, r0iy - i0ry
-        power = z * z + z_i * z_i
-        a = power * (rxrx + ixix - (ux * ux + ux_i * ux_i) / uu)
-        b = power * (rxry + ixiy - (ux * uy + ux_i * uy_i) / uu)
-        c = power * (ryry + iyiy - (uy * uy + uy_i * uy_i) / uu)
-        right_x = z * (rxrd + ixid) + z_i * (rxid - ixrd) - power * ux
-        right_y = z * (ryrd + iyid) + z_i * (ryid - iyrd) - power * uy
-        along_x, along_y = complex(ux / uu, ux_i / uu), complex(uy / uu, uy_i / uu)
-        return complex(z, z_i), a, b, c, right_x, right_y, power * uu, along_x, along_y
-
-
-def shapes_of(fit: Fit) -> list[Shape]:
-    """Return the shapes of a fit's fingers, over their amplitudes; none of points."""
-    return [
-        tuple([part / z for part in shape]) if z else (0j,) * 4
-        for z, shape in zip(fit.amplitudes, fit.shapes, strict=False)
-    ]

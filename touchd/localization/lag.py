@@ -5,11 +5,11 @@ from __future__ import annotations
 import cmath
 
 import numpy as np
-from msgspec.structs import replace
 
 from touchd.localization.atlas import Atlas
 from touchd.localization.fit import Bins, Fit
 from touchd.localization.gauss_newton import GaussNewton
+from touchd.localization.noise import NoiseModel
 from touchd.localization.spline import Spline
 
 MASS_LEAD_S = 1.47e-6
@@ -19,33 +19,48 @@ MASS_LEAD_S = 1.47e-6
 class MassPhase:
     """Compares the contacts of a fit with masses at the same positions.
 
+    What lies along the plate's own movement tells nothing: a plate that has warmed under a finger turns the phase of a
+    drop that lies there too.
+
     Parameters
     ----------
     atlas : Atlas
     solver : GaussNewton
         Of the fits.
+    noise : NoiseModel
+        Knows the directions of that movement.
     """
 
-    def __init__(self, atlas: Atlas, solver: GaussNewton) -> None:
+    def __init__(self, atlas: Atlas, solver: GaussNewton, noise: NoiseModel) -> None:
         d = atlas.description
         a = d.acquisition
-        self._solver = solver
+        self._solver, self._noise = solver, noise
         self._parts = a.channels, 2, len(d.bins)
         self._rows = np.zeros((3, atlas.size), atlas.coefficients.dtype)
         self._spline = Spline(atlas, self._rows)
         self._turn = np.exp(2j * np.pi * MASS_LEAD_S * np.array(d.bins) * a.sample_rate_hz / a.samples)
 
-    def lag_rad(self, bins: Bins, fit: Fit, k: int) -> float:
-        """Return by how much contact `k` of a fit lags a mass; 0 of a contact without energy."""
-        others = [i for i in range(len(fit.positions_mm)) if i != k]
-        rest = replace(
-            fit,
-            positions_mm=[fit.positions_mm[i] for i in others],
-            amplitudes=[fit.amplitudes[i] for i in others],
-            shapes=[fit.shapes[i] for i in others] if fit.shapes else [],
-        )
-        left = self._solver.residual(bins, rest).reshape(self._parts)  # without the bins that are left out
+    def lag_rad(self, bins: Bins, fit: Fit, k: int) -> tuple[float, float]:
+        """Return by how much contact `k` of a fit lags a mass, and the share of its energy that tells it.
+
+        Both are 0 of a contact without energy.
+        """
+        left = self._solver.residual(bins, fit, without=k)  # without the bins that are left out
         self._spline.at(*fit.positions_mm[k])
         real, imaginary = self._rows[0].reshape(2, *self._parts[::2])
         mass = (real + 1j * imaginary) * self._turn
-        return -cmath.phase(complex(np.vdot(mass, left[:, 0] + 1j * left[:, 1])))
+        rows = np.empty((2, *self._parts))
+        rows[0, :, 0], rows[0, :, 1] = mass.real, mass.imag
+        rows[1, :, 0], rows[1, :, 1] = -mass.imag, mass.real
+        table = rows.reshape(2, -1) if bins.mask is None else rows.reshape(2, -1) * bins.mask
+        own = self._noise.without_plate(table)
+        (a, b), (_, c) = (own @ own.T).tolist()
+        x, y = (own @ left).tolist()
+        det, energy = a * c - b * b, float(table[0] @ table[0])
+        amplitude = complex(c * x - b * y, a * y - b * x)
+        if not det > 0 or not amplitude:
+            return 0.0, 0.0
+        # Variance of the phase: that of the part at right angles to the amplitude.
+        s, t = -amplitude.imag / abs(amplitude), amplitude.real / abs(amplitude)
+        across = (c * s * s - 2 * b * s * t + a * t * t) / det
+        return -cmath.phase(amplitude), 1 / (energy * across)

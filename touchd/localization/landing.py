@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from touchd.detection.detector import Detection
+from touchd.detection.detection import Detection
 from touchd.localization.estimator import Estimator
 from touchd.localization.fit import Bins, Fit, no_fit
 from touchd.localization.fit_criteria import CRITERIA

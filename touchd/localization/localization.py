@@ -8,7 +8,7 @@ from msgspec import Struct
 
 from touchd.config.schema import Settings
 from touchd.detection.baseline import Signal
-from touchd.detection.detector import Detection
+from touchd.detection.detection import Detection
 from touchd.keypad import Layout
 from touchd.outcome import Outcome
 from touchd.touch import Touch

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import TypeVar
 
-import numpy as np
 from msgspec.structs import replace
 
 from touchd.localization.anytime import Steps
-from touchd.localization.fit import Bins, Fit, no_fit
+from touchd.localization.fit import Bins, Fit, no_fit, shapes_of
 from touchd.localization.fit_criteria import CRITERIA
-from touchd.localization.gauss_newton import GaussNewton, shapes_of
+from touchd.localization.gauss_newton import GaussNewton
 from touchd.localization.noise import NoiseModel
 from touchd.localization.pursuit import Pursuit, are_merged, is_worth
 from touchd.localization.spline import Position
@@ -20,18 +20,21 @@ LOOK_UPS_A_SECOND = 8000.0
 """A search may cost this much per second of the frames' time, a quarter of a processor's, ..."""
 MOST_LOOK_UPS = 50.0
 """... and this much in a frame: 1.5 ms. It ends with the piece that uses the allowance up; the next frame gets less."""
+_LEAST_SHARE = 0.2
+"""Share of it that a search may take however much else is fitted in a frame."""
+_FOLLOW_LOOK_UPS, _LANDING_LOOK_UPS = 6.0, 25.0
+"""Cost of each finger that is followed meanwhile, and of a frame fitted as one finger's."""
+_FREE_LOOK_UPS = 50.0
+"""What is fitted in a frame beyond this is taken from the search, if it is more than that cost. Less makes searches
+beside four fingers so long that contacts break (twin)."""
 _CONFIRM_LOOK_UPS = 10.0
 """Cost of each finger found that is fitted in a later frame."""
 _SOON_NS, _AGAIN_NS, _SELDOM_NS = 20_000_000, 50_000_000, 2_000_000_000
 """Pauses after a search: if much more has become unexplained, after one search in vain, and at most."""
 _DOUBT_FRAMES = 5
 """Every fifth frame of a search for fingers that land is fitted as one finger's: the first may be like no other."""
-_LANDING_LOOK_UPS = 25.0
-"""Cost of that."""
 _GAIN = 0.8
 """A search that leaves less than this share of the energy was worth its time."""
-_FOLLOW_LOOK_UPS = 6.0
-"""Cost of each finger that is followed meanwhile."""
 _OUTDATED = 4.0
 """A search for fingers that land begins again once the signal has grown by this factor: they were faint at first."""
 _HOLD_NS = 120_000_000
@@ -56,6 +59,7 @@ class MultitouchSearch:
     def __init__(self, solver: GaussNewton, pursuit: Pursuit, noise: NoiseModel) -> None:
         self._solver, self._pursuit, self._noise = solver, pursuit, noise
         self._t_ns = self._before_ns = 0  # of the last frame and the one before
+        self._spent = 0.0  # by the solver before this frame
         self.reset()
 
     def reset(self) -> None:
@@ -88,7 +92,7 @@ class MultitouchSearch:
 
     def update(self, t_ns: int) -> None:
         """Take the time of the next touched frame: a search may use what has passed since the last one."""
-        self._before_ns, self._t_ns = self._t_ns, t_ns
+        self._before_ns, self._t_ns, self._spent = self._t_ns, t_ns, self._solver.spent
 
     def is_due(self, excess: float, signal: float) -> bool:
         """Return whether to search in this frame, whose fit leaves the share `excess` of the signal's energy."""
@@ -149,29 +153,42 @@ class MultitouchSearch:
         return self._settle(bins, found, known, fit, signal)
 
     def _allowance(self, fit: Fit, *, landing: bool) -> float:
-        """Return how many look-ups the search may take in this frame; fingers that it has fitted take some of them."""
+        """Return how many look-ups the search may take in this frame; what was fitted in it has taken some of them."""
         elapsed_s = max(self._t_ns - self._before_ns, 0) * 1e-9
-        followed = _FOLLOW_LOOK_UPS * len(fit.positions_mm) if fit.fisher_information else 0.0
+        most = MOST_LOOK_UPS if landing else min(LOOK_UPS_A_SECOND * elapsed_s, MOST_LOOK_UPS)
+        fitted = _FOLLOW_LOOK_UPS * len(fit.positions_mm) if fit.fisher_information else 0.0
         if self.doubts and not self._tracked:
-            followed = _LANDING_LOOK_UPS
-        return (MOST_LOOK_UPS if landing else min(LOOK_UPS_A_SECOND * elapsed_s, MOST_LOOK_UPS)) - followed
+            fitted = _LANDING_LOOK_UPS
+        beyond = self._solver.spent - self._spent - _FREE_LOOK_UPS
+        return most - fitted if beyond <= fitted else min(most - fitted, max(most - beyond, _LEAST_SHARE * most))
 
     def prune(self, bins: Bins, fit: Fit, signal: float) -> tuple[Fit, list[int]]:
-        """Return a fit without the fingers that explain next to nothing, and the indices of those, one by one.
+        """Return a fit without the fingers that explain next to nothing, and the indices of those, as they go.
 
-        Nor does a faint one explain anything if the plate's own movement explains it as well.
+        Nor does a faint one explain anything if the plate's own movement explains it as well. Several go at once: all
+        fingers of a hand may lift in one frame.
         """
-        dropped = []
-        noise_energy = self._noise.noise_energy
-        while len(fit.positions_mm) > 1:
-            weakest = int(np.argmin(fit.energies))
-            energy, unexplained = fit.energies[weakest], fit.residual_energy - noise_energy
-            is_weak = energy <= CRITERIA.weak * max(unexplained, CRITERIA.enough * signal)
-            is_faint = energy < CRITERIA.faint * noise_energy
-            if not is_weak and not (is_faint and self._moved_energy(bins, fit, weakest) < fit.residual_energy):
+        dropped: list[int] = []
+        noise_energy, energies = self._noise.noise_energy, fit.energies
+        while len(energies) > 1:
+            least = min(energies)
+            weak = CRITERIA.weak * max(fit.residual_energy - noise_energy, CRITERIA.enough * signal)
+            if least <= weak:
+                most = max(energies)
+                gone = [k for k, energy in enumerate(energies) if energy <= weak and energy < most]
+            elif least < CRITERIA.faint * noise_energy:
+                weakest = energies.index(least)
+                gone = [weakest] if self._moved_energy(bins, fit, weakest) < fit.residual_energy else []
+            else:
                 break
-            dropped.append(weakest)
-            fit = self._fit(bins, _without(fit.positions_mm, weakest))
+            if not gone:
+                break
+            places = fit.positions_mm
+            for k in reversed(gone):
+                dropped.append(k)
+                places = _without(places, k)
+            fit = self._fit(bins, places)
+            energies = fit.energies
         return fit, dropped
 
     def _all(self, bins: Bins, fit: Fit, signal: float, known: int, *, grow: bool) -> Steps[Found]:
@@ -233,13 +250,7 @@ class MultitouchSearch:
 
     def _moved_energy(self, bins: Bins, fit: Fit, k: int) -> float:
         """Return what a fit leaves if the plate's own movement takes the place of finger `k`, counts squared."""
-        rest = replace(
-            fit,
-            positions_mm=_without(fit.positions_mm, k),
-            amplitudes=_without(fit.amplitudes, k),
-            shapes=_without(fit.shapes, k),
-        )
-        left = self._solver.residual(bins, rest)
+        left = self._solver.residual(bins, fit, without=k)
         return float(left @ left) - self._noise.plate_energy(left)
 
     def _fit(self, bins: Bins, positions_mm: list[Position]) -> Fit:
@@ -248,6 +259,6 @@ class MultitouchSearch:
         return self._solver.with_shapes(bins, fit, self._noise.noise_energy)
 
 
-def _without(values: list[T], k: int) -> list[T]:
+def _without(values: Sequence[T], k: int) -> list[T]:
     """Return all values but the one at index `k`; none of none."""
-    return values[:k] + values[k + 1 :]
+    return [*values[:k], *values[k + 1 :]]

@@ -9,7 +9,7 @@ from numpy.typing import DTypeLike
 
 from touchd.config.schema import Settings
 from touchd.detection.baseline import Signal
-from touchd.detection.detector import Detection
+from touchd.detection.detection import Detection
 from touchd.frame import Acquisition
 from touchd.keypad import Layout
 from touchd.localization.estimator import Estimator, TouchMaker

@@ -168,6 +168,10 @@ class NoiseModel:
         self._along.dot(self._along, self._energy)
         return self._energy.item()
 
+    def without_plate(self, rows: Array) -> Array:
+        """Return rows of bins, shape (k, size), without what lies along the plate's own directions."""
+        return np.asarray(rows - (rows @ self._directions.T) @ self._directions)
+
     def excess(self, residual_energy: float, signal: float) -> float:
         """Return what a fit leaves beyond what noise may have, as a share of the signal's energy."""
         return (residual_energy - self.ceiling) / signal

@@ -12,16 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.detection.baseline import Signal
-from touchd.detection.detector import Detection
+from touchd.detection.detection import Detection
 from touchd.localization.atlas import Array, Atlas
 from touchd.localization.drift import Drift
 from touchd.localization.fit import Bins
+from touchd.localization.fit_criteria import CRITERIA
 from touchd.localization.noise import NoiseModel
 from touchd.localization.nuisance import Nuisance, hit_rows
-from touchd.localization.tones import WATCH_EVERY, Tones
 
 COMPARE_NS = 1_000_000_000
 """The baseline is compared at this interval: temperature and gains change far more slowly."""
+TONE_BINS = 2.0
+"""Bins nearer than this to a tone are left out: with the tone, the detector has taken out what fingers have there."""
 DRIFTED = 0.1
 """The baseline has moved if by this share of the noise energy: on glass 0.05 K at 60 dB."""
 
@@ -39,8 +41,12 @@ class PlateModel:
         self.drift = Drift(atlas)
         self.noise = NoiseModel(atlas)
         self.nuisance = Nuisance(atlas.size, dtype)
-        self._tones = Tones(atlas.description.acquisition.channels, len(atlas.description.bins), dtype)
-        self._fingerless_frames = 0
+        acquisition = atlas.description.acquisition
+        self._bins = np.array(atlas.description.bins)
+        self._channels, self._bin_hz = acquisition.channels, acquisition.sample_rate_hz / acquisition.samples
+        self._quiet: NDArray[np.bool_] | None = None
+        self.tones_hz: tuple[float, ...] = ()
+        """Tones beside which no bin is used."""
         self._vector: Array = np.zeros(atlas.size, dtype)
         self._energy = np.zeros((), dtype)
         self._baseline = atlas.baseline.copy()
@@ -48,7 +54,35 @@ class PlateModel:
         self._live: NDArray[np.bool_] = np.ones(atlas.description.acquisition.channels, bool)
         self.compared_ns = 0
         """When the baseline was compared last."""
+        self.moved = False
+        """Whether what was explained last was more movement of the plate than noise."""
         self.set_baseline(atlas.baseline)
+
+    def explains(self, bins: Bins, plate_energy: float, t_ns: int) -> bool:
+        """Return whether noise and the plate's own movement explain bins, and if so follow that movement.
+
+        A trigger that comes early or late delays all channels alike, which looks like a faint finger on the emitter; so
+        does what is left of a change of temperature when a finger lifts.
+
+        Parameters
+        ----------
+        bins : Bins
+        plate_energy : float
+            Of the bins along the plate's directions, counts squared.
+        t_ns : int
+        """
+        drift, noise_energy = self.drift, self.noise.noise_energy
+        noise_spread = CRITERIA.noise_spread * noise_energy
+        evidence, movement = bins.energy - noise_energy - plate_energy, drift.energy + plate_energy
+        plausible = movement < CRITERIA.most_moved * drift.signal_energy
+        # Asked this way round, so that NaN is not followed.
+        if not evidence <= noise_spread + (CRITERIA.plate * movement if plausible else 0.0):
+            return False
+        self.moved = False
+        if plausible:
+            drift.absorb(bins.vector, t_ns)
+            self.moved = drift.energy > max(evidence, noise_spread)
+        return True
 
     def update(self, baseline: Signal, residuals: Signal | None = None) -> None:
         """Take another baseline, (channels, samples), and residuals that tell its noise, (n, ...); else that stays."""
@@ -57,7 +91,6 @@ class PlateModel:
             return
         self.noise.reset()
         self.nuisance.reset()
-        self._tones.reset()
         self.set_baseline(baseline)
         for residual in residuals:
             self.drift.correct(residual, self._vector)
@@ -84,23 +117,13 @@ class PlateModel:
         if self.noise.update(self._vector):
             self._select()
 
-    def watch(self, detection: Detection, *, finger: bool) -> None:
-        """Take a touched frame: what few bins hold for a second without a finger is a tone, and they are left out."""
-        if finger:
-            self._tones.restart()
-            return
-        self._fingerless_frames += 1
-        if self._fingerless_frames % WATCH_EVERY:
-            return
-        self.drift.correct(detection.residual, self._vector)
-        if self._tones.update(self._vector, self.noise.power, detection.t_ns):
-            self._select()
-
-    def calm(self) -> None:
-        """Use all bins again: the plate is untouched, and no tone keeps the gate open."""
-        if self._tones.quiet is not None:
-            self._tones.reset()
-            self._select()
+    def set_tones(self, tones_hz: tuple[float, ...]) -> None:
+        """Use no bin beside tones of these frequencies."""
+        self.tones_hz = tones_hz
+        apart = np.abs(self._bins[:, None] - np.array(tones_hz) / self._bin_hz)
+        quiet = (apart > TONE_BINS).all(axis=1)
+        self._quiet = None if quiet.all() else np.tile(quiet, 2 * self._channels)
+        self._select()
 
     def set_baseline(self, baseline: Signal) -> None:
         """Compare the untouched plate, (channels, samples), with the one that the atlas was learned on."""
@@ -143,5 +166,5 @@ class PlateModel:
         self._use(~self.drift.dead & self._live)
 
     def _use(self, channels: NDArray[np.bool_]) -> None:
-        self.noise.set_channels(channels, self.drift.directions, self._tones.quiet)
+        self.noise.set_channels(channels, self.drift.directions, self._quiet)
         self.nuisance.set_delay(self.drift.delay, self.noise.mask)

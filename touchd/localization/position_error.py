@@ -65,6 +65,8 @@ class PositionError:
     def sigmas_mm(self, fit: Fit, variance: float) -> list[float]:
         """Return the standard error of each position per axis; `variance` is that of the fit."""
         sigmas = sigmas_mm(fit.fisher_information, variance)
+        for k, share in enumerate(fit.shares):
+            sigmas[k] *= share**-0.5
         if not fit.shapes:
             for k, (x_mm, y_mm) in enumerate(fit.positions_mm):
                 sigmas[k] = math.sqrt(sigmas[k] ** 2 + MOMENT_MM2**2 * self._bias2.at(x_mm, y_mm))

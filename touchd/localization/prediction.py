@@ -57,20 +57,17 @@ class Prediction:
 
     def update(self, positions_mm: list[Position], t_ns: int) -> None:
         """Take the fingers' positions in the frame of this time."""
-        before, self.positions_mm = self.positions_mm, positions_mm
-        self._rests = False
-        elapsed_s = (t_ns - self.t_ns) * 1e-9
-        self.t_ns = t_ns
-        count = len(positions_mm)
+        before, velocities = self.positions_mm, self._velocities_mm_s
+        elapsed_s, count = (t_ns - self.t_ns) * 1e-9, len(positions_mm)
+        self.positions_mm, self.t_ns, self._rests = positions_mm, t_ns, False
         self.moved_mm = math.dist(before[0], positions_mm[0]) if len(before) == count == 1 else math.inf
-        if not len(before) == len(self._velocities_mm_s) == count or elapsed_s <= 0:
+        if not len(before) == len(velocities) == count or elapsed_s <= 0:
             self._velocities_mm_s = [(0.0, 0.0)] * count
             return
         rate, longest = _WEIGHT / elapsed_s, LONGEST_STEP_MM / elapsed_s
         for k, (x, y) in enumerate(positions_mm):
-            (vx, vy), (old_x, old_y) = self._velocities_mm_s[k], before[k]
-            vx += rate * (x - old_x) - _WEIGHT * vx
-            vy += rate * (y - old_y) - _WEIGHT * vy
+            (vx, vy), (old_x, old_y) = velocities[k], before[k]
+            vx, vy = vx + rate * (x - old_x) - _WEIGHT * vx, vy + rate * (y - old_y) - _WEIGHT * vy
             if not (-longest <= vx <= longest and -longest <= vy <= longest):
                 vx, vy = max(-longest, min(longest, vx)), max(-longest, min(longest, vy))
-            self._velocities_mm_s[k] = vx, vy
+            velocities[k] = vx, vy

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from touchd.localization.anytime import REST_COST, SCAN_COST, SHAPE_COST, Steps, finish
 from touchd.localization.atlas import Array, Atlas
 from touchd.localization.contact_model import TYPICAL
-from touchd.localization.fit import Bins, Fit
+from touchd.localization.fit import Bins, Fit, shapes_of
 from touchd.localization.fit_criteria import CRITERIA
-from touchd.localization.gauss_newton import GaussNewton, shapes_of
+from touchd.localization.gauss_newton import GaussNewton
 from touchd.localization.spline import Position
 
 MOST_FINGERS = 5

@@ -105,10 +105,19 @@ def _tables(atlas: Atlas) -> NDArray[np.float64]:
         columns = np.stack([x, y, *(turned * one for one in (u, u * band, *second) for turned in (1, 1j))], axis=1)
         information = (columns.conj() @ columns.swapaxes(1, 2)).real.astype(np.float64)
         # A field of zeros, as of a plate without channels, tells nothing.
-        empty = ~(np.linalg.matrix_rank(information) == information.shape[-1])
+        empty = ~_regular(information)
         information[empty] = np.eye(information.shape[-1])
         spread = np.einsum("ki,nij,kj->nk", wanted, np.linalg.inv(information), wanted)
         spread[empty] = np.inf
         bias_mm = np.linalg.solve(information[:, :4, :4], 2 * information[:, :4] @ wanted[0, :, None])[:, :2, 0]
         found[:, row] = spread[:, 0], spread[:, 1:].mean(axis=1), np.square(bias_mm).mean(axis=1)
     return found
+
+
+def _regular(matrices: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return which positive semi-definite matrices can be inverted; where all can, it takes a tenth of the time."""
+    try:
+        np.linalg.cholesky(matrices)
+    except np.linalg.LinAlgError:
+        return np.asarray(np.linalg.matrix_rank(matrices, hermitian=True) == matrices.shape[-1])
+    return np.ones(len(matrices), dtype=np.bool_)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import cache
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -12,11 +13,11 @@ from touchd.localization.atlas import Array, Atlas
 Position = tuple[float, float]
 """x and y, mm."""
 
-PER_CELL = 8192
-"""The field is looked up on a raster of 8192 points per cell (0.3 um on the shipped grid), so that the spline weights
+PER_CELL = 4096
+"""The field is looked up on a raster of 4096 points per cell (0.6 um on the shipped grid), so that the spline weights
 come from a table. A fit starts from the raster's point, and its last step leads anywhere: nothing is rounded away."""
-CONTACT_PER_CELL = 1024
-"""The same of contacts with a shape, which need more derivatives: 2.4 um."""
+CONTACT_PER_CELL = 256
+"""The same of contacts with a shape, which need more derivatives: 10 um. Small tables stay in the caches."""
 SLOPES = ((0, 0), (1, 0), (0, 1))
 """Orders along x and y of the field, and of its slopes."""
 CELLS = 4
@@ -33,50 +34,51 @@ class Raster:
     atlas : Atlas
     per_cell : int
         Points of the raster per cell, along each axis.
-    around : tuple of int
-        Shape of a copy.
+    orders : tuple of pairs
+        Of the derivatives, along x and y.
     """
 
-    def __init__(self, atlas: Atlas, per_cell: int, around: tuple[int, ...]) -> None:
-        d = atlas.description
-        rows, columns, _ = atlas.coefficients.shape
-        self._nodes = atlas.coefficients.reshape(rows, columns, d.acquisition.channels, 2, -1).swapaxes(2, 3)
-        (self._x0_mm, self._y0_mm), self._unit_mm = d.origin_mm, d.step_mm / per_cell
-        self._per_unit, self._per_cell = per_cell / d.step_mm, per_cell
+    def __init__(self, atlas: Atlas, per_cell: int, orders: tuple[tuple[int, int], ...]) -> None:
+        d, dtype = atlas.description, atlas.coefficients.dtype
+        self._of_rows, self._of_columns = map(list, spline_weights(d.step_mm, dtype, orders, per_cell))
+        self._weights = np.zeros(16 * len(orders), dtype)
+        self._by_order = self._weights.reshape(-1, 16)
+        self._nodes, self._size = _by_parts(atlas), atlas.size
+        self._grid = per_cell, per_cell / d.step_mm, d.step_mm / per_cell, *d.origin_mm
         self.low_mm, self.high_mm = known_part_mm(atlas)
         self._limits = (*self.low_mm, *self.high_mm)
-        self._cells = {(-1, k): np.zeros(around, atlas.coefficients.dtype) for k in range(CELLS)}
+        self._cells = {(-1, k): np.zeros((16, atlas.size), dtype) for k in range(CELLS)}
 
     def inside(self, x_mm: float, y_mm: float) -> Position:
         """Return the nearest position at which the field is known."""
         low_x, low_y, high_x, high_y = self._limits
+        if low_x < x_mm < high_x and low_y < y_mm < high_y:
+            return x_mm, y_mm
         # Written so that NaN becomes a corner instead of an index.
         x = x_mm if low_x < x_mm < high_x else high_x if x_mm >= high_x else low_x
         y = y_mm if low_y < y_mm < high_y else high_y if y_mm >= high_y else low_y
         return x, y
 
-    def _find(self, x_mm: float, y_mm: float) -> tuple[Position, int, int, Array]:
-        """Return the raster point nearest to a position inside, its row and column in its cell, and the nodes."""
-        per_cell = self._per_cell
-        across = int((x_mm - self._x0_mm) * self._per_unit + 0.5)
-        down = int((y_mm - self._y0_mm) * self._per_unit + 0.5)
+    def _weigh(self, x_mm: float, y_mm: float) -> tuple[Position, Array]:
+        """Set the nodes' weights in each derivative for the raster point nearest to a position inside.
+
+        Return that point, and the nodes around it, shape (16, size): real parts, then imaginary parts.
+        """
+        per_cell, per_unit, unit_mm, x0_mm, y0_mm = self._grid
+        across, down = int((x_mm - x0_mm) * per_unit + 0.5), int((y_mm - y0_mm) * per_unit + 0.5)
         cell = down // per_cell, across // per_cell
         around = self._cells.get(cell)
         if around is None:
             around = self._fetch(cell)
-        position = self._x0_mm + across * self._unit_mm, self._y0_mm + down * self._unit_mm
-        return position, down % per_cell, across % per_cell, around
+        np.multiply(self._of_rows[down % per_cell], self._of_columns[across % per_cell], self._weights)
+        return (x0_mm + across * unit_mm, y0_mm + down * unit_mm), around
 
     def _fetch(self, cell: tuple[int, int]) -> Array:
         """Copy the nodes around a cell over those of the cell fetched longest ago."""
-        row, column = cell
+        (row, column), size = cell, self._size
         around = self._cells[cell] = self._cells.pop(next(iter(self._cells)))
-        self._copy(self._nodes[row - 1 : row + 3, column - 1 : column + 3], around)
+        around.reshape(4, -1)[...] = self._nodes[row - 1 : row + 3, (column - 1) * size : (column + 3) * size]
         return around
-
-    def _copy(self, nodes: Array, around: Array) -> None:
-        """Copy nodes, shape (4, 4, 2, channels, bins)."""
-        around.reshape(nodes.shape)[...] = nodes
 
 
 class Spline(Raster):
@@ -91,17 +93,13 @@ class Spline(Raster):
     """
 
     def __init__(self, atlas: Atlas, into: Array) -> None:
-        super().__init__(atlas, PER_CELL, (16, atlas.size))
-        self._of_rows, self._of_columns = spline_weights(atlas.description.step_mm, into.dtype, SLOPES, PER_CELL)
+        super().__init__(atlas, PER_CELL, SLOPES)
         self._into = into
-        self._weights = np.zeros(48, into.dtype)
-        self._shares = self._weights.reshape(3, 16)
 
     def at(self, x_mm: float, y_mm: float) -> Position:
         """Evaluate the field at the raster point nearest to a position inside, and return that point."""
-        position, row, column, around = self._find(x_mm, y_mm)
-        np.multiply(self._of_rows[row], self._of_columns[column], self._weights)
-        self._shares.dot(around, self._into)
+        position, around = self._weigh(x_mm, y_mm)
+        self._by_order.dot(around, self._into)
         return position
 
 
@@ -113,6 +111,21 @@ def known_part_mm(atlas: Atlas) -> tuple[Position, Position]:
     low = max(0.0, x0_mm + step_mm), max(0.0, y0_mm + step_mm)
     last = columns - 2 - 1 / CONTACT_PER_CELL, rows - 2 - 1 / CONTACT_PER_CELL
     return low, (min(d.plate.width_mm, x0_mm + last[0] * step_mm), min(d.plate.height_mm, y0_mm + last[1] * step_mm))
+
+
+_nodes: WeakKeyDictionary[Atlas, Array] = WeakKeyDictionary()
+
+
+def _by_parts(atlas: Atlas) -> Array:
+    """Return the atlas' coefficients, shape (rows, columns * size): of each node the real, then the imaginary parts.
+
+    One table serves all rasters of an atlas, so that four nodes in a row are copied at once.
+    """
+    if (known := _nodes.get(atlas)) is None:
+        rows, columns, _ = atlas.coefficients.shape
+        parts = atlas.coefficients.reshape(rows, columns, atlas.description.acquisition.channels, 2, -1)
+        known = _nodes[atlas] = np.ascontiguousarray(parts.swapaxes(2, 3)).reshape(rows, -1)
+    return known
 
 
 @cache

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from touchd.config.schema import Settings
 from touchd.detection.baseline import Signal
-from touchd.detection.detector import Detection
+from touchd.detection.detection import Detection
 from touchd.keypad import Layout
 from touchd.localization.localization import UNTOUCHED, Localization
 from touchd.outcome import Outcome

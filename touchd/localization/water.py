@@ -4,14 +4,14 @@ A drop is a mass, its impedance i omega m. Tissue takes power from the plate: a 
 0.6 a / c, c the speed of sound in it, alike at all frequencies (Kinsler & Frey, Fundamentals of Acoustics). Its
 amplitude grows as a^3, so a finger of amplitude A lags a mass by at least `TISSUE_RAD` A^(1/3), a drop by nothing.
 
-The sum is kept twice, less and plus what the field's error may add to it, and within `MOST_ODDS` of 0 (Page, Biometrika
+The sum is kept twice, less and plus what the field's error may add to it, and within `SURE` of 0 (Page, Biometrika
 41:100, 1954): what a finger has left behind is water as soon as its own frames say so.
 
 =============  ===================  ===================================================================
 contact        becomes              if the sum
 =============  ===================  ===================================================================
-undecided      finger, water        reaches `SURE`, -`MOST_ODDS`
-finger         water                reaches -`MOST_ODDS`; it is not placed while the sum is negative
+undecided      finger, water        reaches `SURE`, -`SURE`
+finger         water                reaches -`SURE`; it is not placed while the sum is negative
 water          finger               stays at `SURE` for 30 ms; at once within 0.1 s if it lags as a finger
 =============  ===================  ===================================================================
 """
@@ -33,11 +33,9 @@ BIAS_RAD = 0.02
 """Standard deviation of what does not average out: the error of the field's phase, from place to place (twin)."""
 ERROR_SIGMAS = 1.5
 """Standard errors by what the field misses of all contacts that are added to it."""
-SURE = 4.0
-"""Log likelihood ratio: at most 1 drop in 55 is ever taken for a finger (Wald's bound), with the field's error in its
-favour; 1 in 400 without."""
-MOST_ODDS = 6.0
-"""More evidence would make a contact slow to change."""
+SURE = 8.0
+"""Log likelihood ratio: at most 1 drop in 3000 is ever taken for a finger (Wald's bound), with the field's error in its
+favour. The sum goes no farther: more evidence would make a contact slow to change."""
 SURE_ALONE = 2.5
 """The same of a frame that is judged alone: one look takes 1 drop in 400 for a finger (twin, 60 dB)."""
 MOST_LAG = 2.0
@@ -46,8 +44,9 @@ LOOK_NS, LOOK_SHARE = 200_000_000, 0.1
 """So often, and at a change of its amplitude by such a share, a sure finger is looked at."""
 LAY_NS, DRY_NS = 100_000_000, 30_000_000
 """What leads for less than 0.1 s may be a finger that lands; of water one frame may say otherwise."""
-NEAR_MM = 3.0
-"""A drop stays where it is."""
+NEAR_MM, REACH_SIGMAS, MOST_REACH_MM = 3.0, 3.0, 8.0
+"""A drop stays where it is, but for this many standard errors of its position: else the frames that misplace it, and
+its phase with it, would be judged alone."""
 WATER_NS, FINGER_NS = 10_000_000_000, 100_000_000
 """A contact is remembered for so long after it was seen."""
 MOST = 16
@@ -119,7 +118,7 @@ class Evidence(Struct):
         """Return whether it is so surely a finger that another look would tell nothing yet."""
         return (
             self.state is State.FINGER
-            and self.least >= MOST_ODDS
+            and self.least >= SURE
             and abs(size - self.size) < LOOK_SHARE * self.size
             and 0 <= t_ns - self.looked_ns < LOOK_NS
         )
@@ -143,7 +142,7 @@ class Evidence(Struct):
 
     def _decide(self, t_ns: int, *, lags: bool) -> None:
         if self.state is not State.WATER:
-            if self.most <= -MOST_ODDS:
+            if self.most <= -SURE:
                 self.state, self.since_ns, self.likely_ns = State.WATER, t_ns, None
             elif self.least >= SURE:
                 self.state = State.FINGER
@@ -157,4 +156,4 @@ class Evidence(Struct):
 
 
 def _limited(log_odds: float) -> float:
-    return max(-MOST_ODDS, min(log_odds, MOST_ODDS))
+    return max(-SURE, min(log_odds, SURE))

@@ -68,7 +68,8 @@ class Stream:
             self._lost[event.type] += event.seq - last[0] - 1
         if not self._is_stale(event):
             if isinstance(event, TouchEvent):
-                self._touched = any(contact.phase != "up" for contact in event.contacts)
+                # A generator is another function in each frame.
+                self._touched = any([contact.phase != "up" for contact in event.contacts])  # noqa: C419
             elif isinstance(event, KeyEvent):
                 self._note(event)
             return event
@@ -101,7 +102,7 @@ class Stream:
             self._least_ns += (now_ns - self._heard_ns) * _DRIFT
         self._heard_ns = now_ns
         self._least_ns = min(self._least_ns, delay_ns)
-        return not isinstance(event, HealthEvent | PlateEvent) and delay_ns - self._least_ns > self._max_age_ns
+        return delay_ns - self._least_ns > self._max_age_ns and not isinstance(event, HealthEvent | PlateEvent)
 
 
 def _epoch_ns(event: Event) -> int | None:

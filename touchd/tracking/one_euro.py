@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import math
 
+_SPEED_CUTOFF_HZ = 8.0
+_USUAL_MM = 0.5
+_LEAST_MM = 0.02
+
 
 class OneEuro:
     """A low-pass of first order for a point, whose cut-off grows with the point's speed.
@@ -15,10 +19,6 @@ class OneEuro:
     """
 
     __slots__ = ("_beta", "_min_cutoff_hz", "_raw_x_mm", "_raw_y_mm", "vx_mm_s", "vy_mm_s", "x_mm", "y_mm")
-
-    _SPEED_CUTOFF_HZ = 8.0
-    _USUAL_MM = 0.5
-    _LEAST_MM = 0.02
 
     def __init__(self, x_mm: float, y_mm: float, min_cutoff_hz: float, beta: float) -> None:
         self._min_cutoff_hz = min_cutoff_hz
@@ -33,18 +33,14 @@ class OneEuro:
 
         The cut-offs are as they were set for a standard error of 0.5 mm.
         """
-        weight = _weight(self._SPEED_CUTOFF_HZ, elapsed_s)
-        self.vx_mm_s += weight * ((x_mm - self._raw_x_mm) / elapsed_s - self.vx_mm_s)
-        self.vy_mm_s += weight * ((y_mm - self._raw_y_mm) / elapsed_s - self.vy_mm_s)
-        self._raw_x_mm = x_mm
-        self._raw_y_mm = y_mm
-        speed_mm_s = math.hypot(self.vx_mm_s, self.vy_mm_s)
-        surer = self._USUAL_MM / min(max(sigma_mm, self._LEAST_MM), self._USUAL_MM)
-        weight = _weight(surer * (self._min_cutoff_hz + self._beta * speed_mm_s), elapsed_s)
+        turn_s, vx, vy = 2 * math.pi * elapsed_s, self.vx_mm_s, self.vy_mm_s
+        turn = turn_s * _SPEED_CUTOFF_HZ
+        weight = turn / (turn + 1.0)
+        self.vx_mm_s = vx = vx + weight * ((x_mm - self._raw_x_mm) / elapsed_s - vx)
+        self.vy_mm_s = vy = vy + weight * ((y_mm - self._raw_y_mm) / elapsed_s - vy)
+        self._raw_x_mm, self._raw_y_mm = x_mm, y_mm
+        surer = _USUAL_MM / min(max(sigma_mm, _LEAST_MM), _USUAL_MM)
+        turn = turn_s * surer * (self._min_cutoff_hz + self._beta * math.hypot(vx, vy))
+        weight = turn / (turn + 1.0)
         self.x_mm += weight * (x_mm - self.x_mm)
         self.y_mm += weight * (y_mm - self.y_mm)
-
-
-def _weight(cutoff_hz: float, elapsed_s: float) -> float:
-    turn = 2 * math.pi * cutoff_hz * elapsed_s
-    return turn / (turn + 1.0)

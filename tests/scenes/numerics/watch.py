@@ -12,12 +12,11 @@ from numpy.typing import NDArray
 from tests.scenes.numerics.double import double_model
 from tests.scenes.stages import shipped
 from touchd.config.schema import Settings
-from touchd.detection.detector import Detection
+from touchd.detection.detection import Detection
 from touchd.event import Event, TouchEvent
 from touchd.frame import Frame
 from touchd.localization.atlas_localizer import AtlasLocalizer
-from touchd.localization.fit import Bins, Fit
-from touchd.localization.gauss_newton import shapes_of
+from touchd.localization.fit import Bins, Fit, shapes_of
 from touchd.localization.model import Model, default_model_path
 from touchd.pipeline import Pipeline
 from touchd.recording.data import Recording

@@ -6,7 +6,9 @@ import pytest
 
 from touchd.frame import Plate
 from touchd.twin.physics.plate import Modes, solve
-from touchd.twin.physics.transducer import LoadedModes, default_layout, loaded_modes
+from touchd.twin.physics.transducer import LoadedModes, default_layout, load, parameters_of
+
+COUNTS, BELOW_HZ, FREQUENCY_HZ = (48, 48), 375e3, 125e3
 
 
 @pytest.fixture(scope="session")
@@ -17,12 +19,13 @@ def glass() -> Plate:
 @pytest.fixture(scope="session")
 def bare(glass: Plate) -> Modes:
     """Modes of the default plate without its discs, up to 375 kHz."""
-    return solve(glass, (48, 48), 375e3)
+    return solve(glass, COUNTS, BELOW_HZ)
 
 
 @pytest.fixture(scope="session")
-def loaded(glass: Plate, tmp_path_factory: pytest.TempPathFactory) -> LoadedModes:
+def loaded(glass: Plate, bare: Modes) -> LoadedModes:
     """Modes with its discs, as the instrument has them."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
-        return loaded_modes(glass, default_layout(glass))
+    layout = default_layout(glass)
+    made = parameters_of(glass, layout, FREQUENCY_HZ)
+    assert (made["counts"], made["basis"] * FREQUENCY_HZ) == (COUNTS, BELOW_HZ)
+    return load(bare, glass, layout, made["kept"] * FREQUENCY_HZ)

@@ -1,7 +1,8 @@
 """What `touchd input` stands, and what it costs: `python -m tests.system.bridges.endurance` prints it, in minutes.
 
 1,000,000 frames with floods of taps through a bus and the bridge's process; 10,000 kills of daemon, bus and bridge
-against the model of the kernel's slots; the time from a message to its events beside a subscriber's alone.
+against the model of the kernel's slots; the time from a message to its events beside a subscriber's alone; memory, and
+processor time at 125 frames a second.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import json
 import os
 import random
+import re
 import select
 import statistics
 import subprocess
@@ -141,6 +143,27 @@ def listen(address: str, messages: int) -> None:
     print(json.dumps(took))
 
 
+def upkeep(folder: Path, fingers: int, frames: int) -> tuple[float, float]:
+    """Return the processor time that a bridge takes at 125 frames a second, % of a core, and its memory, MB."""
+    with daemon(folder) as bus, bridge(folder, bus, PATIENT="1") as screen:
+        process = Path(f"/proc/{screen.process.pid}")
+        bus.touch(*(contact(n, "down") for n in range(fingers)))
+        select.select([screen.reader], [], [], PATIENCE_S)
+        began_ns, spent_ns = time.monotonic_ns(), _spent_ns(process)
+        for k in range(1, frames + 1):
+            time.sleep(max(0.0, (began_ns - time.monotonic_ns()) * 1e-9 + k / 125))
+            bus.touch(*(contact(n, "move", (k + n) % 200, 40.0 + n) for n in range(fingers)))
+            screen.pump()
+        share = (_spent_ns(process) - spent_ns) / (frames / 125 * 1e9)
+        rss_kb = re.findall(r"VmRSS:\s*(\d+) kB", (process / "status").read_text())[0]
+        return 100 * share, int(rss_kb) * 1e-3
+
+
+def _spent_ns(process: Path) -> int:
+    """Return what all threads of a process have spent on processors."""
+    return sum(int(file.read_text().split()[0]) for file in process.glob("task/*/schedstat"))
+
+
 def main() -> None:
     """Measure all in full."""
     frames, times = int(os.environ.get("FRAMES", "1000000")), int(os.environ.get("KILLS", "10000"))
@@ -149,6 +172,10 @@ def main() -> None:
         alone, through = (sorted(took) for took in latency_us(Path(folder), 5000))
     for name, took in (("bus alone", alone), ("to the event", through)):
         print(f"{name}: median {statistics.median(took):.0f} us, 99.9 % {took[int(len(took) * 0.999)]:.0f} us")
+    for fingers in (1, 5):
+        with tempfile.TemporaryDirectory() as folder:
+            percent, rss_mb = upkeep(Path(folder), fingers, 7500)
+        print(f"{fingers} moving at 125 frames/s: {percent:.1f} % of a core, {rss_mb:.1f} MB", flush=True)
     with tempfile.TemporaryDirectory() as folder:
         wrong, missing = through_the_bus(Path(folder), frames)
     print(f"{frames} frames: {wrong} wrong or out of order, {missing} lost")

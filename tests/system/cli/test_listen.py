@@ -9,19 +9,9 @@ import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-import pytest
-
 from tests.processes import PATIENCE_S, end, started
-from touchd.config.schema import BusSettings
 from touchd.event import Contact, TouchEvent
 from touchd.sinks.zeromq import ZeromqSink
-
-
-@pytest.fixture
-def sink() -> Iterator[ZeromqSink]:
-    sink = ZeromqSink(BusSettings(bind=("tcp://127.0.0.1:*",)))
-    yield sink
-    sink.close()
 
 
 @contextmanager

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime
 
@@ -14,7 +13,6 @@ from click.testing import CliRunner
 from tests.command_line import touchd
 from tests.processes import PATIENCE_S
 from touchd.cli.listen import command
-from touchd.config.schema import BusSettings
 from touchd.errors import BusTimeout
 from touchd.event import Contact, Event, HealthEvent, KeyEvent, Latency, Phase, SpectrumEvent, State, TouchEvent
 from touchd.sinks.zeromq import ZeromqSink
@@ -29,13 +27,6 @@ def touch(seq: int, phase: Phase = "move") -> TouchEvent:
 
 def health(seq: int, state: State = "streaming") -> HealthEvent:
     return HealthEvent("plate", seq, seq, WALL, state, 9, 0, 0, {"quiet": 4}, 5, Latency(), 1.0, 0.1, "m", "0.1.0")
-
-
-@pytest.fixture
-def sink() -> Iterator[ZeromqSink]:
-    sink = ZeromqSink(BusSettings(bind=("tcp://127.0.0.1:*",)))
-    yield sink
-    sink.close()
 
 
 class Listen:

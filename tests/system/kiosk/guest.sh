@@ -1,6 +1,7 @@
 #!/bin/bash
 # Run in the virtual machine, as root: the package's touch screen under Weston and Xorg, and what a page in Chromium
-# hears of it. The page's events go to page.log, with a line `{"kind": "scene NAME"}` before each scene.
+# hears of it. The file `parts` names what is tried. The page's events go to page.log, with a line
+# `{"kind": "scene NAME"}` before each scene.
 cd /host || exit 1
 
 say() { echo "--- $(cut -d' ' -f1 /proc/uptime) $*"; }
@@ -87,6 +88,107 @@ finger_of_a_killed_bridge() {
     wait_for 120 screen_opened "$2" || say "not opened: the screen"
     command release
 }
+weston_with() {
+    printf '[core]\nidle-time=0\nshell=kiosk-shell.so\nrequire-input=false\n[output]\nname=Virtual-1\nmode=1024x768\n%s\n' "$1" > /run/weston.ini
+    weston --tty=2 --backend=drm-backend.so --use-pixman --config=/run/weston.ini --socket=wayland-1 \
+        --log=/host/weston.log > weston.out 2>&1 5>&- &
+    desktop=$!
+    wait_for 300 test -S $XDG_RUNTIME_DIR/wayland-1
+    sleep 3
+}
+no_screen() {
+    systemctl stop touchd-input
+    exec 5>&-
+    kill $screenbus
+    wait $screenbus
+    rm -r /run/touchd
+}
+
+# --- the parts
+kills() {
+    systemctl stop touchd-input
+    stdbuf -oL libinput debug-events > kills.events 2>&1 5>&- &
+    libinput=$!
+    wait_for 120 grep -q DEVICE_ADDED kills.events
+    command flood
+    PYTHONPATH=/usr/lib/touchd python3 -B kills.py 100 $libinput > kills.json 5>&-
+    found kills $?
+    command calm
+    kill $libinput
+    wait $libinput 2> /dev/null
+    systemctl start touchd-input
+    command wait
+}
+
+wayland() {
+    export WAYLAND_DISPLAY=wayland-1
+    weston_with ""
+    browse --ozone-platform=wayland
+    found weston-page $?
+    sleep 5
+    mark begin weston
+    gestures
+    scene corner touchend 2
+    picture weston
+    finger_of_a_killed_bridge weston-killed $desktop
+    scene tap touchend 1 "tap after"
+    leave
+    touchd doctor > doctor.txt 2>&1
+    kill $desktop
+    wait $desktop
+}
+
+turned() {
+    export WAYLAND_DISPLAY=wayland-1
+    weston_with transform=rotate-90
+    browse --ozone-platform=wayland
+    found turned-page $?
+    sleep 5
+    mark begin turned
+    scene tap touchend 1
+    picture turned
+    leave
+    kill $desktop
+    wait $desktop
+}
+
+x11() {
+    local output
+    printf 'Section "ServerFlags"\n Option "DontVTSwitch" "true"\n Option "BlankTime" "0"\nEndSection\nSection "Device"\n Identifier "g"\n Driver "modesetting"\n Option "AccelMethod" "none"\nEndSection\n' > /run/xorg.conf
+    export DISPLAY=:0
+    Xorg :0 -config /run/xorg.conf -noreset -nolisten tcp -ac vt1 -keeptty > xorg.out 2>&1 5>&- &
+    desktop=$!
+    wait_for 300 xset q > /dev/null 2>&1
+    found xorg $?
+    browse --ozone-platform=x11
+    found xorg-page $?
+    sleep 5
+    mark begin xorg
+    gestures
+    picture xorg
+    output=$(xrandr | sed -n 's/ connected.*//p' | head -n 1)
+    xrandr --output "$output" --rotate left
+    sleep 5
+    mark begin xorg-turned
+    scene tap touchend 1 "tap turned"
+    xinput map-to-output "touchd screen" "$output"
+    scene tap touchend 1 "tap mapped"
+    xrandr --output "$output" --rotate normal
+    xinput map-to-output "touchd screen" "$output"
+    sleep 5
+    mark begin xorg-killed
+    finger_of_a_killed_bridge xorg-killed $desktop
+    scene hold touchstart 1 "stopped"
+    systemctl stop touchd-input
+    found xorg-stopped "$(bridge Result)"
+    settle touchend 1
+    leave
+    kill $desktop
+    wait $desktop
+}
+
+# shellcheck source=/dev/null
+. ./audio.sh
 
 ip link set lo up
 : > found.txt
@@ -113,78 +215,9 @@ wait_for 600 another_bridge 0
 found screen-starts $?
 command wait
 
-weston_with() {
-    printf '[core]\nidle-time=0\nshell=kiosk-shell.so\nrequire-input=false\n[output]\nname=Virtual-1\nmode=1024x768\n%s\n' "$1" > /run/weston.ini
-    weston --tty=2 --backend=drm-backend.so --use-pixman --config=/run/weston.ini --socket=wayland-1 \
-        --log=/host/weston.log > weston.out 2>&1 5>&- &
-    weston=$!
-    wait_for 300 test -S $XDG_RUNTIME_DIR/wayland-1
-    sleep 3
-}
-export WAYLAND_DISPLAY=wayland-1
-say weston
-weston_with ""
-browse --ozone-platform=wayland
-found weston-page $?
-sleep 5
-mark begin weston
-gestures
-scene corner touchend 2
-picture weston
-finger_of_a_killed_bridge weston-killed $weston
-scene tap touchend 1 "tap after"
-leave
-kill $weston
-wait $weston
-
-say weston turned
-weston_with transform=rotate-90
-browse --ozone-platform=wayland
-found turned-page $?
-sleep 5
-mark begin turned
-scene tap touchend 1
-leave
-kill $weston
-wait $weston
-unset WAYLAND_DISPLAY
-
-say xorg
-printf 'Section "ServerFlags"\n Option "DontVTSwitch" "true"\n Option "BlankTime" "0"\nEndSection\nSection "Device"\n Identifier "g"\n Driver "modesetting"\n Option "AccelMethod" "none"\nEndSection\n' > /run/xorg.conf
-export DISPLAY=:0
-Xorg :0 -config /run/xorg.conf -noreset -nolisten tcp -ac vt1 -keeptty > xorg.out 2>&1 5>&- &
-xorg=$!
-wait_for 300 xset q > /dev/null 2>&1
-found xorg $?
-browse --ozone-platform=x11
-found xorg-page $?
-sleep 5
-mark begin xorg
-gestures
-output=$(xrandr | sed -n 's/ connected.*//p' | head -n 1)
-xrandr --output "$output" --rotate left
-sleep 5
-mark begin xorg-turned
-scene tap touchend 1 "tap turned"
-xinput map-to-output "touchd screen" "$output"
-scene tap touchend 1 "tap mapped"
-xrandr --output "$output" --rotate normal
-xinput map-to-output "touchd screen" "$output"
-sleep 5
-mark begin xorg-killed
-finger_of_a_killed_bridge xorg-killed $xorg
-scene hold touchstart 1 "stopped"
-systemctl stop touchd-input
-found xorg-stopped "$(bridge Result)"
-settle touchend 1
-leave
-kill $xorg
-wait $xorg
-exec 5>&-
-kill $screenbus
-rm -r /run/touchd
-
-# shellcheck source=/dev/null
-. ./audio.sh
+while read -r part; do
+    say "$part"
+    "$part" < /dev/null
+done < parts
 journalctl -u touchd -u touchd-input --no-pager > journal.log
 say end

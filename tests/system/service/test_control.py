@@ -2,23 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
-from tests.processes import PATIENCE_S, end, started, touchd
+from tests.processes import PATIENCE_S, end, started, touchd, until
 from touchd.cli.demo import SESSION
 from touchd.client import Subscriber
 from touchd.errors import BusError
 from touchd.event import Event, HealthEvent, TouchEvent
-
-
-def until(events: Subscriber[Event], what: Callable[[Event], bool]) -> list[Event]:
-    heard: list[Event] = []
-    for event in events:
-        heard.append(event)
-        if what(event):
-            return heard
-    raise AssertionError("the subscription has ended")
 
 
 def is_down(event: Event) -> bool:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.processes import PATIENCE_S, ROOT, end, started, touchd
+from tests.processes import PATIENCE_S, ROOT, end, started, touchd, until
 from touchd.cli.demo import SESSION
 from touchd.client import Subscriber
 from touchd.event import Event, HealthEvent, TouchEvent
@@ -15,15 +15,6 @@ from touchd.localization.model import default_model_path
 from touchd.recording.format import read
 
 SHIPPED = default_model_path()
-
-
-def until(events: Subscriber[Event], what: Callable[[Event], bool]) -> list[Event]:
-    heard: list[Event] = []
-    for event in events:
-        heard.append(event)
-        if what(event):
-            return heard
-    raise AssertionError("the subscription has ended")
 
 
 def in_state(state: str, model: str) -> Callable[[Event], bool]:

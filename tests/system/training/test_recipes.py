@@ -22,12 +22,6 @@ LAYOUT = load_layout(PHONE)
 
 
 @pytest.fixture(scope="module")
-def few(touches: Recording) -> Recording:
-    cut = {name: getattr(touches, name)[:400] for name in ("frames", "sequence", "timestamp_ns", "contacts_mm")}
-    return replace(touches, **cut, force_n=None, temperature_c=None)
-
-
-@pytest.fixture(scope="module")
 def field(few: Recording) -> Field:
     """What each training of `few` with seed 0 learns of the plate."""
     data = make_dataset(few)

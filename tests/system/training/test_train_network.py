@@ -22,8 +22,17 @@ def few(touches: Recording) -> Recording:
 
 
 @pytest.fixture(scope="module")
-def trained(few: Recording, tmp_path_factory: pytest.TempPathFactory) -> Result:
-    return train(few, tmp_path_factory.mktemp("model") / "a.onnx", seed=4, epochs=2, command="as a test")
+def told() -> list[tuple[str, int, int]]:
+    """What a training says of its progress: the stage, steps done, and steps in all."""
+    return []
+
+
+@pytest.fixture(scope="module")
+def trained(few: Recording, told: list[tuple[str, int, int]], tmp_path_factory: pytest.TempPathFactory) -> Result:
+    return train(
+        few, tmp_path_factory.mktemp("model") / "a.onnx", seed=4, epochs=2, command="as a test",
+        progress=lambda what, done, steps, _rmse_mm: told.append((what, done, steps)),
+    )  # fmt: skip
 
 
 def test_origin(trained: Result, few: Recording) -> None:
@@ -56,15 +65,9 @@ def test_another_seed(trained: Result, few: Recording, dataset: Dataset, tmp_pat
     assert not np.array_equal(one, two)
 
 
-def test_progress(few: Recording, tmp_path: Path) -> None:
+@pytest.mark.usefixtures("trained")
+def test_progress(told: list[tuple[str, int, int]]) -> None:
     """Progress counts up to the end."""
-    told: list[tuple[str, int, int]] = []
-    train(
-        few,
-        tmp_path / "a.onnx",
-        epochs=1,
-        progress=lambda what, done, steps, _rmse_mm: told.append((what, done, steps)),
-    )
     for what in ("field", "network"):
         done = [(at, steps) for said, at, steps in told if said == what]
         assert [at for at, _ in done] == list(range(1, done[0][1] + 1))

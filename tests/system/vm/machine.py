@@ -41,7 +41,9 @@ def made(kind: str) -> Path:
 def handed_in(folder: Path, script: Path, *files: Path) -> Path:
     """Put the package, the script that the machine runs and its files into a folder."""
     folder.chmod(0o755)
-    built = subprocess.run(["bash", ROOT / "deploy/build-deb.sh"], capture_output=True, text=True, cwd=ROOT)
+    built = subprocess.run(
+        ["bash", ROOT / "deploy/build-deb.sh", sys.executable], capture_output=True, text=True, cwd=ROOT
+    )
     assert built.returncode == 0, built.stderr
     # Not compressed, and compiled: an emulated processor would unpack, and then compile, for minutes.
     plain = folder / "plain"

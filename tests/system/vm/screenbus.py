@@ -12,7 +12,7 @@ import sys
 import threading
 import time
 from datetime import UTC, datetime
-from itertools import count
+from itertools import count, cycle
 from pathlib import Path
 
 import zmq
@@ -24,6 +24,7 @@ FRAME_S = 0.05
 STEPS = 6
 ids, numbers = count(1), count(1)
 lock = threading.Lock()
+flooding, playing = threading.Event(), threading.Lock()
 held: int | None = None
 Way = tuple[tuple[float, float], tuple[float, float]]
 
@@ -68,6 +69,15 @@ def hold() -> None:
                 publish(finger(held, "hold", 120.0, 40.0))
 
 
+def flood() -> None:
+    """Play scenes without an end while `flooding` is set."""
+    for name in cycle(("five", "pinch", "tap", "swipe")):
+        flooding.wait()
+        with playing:
+            for ways in SCENES[name]:
+                play(ways)
+
+
 ADDRESS.parent.mkdir(exist_ok=True)
 bus: zmq.Socket[bytes] = zmq.Context().socket(zmq.XPUB)
 bus.setsockopt(zmq.XPUB_VERBOSE, 1)  # each subscriber is heard of
@@ -75,6 +85,7 @@ bus.bind(f"ipc://{ADDRESS}")
 os.chown(ADDRESS, -1, grp.getgrnam("touchd-bus").gr_gid)
 ADDRESS.chmod(0o660)
 threading.Thread(target=hold, daemon=True).start()
+threading.Thread(target=flood, daemon=True).start()
 for line in sys.stdin:
     command = line.strip()
     with lock:
@@ -90,6 +101,13 @@ for line in sys.stdin:
             held = None
         elif command == "silence":
             held = None
+        elif command == "flood":
+            flooding.set()
+        elif command == "calm":
+            flooding.clear()
+            with playing:  # the scene that is being played is over
+                while bus.poll(0):
+                    bus.recv()
         else:
             for ways in SCENES[command]:
                 play(ways)

@@ -7,6 +7,7 @@ import pytest
 
 from tests.unit.calibration.plates import LAYOUT, PLATE, exact_fit
 from touchd.calibration.physical_atlas import make_physical_atlas
+from touchd.calibration.plate_fit import PlateFit
 from touchd.localization.atlas import Atlas
 from touchd.twin.instrument import Instrument
 
@@ -17,6 +18,10 @@ def instrument() -> Instrument:
 
 
 @pytest.fixture(scope="module")
-def atlas(instrument: Instrument) -> Atlas:
-    fit = exact_fit(instrument)
+def fit(instrument: Instrument) -> PlateFit:
+    return exact_fit(instrument)
+
+
+@pytest.fixture(scope="module")
+def atlas(fit: PlateFit) -> Atlas:
     return make_physical_atlas(fit, 1e-3 * float(np.sqrt(np.square(fit.measured).mean())))

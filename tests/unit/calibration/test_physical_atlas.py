@@ -8,7 +8,7 @@ import numpy as np
 import onnx
 import pytest
 
-from tests.unit.calibration.plates import LAYOUT, PLATE, exact_fit
+from tests.unit.calibration.plates import PLATE
 from touchd.calibration.physical_atlas import Grid, grid_of, make_physical_atlas
 from touchd.calibration.physical_field import PhysicalField
 from touchd.calibration.plate_fit import PlateFit
@@ -20,16 +20,6 @@ from touchd.localization.model import Description, Model
 from touchd.training.field.place import FieldMap, place
 from touchd.twin.instrument import Instrument
 from touchd.twin.physics.finger import Contact
-
-
-@pytest.fixture(scope="module")
-def instrument() -> Instrument:
-    return Instrument(PLATE, layout=LAYOUT)
-
-
-@pytest.fixture(scope="module")
-def fit(instrument: Instrument) -> PlateFit:
-    return exact_fit(instrument)
 
 
 @pytest.fixture(scope="module")

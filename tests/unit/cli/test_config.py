@@ -2,26 +2,18 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
 
 from touchd.cli.config import command
-from touchd.config import load as configfile
 from touchd.config.load import load
 from touchd.config.render import render
 from touchd.config.schema import DeviceSettings, Settings
 from touchd.errors import ConfigError
 
-
-@pytest.fixture(autouse=True)
-def _only_this_tests_settings(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    for name in list(os.environ):
-        if name.upper().startswith("TOUCHD_"):
-            monkeypatch.delenv(name)
-    monkeypatch.setattr(configfile, "DEFAULT_PATH", tmp_path / "no" / "touchd.toml")
+pytestmark = pytest.mark.usefixtures("own_settings")
 
 
 @pytest.fixture

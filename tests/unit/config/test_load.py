@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -22,12 +21,7 @@ from touchd.errors import ConfigError
 FILE_SETTINGS = hypothesis_settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
-@pytest.fixture(autouse=True)
-def _only_this_tests_settings(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    for name in list(os.environ):
-        if name.upper().startswith("TOUCHD_"):
-            monkeypatch.delenv(name)
-    monkeypatch.setattr(configfile, "DEFAULT_PATH", tmp_path / "etc" / "touchd.toml")
+pytestmark = pytest.mark.usefixtures("own_settings")
 
 
 def toml(tmp_path: Path, text: str) -> Path:

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from tests.fields import RIG, untouched
 from touchd.config.schema import Settings
+from touchd.detection.baseline import Baseline
 from touchd.detection.detector import Detector
 from touchd.detection.jitter import delay_direction
 from touchd.frame import Frame
@@ -54,3 +55,15 @@ def test_gate() -> None:
             detector.adapt(detection, False, False, False)
     assert opened <= 2
     assert detector.noise_counts() == pytest.approx(SIGMA, rel=0.1)
+
+
+def test_kept() -> None:
+    """Where the plate is learned again in louder noise, which hides the delay, it is known from before."""
+    baseline, rng = Baseline(RIG.shape, Settings().baseline), np.random.default_rng(3)
+    frames = PLATE + residuals(20e-9 * rng.standard_normal(FRAMES))
+    baseline.learn_from(frames.astype(np.float32))
+    loud = frames + 5000 * SIGMA * rng.standard_normal(frames.shape)
+    assert delay_direction(PLATE, loud - PLATE) is None
+    baseline.learn_from(loud.astype(np.float32))
+    baseline.subtract(np.asarray(np.rint(PLATE + 50e-9 * SLOPE), np.int16), 0)
+    assert baseline.delay_energy == pytest.approx(np.square(50e-9 * SLOPE).sum(), rel=0.3)

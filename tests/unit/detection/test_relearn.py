@@ -89,5 +89,5 @@ def test_noise_has_grown() -> None:
 
 
 def test_lifted() -> None:
-    """A finger that leaves the baseline counts after three frames."""
-    assert first_reason(still(100), departure=True) == (3, Reason.LIFTED)
+    """A finger that leaves the baseline counts after twenty frames: four in which it lifts, sixteen without it."""
+    assert first_reason(still(100), departure=True) == (20, Reason.LIFTED)

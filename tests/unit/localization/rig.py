@@ -10,7 +10,7 @@ import numpy as np
 
 from tests.fields import RIG, Field, Finger, make_atlas
 from touchd.config.schema import Settings
-from touchd.detection.detector import Detection
+from touchd.detection.detection import Detection
 from touchd.localization.atlas import Atlas
 from touchd.localization.atlas_localizer import AtlasLocalizer
 from touchd.localization.localization import Localization

@@ -15,8 +15,8 @@ from tests.fields import COUNTS, Field, features_of, in_double, look_up, make_at
 from touchd.localization.atlas import Atlas
 from touchd.localization.contact_field import ContactField
 from touchd.localization.contact_model import ContactModel, size_mm2
-from touchd.localization.fit import Bins, Fit, sigmas_mm
-from touchd.localization.gauss_newton import GaussNewton, shapes_of
+from touchd.localization.fit import Bins, Fit, shapes_of, sigmas_mm
+from touchd.localization.gauss_newton import GaussNewton
 
 ATLAS = make_atlas(Field())
 

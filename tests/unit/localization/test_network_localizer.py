@@ -13,7 +13,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from touchd.config.schema import Settings
-from touchd.detection.detector import Detection
+from touchd.detection.detection import Detection
 from touchd.frame import Acquisition, Plate
 from touchd.localization.features import windowed_dft
 from touchd.localization.model import Description, Estimate, Model

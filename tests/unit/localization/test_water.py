@@ -33,6 +33,13 @@ def test_drops(size: float, sigma_rad: float) -> None:
     assert sum(one[-1] is State.WATER for one in found) >= 198
 
 
+def test_first_frames() -> None:
+    """Of 3000 drops, in first frames whose noise hides most of a finger's lag, one at most is taken for a finger."""
+    rng, own = np.random.default_rng(4), TISSUE_RAD * float(np.cbrt(0.06))
+    seen = [states(looks(0.0, share * own, 0.06, 3, rng)) for share in (0.25, 0.35, 0.5) for _ in range(1000)]
+    assert sum(State.FINGER in one for one in seen) <= 1
+
+
 @pytest.mark.parametrize(
     ("size", "sigma_rad", "frames"), [(0.08, 0.06, 12), (0.1, 0.1, 30), (0.2, 0.06, 8), (0.3, 0.03, 2)]
 )

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from onnx import numpy_helper
 
 from touchd.config.schema import Settings
-from touchd.detection.detector import Detection
+from touchd.detection.detection import Detection
 from touchd.lab.benchmark.loop import PERIOD_NS
 from touchd.lab.benchmark.scenes import Block
 from touchd.localization.atlas import Atlas

@@ -43,12 +43,12 @@ CASES = (
 class _Played:
     """A pipeline that processes a loop."""
 
-    def __init__(self, case: _Case, loop: Loop, model: Path, skip: bool) -> None:
+    def __init__(self, case: _Case, loop: Loop, model: Model, skip: bool) -> None:
         settings = Settings.model_validate(
-            {"skip": {case.name: skip}, "baseline": {"absorb_s": FOREVER_S}, "model": {"path": str(model)}}
+            {"skip": {case.name: skip}, "baseline": {"absorb_s": FOREVER_S}, "model": {"path": str(model.path)}}
         )
         source = LoopSource(loop, math.inf, 0.0)
-        self._pipeline = make_pipeline(source, settings, Model(model), notify=lambda _reason, _fields: None)
+        self._pipeline = make_pipeline(source, settings, model, notify=lambda _reason, _fields: None)
         self._messages = Messages(settings, lambda topic: case.subscribed and topic == "touch")
         self._frames = (Frame(counts, i, i * PERIOD_NS, 0) for i, counts in enumerate(loop.counts()))
         self.events: list[Event] = []
@@ -78,9 +78,10 @@ class _Played:
 def measure(loops: Mapping[str, Loop], model: Path, rounds: int, tick: Callable[[], object]) -> list[SkipResult]:
     """Measure every skip that the configuration can turn off."""
     found = []
+    loaded = Model(model)
     for case in CASES:
         loop = loops[case.scene]
-        with_it, without = _Played(case, loop, model, skip=True), _Played(case, loop, model, skip=False)
+        with_it, without = _Played(case, loop, loaded, skip=True), _Played(case, loop, loaded, skip=False)
         one, other = Stopwatch(), Stopwatch()
         for _ in range(rounds):
             with_it.batch(one)

@@ -19,12 +19,6 @@ from touchd.training.train_network import Result, train
 
 
 @pytest.fixture(scope="module")
-def few(touches: Recording) -> Recording:
-    cut = {name: getattr(touches, name)[:400] for name in ("frames", "sequence", "timestamp_ns", "contacts_mm")}
-    return replace(touches, **cut, force_n=None, temperature_c=None)
-
-
-@pytest.fixture(scope="module")
 def result(few: Recording, tmp_path_factory: pytest.TempPathFactory) -> Result:
     path = tmp_path_factory.mktemp("report") / "plate.onnx"
     return train(few, path, RECIPES["paper-regression"], epochs=2, command="touchd train few.npz")
