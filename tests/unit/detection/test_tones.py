@@ -24,7 +24,7 @@ def noise(rng: np.random.Generator) -> Frames:
 def tone(frequency_hz: float, level: float, rng: np.random.Generator) -> Frames:
     """A tone of any phase in each channel, of this energy over that of noise."""
     turns = frequency_hz / USB.sample_rate_hz * np.arange(SAMPLES) + rng.uniform(size=(CHANNELS, 1))
-    return (np.sqrt(2 * level) * np.sin(2 * np.pi * turns)).astype(np.float32)
+    return np.asarray(np.sqrt(2 * level) * np.sin(2 * np.pi * turns), np.float32)
 
 
 def contact(rng: np.random.Generator, level: float = 300.0) -> Frames:
@@ -33,7 +33,7 @@ def contact(rng: np.random.Generator, level: float = 300.0) -> Frames:
     chirp = np.sin(2 * np.pi * (50e3 * t + 25e6 * t**2))
     taps = rng.standard_normal((CHANNELS, 60)) * np.exp(-np.arange(60) / 15)
     signal = np.stack([np.convolve(chirp, one)[:SAMPLES] for one in taps])
-    return (signal * np.sqrt(level * NOISE_ENERGY / np.square(signal).sum())).astype(np.float32)
+    return np.asarray(signal * np.sqrt(level * NOISE_ENERGY / np.square(signal).sum()), np.float32)
 
 
 def energy(residual: Frames) -> float:
