@@ -1,7 +1,7 @@
 """Interfering tones: find the lines in a residual that no contact has, and take them out before anything is sensed.
 
-A charger's tone has one frequency, and another phase in each frame. One sinusoid a channel explains all of it, but 0.43
-of what a contact changes at most (twin). A tone that begins while fingers rest on the plate is found in the difference
+A charger's tone has one frequency, and another phase in each frame. One sinusoid a channel explains all of it, but half
+of what a contact changes at most. A tone that begins while fingers rest on the plate is found in the difference
 from an earlier frame, in which they cancel. What is taken out is the sinusoid and its slope in time, so that its
 frequency need not be known better than to a tenth of a bin.
 """
@@ -15,9 +15,9 @@ from touchd.frame import Acquisition
 
 Signal = NDArray[np.floating]
 
-SHARE, SEVERAL_SHARE, FIRST_SHARE = 0.5, 0.9, 0.25
-"""A line is a tone if it explains this share of what noise leaves; several are if they explain 0.9 of it together, the
-first of them a quarter. Three lines explain 0.77 of a contact (twin)."""
+SHARE, SEVERAL_SHARE, FIRST_SHARE = 0.7, 0.95, 0.25
+"""A line is a tone if it explains this share of what noise leaves; several are if they explain 0.95 of it together,
+the first of them a quarter. One line explains 0.51 of a contact on a small plate, three 0.77 on a large one (twin)."""
 LEAST = 0.2
 """And has this share of the noise's energy: the loudest line of white noise has 0.03."""
 AT_ONCE = 3
@@ -119,7 +119,7 @@ class Tones:
         self._set(before if sorted(same) == sorted(before) else tuple(same))
 
     def _has_line(self, noise_energy: float) -> bool:
-        """Return whether one line may explain half of what noise leaves of the difference."""
+        """Return whether one line may explain most of what noise leaves of the difference."""
         self._flat.dot(self._flat, self._energy)
         energy = self._energy.item() - noise_energy
         if not energy > LEAST * noise_energy:
