@@ -30,7 +30,11 @@ OPTIONS = (
     click.option("--ni", is_flag=True, help="Read NI hardware: see [ni] in the configuration."),
     click.option("--audio", metavar="DEVICE", help="Read an audio interface: an ALSA name, see [audio]."),
     click.option(
-        "--speed", default="1", callback=parse_speed, metavar="N|max", help="Speed of a replay.  [default: 1]"
+        "--speed",
+        default="1",
+        callback=parse_speed,
+        metavar="N|max",
+        help="Speed of a replay; below 1 its touches seem stale, and many programs drop them.  [default: 1]",
     ),
     click.option("--loop", is_flag=True, help="Repeat a recording or scene."),
     click.option("--seed", default=0, help="Seed of a simulated scene.", show_default=True),
