@@ -4,7 +4,7 @@
 cd /host || exit 1
 
 say() { echo "--- $(cut -d' ' -f1 /proc/uptime) $*"; }
-found() { echo "$*" | tee -a found.txt; }
+found() { echo "$*" | tee -a /host/found.txt; }
 # wait_for SECONDS COMMAND...
 wait_for() {
     local end=$(($(cut -d. -f1 /proc/uptime) + $1))
