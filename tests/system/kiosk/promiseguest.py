@@ -227,6 +227,8 @@ def gestures(page: Browser, hand: Hand) -> None:
 def browser(address: str) -> None:
     """From a daemon without a model to a page that hears touches."""
     hand, page = Hand(address), Browser()
+    # A link that is followed before the page's script has run takes the place of the token in the address.
+    page.until("document.body.innerText.includes('Uncalibrated')")
     step("page")
     calibrate(page)
     map_screen(page, hand)
