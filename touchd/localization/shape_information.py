@@ -119,5 +119,5 @@ def _regular(matrices: NDArray[np.float64]) -> NDArray[np.bool_]:
     try:
         np.linalg.cholesky(matrices)
     except np.linalg.LinAlgError:
-        return np.asarray(np.linalg.matrix_rank(matrices, hermitian=True) == matrices.shape[-1])
+        return np.asarray(np.linalg.matrix_rank(matrices) == matrices.shape[-1])
     return np.ones(len(matrices), dtype=np.bool_)

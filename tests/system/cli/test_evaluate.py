@@ -91,9 +91,13 @@ def test_two_fingers(folder: Path) -> None:
 def test_mixed(folder: Path) -> None:
     """Of a mixed recording the top scores are those of its single fingers."""
     found, alone = scores(SHIPPED, folder / "both.npz"), scores(SHIPPED, folder / "one.npz")
-    # The noise is that of the whole recording, and weighs the prior on the contacts' shapes: some 1 % of a score.
+    single = found["by_fingers"]["1"]
+    assert {name: found[name] for name in POSITIONS if name in single} == {
+        name: single[name] for name in POSITIONS if name in single
+    }
+    # The noise is that of the whole recording, and decides of a few touches whether they get a shape.
     expected = {name: alone[name] for name in POSITIONS}
-    assert {name: found[name] for name in POSITIONS} == pytest.approx(expected, rel=0.01)
+    assert {name: found[name] for name in POSITIONS} == pytest.approx(expected, rel=0.1)
     assert {key: part["n"] for key, part in found["by_fingers"].items()} == {"1": 60, "2": 60}
 
 

@@ -45,7 +45,7 @@ def made(folder: Path) -> tuple[Worker, State]:
 
 def await_that(fact: Callable[[], bool]) -> None:
     """Wait until a fact holds."""
-    for _ in range(1000):
+    for _ in range(6000):  # a process that starts on a busy machine
         if fact():
             return
         time.sleep(0.01)
