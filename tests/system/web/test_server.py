@@ -171,7 +171,7 @@ def test_slow_reader(tmp_path: Path) -> None:
     """A browser that reads nothing of a minute's frames and updates costs at most 5 MB, and holds up nobody."""
     where = f"ipc://{tmp_path}/bus"
     with bus(where, "hurried"), web(where, module=HURRIED) as server, live(server) as reader:
-        read_on(reader, 100, 100)
+        read_on(reader, round(20 / PERIOD_S), 20 * RATE_HZ)  # what a busy server has in its queues counts as before
         before = server.memory_bytes()
         sleeper = live(server, max_queue=1)
         try:
