@@ -6,7 +6,7 @@ A finger has losses, a drop of water is a mass: its amplitude leads in phase. `l
 frame says                                     the contact becomes
 =============================================  ==============================================
 abs(lead) > 2.0                                DEPARTURE: a finger that the baseline held has lifted
-amplitude above 0.5, lead < 0.3 by 4 sigma     finger, unless water was seen there
+amplitude above 0.5, lead < 0.3 by 4 sigma     finger, unless water was seen there (0.3 at 67.5 kHz)
 anything else                                  finger, water or undecided, by `water.Evidence`
 =============================================  ==============================================
 """
@@ -33,6 +33,7 @@ from touchd.localization.water import (
     REACH_SIGMAS,
     SURE,
     SURE_ALONE,
+    USUAL_HZ,
     Evidence,
     Look,
     State,
@@ -41,7 +42,7 @@ from touchd.localization.water import (
 LAG_RAD = -1.2
 """A finger lags by less. Human fingers lag by up to 0.4 rad (twin)."""
 CLEAR_RAD, CLEAR_SIZE, CLEAR_SIGMAS = 0.3, 0.5, 4.0
-"""Drops of such an amplitude lead by 0.45 rad or more (twin)."""
+"""Drops of such an amplitude lead by 0.45 rad or more at `USUAL_HZ` (twin)."""
 DEPARTURE_RAD = 2.0
 """An amplitude this far from a finger's has the opposite sign."""
 CORNER_MM = 12.0
@@ -71,6 +72,9 @@ class Classifier:
         d = atlas.description
         self._errors = PositionError(atlas, noise)
         self._low_mm, self._high_mm = d.low_mm, d.high_mm
+        a = d.acquisition
+        self._frequency_ratio = sum(d.bins) / len(d.bins) * a.sample_rate_hz / a.samples / USUAL_HZ
+        self._clear_rad = CLEAR_RAD * self._frequency_ratio
         self.departure = False
         """Whether the last fit shows the negative of fingers alone."""
         self.reset()
@@ -106,7 +110,7 @@ class Classifier:
             position, energy, size = fit.positions_mm[k], fit.energies[k], sizes[k]
             sigma_rad = math.sqrt(variance / energy) if energy > 0 else math.inf
             known = self._known_at(position, errors_mm[k]) if self._known else None
-            is_clear = size >= CLEAR_SIZE and lead + CLEAR_SIGMAS * sigma_rad < CLEAR_RAD  # the usual case
+            is_clear = size >= CLEAR_SIZE and lead + CLEAR_SIGMAS * sigma_rad < self._clear_rad  # the usual case
             if known is not None and (known.is_placed if lacking else known.is_settled(size, t_ns)):
                 known.see(position, t_ns)
             elif known is not None or not is_clear:
@@ -115,7 +119,7 @@ class Classifier:
                 by_noise, by_error = (
                     math.sqrt(one / told) if told > 0 else math.inf for one in (noise, max(variance - noise, 0.0))
                 )
-                look = Look(lag_rad, by_noise, by_error, size)
+                look = Look(lag_rad, by_noise, by_error, size, self._frequency_ratio)
                 if alone and look.log_odds() <= SURE_ALONE:
                     continue
                 if not (alone or self._is_finger(position, look, known, t_ns, several=several)):

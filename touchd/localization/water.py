@@ -2,7 +2,8 @@
 
 A drop is a mass, its impedance i omega m. Tissue takes power from the plate: a piston of radius a on it lags a mass by
 0.6 a / c, c the speed of sound in it, alike at all frequencies (Kinsler & Frey, Fundamentals of Acoustics). Its
-amplitude grows as a^3, so a finger of amplitude A lags a mass by at least `TISSUE_RAD` A^(1/3), a drop by nothing.
+amplitude grows as a^3, so a finger of amplitude A lags a mass by at least `TISSUE_RAD` A^(1/3) at 67.5 kHz, by a
+quarter of that at 17 kHz, a drop by nothing.
 
 The sum is kept twice, less and plus what the field's error may add to it, and within `SURE` of 0 (Page, Biometrika
 41:100, 1954): what a finger has left behind is water as soon as its own frames say so.
@@ -26,9 +27,11 @@ from msgspec import Struct
 
 from touchd.localization.spline import Position
 
+USUAL_HZ = 67.5e3
+"""Mean frequency of the bins that phases are stated for. They are delays: in other bins they change in proportion."""
 TISSUE_RAD = 0.39
-"""Lag behind a mass of a piston on soft tissue, at amplitude 1: gloves of 3 to 8 mm^2 lag by 0.16 to 0.26 rad (twin).
-Slower or lossy tissue, as silicone and skin, lags by more."""
+"""Lag behind a mass of a piston on soft tissue, at amplitude 1 and `USUAL_HZ`: gloves of 3 to 8 mm^2 lag by 0.16 to
+0.26 rad (twin). Slower or lossy tissue, as silicone and skin, lags by more."""
 BIAS_RAD = 0.02
 """Standard deviation of what does not average out: the error of the field's phase, from place to place (twin)."""
 ERROR_SIGMAS = 1.5
@@ -64,11 +67,13 @@ class Look(NamedTuple):
     """And by what the field misses of all contacts, which is alike in the next frames."""
     size: float
     """Modulus of the amplitude."""
+    frequency_ratio: float = 1.0
+    """Mean frequency of the bins, over `USUAL_HZ`."""
 
     @property
     def finger_lag_rad(self) -> float:
         """Return the least lag of a finger of this amplitude."""
-        return TISSUE_RAD * math.cbrt(max(self.size, 1e-6))
+        return TISSUE_RAD * self.frequency_ratio * math.cbrt(max(self.size, 1e-6))
 
     @property
     def bias_rad(self) -> float:

@@ -59,6 +59,14 @@ def test_a_landing_finger_grows() -> None:
     assert found[-1] is State.FINGER
 
 
+def test_lower_frequencies() -> None:
+    """Lags are delays: what a quarter of the frequency leaves of a finger's tells it from a drop there."""
+    lag_rad, rng = 0.25 * TISSUE_RAD * float(np.cbrt(0.5)), np.random.default_rng(5)
+    for lag, state in ((lag_rad, State.FINGER), (0.0, State.WATER)):
+        seen = [look._replace(frequency_ratio=0.25) for look in looks(lag, 0.005, 0.5, 100, rng)]
+        assert states(seen)[-1] is state
+
+
 def test_a_drop_under_a_finger() -> None:
     """Of 100 drops that a finger leaves behind 95 are not placed after 0.1 s, however long the finger lay on them."""
     rng = np.random.default_rng(3)
