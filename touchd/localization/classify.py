@@ -21,7 +21,7 @@ from touchd.localization.atlas import Atlas
 from touchd.localization.fit import Bins, Fit
 from touchd.localization.fit_criteria import CRITERIA
 from touchd.localization.gauss_newton import GaussNewton
-from touchd.localization.lag import MassPhase
+from touchd.localization.lag import MassPhase, mean_hz
 from touchd.localization.noise import NoiseModel
 from touchd.localization.position_error import PositionError
 from touchd.localization.prediction import LONGEST_STEP_MM
@@ -72,8 +72,7 @@ class Classifier:
         d = atlas.description
         self._errors = PositionError(atlas, noise)
         self._low_mm, self._high_mm = d.low_mm, d.high_mm
-        a = d.acquisition
-        self._frequency_ratio = sum(d.bins) / len(d.bins) * a.sample_rate_hz / a.samples / USUAL_HZ
+        self._frequency_ratio = mean_hz(d) / USUAL_HZ
         self._clear_rad = CLEAR_RAD * self._frequency_ratio
         self.departure = False
         """Whether the last fit shows the negative of fingers alone."""

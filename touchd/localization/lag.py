@@ -6,7 +6,7 @@ import cmath
 
 import numpy as np
 
-from touchd.localization.atlas import Atlas
+from touchd.localization.atlas import Atlas, AtlasDescription
 from touchd.localization.fit import Bins, Fit
 from touchd.localization.gauss_newton import GaussNewton
 from touchd.localization.noise import NoiseModel
@@ -14,6 +14,19 @@ from touchd.localization.spline import Spline
 
 MASS_LEAD_S = 1.47e-6
 """By which a mass leads a silicone tip of 20 mm^2, the middle of the training's (piston on a half-space)."""
+SILENT_SHARE = 0.9
+"""Mean frequency of the bins over the middle of a band that chirps play to a silent plate: 0.88 to 0.91 (twin)."""
+
+
+def mean_hz(description: AtlasDescription) -> float:
+    """Return the mean frequency of the bins that tell a contact's phase.
+
+    In steady state they are those that tell most, which may all lie in the upper third of the band.
+    """
+    d, a = description, description.acquisition
+    if a.chirp.period_s is None:
+        return SILENT_SHARE * sum(a.chirp.band_hz) / 2
+    return sum(d.bins) / len(d.bins) * a.sample_rate_hz / a.samples
 
 
 class MassPhase:
