@@ -55,11 +55,19 @@ class Tones:
         self._before: Signal = np.zeros((channels, samples), dtype)
         self._difference, self._part = np.zeros_like(self._before), np.zeros_like(self._before)
         self._flat, self._energy = self._difference.reshape(-1), np.zeros((), dtype)
-        # A look at a frame with a finger makes no array.
-        bins = samples // 2
-        phase = (np.outer(np.arange(samples), np.arange(bins)) % samples) * (2 * np.pi / samples)
-        self._to_bins: Signal = np.concatenate([np.cos(phase), np.sin(phase)], axis=1).astype(dtype)
-        self._bins, self._bin_power = np.zeros((channels, 2 * bins), dtype), np.zeros(2 * bins, dtype)
+        # A look at a frame with a finger makes no array. Folded about its middle, the frame is a sum of cosines and one
+        # of sines: half the memory of the whole transform's matrix.
+        bins, half = samples // 2, (samples + 1) // 2
+        turns = np.outer(np.arange(samples)[-half:] - (samples - 1) / 2, np.arange(bins)) / samples
+        self._cosines: Signal = np.cos(2 * np.pi * turns).astype(dtype)
+        self._sines: Signal = np.sin(2 * np.pi * turns).astype(dtype)
+        self._cosines[0] *= 1.0 if samples % 2 == 0 else 0.5  # the middle of an odd number is in both halves
+        self._late, self._early = self._difference[:, -half:], self._difference[:, half - 1 :: -1]
+        self._even, self._odd = np.zeros((2, channels, half), dtype)
+        self._bins: Signal = np.zeros((2, channels, bins), dtype)
+        self._cosine_part, self._sine_part = self._bins
+        self._all_bins, self._power_of = self._bins.reshape(2 * channels, bins), np.zeros(bins, dtype)
+        self._lower, self._upper = self._power_of[:-1], self._power_of[1:]
         self._pairs: Signal = np.zeros(bins - 1, dtype)
         self._follows = False  # whether `_before` is an earlier frame of this touch
         self.known_hz: tuple[float, ...] = ()
@@ -124,13 +132,14 @@ class Tones:
         energy = self._energy.item() - noise_energy
         if not energy > LEAST * noise_energy:
             return False
-        np.dot(self._difference, self._to_bins, self._bins)
+        np.add(self._late, self._early, self._even)
+        np.subtract(self._late, self._early, self._odd)
+        self._even.dot(self._cosines, self._cosine_part)
+        self._odd.dot(self._sines, self._sine_part)
         np.multiply(self._bins, self._bins, self._bins)
-        np.sum(self._bins, axis=0, out=self._bin_power)
-        real, imaginary = self._bin_power.reshape(2, -1)
-        np.add(real, imaginary, real)
-        np.add(real[1:], real[:-1], self._pairs)
-        np.max(self._pairs, out=self._energy)
+        np.add.reduce(self._all_bins, axis=0, out=self._power_of)
+        np.add(self._lower, self._upper, self._pairs)
+        np.maximum.reduce(self._pairs, out=self._energy)
         most: float = self._energy.item()
         return bool(2 * most > PAIR_SHARE * SHARE * energy * self._samples)
 

@@ -18,7 +18,7 @@ from touchd.keypad import Layout
 from touchd.localization.atlas import Atlas
 from touchd.localization.classify import Classifier
 from touchd.localization.contact_kind import kind_of
-from touchd.localization.contact_model import elongation
+from touchd.localization.contact_model import elongation, oval_mm2
 from touchd.localization.contact_size import ContactSize
 from touchd.localization.estimator import Estimator, TouchMaker
 from touchd.localization.fit import Bins, Fit, no_fit
@@ -226,13 +226,14 @@ class AtlasLocalizer:
         faint = signal < CRITERIA.faint * noise.noise_energy
         doubtful = faint or excess > (CRITERIA.good if tracked else CRITERIA.enough)
         by_plate = doubtful and bins.energy - noise.plate_energy(bins.vector) < fit.residual_energy
-        by_palms = excess > CRITERIA.poor and signal > CRITERIA.most_poor * self._drift.signal_energy and not tracked
+        by_palms = excess > CRITERIA.fair and signal > CRITERIA.most_poor * self._drift.signal_energy and not tracked
         if by_plate or by_palms or not confidence >= min_confidence or not fit.positions_mm:
             return self._lose(), inferred
-        # Shapes that no finger has make up for wrong positions: of several, where the field is badly known.
-        several_shapes = len(fit.shapes) > 1 and not tracked
-        if several_shapes and excess > CRITERIA.good and elongation(fit) > CRITERIA.most_elongation:
-            return self._lose(), inferred
+        # Shapes that no finger has make up for wrong positions where the field is badly known, and several for a palm.
+        if len(fit.shapes) > 1 and not tracked:
+            long = excess > CRITERIA.good and elongation(fit) > CRITERIA.most_elongation
+            if long or oval_mm2(fit) > CRITERIA.most_oval_mm2:
+                return self._lose(), inferred
         if len(fit.positions_mm) == 1 and not tracked and self._landing.is_ambiguous(bins, fit, signal, faint=faint):
             return self._lose(), inferred
         return self._accept(bins, fit, confidence, excess, t_ns, alone=complete), inferred

@@ -178,6 +178,14 @@ def elongation(fit: Fit) -> float:
     return max(math.hypot(abs(xx - yy), abs(xy)) / max(abs(xx + yy), 1e-30) for _, xx, yy, xy in fit.shapes)
 
 
+def oval_mm2(fit: Fit) -> float:
+    """Return by how much the second moments of the most oval contact of a fit differ from those of a disc."""
+    return max(
+        max(abs(xx - yy) / 2, abs(xy)) / max(abs(z), 1e-30)
+        for z, (_, xx, yy, xy) in zip(fit.amplitudes, fit.shapes, strict=True)
+    )
+
+
 def _mix() -> Complex:
     """Return how amplitudes mix rows to the slopes by x and by y, shape (5, 2 * 8).
 

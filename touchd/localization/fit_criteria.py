@@ -25,8 +25,8 @@ class FitCriteria:
     poor: float = 0.2
     """More than this at touch-down calls for a comparison with other positions."""
     most_poor: float = 0.1
-    """And a larger change of the untouched plate's energy by what has landed, fitted no better, is no finger. Thumbs
-    change 0.03 of it on a square of 200 mm, two palms 0.3 (twin)."""
+    """And a larger change of the untouched plate's energy by what has landed, if it is not fitted fairly, is no finger.
+    Thumbs change 0.03 of it on a square of 200 mm, two palms 0.3 (twin)."""
     rival: float = 2.0
     """The position is ambiguous if another one leaves less than this multiple of what it leaves: right positions of
     which this holds are 0.03 to 0.2 %, faint and at the edge; wrong ones 18 in 22 (twin)."""
@@ -69,6 +69,9 @@ class FitCriteria:
     """... and this share more."""
     most_elongation: float = 0.5
     """Of a fit that is not good: faint fingers at an edge, misplaced by more than 10 mm, have 0.5 to 5 (twin)."""
+    most_oval_mm2: float = 5.5
+    """Several shapes of which one is more oval are none of fingers: those of right positions have up to 4, five that
+    make up a palm 8 (twin)."""
     shapes_apart_mm: float = 9.0
     """Two contacts with shapes that are closer than this are one: so much wider than a point is a child's finger."""
     plate: float = 0.06

@@ -1,8 +1,8 @@
 """Who is connected to the bus, what each has subscribed to, and who is cut off for taking more than a subscriber needs.
 
 libzmq accepts every connection, and stores what a peer subscribes to at some fifty bytes a character, without a limit.
-Its socket monitor names the descriptor of each connection, and each message that of the connection it came by: so
-every connection is counted, and one that breaks a limit is shut down. Its peer may connect again.
+Its monitor names the descriptor of each connection, and each message that of the connection it came by: so every
+connection is counted, and one that breaks a limit is shut down. Its peer may connect again.
 """
 
 from __future__ import annotations
@@ -16,9 +16,11 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import zmq
 
+from touchd.sinks.arrivals import ACCEPTED, DISCONNECTED, Arrivals
 from touchd.sinks.throttle import Throttle
 
 MOST_SUBSCRIPTIONS = 64
@@ -33,14 +35,8 @@ STALLED_S = 10.0
 _LOOK_S = 1.0
 _SHARE = 0.25  # of the time since the last poll: a flood of connections must not delay a frame
 _MOST_EVENTS = 64  # read at once, after a pause
-_MONITORED = int(
-    zmq.EVENT_ACCEPTED | zmq.EVENT_DISCONNECTED | zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL | zmq.EVENT_HANDSHAKE_FAILED_AUTH
-)
-_ACCEPTED, _DISCONNECTED = int(zmq.EVENT_ACCEPTED), int(zmq.EVENT_DISCONNECTED)
-_EVENTS, _POLLIN, _NOBLOCK = int(zmq.EVENTS), int(zmq.POLLIN), int(zmq.NOBLOCK)
 _SRCFD = int(zmq.SRCFD)
 _SIOCOUTQ, _SIOCOUTQNSD = 0x5411, 0x894B
-_EVENT = struct.Struct("=Hi")  # kind of event, and for both that matter the descriptor
 
 
 @dataclass(slots=True)
@@ -102,17 +98,15 @@ class Peers:
         self._cut_off = Throttle("subscriber cut off")
         self._refused = Throttle("subscriber refused")
         self._failed = False
-        self._publisher = publisher
-        endpoint = f"inproc://monitor-{id(publisher)}"
-        publisher.monitor(endpoint, _MONITORED)
-        self._monitor = publisher.context.socket(zmq.PAIR)
-        self._monitor.setsockopt(zmq.RCVHWM, 0)  # a full queue would make libzmq's thread wait
-        self._monitor.setsockopt(zmq.LINGER, 0)
-        self._monitor.connect(endpoint)
+        self._arrivals = Arrivals(publisher, self._most)
+
+    def guard(self, path: Path) -> None:
+        """Hide a socket file of the publisher from newcomers while there are far too many."""
+        self._arrivals.guard(path)
 
     def poll(self) -> None:
         """Take in who came and went, and cut off who stopped reading."""
-        self._read_monitor()
+        self._follow_arrivals()
         now_s = self._clock()
         if now_s - self._looked_s >= _LOOK_S:
             self._looked_s = now_s
@@ -125,8 +119,10 @@ class Peers:
             descriptor = int(message.get(_SRCFD))
         except zmq.ZMQError:
             return frozenset()  # libzmq's own, when the last subscriber of a prefix went: `poll` sees it go
-        if descriptor not in self._peers and self._read_monitor() and descriptor not in self._peers:
-            self._enter(descriptor, early=True)
+        if descriptor not in self._peers:
+            self._arrivals.take_in()
+            if self._follow_arrivals() and descriptor not in self._peers:
+                self._enter(descriptor, early=True)
         peer = self._peers.get(descriptor)
         if peer is None:
             return frozenset()
@@ -158,33 +154,26 @@ class Peers:
     def close(self) -> None:
         """Stop watching: nobody wants anything."""
         self.wanted = frozenset()
-        self._publisher.disable_monitor()
-        self._monitor.close()
+        self._arrivals.close()
 
     # -- connections ------------------------------------------------------------------------------------
 
-    def _read_monitor(self) -> bool:
-        """Take in who came and went, for a share of the time since the last call; return whether more may wait."""
+    def _follow_arrivals(self) -> bool:
+        """Take in who came and went, for a share of the time since the last call; return whether more wait."""
         before_s, self._read_s = self._read_s, self._clock()
-        # The state costs a microsecond, a failed attempt to receive several.
-        if not int(self._monitor.getsockopt(_EVENTS)) & _POLLIN:
-            return False
         until_s = self._read_s + _SHARE * (self._read_s - before_s)
-        for _ in range(_MOST_EVENTS):
-            try:
-                event, _address = self._monitor.recv_multipart(_NOBLOCK)
-            except zmq.Again:
-                return False
-            kind, value = _EVENT.unpack(event)
-            if kind == _ACCEPTED:
-                self._enter(value)
-            elif kind == _DISCONNECTED:
-                self._leave(value)
+        events = self._arrivals.events
+        for _ in range(min(_MOST_EVENTS, len(events))):
+            kind, descriptor = events.popleft()
+            if kind == ACCEPTED:
+                self._enter(descriptor)
+            elif kind == DISCONNECTED:
+                self._leave(descriptor)
             else:  # the disconnection of the same connection follows
                 self._failed = True
             if self._clock() > until_s:
                 break
-        return True
+        return bool(events)
 
     def _enter(self, descriptor: int, *, early: bool = False) -> None:
         known = self._peers.get(descriptor)

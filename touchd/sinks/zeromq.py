@@ -180,6 +180,8 @@ class ZeromqSink:
             if endpoint.is_file(address):
                 with endpoint.private_file(address, settings.ipc_group):
                     bound[index] = self._bind(address, address)
+                if not address.startswith("ipc://@"):
+                    self._peers.guard(Path(address.removeprefix("ipc://")))
         if secret_key is not None:
             self._require_keys(curve.load_secret(secret_key), settings.curve_clients)
         for index, address in enumerate(settings.bind):

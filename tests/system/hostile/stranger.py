@@ -23,7 +23,11 @@ def connect(address: str) -> socket.socket:
     if address.startswith("ipc://"):
         connection = socket.socket(socket.AF_UNIX)
         connection.settimeout(PATIENCE_S)
-        connection.connect(address.removeprefix("ipc://"))
+        try:
+            connection.connect(address.removeprefix("ipc://"))
+        except OSError:
+            connection.close()
+            raise
         return connection
     host, port = address.removeprefix("tcp://").rsplit(":", 1)
     return socket.create_connection((host, int(port)), PATIENCE_S)

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from tests.processes import PATIENCE_S
-from tests.system.hostile.bus import Daemon, Honest, attack, free_address
+from tests.system.hostile.bus import DESCRIPTORS, Daemon, Honest, attack, free_address
 from tests.system.hostile.usage import memory_kb, open_files
 from touchd.client import Subscriber
 from touchd.sinks import curve
@@ -101,9 +101,9 @@ def test_topics(daemon: Daemon, honest: Honest, full: bool, name: str, number: i
 
 
 @pytest.mark.parametrize("daemon", ["ipc", "tcp"], indirect=True)
-def test_connections(daemon: Daemon, honest: Honest, full: bool) -> None:
+def test_connections(daemon: Daemon, honest: Honest) -> None:
     """More connections than descriptors keep no subscriber out, nor reload and pre-roll from working."""
-    with bounded(daemon, honest, "idle connections"), attack(daemon, "idle", 1100 if full else 300, 1):
+    with bounded(daemon, honest, "idle connections"), attack(daemon, "idle", DESCRIPTORS + 100):
         newcomer = Honest(daemon.address)
         try:
             assert newcomer.hears_more(1)

@@ -64,15 +64,21 @@ def test_neither_noise_nor_contacts(seed: int) -> None:
     assert tones.known_hz == ()
 
 
-@pytest.mark.parametrize("level", [1.0, 30.0])
-def test_beside_a_contact(level: float) -> None:
+@given(frequency_hz=st.floats(5e3, 115e3), level=st.floats(1, 30), seed=st.integers(0, 99), odd=st.booleans())
+@settings(deadline=None, max_examples=50)
+def test_beside_a_contact(frequency_hz: float, level: float, seed: int, odd: bool) -> None:
     """A tone that begins while a stronger contact rests is found, and leaves the contact whole."""
-    rng, tones = np.random.default_rng(1), Tones(USB)
+    acquisition = USB.model_copy(update={"samples": SAMPLES - odd})
+    rng, tones = np.random.default_rng(seed), Tones(acquisition)
     resting = contact(rng)
-    assert not tones.find(resting + noise(rng), NOISE_ENERGY)
-    residual = resting + noise(rng) + tone(70_300.0, level, rng)
+    before, residual = (
+        (resting + noise(rng) + change)[:, : acquisition.samples].copy()
+        for change in (0.0, tone(frequency_hz, level, rng))
+    )
+    assert not tones.find(before, NOISE_ENERGY)
     assert tones.find(residual, NOISE_ENERGY)
-    assert energy(residual - resting) < 0.1 * energy(resting)
+    assert tones.known_hz == pytest.approx((frequency_hz,), abs=300)
+    assert energy(residual - resting[:, : acquisition.samples]) < 0.1 * energy(resting)
 
 
 def test_several() -> None:
