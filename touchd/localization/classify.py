@@ -75,7 +75,7 @@ class Classifier:
         self._frequency_ratio = mean_hz(d) / USUAL_HZ
         self._clear_rad = CLEAR_RAD * self._frequency_ratio
         # Of a standard error noise stays in a lower band, and what the field misses goes with the frequency. By the
-        # root 7 of 60 drops of 110 mm^2 are clear at 48 kHz, in proportion 15, and two fingers always (twin).
+        # root two fingertips are clear at 48 kHz as they land, and 7 of 60 drops of 110 mm^2; in proportion 15 (twin).
         self._clear_sigmas = CLEAR_SIGMAS * math.sqrt(self._frequency_ratio)
         self.departure = False
         """Whether the last fit shows the negative of fingers alone."""
