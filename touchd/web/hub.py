@@ -31,7 +31,7 @@ HISTORY = 300
 """Health messages kept: five minutes."""
 _SPECTRUM_S = 0.1
 _WAIT_S = 0.25
-_PACE_S = 0.012
+_PACE_S = 0.026
 
 log = structlog.get_logger()
 
