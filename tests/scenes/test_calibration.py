@@ -6,12 +6,16 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from touchd.calibration.physical_field import PhysicalField
 from touchd.calibration.plate_file import PlateFile, check_plate_file
 from touchd.calibration.plate_fit import PlateFit, fit_plate
 from touchd.calibration.untouched import Untouched
 from touchd.errors import CalibrationError
+from touchd.evaluation.cramer_rao import twin_values
 from touchd.lab.plates.other_plate import Patch, missing, other_modes
+from touchd.twin.electronics import Electronics
 from touchd.twin.instrument import Instrument
+from touchd.twin.physics.finger import Contact
 from touchd.twin.physics.material import ElasticPlate, Material
 from touchd.twin.physics.mounting import FREE, Mounting, attach
 from touchd.twin.physics.transducer import Layout
@@ -20,7 +24,7 @@ TRUE = ElasticPlate(width_mm=90.1, height_mm=69.9, thickness_mm=4.98, elastic=Ma
 LAYOUT = Layout(emitter_mm=(17.0, 36.0), receivers_mm=((9.0, 8.0), (80.0, 9.0), (79.0, 60.0), (8.0, 61.0)))
 OFF_MM = np.array([[0.4, -0.3], [-0.5, 0.2], [0.3, 0.5], [0.1, -0.6], [-0.4, 0.3]])
 """How the ruler errs."""
-GAINS = np.array([1.1, 0.7, 0.9, 1.3])
+SCALE, GAINS = 10_000.0, np.array([1.1, 0.7, 0.9, 1.3])
 NOISE = 2.0
 FRAMES = 300
 
@@ -34,14 +38,19 @@ def said(order: tuple[int, ...] = (0, 1, 2, 3, 4), **plate: Any) -> PlateFile:
     })  # fmt: skip
 
 
-def heard(*patches: Patch, gains: NDArray[np.float64] = GAINS, mounting: Mounting = FREE) -> Untouched:
-    """The untouched mean frame of a plate whose discs are stiff, and have beads of solder beside them."""
+def other(*patches: Patch, mounting: Mounting = FREE) -> Instrument:
+    """A plate whose discs are stiff, and have beads of solder beside them."""
     beads = [Patch(float(x) + 5, float(y), 1.5, 1.5, mass_kg_m2=4.0) for x, y in LAYOUT.centres_mm]
     modes = other_modes(TRUE, LAYOUT, [*beads, *patches])
     if mounting != FREE:
         modes = attach(modes, TRUE, mounting.on(TRUE), 7e-3, 75e3)
-    instrument = Instrument(TRUE, layout=LAYOUT, loss=7e-3, modes=modes)
-    signal = 10_000 * gains[:, None] * instrument.untouched([22.0])[0]
+    return Instrument(TRUE, layout=LAYOUT, loss=7e-3, modes=modes)
+
+
+def heard(*patches: Patch, gains: NDArray[np.float64] = GAINS, mounting: Mounting = FREE) -> Untouched:
+    """Its untouched mean frame."""
+    instrument = other(*patches, mounting=mounting)
+    signal = SCALE * gains[:, None] * instrument.untouched([22.0])[0]
     error = NOISE / np.sqrt(FRAMES)
     noisy = signal + error * np.random.default_rng(0).standard_normal(signal.shape)
     return Untouched(noisy, np.full(4, error), FRAMES, instrument.acquisition)
@@ -65,6 +74,15 @@ def test_a_free_plate(fit: PlateFit) -> None:
     assert places_off_mm(fit) < 0.06
     assert fit.verdict == "good"
     assert fit.unexplained < 2e-3
+
+
+def test_a_touch_has_its_size(fit: PlateFit) -> None:
+    """The field is as large as what a touch changes; it was as much larger as the plate is lighter than 1 kg."""
+    at_mm, plate = np.array([[30.0, 25.0], [45.0, 50.0], [60.0, 35.0]]), other()
+    touches = [Contact(x, y, 20.0, "silicone") for x, y in at_mm.tolist()]
+    peak = Electronics().peak * 2 ** (plate.acquisition.bits - 1)
+    exact = SCALE / peak * GAINS[:, None] * twin_values(plate, touches)
+    assert np.vdot(exact, PhysicalField(fit).at(at_mm, 20.0)).real / np.vdot(exact, exact).real == pytest.approx(1, 0.3)
 
 
 def test_standard_errors(fit: PlateFit) -> None:

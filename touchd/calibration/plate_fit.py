@@ -21,7 +21,7 @@ from touchd.calibration.verdict import GOOD_LEFT, USABLE_LEFT, Evidence, Paramet
 from touchd.errors import CalibrationError
 from touchd.frame import Acquisition
 from touchd.twin.physics.dispersion import mindlin_wavenumber
-from touchd.twin.physics.material import ElasticPlate
+from touchd.twin.physics.material import ElasticPlate, stiffness_of
 from touchd.twin.physics.mounting import attach
 from touchd.twin.physics.response import Response
 from touchd.twin.physics.transducer import Layout, loaded_modes
@@ -153,9 +153,11 @@ def describe(
         tuple(side for side, kind in reader.held.items() if kind == "clamped"), found,
     )  # fmt: skip
     judgement = judge(evidence)
+    # Those of the fit belong to modes per mass of the plate.
+    gains = stiffness_of(plate).mass * plate.width_mm * plate.height_mm * 1e-6 * state.fitted.gains
     return PlateFit(
         plate=plate, layout=reader.layout(p), acquisition=untouched.acquisition, loss=loss.factor,
-        loss_slope=loss.slope, gains=state.fitted.gains, parameters=parameters, verdict=judgement.verdict,
+        loss_slope=loss.slope, gains=gains, parameters=parameters, verdict=judgement.verdict,
         expected_mm=judgement.expected_mm, reasons=judgement.reasons, undecided=judgement.undecided,
         scale_error=scale_error, unexplained=float(np.nanmean(left)), noise_share=noise_share,
         measured=measured, fitted=fitted, edges=reader.read(p).edges,
