@@ -255,9 +255,11 @@ class AtlasLocalizer:
         self._prediction.update(fit.positions_mm, t_ns)
         if self._follower.update(bins, fit, excess):
             self._faces = self._size.faces(fit) if fit.shapes else [None] * len(fit.positions_mm)
-        if self._skips_still:
-            self._still.update(bins, fit, self._prediction.moved_mm, self._noise.variance)
         fingers = self._classifier.fingers(bins, fit, t_ns, alone=alone, lacking=self._search.explains)
+        if self._skips_still:
+            # What may be the water that a finger has left is looked at in each frame.
+            moved_mm = self._prediction.moved_mm if self._classifier.sure else math.inf
+            self._still.update(bins, fit, moved_mm, self._noise.variance)
         self._departure = self._classifier.departure
         # Change of the signal, as a share of its size, by a finger of amplitude 1.
         change, touches = self._field_rms / self._plate.signal_rms, []

@@ -79,6 +79,8 @@ class Classifier:
         self._clear_sigmas = CLEAR_SIGMAS * math.sqrt(self._frequency_ratio)
         self.departure = False
         """Whether the last fit shows the negative of fingers alone."""
+        self.sure = True
+        """Whether no further frame can tell that a finger of the last fit is water."""
         self.reset()
 
     def reset(self) -> None:
@@ -105,6 +107,7 @@ class Classifier:
         variance = self._errors.variance(fit, sizes)
         errors_mm = self._errors.sigmas_mm(fit, variance)
         doubtful = self._cornered(fit.positions_mm) | self._edged(fit) if several else ()
+        self.sure = True
         fingers: list[Finger] = []
         for k, lead in enumerate(leads):
             if not LAG_RAD < lead < DEPARTURE_RAD:
@@ -126,6 +129,7 @@ class Classifier:
                     continue
                 if not (alone or self._is_finger(position, look, known, t_ns, several=several)):
                     continue
+                self.sure = self.sure and known is not None and known.least >= SURE
             if k not in doubtful:
                 fingers.append((k, errors_mm[k], size))
         self._fingers = [fit.positions_mm[k] for k, _, _ in fingers]
