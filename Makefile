@@ -4,7 +4,7 @@ BIN := .venv/bin
 # Without bytecode each process would compile what it imports.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: setup demo test all-tests unit lint style types bench soak ghosts hostile golden docs lock packages test-packages deb vm-packages vm-test kiosk-test promise-test clean
+.PHONY: setup demo test all-tests unit random lint style types bench soak ghosts hostile golden docs lock packages test-packages deb vm-packages vm-test kiosk-test promise-test clean
 
 setup: .venv/.ready
 
@@ -43,6 +43,10 @@ all-tests:
 # What needs no other process, socket of the network or kernel, on a quarter of the random examples: under a minute.
 unit: setup
 	$(BIN)/python -m pytest $(SIDE_BY_SIDE) auto --hypothesis-profile=quick tests/unit $(ARGS)
+
+# The same tests on random examples, others in each run: what fails here was wrong before.
+random: setup
+	$(BIN)/python -m pytest $(SIDE_BY_SIDE) auto --hypothesis-profile=random tests/unit $(ARGS)
 
 # The Debian package, in dist/. DEBIAN=13 and ARCH=arm64 make one for another system; only the default is tried.
 deb: setup
@@ -88,7 +92,7 @@ ghosts: setup
 
 # Strangers on every interface, in full: some minutes. Prints memory, descriptors and counts.
 hostile: setup
-	$(BIN)/python -m pytest tests/system/hostile --hostile=full -s $(ARGS)
+	$(BIN)/python -m pytest tests/system/hostile --hostile=full --hypothesis-profile=random -s $(ARGS)
 
 # Rebuild the checked-in results and pages.
 golden: setup

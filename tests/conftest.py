@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import fcntl
+import gc
 import os
 import signal
 import sys
@@ -23,6 +24,9 @@ for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
 # as long as all its imports.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
+
+# To import all that tests use makes no garbage to speak of, but millions of objects to look through again and again.
+gc.disable()
 
 from collections.abc import Callable, Iterator
 from functools import cache
@@ -44,8 +48,10 @@ from touchd.twin.simulate import DEFAULT_PLATE, simulate_scene, simulate_touches
 if TYPE_CHECKING:
     from touchd.training.field.learn import Field
 
-# How long an example takes is the computer's affair.
-settings.register_profile("touchd", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+# How long an example takes is the computer's affair. Each run tries the same examples, so that no change is held up by
+# what it did not break; "random" looks for more: make random.
+settings.register_profile("random", deadline=None, suppress_health_check=[HealthCheck.too_slow], print_blob=True)
+settings.register_profile("touchd", settings.get_profile("random"), derandomize=True, max_examples=50)
 settings.register_profile("quick", settings.get_profile("touchd"), max_examples=25)  # for the inner loop: make unit
 settings.load_profile("touchd")
 
@@ -53,6 +59,11 @@ settings.load_profile("touchd")
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Add how long the hostile tests go on: seconds for each change, or minutes before a release."""
     parser.addoption("--hostile", choices=["short", "full"], default="short")
+
+
+def pytest_collection_finish() -> None:
+    """Collect garbage again once the tests are imported."""
+    gc.enable()
 
 
 Scene = Callable[[str], Recording]

@@ -60,8 +60,8 @@ def disc_vectors(plate: ReducedPlate, size: tuple[float, float], discs: Discs) -
     """Return the discs in the reference's modes, shape (n, 6 D): three rotations around each rim, then three means."""
     w, psi_x, psi_y = plate.fields
     unit = np.sqrt(size[0] * size[1])
-    rims = [legendre.rim_average(centre, discs.radius_m, size, plate.counts) for centre in discs.centres_m]
-    normal_x, normal_y = (np.stack([rim[i].ravel() for rim in rims], axis=1) for i in (0, 1))
+    rims = legendre.rim_average(discs.centres_m, discs.radius_m, size, plate.counts)
+    normal_x, normal_y = (rim.reshape(len(rim), -1).T for rim in rims)
     xx, xy, yx, yy = psi_x @ normal_x, psi_x @ normal_y, psi_y @ normal_x, psi_y @ normal_y
     radii = np.full(len(discs.centres_m), discs.radius_m)
     under = legendre.disc_average(discs.centres_m, radii, size, plate.counts).reshape(len(radii), -1).T
@@ -174,20 +174,19 @@ class DiscResponse:
         An edge's vectors have a parity: half of them are zero in each class of modes.
         """
         V, F = vectors.shape[1], len(self._nu)
-        found = np.zeros((F, V, V), dtype=complex)
+        found = np.zeros((V, V, F), dtype=complex)
+        kernel = self._H.view(float)  # real and imaginary parts side by side: one real product does for both
         start = 0
         for turn in self._bare.turns:
             part = slice(start, start := start + len(turn))
-            some = vectors[part]
-            there = np.flatnonzero(np.abs(some).max(axis=0) > ABSENT * np.abs(vectors).max(axis=0))
-            some = np.ascontiguousarray(some[:, there])
-            kernel = np.concatenate([self._H.real[part].T, self._H.imag[part].T])
+            some = vectors[part].T
+            there = np.flatnonzero(np.abs(some).max(axis=1) > ABSENT * np.abs(vectors).max(axis=0))
+            some = some[there]
             for i, row in enumerate(there):
-                flat = kernel @ (some[:, i, None] * some[:, i:])
-                found[:, row, there[i:]] += flat[:F] + 1j * flat[F:]
+                found[row, there[i:]] += ((some[i] * some[i:]) @ kernel[part]).view(complex)
         lower = np.tril_indices(V, -1)
-        found[:, lower[0], lower[1]] = found[:, lower[1], lower[0]]
-        return found
+        found[lower] = found[lower[::-1]]
+        return np.ascontiguousarray(found.transpose(2, 0, 1))
 
     @cached_property
     def _answers(self) -> Complex:

@@ -76,7 +76,7 @@ def test_neither_noise_nor_contacts(seed: int) -> None:
 @given(frequency_hz=st.floats(5e3, 115e3), level=st.floats(1, 30), seed=st.integers(0, 99), odd=st.booleans())
 @settings(deadline=None, max_examples=50)
 def test_beside_a_contact(frequency_hz: float, level: float, seed: int, odd: bool) -> None:
-    """A tone that begins while a stronger contact rests is found; of the contact goes what lies in its line, no more."""
+    """A tone that begins while a stronger contact rests is found; of the contact goes only what lies in its line."""
     acquisition = USB.model_copy(update={"samples": SAMPLES - odd})
     rng, tones = np.random.default_rng(seed), Tones(acquisition)
     resting = contact(rng)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -34,6 +36,7 @@ def derivative(length_m: float, count: int) -> Floats:
     return np.where((i < j) & ((i + j) % 2 == 1), d, 0.0)
 
 
+@cache
 def disc_rule(radial: int, angular: int) -> tuple[Floats, Floats, Floats]:
     """Points of the unit disc and weights that sum to 1: Gauss in radius squared, equal steps in angle."""
     node, weight = np.polynomial.legendre.leggauss(radial)
@@ -70,12 +73,12 @@ def disc_average(
 def rim_average(
     centre_m: ArrayLike, radius_m: float, size_m: tuple[float, float], counts: tuple[int, int]
 ) -> tuple[Floats, Floats]:
-    """Averages around a rim of the products of polynomials times the outward normal's x and y.
+    """Averages around rims of the products of polynomials times the outward normal's x and y.
 
-    Two arrays of shape `counts`, in 1/m; parameters as in `disc_average`.
+    Two arrays of shape (..., *counts), in 1/m, for centres (..., 2); other parameters as in `disc_average`.
     """
-    x_m, y_m = np.asarray(centre_m, dtype=float)
+    centre = np.asarray(centre_m, dtype=float)[..., None]
     angle = 2 * np.pi * np.arange(32) / 32
-    px = values(x_m + radius_m * np.cos(angle), size_m[0], counts[0])
-    py = values(y_m + radius_m * np.sin(angle), size_m[1], counts[1])
-    return (px * np.cos(angle)[:, None] / 32).T @ py, (px * np.sin(angle)[:, None] / 32).T @ py
+    px = values(centre[..., 0, :] + radius_m * np.cos(angle), size_m[0], counts[0]).swapaxes(-1, -2)
+    py = values(centre[..., 1, :] + radius_m * np.sin(angle), size_m[1], counts[1])
+    return (px * np.cos(angle) / 32) @ py, (px * np.sin(angle) / 32) @ py
