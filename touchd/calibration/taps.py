@@ -1,9 +1,8 @@
-"""What taps at roughly known places tell of a fitted plate: its orientation, the labels' scatter, each bin's gain.
+"""What taps at roughly known places tell of a fitted plate: orientation, labels' scatter, common errors of places.
 
 The physical field places a tap ten times as exactly as a person hits a target, so that labels only choose among the
-rectangle's four symmetries, which sound the same untouched, and tell what all places have in common. The places
-themselves are latent: they are the field's own. From there each channel's gain in each bin is learned, with the
-physical field as prior, and kept only if it explains taps that it was not learned from.
+rectangle's four symmetries, which sound the same untouched, and tell what all places have in common. The field itself
+stays: a gain in each bin, learned from fingertips, explains them better and places every tip worse (twin).
 """
 
 from __future__ import annotations
@@ -13,13 +12,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.calibration.place_correction import PlaceCorrection, Widths, correction_of, with_places
+from touchd.calibration.place_correction import Widths, correction_of, with_places
 from touchd.calibration.plate_fit import PlateFit
 from touchd.errors import CalibrationError
 from touchd.evaluation.dataset import baseline_frames, complex_bins, labels
 from touchd.localization.atlas import Atlas
 from touchd.recording.data import Recording
-from touchd.training.field.place import FieldMap, Placed, complex_nodes, place
+from touchd.training.field.place import place
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -32,9 +31,8 @@ FITS = 0.2
 """Refuse a tap that leaves more than this share unexplained: two fingers, or none at that place."""
 MISSED = 3.0
 """A tap this many median distances from its label missed it."""
-PRIOR_TAPS = 10.0
-"""The physical field counts as this many taps in the gain of a bin."""
-LEAST_FOR_GAINS = 8
+LEAST_MOVED_MM = 5e-3
+"""A smaller correction is none."""
 
 
 @dataclass(frozen=True)
@@ -63,8 +61,8 @@ class Refined:
     """Standard deviation of the labels per axis: how well a person hits."""
     moved_mm: float
     """Root mean square of what is added to the taps' places."""
-    unexplained: tuple[float, float]
-    """Share of a tap's energy that the physical field and the refined one leave, median; of taps not learned from."""
+    unexplained: float
+    """Share of a tap's energy that the field leaves, median."""
 
 
 def taps_of(recording: Recording, atlas: Atlas) -> Taps:
@@ -122,7 +120,7 @@ def turned_fit(fit: PlateFit, orientation: int) -> PlateFit:
 
 
 def refine(atlas: Atlas, taps: Taps, orientation: int = 0, widths: Widths | None = None) -> Refined:
-    """Learn what taps tell of the atlas of a rightly turned drawing, and keep it if it explains other taps better.
+    """Correct the places of a rightly turned drawing as far as taps tell it.
 
     Without `widths` all places stay.
     """
@@ -130,30 +128,19 @@ def refine(atlas: Atlas, taps: Taps, orientation: int = 0, widths: Widths | None
     fits = placed.misfit < FITS
     if not fits.any():
         raise CalibrationError("no tap fits the calibrated plate", "--taps", "check the labels' places, in mm")
-    hit = hits(placed.position_mm[fits], taps.label_mm[fits])
-    apart = np.linalg.norm(placed.position_mm[fits] - taps.label_mm[fits], axis=1)
-    scatter_mm, moved_mm = float(np.sqrt(np.square(apart[hit]).mean() / 2)), 0.0
-    before = after = float(np.median(placed.misfit[fits]))
-    some = Taps(taps.label_mm[fits], taps.values[fits])
-    some_placed = Placed(*(getattr(placed, name)[fits] for name in Placed.__slots__))
-    if fits.sum() >= LEAST_FOR_GAINS:
-        halves = [np.arange(len(some.label_mm)) % 2 == k for k in (0, 1)]
-        held = np.concatenate([
-            place(with_gains(atlas, gains(atlas, some, some_placed, half)), some.values[~half],
-                  some_placed.position_mm[~half]).misfit
-            for half in halves
-        ])  # fmt: skip
-        after = float(np.median(held))
-        if after < before:
-            atlas = with_gains(atlas, gains(atlas, some, some_placed, np.ones(len(held), bool)))
+    placed_mm, label_mm = placed.position_mm[fits], taps.label_mm[fits]
+    hit = hits(placed_mm, label_mm)
+    placed_mm, label_mm = placed_mm[hit], label_mm[hit]
+    scatter_mm, moved_mm = float(np.sqrt(np.square(placed_mm - label_mm).mean())), 0.0
     if widths is not None:
-        correction = _correction(atlas, Taps(some.label_mm[hit], some.values[hit]), widths)
-        moved_mm = float(np.sqrt(np.square(correction.at(some.label_mm)).sum(axis=1).mean()))
-        if moved_mm:
-            atlas, scatter_mm = with_places(atlas, correction), correction.label_mm
+        plate = atlas.description.plate
+        correction = correction_of(placed_mm, label_mm, (plate.width_mm, plate.height_mm), widths)
+        added_mm = float(np.sqrt(np.square(correction.at(placed_mm)).sum(axis=1).mean()))
+        if added_mm > LEAST_MOVED_MM:
+            atlas, scatter_mm, moved_mm = with_places(atlas, correction), correction.label_mm, added_mm
     return Refined(
-        ORIENTATIONS[orientation], atlas, len(fits), int(fits.sum()), some_placed.position_mm[hit], scatter_mm,
-        moved_mm, (before, min(before, after)),
+        ORIENTATIONS[orientation], atlas, len(fits), int(fits.sum()), placed_mm, scatter_mm, moved_mm,
+        float(np.median(placed.misfit[fits])),
     )  # fmt: skip
 
 
@@ -161,27 +148,3 @@ def hits(placed_mm: Floats, label_mm: Floats) -> NDArray[np.bool_]:
     """Return which taps, at `placed_mm` (n, 2), did not miss their labels."""
     apart = np.linalg.norm(placed_mm - label_mm, axis=1)
     return np.asarray(apart <= MISSED * np.median(apart))
-
-
-def _correction(atlas: Atlas, taps: Taps, widths: Widths) -> PlaceCorrection:
-    placed = place(atlas, taps.values, taps.label_mm)
-    plate = atlas.description.plate
-    return correction_of(placed.position_mm, taps.label_mm, (plate.width_mm, plate.height_mm), widths)
-
-
-def gains(atlas: Atlas, taps: Taps, placed: Placed, chosen: NDArray[np.bool_]) -> Complex:
-    """Return the gain of each channel and bin relative to the atlas', shape (channels, bins), from chosen taps."""
-    values = taps.values[chosen]
-    field = FieldMap(atlas).look_up(placed.position_mm[chosen])[0].reshape(values.shape)
-    predicted = placed.amplitude[chosen][:, None, None] * field
-    power = np.square(np.abs(predicted))
-    prior = PRIOR_TAPS * power.mean(axis=0)
-    found = ((predicted.conj() * values).sum(axis=0) + prior) / (power.sum(axis=0) + prior)
-    return np.asarray(found, np.complex128)
-
-
-def with_gains(atlas: Atlas, gain: Complex) -> Atlas:
-    """Return an atlas whose field is multiplied by gains (channels, bins)."""
-    nodes = complex_nodes(atlas) * gain
-    coefficients = np.stack([nodes.real, nodes.imag], axis=3).reshape(atlas.coefficients.shape)
-    return replace(atlas, coefficients=np.ascontiguousarray(coefficients, np.float32))

@@ -108,7 +108,7 @@ def command(
     if made and (refined := made.refined):
         found["taps"] = {
             "taps": refined.taps, "used": refined.used, "orientation": refined.orientation or "as drawn",
-            "scatter_mm": refined.scatter_mm, "moved_mm": refined.moved_mm, "unexplained": refined.unexplained[1],
+            "scatter_mm": refined.scatter_mm, "moved_mm": refined.moved_mm, "unexplained": refined.unexplained,
         }  # fmt: skip
     click.echo(json.dumps(found) if as_json or as_lines else _text(found, PAGE))
     if poor:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tests.unit.calibration.plates import LAYOUT, PLATE, exact_fit
-from touchd.calibration.place_correction import PlaceCorrection, Widths, with_places
+from touchd.calibration.place_correction import PlaceCorrection, Widths, correction_of, with_places
 from touchd.calibration.taps import (
     ORIENTATIONS,
     Taps,
@@ -18,7 +18,6 @@ from touchd.calibration.taps import (
     taps_of,
     turned,
     turned_fit,
-    with_gains,
 )
 from touchd.errors import CalibrationError
 from touchd.localization.atlas import Atlas, load_atlas, save_atlas
@@ -72,22 +71,37 @@ def test_scatter(atlas: Atlas, exact: Taps) -> None:
         assert refined.used == 60
 
 
-def test_wrong_gains(atlas: Atlas, exact: Taps) -> None:
-    """Taps mend a field whose channels are off, by a third and more."""
-    bins = np.linspace(-1, 1, len(atlas.description.bins))
-    off = np.exp(1j * np.outer([0.5, -0.4, 0.3], bins**2)) * (1 + np.outer([0.2, -0.2, 0.1], bins))
-    wrong = with_gains(atlas, off)
-    refined = refine(wrong, roughly(exact, 1.0))
-    assert refined.unexplained[1] < refined.unexplained[0]
-    assert median_mm(refined.atlas, exact) < 0.67 * median_mm(wrong, exact)
+def corrected_mm(shift: float, count: int, label_mm: float) -> tuple[float, float]:
+    """RMS error of places that a ruler shifts by a factor, before taps and after, of 300 sets of taps."""
+    widths, before, after = Widths((0.003, 0.003), 1e-3, 0.003), [], []
+    for seed in range(300):
+        rng = np.random.default_rng(seed)
+        true_mm = rng.uniform(0, (220, 160), (count, 2))
+        placed_mm = (1 + shift) * true_mm
+        correction = correction_of(placed_mm, true_mm + label_mm * rng.standard_normal((count, 2)), (220, 160), widths)
+        before.append(np.square(placed_mm - true_mm).sum(axis=1).mean())
+        after.append(np.square(placed_mm + correction.at(placed_mm) - true_mm).sum(axis=1).mean())
+    return float(np.sqrt(np.mean(before))), float(np.sqrt(np.mean(after)))
 
 
-def test_never_worse(atlas: Atlas, exact: Taps) -> None:
-    """Where the physics are right, 20 or 60 taps with any error change nothing for the worse."""
-    for count, error_mm in ((20, 1.0), (60, 2.0)):
-        rough = roughly(exact, error_mm)
-        refined = refine(atlas, Taps(rough.label_mm[:count], rough.values[:count]))
-        assert median_mm(refined.atlas, exact) < 1.02 * median_mm(atlas, exact)
+@pytest.mark.parametrize(("count", "label_mm"), [(20, 1.0), (50, 1.0), (50, 2.0), (200, 1.0), (200, 2.0)])
+def test_never_worse(count: int, label_mm: float) -> None:
+    """Where ruler and physics are right, taps add under 0.02 mm (RMS); where the ruler is not, they take some off."""
+    assert corrected_mm(0.0, count, label_mm)[1] < 0.02
+    for shift in (0.0007, 0.0015):
+        before, after = corrected_mm(shift, count, label_mm)
+        assert after < before
+
+
+def test_two_hundred_taps() -> None:
+    """200 taps at 1 mm halve the error of a ruler that is 0.2 % off."""
+    before, after = corrected_mm(0.002, 200, 1.0)
+    assert after < 0.5 * before
+
+
+def test_field_stays(atlas: Atlas, exact: Taps) -> None:
+    """Taps of fingertips teach the field nothing that would place a rigid tip worse."""
+    assert refine(atlas, roughly(exact, 1.0), 0, Widths((0.0, 0.0), 0.0, 0.0)).atlas is atlas
 
 
 @pytest.mark.parametrize("error_mm", [1.0, 2.0])
@@ -109,7 +123,7 @@ def test_wrong_ruler(atlas: Atlas, exact: Taps) -> None:
     ruler[2] = -0.005
     short = with_places(atlas, PlaceCorrection(SIZE_MM, ruler, 1.0))
     assert short.description.plate.width_mm == pytest.approx(0.995 * SIZE_MM[0])
-    refined = refine(short, roughly(exact, 1.0), 0, Widths((0.02, 0.02), 0.003, 0.02))
+    refined = refine(short, roughly(exact, 0.5), 0, Widths((0.02, 0.02), 0.003, 0.02))
     assert median_mm(refined.atlas, exact) < 0.67 * median_mm(short, exact)
     assert refined.atlas.description.plate.width_mm == pytest.approx(SIZE_MM[0], abs=0.67 * 0.005 * SIZE_MM[0])
 

@@ -162,6 +162,6 @@ def compare(state: State, models: dict[str, Path]) -> dict[str, Any]:
         else:
             found[name] = {
                 "used": refined.used, "taps": refined.taps, "scatter_mm": refined.scatter_mm,
-                "unexplained": refined.unexplained[0],
+                "unexplained": refined.unexplained,
             }  # fmt: skip
     return found

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tests.unit.calibration.plates import PLATE
+from tests.unit.calibration.plates import PLATE, off_channels
 from touchd.calibration.place_correction import PlaceCorrection, Widths, left_mm, with_places
-from touchd.calibration.taps import Taps, refine, taps_of, with_gains
+from touchd.calibration.taps import Taps, refine, taps_of
 from touchd.calibration.wizard.error_map import GRID, ErrorMap
 from touchd.localization.atlas import Atlas
 from touchd.recording.format import write
@@ -44,13 +44,6 @@ def taps(instrument: Instrument, atlas: Atlas) -> Taps:
     return taps_of(simulate_touches(30, seed=7, instrument=instrument), atlas)
 
 
-def wrong(atlas: Atlas) -> Atlas:
-    """A field whose channels are off."""
-    bins = np.linspace(-1, 1, len(atlas.description.bins))
-    off = np.exp(1j * np.outer([0.5, -0.4, 0.3], bins**2)) * (1 + np.outer([0.2, -0.2, 0.1], bins))
-    return with_gains(atlas, off)
-
-
 def rms_mm(atlas: Atlas, taps: Taps) -> float:
     """How far taps are placed from where they were."""
     apart_mm = place(atlas, taps.values, taps.label_mm).position_mm - taps.label_mm
@@ -66,7 +59,7 @@ def test_right_field(atlas: Atlas, taps: Taps, reference: Path) -> None:
 
 def test_wrong_field(atlas: Atlas, taps: Taps, reference: Path) -> None:
     """A field that is wrong does not know it; ten taps tell, and thirty tell better."""
-    model = wrong(atlas)
+    model = off_channels(atlas)
     errors, real_mm = ErrorMap(model, reference, RIGHT), rms_mm(model, taps)
     assert float(np.median(errors.error_mm(None))) < 0.3 * real_mm
     few, many = (
@@ -77,7 +70,7 @@ def test_wrong_field(atlas: Atlas, taps: Taps, reference: Path) -> None:
 
 def test_near_and_far(atlas: Atlas, taps: Taps, reference: Path) -> None:
     """A tap counts near its place, and hardly far from it."""
-    model = wrong(atlas)
+    model = off_channels(atlas)
     errors = ErrorMap(model, reference, RIGHT)
     grown = errors.error_mm(Taps(taps.label_mm[:1], taps.values[:1])) / errors.error_mm(None)
     p = model.description.plate
