@@ -47,7 +47,7 @@ LATE_FRAMES = 12
 
 PATCHES = (
     (-24.0, 10.0, 40.0, 90.0), (-8.0, 20.0, 50.0, 100.0), (9.0, 20.0, 50.0, 100.0), (24.0, 11.0, 40.0, 90.0),
-    (-20.0, -22.0, 120.0, 220.0), (20.0, -24.0, 100.0, 200.0),
+    (-20.0, -22.0, 170.0, 250.0), (20.0, -24.0, 140.0, 220.0),
 )  # fmt: skip
 """A resting palm: x and y, mm, and the range of the area, mm^2, of the balls of four fingers and the two heels."""
 BESIDE_MM = 60.0
