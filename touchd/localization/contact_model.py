@@ -173,7 +173,7 @@ def size_mm2(fit: Fit) -> float:
     )
 
 
-def radius_mm(amplitude: complex, shape: Shape) -> float:
+def radius_mm(amplitude: complex, shape: Sequence[complex]) -> float:
     """Return roughly the radius of a contact's face: 3.7 times the root of its mean second moment (twin)."""
     _, xx, yy, _ = shape
     return 3.7 * math.sqrt(abs(xx + yy) / 2 / max(abs(amplitude), 1e-30))
