@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from tests.scenes.stages import play
+from tests.system.soak.hands import perform
 from touchd.twin.instrument import Instrument
 from touchd.twin.simulate import DEFAULT_PLATE, stage_scene
 
@@ -35,3 +36,10 @@ def test_size(finger: str, kind: str, instrument: Instrument) -> None:
     assert (medians < (0.10, 1.0, 10.0)).all()
     assert set(kinds) <= {None, kind}
     assert kinds.count(kind) > len(kinds) / 2
+
+
+def test_a_thumb_that_rests_keeps_no_shape_from_its_landing(instrument: Instrument) -> None:
+    """A still frame was once skipped before the shape was fitted again: for 0.2 s a thumb was a finger, 0.5 mm off."""
+    found = perform("tap", "thumb", 300000, instrument, 5.0)
+    print(found)
+    assert (found.missed, found.ghosts, found.split, found.kinds) == (0, 0, 0, 0)

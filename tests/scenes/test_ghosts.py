@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 
 from tests.scenes.stages import RATE_HZ, at, empty_stage, play, score
-from tests.system.soak.ghosts import judge, taps
+from tests.system.soak.ghosts import judge, piece, taps
+from tests.system.soak.hands import perform
+from tests.system.soak.interpolated import Interpolated
 from touchd.evaluation.single_frames import find_with, touched_frames
 from touchd.localization.model import Model
 from touchd.twin.electronics import Electronics, Tone
 from touchd.twin.instrument import Instrument
-from touchd.twin.simulate import recording_of, stream
+from touchd.twin.simulate import DEFAULT_PLATE, recording_of, stream
 
 
 @pytest.mark.parametrize(
@@ -65,6 +67,23 @@ def test_neither_drops_nor_palms_are_fingers(name: str, seed: int, instrument: I
     print(f"{name} {seed}: {found.missed} of {found.touches} missed")
     assert found.strays == []
     assert found.missed == 0
+
+
+def test_a_palm_of_six_soft_patches_once_known_brings_no_contact() -> None:
+    """Of 8 s with a hand that rolls on and rests; its patches were five fingers once, for most of the time it lay."""
+    stage = piece("resting", 5003, 8.0)
+    events = play(stage, Interpolated(DEFAULT_PLATE), 5003).touches
+    lies = np.isfinite(stage.x_mm).sum(axis=0) >= 5
+    placed = sum(len(event.contacts) for event in events if event.frame < len(lies) and lies[event.frame])
+    print(f"{placed} contacts in messages of {lies.sum()} frames")
+    assert lies.sum() > 100
+    assert placed < 0.1 * lies.sum()
+
+
+def test_a_thumb_that_slows_is_no_two_fingers(instrument: Instrument) -> None:
+    """The shape that it had before once left what a second finger, 9 mm from its middle, explained."""
+    found = perform("swipe", "thumb", 710007, instrument, 2.0)
+    assert (found.touches, found.missed, found.ghosts, found.split) == (1, 0, 0, 0)
 
 
 def test_a_plate_that_warms_while_it_is_pressed_hides_no_tap_after(instrument: Instrument) -> None:

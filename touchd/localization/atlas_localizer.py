@@ -176,9 +176,7 @@ class AtlasLocalizer:
         if not (fit.shapes or held) and self._follower.asks_shapes(noise.excess(fit.residual_energy, signal), signal):
             bins, fit = self._settle(detection, bins, self._solver.with_shapes(bins, fit, noise.noise_energy))
         signal = bins.energy - noise.noise_energy
-        excess = noise.excess(fit.residual_energy, signal)
-        significant = sum(fit.energies) > noise.min_signal_energy
-        confidence = CRITERIA.confidence(excess) if significant else 0.0
+        excess, confidence = self._judge(fit, signal)
         clear = excess <= CRITERIA.search_above and signal >= CRITERIA.faint * noise.noise_energy
         if tracked and clear and confidence >= min_confidence and not search.pending:  # the usual case
             self._model_fit.add(fit.residual_energy - noise.noise_energy, signal, noise.noise_energy)
@@ -193,9 +191,7 @@ class AtlasLocalizer:
             fit = self._follower.follow(bins, t_ns, bins.energy - noise.noise_energy)
             bins, fit = self._settle(detection, bins, fit)
             signal = bins.energy - noise.noise_energy
-            excess = noise.excess(fit.residual_energy, signal)
-            significant = sum(fit.energies) > noise.min_signal_energy
-            confidence = CRITERIA.confidence(excess) if significant else 0.0
+            excess, confidence = self._judge(fit, signal)
         # What may be beside one well explained finger that has just landed is sought from the next frame on; a search
         # that goes on began with a frame that was not like this.
         waits = not (tracked or complete) and len(fit.positions_mm) == 1 and excess < CRITERIA.fair
@@ -216,9 +212,7 @@ class AtlasLocalizer:
                 signal = bins.energy - noise.noise_energy
                 if not known:
                     self._prediction.forget_velocities()
-            excess = noise.excess(fit.residual_energy, signal)
-            significant = sum(fit.energies) > noise.min_signal_energy
-            confidence = CRITERIA.confidence(excess) if significant else 0.0
+            excess, confidence = self._judge(fit, signal)
         if fit.positions_mm or inferred or not search.pending:
             self._model_fit.add(fit.residual_energy - noise.noise_energy, signal, noise.noise_energy)
         # An emitter that falls silent, or a gain that changes, looks like a finger on the emitter; but the plate's own
@@ -238,6 +232,11 @@ class AtlasLocalizer:
             return self._lose(), inferred
         return self._accept(bins, fit, confidence, excess, t_ns, alone=complete), inferred
 
+    def _judge(self, fit: Fit, signal: float) -> tuple[float, float]:
+        """Return the share of a signal that a fit leaves, and how much it looks like fingers."""
+        excess = self._noise.excess(fit.residual_energy, signal)
+        return excess, CRITERIA.confidence(excess) if sum(fit.energies) > self._noise.min_signal_energy else 0.0
+
     def _is_untouched(self, bins: Bins, plate_energy: float, t_ns: int) -> bool:
         """Return whether noise and the plate's own movement explain a frame, and if so follow that movement."""
         if not self._plate.explains(bins, plate_energy, t_ns):
@@ -255,17 +254,16 @@ class AtlasLocalizer:
         self._prediction.update(fit.positions_mm, t_ns)
         if self._follower.update(bins, fit, excess):
             self._faces = self._size.faces(fit) if fit.shapes else [None] * len(fit.positions_mm)
+        doubt = self._follower.is_in_doubt(t_ns)
         fingers = self._classifier.fingers(bins, fit, t_ns, alone=alone, lacking=self._search.explains)
-        if self._skips_still:
-            # What may be the water that a finger has left is looked at in each frame.
-            moved_mm = self._prediction.moved_mm if self._classifier.sure else math.inf
+        if self._skips_still:  # not what may be water that a finger has left: each frame must tell
+            moved_mm = self._prediction.moved_mm if self._classifier.sure and not doubt else math.inf
             self._still.update(bins, fit, moved_mm, self._noise.variance)
         self._departure = self._classifier.departure
-        # Change of the signal, as a share of its size, by a finger of amplitude 1.
-        change, touches = self._field_rms / self._plate.signal_rms, []
+        change, touches = self._field_rms / self._plate.signal_rms, []  # of the signal, by a finger of amplitude 1
         for k, sigma_mm, size in fingers:
             if sigma_mm <= self._max_sigma_mm:
-                (x_mm, y_mm), face = fit.positions_mm[k], self._faces[k]
+                (x_mm, y_mm), face = fit.positions_mm[k], None if doubt else self._faces[k]
                 touches.append(self._touch_maker.touch(
                     x_mm, y_mm, sigma_mm, confidence, size * change, None, face, kind_of(size, face)
                 ))  # fmt: skip

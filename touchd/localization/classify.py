@@ -23,6 +23,7 @@ from touchd.localization.fit_criteria import CRITERIA
 from touchd.localization.gauss_newton import GaussNewton
 from touchd.localization.lag import MassPhase, mean_hz
 from touchd.localization.noise import NoiseModel
+from touchd.localization.palm import Palm
 from touchd.localization.position_error import PositionError
 from touchd.localization.prediction import LONGEST_STEP_MM
 from touchd.localization.spline import Position
@@ -70,7 +71,7 @@ class Classifier:
     def __init__(self, atlas: Atlas, noise: NoiseModel, solver: GaussNewton) -> None:
         self._noise, self._phase = noise, MassPhase(atlas, solver, noise)
         d = atlas.description
-        self._errors = PositionError(atlas, noise)
+        self._errors, self._palm = PositionError(atlas, noise), Palm()
         self._low_mm, self._high_mm = d.low_mm, d.high_mm
         self._frequency_ratio = mean_hz(d) / USUAL_HZ
         self._clear_rad = CLEAR_RAD * self._frequency_ratio
@@ -84,7 +85,8 @@ class Classifier:
         self.reset()
 
     def reset(self) -> None:
-        """Forget water and fingers."""
+        """Forget water, fingers and the palm."""
+        self._palm.reset()
         self._known: list[Evidence] = []
         self._fingers: list[Position] = []
 
@@ -106,8 +108,10 @@ class Classifier:
         self.departure = min(map(abs, leads)) > DEPARTURE_RAD
         variance = self._errors.variance(fit, sizes)
         errors_mm = self._errors.sigmas_mm(fit, variance)
-        doubtful = self._cornered(fit.positions_mm) | self._edged(fit) if several else ()
         self.sure = True
+        doubtful = self._palm.contacts(fit, t_ns)
+        if several:
+            doubtful |= self._cornered(fit.positions_mm) | self._edged(fit)
         fingers: list[Finger] = []
         for k, lead in enumerate(leads):
             if not LAG_RAD < lead < DEPARTURE_RAD:

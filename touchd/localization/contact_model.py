@@ -173,6 +173,12 @@ def size_mm2(fit: Fit) -> float:
     )
 
 
+def radius_mm(amplitude: complex, shape: Sequence[complex]) -> float:
+    """Return roughly the radius of a contact's face: 3.7 times the root of its mean second moment (twin)."""
+    _, xx, yy, _ = shape
+    return 3.7 * math.sqrt(abs(xx + yy) / 2 / max(abs(amplitude), 1e-30))
+
+
 def elongation(fit: Fit) -> float:
     """Return the largest difference of second moments over their sum in a fit: up to 0.55 of one finger (twin)."""
     return max(math.hypot(abs(xx - yy), abs(xy)) / max(abs(xx + yy), 1e-30) for _, xx, yy, xy in fit.shapes)

@@ -154,7 +154,8 @@ class Follower:
         if excess > known.excess:
             again = self._solver.fit_shapes(bins, fit, self._noise.noise_energy, _SHAPE_STEPS)
             left = self._noise.excess(again.residual_energy, signal)
-            if left < max(known.excess, CRITERIA.shape_grown * excess) or (left < CRITERIA.good and self._waited(t_ns)):
+            explained = max(known.excess, CRITERIA.enough, CRITERIA.shape_grown * excess)
+            if left < explained or (left < CRITERIA.good and self._waited(t_ns)):
                 return again
             if excess > CRITERIA.fair:
                 return no_fit(bins.energy)
@@ -163,11 +164,15 @@ class Follower:
         self._last = fit
         return fit
 
+    def is_in_doubt(self, t_ns: int) -> bool:
+        """Return whether other shapes would explain a frame, and wait for a search: frames that rest must be fitted."""
+        return self._doubted_ns is not None and 0 <= t_ns - self._doubted_ns < _DOUBT_NS
+
     def _waited(self, t_ns: int) -> bool:
         """Return whether shapes have been in doubt for long enough for a search to find what else has come."""
         if self._doubted_ns is None:
             self._doubted_ns = t_ns
-        return not 0 <= t_ns - self._doubted_ns < _DOUBT_NS
+        return not self.is_in_doubt(t_ns)
 
     def _follow_point(self, bins: Bins, position_mm: Position, signal: float) -> Fit:
         """Fit one point from where it was going, or from where it was."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 
 from touchd.localization.anytime import REST_COST, SCAN_COST, SHAPE_COST, Steps, finish
 from touchd.localization.atlas import Array, Atlas
-from touchd.localization.contact_model import TYPICAL
+from touchd.localization.contact_model import TYPICAL, radius_mm
 from touchd.localization.fit import Bins, Fit, shapes_of
 from touchd.localization.fit_criteria import CRITERIA
 from touchd.localization.gauss_newton import GaussNewton
@@ -26,6 +27,8 @@ _APART_MM = 7.0
 _WIDTHS = (1, 3)
 """Alternatives followed side by side: one, and if that fails three."""
 _SAME = 1e-4
+_OVERLAP = 0.8
+"""Of two faces' radii their middles are farther apart: fingers side by side touch each other, and are oval."""
 _MOVED = 0.9
 """A finger goes to another place if that leaves less than this share."""
 _FIRST_STEPS, _POINT_STEPS, _STEPS = 1, 2, 4
@@ -239,8 +242,14 @@ def _as_known(fit: Fit) -> Fit:
 
 
 def are_merged(fit: Fit) -> bool:
-    """Return whether two contacts of a fit are one."""
-    return apart_mm(fit) <= (CRITERIA.shapes_apart_mm if fit.shapes else CRITERIA.merged_mm)
+    """Return whether two contacts of a fit are one: nearer than fingers can be, or than their faces have room."""
+    if not fit.shapes:
+        return apart_mm(fit) <= CRITERIA.merged_mm
+    if apart_mm(fit) <= CRITERIA.shapes_apart_mm:
+        return True
+    radii_mm = list(map(radius_mm, fit.amplitudes, fit.shapes))
+    pairs = combinations(zip(fit.positions_mm, radii_mm, strict=True), 2)
+    return any(math.dist(one, other) < _OVERLAP * (a + b) for (one, a), (other, b) in pairs)
 
 
 def apart_mm(fit: Fit) -> float:

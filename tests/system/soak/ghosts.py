@@ -26,6 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tests.scenes.stages import RATE_HZ, empty_stage, play, score
+from tests.system.soak.interpolated import Interpolated
 from touchd.config.schema import Settings
 from touchd.evaluation.matching import Position
 from touchd.evaluation.replay_scores import found_contacts
@@ -33,7 +34,7 @@ from touchd.twin.electronics import Electronics, Tone
 from touchd.twin.instrument import Instrument
 from touchd.twin.scenes.one_finger import END_S, FORCES_N, IDLE_S, press_warming
 from touchd.twin.scenes.timeline import Stage
-from touchd.twin.scenes.trajectory import anywhere, still
+from touchd.twin.scenes.trajectory import anywhere, line, still
 from touchd.twin.simulate import DEFAULT_PLATE
 
 PIECE_S = 60.0
@@ -42,6 +43,15 @@ HOURS = {"mixed": 3.0}
 NEAR_MM = 10.0
 LATE_FRAMES = 12
 """A contact may stay this long behind its finger."""
+
+
+PATCHES = (
+    (-24.0, 10.0, 40.0, 90.0), (-8.0, 20.0, 50.0, 100.0), (9.0, 20.0, 50.0, 100.0), (24.0, 11.0, 40.0, 90.0),
+    (-20.0, -22.0, 170.0, 250.0), (20.0, -24.0, 140.0, 220.0),
+)  # fmt: skip
+"""A resting palm: x and y, mm, and the range of the area, mm^2, of the balls of four fingers and the two heels."""
+BESIDE_MM = 60.0
+"""Of a fingertip from the middle of a palm: 25 mm from its patches."""
 
 
 class Piece(NamedTuple):
@@ -97,6 +107,50 @@ def palm(stage: Stage) -> None:
         at_s += length_s + rng.uniform(2.0, 6.0)
 
 
+def resting(stage: Stage) -> None:
+    """Rest, roll and lift hands of six soft patches, every other one beside a fingertip that taps."""
+    rng, at_s = stage.rng, 1.5
+    stage.electronics = stage.electronics._replace(jitter_s=0.0)  # as `Interpolated` asks
+    while at_s < stage.end_s - 6:
+        length_s = rng.uniform(1.0, 4.0)
+        place = anywhere(stage, 55.0)
+        _hand(stage, at_s, at_s + length_s, place)
+        if rng.uniform() < 0.5:
+            _taps_beside(stage, at_s, at_s + length_s, place)
+        at_s += length_s + rng.uniform(1.0, 3.0)
+
+
+def _hand(stage: Stage, start_s: float, stop_s: float, place: Position) -> None:
+    """Lay a palm's two heels and the balls of four fingers, one after the other across the hand."""
+    rng = stage.rng
+    turn, side, scale = rng.uniform(0, 2 * np.pi), rng.choice([-1, 1]), rng.uniform(0.85, 1.1)
+    angles = rng.uniform(0, 2 * np.pi, 2)
+    way_mm, spread_s = rng.uniform(-3, 3, 2), rng.uniform(0.02, 0.4, 2)
+    for column, (x, y, least_mm2, most_mm2) in enumerate(PATCHES, 1):
+        x_mm, y_mm = side * scale * x, scale * y
+        x_mm, y_mm = np.cos(turn) * x_mm - np.sin(turn) * y_mm, np.sin(turn) * x_mm + np.cos(turn) * y_mm
+        # How late it lands and how early it lifts: the hand rolls over it.
+        late_s, early_s = spread_s * (x_mm * np.cos(angles) + y_mm * np.sin(angles) + 35) / 70
+        end = place[0] + x_mm, place[1] + y_mm
+        path = line(end, end + way_mm, stop_s - start_s)
+        stage.lay(
+            "thumb", start_s + late_s, stop_s - early_s, path, column=column, force_n=None,
+            area_mm2=rng.uniform(least_mm2, most_mm2), creep=rng.uniform(-0.5, 1.0), land_s=rng.uniform(0.02, 0.1),
+        )  # fmt: skip
+
+
+def _taps_beside(stage: Stage, start_s: float, stop_s: float, palm: Position) -> None:
+    """Tap with a fingertip out of a palm's reach, while it lies and as it lands and lifts."""
+    rng = stage.rng
+    at_s = start_s + rng.uniform(0.0, 0.8)
+    while (up_s := at_s + rng.uniform(0.15, 0.35)) < stop_s:
+        place = anywhere(stage)
+        while np.hypot(place[0] - palm[0], place[1] - palm[1]) < BESIDE_MM:
+            place = anywhere(stage)
+        stage.lay("fingertip", at_s, up_s, still(*place), force_n=rng.uniform(*FORCES_N["fingertip"]))
+        at_s = up_s + rng.uniform(0.3, 0.6)
+
+
 def warming(stage: Stage) -> None:
     """Press for up to 5 s while the plate warms or cools by up to 1.5 K, and tap right after."""
     rng, at_s, k = stage.rng, IDLE_S + 0.5, 0.0
@@ -125,7 +179,7 @@ def mixed(stage: Stage) -> None:
 
 SCENES: dict[str, Callable[[Stage], None]] = {
     "idle": idle, "drift": drift, "interference": interference, "drop": drop, "palm": palm, "warming": warming,
-    "mixed": mixed,
+    "mixed": mixed, "resting": resting,
 }  # fmt: skip
 
 
@@ -218,13 +272,14 @@ def main() -> int:
     parser.add_argument("--jobs", type=int, default=2, help="processes")
     parser.add_argument("--network", action="store_true", help="without the field atlas")
     arguments = parser.parse_args()
-    play_piece = partial(judge, instrument=Instrument(DEFAULT_PLATE), atlas=not arguments.network)
     ghosts, began_s, hours = 0, time.monotonic(), 0.0
     print(f"{'scene':14} {'minutes':>7} {'touches':>8} {'missed':>7} {'split':>6} {'ghosts':>7} {'cpu s':>7}")
     for name in arguments.scenes:
         count = max(1, round(arguments.minutes * HOURS.get(name, 1.0) * 60 / PIECE_S))
         seeds = range(arguments.seed, arguments.seed + count)
         total = np.zeros(5)
+        instrument = Interpolated(DEFAULT_PLATE) if name == "resting" else Instrument(DEFAULT_PLATE)
+        play_piece = partial(judge, instrument=instrument, atlas=not arguments.network)
         with ProcessPoolExecutor(arguments.jobs, get_context("spawn")) as pool:
             for p in pool.map(partial(play_piece, name), seeds):
                 total += p.touches, p.missed, p.split, p.ghosts, p.seconds

@@ -72,7 +72,7 @@ class Stage:
         stop_s: float,
         path: Path,
         *,
-        force_n: float = 1.0,
+        force_n: float | None = 1.0,
         area_mm2: float | None = None,
         creep: float = 0.0,
         column: int = 0,
@@ -89,10 +89,10 @@ class Stage:
         start_s, stop_s : float
         path : callable
             Maps seconds since the start, shape (m,), to x and y in mm.
-        force_n : float
-            Settled force of a finger.
+        force_n : float, optional
+            Settled force of a finger; None of a patch of a palm, which is none.
         area_mm2 : float, optional
-            Settled area of a palm or drop.
+            Settled area of a palm, a drop, or a palm's patch.
         creep : float
             Share by which the area keeps growing over tens of seconds.
         column : int
@@ -107,8 +107,8 @@ class Stage:
         t = time_s[on] - start_s
         ramp = np.minimum(np.minimum((t + 1e-3) / rise_s, (stop_s - start_s - t) / fall_s), 1.0)
         ramp = np.sin(np.pi / 2 * ramp) ** 2
-        finger = kind in TISSUES
-        settled = float(area_of(kind, force_n)) if area_mm2 is None else area_mm2
+        finger = kind in TISSUES and force_n is not None
+        settled = float(area_of(kind, force_n or 0.0)) if area_mm2 is None else area_mm2
         pressed = np.maximum(settled * ramp, SMALLEST_MM2)
         self.kinds.append(kind)
         self.area_mm2.append(self._row(on, pressed * (1 + creep * (1 - np.exp(-t / 7)))))
