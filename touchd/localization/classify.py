@@ -81,7 +81,7 @@ class Classifier:
         self.departure = False
         """Whether the last fit shows the negative of fingers alone."""
         self.sure = True
-        """Whether no further frame can tell that a finger of the last fit is water."""
+        """Whether no finger of the last fit has evidence against it, which further frames may make enough."""
         self.reset()
 
     def reset(self) -> None:
@@ -133,7 +133,7 @@ class Classifier:
                     continue
                 if not (alone or self._is_finger(position, look, known, t_ns, several=several)):
                     continue
-                self.sure = self.sure and known is not None and known.least >= SURE
+                self.sure = self.sure and (known is None or known.least >= 0)
             if k not in doubtful:
                 fingers.append((k, errors_mm[k], size))
         self._fingers = [fit.positions_mm[k] for k, _, _ in fingers]
