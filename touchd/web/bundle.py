@@ -16,7 +16,7 @@ from touchd.web import child
 from touchd.web.site import Site
 
 RECORDING_S = 5
-UNITS = ("touchd", "touchd-input", "touchd-tuio", "touchd-web")
+UNITS = ("touchd", "touchd-input", "touchd-tuio", "touchd-web", "touchd-wizard", "touchd-mapping")
 _SECRET = re.compile(r"(?m)^(\w*secret\w* *= *).*$")  # not even where it lies
 _LOG_LINES = 500
 _TOKEN = re.compile(r"#token=\S+")  # of an address that this server has printed

@@ -41,9 +41,16 @@ async def begin(site: Site) -> None:
             with contextlib.closing(writer):
                 writer.write(b'{"do":"watch"}\n')
                 while line := await reader.readline():
-                    site.hub.publish(TOPIC, {"wizard": True, **json.loads(line)})
+                    site.hub.publish(TOPIC, {"wizard": True, **without_places(json.loads(line))})
         site.hub.publish(TOPIC, {"wizard": False})
         await asyncio.sleep(_AGAIN_S)
+
+
+def without_places(state: dict[str, Any]) -> dict[str, Any]:
+    """Return the wizard's state without where fingers were found: on a keypad that would tell a PIN, key by key."""
+    taps = [{"target_mm": tap["target_mm"]} for tap in state.get("taps") or ()]
+    last = state.get("last")
+    return {**state, "taps": taps, "last": last and {name: last[name] for name in last if name != "found_mm"}}
 
 
 async def _do(site: Site, request: Request) -> Response:

@@ -54,7 +54,7 @@ export const texts = {
     names: {
       inferred: 'network', tracking: 'followed', still: 'still', faint: 'faint', gate: 'untouched', learning: 'learning',
       'screen-off': 'screen off', uncalibrated: 'no model', frozen: 'frozen', repeated: 'repeated', behind: 'behind',
-      lost: 'lost', corrupt: 'corrupt',
+      lost: 'lost', corrupt: 'corrupt', test_pattern: 'test pattern', emitter_fault: 'emitter silent', xrun: 'xruns',
     },
   },
   latency: { title: 'Latency', p50: 'median', p99: '99 %', unit: 'ms', past: 'seconds ago' },
