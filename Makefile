@@ -86,7 +86,7 @@ bench: setup
 soak: setup
 	$(BIN)/python -m tests.system.soak $(ARGS)
 
-# Nine hours of drift, tones, drops, palms and touches: prints every contact that should not be. Half an hour.
+# Ten hours of drift, tones, drops, palms and touches: prints every contact that should not be. Half an hour.
 ghosts: setup
 	$(BIN)/python -m tests.system.soak.ghosts $(ARGS)
 
