@@ -32,7 +32,7 @@ FITS = 0.2
 MISSED = 3.0
 """A tap this many median distances from its label missed it."""
 LEAST_MOVED_MM = 5e-3
-"""A smaller correction is none."""
+"""Places that move by less stay as they were fitted."""
 
 
 @dataclass(frozen=True)

@@ -173,10 +173,15 @@ def size_mm2(fit: Fit) -> float:
     )
 
 
+def mean_moment_mm2(amplitude: complex, shape: Sequence[complex]) -> float:
+    """Return the mean of a contact's second moments along x and y, over its amplitude, mm^2."""
+    _, xx, yy, _ = shape
+    return abs(xx + yy) / 2 / max(abs(amplitude), 1e-30)
+
+
 def radius_mm(amplitude: complex, shape: Sequence[complex]) -> float:
     """Return roughly the radius of a contact's face: 3.7 times the root of its mean second moment (twin)."""
-    _, xx, yy, _ = shape
-    return 3.7 * math.sqrt(abs(xx + yy) / 2 / max(abs(amplitude), 1e-30))
+    return 3.7 * math.sqrt(mean_moment_mm2(amplitude, shape))
 
 
 def elongation(fit: Fit) -> float:

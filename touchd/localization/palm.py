@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 
+from touchd.localization.contact_model import mean_moment_mm2
 from touchd.localization.fit import Fit
 from touchd.localization.spline import Position
 
@@ -17,6 +18,7 @@ LARGE_MM2 = 4.2
 REACH_MM = 60.0
 """From a palm's heel to the balls of the fingers."""
 GONE_NS = 300_000_000
+"""A palm is forgotten when no contact has been within its reach for so long."""
 
 
 class Palm:
@@ -33,12 +35,10 @@ class Palm:
     def contacts(self, fit: Fit, t_ns: int) -> set[int]:
         """Return the indices of a fit's contacts that are a palm's."""
         if len(fit.shapes) >= LEAST_CONTACTS:
-            moments = [
-                abs(xx + yy) / 2 / max(abs(z), 1e-30)
-                for z, (_, xx, yy, _) in zip(fit.amplitudes, fit.shapes, strict=True)
-            ]
-            if max(moments) > LARGE_MM2:
-                self._place_mm, self._until_ns = fit.positions_mm[moments.index(max(moments))], t_ns + GONE_NS
+            moments_mm2 = list(map(mean_moment_mm2, fit.amplitudes, fit.shapes))
+            largest_mm2 = max(moments_mm2)
+            if largest_mm2 > LARGE_MM2:
+                self._place_mm, self._until_ns = fit.positions_mm[moments_mm2.index(largest_mm2)], t_ns + GONE_NS
         if self._place_mm is None:
             return set()
         if t_ns > self._until_ns:

@@ -90,7 +90,7 @@ class Stage:
         path : callable
             Maps seconds since the start, shape (m,), to x and y in mm.
         force_n : float, optional
-            Settled force of a finger; None of a patch of a palm, which is none.
+            Settled force of a finger; left out for a patch of a palm.
         area_mm2 : float, optional
             Settled area of a palm, a drop, or a palm's patch.
         creep : float
