@@ -10,21 +10,18 @@ import pytest
 from structlog.testing import capture_logs
 
 from tests.conftest import Scene
-from touchd.config.kinds import Section
 from touchd.config.load import load
-from touchd.config.render import fields, section
+from touchd.config.render import fields
 from touchd.config.schema import HealthSettings, Settings
 from touchd.event import Contact
 from touchd.frame import Frame
 from touchd.keypad import Layout
 from touchd.localization.model import Model
 from touchd.pipeline import Pipeline
-from touchd.service import reload
 from touchd.service.daemon import make_reloader
 from touchd.service.health import Health
 from touchd.service.messages import Messages, all_but_spectra
-from touchd.service.preroll import PreRoll
-from touchd.service.reload import BRIDGES, RESTART_ONLY, Changes, Reloader, compare
+from touchd.service.reload import RESTART_ONLY, Reloader, compare
 from touchd.sources.replay import ReplaySource
 
 PERIOD_NS = 8_000_000
@@ -196,49 +193,3 @@ def test_part_that_fails() -> None:
     assert applied == [("first", new), ("first", Settings()), ("second", Settings())]
     assert reloader.settings == Settings()
     assert [(entry["log_level"], entry["error"]) for entry in entries] == [("error", "OverflowError('too large')")]
-
-
-def test_taken_is_true(
-    scene: Scene,
-    model: Model,
-    atlas_model: Model,
-    scene_file: Callable[[str], Path],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """A key that a reload can take reaches the part that uses it, and one that waits for a restart reaches none."""
-    names = {section(table): table for table, _, _ in fields()}
-    read: set[str] = set()
-
-    def get(self: Section, name: str) -> object:
-        if name in type(self).model_fields and type(self) in names:
-            read.add(f"{names[type(self)]}.{name}")
-        return object.__getattribute__(self, name)
-
-    def compare_only(running: Settings, new: Settings) -> Changes:
-        changes = compare(running, new)
-        read.clear()
-        return changes
-
-    new = settings({"preroll": {"folder": tmp_path}})
-    reached: set[str] = set()
-    monkeypatch.setattr(Section, "__getattribute__", get, raising=False)
-    monkeypatch.setattr(reload, "compare", compare_only)
-    for each in (model, atlas_model):
-        run = Run(scene, each, "circle")
-        run.feed(90)
-        messages = Messages(Settings(), all_but_spectra)
-        health = Health(ReplaySource(scene_file("circle")), run.pipeline, messages, HealthSettings())
-        preroll = PreRoll(scene("circle").acquisition, 125.0, lambda: scene("circle").meta, new.preroll)
-        make_reloader(Settings(), lambda: new, each, run.pipeline, messages, health, preroll).reload()
-        contacts = [run.feed(until) for until in range(91, 140)]
-        for i, found in enumerate(contacts):
-            preroll.keep(Frame(run.frames[i], i + 1, i * PERIOD_NS, 0), found[0] if found else [])
-        assert any(contacts)
-        preroll.request("test")
-        preroll.close()
-        reached |= read
-    changeable = {
-        f"{table}.{key}" for table, key, _ in fields() if not {table, f"{table}.{key}"} & (RESTART_ONLY | BRIDGES)
-    }
-    assert reached == changeable
