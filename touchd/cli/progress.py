@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
 from types import TracebackType
 
 from rich.console import Console
@@ -15,17 +17,26 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
+_SPEED_S = 3600.0
+"""The time left follows from the steps of this time, s: from those of rich's half minute, a step a minute has none."""
+
 
 class Bars:
     """Bars on standard error, one for each part of a job, with the time left.
 
     They appear with the first step, so that an earlier error prints one line.
+
+    Parameters
+    ----------
+    clock : callable
+        Monotonic time, s.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._bar = Progress(
             TextColumn("{task.description:8}"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[note]}"),
             TimeElapsedColumn(), TimeRemainingColumn(), console=Console(stderr=True),
+            get_time=clock, speed_estimate_period=_SPEED_S,
         )  # fmt: skip
         self._tasks: dict[str, TaskID] = {}
 
@@ -44,6 +55,11 @@ class Bars:
         if what not in self._tasks:
             self._tasks[what] = self._bar.add_task(what, note="")
         self._bar.update(self._tasks[what], completed=done, total=steps, note=note)
+
+    def left_s(self, what: str) -> float | None:
+        """Return the time left of a part that its bar shows, s; None while nobody knows."""
+        task = self._tasks.get(what)
+        return None if task is None else self._bar.tasks[self._bar.task_ids.index(task)].time_remaining
 
     def warn(self, note: str) -> None:
         """Print a warning, clear of the bars."""

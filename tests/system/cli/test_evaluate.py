@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -176,3 +177,24 @@ def test_nothing_matched(folder: Path, tmp_path: Path) -> None:
     with pytest.raises(RecordingValues, match="no contact to plot"):
         said(GRID, folder / "two.npz", "--plot", tmp_path / "errors.png")
     assert not (tmp_path / "errors.png").exists()
+
+
+def test_hundreds_of_labels_a_frame(folder: Path, tmp_path: Path) -> None:
+    """A recording that claims 500 fingers in each frame is scored in bounded memory, all but the found ones missed."""
+    tap = read(folder / "tap.npz")
+    claimed_mm = np.random.default_rng(5).uniform(0, 200, (60, 500, 2)).astype(np.float32)
+    part = replace(
+        tap, frames=tap.frames[:60], sequence=tap.sequence[:60], timestamp_ns=tap.timestamp_ns[:60],
+        contacts_mm=claimed_mm, force_n=None, faces=None, temperature_c=None,
+    )  # fmt: skip
+    write(tmp_path / "claimed.npz", part)
+    tracemalloc.start()
+    try:
+        found = scores(SHIPPED, tmp_path / "claimed.npz")
+        peak_bytes = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    mine = found["by_fingers"]["500"]
+    assert mine["n"] == 60
+    assert mine["missed"] >= 60 * (500 - 10), "ten contacts at most are ever found"
+    assert peak_bytes < 100e6, f"{peak_bytes / 1e6:.0f} MB"
