@@ -1,24 +1,30 @@
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from touchd.calibration.calibrate import Fitted, make_model
 from touchd.calibration.physical_field import PhysicalField
 from touchd.calibration.plate_file import PlateFile, check_plate_file
 from touchd.calibration.plate_fit import PlateFit, fit_plate
-from touchd.calibration.untouched import Untouched
+from touchd.calibration.untouched import Untouched, untouched_mean
 from touchd.errors import CalibrationError
 from touchd.evaluation.cramer_rao import twin_values
+from touchd.evaluation.single_frames import find_with, see, touched_frames
 from touchd.lab.plates.other_plate import Patch, missing, other_modes
+from touchd.localization.model import Model
 from touchd.twin.electronics import Electronics
 from touchd.twin.instrument import Instrument
 from touchd.twin.physics.finger import Contact
 from touchd.twin.physics.material import ElasticPlate, Material
 from touchd.twin.physics.mounting import FREE, Mounting, attach
 from touchd.twin.physics.transducer import Layout
+from touchd.twin.simulate import simulate_scene, simulate_touches
 
 TRUE = ElasticPlate(width_mm=90.1, height_mm=69.9, thickness_mm=4.98, elastic=Material(71.3e9, 0.226, 2490.0))
 LAYOUT = Layout(emitter_mm=(17.0, 36.0), receivers_mm=((9.0, 8.0), (80.0, 9.0), (79.0, 60.0), (8.0, 61.0)))
@@ -83,6 +89,40 @@ def test_a_touch_has_its_size(fit: PlateFit) -> None:
     peak = Electronics().peak * 2 ** (plate.acquisition.bits - 1)
     exact = SCALE / peak * GAINS[:, None] * twin_values(plate, touches)
     assert np.vdot(exact, PhysicalField(fit).at(at_mm, 20.0)).real / np.vdot(exact, exact).real == pytest.approx(1, 0.3)
+
+
+@pytest.fixture(scope="module")
+def touched() -> Instrument:
+    """The same plate, which remembers its modes."""
+    return other()
+
+
+@pytest.fixture(scope="module")
+def calibrated(fit: PlateFit, touched: Instrument, tmp_path_factory: pytest.TempPathFactory) -> Model:
+    """The model of the same fit, in the counts of the twin's electronics."""
+    idle = simulate_scene("idle", seed=4, instrument=touched, electronics=Electronics(gains=tuple(GAINS)), frames=300)
+    mean = idle.frames.mean(axis=0)
+    scale = (mean * fit.measured).sum(axis=1, keepdims=True) / np.square(fit.measured).sum(axis=1, keepdims=True)
+    scaled = replace(fit, gains=fit.gains * scale, measured=fit.measured * scale, fitted=fit.fitted * scale)
+    path = tmp_path_factory.mktemp("calibrated") / "plate.onnx"
+    return make_model(Fitted(idle, said(), untouched_mean(idle, said()), scaled, 0.0), path).model
+
+
+@pytest.mark.parametrize("noise_db", [50.0, 60.0])
+def test_no_frame_alone_is_sure_of_a_place_a_centimetre_off(
+    noise_db: float, calibrated: Model, touched: Instrument
+) -> None:
+    """Near an edge the field repeats itself after half a wavelength: 7 of these frames were placed there once."""
+    electronics = Electronics(noise_db=noise_db, gains=tuple(GAINS))
+    recording = simulate_touches(640, seed=6, instrument=touched, finger="glove", electronics=electronics)
+    frames = touched_frames(recording)
+    seen = see(find_with(calibrated, calibrated.atlas, frames), frames)
+    off_mm = [
+        max((math.dist(one.true_mm[0], (t.x_mm, t.y_mm)) for t in one.found if t.confidence > 0.9), default=0.0)
+        for one in seen
+    ]
+    assert sum(bool(one.found) for one in seen) > 380
+    assert max(off_mm) < 10.0
 
 
 def test_standard_errors(fit: PlateFit) -> None:

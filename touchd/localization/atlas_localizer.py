@@ -61,7 +61,7 @@ class AtlasLocalizer:
         self._noise, self._drift = self._plate.noise, self._plate.drift
         self._pursuit = Pursuit(atlas, GaussNewton(atlas))  # of its own: its frame stays while others are fitted
         self._field_rms = math.sqrt(self._pursuit.mean_energy)
-        self._landing = Landing(self._estimator, self._solver, self._pursuit, self._noise)
+        self._landing = Landing(self._estimator, self._solver, self._pursuit, self._noise, atlas.description)
         self._search = MultitouchSearch(self._solver, self._pursuit, self._noise)
         self._classifier = Classifier(atlas, self._noise, self._solver)
         self._size = ContactSize(atlas, self._noise)

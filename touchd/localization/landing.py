@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from touchd.detection.detection import Detection
+from touchd.localization.atlas import AtlasDescription
 from touchd.localization.estimator import Estimator
 from touchd.localization.fit import Bins, Fit, no_fit
 from touchd.localization.fit_criteria import CRITERIA
@@ -15,6 +16,8 @@ from touchd.localization.pursuit import Pursuit
 AMBIGUOUS_MM = 7.0
 """A finger is not placed if a position farther away than this explains the frame nearly as well."""
 FIRST_STEPS = 5
+_BETTER = 0.5
+"""A start elsewhere at an edge wins if it leaves less than this share: of wrong valleys it leaves 0 to 0.2 (twin)."""
 
 
 class Landing:
@@ -28,21 +31,51 @@ class Landing:
     pursuit : Pursuit
         Names other places to begin.
     noise : NoiseModel
+    description : AtlasDescription
+        Of the atlas: where it ends, and the wavelength.
     """
 
-    def __init__(self, estimator: Estimator, solver: GaussNewton, pursuit: Pursuit, noise: NoiseModel) -> None:
+    def __init__(
+        self, estimator: Estimator, solver: GaussNewton, pursuit: Pursuit, noise: NoiseModel,
+        description: AtlasDescription,
+    ) -> None:  # fmt: skip
         self._estimator, self._solver, self._pursuit, self._noise = estimator, solver, pursuit, noise
+        self._low_mm, self._high_mm = description.low_mm, description.high_mm
+        wavenumbers = sorted(description.wavenumber_rad_m)
+        self._half_wave_mm = math.pi / wavenumbers[len(wavenumbers) // 2] * 1e3 if wavenumbers else 0.0
 
     def fit(self, detection: Detection, bins: Bins, signal: float) -> Fit:
-        """Fit one finger from where the network sees it; a faint one, which it may misplace, from others too."""
+        """Fit one finger from where the network sees it; a faint one, which it may misplace, from others too.
+
+        So is one near an edge, where the field repeats itself after half a wavelength along it.
+        """
         estimate = self._estimator.estimate(detection)
         fits = []
         if math.isfinite(estimate.x_mm) and math.isfinite(estimate.y_mm):
             fits.append(self._solver.fit_one(bins, estimate.x_mm, estimate.y_mm, FIRST_STEPS))
-            if signal >= CRITERIA.faint * self._noise.noise_energy:
-                return fits[0]
-        fits += self._fit_candidates(bins)
-        return min(fits, key=lambda fit: fit.residual_energy, default=no_fit(bins.energy))
+        if not fits or signal < CRITERIA.faint * self._noise.noise_energy:
+            fits += self._fit_candidates(bins)
+        return self._best_along_edge(bins, min(fits, key=_residual_energy, default=no_fit(bins.energy)))
+
+    def _best_along_edge(self, bins: Bins, fit: Fit) -> Fit:
+        """Return a fit, or if it lies near an edge one from elsewhere that leaves much less."""
+        left = fit.residual_energy - self._noise.noise_energy
+        if not fit.positions_mm or left < CRITERIA.enough * bins.energy:
+            return fit
+        others = self._fit_along_edge(bins, *fit.positions_mm[0])
+        if not others:
+            return fit
+        best = min([*others, *self._fit_candidates(bins)], key=_residual_energy)
+        return best if best.residual_energy - self._noise.noise_energy < _BETTER * left else fit
+
+    def _fit_along_edge(self, bins: Bins, x_mm: float, y_mm: float) -> list[Fit]:
+        """Fit one finger from half a wavelength to either side of a position near an edge; none elsewhere."""
+        half = self._half_wave_mm
+        by_side = min(x_mm - self._low_mm[0], self._high_mm[0] - x_mm) < half
+        by_end = min(y_mm - self._low_mm[1], self._high_mm[1] - y_mm) < half
+        starts_mm = [(x_mm + step, y_mm) for step in (-half, half)] if by_end else []
+        starts_mm += [(x_mm, y_mm + step) for step in (-half, half)] if by_side else []
+        return [self._solver.fit_one(bins, *start_mm, FIRST_STEPS) for start_mm in starts_mm]
 
     def _fit_candidates(self, bins: Bins) -> list[Fit]:
         return [
@@ -53,8 +86,8 @@ class Landing:
     def is_ambiguous(self, bins: Bins, fit: Fit, signal: float, *, faint: bool) -> bool:
         """Return whether a finger elsewhere explains a frame nearly as well as the one fitted.
 
-        Faint fingers and those at the edge, where the field is badly known, may be placed in a wrong valley, and
-        coloured noise resembles a finger.
+        Fingers at the edge, where the field is badly known, and faint ones may be placed in a wrong valley, and coloured
+        noise resembles a finger.
         """
         noise = self._noise
         left = fit.residual_energy - noise.noise_energy
@@ -62,10 +95,19 @@ class Landing:
             # Shapes may make up for a wrong position: points are compared with points.
             left = max(left, fit.points_energy - noise.noise_energy)
         poor = left > CRITERIA.poor * signal
-        if not poor and not (faint and noise.is_alike):
+        if not poor and not faint:
             return False
-        ceiling = noise.noise_energy + CRITERIA.rival * left if poor else noise.ceiling
+        if poor:
+            ceiling = noise.noise_energy + CRITERIA.rival * left
+        elif noise.is_alike:
+            ceiling = noise.ceiling
+        else:
+            ceiling = fit.residual_energy + CRITERIA.rival_noise * noise.variance
         return any(
             other.residual_energy < ceiling and math.dist(other.positions_mm[0], fit.positions_mm[0]) > AMBIGUOUS_MM
-            for other in self._fit_candidates(bins)
+            for other in self._fit_candidates(bins) + self._fit_along_edge(bins, *fit.positions_mm[0])
         )
+
+
+def _residual_energy(fit: Fit) -> float:
+    return fit.residual_energy
