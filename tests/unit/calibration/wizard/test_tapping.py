@@ -76,6 +76,12 @@ def test_light(plate: Plate) -> None:
     assert plate.tap(TARGET_MM, share=0.1).reason == "light"
 
 
+def test_clipped(instrument: Instrument, atlas: Atlas) -> None:
+    """A tap at a gain that the converter cannot take is too loud."""
+    assert Plate(instrument, atlas, gain=4.0).tap(TARGET_MM).reason == "clipped"
+    assert Plate(instrument, atlas, gain=0.5).tap(TARGET_MM).reason != "clipped"
+
+
 def test_unsteady(plate: Plate) -> None:
     """A finger that moves by 6 mm is unsteady."""
     assert plate.show([TARGET_MM], 20) is None
