@@ -15,14 +15,20 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from tests.unit.calibration.plates import PLATE
+from tests.unit.calibration.wizard.test_tapping import Plate as Tapping
 from touchd.calibration.taps import scatter_of
 from touchd.calibration.wizard.session import Session
 from touchd.calibration.wizard.state import State
 from touchd.calibration.wizard.tapping import Tapped
+from touchd.calibration.wizard.targets import target_mm
 from touchd.errors import CalibrationError
 from touchd.frame import Plate
+from touchd.localization.atlas import Atlas, atlas_path, save_atlas
 from touchd.recording.data import Meta
 from touchd.recording.format import read
+from touchd.twin.instrument import Instrument
+from touchd.twin.simulate import meta_of
 
 META = Meta(sample_rate_hz=5e5, bits=16, full_scale_v=1.0, frame_rate_hz=100.0,
             plate=Plate(width_mm=110, height_mm=90, thickness_mm=5))  # fmt: skip
@@ -134,6 +140,28 @@ def test_scatter(scatter_mm: float) -> None:
     assert told == pytest.approx(scatter_mm, rel=0.15)  # of 130 differences along two axes, 6 % are one sigma
     assert repeated == 100
     assert scatter_of(targets, targets + wrong) == (None, 0)
+
+
+def test_told_scatter(tmp_path: Path, instrument: Instrument, atlas: Atlas) -> None:
+    """What is told of taps that miss their rings is how the finger scattered where a ring came again."""
+    state = State(tmp_path / "state")
+    state.taps.mkdir()
+    save_atlas(atlas, atlas_path(state.model))
+    state.set(result={})
+    session, plate, random = Session(state), Tapping(instrument, atlas), np.random.default_rng(2)
+    meta = meta_of(instrument, 100, "taps")
+    targets = np.array([target_mm(number, PLATE.width_mm, PLATE.height_mm) for number in range(15)])
+    fingers = targets + 1.4 * random.standard_normal(targets.shape)
+    for number, (target, finger) in enumerate(zip(targets, fingers, strict=True)):
+        state.set(target_mm=target.tolist())
+        session.take(plate.tap((finger[0], finger[1]), target_mm=(target[0], target[1])), meta, number)
+        if number == 3:
+            session.tell()
+            assert (state["told"]["scatter_mm"], state["told"]["repeats"]) == (None, 0)
+    session.tell()
+    true_mm, _ = scatter_of(targets, fingers)
+    assert (len(state["taps"]), state["told"]["repeats"]) == (15, 3)
+    assert state["told"]["scatter_mm"] == pytest.approx(true_mm, abs=0.1)
 
 
 def test_keypad(tmp_path: Path) -> None:
