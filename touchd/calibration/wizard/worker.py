@@ -97,7 +97,7 @@ class Worker:
         name = str(asked.get("do"))
         try:
             with self._one:
-                if name in ENDING and self._state["running"] in LONG:
+                if name in (*ENDING, "try") and self._state["running"] in LONG:
                     raise CalibrationError("a fit or a training runs", "", "wait for its end, or stop it first")
                 found = self._commands()[name](asked)
         except KeyError:
