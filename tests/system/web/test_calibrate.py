@@ -375,8 +375,12 @@ def test_whole_wizard(tmp_path: Path, follow: str) -> None:
             opened.get_by_role("button", name="3 Fit").click()
             opened.get_by_role("button", name="Fit again", exact=True).click()
             expect(opened.get_by_text("On trial: the model of an earlier fit.")).to_be_visible()
+            opened.wait_for_function("() => touchd.feed.last.calibrate.running === null")
             after = opened.evaluate("touchd.feed.last.calibrate.expected")
             assert after["median_mm"] < 1.1 * told["median_mm"]
+            opened.get_by_role("button", name="Compare both on the taps").click()
+            for name in ("this model", "the one on trial", "the model from before"):
+                expect(opened.get_by_text(f"{name}: 2 of 2 taps fit")).to_be_visible()
             opened.get_by_role("button", name="Try this model").click()
             expect(opened.get_by_text("On trial: the fitted model.")).to_be_visible()
             opened.get_by_role("button", name="Go back to the model before").click()

@@ -201,8 +201,8 @@ class Worker:
     def _fit_now(self, stop: threading.Event) -> None:
         self._state.set(running="fit", share=0.0, note="")
         result = fit(self._state, stop, self._progress)
-        self._state.set(result=result, compared=None, expected=None)
         self._trial.look()
+        self._state.set(result=result, compared=None, expected=None)
         if result["model"] and self._state["taps"]:
             Session(self._state).tell()
         self._state.set(running=None, note="")
