@@ -9,12 +9,15 @@ import pytest
 
 
 def need(there: object, reason: str) -> None:
-    """Skip the test, with the reason, unless the thing is there; under CI=true that is a failure."""
+    """Skip the test, or the test module at its import, with the reason, unless the thing is there.
+
+    Under CI=true that is a failure.
+    """
     if there:
         return
     if os.environ.get("CI") == "true":
         pytest.fail(f"{reason}; with CI=true nothing is skipped")
-    pytest.skip(reason)
+    pytest.skip(reason, allow_module_level=True)
 
 
 def need_tool(name: str, package: str) -> str:

@@ -144,6 +144,21 @@ def refine(atlas: Atlas, taps: Taps, orientation: int = 0, widths: Widths | None
     )  # fmt: skip
 
 
+def scatter_of(label_mm: Floats, placed_mm: Floats) -> tuple[float | None, int]:
+    """Return the standard deviation per axis of taps at labels (n, 2), and how many labels tell it.
+
+    It is that of the places `placed_mm` (n, 2) of each label that was tapped more than once, about their mean: what a
+    model has wrong at a label does not count. None where no label comes twice.
+    """
+    _, of, counts = np.unique(label_mm, axis=0, return_inverse=True, return_counts=True)
+    of = of.reshape(-1)
+    free = 2 * int((counts - 1).sum())
+    if not free:
+        return None, 0
+    means = np.stack([np.bincount(of, placed_mm[:, axis]) / counts for axis in (0, 1)], axis=1)
+    return float(np.sqrt(np.square(placed_mm - means[of]).sum() / free)), int((counts > 1).sum())
+
+
 def hits(placed_mm: Floats, label_mm: Floats) -> NDArray[np.bool_]:
     """Return which taps, at `placed_mm` (n, 2), did not miss their labels."""
     apart = np.linalg.norm(placed_mm - label_mm, axis=1)

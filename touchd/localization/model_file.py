@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import tempfile
 from pathlib import Path
@@ -32,10 +33,20 @@ def put_model(content: bytes, path: Path) -> Model:
     return Model(path)
 
 
-def install(source: Path, target: Path) -> Model:
+def digest(model: Path) -> str:
+    """Return what tells a model with what lies beside it from others; empty if there is none."""
+    if not model.exists():
+        return ""
+    found = hashlib.sha256()
+    for file in (model.with_suffix(suffix) for suffix in BESIDE):
+        found.update(file.read_bytes() if file.exists() else b"none")
+    return found.hexdigest()
+
+
+def install(source: Path, target: Path, *, keep: bool = True) -> Model:
     """Put a model with what lies beside it in the place of another, which is kept as the previous one.
 
-    A source that is no usable model changes nothing.
+    A source that is no usable model changes nothing. Without `keep` the previous model stays what it was.
 
     Raises
     ------
@@ -50,7 +61,7 @@ def install(source: Path, target: Path) -> Model:
         with tempfile.TemporaryDirectory(dir=target.parent, prefix=f".{target.name}.") as scratch:
             fresh = Path(scratch) / target.name
             _copy(source, fresh)
-            if target.exists():
+            if keep and target.exists():
                 _copy(target, kept := Path(scratch) / previous_path(target).name)
                 _move(kept, previous_path(target))
             _move(fresh, target)

@@ -200,17 +200,22 @@ def make_reloader(
 
 
 def describer(
-    source: Source, settings: Settings, choice: SourceChoice, plate: Callable[[], Plate | None]
+    source: Source, settings: Settings, choice: SourceChoice, in_use: Callable[[], tuple[Plate | None, bool]]
 ) -> Callable[[], FeedDescription]:
-    """Return what describes a source's frames to those who record them; `plate` returns the model's plate."""
+    """Return what describes a source's frames to those who record them.
+
+    `in_use` returns the model's plate, and whether it is a keypad.
+    """
     known = getattr(source, "meta", None)
     rate_hz = known.frame_rate_hz if known else float(getattr(source, "rate_hz", settings.device.rate_hz))
 
     def description() -> FeedDescription:
+        plate, keypad = in_use()
         return FeedDescription(
             acquisition=source.acquisition, rate_hz=rate_hz, source=known.source if known else choice.kind,
-            plate=known.plate if known else plate(), device=getattr(source, "device", None) or Device(),
+            plate=known.plate if known else plate, device=getattr(source, "device", None) or Device(),
             emitter_mm=known.emitter_mm if known else None, receivers_mm=(known.receivers_mm if known else None) or (),
+            keypad=keypad,
         )  # fmt: skip
 
     return description
@@ -271,11 +276,13 @@ def run(
 
         service: Service | None = None
 
-        def plate() -> Plate | None:
+        def in_use() -> tuple[Plate | None, bool]:
             used = service.pipeline.model if service else model
-            return used.description.plate if used else None
+            layout = service.pipeline.layout if service else parts.layout
+            keypad = layout is not None or (used is None and settings.keypad.layout is not None)
+            return used.description.plate if used else None, keypad
 
-        description = describer(source, settings, choice, plate)
+        description = describer(source, settings, choice, in_use)
         preroll = stack.enter_context(closing(make_preroll(source, settings, description)))
         service = make_service(
             source, sinks, settings, model, manager=manager, preroll=preroll, control=parts.control,

@@ -48,6 +48,8 @@ class FeedDescription(BaseModel):
     emitter_mm: tuple[float, float] | None = None
     receivers_mm: tuple[tuple[float, float], ...] = ()
     """Where the discs are, if the source knows."""
+    keypad: bool = False
+    """In keypad mode: touches tell a PIN."""
 
 
 class FrameFeed:
@@ -61,6 +63,7 @@ class FrameFeed:
 
     def __init__(self, describe: Callable[[], FeedDescription]) -> None:
         self._describe = describe
+        self._keypad = False
         self.listeners: list[socket.socket] = []
         """Programs that get each frame."""
 
@@ -71,7 +74,9 @@ class FrameFeed:
                 raise OSError(f"{MOST_LISTENERS} programs read already")
             listener.setblocking(False)
             listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER_BYTES)
-            listener.send(self._describe().model_dump_json().encode())
+            description = self._describe()
+            self._keypad = description.keypad
+            listener.send(description.model_dump_json().encode())
         except OSError as error:
             log.warning("no frames handed out", why=str(error))
             listener.close()
@@ -92,6 +97,11 @@ class FrameFeed:
                 listener.close()
                 self.listeners.remove(listener)
                 log.info("frames are no longer handed out", readers=len(self.listeners))
+
+    def configured(self) -> None:
+        """End all programs' streams if the plate has become a keypad: they may ask again, and are told so."""
+        if self.listeners and self._describe().keypad and not self._keypad:
+            self.close()
 
     def close(self) -> None:
         """End all programs' streams."""

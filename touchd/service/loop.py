@@ -243,6 +243,8 @@ class Service:
             self._manager.reloaded()
             self._flowing = "streaming" if self.pipeline.model else "uncalibrated"
             self._publish_plate()
+            if self._feed is not None:
+                self._feed.configured()
 
     def _set_screen(self, *, off: bool, now_ns: int) -> None:
         before = self.pipeline.screen_off

@@ -180,7 +180,8 @@ def calibrate(page: Browser) -> None:
     picture("verdict")
     step("verdict", word, page.find("document.querySelector('.fitted').innerText.slice(0, 200)"))
     page.press("Try this model")
-    page.until("document.body.innerText.includes('This model is in use.')")
+    page.press("Keep this model")
+    page.until("document.body.innerText.includes('In use: the fitted model.')")
     step("in-use")
 
 

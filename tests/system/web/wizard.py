@@ -45,7 +45,7 @@ _TAPS = [
     {"target_mm": (p := target_mm(n, 200.4, 149.8)), "found_mm": [p[0] + 0.4, p[1] - 0.3]} for n in range(13)
 ]  # fmt: skip
 _TARGET = target_mm(13, 200.4, 149.8)
-_FITTED = NOTHING | {"plate": PLATE, "untouched": True, "result": GOOD}
+_FITTED = NOTHING | {"plate": PLATE, "untouched": True, "result": GOOD, "runs": "before"}
 _X, _Y = np.meshgrid(np.linspace(-1, 1, 20), np.linspace(-1, 1, 20))
 _EXPECTED = {
     "mm": (0.1 + 0.3 * (_X**4 + _Y**4)).round(3).tolist(),
@@ -57,12 +57,14 @@ _TAPPING = _FITTED | {
     "running": "taps",
     "taps": _TAPS,
     "target_mm": _TARGET,
-    "installed": True,
+    "runs": "fitted",
+    "before": "",
     "expected": _EXPECTED,
 }
 _WISH = {"recording": "/var/lib/touchd/wizard/touches.npz", "recipe": "atlas"}
 _COMPARED = {
     "new": {"used": 13, "taps": 13, "scatter_mm": 0.61, "unexplained": 0.0034},
+    "tried": {"used": 12, "taps": 13, "scatter_mm": 0.83, "unexplained": 0.0067},
     "old": {"used": 9, "taps": 13, "scatter_mm": 1.87, "unexplained": 0.0212},
 }
 STATES: dict[str, dict[str, Any]] = {
@@ -72,22 +74,22 @@ STATES: dict[str, dict[str, Any]] = {
     "fit": NOTHING | {"plate": PLATE, "untouched": True, "running": "fit", "share": 0.63, "note": "candidates"},
     "verdict": _FITTED,
     "poor": _FITTED | {"result": POOR},
-    "screen": _FITTED | {"installed": True},
-    "mapped": _FITTED | {"installed": True, "mapping": MAPPING},
-    "crosses": _FITTED | {"installed": True, "running": "crosses", "cross": {"number": 2, "of": 4, "at": (0.9, 0.1)}},
+    "screen": _FITTED | {"runs": "fitted"},
+    "mapped": _FITTED | {"runs": "fitted", "mapping": MAPPING},
+    "crosses": _FITTED | {"runs": "fitted", "running": "crosses", "cross": {"number": 2, "of": 4, "at": (0.9, 0.1)}},
     "cross-shown": _FITTED | {
-        "installed": True, "running": "crosses", "cross": {"number": 3, "of": 4, "at": (0.9, 0.9)},
+        "runs": "fitted", "running": "crosses", "cross": {"number": 3, "of": 4, "at": (0.9, 0.9)},
     },
     "first-tap": _TAPPING | {"taps": [], "target_mm": target_mm(0, 200.4, 149.8)},
     "taps": _TAPPING | {"last": {"ok": True, "reason": "", "target_mm": _TAPS[-1]["target_mm"]},
-                        "told": {"scatter_mm": 0.61, "orientation": ""}},
+                        "told": {"scatter_mm": 0.61, "repeats": 2, "off_mm": 0.7, "orientation": ""}},
     "ring-shown": _TAPPING | {
         "mapping": MAPPING, "target_mm": (60.0, 50.0),
         "last": {"ok": False, "reason": "unsteady", "target_mm": _TAPS[-1]["target_mm"]},
     },
     "missed": _TAPPING | {
         "last": {"ok": False, "reason": "light", "target_mm": [60.0, 60.0]}, "expected": None,
-        "told": {"scatter_mm": 0.61, "orientation": "mirrored left to right"},
+        "told": {"scatter_mm": None, "repeats": 0, "off_mm": 0.7, "orientation": "mirrored left to right"},
     },
     "train": NOTHING | {
         "running": "train", "share": 0.4, "note": "network", "training": _WISH,
@@ -98,7 +100,7 @@ STATES: dict[str, dict[str, Any]] = {
     "untrainable": NOTHING | {
         "untrainable": "this needs torch, of the extra train -> in a clone of touchd: pip install '.[train]'",
     },
-    "compared": _TAPPING | {"running": None, "compared": _COMPARED, "last": None},
+    "compared": _TAPPING | {"running": None, "runs": "earlier", "before": "b5", "compared": _COMPARED, "last": None},
     "fault": NOTHING | {"plate": PLATE, "untouched": True, "problem": "untouched.npz: the plate was touched",
                         "fix": "take everything off the plate, and listen again"},
 }  # fmt: skip
@@ -115,10 +117,10 @@ class Wizard:
         self.ended = threading.Event()
         self.changed = threading.Condition()
 
-    def show(self, name: str) -> None:
-        """Say the state of a step."""
+    def show(self, name: str, **changes: Any) -> None:
+        """Say the state of a step, with changes to it."""
         with self.changed:
-            self.state = STATES[name] | {"step": name}
+            self.state = STATES[name] | {"step": name} | changes
             self.changed.notify_all()
 
 

@@ -71,6 +71,31 @@ def test_frames_arrive(control: Control, feed: FrameFeed) -> None:
     source.close()
 
 
+def test_keypad(control: Control) -> None:
+    """A plate that becomes a keypad while it runs ends the streams; who asks again is told, and is served."""
+    d = FeedDescription(acquisition=RIG, rate_hz=125, source="usb", plate=PLATE)
+    said = [d]
+    feed = FrameFeed(lambda: said[0])
+    mine, _ = ask(control)
+    feed.add(control.listeners.pop())
+    source = DaemonSource(mine)
+    assert not source.description.keypad
+    feed.configured()
+    assert source.read(0.01) is None
+    said[0] = d.model_copy(update={"keypad": True})
+    feed.configured()
+    with pytest.raises(EndOfStream):
+        source.read(1.0)
+    mine, _ = ask(control)
+    feed.add(control.listeners.pop())
+    again = DaemonSource(mine)
+    assert again.description.keypad
+    feed.configured()
+    assert again.read(0.01) is None
+    for each in (source, again, feed):
+        each.close()
+
+
 def test_slow_reader(control: Control, feed: FrameFeed) -> None:
     """A program that does not read loses frames; the daemon goes on, and what it reads later is whole."""
     mine, _ = ask(control)

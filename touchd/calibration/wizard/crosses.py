@@ -13,37 +13,50 @@ from typing import Any
 
 from touchd.bridges.crosses import Crosses, keys_of
 from touchd.bridges.fit import LEAST_TOUCHES, Mapping, Touched, fit
-from touchd.calibration.wizard.untouched import Stopped
+from touchd.calibration.wizard.untouched import Stopped, refuse_keypad
 from touchd.client import Subscriber
 from touchd.config.bridges import InputSettings
 from touchd.config.edit import set_keys
 from touchd.config.load import load
 from touchd.errors import BusTimeout, OutputError
+from touchd.event import PlateEvent
 from touchd.files import replacing
 
+SILENT_S = 3.0
+"""A daemon that runs says its health each second."""
 _LOOK_S = 0.2
 _TAKEN_S = 15.0
 """How long touchd-mapping.service may need."""
 
 
-def take_crosses(address: str | None, stop: threading.Event, due: Callable[[Any], object]) -> list[Touched]:
+def take_crosses(
+    address: str | None, stop: threading.Event, due: Callable[[Any], object], silent_s: float = SILENT_S
+) -> list[Touched]:
     """Take a touch at each cross; `due` is called with the next one, for the page.
+
+    While the daemon has said nothing for `silent_s` its `at` is None.
 
     Raises
     ------
     Stopped
         `stop` was set.
+    CalibrationError
+        The plate is a keypad.
     """
-    crosses = Crosses()
-    with Subscriber(address, max_age_s=None) as events:
+    crosses, shown, heard_s = Crosses(), None, time.monotonic()
+    with Subscriber(address, ("touch", "plate", "health"), max_age_s=None) as events:
         while crosses.due:
-            due({"number": len(crosses.taken) + 1, "of": LEAST_TOUCHES, "at": crosses.due})
-            while not stop.is_set():
-                with contextlib.suppress(BusTimeout):
-                    if crosses.feed(events.receive(_LOOK_S)):
-                        break
-            else:
+            silent = time.monotonic() - heard_s > silent_s
+            cross = {"number": len(crosses.taken) + 1, "of": LEAST_TOUCHES, "at": None if silent else crosses.due}
+            if cross != shown:
+                due(shown := cross)
+            if stop.is_set():
                 raise Stopped
+            with contextlib.suppress(BusTimeout):
+                event = events.receive(_LOOK_S)
+                heard_s = time.monotonic()
+                refuse_keypad(isinstance(event, PlateEvent) and bool(event.keys))
+                crosses.feed(event)
     return crosses.taken
 
 

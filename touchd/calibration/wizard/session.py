@@ -9,21 +9,20 @@ from typing import Any
 import numpy as np
 
 from touchd.calibration.place_correction import Widths
-from touchd.calibration.taps import ORIENTATIONS, Taps, orientation_of, refine, taps_of
+from touchd.calibration.taps import FITS, ORIENTATIONS, Taps, orientation_of, refine, scatter_of, taps_of, turned
 from touchd.calibration.wizard.error_map import ErrorMap
 from touchd.calibration.wizard.state import State
 from touchd.calibration.wizard.tapping import Tapped, Tapper
-from touchd.calibration.wizard.targets import target_mm
-from touchd.calibration.wizard.untouched import Stopped, meta_of
+from touchd.calibration.wizard.targets import AGAIN_AFTER, next_number, target_mm
+from touchd.calibration.wizard.untouched import Stopped, meta_of, refuse_keypad
 from touchd.errors import BusError, TouchdError
 from touchd.localization.atlas import Atlas, atlas_path, load_atlas
-from touchd.recording.data import Recording
+from touchd.recording.data import Meta, Recording
 from touchd.recording.format import read, write
 from touchd.service.frame_feed import DaemonSource
 from touchd.service.runner import frames_of
+from touchd.training.field.place import place
 
-AGAIN_AFTER = 4
-"""A target that was missed comes again after as many others."""
 LEAST_TO_TELL = 3
 """Taps from which on orientation and scatter are told."""
 
@@ -39,6 +38,7 @@ class Session:
     def __init__(self, state: State) -> None:
         self._state = state
         self._folder = state.taps
+        state.tidy()
 
     def collect(self, source: DaemonSource, stop: threading.Event) -> None:
         """Take taps until `stop` is set.
@@ -49,7 +49,10 @@ class Session:
             `stop` was set.
         BusError
             The daemon has ended.
+        CalibrationError
+            The plate is a keypad: what is tapped there may be a PIN, and none of it is kept.
         """
+        refuse_keypad(source.description.keypad)
         self._folder.mkdir(mode=0o700, exist_ok=True)
         state = self._state
         atlas = load_atlas(atlas_path(state.model))
@@ -63,18 +66,11 @@ class Session:
                 raise Stopped
             if frame is None:
                 continue
-            label = tuple(state["target_mm"])
-            tapped = tapper.feed(frame, (label[0], label[1]))
+            x_mm, y_mm = state["target_mm"]
+            tapped = tapper.feed(frame, (x_mm, y_mm))
             if tapped is None:
                 continue
-            again = [one for one in state["again"] if one[0] != number]
-            last = {"ok": not tapped.reason, "reason": tapped.reason, "target_mm": label, "found_mm": tapped.found_mm}
-            if tapped.reason:
-                again.append([number, len(state["taps"]) + AGAIN_AFTER])
-            else:
-                self._keep(tapped, meta, (label[0], label[1]))
-                state.set(taps=[*state["taps"], {"target_mm": label, "found_mm": tapped.found_mm}])
-            state.set(last=last, again=again, next=max(state["next"], number + 1))
+            self.take(tapped, meta, number)
             number = self._show_target()
             if not tapped.reason:
                 self._tell(atlas, errors)
@@ -82,12 +78,30 @@ class Session:
             tapper.orientation = ORIENTATIONS.index(told["orientation"]) if told else None
         raise BusError("the daemon has ended", "", "the taps go on once it runs")
 
+    def take(self, tapped: Tapped, meta: Meta, number: int) -> None:
+        """Keep a tap at the target of this number, or have the target come again.
+
+        The frames are written first: the state alone, in one change, says that they are there.
+        """
+        state = self._state
+        label, taps = tuple(state["target_mm"]), state["taps"]
+        again = [one for one in state["again"] if one[0] != number]
+        last = {"ok": not tapped.reason, "reason": tapped.reason, "target_mm": label, "found_mm": tapped.found_mm}
+        if tapped.reason:
+            again.append([number, len(taps) + AGAIN_AFTER])
+        else:
+            chunk = self._write(tapped, meta, (label[0], label[1]))
+            taps = [*taps, {"number": number, "chunk": chunk, "target_mm": label, "found_mm": tapped.found_mm}]
+        state.set(last=last, taps=taps, again=again, next=max(state["next"], number + 1))
+
     def undo(self) -> None:
-        """Take back the last good tap."""
-        chunks = sorted(self._folder.glob("*.npz"))
-        if chunks:
-            chunks[-1].unlink()
-            self._state.set(taps=self._state["taps"][:-1], last=None)
+        """Take back the last good tap: its target is the next one."""
+        state = self._state
+        if taps := state["taps"]:
+            number = taps[-1]["number"]
+            again = [[number, 0], *(one for one in state["again"] if one[0] != number)]
+            state.set(taps=taps[:-1], again=again, last=None)
+            state.tidy()
             self.tell()
 
     def tell(self) -> None:
@@ -106,18 +120,21 @@ class Session:
         told, orientation = None, 0
         if taps is not None and len(self._state["taps"]) >= LEAST_TO_TELL:
             orientation = orientation_of(atlas, taps)
-            found = np.array([tap["found_mm"] for tap in self._state["taps"]])
-            label = np.array([tap["target_mm"] for tap in self._state["taps"]])
-            apart = np.linalg.norm(found - label, axis=1)
-            told = {"scatter_mm": float(np.sqrt(np.square(apart).mean() / 2)), "orientation": ORIENTATIONS[orientation]}
+            p = atlas.description.plate
+            label_mm = turned(taps.label_mm, orientation, (p.width_mm, p.height_mm))
+            placed = place(atlas, taps.values, label_mm)
+            fits = placed.misfit < FITS
+            scatter_mm, repeats = scatter_of(label_mm[fits], placed.position_mm[fits])
+            off_mm = float(np.median(np.linalg.norm(placed.position_mm - label_mm, axis=1)))
+            told = {"scatter_mm": scatter_mm, "repeats": repeats, "off_mm": off_mm,
+                    "orientation": ORIENTATIONS[orientation]}  # fmt: skip
         # Taps on a drawing that is turned tell nothing of places on it.
         self._state.set(told=told, expected=None if orientation or not errors else errors.shown(taps))
 
     def _show_target(self) -> int:
         """Show the next target, and return its number."""
         state = self._state
-        due = [number for number, when in state["again"] if len(state["taps"]) >= when]
-        number: int = due[0] if due else state["next"]
+        number = next_number(state["again"], state["next"], len(state["taps"]))
         left_mm, top_mm, wide_mm, high_mm = self._area_mm()
         x_mm, y_mm = target_mm(number, wide_mm, high_mm)
         state.set(target_mm=(round(left_mm + x_mm, 1), round(top_mm + y_mm, 1)))
@@ -132,21 +149,21 @@ class Session:
         left, top = max(x, 0.0), max(y, 0.0)
         return left, top, min(x + wide, p.width_mm) - left, min(y + high, p.height_mm) - top
 
-    def _keep(self, tapped: Tapped, meta: Any, label_mm: tuple[float, float]) -> None:
-        """Write a tap as the recording's next chunk."""
-        chunks = sorted(self._folder.glob("*.npz"))
-        sequence = t_ns = 0
-        if chunks:
-            before = read(chunks[-1])
+    def _write(self, tapped: Tapped, meta: Meta, label_mm: tuple[float, float]) -> str:
+        """Write a tap as the recording's next chunk, and return its name."""
+        name, sequence, t_ns = "0000.npz", 0, 0
+        if taps := self._state["taps"]:
+            before = read(self._folder / taps[-1]["chunk"])
+            name = f"{int(Path(taps[-1]['chunk']).stem) + 1:04d}.npz"
             sequence, t_ns = int(before.sequence[-1]) + 1, int(before.timestamp_ns[-1]) + 1_000_000_000
         count = len(tapped.frames)
         period_ns = round(1e9 / meta.frame_rate_hz)
         contacts = np.full((count, 1, 2), np.nan, np.float32)
         contacts[count - tapped.touched :, 0] = label_mm
-        name = f"{int(chunks[-1].stem) + 1 if chunks else 0:04d}.npz"
         write(self._folder / name, Recording(
             meta, tapped.frames, sequence + np.arange(count), t_ns + period_ns * np.arange(count), contacts
         ))  # fmt: skip
+        return name
 
 
 def compare(state: State, models: dict[str, Path]) -> dict[str, Any]:

@@ -14,15 +14,16 @@ from touchd.files import replacing
 NOTHING: dict[str, Any] = {
     "running": None, "share": 0.0, "note": "", "problem": "", "fix": "", "plate": None, "untouched": False,
     "result": None, "taps": [], "again": [], "next": 0, "target_mm": None, "last": None, "told": None,
-    "installed": False, "compared": None, "cross": None, "mapping": None, "expected": None,
+    "runs": "", "before": None, "compared": None, "cross": None, "mapping": None, "expected": None,
     "log": [], "training": None, "trained": None, "untrainable": "",
 }  # fmt: skip
-"""`running` is `untouched`, `fit`, `crosses`, `taps`, `train` or None; `taps` are the places tapped, each with its
-label; `mapping` is where the configuration has the screen; `expected` is the map of the expected error; `installed` is
-whether the fitted model is in use, or "trained"; `training` is what to train on and how, `trained` what came of it, and
-`untrainable` why this computer cannot."""
+"""`running` is `untouched`, `fit`, `crosses`, `taps`, `train` or None; `taps` are the good taps: number and place of
+the target, where the finger was found, and the chunk with its frames; `again` are numbers of targets that come again,
+each with the count of good taps from which on; `mapping` is where the configuration has the screen; `expected` is the
+map of the expected error; `runs` and `before` are those of `Trial`; `training` is what to train on and how, `trained`
+what came of it, and `untrainable` why this computer cannot."""
 _FLEETING = frozenset({"share", "note", "log"})
-_LASTING = ("plate", "mapping", "training", "trained", "untrainable")
+_LASTING = ("plate", "mapping", "training", "trained", "untrainable", "runs", "before")
 
 
 class State:
@@ -39,10 +40,11 @@ class State:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         self._lock = threading.Lock()
         self._known = dict(NOTHING)
-        with contextlib.suppress(OSError, ValueError):
-            self._known |= json.loads((folder / "state.json").read_bytes())
         self.version = 0
         """Counts the changes."""
+        with contextlib.suppress(OSError, ValueError):
+            self._known |= json.loads((folder / "state.json").read_bytes())
+        self.tidy()
 
     def __getitem__(self, name: str) -> Any:
         with self._lock:  # what is told is on disk
@@ -51,11 +53,12 @@ class State:
     def set(self, **changes: Any) -> None:
         """Change fields, and keep them on disk, all but progress."""
         with self._lock:
-            self._known |= changes
-            self.version += 1
+            known = self._known | changes
             if changes.keys() - _FLEETING:
                 with replacing(self.folder / "state.json", mode=0o600) as file:
-                    file.write(json.dumps(self._known).encode())
+                    file.write(json.dumps(known).encode())
+            self._known = known
+            self.version += 1
 
     def all(self) -> dict[str, Any]:
         """Return all fields."""
@@ -68,16 +71,28 @@ class State:
 
     def set_plate(self, tables: dict[str, Any]) -> None:
         """Take what a person measured; PlateFileInvalid says what is wrong with it."""
-        said = check_plate_file(tables, "measures")
+        said = check_plate_file(tables, "measures").model_dump(mode="json", exclude_unset=True, exclude_none=True)
         with replacing(self.plate_file, mode=0o600) as file:
-            file.write(to_toml(tables).encode())
-        self.set(plate=said.model_dump(mode="json", exclude_unset=True), problem="")
+            file.write(to_toml(said).encode())
+        self.set(plate=said, problem="")
 
     def begin_again(self) -> None:
         """Forget all but the measures, the mapping and the training."""
-        for chunk in self.taps.glob("*.npz"):
-            chunk.unlink()
         self.set(**NOTHING | {name: self[name] for name in _LASTING})
+        self.tidy()
+
+    def tidy(self) -> None:
+        """Remove frames of taps that the state does not name, and taps without frames.
+
+        Frames are written before the state that names them, and removed after it: this process may end in between.
+        """
+        taps = [tap for tap in self["taps"] if (self.taps / str(tap.get("chunk"))).is_file()]
+        if taps != self["taps"]:
+            self.set(taps=taps)
+        known = {tap["chunk"] for tap in taps}
+        for file in self.taps.iterdir() if self.taps.is_dir() else ():
+            if file.name not in known:
+                file.unlink()
 
     @property
     def plate_file(self) -> Path:

@@ -10,7 +10,7 @@ import numpy as np
 
 from touchd.calibration.plate_file import PlateFile
 from touchd.config.schema import Settings
-from touchd.errors import BusError
+from touchd.errors import BusError, CalibrationError
 from touchd.frame import Plate
 from touchd.outcome import Outcome
 from touchd.pipeline import Pipeline
@@ -38,6 +38,15 @@ def open_feed(control: Path) -> DaemonSource:
     if source is None:
         raise BusError("no daemon runs there", str(control), "start it: systemctl start touchd")
     return source
+
+
+def refuse_keypad(keypad: bool) -> None:
+    """Raise CalibrationError on a keypad: what is tapped there may be a PIN, and nothing of it is to be kept."""
+    if keypad:
+        raise CalibrationError(
+            "the plate is a keypad: its taps would tell the PIN, so none are taken", "keypad.layout",
+            "while nobody types: comment it out, systemctl reload touchd, tap, and put it back",
+        )  # fmt: skip
 
 
 def meta_of(source: DaemonSource, said: PlateFile) -> Meta:

@@ -22,11 +22,10 @@ from touchd.calibration.wizard.crosses import keep, take_crosses
 from touchd.calibration.wizard.link import MOST_BYTES
 from touchd.calibration.wizard.session import Session, compare
 from touchd.calibration.wizard.state import State
+from touchd.calibration.wizard.trial import Trial
 from touchd.calibration.wizard.untouched import Stopped, open_feed, take_untouched
 from touchd.calibration.wizard.verbs import fit, train
-from touchd.errors import BusError, CalibrationError, TouchdError
-from touchd.localization.model_file import install, previous_path, rollback
-from touchd.service.control import send
+from touchd.errors import BusError, CalibrationError, RecordingMissing, TouchdError
 from touchd.service.systemd import Notifier
 
 PICTURES = ("response.png", "residual.png", "expected-error.png")
@@ -67,6 +66,7 @@ class Worker:
         bus: str | None = None,
     ) -> None:  # fmt: skip
         self._state, self._control, self._target, self._seconds = state, control, target, seconds
+        self._trial = Trial(state, target, control)
         self._config, self._handed, self._bus = config, handed, bus
         self._one = threading.Lock()
         self._stop = threading.Event()
@@ -81,6 +81,7 @@ class Worker:
 
     def resume(self) -> None:
         """Go on with the job that was running."""
+        self._trial.look()
         if self._state["running"]:
             self._run(self._state["running"])
 
@@ -96,7 +97,7 @@ class Worker:
         name = str(asked.get("do"))
         try:
             with self._one:
-                if name in ENDING and self._state["running"] in LONG:
+                if name in (*ENDING, "try") and self._state["running"] in LONG:
                     raise CalibrationError("a fit or a training runs", "", "wait for its end, or stop it first")
                 found = self._commands()[name](asked)
         except KeyError:
@@ -112,7 +113,7 @@ class Worker:
             "fit": lambda _: self._run("fit"),
             "taps": lambda _: self._run("taps"), "crosses": lambda _: self._run("crosses"), "train": self._ask_to_train,
             "pause": lambda _: self._halt(), "undo": lambda _: self._undo(),
-            "install": self._install, "rollback": lambda _: self._rollback(),
+            "try": self._try, "take": lambda _: self._trial.take(), "rollback": lambda _: self._trial.go_back(),
             "compare": lambda _: self._compare(), "begin": lambda _: self._begin(), "picture": self._picture,
         }  # fmt: skip
 
@@ -130,25 +131,21 @@ class Worker:
             self._run(running)
 
     def _ask_to_train(self, asked: dict[str, Any]) -> None:
-        self._state.set(training={name: str(asked[name]) for name in ("recording", "recipe")})
+        wish = {name: str(asked[name]) for name in ("recording", "recipe")}
+        if not os.access(wish["recording"], os.R_OK):
+            raise RecordingMissing(
+                "is not there, or not for this process to read", wish["recording"],
+                "check the path; the service sees no home folder: sudo install -m 644 FILE /var/lib/touchd/",
+            )  # fmt: skip
+        self._state.set(training=wish)
         self._run("train")
 
-    def _install(self, asked: dict[str, Any]) -> None:
-        trained = asked.get("model") == "trained"
-        self._target.parent.mkdir(parents=True, exist_ok=True)
-        install(self._state.trained if trained else self._state.model, self._target)
-        self._state.set(installed="trained" if trained else True)
-        self._tell()
-
-    def _rollback(self) -> None:
-        rollback(self._target)
-        self._state.set(installed=False)
-        self._tell()
+    def _try(self, asked: dict[str, Any]) -> None:
+        self._trial.begin(self._state.trained if asked.get("model") == "trained" else self._state.model)
 
     def _compare(self) -> None:
-        others = {"new": self._state.model, "old": previous_path(self._target) if self._state["installed"] else
-                  self._target}  # fmt: skip
-        self._state.set(compared=compare(self._state, {name: path for name, path in others.items() if path.exists()}))
+        models = {"new": self._state.model} | self._trial.others()
+        self._state.set(compared=compare(self._state, {name: path for name, path in models.items() if path.exists()}))
 
     def _begin(self) -> None:
         self._halt()
@@ -160,10 +157,6 @@ class Worker:
             return {"ok": False, "problem": "no such picture"}
         content = (Path(self._state["result"]["report"]) / name).read_bytes()
         return {"png": base64.b64encode(content).decode()}
-
-    def _tell(self) -> None:
-        with contextlib.suppress(BusError):  # the next daemon takes it
-            send(self._control, "reload")
 
     # -- jobs ----------------------------------------------------------------------------------------
 
@@ -208,13 +201,16 @@ class Worker:
     def _fit_now(self, stop: threading.Event) -> None:
         self._state.set(running="fit", share=0.0, note="")
         result = fit(self._state, stop, self._progress)
-        self._state.set(result=result, compared=None, installed=False, expected=None)
+        self._trial.look()
+        self._state.set(result=result, compared=None, expected=None)
         if result["model"] and self._state["taps"]:
             Session(self._state).tell()
         self._state.set(running=None, note="")
 
     def _train(self, stop: threading.Event) -> None:
-        self._state.set(running=None, trained=train(self._state, stop, self._progress), note="")
+        trained = train(self._state, stop, self._progress)
+        self._trial.look()
+        self._state.set(running=None, trained=trained, note="")
 
     def _tap(self, stop: threading.Event) -> None:
         session = Session(self._state)

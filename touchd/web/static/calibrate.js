@@ -5,6 +5,7 @@ import { measures } from './measures.js';
 import { drawing } from './drawing.js';
 import { onScreen, stage } from './stage.js';
 import { training } from './training.js';
+import { trial } from './trial.js';
 
 const UNSEEN_MS = 8000;
 const PICTURES = ['response.png', 'residual.png', 'expected-error.png'];
@@ -31,7 +32,7 @@ export function mount(root, page) {
   const tapOn = element('button', { type: 'button', class: 'primary', onclick: () => showOn('taps') }, t.taps.on_screen);
   const tap = button(t.taps.start, 'taps'), pause = button(t.taps.pause, 'pause');
   const undo = button(t.taps.undo, 'undo'), refine = button(t.taps.refine, 'fit');
-  const learning = training(t.train, act);
+  const learning = training(t.train, act), inUse = trial(t.trial, act);
   const panel = (name, ...parts) => element('section', { class: 'panel', 'data-panel': name }, element('h2', {}, t.steps[name]), ...parts);
   const panels = [
     panel('measures', element('p', { class: 'muted' }, t.measures.hint), form.root),
@@ -44,7 +45,7 @@ export function mount(root, page) {
       element('div', {}, tapped, told, expected, scale, element('div', { class: 'row' }, tapOn, tap, pause, undo, refine)))),
     panel('train', element('p', { class: 'muted' }, t.train.hint), learning.root),
   ];
-  root.append(steps, problem, ...panels, overlay.root);
+  root.append(steps, problem, inUse.root, ...panels, overlay.root);
   let shown = '', awaited = '', unseen = false, timer = 0, reached = '', chosen = '', staged = '', begun = false;
 
   async function act(command) {
@@ -74,16 +75,16 @@ export function mount(root, page) {
   }
 
   function update(state) {
-    for (const each of panels) each.hidden = true;
+    for (const each of [inUse.root, ...panels]) each.hidden = true;
     steps.hidden = !state.wizard;
     if (!state.wizard) { overlay.close(); fault(...t.no_wizard); return; }
     if (state.problem || state.running) fault(state.problem, state.fix);
     else if (problem.textContent.startsWith(t.no_wizard[0])) fault('');
-    const { running, plate, result } = state, listening = running === 'untouched', fitting = running === 'fit', taught = running === 'train';
-    const step = listening ? 'untouched' : fitting ? 'fit' : taught ? 'train' : running === 'taps' ? 'taps' : running === 'crosses' ? 'screen' : result ? 'verdict' : plate ? 'untouched' : 'measures';
+    const { running: job, plate, result } = state, listening = job === 'untouched', fitting = job === 'fit', taught = job === 'train';
+    const step = listening ? 'untouched' : fitting ? 'fit' : taught ? 'train' : job === 'taps' ? 'taps' : job === 'crosses' ? 'screen' : result ? 'verdict' : plate ? 'untouched' : 'measures';
     if (step !== reached && !['screen', 'train'].includes(reached)) chosen = step; // what came of these is looked at where it was
     reached = step;
-    const open = { measures: true, untouched: plate, fit: state.untouched || fitting, verdict: result && !fitting, screen: (state.installed || state.mapping) && !fitting, taps: result?.model && !fitting, train: true };
+    const open = { measures: true, untouched: plate, fit: state.untouched || fitting, verdict: result && !fitting, screen: (state.runs || state.mapping) && !fitting, taps: result?.model && !fitting, train: true };
     for (const { firstChild: each } of steps.children) {
       if (each.dataset.step === chosen) each.setAttribute('aria-current', 'step');
       else each.removeAttribute('aria-current');
@@ -110,6 +111,7 @@ export function mount(root, page) {
       : fitting ? t.fit.running(t.fit.stages[state.note] ?? t.fit.stages.fit)
       : taught ? t.train.running(t.train.stages[state.note] ?? '') : '');
     doing.dataset.level = listening && state.note ? 'warning' : 'ok';
+    inUse.show(state);
     if (result) showVerdict(state);
     showScreen(state);
     showTaps(state);
@@ -126,18 +128,18 @@ export function mount(root, page) {
   }
 
   // Shows on the whole screen what the job asks for; without the job, nothing.
-  function showMark({ running, cross, target_mm: target, mapping }) {
+  function showMark({ running, cross, target_mm: target, mapping, note }) {
     if (running !== staged) {
       if (begun) overlay.close();
       return;
     }
     begun = true;
-    if (staged === 'crosses') overlay.show('cross', cross?.at, cross ? t.stage.cross(cross.number, cross.of) : '', unseen ? t.taps.unseen : '', 'warning');
-    else overlay.show('ring', target && onScreen(target, mapping), t.stage.target, tapped.textContent, tapped.dataset.level);
+    if (staged === 'crosses') overlay.show('cross', cross?.at, cross ? t.stage.cross(cross.number, cross.of) : '', cross && !cross.at ? t.stage.silent : unseen ? t.taps.unseen : '', 'warning');
+    else overlay.show('ring', target && !note && onScreen(target, mapping), t.stage.target, tapped.textContent, tapped.dataset.level);
   }
 
-  function showVerdict({ result, installed, compared, taps }) {
-    const key = JSON.stringify([result, installed, compared, taps.length > 0]);
+  function showVerdict({ result, runs, compared, taps }) {
+    const key = JSON.stringify([result, runs, compared, taps.length > 0]);
     if (key === shown) return;
     const fresh = JSON.stringify(result) !== verdict.dataset.result;
     shown = key;
@@ -148,9 +150,8 @@ export function mount(root, page) {
       element('figure', {}, element('img', { src: `calibrate/picture/${name}?${fresh ? Date.now() : ''}`, alt: v.pictures[name], loading: 'lazy' }),
         element('figcaption', {}, v.pictures[name])));
     const row = element('div', { class: 'row' });
-    if (result.model && installed !== true) row.append(button(v.install, 'install', true));
-    if (installed === true) row.append(element('p', { class: 'verdict', 'data-level': 'ok' }, v.installed), button(v.rollback, 'rollback'),
-      element('button', { type: 'button', onclick: () => choose('screen') }, t.screen.next));
+    if (result.model && runs !== 'fitted') row.append(button(v.try, 'try', true));
+    if (runs) row.append(element('button', { type: 'button', onclick: () => choose('screen') }, t.screen.next));
     if (result.model && taps.length) row.append(button(v.compare, 'compare'));
     row.append(button(v.begin, 'begin'));
     const comparison = Object.entries(compared ?? {}).map(([name, one]) =>
@@ -172,7 +173,7 @@ export function mount(root, page) {
     pause.hidden = !tapping;
     undo.hidden = refine.hidden = !taps.length;
     pane.root.toggleAttribute('hidden', !tapping && !taps.length); // an SVG has no property `hidden`
-    if (plate) pane.show(plate, taps, tapping ? target : null, last, heat);
+    if (plate) pane.show(plate, taps, tapping && !note ? target : null, last, heat);
     scale.hidden = !heat;
     say(expected, heat ? t.taps.expected(number(heat.median_mm, 2), number(heat.fitted_mm, 2), taps.length) : '');
     say(most, heat ? `${number(heat.top_mm, 1)} ${texts.units.mm}` : '');
@@ -181,7 +182,7 @@ export function mount(root, page) {
     const result = last && !unseen ? (last.ok ? `✓ ${t.taps.good}` : `✕ ${t.taps.reasons[last.reason]}`) : '';
     const missing = tapping && (note || (unseen ? t.taps.unseen : !last && t.taps.waiting));
     say(tapped, [t.taps.count(taps.length), result, missing].filter(Boolean).join(' · '));
-    say(told, known ? [t.taps.scatter(number(known.scatter_mm, 1)), known.orientation && t.taps.turned(known.orientation)].filter(Boolean).join(' ') : '');
+    say(told, known ? [known.repeats ? t.taps.scatter(number(known.scatter_mm, 1), known.repeats) : t.taps.off(number(known.off_mm, 1)), known.orientation && t.taps.turned(known.orientation)].filter(Boolean).join(' ') : '');
   }
 
   // Notices when no tap comes for some seconds: one that the gate does not see changes nothing in the state.

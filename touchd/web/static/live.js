@@ -41,6 +41,7 @@ export function mount(root, page) {
     feed.on('batch', () => say(age, feed.dataAgeMs !== null ? texts.age(Math.round(feed.dataAgeMs)) : '')),
     status.onStale(stale => {
       plate.set('stale', stale);
+      if (stale) plate.clear(); // nobody knows where the fingers are
       root.classList.toggle('stale', stale);
     }),
   ];

@@ -18,7 +18,8 @@ export function measures(t, save) {
         element('button', { type: 'button', onclick: () => change(all => all.length > 1 && all.pop()) }, t.less))),
     picture.root);
   root.addEventListener('input', draw);
-  let shown = null;
+  root.addEventListener('change', event => event.target.name === 'edge' && change(() => {}));
+  let shown = null, kept = {}; // what a PLATE.toml says beyond the form
 
   function input(name, text, value) {
     return element('label', {}, element('span', {}, text),
@@ -30,13 +31,15 @@ export function measures(t, save) {
   }
 
   function fill({ plate, discs }) {
+    const sides = typeof plate.edge === 'object';
     const materials = Object.fromEntries(t.materials.map(name => [name, name]));
     const place = (name, text, [x, y]) => element('fieldset', {}, element('legend', {}, text),
       input(`${name}.x`, t.x, x), input(`${name}.y`, t.y, y));
     fields.replaceChildren(
       ...['width_mm', 'height_mm', 'thickness_mm'].map(name => input(name, t[name], plate[name])),
-      select('material', t.material, materials, plate.material),
-      select('edge', t.edge, t.edges, typeof plate.edge === 'string' ? plate.edge : 'free'),
+      select('material', t.material, { ...materials, ...(kept.plate?.young_gpa && { '': t.constants }) }, plate.material ?? ''),
+      select('edge', t.edge, { ...t.edges, each: t.each }, sides ? 'each' : plate.edge ?? 'free'),
+      ...(sides ? Object.entries(t.sides).map(([side, text]) => select(`edge.${side}`, `${t.edge}: ${text}`, t.edges, plate.edge[side] ?? 'free')) : []),
       input('diameter_mm', t.diameter_mm, discs.diameter_mm), place('emitter', t.emitter, discs.emitter_mm),
       ...discs.receivers_mm.map((at, index) => place(`receiver${index}`, t.receiver(index + 1), at)));
     draw();
@@ -46,9 +49,11 @@ export function measures(t, save) {
     const said = Object.fromEntries(new FormData(root)), value = name => parseFloat(String(said[name]).replace(',', '.'));
     const place = name => [value(`${name}.x`), value(`${name}.y`)], receivers_mm = [];
     while (`receiver${receivers_mm.length}.x` in said) receivers_mm.push(place(`receiver${receivers_mm.length}`));
+    const edge = said.edge !== 'each' ? said.edge : Object.fromEntries(Object.keys(t.sides).map(side => [side, said[`edge.${side}`] ?? 'free']));
+    const material = said.material ? { material: said.material, young_gpa: undefined, poisson: undefined, density_kg_m3: undefined } : {};
     return {
-      plate: { width_mm: value('width_mm'), height_mm: value('height_mm'), thickness_mm: value('thickness_mm'), material: said.material, edge: said.edge },
-      discs: { diameter_mm: value('diameter_mm'), emitter_mm: place('emitter'), receivers_mm },
+      plate: { ...kept.plate, width_mm: value('width_mm'), height_mm: value('height_mm'), thickness_mm: value('thickness_mm'), ...material, edge },
+      discs: { ...kept.discs, diameter_mm: value('diameter_mm'), emitter_mm: place('emitter'), receivers_mm },
     };
   }
 
@@ -68,6 +73,7 @@ export function measures(t, save) {
     const key = JSON.stringify(plate);
     if (!plate || key === shown) return;
     shown = key;
+    kept = plate;
     fill(plate);
   }
   return { root, show };

@@ -4,7 +4,8 @@ import { colour, element, number, onTheme, say } from './dom.js';
 const POINTS = 300; // seconds of health
 const CHART_MS = 100;
 const LEAST_FIT = 0.98;
-const PPM_PER_KELVIN = -45; // of glass
+// Of glass, the twin's only coefficient. Messages do not name the plate's material: others have others.
+const PPM_PER_KELVIN = -45;
 
 function panel(name, title, ...children) {
   return element('section', { class: `panel ${name}` }, element('h2', {}, title), ...children);

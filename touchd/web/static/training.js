@@ -10,12 +10,11 @@ export function training(t, act) {
     element('div', { class: 'row' }, start));
   const why = element('p', { class: 'fix', hidden: true });
   const result = element('p', { role: 'status' }), log = element('pre', { class: 'log', tabindex: 0, 'aria-label': t.log });
-  const use = element('button', { type: 'button', onclick: () => act({ do: 'install', model: 'trained' }) }, t.install);
-  const back = element('button', { type: 'button', onclick: () => act({ do: 'rollback' }) }, t.rollback);
-  const root = element('div', {}, form, why, result, element('div', { class: 'row' }, use, back), log);
+  const use = element('button', { type: 'button', onclick: () => act({ do: 'try', model: 'trained' }) }, t.try);
+  const root = element('div', {}, form, why, result, element('div', { class: 'row' }, use), log);
   let known = null;
 
-  function show({ running, training: asked, trained, untrainable, installed, log: lines }) {
+  function show({ running, training: asked, trained, untrainable, runs, log: lines }) {
     const key = JSON.stringify(asked);
     if (asked && key !== known) { // once: what is being typed stays
       known = key;
@@ -25,10 +24,8 @@ export function training(t, act) {
     start.disabled = Boolean(untrainable);
     say(why, untrainable ? t.untrainable(untrainable.replaceAll(' -> ', ' → ')) : '');
     why.hidden = !untrainable;
-    const inUse = installed === 'trained';
-    say(result, trained && running !== 'train' ? `${t.trained(number(trained.scores.median_mm, 2), trained.scores.n)}${inUse ? ` ${t.installed}` : ''}` : '');
-    use.hidden = !trained || running === 'train' || inUse;
-    back.hidden = !inUse;
+    say(result, trained && running !== 'train' ? `${t.trained(number(trained.scores.median_mm, 2), trained.scores.n)}` : '');
+    use.hidden = !trained || running === 'train' || runs === 'trained';
     const low = log.scrollTop + log.clientHeight >= log.scrollHeight - 4;
     say(log, lines.join('\n'));
     log.hidden = !lines.length;

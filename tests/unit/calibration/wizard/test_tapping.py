@@ -30,24 +30,26 @@ class Plate:
         self.number = 0
         assert self.show([], 60) is None
 
-    def show(self, fingers: list[Finger], count: int, share: float = 1.0) -> Tapped | None:
+    def show(
+        self, fingers: list[Finger], count: int, share: float = 1.0, target_mm: Finger = TARGET_MM
+    ) -> Tapped | None:
         found = None
         change = 0.0
         if fingers:
             change = share * self.instrument.change([[Contact(x, y, 20.0, "silicone") for x, y in fingers]], [20.0])[0]
         for counts in self.frames(self.untouched + change, count):
             self.number += 1
-            found = self.tapper.feed(Frame(counts, self.number, self.number * PERIOD_NS, 0), TARGET_MM) or found
+            found = self.tapper.feed(Frame(counts, self.number, self.number * PERIOD_NS, 0), target_mm) or found
         return found
 
     def frames(self, signal: np.ndarray, count: int) -> Iterator[np.ndarray]:
         for k in range(count):
             yield self.digitiser.counts(signal[None].copy(), np.array([0.01 * k]))[0]
 
-    def tap(self, *fingers: Finger, count: int = 40, share: float = 1.0) -> Tapped:
+    def tap(self, *fingers: Finger, count: int = 40, share: float = 1.0, target_mm: Finger = TARGET_MM) -> Tapped:
         """Tap, lift, and return what is said."""
         assert self.show(list(fingers), count, share) is None
-        found = self.show([], 20)
+        found = self.show([], 20, target_mm=target_mm)
         assert found is not None
         return found
 
@@ -74,6 +76,12 @@ def test_light(plate: Plate) -> None:
     """A tap far lighter than those before is too light."""
     assert plate.tap(TARGET_MM).reason == ""
     assert plate.tap(TARGET_MM, share=0.1).reason == "light"
+
+
+def test_clipped(instrument: Instrument, atlas: Atlas) -> None:
+    """A tap at a gain that the converter cannot take is too loud."""
+    assert Plate(instrument, atlas, gain=4.0).tap(TARGET_MM).reason == "clipped"
+    assert Plate(instrument, atlas, gain=0.5).tap(TARGET_MM).reason != "clipped"
 
 
 def test_unsteady(plate: Plate) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from touchd.calibration.wizard.targets import REPEAT_BACK, REPEAT_EVERY, target_mm
+from touchd.calibration.wizard.targets import AGAIN_AFTER, REPEAT_BACK, REPEAT_EVERY, next_number, target_mm
 
 
 def test_cover() -> None:
@@ -19,8 +19,17 @@ def test_cover() -> None:
 
 
 def test_repeats() -> None:
-    """One target in ten is an earlier one; all others differ."""
+    """One target in five is an earlier one; all others differ."""
     last = REPEAT_EVERY - 1
     assert target_mm(last, 200.0, 100.0) == target_mm(last - REPEAT_BACK, 200.0, 100.0)
     others = {target_mm(k, 200.0, 100.0) for k in range(100) if k % REPEAT_EVERY != last}
-    assert len(others) == 90
+    assert len(others) == 80
+
+
+def test_again() -> None:
+    """A target that was missed comes again after four good taps at others, before new ones; until then new ones do."""
+    again = [[3, 2 + AGAIN_AFTER], [5, 2 + AGAIN_AFTER]]
+    assert [next_number(again, 6, good) for good in (2, 5)] == [6, 6]
+    assert next_number(again, 9, 6) == 3
+    assert next_number(again[1:], 9, 7) == 5
+    assert next_number([], 9, 8) == 9

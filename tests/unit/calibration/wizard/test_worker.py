@@ -6,6 +6,7 @@ import threading
 import time
 import tomllib
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -17,21 +18,22 @@ from hypothesis import strategies as st
 from tests.unit.bridges.events import contact, touch
 from touchd.bridges.fit import CROSSES, Touched
 from touchd.calibration.wizard import worker as worker_module
-from touchd.calibration.wizard.crosses import keep
+from touchd.calibration.wizard.crosses import keep, take_crosses
 from touchd.calibration.wizard.state import State, to_toml
 from touchd.calibration.wizard.untouched import Stopped
 from touchd.calibration.wizard.worker import ENDING, Worker
 from touchd.cli.main import main
 from touchd.config.load import load
 from touchd.errors import BridgeError, CalibrationError
-from touchd.event import Phase, encode
+from touchd.event import Event, Phase, PlateEvent, PlateKey, encode
 from touchd.localization.model import default_model_path
-from touchd.localization.model_file import install
+from touchd.localization.model_file import digest, install, previous_path, rollback
 
 PLATE: dict[str, Any] = {
     "plate": {"width_mm": 110.0, "height_mm": 90.0, "thickness_mm": 5.0, "material": "glass", "edge": "free"},
     "discs": {"diameter_mm": 6.0, "emitter_mm": [20.0, 50.0], "receivers_mm": [[12.0, 12.0], [98.0, 18.0]]},
 }
+SHIPPED = default_model_path()
 RESULT = {"verdict": "good", "expected_mm": 0.1, "reasons": [], "undecided": [], "model": "m", "report": None}
 
 
@@ -135,10 +137,13 @@ def test_training(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr(worker_module, "train", train)
     worker, _ = made(tmp_path)
-    asked = {"recording": "touches.npz", "recipe": "small"}
+    recording = tmp_path / "touches.npz"
+    asked = {"recording": str(recording), "recipe": "small"}
+    assert "/var/lib/touchd" in worker.answer({"do": "train"} | asked)["fix"]  # what its sandbox shows
+    recording.touch()
     worker.answer({"do": "train"} | asked)
     await_that(lambda: begun == [asked])
-    for name in ENDING:
+    for name in (*ENDING, "try"):  # half a model is none
         assert "stop it first" in worker.answer({"do": name} | asked)["fix"]
     worker.end()
     after, state = made(tmp_path)
@@ -210,25 +215,34 @@ def await_cross(state: State, number: int) -> None:
 
 
 @pytest.fixture
-def taps(tmp_path: Path) -> Iterator[Callable[[int, float, float], None]]:
-    """Publishes a tap of a number at a place, once there is a subscriber."""
+def publish(tmp_path: Path) -> Iterator[Callable[[str, Event], None]]:
+    """Publishes an event, once its topic has a subscriber."""
     context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
     socket = context.socket(zmq.XPUB)
     socket.setsockopt(zmq.LINGER, 0)
     socket.bind(f"ipc://{tmp_path}/bus")
     heard: list[bytes] = []
 
-    def tap(number: int, x_mm: float, y_mm: float) -> None:
-        while not heard:
+    def send(topic: str, event: Event) -> None:
+        while b"\x01" + topic.encode() not in heard:
             heard.append(socket.recv())
-        phases: tuple[Phase, ...] = ("down", "move", "up")
-        for seq, phase in enumerate(phases, 3 * number):
-            event = touch(contact(number, phase, x_mm, y_mm), seq=seq + 1, t_ns=time.monotonic_ns())
-            socket.send_multipart([b"touch", encode(event)])
+        socket.send_multipart([topic.encode(), encode(event)])
 
-    yield tap
+    yield send
     socket.close()
     context.term()
+
+
+@pytest.fixture
+def taps(publish: Callable[[str, Event], None]) -> Callable[[int, float, float], None]:
+    """Publishes a tap of a number at a place."""
+
+    def tap(number: int, x_mm: float, y_mm: float) -> None:
+        phases: tuple[Phase, ...] = ("down", "move", "up")
+        for seq, phase in enumerate(phases, 3 * number):
+            publish("touch", touch(contact(number, phase, x_mm, y_mm), seq=seq + 1, t_ns=time.monotonic_ns()))
+
+    return tap
 
 
 def test_crosses(tmp_path: Path, taps: Callable[[int, float, float], None]) -> None:
@@ -246,6 +260,39 @@ def test_crosses(tmp_path: Path, taps: Callable[[int, float, float], None]) -> N
     assert state["mapping"] == {"screen_mm": [10, 20, 80, 60], "rotate": 0, "residual_mm": 0}
     assert load(config).input.screen_mm == (10, 20, 80, 60)
     assert config.read_text().startswith("# mine\n")
+
+
+def test_crosses_on_a_keypad(tmp_path: Path, publish: Callable[[str, Event], None]) -> None:
+    """A keypad's touches are not taken for crosses: the job ends with what to do, and leaves no touch behind."""
+    worker, state = made(tmp_path)
+    (tmp_path / "config").mkdir()
+    worker.answer({"do": "crosses"})
+    plate = PlateEvent("d", 1, time.monotonic_ns(), "", 110, 90, 100, 3, 500, 5e5, (3e4, 1e5), "usb", None, [],
+                       [PlateKey("1", 10, 10, 20, 20)])  # fmt: skip
+    publish("plate", plate)
+    await_that(lambda: state["running"] is None)
+    assert "keypad" in state["problem"]
+    assert "reload" in state["fix"]
+    assert (state["cross"], state["mapping"], list((tmp_path / "config").iterdir())) == (None, None, [])
+
+
+def test_silent_crosses(tmp_path: Path, taps: Callable[[int, float, float], None]) -> None:
+    """A daemon that says nothing takes the cross away; one that speaks brings it back."""
+    shown: list[dict[str, Any]] = []
+    stop = threading.Event()
+
+    def take() -> None:
+        with suppress(Stopped):
+            take_crosses(f"ipc://{tmp_path}/bus", stop, shown.append, silent_s=0.1)
+
+    job = threading.Thread(target=take)
+    job.start()
+    await_that(lambda: len(shown) == 2)
+    assert [cross["at"] for cross in shown] == [CROSSES[0], None]
+    taps(0, 20, 30)
+    await_that(lambda: CROSSES[1] in [cross["at"] for cross in shown])
+    stop.set()
+    job.join()
 
 
 def test_refused_crosses(tmp_path: Path, taps: Callable[[int, float, float], None]) -> None:
@@ -299,17 +346,85 @@ def test_no_daemon(tmp_path: Path) -> None:
     worker.answer({"do": "pause"})
 
 
-def test_install(tmp_path: Path) -> None:
-    """A model is taken, the one before is kept, and one goes back to it; without one before that is said."""
+def test_first_model(tmp_path: Path) -> None:
+    """A model is tried where none ran, and taken; one cannot go back, which is said, and the trial stays one."""
     worker, state = made(tmp_path)
-    assert worker.answer({"do": "install"})["ok"] is False
-    install(default_model_path(), state.model)
-    assert worker.answer({"do": "install"}) == {"ok": True}
-    assert worker.answer({"do": "rollback"})["ok"] is False
-    install(default_model_path(), state.trained)
-    assert worker.answer({"do": "install", "model": "trained"}) == {"ok": True}
-    assert state["installed"] == "trained"
-    assert (worker.answer({"do": "rollback"}), state["installed"]) == ({"ok": True}, False)
+    worker.resume()
+    assert worker.answer({"do": "try"})["ok"] is False
+    assert (state["runs"], state["before"]) == ("", None)
+    install(SHIPPED, state.model)
+    assert worker.answer({"do": "try"}) == {"ok": True}
+    assert (state["runs"], state["before"]) == ("fitted", "")
+    assert "no model ran before" in worker.answer({"do": "rollback"})["problem"]
+    assert (state["runs"], state["before"]) == ("fitted", "")
+    assert worker.answer({"do": "take"}) == {"ok": True}
+    assert (state["runs"], state["before"]) == ("fitted", None)
+
+
+@pytest.mark.parametrize("restarted", [False, True])
+def test_trial(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, restarted: bool) -> None:
+    """However many models are tried, one goes back to the one from before; the state says which runs."""
+    worker, state = made(tmp_path)
+    target = tmp_path / "model.onnx"
+    install(SHIPPED, target)
+    worker.resume()
+    assert (state["runs"], state["before"]) == ("before", None)
+
+    def fit(fitted: State, *_: object) -> dict[str, Any]:
+        install(SHIPPED.with_name(f"{next(fitted_names)}.onnx"), fitted.model, keep=False)
+        return RESULT
+
+    fitted_names = iter(names := ("small", "grid10", "int8"))
+    monkeypatch.setattr(worker_module, "fit", fit)
+    for tried, name in enumerate(names):
+        worker.answer({"do": "fit"})
+        await_that(lambda state=state: state["running"] is None)  # type: ignore[misc]
+        assert state["runs"] == ("earlier" if tried else "before")
+        assert worker.answer({"do": "try"}) == {"ok": True}
+        assert (state["runs"], digest(target)) == ("fitted", digest(SHIPPED.with_name(f"{name}.onnx")))
+        if restarted:
+            worker, state = made(tmp_path)
+            worker.resume()
+    install(SHIPPED.with_name("time.onnx"), state.trained)
+    assert worker.answer({"do": "try", "model": "trained"}) == {"ok": True}
+    assert state["runs"] == "trained"
+    worker.answer({"do": "begin"})
+    assert state["before"]
+    assert worker.answer({"do": "rollback"}) == {"ok": True}
+    assert (state["runs"], state["before"], digest(target)) == ("before", None, digest(SHIPPED))
+
+
+def test_taken(tmp_path: Path) -> None:
+    """A model that was taken is the one to go back to from the next trial; the one from before it is the daemon's."""
+    worker, state = made(tmp_path)
+    target = tmp_path / "model.onnx"
+    install(SHIPPED, target)
+    install(SHIPPED.with_name("small.onnx"), state.model)
+    install(SHIPPED.with_name("time.onnx"), state.trained)
+    for asked in ({"do": "try"}, {"do": "take"}):
+        worker.answer(asked)
+    assert (state["runs"], digest(previous_path(target))) == ("fitted", digest(SHIPPED))
+    worker.answer({"do": "try", "model": "trained"})
+    worker.answer({"do": "rollback"})
+    assert (state["runs"], digest(target)) == ("fitted", digest(state.model))
+
+
+def test_others_change_the_model(tmp_path: Path) -> None:
+    """What `touchd model` does during a trial is seen: one is back already, or cannot go back, which is said."""
+    worker, state = made(tmp_path)
+    target = tmp_path / "model.onnx"
+    install(SHIPPED, target)
+    install(SHIPPED.with_name("small.onnx"), state.model)
+    worker.answer({"do": "try"})
+    rollback(target)
+    assert worker.answer({"do": "rollback"}) == {"ok": True}
+    assert (state["runs"], digest(target)) == ("before", digest(SHIPPED))
+    worker.answer({"do": "try"})
+    for _ in range(2):
+        install(SHIPPED.with_name("time.onnx"), target)
+    said = worker.answer({"do": "rollback"})
+    assert "kept no longer" in said["problem"]
+    assert said["fix"]
 
 
 def test_begin_again(tmp_path: Path) -> None:
@@ -318,7 +433,7 @@ def test_begin_again(tmp_path: Path) -> None:
     worker.answer({"do": "measures", "plate": PLATE})
     state.taps.mkdir()
     (state.taps / "0000.npz").write_bytes(b"tap")
-    state.set(result=RESULT, taps=[{}])
+    state.set(result=RESULT, taps=[{"chunk": "0000.npz"}])
     worker.answer({"do": "begin"})
     assert (state["result"], state["taps"], list(state.taps.iterdir())) == (None, [], [])
     assert state["plate"]["plate"]["width_mm"] == 110.0

@@ -1,0 +1,173 @@
+"""A session keeps each good tap once, whenever it is killed, and tells how well a person hits."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import signal
+import threading
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from tests.unit.calibration.plates import PLATE
+from tests.unit.calibration.wizard.test_tapping import Plate as Tapping
+from touchd.calibration.taps import scatter_of
+from touchd.calibration.wizard.session import Session
+from touchd.calibration.wizard.state import State
+from touchd.calibration.wizard.tapping import Tapped
+from touchd.calibration.wizard.targets import target_mm
+from touchd.errors import CalibrationError
+from touchd.frame import Plate
+from touchd.localization.atlas import Atlas, atlas_path, save_atlas
+from touchd.recording.data import Meta
+from touchd.recording.format import read
+from touchd.twin.instrument import Instrument
+from touchd.twin.simulate import meta_of
+
+META = Meta(sample_rate_hz=5e5, bits=16, full_scale_v=1.0, frame_rate_hz=100.0,
+            plate=Plate(width_mm=110, height_mm=90, thickness_mm=5))  # fmt: skip
+FRAMES = np.random.default_rng(1).integers(-999, 999, (6, 2, 50)).astype(np.int16)
+
+
+def take(folder: Path, number: int, reason: str = "") -> None:
+    """Take a tap at the target of a number."""
+    state = State(folder)
+    state.set(target_mm=(10.0 + number, 20.0))
+    Session(state).take(Tapped(reason, FRAMES, 4, found_mm=(10.5 + number, 20.0)), META, number)
+
+
+def undo(folder: Path) -> None:
+    session = Session(State(folder))
+    session.tell = lambda: None  # type: ignore[method-assign] # there is no model
+    session.undo()
+
+
+def killed_at(step: int, act: Callable[[], object]) -> bool:
+    """Run `act` in a process that is killed before its file operation of this number; return whether it came to it."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # threads of other tests hold nothing that is used here
+        child = os.fork()
+    if not child:
+        steps, ended = itertools.count(), 1
+
+        def mortal(real: Callable[..., None]) -> Callable[..., None]:
+            def call(*given: Any, **named: Any) -> None:
+                if next(steps) == step:
+                    os.kill(os.getpid(), signal.SIGKILL)
+                real(*given, **named)
+
+            return call
+
+        os.replace, os.unlink = mortal(os.replace), mortal(os.unlink)
+        try:
+            act()
+            ended = 0
+        finally:
+            os._exit(ended)
+    status = os.waitpid(child, 0)[1]
+    assert status in (0, signal.SIGKILL)
+    return status != 0
+
+
+def kept(folder: Path) -> list[int]:
+    """Return the numbers of the taps that a new process finds, each with its frames and no others."""
+    state = State(folder)
+    taps = state["taps"]
+    files = sorted(path.name for path in state.taps.iterdir())
+    assert files == [tap["chunk"] for tap in taps]
+    if taps:
+        recording = read(state.taps)
+        assert recording.contacts_mm is not None
+        places = recording.contacts_mm[~np.isnan(recording.contacts_mm[:, 0, 0]), 0][::4]
+        assert places.tolist() == [list(tap["target_mm"]) for tap in taps]
+    return [tap["number"] for tap in taps]
+
+
+@pytest.mark.parametrize(
+    ("act", "after"),
+    [(lambda folder: take(folder, 2), [0, 1, 2]), (undo, [0]), (lambda folder: State(folder).begin_again(), [])],
+)
+def test_killed(tmp_path: Path, act: Callable[[Path], object], after: list[int]) -> None:
+    """Killed before any of its changes to files, an act is done whole or not at all, and the next one goes on."""
+    for step in itertools.count():
+        folder = tmp_path / str(step)
+        State(folder).taps.mkdir()
+        for number in (0, 1):
+            take(folder, number)
+        killed = killed_at(step, lambda folder=folder: act(folder))  # type: ignore[misc]
+        found = kept(folder)
+        assert found in ([0, 1], after)
+        take(folder, 7)
+        assert kept(folder) == [*found, 7]
+        undo(folder)
+        assert kept(folder) == found
+        if not killed:
+            assert found == after
+            assert step >= 2, "the frames and the state are two changes"
+            break
+
+
+def test_undone_target(tmp_path: Path) -> None:
+    """A target whose tap is taken back is the next one; a missed one is not."""
+    folder = tmp_path / "state"
+    State(folder).taps.mkdir()
+    for number in (0, 1):
+        take(folder, number)
+    take(folder, 2, "unsteady")
+    undo(folder)
+    state = State(folder)
+    assert (state["again"][0], state["next"], state["last"]) == ([1, 0], 3, None)
+    take(folder, 1)
+    assert [number for number, _ in State(folder)["again"]] == [2]
+
+
+@pytest.mark.parametrize("scatter_mm", [0.4, 1.4])
+def test_scatter(scatter_mm: float) -> None:
+    """The scatter of repeats is what it is, whatever a model has wrong at each target; without repeats none is told."""
+    random = np.random.default_rng(3)
+    targets = random.uniform(10, 100, (150, 2))
+    wrong = 5.0 * random.standard_normal(targets.shape)
+    label = np.concatenate([targets, targets[:100], targets[:30]])
+    placed = np.concatenate([wrong, wrong[:100], wrong[:30]]) + label
+    placed += scatter_mm * random.standard_normal(placed.shape)
+    told, repeated = scatter_of(label, placed)
+    assert told == pytest.approx(scatter_mm, rel=0.15)  # of 130 differences along two axes, 6 % are one sigma
+    assert repeated == 100
+    assert scatter_of(targets, targets + wrong) == (None, 0)
+
+
+def test_told_scatter(tmp_path: Path, instrument: Instrument, atlas: Atlas) -> None:
+    """What is told of taps that miss their rings is how the finger scattered where a ring came again."""
+    state = State(tmp_path / "state")
+    state.taps.mkdir()
+    save_atlas(atlas, atlas_path(state.model))
+    state.set(result={})
+    session, plate, random = Session(state), Tapping(instrument, atlas), np.random.default_rng(2)
+    meta = meta_of(instrument, 100, "taps")
+    targets = np.array([target_mm(number, PLATE.width_mm, PLATE.height_mm) for number in range(15)])
+    fingers = targets + 1.4 * random.standard_normal(targets.shape)
+    for number, (target, finger) in enumerate(zip(targets, fingers, strict=True)):
+        state.set(target_mm=target.tolist())
+        session.take(plate.tap((finger[0], finger[1]), target_mm=(target[0], target[1])), meta, number)
+        if number == 3:
+            session.tell()
+            assert (state["told"]["scatter_mm"], state["told"]["repeats"]) == (None, 0)
+    session.tell()
+    true_mm, _ = scatter_of(targets, fingers)
+    assert (len(state["taps"]), state["told"]["repeats"]) == (15, 3)
+    assert state["told"]["scatter_mm"] == pytest.approx(true_mm, abs=0.1)
+
+
+def test_keypad(tmp_path: Path) -> None:
+    """On a keypad nothing is taken and nothing kept: what is tapped there may be a PIN."""
+    state = State(tmp_path / "state")
+    feed = cast("Any", SimpleNamespace(description=SimpleNamespace(keypad=True)))
+    with pytest.raises(CalibrationError, match="keypad"):
+        Session(state).collect(feed, threading.Event())
+    assert [path.name for path in state.folder.iterdir()] == []
