@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import signal
 from collections.abc import Iterator
+from operator import ge
 from pathlib import Path
 
 import pytest
-
-pytest.importorskip("playwright", reason="of the extra dev")
-
 from playwright.sync_api import Browser, Page, expect
 
 from tests.needs import need
@@ -21,6 +20,34 @@ from tests.system.web.wizard import STATES, wizard
 from touchd.localization.model import default_model_path
 
 STATUS = ".state-word"
+REASON = ".state-reason"
+SIZES = {(800, 480): (68, 42), (2560, 1440): (56, 35)}
+"""Of the screen, px: 7 inches and 27. The least font sizes there of state and reason, to be read from two metres."""
+FAULTS = """() => [
+    ...[...document.querySelectorAll('*')].filter(one => one.scrollWidth > one.clientWidth + 1 && (one ===
+        document.documentElement || /auto|scroll/.test(getComputedStyle(one).overflowX))).map(one => ['wide', one]),
+    ...[...document.querySelectorAll('button, nav a, input, select')].map(one => one.closest('.choice') ?? one)
+        .map(one => [one, one.getBoundingClientRect()])
+        .filter(([, { width, height }]) => width && Math.min(width, height) < 44).map(([one]) => ['small', one]),
+].map(([what, one]) => `${what} ${one.outerHTML.slice(0, 80)}`)"""
+"""What of a page is wider than its place, or smaller than a fingertip."""
+CROSSES = """() => {
+    const canvas = document.querySelector('.pane canvas'), { width, height } = canvas;
+    const data = canvas.getContext('2d').getImageData(0, 0, width, height).data;
+    let found = 0;
+    for (let i = 0; i < data.length; i += 4)
+        found += Math.abs(data[i] - 177) + Math.abs(data[i + 1] - 36) + Math.abs(data[i + 2] - 28) < 9;
+    return found;
+}"""
+"""Pixels of the colour that the truth alone has on a light plate."""
+ACCOUNTED = """() => {
+    const values = document.querySelectorAll(".budget .legend li:not([hidden]) b");
+    const shown = [...values].map(b => parseInt(b.textContent));
+    const frames = [...document.querySelectorAll('.figure')].find(one => one.textContent.startsWith('Frames'));
+    const off = shown.reduce((sum, n) => sum + n, 0) - parseInt(frames.querySelector('.value').textContent);
+    return shown.length > 1 && Math.abs(off) <= shown.length;
+}"""
+"""Whether the frames of the live budget are, but for rounding, all that there were in the second."""
 expect.set_options(timeout=PATIENCE_MS)
 
 
@@ -156,28 +183,38 @@ def test_phone_and_kiosk(browser: Browser, server: Web) -> None:
     with page(browser, server.url) as opened:
         for view in ("Live", "Check"):
             opened.get_by_role("link", name=view).click()
-            for wide, high in ((1024, 600), (1024, 900), (600, 1024), (1920, 1080), (390, 844)):
+            for wide, high in ((1024, 600), (1024, 900), (600, 1024), (1920, 1080), (390, 844), *SIZES):
                 opened.set_viewport_size({"width": wide, "height": high})
-                assert opened.evaluate("document.documentElement.scrollWidth") <= wide
+                assert opened.evaluate(FAULTS) == [], (view, wide, high)
                 fits = "one => { one.textContent = 'Uncalibrated'; return one.scrollWidth <= one.clientWidth; }"
                 assert opened.locator(STATUS).evaluate(fits), (view, wide, high)
-                sizes = "all => all.map(one => one.getBoundingClientRect()).map(r => Math.min(r.width, r.height))"
-                assert min(opened.locator("button:visible, nav a:visible").evaluate_all(sizes)) >= 44
 
 
-def test_accessible(browser: Browser, address: str, tmp_path: Path) -> None:
-    """axe-core finds nothing in any view, light and dark: names, roles, contrast AA."""
+def test_accessible(browser: Browser, tmp_path: Path) -> None:
+    """axe-core finds nothing in any view, light, dark and without a daemon: names, roles, contrast AA. Every view fits
+    a screen of 7 inches and one of 27; on both the state and its reason can be read from two metres."""
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "touchd/node"
     axe = Path(f"{os.environ.get('TOUCHD_NODE_DIR') or cache}-web") / "node_modules/axe-core/axe.min.js"
     need(axe.exists(), "axe-core is missing: docs/examples/install-node-zeromq.sh tests/system/web")
     violations = "async () => (await axe.run()).violations.map(v => [v.id, v.nodes[0].html])"
     options = ("--replay", "touchd/demo/session.npz", "--wizard", tmp_path / "wizard")
+    where = f"ipc://{tmp_path}/bus"
     with (
+        bus(where) as daemon,
         wizard(tmp_path / "wizard") as told,
-        web(address, *options) as server,
+        web(where, *options) as server,
         page(browser, server.url) as opened,
     ):
         opened.evaluate(axe.read_text())  # not as a script of the page, which its own rules forbid
+
+        def look(*what: str) -> None:
+            for scheme in ("light", "dark"):
+                opened.emulate_media(color_scheme="dark" if scheme == "dark" else "light")
+                assert opened.evaluate(violations) == [], (*what, scheme)
+            for wide, high in SIZES:
+                opened.set_viewport_size({"width": wide, "height": high})
+                assert opened.evaluate(FAULTS) == [], (*what, wide, high)
+
         for view in ("Live", "Replay", "Check", "Calibrate"):
             opened.get_by_role("link", name=view).click()
             if view == "Live":
@@ -188,13 +225,22 @@ def test_accessible(browser: Browser, address: str, tmp_path: Path) -> None:
                 if step:
                     told.show(step)
                     opened.wait_for_function("step => touchd.feed.last.calibrate?.step === step", arg=step)
-                for scheme in ("light", "dark"):
-                    opened.emulate_media(color_scheme="dark" if scheme == "dark" else "light")
-                    assert opened.evaluate(violations) == [], (view, step, scheme)
+                look(view, step)
         told.show("cross-shown")
         opened.get_by_role("button", name="Show the crosses here").click()
         expect(opened.locator(".stage .mark")).to_be_visible()
         assert opened.evaluate(violations) == [], "the crosses"
+        told.show("untrainable")
+        os.kill(daemon.pid, signal.SIGKILL)
+        for view in ("Check", "Live"):
+            opened.get_by_role("link", name=view).click()
+            expect(opened.locator(STATUS)).to_contain_text("No data for")
+            look(view, "without a daemon")
+            for (wide, high), least in SIZES.items():
+                opened.set_viewport_size({"width": wide, "height": high})
+                sizes = [float(opened.locator(one).evaluate("one => parseFloat(getComputedStyle(one).fontSize)"))
+                         for one in (STATUS, REASON)]  # fmt: skip
+                assert all(map(ge, sizes, least)), (view, wide, sizes)
 
 
 def test_unseen_tap(browser: Browser, address: str, tmp_path: Path) -> None:
@@ -266,14 +312,23 @@ def test_replay(browser: Browser, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("source", ["replay", "twin"])
 def test_daemon(browser: Browser, tmp_path: Path, source: str) -> None:
-    """A real daemon's finger reaches the page: of a recording, and of the twin live."""
+    """A real daemon's finger reaches the page, of a recording and of the twin live: against the truth, which goes when
+    the daemon dies, with the model's fit, and all frames accounted for."""
     where = f"ipc://{tmp_path}/bus"
     frames = ("--simulate", "circle") if source == "twin" else ("--replay", "touchd/demo/session.npz")
     with (
-        started(*frames, "--loop", "--bind", where, "--model", default_model_path()),
+        started(*frames, "--loop", "--bind", where, "--model", default_model_path()) as daemon,
         web(where) as server,
         page(browser, server.url, wide=1920, high=1080) as opened,
     ):
         expect(opened.locator(".fingers tbody tr")).to_have_count(1)
         opened.wait_for_function("() => touchd.feed.last.plate?.receivers_mm.length === 4")
         opened.wait_for_function("() => touchd.feed.last.spectrum?.features.length > 100")
+        expect(opened.locator(".fingers td.off")).to_have_text(re.compile(r"^0\.\d\d mm$"))
+        opened.wait_for_function(f"({CROSSES})() > 8")
+        expect(opened.locator(".figure", has_text="Model fit")).to_have_text(re.compile(r"9\d\.\d %$"))
+        opened.wait_for_function(ACCOUNTED)
+        os.kill(daemon.pid, signal.SIGKILL)
+        for seconds in (r"[34]", r"[5-9]"):
+            expect(opened.locator(STATUS)).to_have_text(re.compile(f"No data for {seconds} s"))
+        assert opened.evaluate(CROSSES) == 0

@@ -30,6 +30,7 @@ export const texts = {
     mm: 'mm',
     fingers: n => (n === 0 ? 'No finger on the plate' : n === 1 ? '1 finger on the plate' : `${n} fingers on the plate`),
   },
+  drawing: { width: mm => `x → ${mm} mm`, height: mm => `${mm} mm ← y` },
   fingers: {
     title: 'Fingers',
     none: 'No finger on the plate.',
