@@ -326,7 +326,8 @@ def test_daemon(browser: Browser, tmp_path: Path, source: str) -> None:
         opened.wait_for_function("() => touchd.feed.last.spectrum?.features.length > 100")
         expect(opened.locator(".fingers td.off")).to_have_text(re.compile(r"^0\.\d\d mm$"))
         opened.wait_for_function(f"({CROSSES})() > 8")
-        expect(opened.locator(".figure", has_text="Model fit")).to_have_text(re.compile(r"9\d\.\d %$"))
+        if source == "replay":  # it takes some lifted fingers
+            expect(opened.locator(".figure", has_text="Model fit")).to_have_text(re.compile(r"9\d\.\d %$"))
         opened.wait_for_function(ACCOUNTED)
         os.kill(daemon.pid, signal.SIGKILL)
         for seconds in (r"[34]", r"[5-9]"):
