@@ -81,7 +81,9 @@ def test_live(browser: Browser, server: Web) -> None:
         expect(opened.locator(".fingers tbody tr")).to_have_count(5)
         expect(opened.locator(".fingers tbody tr").nth(4)).to_contain_text("thumb")
         expect(opened.locator(".fingers tbody tr").first).to_contain_text("± 0.08 mm")
-        expect(opened.locator(".numbers")).to_contain_text("+0.9 K")
+        shown = (r"Latency, 99 %\s*[01]\.\d\d ms", r"Frames\s*\d+ /s", r"Lost\s*3", r"\+0\.9 K", r"Baseline\s*0\.4 s")
+        for figure in shown:
+            expect(opened.locator(".numbers")).to_contain_text(re.compile(figure))
         expect(opened.locator(".noise")).to_contain_text("4.9 counts")
         await_more(opened, 30)
         # The canvas is no longer of one colour where the fingers are.
@@ -94,7 +96,8 @@ def test_live(browser: Browser, server: Web) -> None:
 
 
 def test_token(browser: Browser, server: Web) -> None:
-    """The token leaves the address bar, and its cookie is out of reach of scripts; without it nothing acts."""
+    """The token leaves the address bar, and its cookie is out of reach of scripts; without it nothing acts.
+    Keyboard and touch act like the mouse, and each fault has its remedy."""
     with page(browser, server.url) as opened:
         expect(opened.locator(STATUS)).to_have_text("Working")
         assert "token" not in opened.url
@@ -102,12 +105,16 @@ def test_token(browser: Browser, server: Web) -> None:
         cookie = opened.context.cookies()[0]
         assert cookie["httpOnly"]
         assert cookie["sameSite"] == "Strict"
-        opened.get_by_role("link", name="Check").click()
-        opened.get_by_role("button", name="Examine", exact=True).click()
+        while opened.evaluate("document.activeElement.textContent") != "Check":
+            opened.keyboard.press("Tab")
+        opened.keyboard.press("Enter")
+        opened.get_by_role("button", name="Examine", exact=True).tap()
         expect(opened.locator(".findings li").first).to_contain_text("clock")
         expect(opened.get_by_role("button", name="Examine again")).to_be_enabled()
+        for line in opened.locator(".findings li:not([data-level=ok])").all():
+            expect(line).to_contain_text("What to do:")
         with opened.expect_download() as download:
-            opened.get_by_role("button", name="Download").click()
+            opened.get_by_role("button", name="Download").tap()
         assert download.value.suggested_filename == "touchd-support.zip"
     with page(browser, server.base + "#check") as stranger:
         expect(stranger.locator(STATUS)).to_have_text("Working")
@@ -324,6 +331,7 @@ def test_daemon(browser: Browser, tmp_path: Path, source: str) -> None:
         expect(opened.locator(".fingers tbody tr")).to_have_count(1)
         opened.wait_for_function("() => touchd.feed.last.plate?.receivers_mm.length === 4")
         opened.wait_for_function("() => touchd.feed.last.spectrum?.features.length > 100")
+        expect(opened.locator(".spectrum canvas")).to_be_visible()
         expect(opened.locator(".fingers td.off")).to_have_text(re.compile(r"^0\.\d\d mm$"))
         opened.wait_for_function(f"({CROSSES})() > 8")
         if source == "replay":  # it takes some lifted fingers

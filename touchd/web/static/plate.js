@@ -97,9 +97,9 @@ export class PlateView {
       return;
     }
     const { width_mm: w, height_mm: h } = this.plate;
-    const scale = Math.min((wide - ruler - 20) / w, (high - ruler - 12) / h);
+    const scale = Math.min((wide - ruler - 1.6 * px) / w, (high - ruler - px) / h);
     this.scale = scale;
-    this.left = (wide - ruler - 12 - w * scale) / 2 + ruler;
+    this.left = (wide - ruler - 1.4 * px - w * scale) / 2 + ruler;
     this.top = (high - ruler - h * scale) / 2 + ruler;
     this.paintStill(w, h, [scale, ratio, this.canvas.width, this.canvas.height, this.screen, colour('pane')].join());
     g.globalAlpha = this.stale ? 0.35 : 1;
