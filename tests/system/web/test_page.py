@@ -23,14 +23,14 @@ STATUS = ".state-word"
 REASON = ".state-reason"
 SIZES = {(800, 480): (68, 42), (2560, 1440): (56, 35)}
 """Of the screen, px: 7 inches and 27. The least font sizes there of state and reason, to be read from two metres."""
-FAULTS = """() => [
+FAULTS = """() => new Promise(requestAnimationFrame).then(() => new Promise(requestAnimationFrame)).then(() => [
     ...[...document.querySelectorAll('*')].filter(one => one.scrollWidth > one.clientWidth + 1 && (one ===
         document.documentElement || /auto|scroll/.test(getComputedStyle(one).overflowX))).map(one => ['wide', one]),
     ...[...document.querySelectorAll('button, nav a, input, select')].map(one => one.closest('.choice') ?? one)
         .map(one => [one, one.getBoundingClientRect()])
         .filter(([, { width, height }]) => width && Math.min(width, height) < 44).map(([one]) => ['small', one]),
-].map(([what, one]) => `${what} ${one.outerHTML.slice(0, 80)}`)"""
-"""What of a page is wider than its place, or smaller than a fingertip."""
+].map(([what, one]) => `${what} ${one.outerHTML.slice(0, 80)}`))"""
+"""What of a page, once it is drawn, is wider than its place, or smaller than a fingertip."""
 CROSSES = """() => {
     const canvas = document.querySelector('.pane canvas'), { width, height } = canvas;
     const data = canvas.getContext('2d').getImageData(0, 0, width, height).data;
