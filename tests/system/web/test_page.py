@@ -36,10 +36,10 @@ CROSSES = """() => {
     const data = canvas.getContext('2d').getImageData(0, 0, width, height).data;
     let found = 0;
     for (let i = 0; i < data.length; i += 4)
-        found += Math.abs(data[i] - 177) + Math.abs(data[i + 1] - 36) + Math.abs(data[i + 2] - 28) < 9;
+        found += data[i] - data[i + 1] > 40 && Math.abs(data[i + 1] - data[i + 2]) < 9;
     return found;
 }"""
-"""Pixels of the colour that the truth alone has on a light plate."""
+"""Pixels of the red that the truth alone has on a light plate, faded too."""
 ACCOUNTED = """() => {
     const values = document.querySelectorAll(".budget .legend li:not([hidden]) b");
     const shown = [...values].map(b => parseInt(b.textContent));
