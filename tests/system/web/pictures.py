@@ -21,7 +21,7 @@ from touchd.localization.model import default_model_path
 VIEWS = ("Live", "Replay", "Check")
 STEP = "taps"
 """The step of the calibration that the documentation shows."""
-SHOWN = {"Live": (1920, 1080, "light"), "Replay": (1024, 600, "dark")}
+SHOWN = {"Live": (1920, 1080, "light"), "Replay": (1024, 600, "dark"), "Check": (1024, 860, "light")}
 USUAL = (1024, 600, "light")
 ALL = [(wide, high, scheme) for wide, high in ((800, 480), (2560, 1440)) for scheme in ("light", "dark")]
 
@@ -98,8 +98,8 @@ def main() -> None:
         stack.enter_context(started("--simulate", "idle", "--loop", **daemon))
         options = ("--replay", "touchd/demo/session.npz", "--wizard", Path(scratch) / "wizard")
         told = stack.enter_context(wizard(Path(scratch) / "wizard"))
-        server = stack.enter_context(web(address, *options, **screen))
-        examined = stack.enter_context(web(f"ipc://{scratch}/daemon", **daemon))
+        server = stack.enter_context(web(address, *options, port=0, **screen))
+        examined = stack.enter_context(web(f"ipc://{scratch}/daemon", port=0, **daemon))
         browser = stack.enter_context(chromium())
         for view in VIEWS:
             for wide, high, scheme in ALL if chosen else [SHOWN.get(view, USUAL)]:

@@ -2,7 +2,7 @@
 import { colour } from './dom.js';
 import { texts } from './texts.js';
 
-const SMALLEST_PX = 14, LARGEST_PX = 22; // of its letters
+const SMALLEST_PX = 14, LARGEST_PX = 20; // of its letters
 const SPACE = 'http://www.w3.org/2000/svg';
 
 function shape(name, attributes, text) {
@@ -32,7 +32,7 @@ export function drawing(label) {
   // A letter's size in mm of the plate, so that it can be read however large the drawing is.
   function letters(width, height) {
     const most = parseFloat(getComputedStyle(root).maxHeight) || 560, wide = root.clientWidth || 300;
-    const px = Math.max(SMALLEST_PX, Math.min(LARGEST_PX, wide / 28)), margin = 2.8 * px;
+    const px = Math.max(SMALLEST_PX, Math.min(LARGEST_PX, wide / 36)), margin = 2.8 * px;
     return px / Math.max(0.1, Math.min((wide - margin) / width, (most - margin) / height));
   }
 

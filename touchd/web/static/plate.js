@@ -4,7 +4,7 @@ import { colour, element, onTheme } from './dom.js';
 const TRAIL_MS = 1500, TRAIL_POINTS = 200, MOST_TRAILS = 32;
 const UP_MS = 250; // a lifted finger fades
 const FINGER_MM = 9; // drawn where no size is known
-const SMALLEST_PX = 14, LARGEST_PX = 22, PLATE_LETTERS = 45; // of the letters, and how many make the plate's side
+const SMALLEST_PX = 14, LARGEST_PX = 22, PLATE_LETTERS = 60; // of the letters, and how many make the plate's side
 const DISC_MM = 10;
 
 export class PlateView {
@@ -91,7 +91,7 @@ export class PlateView {
     this.drawn += 1;
     g.setTransform(ratio, 0, 0, ratio, 0, 0);
     g.clearRect(0, 0, wide, high);
-    const px = this.px = Math.max(SMALLEST_PX, Math.min(LARGEST_PX, Math.min(wide, high) / PLATE_LETTERS)), ruler = 2.4 * px;
+    const px = this.px = Math.max(SMALLEST_PX, Math.min(LARGEST_PX, Math.min(wide, high) / PLATE_LETTERS)), ruler = 2.8 * px;
     if (!this.plate?.width_mm) {
       this.write(this.texts.plate.unknown, wide / 2, high / 2, 'muted', 'center');
       return;
