@@ -29,8 +29,11 @@ FAULTS = """() => new Promise(requestAnimationFrame).then(() => new Promise(requ
     ...[...document.querySelectorAll('button, nav a, input, select')].map(one => one.closest('.choice') ?? one)
         .map(one => [one, one.getBoundingClientRect()])
         .filter(([, { width, height }]) => width && Math.min(width, height) < 44).map(([one]) => ['small', one]),
+    ...[...document.querySelectorAll('svg text')].filter(one => one.getBoundingClientRect().width)
+        .map(one => [one, one.getAttribute('font-size') * Math.hypot(one.getScreenCTM().a, one.getScreenCTM().b)])
+        .filter(([, px]) => px < 13.5).map(([one, px]) => [`${px} px`, one]),
 ].map(([what, one]) => `${what} ${one.outerHTML.slice(0, 80)}`))"""
-"""What of a page, once it is drawn, is wider than its place, or smaller than a fingertip."""
+"""What of a drawn page is wider than its place, a target smaller than a fingertip, or too small to read."""
 CROSSES = """() => {
     const canvas = document.querySelector('.pane canvas'), { width, height } = canvas;
     const data = canvas.getContext('2d').getImageData(0, 0, width, height).data;
