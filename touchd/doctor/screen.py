@@ -25,6 +25,7 @@ COMPOSITORS = {
     "gnome-shell": "input.screen_mm within 5 % of that output's size",
 }
 """What the kernel calls them, and what tells each on which of several outputs the touches are."""
+_SEE = "to see it: sudo touchd doctor"
 _MAP = "touchd map, with touches in the middle of each cross"
 
 
@@ -58,8 +59,8 @@ def _permitted() -> Finding:
     if not uinput.NODE.exists():
         return Finding("uinput", "failure", f"there is no {uinput.NODE}", "modprobe uinput; a kernel that has it")
     if not os.access(uinput.NODE, os.W_OK):
-        return Finding("uinput", "warning", f"this user may not open {uinput.NODE}",
-                       "none is needed if touchd-input.service makes the screen; else run as root")  # fmt: skip
+        return Finding("uinput", "warning", f"{uinput.NODE} may not be opened from here",
+                       f"nothing, if touchd-input.service makes the screen; {_SEE}")  # fmt: skip
     return Finding("uinput", "ok", f"{uinput.NODE} may be opened")
 
 
@@ -80,7 +81,11 @@ def _compositor() -> Finding:
     """Say which compositor takes the touches, and on which output it shows them."""
     names = sorted(COMPOSITORS.keys() & {read(file) for file in PROCESSES.glob("[0-9]*/comm")})
     outputs = [folder.name.split("-", 1)[1] for folder in connected()]
-    text = f"{', '.join(names) or 'none that touchd knows'}; connected outputs: {', '.join(outputs) or 'none'}"
+    hidden = not names and not (PROCESSES / "1").exists()  # as in touchd-web.service
+    text = ", ".join(names) or ("not to be seen from here" if hidden else "none that touchd knows")
+    text += f"; connected outputs: {', '.join(outputs) or 'none'}"
+    if hidden:
+        return Finding("compositor", "warning", text, _SEE)
     if not names:
         return Finding("compositor", "warning", text, f"start one of {', '.join(COMPOSITORS)}")
     if not outputs:

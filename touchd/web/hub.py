@@ -29,9 +29,9 @@ PRIVATE = frozenset({"touch", "spectrum", "truth"})
 MOST_CLIENTS = 32
 HISTORY = 300
 """Health messages kept: five minutes."""
-_SPECTRUM_S = 0.1
 _WAIT_S = 0.25
-_PACE_S = 0.026
+_PACE_S, _SPECTRUM_PACE_S = 0.026, 0.1
+"""Between two looks at the bus: what comes meanwhile and no screen would show is not handed over."""
 
 log = structlog.get_logger()
 
@@ -170,27 +170,29 @@ class Hub:
     def _read(self, topics: tuple[str, ...], stopped: threading.Event) -> None:
         assert self._loop is not None
         hand: Callable[..., object] = self._loop.call_soon_threadsafe
-        next_s = 0.0
+        pace_s = _SPECTRUM_PACE_S if topics == ASKED else _PACE_S
         with Subscriber(self._address, topics, max_age_s=None, newest_only=True) as events:
             while not stopped.is_set():
+                newest: list[Event] = []
                 try:
-                    event: Event = events.receive(_WAIT_S)
+                    newest.append(events.receive(_WAIT_S))
+                    # All topics, then the pause: a truth is of the same frame as the touch before it.
+                    while len(newest) < len(topics):
+                        newest.append(events.receive(0.0))
                 except BusTimeout:
-                    continue
+                    pass
                 except BusError as error:
                     log.warning("not understood", error=str(error))
                     stopped.wait(1.0)
-                    continue
-                if event.type == "spectrum":
-                    if time.monotonic() < next_s:
-                        continue
-                    next_s = time.monotonic() + _SPECTRUM_S
                 try:
-                    hand(self._take, event)
+                    hand(self._take_all, newest)
                 except RuntimeError:  # the loop has ended
                     return
-                if event.type == "touch":
-                    stopped.wait(_PACE_S)  # the next is the newest then: what no screen shows is not handed over
+                stopped.wait(pace_s)
+
+    def _take_all(self, events: list[Event]) -> None:
+        for event in events:
+            self._take(event)
 
     def _take(self, event: Event) -> None:
         """Take an event into the slots of all browsers; runs in the server's loop."""

@@ -64,7 +64,8 @@ async def _send(site: Site, socket: WebSocket, client: Client) -> None:
     await socket.send_text(json.dumps({"messages": [site.hello() | {"acts": site.access.has_session(socket.scope)}]}))
     while True:
         with contextlib.suppress(TimeoutError):
-            await asyncio.wait_for(client.wake.wait(), BEAT_S)
+            async with asyncio.timeout(BEAT_S):  # `wait_for` would make a task each time
+                await client.wake.wait()
         await socket.send_text(batch(site.hub, client))
         await asyncio.sleep(PERIOD_S)
 

@@ -230,6 +230,7 @@ def browser(address: str) -> None:
     hand, page = Hand(address), Browser()
     # A link that is followed before the page's script has run takes the place of the token in the address.
     page.until("document.body.innerText.includes('Uncalibrated')")
+    picture("uncalibrated")
     step("page")
     calibrate(page)
     map_screen(page, hand)

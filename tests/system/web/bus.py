@@ -97,8 +97,8 @@ def five(frame: int, phase: Phase = "move") -> list[Contact]:
     ]  # fmt: skip
 
 
-def play(bus: Bus, rate_hz: float = RATE_HZ) -> None:
-    """Publish five fingers, at the rate of a DAQ or faster."""
+def play(bus: Bus, rate_hz: float = RATE_HZ, reason: str | None = None) -> None:
+    """Publish five fingers, at the rate of a DAQ or faster, and what is wrong."""
     begin_s, frame = time.monotonic(), 0
     while True:
         bus.poll()
@@ -106,10 +106,11 @@ def play(bus: Bus, rate_hz: float = RATE_HZ) -> None:
         if "spectrum" in bus.wanted:
             bus.spectrum(frame)
         if frame % RATE_HZ == 0:
-            bus.health(frame)
+            bus.health(frame, reason=reason)
         frame += 1
         time.sleep(max(0.0, begin_s + frame / rate_hz - time.monotonic()))
 
 
 if __name__ == "__main__":
-    play(Bus(sys.argv[1], keypad="keypad" in sys.argv), 12 * RATE_HZ if "hurried" in sys.argv else RATE_HZ)
+    wrong = "channel 3 is dead" if "ill" in sys.argv else None
+    play(Bus(sys.argv[1], keypad="keypad" in sys.argv), 12 * RATE_HZ if "hurried" in sys.argv else RATE_HZ, wrong)

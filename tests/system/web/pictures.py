@@ -13,7 +13,7 @@ from pathlib import Path
 
 from playwright.sync_api import Page, expect
 
-from tests.processes import PATIENCE_S, ROOT
+from tests.processes import PATIENCE_S, ROOT, started
 from tests.system.web.rig import bus, chromium, page, web
 from tests.system.web.wizard import STATES, Wizard, wizard
 from touchd.localization.model import default_model_path
@@ -21,9 +21,9 @@ from touchd.localization.model import default_model_path
 VIEWS = ("Live", "Replay", "Check")
 STEP = "taps"
 """The step of the calibration that the documentation shows."""
-SHOWN = {"Live": (1920, 1080, "light"), "Replay": (1024, 600, "dark")}
+SHOWN = {"Live": (1920, 1080, "light"), "Replay": (1024, 600, "dark"), "Check": (1024, 860, "light")}
 USUAL = (1024, 600, "light")
-ALL = [(wide, high, scheme) for wide, high in ((1024, 600), (1920, 1080)) for scheme in ("light", "dark")]
+ALL = [(wide, high, scheme) for wide, high in ((800, 480), (2560, 1440)) for scheme in ("light", "dark")]
 
 
 def prepare(opened: Page, view: str) -> None:
@@ -42,7 +42,8 @@ def prepare(opened: Page, view: str) -> None:
         opened.get_by_role("button", name="Examine").click()
         expect(opened.get_by_role("button", name="Examine again")).to_be_enabled()
         # Where this clone lies is nobody's business.
-        hide = "(all, path) => all.forEach(({ firstChild: t }) => { t.data = t.data.replace(path, '/usr/lib'); })"
+        hide = "(all, path) => all.forEach(({ firstChild: t }) => { t.data = t.data.replace(path, '/usr/lib')"
+        hide += ".replace(/\\/tmp\\/\\w+/, '/run/touchd'); })"
         opened.locator(".findings .text").evaluate_all(hide, str(ROOT))
 
 
@@ -91,15 +92,19 @@ def main() -> None:
         scratch = stack.enter_context(tempfile.TemporaryDirectory())
         address = f"ipc://{scratch}/bus"
         stack.enter_context(bus(address))
+        daemon = {"TOUCHD_BUS__BIND": f'["ipc://{scratch}/daemon"]', "TOUCHD_CONTROL__SOCKET": f"{scratch}/control",
+                  "TOUCHD_MODEL__PATH": str(default_model_path())}  # fmt: skip
+        screen = {"TOUCHD_INPUT__SCREEN_MM": "20,30,160,100"}
+        stack.enter_context(started("--simulate", "idle", "--loop", **daemon))
         options = ("--replay", "touchd/demo/session.npz", "--wizard", Path(scratch) / "wizard")
         told = stack.enter_context(wizard(Path(scratch) / "wizard"))
-        server = stack.enter_context(web(
-            address, *options, TOUCHD_INPUT__SCREEN_MM="20,30,160,100", TOUCHD_MODEL__PATH=str(default_model_path())
-        ))  # fmt: skip
+        server = stack.enter_context(web(address, *options, port=0, **screen))
+        examined = stack.enter_context(web(f"ipc://{scratch}/daemon", port=0, **daemon))
         browser = stack.enter_context(chromium())
         for view in VIEWS:
             for wide, high, scheme in ALL if chosen else [SHOWN.get(view, USUAL)]:
-                with page(browser, server.url, wide=wide, high=high, scheme=scheme) as opened:
+                url = examined.url if view == "Check" else server.url
+                with page(browser, url, wide=wide, high=high, scheme=scheme) as opened:
                     prepare(opened, view)
                     name = f"{view.lower()}-{wide}-{scheme}" if chosen else view.lower()
                     opened.screenshot(path=folder / f"{name}.png")

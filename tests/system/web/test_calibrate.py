@@ -8,6 +8,7 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 import tomllib
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
@@ -146,7 +147,9 @@ def seen_at_mm(rig: Rig, x_mm: float, y_mm: float) -> tuple[float, float]:
         with started("--config", rig.config, "tuio", "--to", to, "--bus", f"ipc://{rig.folder}/bus"):
             client.take(udp.recv(2000))  # it runs
             rig.press(f"{x_mm} {y_mm}")
+            until_s = time.monotonic() + PATIENCE_S
             while not client.rows:
+                assert time.monotonic() < until_s, "no finger arrives"
                 client.take(udp.recv(2000))
             rig.press("")
             across, along = next(iter(client.rows.values()))[:2]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from pathlib import Path
 from typing import Any
@@ -32,7 +33,7 @@ def system(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def desktop(folder: Path, processes: list[str], outputs: dict[str, str]) -> None:
     """What runs, and what is connected."""
-    for name, files in (("proc", {f"{100 + i}/comm": name for i, name in enumerate(["init", *processes])}),
+    for name, files in (("proc", {f"{1 + i}/comm": name for i, name in enumerate(["init", *processes])}),
                         ("drm", {f"card0-{name}/status": status for name, status in outputs.items()})):  # fmt: skip
         shutil.rmtree(folder / name, ignore_errors=True)
         for file, content in files.items():
@@ -108,3 +109,15 @@ def test_no_desktop(system: Path) -> None:
     desktop(system, ["sway"], {})
     assert findings(**MAPPED)["compositor"].level == "warning"
     assert "compositor" not in findings(keypad=True)
+
+
+def test_confined(system: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A service that sees no process of others, and may open no device, says so, and names the command that does."""
+    shutil.rmtree(system / "proc")
+    (system / "uinput").touch()
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    found = findings(**MAPPED)
+    for name in ("compositor", "uinput"):
+        assert found[name].level == "warning"
+        assert "from here" in found[name].text
+        assert found[name].fix.endswith("sudo touchd doctor")

@@ -105,7 +105,7 @@ export function mount(root, page) {
     listen.hidden = again.hidden = listening || fitting || taught;
     say(listen, state.untouched ? t.untouched.again : t.untouched.start);
     bar.value = state.share;
-    say(share, `${number(100 * state.share)} %`);
+    say(share, `${number(100 * state.share)} ${texts.units.percent}`);
     bar.setAttribute('aria-label', t.steps[step]);
     say(doing, listening ? (state.note === 'finger' ? t.untouched.finger : state.note || t.untouched.running)
       : fitting ? t.fit.running(t.fit.stages[state.note] ?? t.fit.stages.fit)

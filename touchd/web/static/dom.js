@@ -19,6 +19,11 @@ export function number(value, digits = 0) {
   return Number.isFinite(value) ? value.toFixed(digits) : '–';
 }
 
+// So many of the page's letter sizes, px.
+export function rem(count) {
+  return count * parseFloat(getComputedStyle(document.documentElement).fontSize);
+}
+
 // The colours of page.css as the canvas needs them; forgotten when the theme changes.
 const known = new Map();
 let probe;

@@ -12,9 +12,11 @@ export function mount(root, page) {
     new Spectrum(texts, feed)];
   const footer = element('span'), age = element('span');
   const side = element('div', { class: 'side', tabindex: 0, role: 'region', 'aria-label': texts.figures.title },
-    status.root, element('div', { class: 'panels' }, ...panels.map(panel => panel.root)), element('div', { class: 'footer' }, footer, age));
-  root.append(plate.root, side);
+    element('div', { class: 'panels' }, ...panels.map(panel => panel.root)), element('div', { class: 'footer' }, footer, age));
+  root.append(status.root, plate.root, side);
   const hidden = () => page.hello.shows_keys === false && (feed.last.plate?.keys.length ?? 0) > 0;
+  // The truth is about now, or nobody knows it.
+  const forget = () => { delete feed.last.truth; plate.setTruth([]); };
   const ends = [
     feed.on('hello', hello => plate.set('screen', hello.screen_mm)),
     feed.on('calibrate', ({ mapping }) => mapping && plate.set('screen', mapping.screen_mm)),
@@ -28,20 +30,22 @@ export function mount(root, page) {
       for (const panel of panels) panel.touch?.(message);
     }),
     feed.on('truth', message => {
-      plate.setTruth(message);
+      plate.setTruth(message.contacts_mm);
       for (const panel of panels) panel.truth?.(message);
     }),
     feed.on('history', message => { for (const health of message.health) for (const panel of panels) panel.past?.(health); }),
     feed.on('health', message => {
       for (const panel of panels) panel.health?.(message);
       say(footer, texts.footer(message.version, message.model, feed.last.plate?.source));
-      if (message.state !== 'streaming') plate.setContacts([]);
+      if (message.state === 'streaming') return;
+      plate.setContacts([]);
+      forget();
     }),
     feed.on('spectrum', message => { for (const panel of panels) panel.spectrum?.(message); }),
     feed.on('batch', () => say(age, feed.dataAgeMs !== null ? texts.age(Math.round(feed.dataAgeMs)) : '')),
     status.onStale(stale => {
       plate.set('stale', stale);
-      if (stale) plate.clear(); // nobody knows where the fingers are
+      if (stale) { forget(); plate.clear(); } // nobody knows where the fingers are
       root.classList.toggle('stale', stale);
     }),
   ];

@@ -1,9 +1,10 @@
 // The panels beside the plate. Each takes the messages whose types it has methods for; `past` takes old health messages.
-import { colour, element, number, onTheme, say } from './dom.js';
+import { colour, element, number, onTheme, rem, say } from './dom.js';
 
 const POINTS = 300; // seconds of health
 const CHART_MS = 100;
 const LEAST_FIT = 0.98;
+const font = () => `${rem(0.8)}px system-ui, sans-serif`;
 // Of glass, the twin's only coefficient. Messages do not name the plate's material: others have others.
 const PPM_PER_KELVIN = -45;
 
@@ -162,12 +163,12 @@ class Chart {
     if (!width) return;
     if (this.plot && !again) { this.plot.setSize({ width, height }); return; }
     this.plot?.destroy();
-    const axis = { stroke: colour('muted'), grid: { stroke: colour('grid'), width: 1 }, ticks: { show: false }, font: '11px system-ui, sans-serif' };
+    const axis = { stroke: colour('muted'), grid: { stroke: colour('grid'), width: 1 }, ticks: { show: false }, font: font() };
     const { x, y, series } = this.options();
     this.plot = new uPlot({
       width, height, legend: { show: false }, cursor: { show: false }, padding: [8, 16, 0, 0],
       scales: { x: { time: false }, y: { range: (_plot, _low, high) => [0, Math.max(high * 1.1, 1e-3)] } },
-      axes: [{ ...axis, ...x, size: 26 }, { ...axis, ...y, size: 44 }], series: [{}, ...series],
+      axes: [{ ...axis, size: rem(1.6), ...x }, { ...axis, size: rem(2.9), ...y }], series: [{}, ...series],
     }, this.data ?? [[], ...series.map(() => [])], this.holder);
   }
 
@@ -194,7 +195,7 @@ export class LatencyChart {
     this.root = panel('latency', `${title}, ${unit}`, key([['line-1', p50], ['line-2', p99]]));
     this.points = [];
     this.chart = new Chart(this.root, () => ({
-      x: { values: (_plot, at) => at.map(s => `${-s}`), label: past, labelSize: 16, labelFont: '11px system-ui, sans-serif', size: 40 },
+      x: { values: (_plot, at) => at.map(s => `${-s}`), label: past, labelSize: rem(1), labelFont: font(), size: rem(2.5) },
       y: {},
       series: ['line-1', 'line-2'].map(name => ({ stroke: colour(name), width: 1.5, points: { show: false } })),
     }));
@@ -252,7 +253,7 @@ export class Spectrum {
     this.root = panel('spectrum', `${texts.spectrum.title}, ${texts.spectrum.level}`, this.none, this.legend);
     this.channels = 0;
     this.chart = new Chart(this.root, () => ({
-      x: { label: texts.spectrum.frequency, labelSize: 16, labelFont: '11px system-ui, sans-serif', size: 40 },
+      x: { label: texts.spectrum.frequency, labelSize: rem(1), labelFont: font(), size: rem(2.5) },
       y: {},
       series: Array.from({ length: this.channels }, (_, n) => ({ stroke: colour(`finger-${n % 5}`), width: 1.25, points: { show: false } })),
     }));

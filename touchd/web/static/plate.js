@@ -4,7 +4,7 @@ import { colour, element, onTheme } from './dom.js';
 const TRAIL_MS = 1500, TRAIL_POINTS = 200, MOST_TRAILS = 32;
 const UP_MS = 250; // a lifted finger fades
 const FINGER_MM = 9; // drawn where no size is known
-const RULER_PX = 26;
+const SMALLEST_PX = 14, LARGEST_PX = 22, PLATE_LETTERS = 60; // of the letters, and how many make the plate's side
 const DISC_MM = 10;
 
 export class PlateView {
@@ -57,9 +57,8 @@ export class PlateView {
   }
 
   // Where the fingers really are: [[x, y], ...], mm.
-  setTruth({ contacts_mm, frame }) {
-    this.truth = contacts_mm;
-    this.truthFrame = frame;
+  setTruth(places) {
+    this.truth = places;
     this.draw();
   }
 
@@ -92,16 +91,16 @@ export class PlateView {
     this.drawn += 1;
     g.setTransform(ratio, 0, 0, ratio, 0, 0);
     g.clearRect(0, 0, wide, high);
-    g.font = '12px system-ui, sans-serif';
+    const px = this.px = Math.max(SMALLEST_PX, Math.min(LARGEST_PX, Math.min(wide, high) / PLATE_LETTERS)), ruler = 2.8 * px;
     if (!this.plate?.width_mm) {
-      this.write(this.texts.plate.unknown, wide / 2, high / 2, 'muted', 'center', 16);
+      this.write(this.texts.plate.unknown, wide / 2, high / 2, 'muted', 'center');
       return;
     }
     const { width_mm: w, height_mm: h } = this.plate;
-    const scale = Math.min((wide - RULER_PX - 20) / w, (high - RULER_PX - 12) / h);
+    const scale = Math.min((wide - ruler - 1.6 * px) / w, (high - ruler - px) / h);
     this.scale = scale;
-    this.left = (wide - RULER_PX - 12 - w * scale) / 2 + RULER_PX;
-    this.top = (high - RULER_PX - h * scale) / 2 + RULER_PX;
+    this.left = (wide - ruler - 1.4 * px - w * scale) / 2 + ruler;
+    this.top = (high - ruler - h * scale) / 2 + ruler;
     this.paintStill(w, h, [scale, ratio, this.canvas.width, this.canvas.height, this.screen, colour('pane')].join());
     g.globalAlpha = this.stale ? 0.35 : 1;
     const moving = this.paintTrails(now);
@@ -115,7 +114,7 @@ export class PlateView {
   x(mm) { return this.left + mm * this.scale; }
   y(mm) { return this.top + mm * this.scale; }
 
-  write(text, x, y, name, align = 'left', px = 12) {
+  write(text, x, y, name, align = 'left', px = this.px) {
     const g = this.graphics;
     g.font = `${px}px system-ui, sans-serif`;
     g.fillStyle = colour(name);
@@ -152,23 +151,23 @@ export class PlateView {
     g.roundRect(this.x(0), this.y(0), w * this.scale, h * this.scale, 4);
     g.fill();
     g.stroke();
-    const step = [10, 20, 50, 100, 200, 500].find(mm => mm * this.scale >= 36) ?? 1000;
+    const step = [10, 20, 50, 100, 200, 500].find(mm => mm * this.scale >= 3 * this.px) ?? 1000;
     g.lineWidth = 1;
     g.strokeStyle = colour('grid');
     g.beginPath();
     for (let mm = step; mm < w; mm += step) { g.moveTo(this.x(mm), this.y(0)); g.lineTo(this.x(mm), this.y(h)); }
     for (let mm = step; mm < h; mm += step) { g.moveTo(this.x(0), this.y(mm)); g.lineTo(this.x(w), this.y(mm)); }
     g.stroke();
-    for (let mm = 0; mm <= w; mm += step) this.write(`${mm}`, this.x(mm), this.y(0) - 12, 'muted', 'center', 11);
-    for (let mm = step; mm <= h; mm += step) this.write(`${mm}`, this.x(0) - 6, this.y(mm), 'muted', 'right', 11);
-    this.write(this.texts.plate.mm, this.x(0) - 6, this.y(0) - 12, 'muted', 'right', 11);
+    for (let mm = 0; mm <= w; mm += step) this.write(`${mm}`, this.x(mm), this.y(0) - this.px, 'muted', 'center');
+    for (let mm = step; mm <= h; mm += step) this.write(`${mm}`, this.x(0) - 6, this.y(mm), 'muted', 'right');
+    this.write(this.texts.plate.mm, this.x(0) - 0.7 * this.px, this.y(0) - this.px, 'muted', 'right');
     if (this.screen.length !== 4) return;
     const [sx, sy, sw, sh] = this.screen;
     g.strokeStyle = colour('accent');
     g.setLineDash([6, 4]);
     g.strokeRect(this.x(sx), this.y(sy), sw * this.scale, sh * this.scale);
     g.setLineDash([]);
-    this.write(this.texts.plate.screen, this.x(sx) + 6, this.y(sy) + 10, 'accent', 'left', 11);
+    this.write(this.texts.plate.screen, this.x(sx) + 6, this.y(sy) + this.px, 'accent');
   }
 
   paintKeys() {
@@ -178,20 +177,20 @@ export class PlateView {
     for (const key of this.plate.keys) {
       const wide = key.width_mm * this.scale, high = key.height_mm * this.scale;
       g.strokeRect(this.x(key.x_mm), this.y(key.y_mm), wide, high);
-      this.write(key.name, this.x(key.x_mm) + wide / 2, this.y(key.y_mm) + high / 2, 'muted', 'center', Math.min(18, high / 2));
+      this.write(key.name, this.x(key.x_mm) + wide / 2, this.y(key.y_mm) + high / 2, 'muted', 'center', Math.min(1.5 * this.px, high / 2));
     }
   }
 
   paintDiscs() {
     const places = this.plate.receivers_mm.map(([x, y], n) => [x, y, `${n + 1}`]);
     if (this.plate.emitter_mm) places.push([...this.plate.emitter_mm, this.texts.plate.emitter]);
-    const g = this.graphics, radius = Math.max(7, (DISC_MM / 2) * this.scale);
+    const g = this.graphics, radius = Math.max(0.75 * this.px, (DISC_MM / 2) * this.scale);
     for (const [x, y, name] of places) {
       g.beginPath();
       g.arc(this.x(x), this.y(y), radius, 0, 7);
       g.fillStyle = colour(name === this.texts.plate.emitter ? 'disc-emitter' : 'disc');
       g.fill();
-      this.write(name, this.x(x), this.y(y) + 0.5, 'disc-text', 'center', 11);
+      this.write(name, this.x(x), this.y(y) + 0.5, 'disc-text', 'center');
     }
   }
 
@@ -255,7 +254,7 @@ export class PlateView {
     g.lineTo(x + sigma + 6, y);
     g.stroke();
     const right = x < this.x(this.plate.width_mm * 0.8);
-    this.write(`${c.id}`, x + (right ? 1 : -1) * (major + 8), y - minor - 4, 'text', right ? 'left' : 'right', 13);
+    this.write(`${c.id}`, x + (right ? 1 : -1) * (major + 8), y - minor - 4, 'text', right ? 'left' : 'right', 1.15 * this.px);
     g.globalAlpha = alpha;
   }
 

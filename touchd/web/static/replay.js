@@ -60,7 +60,7 @@ export function mount(root, page) {
     if (last === null || Math.abs(mine - last) > 20 || mine < last) plate.clear();
     last = mine;
     plate.setContacts(shown.contacts);
-    plate.setTruth({ contacts_mm: shown.truth, frame: shown.frame });
+    plate.setTruth(shown.truth);
     if (shown.truth.length) fingers.truth({ frame: shown.frame, contacts_mm: shown.truth });
     fingers.touch({ frame: shown.frame, contacts: shown.contacts, now: !playing });
     say(clock, `${number(shown.t_s, 3)} ${texts.units.s}`);

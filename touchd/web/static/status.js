@@ -2,6 +2,7 @@
 import { element, say } from './dom.js';
 
 const LATE_MS = 1000;
+const LONG = 90; // letters, which would leave no place for the plate
 const SILENT_S = 3; // health comes each second
 const LEVELS = { streaming: 'ok', starting: 'busy', uncalibrated: 'warning', stalled: 'failure', lost: 'failure', stopping: 'failure' };
 
@@ -35,6 +36,7 @@ export class Status {
     this.root.dataset.level = level;
     say(this.word, word);
     say(this.reason, reason);
+    this.reason.toggleAttribute('data-long', reason.length > LONG);
     if (stale === this.stale) return;
     this.stale = stale;
     for (const listener of this.listeners) listener(stale);

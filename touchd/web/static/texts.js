@@ -30,6 +30,7 @@ export const texts = {
     mm: 'mm',
     fingers: n => (n === 0 ? 'No finger on the plate' : n === 1 ? '1 finger on the plate' : `${n} fingers on the plate`),
   },
+  drawing: { width: mm => `x → ${mm} mm`, height: mm => `${mm} mm ← y` },
   fingers: {
     title: 'Fingers',
     none: 'No finger on the plate.',
@@ -163,7 +164,7 @@ export const texts = {
     start: 'Examine', again: 'Examine again', running: 'Examining …',
     progress: n => `${n} checks done`,
     verdict: (all, failures, warnings) =>
-      failures ? `${failures} of ${all} checks failed` : warnings ? `No failure, ${warnings} warnings` : `All ${all} checks passed`,
+      failures ? `${failures} of ${all} checks failed` : warnings ? `No failure, ${warnings} warning${warnings === 1 ? '' : 's'}` : `All ${all} checks passed`,
     levels: { ok: '✓ ok', warning: '! warning', failure: '✕ failure' },
     fix: 'What to do:',
     failed: 'touchd web does not answer: look whether it runs, and try again.',
