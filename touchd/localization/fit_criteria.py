@@ -31,8 +31,8 @@ class FitCriteria:
     """The position is ambiguous if another one leaves less than this multiple of what it leaves: right positions of
     which this holds are 0.03 to 0.2 %, faint and at the edge; wrong ones 18 in 22 (twin)."""
     rival_noise: float = 15.0
-    """Of a faint finger in white noise also if it leaves no more beyond that than this, in variances of a value's noise:
-    of right positions 0 to 1 %, of those a decimetre off all (twin, 3 to 8 mm2 at 50 dB)."""
+    """Of a faint finger in white noise also if it leaves no more beyond that than this, in variances of a value's
+    noise: of right positions 0 to 1 %, of those a decimetre off all (twin, 3 to 8 mm2 at 50 dB)."""
     seen: float = 0.2
     """Share of the unexplained energy that the best scan position must explain for a search to go on after a fair fit.
     A missing finger explains more; model error of a human finger explains 0.13 to 0.17."""

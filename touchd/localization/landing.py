@@ -86,8 +86,8 @@ class Landing:
     def is_ambiguous(self, bins: Bins, fit: Fit, signal: float, *, faint: bool) -> bool:
         """Return whether a finger elsewhere explains a frame nearly as well as the one fitted.
 
-        Fingers at the edge, where the field is badly known, and faint ones may be placed in a wrong valley, and coloured
-        noise resembles a finger.
+        Fingers at the edge, where the field is badly known, and faint ones may be placed in a wrong valley, and
+        coloured noise resembles a finger.
         """
         noise = self._noise
         left = fit.residual_energy - noise.noise_energy
