@@ -193,9 +193,12 @@ class Detector:
                 self.followed_ns = detection.t_ns
             return
         # Quicker than where there is no finger to hold.
-        (self._stuck.turn if self.sequence % LONGEST_CYCLE else self._stuck.keep)(detection.signal)
-        if alive:
-            self._interference.keep(detection.residual, self.sequence, detection.hits)
+        if self.sequence % LONGEST_CYCLE:
+            self._stuck.turn(detection.signal)
+        else:
+            self._stuck.keep(detection.signal)
+            if alive and not detection.hits:
+                self._interference.keep(detection.residual)
         finger, energy = found or alive, detection.energy
         if not finger and (moved or energy < DRIFT_SHARE * self._signal_energy):
             # The plate has drifted while it was touched.

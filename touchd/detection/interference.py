@@ -13,8 +13,6 @@ from touchd.frame import Acquisition
 LISTEN_EVERY = 16
 """Tones are looked for in this part of the frames that fingers explain, and in every other touched frame: one that
 grows slowly makes no frame differ from the last one."""
-KEEP_EVERY = 4
-"""With a finger another frame is kept after every fourth: a tone that begins is found in the difference from it."""
 RENEW_EVERY = 128
 """Known tones are looked for again in this part of the untouched frames."""
 
@@ -71,10 +69,9 @@ class Interference:
         """Follow the noise in which impulses are found by an untouched frame."""
         self._impulses.update(residual)
 
-    def keep(self, residual: Signal, sequence: int, hits: tuple[int, ...]) -> None:
-        """Keep some frames with a finger to compare later ones with."""
-        if not sequence % KEEP_EVERY and not hits:
-            self._tones.keep(residual)
+    def keep(self, residual: Signal) -> None:
+        """Keep a frame with a finger: a tone that begins is found in the difference from it."""
+        self._tones.keep(residual)
 
     def end_touch(self) -> None:
         """Compare the next touched frame with no earlier one: no finger is on the plate."""
