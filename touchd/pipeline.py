@@ -1,6 +1,6 @@
 """READ FIRST: one frame's way through touchd, from counts to contacts.
 
-source -> frame -> detect -> localize -> track -> adapt -> result -> message -> sink
+source -> frame -> detect -> follow or clean and localize -> track -> adapt -> result -> message -> sink
 
 `Pipeline.process` is the middle of that line. It knows no hardware, no socket, no message and no clock: time is the
 frames' own, so a recording gives the same contacts at any speed.
@@ -15,8 +15,6 @@ from touchd.config.schema import Settings
 from touchd.detection.baseline import Signal
 from touchd.detection.detection import Detection
 from touchd.detection.detector import Detector, Notify
-from touchd.detection.impulses import Impulses
-from touchd.detection.tones import Tones
 from touchd.event import Contact
 from touchd.frame import Acquisition, Frame
 from touchd.keypad import Layout
@@ -28,7 +26,8 @@ from touchd.tracking.keys import KeyPress, Keys
 from touchd.tracking.tracker import Tracker
 
 SCREEN_OFF = Localization(Outcome.SCREEN_OFF)
-_LEARNING, _UNTOUCHED = Outcome.LEARNING, Outcome.UNTOUCHED  # bound once: they are asked for in every frame
+# Bound once: they are asked for in every frame.
+_LEARNING, _UNTOUCHED, _TOUCHED = Outcome.LEARNING, Outcome.UNTOUCHED, Outcome.TOUCHED
 _NO_CONTACTS: list[Contact] = []
 _NO_KEYS: list[KeyPress] = []
 
@@ -79,10 +78,7 @@ class Pipeline:
         """The keys, in keypad mode."""
         self.counters = Counters()
         self._acquisition = acquisition
-        dtype = model.dtype if model else np.float32
-        self.detector = Detector(
-            acquisition.shape, settings, notify, dtype, Impulses(acquisition, dtype), Tones(acquisition, dtype)
-        )
+        self.detector = Detector(acquisition, settings, notify, model.dtype if model else np.float32)
         self._localizer = make_localizer(model, settings, layout)
         self._tracker = Tracker(settings.tracker)
         self._keys = Keys()
@@ -95,18 +91,24 @@ class Pipeline:
 
     def process(self, frame: Frame) -> Result:
         """Take one frame through every stage, and count it, the only place where that is done."""
-        detection = self._detection = self.detector.detect(frame)  # is it a measurement, and is the plate touched?
-        tracker = self._tracker
-        if detection.outcome <= _LEARNING:  # repeated, stuck, learning: says nothing of fingers
-            found, contacts = Localization(detection.outcome), self._without_measurement(detection)
+        detection = self.detector.detect(frame)  # is it a measurement, and is the plate touched?
+        tracker, found = self._tracker, None
+        if detection.outcome is _TOUCHED:
+            # The fingers followed explain most frames: only in the others tones and impulses are looked for.
+            found = self._localizer.follow(detection) if tracker.alive and not self.screen_off else None
+            if found is None:
+                detection = self.detector.clean(detection)
+        self._detection, outcome = detection, detection.outcome
+        if outcome <= _LEARNING:  # repeated, stuck, learning: says nothing of fingers
+            found, contacts = Localization(outcome), self._without_measurement(detection)
         else:
-            if detection.outcome is _UNTOUCHED:
+            if outcome is _UNTOUCHED:
                 found = self._localizer.observe(detection)  # noise and temperature of the untouched plate
                 if self._unusual:
                     found = self._without_skips(detection)
             elif self.screen_off:
                 found = SCREEN_OFF
-            else:
+            elif found is None:
                 found = self._localizer.localize(detection, alive=tracker.alive)
             touches = found.touches
             contacts = tracker.track(frame.t_ns, touches) if touches or tracker.tracks else _NO_CONTACTS

@@ -1,6 +1,7 @@
 """Is a frame a measurement, and is the plate touched? Front door of the room.
 
 `Detector.detect` numbers the frame, compares it with its predecessor, subtracts the baseline and asks the gate.
+`Detector.clean` takes tones and impulses out of a touched frame that the fingers followed do not explain.
 `Detector.adapt` closes the one feedback: what was found in the frame decides whether the baseline follows the plate,
 stays frozen or is relearned.
 """
@@ -11,19 +12,19 @@ import math
 from collections.abc import Callable
 
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import DTypeLike
 
 from touchd.config.schema import Settings
 from touchd.detection.baseline import Baseline, Signal
 from touchd.detection.detection import Detection
 from touchd.detection.gate import Gate
-from touchd.detection.impulses import Impulses
+from touchd.detection.interference import LISTEN_EVERY, Interference
 from touchd.detection.liveness import Liveness
 from touchd.detection.pace import Pace
 from touchd.detection.relearn import Reason, Relearn
 from touchd.detection.stuck import LONGEST_CYCLE, Stuck
-from touchd.detection.tones import Tones
-from touchd.frame import Frame
+from touchd.frame import Acquisition, Frame
 from touchd.outcome import Outcome
 
 LATE_FRAMES = 32
@@ -33,11 +34,6 @@ DRIFT_SHARE = 1e-5
 KEEP_EVERY = 16
 """Stuck channels and cycles: the detector watches another channel and keeps another frame after every 16th untouched
 frame; another channel after every touched frame, and another frame after every 8th."""
-
-LISTEN_EVERY = 4
-"""Tones are looked for in this part of the frames with a finger, and in every other touched frame."""
-RENEW_EVERY = 128
-"""Known tones are looked for again in this part of the untouched frames."""
 
 _NO_FRAME = -(2**62)
 _TOUCHED, _UNTOUCHED = Outcome.TOUCHED, Outcome.UNTOUCHED  # bound once: they are asked for in every frame
@@ -50,30 +46,19 @@ class Detector:
 
     Parameters
     ----------
-    shape : tuple of int
-        Of a frame, (channels, samples).
+    acquisition : Acquisition
     settings : Settings
     notify : callable
         Called when the baseline is relearned, with the reason and fields for the log.
     dtype : type
         Of all arrays.
-    impulses : Impulses, optional
-        Finds the samples that an impulse has hit; without it none are.
-    tones : Tones, optional
-        Finds interfering tones, and takes them out; without it none are.
     """
 
     def __init__(
-        self,
-        shape: tuple[int, int],
-        settings: Settings,
-        notify: Notify,
-        dtype: DTypeLike = np.float32,
-        impulses: Impulses | None = None,
-        tones: Tones | None = None,
+        self, acquisition: Acquisition, settings: Settings, notify: Notify, dtype: DTypeLike = np.float32
     ) -> None:
-        self._impulses, self._tones = impulses, tones
-        self._tones_hz: tuple[float, ...] = ()
+        shape = acquisition.shape
+        self._interference = Interference(acquisition, dtype)
         self.gate = Gate(settings.gate)
         self.liveness = Liveness()
         self._baseline = Baseline(shape, settings.baseline, dtype)
@@ -89,6 +74,7 @@ class Detector:
         """Number of the last frame that was not repeated; before the first one, which may have any, far below 0."""
         self._last_ns = 0
         self._alive = False
+        self._was_open = self._listened = False
         self.followed_ns = 0
         """Time of the last frame that moved the baseline."""
         self.configure(settings)
@@ -128,35 +114,53 @@ class Detector:
         if self._learning:
             return self._learning_frame(frame, lost)
         energy = baseline.subtract(frame.counts, frame.t_ns)
-        gate, was_open = self.gate, self.gate.is_open
-        if self._tones_hz:
-            energy = self._without_tones(frame.sequence, was_open)
+        gate = self.gate
+        self._was_open = was_open = gate.is_open
+        if self._interference.tones_hz:
+            self._interference.remove(baseline.residual, frame.sequence, gate.noise_energy, was_open=was_open)
+            energy = baseline.residual_energy()
         touched = gate.decide(energy)
-        listens = touched and (not self._alive or not frame.sequence % LISTEN_EVERY)
-        if listens and self._tones and self._tones.find(baseline.residual, gate.noise_energy):
-            self._tones_hz, energy = self._tones.known_hz, baseline.residual_energy()
-            gate.is_open = was_open
-            touched = gate.decide(energy)
-        if self._alive and not touched and gate.is_too_quiet(energy):
-            touched = gate.is_open = True  # not the finger has lifted, but a tone has ended that was louder
+        if self._alive:
+            self._listened = touched and not frame.sequence % LISTEN_EVERY
+            if self._listened and self._interference.finds_tones(baseline.residual, gate.noise_energy):
+                energy = baseline.residual_energy()
+                touched = self._decide_again(energy)
+            if not touched and gate.is_too_quiet(energy):
+                touched = gate.is_open = True  # not the finger has lifted, but a tone has ended that was louder
         if stuck.doubtful or (touched and stuck.returns(energy)):
             self.miss(frame.t_ns, stuck.fault)
             if self.liveness.fault:
                 return self._without_measurement(Outcome.STUCK, frame, lost)
         else:
             self.liveness.measured_ns = frame.t_ns
-        outcome, changed = _TOUCHED, False
-        hits: tuple[int, ...] = ()
-        if not touched:
-            outcome, changed = _UNTOUCHED, gate.update(energy)
-        elif self._impulses and (hits := self._impulses.blank(baseline.residual, energy)):
-            # Without them the plate may be untouched; its noise is not learned from such a frame.
-            energy, gate.is_open = baseline.residual_energy(), was_open
-            if not gate.decide(energy):
-                outcome = _UNTOUCHED
+        outcome, changed = (_TOUCHED, False) if touched else (_UNTOUCHED, gate.update(energy))
         return Detection(
             outcome, frame.t_ns, energy, gate.noise_root, gate.noise_deviation, baseline.signal, baseline.residual,
-            baseline.mean, self._live, changed, None, lost, pace.period_ns, self._tones_hz, hits,
+            baseline.mean, self._live, changed, None, lost, pace.period_ns, self._interference.tones_hz,
+        )  # fmt: skip
+
+    def clean(self, detection: Detection) -> Detection:
+        """Take tones and impulses out of the residual of a touched frame; return the same detection if it has none.
+
+        What is left may be an untouched frame.
+        """
+        gate, interference, residual = self.gate, self._interference, detection.residual
+        energy, touched, changed = detection.energy, True, False
+        hits: tuple[int, ...] = ()
+        listens = not (self._alive and self._listened)
+        if found := listens and interference.finds_tones(residual, gate.noise_energy):
+            energy = self._baseline.residual_energy()
+            touched = self._decide_again(energy)
+            changed = not touched and gate.update(energy)
+        if touched and (hits := interference.blank(residual, energy)):
+            # Without them the plate may be untouched; its noise is not learned from such a frame.
+            energy = self._baseline.residual_energy()
+            touched = self._decide_again(energy)
+        if not found and not hits:
+            return detection
+        return replace(
+            detection, outcome=_TOUCHED if touched else _UNTOUCHED, energy=energy, noise_changed=changed,
+            noise_root=gate.noise_root, noise_deviation=gate.noise_deviation, tones_hz=interference.tones_hz, hits=hits,
         )  # fmt: skip
 
     def adapt(self, detection: Detection, found: bool, departure: bool, alive: bool, moved: bool = False) -> None:
@@ -179,18 +183,22 @@ class Detector:
         if detection.outcome is _UNTOUCHED:
             if self._relearn.active:
                 self._relearn.reset()
-                if self._tones:
-                    self._tones.end_touch()
+                self._interference.end_touch()
             if not self.sequence % KEEP_EVERY:
                 self._stuck.keep(detection.signal)
-            if self._impulses and not self.sequence % self._pace.slow_every:
-                self._impulses.update(detection.residual)
+            if not self.sequence % self._pace.slow_every:
+                self._interference.follow(detection.residual)
             if not alive:
                 self._baseline.follow()
                 self.followed_ns = detection.t_ns
             return
         # Quicker than where there is no finger to hold.
-        (self._stuck.turn if self.sequence % LONGEST_CYCLE else self._stuck.keep)(detection.signal)
+        if self.sequence % LONGEST_CYCLE:
+            self._stuck.turn(detection.signal)
+        else:
+            self._stuck.keep(detection.signal)
+            if alive and not detection.hits:
+                self._interference.keep(detection.residual)
         finger, energy = found or alive, detection.energy
         if not finger and (moved or energy < DRIFT_SHARE * self._signal_energy):
             # The plate has drifted while it was touched.
@@ -258,12 +266,7 @@ class Detector:
         energies = baseline.learn(frame.counts, frame.t_ns)
         learned = None
         if energies is not None:
-            if self._tones and self._tones.learn(residuals := baseline.learned()):
-                energies = baseline.learn_from(baseline.mean + residuals)
-            self._tones_hz = self._tones.known_hz if self._tones else ()
-            if self._impulses and (hit := self._impulses.learn(baseline.window)).any():
-                energies = baseline.leave_out(hit)
-            self.gate.learn(energies)
+            self.gate.learn(self._interference.learn(baseline, energies))
             self._relearn.reset()
             self._signal_energy = baseline.energy()
             self._learning = False
@@ -271,15 +274,10 @@ class Detector:
             learned = baseline.learned()
         return self._without_measurement(Outcome.LEARNING, frame, lost, learned)
 
-    def _without_tones(self, sequence: int, was_open: bool) -> float:
-        """Take the known tones out of the residual, and return what energy is left; counts squared."""
-        assert self._tones
-        baseline = self._baseline
-        if not sequence % RENEW_EVERY and not was_open:
-            self._tones.renew(baseline.residual, self.gate.noise_energy)
-            self._tones_hz = self._tones.known_hz
-        self._tones.remove(baseline.residual)
-        return baseline.residual_energy()
+    def _decide_again(self, energy: float) -> bool:
+        """Return what the gate decides of a frame from which something was taken out."""
+        self.gate.is_open = self._was_open
+        return self.gate.decide(energy)
 
     def _without_measurement(
         self, outcome: Outcome, frame: Frame, lost: int, learned: Signal | None = None

@@ -114,9 +114,13 @@ class Tones:
             found = self._has_line(2 * noise_energy) and self._search(self._difference, 2 * noise_energy)
         if found:
             self.remove(residual)
+        self.keep(residual)
+        return found
+
+    def keep(self, residual: Signal) -> None:
+        """Keep a touched frame, (channels, samples), to compare the next one with."""
         self._before[...] = residual
         self._follows = True
-        return found
 
     def renew(self, residual: Signal, noise_energy: float) -> None:
         """Keep the tones that an untouched frame has, with all its tones in `residual`, and forget the others."""

@@ -8,17 +8,12 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-from numpy.typing import NDArray
-
 from touchd.config.schema import Settings
 from touchd.detection.baseline import Signal
 from touchd.detection.detection import Detection
 from touchd.keypad import Layout
 from touchd.localization.atlas import Atlas
 from touchd.localization.classify import Classifier
-from touchd.localization.contact_kind import kind_of
-from touchd.localization.contact_model import elongation, oval_mm2
 from touchd.localization.contact_size import ContactSize
 from touchd.localization.estimator import Estimator, TouchMaker
 from touchd.localization.fit import Bins, Fit, no_fit
@@ -30,15 +25,14 @@ from touchd.localization.localization import UNTOUCHED, Localization
 from touchd.localization.model import Model
 from touchd.localization.model_fit import ModelFit
 from touchd.localization.multitouch import MultitouchSearch
-from touchd.localization.plate_model import COMPARE_NS, PlateModel
+from touchd.localization.plate_model import PlateModel
 from touchd.localization.prediction import Prediction
 from touchd.localization.pursuit import Pursuit
 from touchd.localization.stillness import StillFinger
 from touchd.outcome import Outcome
 from touchd.touch import Face, Touch
 
-NOISE_NS = 128_000_000
-"""Of untouched frames: one in this time updates the noise model."""
+Fitted = tuple[Bins, Fit]
 
 
 class AtlasLocalizer:
@@ -71,10 +65,9 @@ class AtlasLocalizer:
         self._faces: list[Face | None] = []  # of the fingers followed, as their shapes were fitted
         self._model_fit = ModelFit()
         self._touches: tuple[Touch, ...] = ()  # of the last touched frame
-        self._touched = False  # whether a frame was fitted since the last untouched one
-        self._departure = self._plate_moved = False
-        self._untouched_ns = 0  # since the noise model was updated
-        self._live: NDArray[np.bool_] | None = None
+        self._touched = self._departure = self._plate_moved = False  # touched: fitted since the last untouched frame
+        self._seen: Detection | None = None  # the last frame that `follow` has left to `localize`, ...
+        self._begun: Fitted | None = None  # ... and what it has fitted there
         self.configure(settings, layout)
 
     def configure(self, settings: Settings, layout: Layout | None) -> None:
@@ -100,7 +93,6 @@ class AtlasLocalizer:
 
     def observe(self, detection: Detection) -> Localization:
         """Follow noise and temperature on an untouched frame, and forget fingers and water."""
-        self._listen(detection)
         if self._touched:
             self._touched = False
             self._model_fit.end_touch()
@@ -110,32 +102,37 @@ class AtlasLocalizer:
                 self._prediction.reset()
                 self._search.cancel()
                 self._drift.reset()
-        if detection.noise_changed:
-            self._noise.restart()
-        self._untouched_ns += detection.period_ns
-        if self._untouched_ns >= NOISE_NS:
-            self._untouched_ns = 0
-            self._plate.follow(detection)
-            self._plate.hear(detection.residual)
+        if self._plate.observe(detection):
             self._classifier.dry()
-        elif detection.t_ns - self._plate.compared_ns > COMPARE_NS:
-            self._plate.follow(detection)
         return UNTOUCHED
+
+    def follow(self, detection: Detection) -> Localization | None:
+        """Return the fingers of the last frame if they rest, or if noise is all that they leave of a touched frame."""
+        self._begin(detection)
+        if self._rests(detection):
+            return Localization(Outcome.STILL, self._touches)
+        self._seen, self._begun = detection, None
+        if self._search.pending or not self._prediction.positions_mm:
+            return None
+        bins = self._plate.bins(detection.residual)
+        signal = bins.energy - self._noise.noise_energy
+        if not signal > self._noise.noise_energy + self._drift.energy:
+            return None
+        fit = self._follower.follow(bins, detection.t_ns, signal)
+        self._begun = bins, fit = self._settle(detection, bins, fit, shaped=True)
+        signal = bins.energy - self._noise.noise_energy
+        if not self._follower.explains(fit, self._noise.excess(fit.residual_energy, signal), signal):
+            return None
+        return self._localization(detection, self._begun)
 
     def localize(self, detection: Detection, *, alive: bool, complete: bool = False) -> Localization:
         """Return the fingers of a touched frame."""
-        self._listen(detection)
-        t_ns = detection.t_ns
-        self._search.update(t_ns)
-        if self._still.armed and self._touches and not detection.hits and self._rests(detection.residual):
-            self._prediction.rest(t_ns)
-            return Localization(Outcome.STILL, self._touches)
-        tracked = bool(self._prediction.positions_mm)
-        self._touches, inferred = self._place(
-            detection, self._keep_confidence if alive else self._min_confidence, complete
-        )
-        outcome = Outcome.INFERRED if inferred else Outcome.TRACKED if tracked else Outcome.FAINT
-        return Localization(outcome, self._touches, self._departure, self._plate_moved)
+        begun = self._begun if detection is self._seen else None
+        if detection is not self._seen:
+            self._begin(detection)
+            if self._rests(detection):
+                return Localization(Outcome.STILL, self._touches)
+        return self._localization(detection, begun, alive=alive, complete=complete)
 
     @property
     def stretch(self) -> float | None:
@@ -151,32 +148,51 @@ class AtlasLocalizer:
         """Share of a touch's energy that the model explains; None before it is known."""
         return self._model_fit.value
 
-    def _place(self, detection: Detection, min_confidence: float, complete: bool) -> tuple[tuple[Touch, ...], bool]:
+    def _begin(self, detection: Detection) -> None:
+        """Use the frame's live channels, and no bin beside its tones; take its time."""
+        if self._plate.listen(detection):
+            self._still.reset()
+        self._search.update(detection.t_ns)
+
+    def _localization(
+        self, detection: Detection, begun: Fitted | None, *, alive: bool = True, complete: bool = False
+    ) -> Localization:
+        """Place the fingers of a frame; `begun` is what `follow` fitted in it."""
+        tracked = bool(self._prediction.positions_mm)
+        least = self._keep_confidence if alive else self._min_confidence
+        self._touches, inferred = self._place(detection, least, complete, begun)
+        outcome = Outcome.INFERRED if inferred else Outcome.TRACKED if tracked else Outcome.FAINT
+        return Localization(outcome, self._touches, self._departure, self._plate_moved)
+
+    def _place(
+        self, detection: Detection, min_confidence: float, complete: bool, begun: Fitted | None
+    ) -> tuple[tuple[Touch, ...], bool]:
         """Return the fingers of a frame, and whether the network ran."""
         noise, search, t_ns = self._noise, self._search, detection.t_ns
-        tracked, inferred = bool(self._prediction.positions_mm), False
-        self._touched = True
-        self._departure = self._plate_moved = False
-        bins = self._plate.bins(detection.residual, detection.hits)
-        signal = bins.energy - noise.noise_energy
-        # Most tracked fingers are far above noise and drift: that is quickly asked.
-        if not (tracked and signal > noise.noise_energy + self._drift.energy) and self._is_untouched(
-            bins, 0.0 if tracked else noise.plate_energy(bins.vector), t_ns
-        ):
-            return self._lose(), inferred
-        held = tracked and self._follower.waits(bins, signal)
-        if tracked:
-            fit = (self._follower.expected if held else self._follower.follow)(bins, t_ns, signal)
-        elif search.pending and not (search.doubts and signal > CRITERIA.faint * noise.noise_energy):
-            fit = no_fit(bins.energy)  # the search that goes on finds where to begin
+        tracked, inferred, held = bool(self._prediction.positions_mm), False, False
+        self._touched, self._departure, self._plate_moved = True, False, False
+        if begun:
+            bins, fit = begun
         else:
-            inferred = True
-            fit = self._landing.fit(detection, bins, signal)
-        bins, fit = self._settle(detection, bins, fit)
-        if not (fit.shapes or held) and self._follower.asks_shapes(noise.excess(fit.residual_energy, signal), signal):
-            bins, fit = self._settle(detection, bins, self._solver.with_shapes(bins, fit, noise.noise_energy))
+            bins = self._plate.bins(detection.residual, detection.hits)
+            signal = bins.energy - noise.noise_energy
+            # Most tracked fingers are far above noise and drift: that is quickly asked.
+            if not (tracked and signal > noise.noise_energy + self._drift.energy) and self._is_untouched(
+                bins, 0.0 if tracked else noise.plate_energy(bins.vector), t_ns
+            ):
+                return self._lose(), inferred
+            held = tracked and self._follower.waits(bins, signal)
+            if tracked:
+                fit = (self._follower.expected if held else self._follower.follow)(bins, t_ns, signal)
+            elif search.pending and not (search.doubts and signal > CRITERIA.faint * noise.noise_energy):
+                fit = no_fit(bins.energy)  # the search that goes on finds where to begin
+            else:
+                inferred = True
+                fit = self._landing.fit(detection, bins, signal)
+            bins, fit = self._settle(detection, bins, fit, shaped=not held)
+        self._follower.drop()
         signal = bins.energy - noise.noise_energy
-        excess, confidence = self._judge(fit, signal)
+        excess, confidence = noise.judge(fit, signal)
         clear = excess <= CRITERIA.search_above and signal >= CRITERIA.faint * noise.noise_energy
         if tracked and clear and confidence >= min_confidence and not search.pending:  # the usual case
             self._model_fit.add(fit.residual_energy - noise.noise_energy, signal, noise.noise_energy)
@@ -189,9 +205,10 @@ class AtlasLocalizer:
             # The plate has moved at once, and the contacts have not.
             held, bins = False, self._plate.bins(detection.residual, detection.hits)
             fit = self._follower.follow(bins, t_ns, bins.energy - noise.noise_energy)
+            self._follower.drop()
             bins, fit = self._settle(detection, bins, fit)
             signal = bins.energy - noise.noise_energy
-            excess, confidence = self._judge(fit, signal)
+            excess, confidence = noise.judge(fit, signal)
         # What may be beside one well explained finger that has just landed is sought from the next frame on; a search
         # that goes on began with a frame that was not like this.
         waits = not (tracked or complete) and len(fit.positions_mm) == 1 and excess < CRITERIA.fair
@@ -208,11 +225,12 @@ class AtlasLocalizer:
                     return self._touches, inferred
                 if held and found is fit:
                     found = self._follower.follow(bins, t_ns, signal)
+                    self._follower.drop()
                 bins, fit = self._settle(detection, bins, found)
                 signal = bins.energy - noise.noise_energy
                 if not known:
                     self._prediction.forget_velocities()
-            excess, confidence = self._judge(fit, signal)
+            excess, confidence = noise.judge(fit, signal)
         if fit.positions_mm or inferred or not search.pending:
             self._model_fit.add(fit.residual_energy - noise.noise_energy, signal, noise.noise_energy)
         # An emitter that falls silent, or a gain that changes, looks like a finger on the emitter; but the plate's own
@@ -223,19 +241,9 @@ class AtlasLocalizer:
         by_palms = excess > CRITERIA.fair and signal > CRITERIA.most_poor * self._drift.signal_energy and not tracked
         if by_plate or by_palms or not confidence >= min_confidence or not fit.positions_mm:
             return self._lose(), inferred
-        # Shapes that no finger has make up for wrong positions where the field is badly known, and several for a palm.
-        if len(fit.shapes) > 1 and not tracked:
-            long = excess > CRITERIA.good and elongation(fit) > CRITERIA.most_elongation
-            if long or oval_mm2(fit) > CRITERIA.most_oval_mm2:
-                return self._lose(), inferred
-        if len(fit.positions_mm) == 1 and not tracked and self._landing.is_ambiguous(bins, fit, signal, faint=faint):
+        if not tracked and self._landing.is_implausible(bins, fit, signal, excess):
             return self._lose(), inferred
         return self._accept(bins, fit, confidence, excess, t_ns, alone=complete), inferred
-
-    def _judge(self, fit: Fit, signal: float) -> tuple[float, float]:
-        """Return the share of a signal that a fit leaves, and how much it looks like fingers."""
-        excess = self._noise.excess(fit.residual_energy, signal)
-        return excess, CRITERIA.confidence(excess) if sum(fit.energies) > self._noise.min_signal_energy else 0.0
 
     def _is_untouched(self, bins: Bins, plate_energy: float, t_ns: int) -> bool:
         """Return whether noise and the plate's own movement explain a frame, and if so follow that movement."""
@@ -260,38 +268,30 @@ class AtlasLocalizer:
             moved_mm = self._prediction.moved_mm if self._classifier.sure and not doubt else math.inf
             self._still.update(bins, fit, moved_mm, self._noise.variance)
         self._departure = self._classifier.departure
-        change, touches = self._field_rms / self._plate.signal_rms, []  # of the signal, by a finger of amplitude 1
-        for k, sigma_mm, size in fingers:
-            if sigma_mm <= self._max_sigma_mm:
-                (x_mm, y_mm), face = fit.positions_mm[k], None if doubt else self._faces[k]
-                touches.append(self._touch_maker.touch(
-                    x_mm, y_mm, sigma_mm, confidence, size * change, None, face, kind_of(size, face)
-                ))  # fmt: skip
-        return tuple(touches)
+        change = self._field_rms / self._plate.signal_rms  # of the signal, by a finger of amplitude 1
+        sure = [finger for finger in fingers if finger[1] <= self._max_sigma_mm]
+        return self._touch_maker.touches(fit.positions_mm, sure, None if doubt else self._faces, confidence, change)
 
-    def _rests(self, residual: Signal) -> bool:
+    def _rests(self, detection: Detection) -> bool:
         """Return whether the finger of the last fit is still where it was, but for the noise."""
-        self._drift.correct(residual, self._still.vector)
+        if not self._still.armed or not self._touches or detection.hits:
+            return False
+        self._drift.correct(detection.residual, self._still.vector)
         self._plate.nuisance.align(self._still.vector)
-        return self._still.holds(2 * (1 + CRITERIA.noise_margin) * self._noise.noise_energy)
+        if not self._still.holds(2 * (1 + CRITERIA.noise_margin) * self._noise.noise_energy):
+            return False
+        self._prediction.rest(detection.t_ns)
+        return True
 
-    def _settle(self, detection: Detection, bins: Bins, fit: Fit) -> tuple[Bins, Fit]:
-        """Give fingers back what the frame's delay and hit samples took from them; too few fingers cannot tell it."""
-        noise_energy, nuisance = self._noise.noise_energy, self._plate.nuisance
-        lacking = fit.residual_energy > CRITERIA.half_confidence * bins.energy + noise_energy
-        if not nuisance.engaged or (lacking and not detection.hits):
+    def _settle(self, detection: Detection, bins: Bins, fit: Fit, *, shaped: bool = False) -> Fitted:
+        """Give fingers back what the frame's delay and hits took from them, and if `shaped` the shapes they ask for."""
+        bins, fit = self._plate.settle(bins, fit, self._solver, detection.hits)
+        if not shaped or fit.shapes:
             return bins, fit
-        return nuisance.settle(bins, fit, self._solver, noise_energy)
-
-    def _listen(self, detection: Detection) -> None:
-        """Use the channels that are live, and no bin beside a tone."""
-        if detection.live is not self._live:
-            self._live = detection.live
-            self._plate.set_channels(detection.live)
-            self._still.reset()
-        if detection.tones_hz is not self._plate.tones_hz:
-            self._plate.set_tones(detection.tones_hz)
-            self._still.reset()
+        signal = bins.energy - self._noise.noise_energy
+        if not self._follower.asks_shapes(self._noise.excess(fit.residual_energy, signal), signal):
+            return bins, fit
+        return self._settle(detection, bins, self._solver.with_shapes(bins, fit, self._noise.noise_energy))
 
     def _lose(self) -> tuple[Touch, ...]:
         self._plate.nuisance.forget_fingers()

@@ -18,6 +18,7 @@ import math
 from operator import mul
 
 from touchd.localization.atlas import Atlas
+from touchd.localization.estimator import Finger
 from touchd.localization.fit import Bins, Fit
 from touchd.localization.fit_criteria import CRITERIA
 from touchd.localization.gauss_newton import GaussNewton
@@ -52,10 +53,6 @@ one finger there looks like two, one along either edge."""
 EDGE_MM, WAVE_MM = 12.0, 30.0
 """A faint finger this near to an edge, with another within a wavelength, is not placed: the field is badly known there,
 and one finger looks like two on either side of it, or with a second one beside it."""
-
-
-Finger = tuple[int, float, float]
-"""A finger among the contacts of a fit: its index, standard error (mm) and modulus of the amplitude."""
 
 
 class Classifier:

@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from touchd.config.schema import Settings
 from touchd.detection.detection import Detection
 from touchd.keypad import Layout
+from touchd.localization.contact_kind import kind_of
 from touchd.localization.features import make_features, noise_to_signal
 from touchd.localization.model import Estimate, Model
+from touchd.localization.spline import Position
 from touchd.touch import Face, Kind, Touch
+
+Finger = tuple[int, float, float]
+"""A finger among the contacts of a fit: its index, standard error (mm) and modulus of the amplitude."""
 
 
 class Estimator:
@@ -85,3 +92,18 @@ class TouchMaker:
         if self._layout:
             key = self._layout.at(x_mm, y_mm)
         return Touch(x_mm, y_mm, sigma_mm, confidence, min(1.0, change / self._full_scale), key, face, kind)
+
+    def touches(
+        self, positions_mm: Sequence[Position], fingers: Sequence[Finger], faces: Sequence[Face | None] | None,
+        confidence: float, change: float,
+    ) -> tuple[Touch, ...]:  # fmt: skip
+        """Return the touches of the fingers among contacts at these positions, with faces if they are known.
+
+        `change` is that of the signal by a finger of amplitude 1, as a share of the signal.
+        """
+        made = []
+        for k, sigma_mm, size in fingers:
+            (x_mm, y_mm), face = positions_mm[k], faces[k] if faces else None
+            kind = kind_of(size, face)
+            made.append(self.touch(x_mm, y_mm, sigma_mm, confidence, size * change, None, face, kind))
+        return tuple(made)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -63,6 +64,7 @@ class Follower:
         self._last: Fit | None = None
         self._doubted_ns: int | None = None
         self._excess = self._signal = 0.0
+        self._dropped: list[int] = []
 
     def waits(self, bins: Bins, signal: float, excess: float | None = None) -> bool:
         """Return whether the fingers stay where they are until a search says what has come beside them.
@@ -130,7 +132,8 @@ class Follower:
         return Bins(left, bins.mask, float(left @ left))
 
     def follow(self, bins: Bins, t_ns: int, signal: float) -> Fit:
-        """Fit the fingers of the last frame from where they were going, less those that have lifted."""
+        """Fit the fingers of the last frame from where they were going, less those that have lifted, for `drop`."""
+        self._dropped = []
         positions = self._prediction.ahead(t_ns)
         fit = self._follow_shapes(bins, t_ns, positions, signal)
         if len(positions) == 1:
@@ -139,10 +142,26 @@ class Follower:
             fit = self._solver.fit_several(bins, positions, FOLLOW_STEPS - 1, STILL_MM / 4)
         if self._search.explains:
             return fit  # what another finger leaves makes these look weak
-        fit, dropped = self._search.prune(bins, fit, signal)
-        for k in dropped:
-            self._prediction.remove(k)
+        fit, self._dropped = self._search.prune(bins, fit, signal)
         return fit
+
+    def drop(self) -> None:
+        """Forget the fingers that have lifted, as the last `follow` found."""
+        for k in self._dropped:
+            self._prediction.remove(k)
+        self._dropped = []
+
+    def explains(self, fit: Fit, excess: float, signal: float) -> bool:
+        """Return whether fingers leave nothing to look for of a frame: neither tone nor impulse, nor another finger.
+
+        Beside a finger that moves nobody could tell a tone that leaves so little; of one that rests, what its fit
+        leaves does not grow but for noise. An impulse that the detector finds beside a finger leaves more.
+        """
+        if excess > CRITERIA.search_above:
+            return False
+        moved_mm = max(map(math.dist, fit.positions_mm, self._prediction.positions_mm))
+        grown = excess * signal - max(self._excess * self._signal, 0.0)
+        return moved_mm > STILL_MM or grown < CRITERIA.noise_margin * self._noise.noise_energy
 
     def _follow_shapes(self, bins: Bins, t_ns: int, positions_mm: list[Position], signal: float) -> Fit:
         """Fit fingers with the shapes they had, or fit those again; no fit unless their shapes explain the frame."""

@@ -6,6 +6,7 @@ import math
 
 from touchd.detection.detection import Detection
 from touchd.localization.atlas import AtlasDescription
+from touchd.localization.contact_model import elongation, oval_mm2
 from touchd.localization.estimator import Estimator
 from touchd.localization.fit import Bins, Fit, no_fit
 from touchd.localization.fit_criteria import CRITERIA
@@ -83,13 +84,25 @@ class Landing:
             for candidate in self._pursuit.candidates(bins.vector)
         ]
 
-    def is_ambiguous(self, bins: Bins, fit: Fit, signal: float, *, faint: bool) -> bool:
+    def is_implausible(self, bins: Bins, fit: Fit, signal: float, excess: float) -> bool:
+        """Return whether what has landed is no finger: fits that leave the share `excess` may be of something else.
+
+        Shapes that no finger has make up for wrong positions where the field is badly known, and several for a palm.
+        """
+        if len(fit.shapes) > 1:
+            long = excess > CRITERIA.good and elongation(fit) > CRITERIA.most_elongation
+            if long or oval_mm2(fit) > CRITERIA.most_oval_mm2:
+                return True
+        return len(fit.positions_mm) == 1 and self._is_ambiguous(bins, fit, signal)
+
+    def _is_ambiguous(self, bins: Bins, fit: Fit, signal: float) -> bool:
         """Return whether a finger elsewhere explains a frame nearly as well as the one fitted.
 
         Fingers at the edge, where the field is badly known, and faint ones may be placed in a wrong valley, and
         coloured noise resembles a finger.
         """
         noise = self._noise
+        faint = signal < CRITERIA.faint * noise.noise_energy
         left = fit.residual_energy - noise.noise_energy
         if left > CRITERIA.good * signal:
             # Shapes may make up for a wrong position: points are compared with points.

@@ -49,6 +49,12 @@ class Localizer(Protocol):
     def update(self, baseline: Signal, residuals: Signal | None = None) -> None:
         """Take another baseline, (channels, samples), and residuals that tell its noise, (n, ...); else that stays."""
 
+    def follow(self, detection: Detection) -> Localization | None:
+        """Return the fingers of the last frame in a touched one, before anything else is looked for in it.
+
+        None unless noise is all that they leave of it, beside what they left of the last one: `localize` it then.
+        """
+
     def localize(self, detection: Detection, *, alive: bool, complete: bool = False) -> Localization:
         """Return the fingers of a touched frame.
 

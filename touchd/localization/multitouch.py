@@ -91,7 +91,9 @@ class MultitouchSearch:
         self._running = None
 
     def update(self, t_ns: int) -> None:
-        """Take the time of the next touched frame: a search may use what has passed since the last one."""
+        """Take the time of a touched frame: a search may use what has passed since the last one."""
+        if t_ns == self._t_ns:
+            return  # the frame is known already
         self._before_ns, self._t_ns, self._spent = self._t_ns, t_ns, self._solver.spent
 
     def is_due(self, excess: float, signal: float) -> bool:

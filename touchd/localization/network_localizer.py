@@ -128,6 +128,12 @@ class NetworkLocalizer:
         self._signal_energy = max(float(flat.dot(flat)), 1.0)  # a dead DAQ sends zeros
         self.reset()
 
+    def follow(self, detection: Detection) -> Localization | None:
+        """Return the last touches if a touched frame differs from the last one examined by no more than noise."""
+        if not self._found.touches or detection.energy < self._min_snr * detection.noise_energy:
+            return None
+        return self._found if self._still.holds(detection.residual) else None
+
     def localize(
         self,
         detection: Detection,

@@ -15,11 +15,14 @@ from touchd.detection.baseline import Signal
 from touchd.detection.detection import Detection
 from touchd.localization.atlas import Array, Atlas
 from touchd.localization.drift import Drift
-from touchd.localization.fit import Bins
+from touchd.localization.fit import Bins, Fit
 from touchd.localization.fit_criteria import CRITERIA
+from touchd.localization.gauss_newton import GaussNewton
 from touchd.localization.noise import NoiseModel
 from touchd.localization.nuisance import Nuisance, hit_rows
 
+NOISE_NS = 128_000_000
+"""Of untouched frames: one in this time updates the noise model."""
 COMPARE_NS = 1_000_000_000
 """The baseline is compared at this interval: temperature and gains change far more slowly."""
 TONE_BINS = 2.0
@@ -45,14 +48,15 @@ class PlateModel:
         self._bins = np.array(atlas.description.bins)
         self._channels, self._bin_hz = acquisition.channels, acquisition.sample_rate_hz / acquisition.samples
         self._quiet: NDArray[np.bool_] | None = None
-        self.tones_hz: tuple[float, ...] = ()
+        self._tones_hz: tuple[float, ...] = ()
         """Tones beside which no bin is used."""
         self._vector: Array = np.zeros(atlas.size, dtype)
         self._energy = np.zeros((), dtype)
         self._baseline = atlas.baseline.copy()
         self._moved = np.zeros_like(self._baseline)
         self._live: NDArray[np.bool_] = np.ones(atlas.description.acquisition.channels, bool)
-        self.compared_ns = 0
+        self._untouched_ns = 0  # since the noise model was updated
+        self._compared_ns = 0
         """When the baseline was compared last."""
         self.moved = False
         """Whether what was explained last was more movement of the plate than noise."""
@@ -99,11 +103,37 @@ class PlateModel:
             self.hear(residual)
         self._select()
 
-    def follow(self, detection: Detection) -> None:
+    def listen(self, detection: Detection) -> bool:
+        """Use the channels that are live, and no bin beside a tone; return whether others were used before."""
+        changed = False
+        if detection.live is not self._live:
+            self._live, changed = detection.live, True
+            self._select()
+        if detection.tones_hz is not self._tones_hz:
+            self._set_tones(detection.tones_hz)
+            changed = True
+        return changed
+
+    def observe(self, detection: Detection) -> bool:
+        """Follow noise and baseline on an untouched frame; return whether it updated the noise model."""
+        if detection.live is not self._live or detection.tones_hz is not self._tones_hz:
+            self.listen(detection)
+        if detection.noise_changed:
+            self.noise.restart()
+        self._untouched_ns += detection.period_ns
+        due = self._untouched_ns >= NOISE_NS
+        if due or detection.t_ns - self._compared_ns > COMPARE_NS:
+            self._follow(detection)
+        if due:
+            self._untouched_ns = 0
+            self.hear(detection.residual)
+        return due
+
+    def _follow(self, detection: Detection) -> None:
         """Compare the baseline with the one that the bins are corrected for, once a second."""
-        if 0 <= detection.t_ns - self.compared_ns <= COMPARE_NS:
+        if 0 <= detection.t_ns - self._compared_ns <= COMPARE_NS:
             return
-        self.compared_ns = detection.t_ns
+        self._compared_ns = detection.t_ns
         np.subtract(detection.baseline, self._baseline, out=self._moved)
         flat = self._moved.reshape(-1)
         # By less a frame shows no difference, and neither does a position.
@@ -117,9 +147,9 @@ class PlateModel:
         if self.noise.update(self._vector):
             self._select()
 
-    def set_tones(self, tones_hz: tuple[float, ...]) -> None:
+    def _set_tones(self, tones_hz: tuple[float, ...]) -> None:
         """Use no bin beside tones of these frequencies."""
-        self.tones_hz = tones_hz
+        self._tones_hz = tones_hz
         apart = np.abs(self._bins[:, None] - np.array(tones_hz) / self._bin_hz)
         quiet = (apart > TONE_BINS).all(axis=1)
         self._quiet = None if quiet.all() else np.tile(quiet, 2 * self._channels)
@@ -131,11 +161,6 @@ class PlateModel:
         self.drift.set_baseline(baseline)
         self.signal_rms = math.sqrt(self.drift.signal_energy)
         """Root of the energy of the untouched plate's bins, counts."""
-        self._select()
-
-    def set_channels(self, live: NDArray[np.bool_]) -> None:
-        """Use live channels alone, shape (channels,)."""
-        self._live = live
         self._select()
 
     def drop_silent(self, detection: Detection) -> bool:
@@ -160,6 +185,14 @@ class PlateModel:
             self.nuisance.remove(vector, hit_rows(self.drift.matrix, hits, len(residual)), mask)
         vector.dot(vector, self._energy)
         return Bins(vector, mask, self._energy.item())
+
+    def settle(self, bins: Bins, fit: Fit, solver: GaussNewton, hits: tuple[int, ...]) -> tuple[Bins, Fit]:
+        """Give fingers back what the frame's delay and hit samples took from them; too few fingers cannot tell it."""
+        noise_energy = self.noise.noise_energy
+        lacking = fit.residual_energy > CRITERIA.half_confidence * bins.energy + noise_energy
+        if not self.nuisance.engaged or (lacking and not hits):
+            return bins, fit
+        return self.nuisance.settle(bins, fit, solver, noise_energy)
 
     def _select(self) -> None:
         """Leave out dead channels, and bins that drown in noise."""

@@ -27,6 +27,9 @@ class Uncalibrated:
     def update(self, baseline: Signal, residuals: Signal | None = None) -> None:
         """Take nothing."""
 
+    def follow(self, detection: Detection) -> None:
+        """Follow no finger."""
+
     def localize(self, detection: Detection, *, alive: bool, complete: bool = False) -> Localization:  # noqa: ARG002 - the protocol's
         """Say that there is no model."""
         return _NOTHING

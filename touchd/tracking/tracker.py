@@ -26,6 +26,8 @@ _LIFTING_NS = 100_000_000
 """Nor so soon after a contact has ended: a finger that lifts may show up once more."""
 _MOST_CONTACTS = 10
 _REFRESH_NS = 100_000_000
+_SETTLED_MM, _SETTLED_MM_S, _SETTLED_SHARE = 1e-3, 1e-3, 0.01
+"""A finger that rests has settled once its place, speed and face (a share of it) would change by less."""
 _DEAD_SIGMAS = 1.5
 """The dead band is at least this many standard errors wide."""
 
@@ -42,6 +44,19 @@ class Track:
         self.missing = 0
         self.contact: Contact | None = None  # until it is confirmed
 
+    def has_settled(self, touch: Touch) -> bool:
+        """Return whether the same touch again would change next to nothing."""
+        at, seen, face = self.filter, touch.face, self.face.face
+        return (
+            hypot(at.x_mm - touch.x_mm, at.y_mm - touch.y_mm) < _SETTLED_MM
+            and hypot(at.vx_mm_s, at.vy_mm_s) < _SETTLED_MM_S
+            and touch.kind in (None, self.kind.kind)
+            and (seen is face is None or (
+                seen is not None and face is not None
+                and abs(seen.mean_mm2 - face.mean_mm2) < _SETTLED_SHARE * face.mean_mm2
+            ))
+        )  # fmt: skip
+
 
 class Tracker:
     """Keeps the contacts of a plate.
@@ -52,6 +67,8 @@ class Tracker:
     """
 
     def __init__(self, settings: TrackerSettings) -> None:
+        self._touches: Sequence[Touch] = ()  # of the last frame
+        self._settled = False  # whether the same ones would change nothing
         self.configure(settings)
         self.tracks: list[Track] = []
         """Fingers that are followed, confirmed or not."""
@@ -78,12 +95,17 @@ class Tracker:
             beyond the dead band or went up, or the next frame would come later than 0.1 s after the last message.
             Else empty.
         """
-        elapsed_s = max(t_ns - self._last_ns, 1) * 1e-9
-        self._last_ns = t_ns
+        elapsed_ns, same = max(t_ns - self._last_ns, 1), touches is self._touches
+        self._last_ns, self._touches = t_ns, touches
+        if same and self._settled and 0 <= t_ns - self._reported_ns <= _REFRESH_NS - elapsed_ns:
+            return []
+        elapsed_s = elapsed_ns * 1e-9
         if len(self.tracks) == len(touches) == 1 and self._cost(self.tracks[0], touches[0]) < _NEVER:
             # One finger and one touch within its reach: there is nothing to choose.
-            return self._report(t_ns, self._advance(self.tracks[0], touches[0], elapsed_s), elapsed_s)
-        due = False
+            due = self._advance(self.tracks[0], touches[0], elapsed_s)
+            self._settled = same and not due and self.tracks[0].has_settled(touches[0])
+            return self._report(t_ns, due, elapsed_s)
+        self._settled = due = False
         matched = self._match(touches)
         for track, touch in zip(self.tracks, matched, strict=True):
             due |= self._miss(track) if touch is None else self._advance(track, touch, elapsed_s)
@@ -96,7 +118,7 @@ class Tracker:
 
     def release_all(self, t_ns: int) -> list[Contact]:
         """End every contact, as when the frames stop; return the same as `track`."""
-        self._last_ns = t_ns
+        self._last_ns, self._settled = t_ns, False
         for track in self.tracks:
             track.missing = _RELEASE_FRAMES - 1
         ends = [self._miss(track) for track in self.tracks]

@@ -15,7 +15,7 @@ from touchd.config.schema import Settings
 from touchd.detection.detection import Detection
 from touchd.event import Event, TouchEvent
 from touchd.frame import Frame
-from touchd.localization.atlas_localizer import AtlasLocalizer
+from touchd.localization.atlas_localizer import AtlasLocalizer, Fitted
 from touchd.localization.fit import Bins, Fit, shapes_of
 from touchd.localization.model import Model, default_model_path
 from touchd.pipeline import Pipeline
@@ -117,13 +117,15 @@ def _watch(localizer: AtlasLocalizer) -> _Watch:
         watch.known = fit is follower._last
         return update(bins, fit, excess)
 
-    def watched(detection: Detection, min_confidence: float, complete: bool) -> tuple[tuple[Touch, ...], bool]:
+    def watched(
+        detection: Detection, min_confidence: float, complete: bool, begun: Fitted | None
+    ) -> tuple[tuple[Touch, ...], bool]:
         residual = detection.residual
         features, nothing = (np.zeros_like(plate._vector) for _ in range(2))
         drift.correct(residual, features)
         drift.correct(np.zeros_like(residual), nothing)
         watch.fitted = False
-        touches, inferred = place(detection, min_confidence, complete)
+        touches, inferred = place(detection, min_confidence, complete, begun)
         mask, at = plate.noise.mask, list(localizer._prediction.positions_mm)
         watch.looks.append(
             Look(

@@ -44,7 +44,7 @@ def test_none() -> None:
 
 def test_gate() -> None:
     """20 ns of jitter leave the gate as sensitive as none: its noise is white noise."""
-    detector = Detector(RIG.shape, Settings(), lambda *_: None)
+    detector = Detector(RIG, Settings(), lambda *_: None)
     delays = 20e-9 * np.random.default_rng(2).standard_normal(400)
     opened = 0
     for sequence, frame in enumerate(PLATE + residuals(delays)):

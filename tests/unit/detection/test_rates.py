@@ -10,10 +10,11 @@ from touchd.detection.baseline import Baseline
 from touchd.detection.detector import Detector
 from touchd.detection.gate import Gate
 from touchd.detection.pace import USUAL_NS, Pace
-from touchd.frame import Frame
+from touchd.frame import ACQUISITIONS, Frame
 from touchd.outcome import Outcome
 
-SHAPE = (2, 250)
+USB = ACQUISITIONS["usb"].model_copy(update={"channels": 2})
+SHAPE = USB.shape
 RATES_HZ = [10, 50, 125, 250, 500]
 
 
@@ -21,7 +22,7 @@ class Plate:
     """A detector on an untouched plate of noise, frame by frame."""
 
     def __init__(self) -> None:
-        self.detector = Detector(SHAPE, Settings(), lambda _reason, _fields: None)
+        self.detector = Detector(USB, Settings(), lambda _reason, _fields: None)
         self.t_ns, self.number = 10**12, 0
         self._rng = np.random.default_rng(7)
         self._plate = 1000 * np.sin(np.arange(500).reshape(SHAPE))

@@ -13,7 +13,7 @@ from scipy.optimize import linear_sum_assignment
 
 from touchd.config.schema import TrackerSettings
 from touchd.event import Contact
-from touchd.touch import Touch
+from touchd.touch import Face, Touch
 from touchd.tracking.one_euro import OneEuro
 from touchd.tracking.tracker import Tracker
 
@@ -282,3 +282,22 @@ def test_filter_direction() -> None:
         along.update(2.0 * i, 0, 0.008)
         across.update(math.sqrt(2) * i, math.sqrt(2) * i, 0.008)
     assert along.x_mm == pytest.approx(math.hypot(across.x_mm, across.y_mm))
+
+
+def test_settled() -> None:
+    """A finger that rests in frames that are not examined is reported as one found anew in each, and so is its end."""
+    rested, found = Stroke(), Stroke()
+    face = Face(20.0, 1.0, 0.5, 0.5, 1.0)
+    for x_mm, frames in ((50.0, 1), (50.6, 60), (50.6, 1), (52.0, 90), (52.0, 20)):
+        touch = Touch(x_mm, 60.0, 0.05, 0.99, 0.3, None, replace(face, mean_mm2=0.4 * x_mm), "finger")
+        rested.feed(touch, frames=frames)  # one tuple for all of them
+        for _ in range(frames):
+            found.feed(touch)
+    for stroke in (rested, found):
+        stroke.feed(frames=3)
+    assert rested.phases() == found.phases()
+    for mine, its in zip(rested.reports, found.reports, strict=True):
+        assert mine[0].x_mm == pytest.approx(its[0].x_mm, abs=2e-3)
+        assert mine[0].vx_mm_s == pytest.approx(its[0].vx_mm_s, abs=2e-3)
+        assert mine[0].area_mm2 == pytest.approx(its[0].area_mm2, rel=0.02)
+        assert mine[0].kind == its[0].kind
