@@ -1,8 +1,10 @@
-"""Write files whole or not at all."""
+"""Write files whole or not at all; read none that would hold a daemon up."""
 
 from __future__ import annotations
 
+import errno
 import os
+import stat
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -12,6 +14,41 @@ from typing import IO
 from touchd.errors import OutputError
 
 CHECK = "check folder, space and permissions"
+MOST_TEXT_BYTES = 1 << 20
+"""No file of settings, keys or measures is as long."""
+
+
+def open_file(path: Path, flags: int = 0) -> IO[bytes]:
+    """Open a regular file to read, without waiting: a pipe of its name would hold a daemon up for ever.
+
+    Raises
+    ------
+    OSError
+        It cannot be opened, or is a folder, a pipe or a device.
+    """
+    # By an opener: a descriptor that `open` refuses to take, of a folder for one, would stay open.
+    file = open(path, "rb", opener=lambda name, mode: os.open(name, mode | flags | os.O_NONBLOCK))  # noqa: SIM115 - returned
+    if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+        file.close()
+        raise OSError(errno.EINVAL, "not a regular file", str(path))
+    return file
+
+
+def read_text(path: Path) -> str:
+    """Return the text of a file in UTF-8.
+
+    Raises
+    ------
+    OSError
+        See `open_file`; or it has more than MOST_TEXT_BYTES.
+    UnicodeDecodeError
+        It is no UTF-8.
+    """
+    with open_file(path) as file:
+        content = file.read(MOST_TEXT_BYTES + 1)
+    if len(content) > MOST_TEXT_BYTES:
+        raise OSError(errno.EFBIG, "more than 1 MiB", str(path))
+    return content.decode()
 
 
 @contextmanager

@@ -9,6 +9,7 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from touchd.errors import ConfigError
+from touchd.files import read_text
 from touchd.frame import Plate
 
 PHONE = Path(__file__).resolve().parent / "keypads" / "phone.toml"
@@ -87,7 +88,7 @@ def load_layout(path: Path, plate: Plate | None = None) -> Layout:
         plate.
     """
     try:
-        layout = Layout.model_validate(tomllib.loads(path.read_text("utf-8")))
+        layout = Layout.model_validate(tomllib.loads(read_text(path)))
     except OSError as error:
         raise ConfigError(f"cannot be read ({error.strerror})", str(path), "check keypad.layout") from error
     except ValidationError as error:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
 
 from touchd.errors import ConfigError
+from touchd.files import MOST_TEXT_BYTES
 from touchd.frame import Plate
 from touchd.keypad import PHONE, load_layout
 
@@ -58,8 +60,10 @@ def test_refused(tmp_path: Path, keys: list[Rectangle], message: str) -> None:
 
 @pytest.mark.parametrize("content", [b"a = " + b"1" * 5000, b"a = " + b"[" * 5000, b"\xff", b"[", b"key = 3"])
 def test_no_layout(tmp_path: Path, content: bytes) -> None:
-    """A file that is no layout is refused, and so is a folder."""
+    """A file that is no layout is refused, and so are a folder, a pipe and what is too long for one."""
     (tmp_path / "keys.toml").write_bytes(content)
-    for path in (tmp_path / "keys.toml", tmp_path):
+    (tmp_path / "long.toml").write_bytes(b"#" * (MOST_TEXT_BYTES + 1))
+    os.mkfifo(tmp_path / "pipe.toml")
+    for path in (tmp_path / "keys.toml", tmp_path, tmp_path / "long.toml", tmp_path / "pipe.toml"):
         with pytest.raises(ConfigError):
             load_layout(path)

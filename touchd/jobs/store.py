@@ -13,7 +13,7 @@ from pathlib import Path
 import structlog
 
 from touchd.errors import OutputError
-from touchd.files import replacing
+from touchd.files import open_file, replacing
 
 log = structlog.get_logger()
 
@@ -52,7 +52,7 @@ class Store:
         """Return a pickled result; None, with the reason in the log, if it is damaged or not this user's alone."""
         path = self._path(key)
         try:
-            with open(os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK), "rb") as file:
+            with open_file(path, os.O_NOFOLLOW) as file:
                 reason = _unsafe_file(os.fstat(file.fileno()))
                 content = b"" if reason else file.read()
         except (FileNotFoundError, NotADirectoryError):
@@ -100,8 +100,6 @@ def _unsafe_folder(status: os.stat_result, *, is_parent: bool) -> str:
 
 def _unsafe_file(status: os.stat_result) -> str:
     """Return why another user could have written a file, or ""."""
-    if not stat.S_ISREG(status.st_mode):
-        return "it is no file"
     if status.st_uid != os.geteuid():
         return "it belongs to another user"
     return "other users may write to it" if _others_write(status) else ""

@@ -17,6 +17,7 @@ import zmq
 from zmq.auth import create_certificates
 
 from touchd.errors import BusError, ConfigError, OutputError
+from touchd.files import open_file
 
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]*")
 _KEY = re.compile(rb"""^\s*(public|secret)-key\s*=\s*"([0-9a-zA-Z.\-:+=^!/*?&<>()\[\]{}@%$#]{40})"\s*$""", re.MULTILINE)
@@ -181,9 +182,14 @@ class ClientKeys:
 
 
 def _signature(entry: os.DirEntry[str]) -> tuple[int, ...]:
-    """Return what changes when a file is written or replaced; nothing for a link that leads nowhere."""
+    """Return what changes when a file is written or replaced; nothing for a link that leads nowhere.
+
+    In a folder that may be listed but not searched it raises PermissionError.
+    """
     try:
         status = entry.stat()
+    except PermissionError:
+        raise
     except OSError:
         return ()
     return status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns
@@ -200,12 +206,8 @@ def _flush(path: str | Path) -> None:
 def _load(path: Path, *, private: bool = False) -> tuple[bytes | None, bytes | None]:
     """Return the public and the secret key of a file, None for one that is missing or malformed."""
     try:
-        # Without waiting: a pipe of that name would hold the daemon up for ever.
-        with open(os.open(path, os.O_RDONLY | os.O_NONBLOCK), "rb") as file:
-            status = os.fstat(file.fileno())
-            if not stat.S_ISREG(status.st_mode):
-                return None, None
-            mode = stat.S_IMODE(status.st_mode)
+        with open_file(path) as file:
+            mode = stat.S_IMODE(os.fstat(file.fileno()).st_mode)
             if private and mode & 0o077:
                 raise BusError(
                     f"the secret key is open to other users (mode {mode:04o})", str(path),

@@ -159,6 +159,7 @@ def test_keys(tmp_path: Path, full: bool) -> None:
         try:
             os.mkfifo(clients / "x.key")
             (clients / "y.key").write_text("damaged")
+            (clients / "z.key").mkdir()
             with (
                 bounded(daemon, honest, "keys"),
                 attack(daemon, "idle", 1100 if full else 240),
@@ -171,7 +172,7 @@ def test_keys(tmp_path: Path, full: bool) -> None:
                         assert newcomer.hears_more(1)
                     finally:
                         newcomer.close()
-                assert all(daemon.said(name) for name in ("x.key", "y.key"))
+                assert all(daemon.said(name) for name in ("x.key", "y.key", "z.key"))
             with attack(daemon, "idle", 240):
                 assert daemon.end() < PATIENCE_S / 2
         finally:

@@ -107,11 +107,12 @@ def test_a_client_whose_key_was_taken_away_cannot_come_back(bus: Bus, keys: Path
 
 
 def test_a_damaged_key_is_skipped(bus: Bus, keys: Path) -> None:
-    """A key file that is damaged, a pipe or a dead link is skipped and named in the log; the others stay in force."""
+    """A damaged file, a pipe, a folder or a dead link is skipped and named in the log; the other keys stay in force."""
     sink = bus(curve_clients=keys.parent / "clients")
     (keys.parent / "clients/stranger.key").write_bytes((keys / "stranger.key").read_bytes())
     (keys.parent / "clients/friend.key").write_text("damaged")
     os.mkfifo(keys.parent / "clients/pipe.key")
+    (keys.parent / "clients/folder.key").mkdir()
     (keys.parent / "clients/link.key").symlink_to("nowhere")
     with (
         capture_logs() as logs,
@@ -120,7 +121,7 @@ def test_a_damaged_key_is_skipped(bus: Bus, keys: Path) -> None:
     ):
         assert is_served(sink, other)
         assert gets_nothing(friend)
-    for name in ("friend.key", "pipe.key", "link.key"):
+    for name in ("friend.key", "pipe.key", "folder.key", "link.key"):
         assert [name in line["error"] for line in logs if "error" in line].count(True) == 1
 
 

@@ -162,6 +162,6 @@ def test_unsafe_file(tmp_path: Path, kind: str, capsys: pytest.CaptureFixture[st
         "writable": "other users may write",
         "stranger's": "another user",
         "link": "symbolic links",
-        "pipe": "no file",
+        "pipe": "not a regular file",
     }
     assert said.get(kind, "irectory") in out

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import stat
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -37,6 +38,42 @@ def test_a_key_file_is_read_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     known.refresh()
     assert friend not in known
     assert keys / "stranger.key" not in opened
+
+
+def test_what_is_no_file_holds_nobody_up(tmp_path: Path) -> None:
+    """However often they are looked at, a folder and a pipe of a key's name cost no descriptor and no wait."""
+    curve.make_files(tmp_path, "friend")
+    (tmp_path / "folder.key").mkdir()
+    os.mkfifo(tmp_path / "pipe.key")
+    known = curve.ClientKeys(tmp_path)
+    before = len(os.listdir("/proc/self/fd"))
+    for _ in range(100):
+        known.refresh()
+    assert len(os.listdir("/proc/self/fd")) == before
+
+
+def test_keys_stay_known_in_a_folder_that_may_be_listed_but_not_searched() -> None:
+    """Nobody can tell then which keys are still there: clients are asked to try again, not to go away."""
+    root = os.geteuid() == 0
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        curve.make_files(folder, "friend")
+        friend = curve.load_secret(folder / "friend.key_secret").public
+        known = curve.ClientKeys(folder)
+        folder.chmod(0o444)
+        if root:
+            os.seteuid(65534)  # may do what the permissions say
+        try:
+            known.refresh()
+        finally:
+            if root:
+                os.seteuid(0)
+            folder.chmod(0o700)
+        assert friend in known
+        assert not known.current
+        (folder / "friend.key").unlink()
+        known.refresh()
+        assert friend not in known
 
 
 def test_keygen_makes_a_private_folder_a_private_secret_and_a_public_key(tmp_path: Path) -> None:
