@@ -155,6 +155,10 @@ class Pipeline:
         self.screen_off &= settings.skip.screen
         self._set_unusual()
 
+    def check(self, model: Model) -> None:
+        """Raise ModelMismatch if a model was made for another acquisition."""
+        model.check(self._acquisition)
+
     def set_model(self, model: Model, settings: Settings, layout: Layout | None) -> None:
         """Place fingers with another model of the same type of number: the plate is relearned, and contacts end.
 
@@ -163,7 +167,7 @@ class Pipeline:
         ModelMismatch
             The model was made for another acquisition.
         """
-        model.check(self._acquisition)
+        self.check(model)
         self.model, self.layout = model, layout
         self._localizer = make_localizer(model, settings, layout)
         self.detector.reset()

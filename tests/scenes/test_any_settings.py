@@ -22,9 +22,9 @@ from touchd.event import Contact
 from touchd.frame import Frame
 from touchd.localization.model import Model
 from touchd.pipeline import Pipeline
-from touchd.service.daemon import make_reloader
 from touchd.service.health import Health
 from touchd.service.messages import Messages, all_but_spectra
+from touchd.service.reload import make_reloader
 from touchd.sources.replay import ReplaySource
 
 PERIOD_NS = 8_000_000

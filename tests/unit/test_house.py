@@ -25,7 +25,7 @@ FLOORS = (
 )
 """From the ground up. A room may import from a lower floor, and from a room that stands before it on its own."""
 ONLY = {
-    "sinks": {"errors", "event", "config"},
+    "sinks": {"errors", "files", "event", "config"},
     "client": {"errors", "event", "config", "sinks"},
     "bridges": {"errors", "event", "config", "client"},
     "tracking": {"errors", "event", "touch", "config", "keypad"},

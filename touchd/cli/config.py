@@ -24,7 +24,7 @@ def command(ctx: click.Context, path: Path | None, default: bool) -> None:
     settings = Settings() if default else load(path or (ctx.obj or {}).get("config"))
     if settings.keypad.layout is not None:
         # Late: the keys must lie on the plate that the model knows, and a model takes a moment to load.
-        from touchd.service.daemon import layout_of, load_model
+        from touchd.service.models import layout_of, load_model
 
         layout_of(settings, load_model(settings))
     click.echo(render(settings), nl=False)

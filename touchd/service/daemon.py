@@ -17,11 +17,10 @@ import structlog
 from touchd.config.schema import Settings
 from touchd.errors import SourceError
 from touchd.frame import Plate
-from touchd.keypad import Layout, load_layout
+from touchd.keypad import Layout
 from touchd.localization.model import Model
 from touchd.pipeline import Pipeline
 from touchd.recording.data import Device, Meta
-from touchd.service import log as logging
 from touchd.service import realtime
 from touchd.service.control import Control, path_of
 from touchd.service.cpu_latency import Awake
@@ -29,11 +28,11 @@ from touchd.service.frame_feed import FeedDescription, FrameFeed
 from touchd.service.health import Health
 from touchd.service.loop import FrameKeeper, Service
 from touchd.service.messages import Messages, wants_of
-from touchd.service.models import ModelInUse, settings_for
+from touchd.service.models import layout_of, settings_for
 from touchd.service.models import load_model as load_model
 from touchd.service.preroll import PreRoll
 from touchd.service.rate import ScanRate
-from touchd.service.reload import Reloader
+from touchd.service.reload import make_reloader
 from touchd.service.signals import deliver, reload_on_hangup, save_on_signal, stop_on_signals
 from touchd.service.systemd import Notifier
 from touchd.sinks.sink import Sink
@@ -58,15 +57,6 @@ def find_model(settings: Settings) -> Model | None:
     """Return the model in use; None if the settings name one that is not there yet: the daemon is uncalibrated."""
     path = settings.model.path
     return None if path is not None and not os.path.lexists(path) else load_model(settings)
-
-
-def layout_of(settings: Settings, model: Model | None) -> Layout | None:
-    """Return the keys, in keypad mode: those that the settings name, or else the model's own."""
-    if model is None:
-        return None  # keys lie on a plate that a model knows
-    if settings.keypad.layout is None:
-        return model.description.layout
-    return load_layout(settings.keypad.layout, model.description.plate)
 
 
 @dataclass(slots=True)
@@ -164,39 +154,6 @@ def make_service(
         awake=Awake(settings.realtime.awake_from_hz), preroll=preroll, control=control, reloader=reloader,
         feed=feed, rate=ScanRate(source, settings.device), describe=describe,
     )  # fmt: skip
-
-
-def make_reloader(
-    settings: Settings,
-    read: Callable[[], Settings],
-    model: Model | None,
-    pipeline: Pipeline,
-    messages: Messages,
-    health: Health,
-    preroll: PreRoll | None = None,
-) -> Reloader:
-    """Return what reloads the configuration of these parts, and the model once its files have changed."""
-    in_use = ModelInUse(settings, model)
-    loaded = model
-
-    def layout_with(new: Settings) -> Layout | None:
-        nonlocal loaded
-        loaded = in_use.load(new)
-        return layout_of(new, loaded)
-
-    def apply(new: Settings, layout: Layout | None) -> None:
-        if loaded is not None and loaded is not in_use.model:
-            pipeline.set_model(loaded, new, layout)  # first: it refuses a model before anything has changed
-            log.info("model", name=loaded.description.name, path=loaded.path)
-        in_use.take(loaded)
-        pipeline.configure(new, layout)
-        messages.configure(new)
-        health.configure(new.health)
-        if preroll is not None:
-            preroll.configure(new.preroll)
-        logging.configure(new.log)
-
-    return Reloader(settings, layout_of(settings, model), read, layout_with, apply)
 
 
 def describer(

@@ -1,4 +1,4 @@
-"""Which model the daemon uses, and whether its files have changed since."""
+"""Which model the daemon uses, with which keys, and whether its files have changed since."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 
 from touchd.config.schema import Settings
 from touchd.errors import ModelMismatch
+from touchd.keypad import Layout, load_layout
 from touchd.localization.atlas import atlas_path
 from touchd.localization.model import Model, default_model_path
 from touchd.sources.open import SourceChoice
@@ -51,6 +52,15 @@ def model_path(settings: Settings) -> Path:
 def load_model(settings: Settings) -> Model:
     """Load the model in use; ModelMissing without one."""
     return Model(model_path(settings), atlas=settings.model.atlas)
+
+
+def layout_of(settings: Settings, model: Model | None) -> Layout | None:
+    """Return the keys, in keypad mode: those that the settings name, or else the model's own."""
+    if model is None:
+        return None  # keys lie on a plate that a model knows
+    if settings.keypad.layout is None:
+        return model.description.layout
+    return load_layout(settings.keypad.layout, model.description.plate)
 
 
 class ModelInUse:

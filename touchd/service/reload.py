@@ -11,6 +11,13 @@ from touchd.config.render import fields
 from touchd.config.schema import Settings
 from touchd.errors import TouchdError
 from touchd.keypad import Layout
+from touchd.localization.model import Model
+from touchd.pipeline import Pipeline
+from touchd.service import log as logging
+from touchd.service.health import Health
+from touchd.service.messages import Messages
+from touchd.service.models import ModelInUse, layout_of
+from touchd.service.preroll import PreRoll
 
 RESTART_ONLY = frozenset({"device", "ni", "audio", "bus", "control", "realtime", "baseline.learn_frames"})
 """Tables and keys that a running daemon cannot change: what is open, bound or learned."""
@@ -103,3 +110,44 @@ class Reloader:
             self._apply(self.settings, self._layout)  # no part keeps what another one refused
             raise
         self.settings, self._layout = settings, layout
+
+
+def make_reloader(
+    settings: Settings,
+    read: Callable[[], Settings],
+    model: Model | None,
+    pipeline: Pipeline,
+    messages: Messages,
+    health: Health,
+    preroll: PreRoll | None = None,
+) -> Reloader:
+    """Return what reloads the configuration of these parts, and the model once its files have changed."""
+    in_use = ModelInUse(settings, model)
+    loaded: Model | None = None
+
+    def layout_with(new: Settings) -> Layout | None:
+        nonlocal loaded
+        loaded = in_use.load(new)
+        return layout_of(new, loaded)
+
+    def apply(new: Settings, layout: Layout | None) -> None:
+        nonlocal loaded
+        # Once: when the old settings are applied again, because a part refused the new ones, no model comes with them.
+        fresh, loaded = loaded, None
+        if fresh is not None:
+            pipeline.check(fresh)
+        pipeline.configure(new, layout)
+        messages.configure(new)
+        health.configure(new.health)
+        logging.configure(new.log)
+        # What cannot be taken back comes last: frames that are forgotten, and contacts that end.
+        if preroll is not None:
+            preroll.configure(new.preroll)
+        if fresh is None:
+            return
+        if fresh is not in_use.model:
+            pipeline.set_model(fresh, new, layout)
+            log.info("model", name=fresh.description.name, path=fresh.path)
+        in_use.take(fresh)
+
+    return Reloader(settings, layout_of(settings, model), read, layout_with, apply)

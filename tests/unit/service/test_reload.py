@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import shutil
 from collections.abc import Callable
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 from structlog.testing import capture_logs
@@ -18,10 +20,10 @@ from touchd.frame import Frame
 from touchd.keypad import Layout
 from touchd.localization.model import Model
 from touchd.pipeline import Pipeline
-from touchd.service.daemon import make_reloader
 from touchd.service.health import Health
 from touchd.service.messages import Messages, all_but_spectra
-from touchd.service.reload import RESTART_ONLY, Reloader, compare
+from touchd.service.preroll import PreRoll
+from touchd.service.reload import RESTART_ONLY, Reloader, compare, make_reloader
 from touchd.sources.replay import ReplaySource
 
 PERIOD_NS = 8_000_000
@@ -193,3 +195,29 @@ def test_part_that_fails() -> None:
     assert applied == [("first", new), ("first", Settings()), ("second", Settings())]
     assert reloader.settings == Settings()
     assert [(entry["log_level"], entry["error"]) for entry in entries] == [("error", "OverflowError('too large')")]
+
+
+def test_model_with_a_part_that_fails(
+    run: Callable[[str], Run], model: Model, scene_file: Callable[[str], Path], tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    """Settings that a part refuses bring no new model either, nor empty the pre-roll; taken later, they do."""
+    for path in model.path.parent.glob(f"{model.path.stem}.*"):
+        shutil.copy(path, tmp_path / path.name)
+    new = settings({"model": {"path": tmp_path / model.path.name, "atlas": False}, "preroll": {"seconds": 0.0}})
+    pipeline = run("idle").pipeline
+    messages = Messages(Settings(), all_but_spectra)
+    health = Health(ReplaySource(scene_file("idle")), pipeline, messages, HealthSettings())
+    first = settings({"model": {"path": model.path, "atlas": False}})
+    preroll = Mock(PreRoll)
+    reloader = make_reloader(first, lambda: new, model, pipeline, messages, health, preroll)
+    with monkeypatch.context() as broken:
+        broken.setattr(health, "configure", Mock(side_effect=[OverflowError("too large"), None]))
+        reloader.reload()
+    assert reloader.settings == first
+    assert pipeline.model is model
+    preroll.configure.assert_called_once_with(first.preroll)
+    reloader.reload()
+    assert reloader.settings == new
+    assert pipeline.model is not model
+    preroll.configure.assert_called_with(new.preroll)

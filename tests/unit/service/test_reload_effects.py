@@ -18,12 +18,11 @@ from touchd.keypad import PHONE
 from touchd.localization.model import Model, default_model_path
 from touchd.pipeline import Pipeline
 from touchd.service.control import Control
-from touchd.service.daemon import make_reloader
 from touchd.service.health import Health
 from touchd.service.loop import Service
 from touchd.service.messages import Messages
 from touchd.service.preroll import PreRoll
-from touchd.service.reload import BRIDGES, RESTART_ONLY
+from touchd.service.reload import BRIDGES, RESTART_ONLY, make_reloader
 
 Values = dict[str, dict[str, object]]
 
