@@ -132,7 +132,7 @@ class Subscriber(Generic[E]):
         self._keyed = pair is not None
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self._socket = self._context.socket(zmq.SUB)
-        self._wait_ms = _FOR_EVER
+        self._waits_s = math.inf  # in a call that receives
         try:
             self._socket.setsockopt(zmq.LINGER, 0)
             self._socket.setsockopt(zmq.MAXMSGSIZE, _MOST_BYTES)
@@ -238,11 +238,11 @@ class Subscriber(Generic[E]):
 
     def _received(self, timeout_s: float) -> list[bytes] | None:
         """Return the parts of the next message, None if none comes in time."""
-        wait_ms = _FOR_EVER if timeout_s > _LONGEST_WAIT_S else max(0, math.ceil(timeout_s * 1000))
         # To wait in the call that receives is 7 us quicker than to poll first, of 70 from the socket to here.
-        if wait_ms != self._wait_ms:
+        if timeout_s != self._waits_s:
+            wait_ms = _FOR_EVER if timeout_s > _LONGEST_WAIT_S else max(0, math.ceil(timeout_s * 1000))
             self._socket.setsockopt(zmq.RCVTIMEO, wait_ms)
-            self._wait_ms = wait_ms
+            self._waits_s = timeout_s
         parts, more = [], True
         try:
             while more:  # recv_multipart asks after each part in Python

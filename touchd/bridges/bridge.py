@@ -11,8 +11,8 @@ from touchd.client import Subscriber
 from touchd.errors import BusTimeout
 from touchd.event import Event, KeyEvent
 
-_BEAT_S = 0.25
-"""Longest time between two looks at what is not on the bus: silence, signals, the watchdog of 2 s."""
+_WAIT_S, _BEAT_NS = 0.25, 100_000_000
+"""Longest wait for the bus, and least time between two looks at what is not on it: signals, the watchdog of 2 s."""
 
 
 class Output(Protocol):
@@ -29,7 +29,7 @@ class Output(Protocol):
         """Show a key's press or release."""
 
     def idle(self, now_ns: int) -> None:
-        """Do what is due with time; called every 0.25 s or sooner."""
+        """Do what is due with time; called every 0.35 s or sooner."""
 
     def close(self) -> None:
         """Lift all and end."""
@@ -49,7 +49,7 @@ def run(
         The bus; by default the installed service, or a `touchd` on this computer.
     output : Output
     goes_on : callable
-        Asked every 0.25 s or sooner, with the time, ns; False ends the bridge.
+        Asked every 0.35 s or sooner, with the time, ns; False ends the bridge.
     clock : callable
         CLOCK_MONOTONIC, ns.
 
@@ -62,10 +62,15 @@ def run(
     events: Subscriber[Event]
     try:
         with Subscriber(address, output.topics) as events:
-            while goes_on(now_ns := clock()):
-                output.idle(now_ns)
+            now_ns = due_ns = clock()
+            while True:
+                if now_ns >= due_ns:
+                    if not goes_on(now_ns):
+                        break
+                    output.idle(now_ns)
+                    due_ns = now_ns + _BEAT_NS
                 try:
-                    event = events.receive(following.patience_s(now_ns, _BEAT_S))
+                    event = events.receive(following.patience_s(now_ns, _WAIT_S))
                 except BusTimeout:
                     if following.check(now_ns := clock()):
                         output.show(following.down, now_ns)

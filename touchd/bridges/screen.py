@@ -35,13 +35,15 @@ class Screen:
     def __init__(self, area: Area, device: Writer) -> None:
         self._area, self._device = area, device
         self._slots = slots.EMPTY
+        self._fingers: dict[int, slots.Finger] = {}  # as written last
 
     def show(self, down: Down, t_ns: int) -> None:
-        """Write one frame, unless nothing is on the screen, and nothing was."""
+        """Write one frame, unless all fingers are where they were, in the device's units."""
         places = self._area.places(down, t_ns)
-        if not places and self._slots == slots.EMPTY:
-            return
         fingers = {number: slots.finger(place) for number, place in places.items()}
+        if fingers == self._fingers and fingers.keys() <= {*self._slots}:  # none waits for a slot
+            return
+        self._fingers = fingers
         frame, self._slots = slots.encode(self._slots, fingers)
         self._device.write(frame)
 

@@ -68,8 +68,8 @@ def _size(place: Place) -> tuple[int, int, int]:
     major_mm, minor_mm = place.contact.major_mm, place.contact.minor_mm
     if not major_mm or not minor_mm:
         return UNKNOWN_SIZE
-    major, minor = (min(max(round(length * PER_MM), 1), SIZE_MAX) for length in (major_mm, minor_mm))
-    return major, minor, round(half_turn(place.angle_deg - 90.0))
+    major, minor = round(major_mm * PER_MM), round(minor_mm * PER_MM)
+    return min(max(major, 1), SIZE_MAX), min(max(minor, 1), SIZE_MAX), round(half_turn(place.angle_deg - 90.0))
 
 
 def encode(slots: Slots, fingers: Mapping[int, Finger]) -> tuple[bytes, Slots]:

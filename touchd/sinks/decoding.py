@@ -11,7 +11,7 @@ from touchd.event import TOPICS, VERSION, Event, decode
 
 _LONGEST_BYTES = 1 << 20
 """A spectrum has some ten thousand."""
-_KNOWN = frozenset(topic.encode() for topic in TOPICS)
+_KNOWN = {topic.encode(): topic for topic in TOPICS}
 
 
 def decode_message(parts: list[bytes], address: str) -> Event | None:
@@ -22,9 +22,9 @@ def decode_message(parts: list[bytes], address: str) -> Event | None:
     BusError
         If the message is not one of the bus; nothing of it is quoted, since a key press is secret.
     """
-    if parts[0] not in _KNOWN:
+    topic = _KNOWN.get(parts[0])
+    if topic is None:
         return None
-    topic = parts[0].decode()
     if len(parts) != 2:
         raise BusError(
             f"a {topic} message of {len(parts)} parts instead of 2", address, "is it a touchd that publishes?"

@@ -66,7 +66,8 @@ class Stream:
         # The bus never sends an older message again, so a counter that fell belongs to a restarted daemon.
         if last is not None and event.seq > last[0]:
             self._lost[event.type] += event.seq - last[0] - 1
-        if not self._is_stale(event):
+        follows = last is not None and event.seq == last[0] + 1 and event.t_ns >= last[1]
+        if not self._is_stale(event, follows=follows):
             if isinstance(event, TouchEvent):
                 # A generator is another function in each frame.
                 self._touched = any([contact.phase != "up" for contact in event.contacts])  # noqa: C419
@@ -88,10 +89,13 @@ class Stream:
         elif len(self._pressed) < 1000:
             self._pressed.add(event.key)
 
-    def _is_stale(self, event: Event) -> bool:
+    def _is_stale(self, event: Event, *, follows: bool) -> bool:
+        """Return whether an event is stale; `follows` says that it is the next one after the last of its topic."""
         now_ns = self._clock()
         delay_ns = now_ns - event.t_ns
-        epoch_ns = _epoch_ns(event)
+        # Reading `wall` is slow: not for a message that follows the last one and is new by what is known.
+        known = follows and delay_ns - self._least_ns <= self._max_age_ns
+        epoch_ns = self._epoch_ns if known else _epoch_ns(event)
         if self._epoch_ns is None or epoch_ns is None or abs(epoch_ns - self._epoch_ns) > _SHARED_NS:
             # The first message, or one of a daemon that started again, on a clock that may have, too.
             self._epoch_ns = epoch_ns

@@ -9,8 +9,10 @@ from msgspec.structs import replace
 from tests.unit.bridges.events import contact
 from tests.unit.bridges.kernel import Kernel
 from touchd.bridges import slots
-from touchd.bridges.area import Place
+from touchd.bridges.area import Area, Place
+from touchd.bridges.screen import Screen
 from touchd.bridges.slots import EMPTY, Finger, Slots, encode, finger, lift_all
+from touchd.config.bridges import InputSettings
 
 FINGER = st.builds(
     Finger, st.integers(0, 20000), st.integers(0, 20000), st.integers(1, 1000),
@@ -93,3 +95,23 @@ def test_size() -> None:
         assert finger(place).size == (1200, 800, orientation)
     unknown = Place(1.0, 1.0, 0.0, 0.0, 0.0, contact(1))
     assert finger(unknown).size == (1, 1, 0), "never 0 while down"
+
+
+def test_resting() -> None:
+    """A finger that rests, or moves by less than the device's unit, writes nothing; its lift does."""
+    written: list[bytes] = []
+
+    class Device(Kernel):
+        def write(self, data: bytes) -> None:
+            written.append(data)
+            super().write(data)
+
+    kernel = Device()
+    screen, counts = Screen(Area(InputSettings(screen_mm=(0, 0, 200, 100))), kernel), []
+    for x_mm in (50.0, 50.0, 50.004, 50.02, 50.02, None):
+        screen.show({} if x_mm is None else {1: contact(1, x_mm=x_mm)}, 0)
+        counts.append(len(written))
+    assert counts == [1, 1, 1, 2, 2, 3]
+    for numbers in (range(6), range(1, 6), range(1, 6)):
+        screen.show({number: contact(number) for number in numbers}, 0)
+    assert len(kernel.live) == 5, "the sixth has the slot that was free in the frame before"

@@ -71,12 +71,13 @@ def test_clocks_that_drift(drift: float) -> None:
 
 
 @pytest.mark.parametrize("apart_s", [0.0, 7.0])
-def test_a_daemon_whose_computer_started_again(apart_s: float) -> None:
-    """Its clock starts again, and its touches are as good as before."""
+@pytest.mark.parametrize("later_s", [1, 600], ids=["started again", "slept"])
+def test_a_daemon_whose_computer_started_again_or_slept(apart_s: float, later_s: float) -> None:
+    """Its clock starts again, or stood still, and its touches are as good as before."""
     computers = Computers(apart_s)
     assert computers.hears(0.0)
     computers.apart_s -= 500
-    computers.now_s += 1
+    computers.now_s += later_s
     assert computers.hears(0.0)
     assert not computers.hears(1.0)
 
