@@ -29,7 +29,7 @@ from playwright.sync_api import TimeoutError as Late
 
 from tests.processes import PATIENCE_S, ROOT, environment, started
 from tests.system.web.rig import CHROMIUM, PATIENCE_MS, Web, chromium, page, web
-from tests.system.web.wizard import wizard
+from tests.system.web.wizard import POOR, wizard
 from tests.unit.bridges.tuioclient import Client
 from touchd.config.load import load
 from touchd.localization.model_file import digest, install
@@ -202,7 +202,7 @@ def follow() -> str:
 
 
 def test_no_wizard(tmp_path: Path, follow: str) -> None:
-    """Without a wizard the page says what to start, and it comes to life as soon as one runs."""
+    """Without a wizard the page says what to start; with one it lives, and says why a fit or a tap is bad."""
     assert follow
     rig = Rig(tmp_path)
     with rig.serve() as server, chromium() as browser, page(browser, server.url) as opened:
@@ -217,6 +217,11 @@ def test_no_wizard(tmp_path: Path, follow: str) -> None:
         expect(opened.get_by_role("alert")).to_be_visible()
         (rig.folder / "wizard").unlink(missing_ok=True)
         with wizard(rig.folder / "wizard") as told:
+            told.show("poor")
+            expect(opened.locator(".fitted .word")).to_have_text("Poor")
+            expect(opened.locator(".fitted")).to_contain_text("No model was made. Mend what is named;")
+            expect(opened.locator(".fitted li")).to_have_text(POOR["reasons"])
+            expect(opened.get_by_role("button", name="Try this model")).to_have_count(0)
             for reason, text in RED.items():
                 told.show("taps", last={"ok": False, "reason": reason, "target_mm": [60.0, 60.0]})
                 said(opened, f"✕ {text}")
