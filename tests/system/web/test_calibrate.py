@@ -283,6 +283,7 @@ def test_whole_wizard(tmp_path: Path, follow: str) -> None:
             expect(opened.get_by_role("alert")).to_contain_text("plate.thickness_mm")
             expect(opened.get_by_role("alert")).to_contain_text("millimetres")
             opened.locator('[name="thickness_mm"]').fill(MEASURES["thickness_mm"])
+            expect(opened.locator("[data-panel=measures] svg circle.disc")).to_have_count(4)
             opened.get_by_role("button", name="Save the measures").click()
             # A finger on the plate begins the seconds again.
             opened.get_by_role("button", name="Listen for ten seconds").click()
@@ -294,7 +295,7 @@ def test_whole_wizard(tmp_path: Path, follow: str) -> None:
         first.process.send_signal(signal.SIGKILL)  # with its tab: the fit goes on
         wizard.send_signal(signal.SIGKILL)  # and begins again
         wizard.wait(PATIENCE_S)
-        stack.enter_context(rig.wizard())
+        wizard = stack.enter_context(rig.wizard())
         second = stack.enter_context(rig.serve())
         with page(browser, second.url, high=1400) as opened:
             opened.expose_function("finger", rig.press)
@@ -351,6 +352,13 @@ def test_whole_wizard(tmp_path: Path, follow: str) -> None:
             opened.wait_for_function("() => !touchd.feed.last.plate.keys.length")
             opened.get_by_role("button", name="Go on").click()
             opened.locator("circle.target").first.wait_for()
+            # A wizard that is killed goes on with the ring and the taps that it had.
+            wizard.send_signal(signal.SIGKILL)
+            expect(opened.locator("circle.target").first).to_be_hidden()
+            wizard.wait(PATIENCE_S)
+            stack.enter_context(rig.wizard())
+            expect(opened.locator("circle.target").first).to_be_visible()
+            said(opened, "2 taps")
             # A daemon that is killed takes its target away; the next one brings it back.
             daemon.send_signal(signal.SIGKILL)
             expect(opened.locator("circle.target")).to_have_count(0)
@@ -382,6 +390,10 @@ def test_whole_wizard(tmp_path: Path, follow: str) -> None:
             expect(opened.locator(".steps [aria-current]")).to_have_text("2 Untouched")
             opened.get_by_role("button", name="3 Fit").click()
             opened.get_by_role("button", name="Fit again", exact=True).click()
+            opened.wait_for_function(
+                "() => { const share = document.querySelector('progress').value;"
+                " return touchd.feed.last.calibrate.running === 'fit' && 0 < share && share < 1; }"
+            )
             expect(opened.get_by_text("On trial: the model of an earlier fit.")).to_be_visible()
             opened.wait_for_function("() => touchd.feed.last.calibrate.running === null")
             after = opened.evaluate("touchd.feed.last.calibrate.expected")
