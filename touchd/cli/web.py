@@ -40,19 +40,18 @@ def command(
     The address holds a token behind its `#`, for views that act; each start draws a new one. The server is reached from
     this computer alone.
     """
-    import structlog
-
     from touchd.calibration.wizard.link import default_socket
+    from touchd.service.log import configure
     from touchd.web.guards import Access
     from touchd.web.hub import Hub
     from touchd.web.server import bind, serve
     from touchd.web.site import Site
 
-    structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(30))
     if replay is not None and not replay.exists():
         raise RecordingMissing("no such recording", str(replay), "check the path")
     config = (settings or {}).get("config")
     found = load_apart(config)
+    configure(found.log)
     with closing(bind(where)) as listening, closing(Notifier.from_environment()) as manager:
         host, port = listening.getsockname()[:2]
         shown = f"[{host}]" if ":" in host else host

@@ -42,11 +42,13 @@ def command(
     from touchd.cli.main import missing_extra
     from touchd.config.load import DEFAULT_PATH, load
     from touchd.service.control import SERVICE_PATH, path_of
+    from touchd.service.log import configure
     from touchd.service.models import installed_path
     from touchd.service.systemd import Notifier
 
     config = config or (ctx.obj or {}).get("config")
     settings = load(config)
+    configure(settings.log)
     path = socket_path or default_socket()
     state = State(folder or default_folder())
     control = path_of(settings.control) if settings.control.socket else SERVICE_PATH

@@ -7,14 +7,15 @@ import logging
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, TextIO, cast
+from typing import TYPE_CHECKING, Any, TextIO, cast
 
 import numpy as np
 import structlog
 from structlog.typing import EventDict, Processor, WrappedLogger
 
-from touchd.config.load import Retired
-from touchd.config.schema import LogSettings
+if TYPE_CHECKING:  # the page's server does without what reads the configuration
+    from touchd.config.load import Retired
+    from touchd.config.schema import LogSettings
 
 PRIVATE = frozenset({"key", "keys", "contact", "contacts", "contacts_mm", "x_mm", "y_mm", "pin", "code"})
 """Keys from whose values a PIN could be read. They are redacted at any depth."""

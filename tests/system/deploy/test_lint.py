@@ -75,6 +75,13 @@ def test_a_unit_without_its_sandbox_would_be_found(tmp_path: Path) -> None:
     assert exposure(installed(tmp_path, bare)) > 2 * HIGHEST_EXPOSURE
 
 
+@pytest.mark.parametrize("name", ["web", "wizard"])
+def test_the_daemon_comes_first(name: str) -> None:
+    """The page's server and the wizard, whose fits take minutes, weigh a fifth of the daemon."""
+    assert "CPUWeight=20" in (DEPLOY / f"touchd-{name}.service").read_text().splitlines()
+    assert "CPUWeight" not in UNIT.read_text(), "systemd's default is 100"
+
+
 def test_the_real_time_drop_in_is_right_in_every_key(tmp_path: Path) -> None:
     analyze = need_tool("systemd-analyze", "systemd")
     drop_in = re.sub(r"(?m)^#(?=\w+=)", "", (DEPLOY / "realtime.conf").read_text())  # its alternatives too

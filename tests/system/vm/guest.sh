@@ -64,7 +64,7 @@ sed -i 's|^path = ""$|path = "/usr/lib/touchd/touchd/models/regression.onnx"|' /
 found before-plug "$(show ActiveState)"
 
 say screen
-found screen-shipped "$(systemctl is-enabled touchd-input touchd-tuio touchd-web 2>&1 | sort -u)"
+found screen-shipped "$(systemctl is-enabled touchd-input touchd-tuio touchd-web touchd-wizard 2>&1 | sort -u)"
 sed -i 's/^screen_mm = \[\]$/screen_mm = [0.0, 0.0, 200.0, 200.0]/' /etc/touchd/touchd.toml
 mkfifo /run/screen-commands
 exec 5<> /run/screen-commands

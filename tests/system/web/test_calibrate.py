@@ -29,7 +29,7 @@ from playwright.sync_api import TimeoutError as Late
 
 from tests.processes import PATIENCE_S, ROOT, environment, started
 from tests.system.web.rig import CHROMIUM, PATIENCE_MS, Web, chromium, page, web
-from tests.system.web.wizard import wizard
+from tests.system.web.wizard import POOR, wizard
 from tests.unit.bridges.tuioclient import Client
 from touchd.config.load import load
 from touchd.localization.model_file import digest, install
@@ -202,7 +202,7 @@ def follow() -> str:
 
 
 def test_no_wizard(tmp_path: Path, follow: str) -> None:
-    """Without a wizard the page says what to start, and it comes to life as soon as one runs."""
+    """Without a wizard the page says what to start; with one it lives, and says why a fit or a tap is bad."""
     assert follow
     rig = Rig(tmp_path)
     with rig.serve() as server, chromium() as browser, page(browser, server.url) as opened:
@@ -217,6 +217,11 @@ def test_no_wizard(tmp_path: Path, follow: str) -> None:
         expect(opened.get_by_role("alert")).to_be_visible()
         (rig.folder / "wizard").unlink(missing_ok=True)
         with wizard(rig.folder / "wizard") as told:
+            told.show("poor")
+            expect(opened.locator(".fitted .word")).to_have_text("Poor")
+            expect(opened.locator(".fitted")).to_contain_text("No model was made. Mend what is named;")
+            expect(opened.locator(".fitted li")).to_have_text(POOR["reasons"])
+            expect(opened.get_by_role("button", name="Try this model")).to_have_count(0)
             for reason, text in RED.items():
                 told.show("taps", last={"ok": False, "reason": reason, "target_mm": [60.0, 60.0]})
                 said(opened, f"✕ {text}")
@@ -278,6 +283,7 @@ def test_whole_wizard(tmp_path: Path, follow: str) -> None:
             expect(opened.get_by_role("alert")).to_contain_text("plate.thickness_mm")
             expect(opened.get_by_role("alert")).to_contain_text("millimetres")
             opened.locator('[name="thickness_mm"]').fill(MEASURES["thickness_mm"])
+            expect(opened.locator("[data-panel=measures] svg circle.disc")).to_have_count(4)
             opened.get_by_role("button", name="Save the measures").click()
             # A finger on the plate begins the seconds again.
             opened.get_by_role("button", name="Listen for ten seconds").click()
@@ -289,7 +295,7 @@ def test_whole_wizard(tmp_path: Path, follow: str) -> None:
         first.process.send_signal(signal.SIGKILL)  # with its tab: the fit goes on
         wizard.send_signal(signal.SIGKILL)  # and begins again
         wizard.wait(PATIENCE_S)
-        stack.enter_context(rig.wizard())
+        wizard = stack.enter_context(rig.wizard())
         second = stack.enter_context(rig.serve())
         with page(browser, second.url, high=1400) as opened:
             opened.expose_function("finger", rig.press)
@@ -346,6 +352,13 @@ def test_whole_wizard(tmp_path: Path, follow: str) -> None:
             opened.wait_for_function("() => !touchd.feed.last.plate.keys.length")
             opened.get_by_role("button", name="Go on").click()
             opened.locator("circle.target").first.wait_for()
+            # A wizard that is killed goes on with the ring and the taps that it had.
+            wizard.send_signal(signal.SIGKILL)
+            expect(opened.locator("circle.target").first).to_be_hidden()
+            wizard.wait(PATIENCE_S)
+            stack.enter_context(rig.wizard())
+            expect(opened.locator("circle.target").first).to_be_visible()
+            said(opened, "2 taps")
             # A daemon that is killed takes its target away; the next one brings it back.
             daemon.send_signal(signal.SIGKILL)
             expect(opened.locator("circle.target")).to_have_count(0)
@@ -377,6 +390,10 @@ def test_whole_wizard(tmp_path: Path, follow: str) -> None:
             expect(opened.locator(".steps [aria-current]")).to_have_text("2 Untouched")
             opened.get_by_role("button", name="3 Fit").click()
             opened.get_by_role("button", name="Fit again", exact=True).click()
+            opened.wait_for_function(
+                "() => { const share = document.querySelector('progress').value;"
+                " return touchd.feed.last.calibrate.running === 'fit' && 0 < share && share < 1; }"
+            )
             expect(opened.get_by_text("On trial: the model of an earlier fit.")).to_be_visible()
             opened.wait_for_function("() => touchd.feed.last.calibrate.running === null")
             after = opened.evaluate("touchd.feed.last.calibrate.expected")

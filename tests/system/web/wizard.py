@@ -34,7 +34,7 @@ GOOD = {
     "verdict": "good", "expected_mm": 0.139, "reasons": [], "undecided": [MIRRORED], "model": "plate.onnx",
     "report": "plate.report",
 }  # fmt: skip
-POOR = {
+POOR: dict[str, Any] = {
     "verdict": "poor", "expected_mm": 2.1, "undecided": [], "model": None, "report": "plate.poor.report",
     "reasons": ["the fit leaves 12.0 % of the untouched response's energy",
                 "channel 3 is dead: check its disc and cable",
