@@ -98,9 +98,10 @@ def test_live(browser: Browser, server: Web) -> None:
         assert colours > 20
 
 
-def test_token(browser: Browser, server: Web) -> None:
+def test_token(browser: Browser, server: Web, address: str) -> None:
     """The token leaves the address bar, and its cookie is out of reach of scripts; without it nothing acts.
-    Keyboard and touch act like the mouse, and each fault has its remedy."""
+    Keyboard and touch act like the mouse. An examination of the page's own bus is shown as it goes on; each fault has
+    its remedy."""
     with page(browser, server.url) as opened:
         expect(opened.locator(STATUS)).to_have_text("Working")
         assert "token" not in opened.url
@@ -111,9 +112,12 @@ def test_token(browser: Browser, server: Web) -> None:
         while opened.evaluate("document.activeElement.textContent") != "Check":
             opened.keyboard.press("Tab")
         opened.keyboard.press("Enter")
+        opened.evaluate("() => { window.said = []; touchd.feed.on('check', one => window.said.push(one)); }")
         opened.get_by_role("button", name="Examine", exact=True).tap()
         expect(opened.locator(".findings li").first).to_contain_text("clock")
         expect(opened.get_by_role("button", name="Examine again")).to_be_enabled()
+        assert opened.evaluate("said.some(one => one.running && one.findings.length)"), "line by line"
+        expect(opened.locator(".findings li", has_text=address)).to_contain_text("publishes there")
         for line in opened.locator(".findings li:not([data-level=ok])").all():
             expect(line).to_contain_text("What to do:")
         with opened.expect_download() as download:
@@ -176,9 +180,14 @@ def test_server_is_killed(browser: Browser, address: str) -> None:
 
 
 def test_keypad(browser: Browser, tmp_path: Path) -> None:
-    """A keypad's keys are drawn, its touches are not; asked for by name they are, with a session alone."""
+    """A keypad's keys are drawn, like all that the plate has; its touches are not. Asked for by name they are, with a
+    session alone."""
     where = f"ipc://{tmp_path}/bus"
-    with bus(where, "keypad"), web(where) as server, web(where, "--keypad") as open_server:
+    with (
+        bus(where, "keypad"),
+        web(where, TOUCHD_INPUT__SCREEN_MM="20,30,160,100") as server,
+        web(where, "--keypad") as open_server,
+    ):
         with page(browser, server.url) as opened:
             expect(opened.locator(STATUS)).to_have_text("Working")
             opened.wait_for_function("() => touchd.feed.last.plate?.keys.length === 9")
