@@ -15,6 +15,7 @@ from playwright.sync_api import Browser, Page, expect
 
 from tests.needs import need
 from tests.processes import PATIENCE_S, started
+from tests.system.web.bus import WRONG
 from tests.system.web.rig import CHROMIUM, PATIENCE_MS, Web, bus, chromium, page, web
 from tests.system.web.wizard import STATES, wizard
 from touchd.localization.model import default_model_path
@@ -243,6 +244,9 @@ def test_accessible(browser: Browser, tmp_path: Path) -> None:
                 expect(opened.locator(".fingers tbody tr")).to_have_count(5)
             if view == "Replay":
                 expect(opened.locator(".clock")).to_have_text("0.000 s")
+            if view == "Check":
+                opened.get_by_role("button", name="Examine", exact=True).click()
+                expect(opened.get_by_role("button", name="Examine again")).to_be_enabled()
             for step in STATES if view == "Calibrate" else [""]:
                 if step:
                     told.show(step)
@@ -254,15 +258,24 @@ def test_accessible(browser: Browser, tmp_path: Path) -> None:
         assert opened.evaluate(violations) == [], "the crosses"
         told.show("untrainable")
         os.kill(daemon.pid, signal.SIGKILL)
-        for view in ("Check", "Live"):
-            opened.get_by_role("link", name=view).click()
-            expect(opened.locator(STATUS)).to_contain_text("No data for")
-            look(view, "without a daemon")
-            for (wide, high), least in SIZES.items():
-                opened.set_viewport_size({"width": wide, "height": high})
-                sizes = [float(opened.locator(one).evaluate("one => parseFloat(getComputedStyle(one).fontSize)"))
-                         for one in (STATUS, REASON)]  # fmt: skip
-                assert all(map(ge, sizes, least)), (view, wide, sizes)
+
+        def legible(word: str) -> None:
+            for view in ("Check", "Live"):
+                opened.get_by_role("link", name=view).click()
+                expect(opened.locator(STATUS)).to_contain_text(word)
+                look(view, word)
+                for (wide, high), least in SIZES.items():
+                    opened.set_viewport_size({"width": wide, "height": high})
+                    sizes = [float(opened.locator(one).evaluate("one => parseFloat(getComputedStyle(one).fontSize)"))
+                             for one in (STATUS, REASON)]  # fmt: skip
+                    assert all(map(ge, sizes, least)), (view, wide, sizes)
+
+        legible("No data for")
+        with bus(where, "starting"):  # with a long reason
+            legible("Starting")
+            reason = WRONG["starting"]["reason"]
+            expect(opened.locator(REASON)).to_have_text(reason)
+            expect(opened.locator(f"{REASON} .more")).to_have_text(reason.partition(";")[2])
 
 
 def test_unseen_tap(browser: Browser, address: str, tmp_path: Path) -> None:
