@@ -44,6 +44,36 @@ CROSSES = """() => {
     return found;
 }"""
 """Pixels of the red that the truth alone has on a light plate, faded too."""
+PAINTED = """async () => {
+    const { feed } = touchd, { hello, plate } = feed.last, canvas = document.querySelector('.pane canvas');
+    let now = performance.now();
+    performance.now = () => now;
+    feed.close();
+    Object.assign(feed, { state: 'open', silence: () => 0 });
+    feed.hand('connection', {});
+    const finger = {
+        id: 1, phase: 'move', x_mm: 100, y_mm: 100, force: 0.3, sigma_mm: 8, major_mm: 24, minor_mm: 18, angle_deg: 0,
+    };
+    const picture = async (change = {}, before = {}) => {
+        now += 2000; // the trail from before has gone
+        feed.hand('hello', { ...hello, ...change });
+        feed.hand('plate', { ...plate, keys: plate.keys.map(key => ({ ...key, name: '' })), ...change });
+        for (const one of [before, {}]) feed.hand('touch', { contacts: [{ ...finger, ...change, ...one }] });
+        for (let n = 0; n < 2; n += 1) await new Promise(requestAnimationFrame);
+        return canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data;
+    };
+    const whole = new Uint32Array((await picture()).buffer), found = {};
+    for (const [name, change, before] of [
+        ['nothing'], ['discs', { receivers_mm: [] }], ['emitter', { emitter_mm: null }], ['keys', { keys: [] }],
+        ['key names', { keys: plate.keys }], ['screen', { screen_mm: [] }], ['trail', {}, { x_mm: 30 }],
+        ['standard error', { sigma_mm: 16 }], ['force', { force: 0.9 }], ['axes', { major_mm: 50 }],
+    ]) {
+        const other = new Uint32Array((await picture(change, before)).buffer);
+        found[name] = whole.filter((pixel, n) => pixel !== other[n]).length;
+    }
+    return found;
+}"""
+"""How many pixels of a plate with one finger differ once it is without one thing, or that thing is larger."""
 ACCOUNTED = """() => {
     const values = document.querySelectorAll(".budget .legend li:not([hidden]) b");
     const shown = [...values].map(b => parseInt(b.textContent));
@@ -84,6 +114,8 @@ def test_live(browser: Browser, server: Web) -> None:
         expect(opened.get_by_role("status").locator(STATUS)).to_have_text("Working")
         expect(opened.locator(".fingers tbody tr")).to_have_count(5)
         expect(opened.locator(".fingers tbody tr").nth(4)).to_contain_text("thumb")
+        for force in opened.locator(".fingers tbody td:nth-child(4)").all():
+            expect(force).to_have_text(re.compile(r"^\d+ %$"))
         expect(opened.locator(".fingers tbody tr").first).to_contain_text("± 0.08 mm")
         shown = (r"Latency, 99 %\s*[01]\.\d\d ms", r"Frames\s*\d+ /s", r"Lost\s*3", r"\+0\.9 K", r"Baseline\s*0\.4 s")
         for figure in shown:
@@ -131,11 +163,18 @@ def test_token(browser: Browser, server: Web, address: str) -> None:
 
 
 def test_two_browsers(browser: Browser, server: Web) -> None:
-    """Two browsers see the same, each at its own pace."""
+    """Two browsers see the same, each at its own pace and in its own colours, which outlive a visit."""
     with page(browser, server.url) as one, page(browser, server.base) as other:
         for opened in (one, other):
             expect(opened.locator(".fingers tbody tr")).to_have_count(5)
             await_more(opened, 20)
+        for theme in ("light", "dark"):
+            one.locator("#theme").click()
+            expect(one.locator("html")).to_have_attribute("data-theme", theme)
+        one.reload()
+        for opened, theme, ground in ((one, "dark", "rgb(14, 19, 23)"), (other, "auto", "rgb(238, 241, 244)")):
+            expect(opened.locator("html")).to_have_attribute("data-theme", theme)
+            expect(opened.locator("body")).to_have_css("background-color", ground)
 
 
 def test_hidden_tab(browser: Browser, server: Web) -> None:
@@ -195,6 +234,9 @@ def test_keypad(browser: Browser, tmp_path: Path) -> None:
             opened.wait_for_timeout(300)
             assert opened.evaluate("touchd.feed.last.touch ?? null") is None
             expect(opened.locator(".fingers")).to_contain_text("since they tell the PIN")
+            painted = opened.evaluate(PAINTED)
+            assert painted.pop("nothing") == 0
+            assert min(painted.values()) > 300, painted
         with page(browser, open_server.url) as opened:
             expect(opened.locator(".fingers tbody tr")).to_have_count(5)
         with page(browser, open_server.base) as stranger:
@@ -309,7 +351,8 @@ def test_marks(browser: Browser, address: str, tmp_path: Path) -> None:
 
 
 def test_steps(browser: Browser, address: str, tmp_path: Path) -> None:
-    """A step that is done can be looked at again; the wizard's next one comes to the front when it begins."""
+    """A step that is done can be looked at again; the wizard's next one comes to the front when it begins. No cross is
+    shown on a page that does not fill the screen: it would stand in a wrong place."""
     with (
         wizard(tmp_path / "wizard") as told,
         web(address, "--wizard", tmp_path / "wizard") as server,
@@ -325,6 +368,15 @@ def test_steps(browser: Browser, address: str, tmp_path: Path) -> None:
         told.show("fit")
         expect(opened.get_by_role("button", name="4 Verdict")).to_be_disabled()
         expect(opened.locator("[aria-current=step]")).to_have_text("3 Fit")
+        told.show("screen")
+        opened.get_by_role("button", name="5 Screen").click()
+        opened.evaluate("""() => {
+            Object.defineProperty(screen, 'width', { value: 2 * innerWidth });
+            Element.prototype.requestFullscreen = () => Promise.reject(new TypeError('not allowed'));
+        }""")
+        opened.get_by_role("button", name="Touch the crosses").click()
+        expect(opened.get_by_role("alert")).to_contain_text("This page does not fill the screen")
+        expect(opened.locator(".stage")).to_be_hidden()
         assert told.asked == ["measures"]
 
 
