@@ -11,6 +11,7 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import BaseRoute, Route
 
+from touchd.sinks import endpoint
 from touchd.web.bundle import make_bundle
 from touchd.web.child import started
 from touchd.web.site import Site
@@ -49,7 +50,8 @@ class Check:
         problem = ""
         self._say(findings, running=True)
         try:
-            async with asyncio.timeout(_PATIENCE_S), started(self._site, "doctor", "--lines") as process:
+            doctor = started(self._site, "doctor", "--lines", **_own_bus(self._site.address))
+            async with asyncio.timeout(_PATIENCE_S), doctor as process:
                 assert process.stdout is not None
                 assert process.stderr is not None
                 async for line in process.stdout:
@@ -63,6 +65,13 @@ class Check:
 
     def _say(self, findings: list[dict[str, Any]], *, running: bool, problem: str = "") -> None:
         self._site.hub.publish(TOPIC, {"running": running, "findings": findings, "problem": problem})
+
+
+def _own_bus(address: str | None) -> dict[str, str]:
+    """Return the variable by which the doctor examines the page's bus; one that it cannot bind it leaves alone."""
+    if address is None or not (endpoint.is_file(address) or endpoint.is_loopback(endpoint.split(address)[0])):
+        return {}
+    return {"TOUCHD_BUS__BIND": json.dumps([address])}
 
 
 async def _bundle(site: Site, request: Request) -> Response:

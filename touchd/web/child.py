@@ -23,17 +23,19 @@ def command(site: Site, *arguments: str) -> list[str]:
     return [sys.executable, "-c", start, *config, *arguments]
 
 
-def started(site: Site, *arguments: str) -> contextlib.AbstractAsyncContextManager[asyncio.subprocess.Process]:
-    """Run a verb; the end of the block ends the process, by an error too."""
-    return running(command(site, *arguments))
+def started(
+    site: Site, *arguments: str, **variables: str
+) -> contextlib.AbstractAsyncContextManager[asyncio.subprocess.Process]:
+    """Run a verb, with variables in its environment; the end of the block ends the process, by an error too."""
+    return running(command(site, *arguments), **variables)
 
 
 @contextlib.asynccontextmanager
-async def running(line: list[str]) -> AsyncIterator[asyncio.subprocess.Process]:
-    """Run a command line; the end of the block ends the process, by an error too."""
+async def running(line: list[str], **variables: str) -> AsyncIterator[asyncio.subprocess.Process]:
+    """Run a command line, with variables in its environment; the end of the block ends the process, by an error too."""
     process = await asyncio.create_subprocess_exec(
         *line, stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.PIPE,
-        stderr=asyncio.subprocess.PIPE, env=os.environ | _QUIET, limit=MOST_LINE_BYTES,
+        stderr=asyncio.subprocess.PIPE, env=os.environ | _QUIET | variables, limit=MOST_LINE_BYTES,
     )  # fmt: skip
     try:
         yield process

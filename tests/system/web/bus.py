@@ -10,6 +10,7 @@ import sys
 import time
 from datetime import UTC, datetime
 from itertools import count
+from typing import Any
 
 import zmq
 
@@ -18,6 +19,15 @@ from touchd.event import encode as encoded
 
 RATE_HZ = 125
 BINS, CHANNELS = 49, 4
+WRONG = {
+    "ill": {"reason": "channel 3 is dead"},
+    "starting": {
+        "state": "starting",
+        "reason": "device: no touchd gadget among the 7 devices on USB; the audio interface 'pane 1' is not there ->"
+        " plug it in, or add --replay FILE or --simulate SCENE",
+    },
+}
+"""What the health says otherwise, by option."""
 _KEYS = [PlateKey(str(n + 1), 40.0 + 42 * (n % 3), 40.0 + 42 * (n // 3), 36.0, 36.0) for n in range(9)]
 
 
@@ -56,9 +66,9 @@ class Bus:
             _KEYS if self._keypad else [],
         ))  # fmt: skip
 
-    def health(self, frames: int, **fields: object) -> None:
+    def health(self, frames: int, state: Any = "streaming", **fields: object) -> None:
         self.publish(HealthEvent(
-            *self.stamp("health"), "streaming", frames, 3, 0,
+            *self.stamp("health"), state, frames, 3, 0,
             {"learning": 32, "gate": frames // 5, "faint": 2, "still": frames // 10, "tracking": frames // 2},
             frames // 6, Latency(310.0 + frames % 60, 840.0 + frames % 230, 1300.0), 4.6, 0.4, "regression", "0.1.0",
             noise_channels=[4.4, 4.7, 4.5, 4.9], stretch_ppm=-41.0, clock_ppm=12.3, **fields,  # type: ignore[arg-type]  # of mixed types
@@ -97,7 +107,7 @@ def five(frame: int, phase: Phase = "move") -> list[Contact]:
     ]  # fmt: skip
 
 
-def play(bus: Bus, rate_hz: float = RATE_HZ, reason: str | None = None) -> None:
+def play(bus: Bus, rate_hz: float = RATE_HZ, **wrong: Any) -> None:
     """Publish five fingers, at the rate of a DAQ or faster, and what is wrong."""
     begin_s, frame = time.monotonic(), 0
     while True:
@@ -106,11 +116,11 @@ def play(bus: Bus, rate_hz: float = RATE_HZ, reason: str | None = None) -> None:
         if "spectrum" in bus.wanted:
             bus.spectrum(frame)
         if frame % RATE_HZ == 0:
-            bus.health(frame, reason=reason)
+            bus.health(frame, **wrong)
         frame += 1
         time.sleep(max(0.0, begin_s + frame / rate_hz - time.monotonic()))
 
 
 if __name__ == "__main__":
-    wrong = "channel 3 is dead" if "ill" in sys.argv else None
-    play(Bus(sys.argv[1], keypad="keypad" in sys.argv), 12 * RATE_HZ if "hurried" in sys.argv else RATE_HZ, wrong)
+    wrong = next((fields for option, fields in WRONG.items() if option in sys.argv), {})
+    play(Bus(sys.argv[1], keypad="keypad" in sys.argv), 12 * RATE_HZ if "hurried" in sys.argv else RATE_HZ, **wrong)

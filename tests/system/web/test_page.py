@@ -15,6 +15,7 @@ from playwright.sync_api import Browser, Page, expect
 
 from tests.needs import need
 from tests.processes import PATIENCE_S, started
+from tests.system.web.bus import WRONG
 from tests.system.web.rig import CHROMIUM, PATIENCE_MS, Web, bus, chromium, page, web
 from tests.system.web.wizard import STATES, wizard
 from touchd.localization.model import default_model_path
@@ -43,6 +44,36 @@ CROSSES = """() => {
     return found;
 }"""
 """Pixels of the red that the truth alone has on a light plate, faded too."""
+PAINTED = """async () => {
+    const { feed } = touchd, { hello, plate } = feed.last, canvas = document.querySelector('.pane canvas');
+    let now = performance.now();
+    performance.now = () => now;
+    feed.close();
+    Object.assign(feed, { state: 'open', silence: () => 0 });
+    feed.hand('connection', {});
+    const finger = {
+        id: 1, phase: 'move', x_mm: 100, y_mm: 100, force: 0.3, sigma_mm: 8, major_mm: 24, minor_mm: 18, angle_deg: 0,
+    };
+    const picture = async (change = {}, before = {}) => {
+        now += 2000; // the trail from before has gone
+        feed.hand('hello', { ...hello, ...change });
+        feed.hand('plate', { ...plate, keys: plate.keys.map(key => ({ ...key, name: '' })), ...change });
+        for (const one of [before, {}]) feed.hand('touch', { contacts: [{ ...finger, ...change, ...one }] });
+        for (let n = 0; n < 2; n += 1) await new Promise(requestAnimationFrame);
+        return canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data;
+    };
+    const whole = new Uint32Array((await picture()).buffer), found = {};
+    for (const [name, change, before] of [
+        ['nothing'], ['discs', { receivers_mm: [] }], ['emitter', { emitter_mm: null }], ['keys', { keys: [] }],
+        ['key names', { keys: plate.keys }], ['screen', { screen_mm: [] }], ['trail', {}, { x_mm: 30 }],
+        ['standard error', { sigma_mm: 16 }], ['force', { force: 0.9 }], ['axes', { major_mm: 50 }],
+    ]) {
+        const other = new Uint32Array((await picture(change, before)).buffer);
+        found[name] = whole.filter((pixel, n) => pixel !== other[n]).length;
+    }
+    return found;
+}"""
+"""How many pixels of a plate with one finger differ once it is without one thing, or that thing is larger."""
 ACCOUNTED = """() => {
     const values = document.querySelectorAll(".budget .legend li:not([hidden]) b");
     const shown = [...values].map(b => parseInt(b.textContent));
@@ -83,6 +114,8 @@ def test_live(browser: Browser, server: Web) -> None:
         expect(opened.get_by_role("status").locator(STATUS)).to_have_text("Working")
         expect(opened.locator(".fingers tbody tr")).to_have_count(5)
         expect(opened.locator(".fingers tbody tr").nth(4)).to_contain_text("thumb")
+        for force in opened.locator(".fingers tbody td:nth-child(4)").all():
+            expect(force).to_have_text(re.compile(r"^\d+ %$"))
         expect(opened.locator(".fingers tbody tr").first).to_contain_text("± 0.08 mm")
         shown = (r"Latency, 99 %\s*[01]\.\d\d ms", r"Frames\s*\d+ /s", r"Lost\s*3", r"\+0\.9 K", r"Baseline\s*0\.4 s")
         for figure in shown:
@@ -98,9 +131,10 @@ def test_live(browser: Browser, server: Web) -> None:
         assert colours > 20
 
 
-def test_token(browser: Browser, server: Web) -> None:
+def test_token(browser: Browser, server: Web, address: str) -> None:
     """The token leaves the address bar, and its cookie is out of reach of scripts; without it nothing acts.
-    Keyboard and touch act like the mouse, and each fault has its remedy."""
+    Keyboard and touch act like the mouse. An examination of the page's own bus is shown as it goes on; each fault has
+    its remedy."""
     with page(browser, server.url) as opened:
         expect(opened.locator(STATUS)).to_have_text("Working")
         assert "token" not in opened.url
@@ -111,9 +145,12 @@ def test_token(browser: Browser, server: Web) -> None:
         while opened.evaluate("document.activeElement.textContent") != "Check":
             opened.keyboard.press("Tab")
         opened.keyboard.press("Enter")
+        opened.evaluate("() => { window.said = []; touchd.feed.on('check', one => window.said.push(one)); }")
         opened.get_by_role("button", name="Examine", exact=True).tap()
         expect(opened.locator(".findings li").first).to_contain_text("clock")
         expect(opened.get_by_role("button", name="Examine again")).to_be_enabled()
+        assert opened.evaluate("said.some(one => one.running && one.findings.length)"), "line by line"
+        expect(opened.locator(".findings li", has_text=address)).to_contain_text("publishes there")
         for line in opened.locator(".findings li:not([data-level=ok])").all():
             expect(line).to_contain_text("What to do:")
         with opened.expect_download() as download:
@@ -126,11 +163,18 @@ def test_token(browser: Browser, server: Web) -> None:
 
 
 def test_two_browsers(browser: Browser, server: Web) -> None:
-    """Two browsers see the same, each at its own pace."""
+    """Two browsers see the same, each at its own pace and in its own colours, which outlive a visit."""
     with page(browser, server.url) as one, page(browser, server.base) as other:
         for opened in (one, other):
             expect(opened.locator(".fingers tbody tr")).to_have_count(5)
             await_more(opened, 20)
+        for theme in ("light", "dark"):
+            one.locator("#theme").click()
+            expect(one.locator("html")).to_have_attribute("data-theme", theme)
+        one.reload()
+        for opened, theme, ground in ((one, "dark", "rgb(14, 19, 23)"), (other, "auto", "rgb(238, 241, 244)")):
+            expect(opened.locator("html")).to_have_attribute("data-theme", theme)
+            expect(opened.locator("body")).to_have_css("background-color", ground)
 
 
 def test_hidden_tab(browser: Browser, server: Web) -> None:
@@ -176,15 +220,23 @@ def test_server_is_killed(browser: Browser, address: str) -> None:
 
 
 def test_keypad(browser: Browser, tmp_path: Path) -> None:
-    """A keypad's keys are drawn, its touches are not; asked for by name they are, with a session alone."""
+    """A keypad's keys are drawn, like all that the plate has; its touches are not. Asked for by name they are, with a
+    session alone."""
     where = f"ipc://{tmp_path}/bus"
-    with bus(where, "keypad"), web(where) as server, web(where, "--keypad") as open_server:
+    with (
+        bus(where, "keypad"),
+        web(where, TOUCHD_INPUT__SCREEN_MM="20,30,160,100") as server,
+        web(where, "--keypad") as open_server,
+    ):
         with page(browser, server.url) as opened:
             expect(opened.locator(STATUS)).to_have_text("Working")
             opened.wait_for_function("() => touchd.feed.last.plate?.keys.length === 9")
             opened.wait_for_timeout(300)
             assert opened.evaluate("touchd.feed.last.touch ?? null") is None
             expect(opened.locator(".fingers")).to_contain_text("since they tell the PIN")
+            painted = opened.evaluate(PAINTED)
+            assert painted.pop("nothing") == 0
+            assert min(painted.values()) > 300, painted
         with page(browser, open_server.url) as opened:
             expect(opened.locator(".fingers tbody tr")).to_have_count(5)
         with page(browser, open_server.base) as stranger:
@@ -234,6 +286,9 @@ def test_accessible(browser: Browser, tmp_path: Path) -> None:
                 expect(opened.locator(".fingers tbody tr")).to_have_count(5)
             if view == "Replay":
                 expect(opened.locator(".clock")).to_have_text("0.000 s")
+            if view == "Check":
+                opened.get_by_role("button", name="Examine", exact=True).click()
+                expect(opened.get_by_role("button", name="Examine again")).to_be_enabled()
             for step in STATES if view == "Calibrate" else [""]:
                 if step:
                     told.show(step)
@@ -245,15 +300,24 @@ def test_accessible(browser: Browser, tmp_path: Path) -> None:
         assert opened.evaluate(violations) == [], "the crosses"
         told.show("untrainable")
         os.kill(daemon.pid, signal.SIGKILL)
-        for view in ("Check", "Live"):
-            opened.get_by_role("link", name=view).click()
-            expect(opened.locator(STATUS)).to_contain_text("No data for")
-            look(view, "without a daemon")
-            for (wide, high), least in SIZES.items():
-                opened.set_viewport_size({"width": wide, "height": high})
-                sizes = [float(opened.locator(one).evaluate("one => parseFloat(getComputedStyle(one).fontSize)"))
-                         for one in (STATUS, REASON)]  # fmt: skip
-                assert all(map(ge, sizes, least)), (view, wide, sizes)
+
+        def legible(word: str) -> None:
+            for view in ("Check", "Live"):
+                opened.get_by_role("link", name=view).click()
+                expect(opened.locator(STATUS)).to_contain_text(word)
+                look(view, word)
+                for (wide, high), least in SIZES.items():
+                    opened.set_viewport_size({"width": wide, "height": high})
+                    sizes = [float(opened.locator(one).evaluate("one => parseFloat(getComputedStyle(one).fontSize)"))
+                             for one in (STATUS, REASON)]  # fmt: skip
+                    assert all(map(ge, sizes, least)), (view, wide, sizes)
+
+        legible("No data for")
+        with bus(where, "starting"):  # with a long reason
+            legible("Starting")
+            reason = WRONG["starting"]["reason"]
+            expect(opened.locator(REASON)).to_have_text(reason)
+            expect(opened.locator(f"{REASON} .more")).to_have_text(reason.partition(";")[2])
 
 
 def test_unseen_tap(browser: Browser, address: str, tmp_path: Path) -> None:
@@ -287,7 +351,8 @@ def test_marks(browser: Browser, address: str, tmp_path: Path) -> None:
 
 
 def test_steps(browser: Browser, address: str, tmp_path: Path) -> None:
-    """A step that is done can be looked at again; the wizard's next one comes to the front when it begins."""
+    """A step that is done can be looked at again; the wizard's next one comes to the front when it begins. No cross is
+    shown on a page that does not fill the screen: it would stand in a wrong place."""
     with (
         wizard(tmp_path / "wizard") as told,
         web(address, "--wizard", tmp_path / "wizard") as server,
@@ -303,6 +368,15 @@ def test_steps(browser: Browser, address: str, tmp_path: Path) -> None:
         told.show("fit")
         expect(opened.get_by_role("button", name="4 Verdict")).to_be_disabled()
         expect(opened.locator("[aria-current=step]")).to_have_text("3 Fit")
+        told.show("screen")
+        opened.get_by_role("button", name="5 Screen").click()
+        opened.evaluate("""() => {
+            Object.defineProperty(screen, 'width', { value: 2 * innerWidth });
+            Element.prototype.requestFullscreen = () => Promise.reject(new TypeError('not allowed'));
+        }""")
+        opened.get_by_role("button", name="Touch the crosses").click()
+        expect(opened.get_by_role("alert")).to_contain_text("This page does not fill the screen")
+        expect(opened.locator(".stage")).to_be_hidden()
         assert told.asked == ["measures"]
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import http.client
 import io
 import json
+import os
 import signal
 import zipfile
 from collections.abc import Iterator
@@ -217,7 +218,11 @@ def test_bundle(tmp_path: Path) -> None:
     where = f"ipc://{tmp_path}/bus"
     frames = ("--replay", "touchd/demo/session.npz", "--loop", "--bind", where)
     control = {"TOUCHD_CONTROL__SOCKET": f"{tmp_path}/control"}
-    with started(*frames, **control), web(where, port=0, **control, **key) as server:
+    journal = tmp_path / "journalctl"
+    path = {"PATH": f"{tmp_path}:{os.environ['PATH']}"}
+    with started(*frames, **control), web(where, port=0, **control, **key, **path) as server:
+        journal.write_text(f"#!/bin/sh\necho first line\necho touchd: open {server.url}\necho last line\n")
+        journal.chmod(0o755)
         with live(server) as socket:
             while '"state":"streaming"' not in str(socket.recv(timeout=PATIENCE_S)):
                 pass
@@ -242,7 +247,10 @@ def test_bundle(tmp_path: Path) -> None:
     assert '"state":"streaming"' in text
     assert str(secret) not in text
     assert token not in text
+    assert found[""].read("touchd-support/log.txt").decode().splitlines() == [
+        "first line", f"touchd: open {server.base}#token=...", "last line",
+    ]  # fmt: skip
     assert '"phase":' not in text, "no finger"
-    path = tmp_path / "recording.npz"
-    path.write_bytes(found["recording"].read("touchd-support/recording.npz"))
-    assert len(read(path).frames) > 100
+    recording = tmp_path / "recording.npz"
+    recording.write_bytes(found["recording"].read("touchd-support/recording.npz"))
+    assert len(read(recording).frames) > 100

@@ -9,11 +9,16 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from starlette.routing import WebSocketRoute
+from starlette.types import Message
+from starlette.websockets import WebSocket
 
 from tests.unit.bridges.events import contact, health, touch
 from touchd.event import Event, PlateEvent, PlateKey, SpectrumEvent
+from touchd.web.guards import Access
 from touchd.web.hub import MOST_CLIENTS, Client, Hub
-from touchd.web.live import _asked, batch
+from touchd.web.live import _asked, batch, routes
+from touchd.web.site import Site
 
 KEY = PlateKey("7", 0.0, 0.0, 10.0, 10.0)
 
@@ -54,6 +59,28 @@ def test_newest_wins(hub: Hub) -> None:
     assert said["messages"][1]["seq"] == 999
     assert said["skipped"] == 999
     assert json.loads(batch(hub, client))["messages"] == []
+
+
+def test_updates(hub: Hub) -> None:
+    """A page gets at most 60 updates a second, however much is said."""
+    sent_ns: list[int] = []
+    first = iter([{"type": "websocket.connect"}])
+
+    async def receive() -> Message:
+        for said in first:
+            return said
+        while len(sent_ns) < 2 or sent_ns[-1] - sent_ns[0] < 500_000_000:
+            hub.publish("calibrate", {})
+            await asyncio.sleep(0)
+        return {"type": "websocket.disconnect"}
+
+    async def send(message: Message) -> None:
+        sent_ns.extend(ns for ns in [json.loads(message.get("text", "{}")).get("now_ns")] if ns)
+
+    [route] = routes(Site(Access(8770, (), watched=False), hub))
+    assert isinstance(route, WebSocketRoute)
+    asyncio.run(route.endpoint(WebSocket({"type": "websocket", "headers": []}, receive, send)))
+    assert len(sent_ns) - 1 <= 61e-9 * (sent_ns[-1] - sent_ns[0])
 
 
 def test_keypad_is_private(hub: Hub) -> None:

@@ -2,7 +2,8 @@
 import { element, say } from './dom.js';
 
 const LATE_MS = 1000;
-const LONG = 90; // letters, which would leave no place for the plate
+// Of a reason over 90 letters, which would leave no place for the plate, the part that is said as large as a short one.
+const FIRST = /^.{1,89}?;(?= )|^.{1,90}?(?= -> )|^.{1,90}(?= )/, LONG = 90;
 const SILENT_S = 3; // health comes each second
 const LEVELS = { streaming: 'ok', starting: 'busy', uncalibrated: 'warning', stalled: 'failure', lost: 'failure', stopping: 'failure' };
 
@@ -11,7 +12,9 @@ export class Status {
     this.texts = texts;
     this.feed = feed;
     this.word = element('strong', { class: 'state-word' });
-    this.reason = element('span', { class: 'state-reason' });
+    this.first = document.createTextNode('');
+    this.more = element('span', { class: 'more' });
+    this.reason = element('span', { class: 'state-reason' }, this.first, this.more);
     this.root = element('div', { class: 'state', role: 'status' }, this.word, this.reason);
     this.listeners = new Set();
     this.stale = null;
@@ -35,8 +38,9 @@ export class Status {
     const { level, word, reason, stale } = this.now();
     this.root.dataset.level = level;
     say(this.word, word);
-    say(this.reason, reason);
-    this.reason.toggleAttribute('data-long', reason.length > LONG);
+    const first = reason.length > LONG ? (FIRST.exec(reason)?.[0] ?? reason) : reason;
+    say(this.first, first);
+    say(this.more, reason.slice(first.length));
     if (stale === this.stale) return;
     this.stale = stale;
     for (const listener of this.listeners) listener(stale);
