@@ -50,6 +50,9 @@ DEPARTURE_RAD = 2.0
 CORNER_MM = 12.0
 """Two fingers closer than this to one corner of the touched part are not placed: beyond it the field is not known, and
 one finger there looks like two, one along either edge."""
+LACKING = 0.5
+"""Of what a fit leaves, as an amplitude, this share may be along a contact's own: a drop that lacked turned another by
+0.3 rad (twin)."""
 EDGE_MM, WAVE_MM = 12.0, 30.0
 """A faint finger this near to an edge, with another within a wavelength, is not placed: the field is badly known there,
 and one finger looks like two on either side of it, or with a second one beside it."""
@@ -99,7 +102,7 @@ class Classifier:
         """
         if self._known:
             self._known = [one for one in self._known if one.until_ns >= t_ns]
-        several = len(fit.positions_mm) > 1
+        several, noise_energy = len(fit.positions_mm) > 1, self._noise.noise_energy
         sizes = list(map(abs, fit.amplitudes))
         leads = list(map(cmath.phase, map(mul, fit.amplitudes, fit.turns) if fit.turns else fit.amplitudes))
         self.departure = min(map(abs, leads)) > DEPARTURE_RAD
@@ -125,6 +128,9 @@ class Classifier:
                 by_noise, by_error = (
                     math.sqrt(one / told) if told > 0 else math.inf for one in (noise, max(variance - noise, 0.0))
                 )
+                if several and known is not None and known.state is State.WATER and energy > 0:
+                    # What the fit leaves may be of a drop that it lacks, which turns the phases of the others.
+                    by_error = max(by_error, LACKING * math.sqrt(max(fit.residual_energy - noise_energy, 0.0) / energy))
                 look = Look(lag_rad, by_noise, by_error, size, self._frequency_ratio)
                 if alone and look.log_odds() <= SURE_ALONE:
                     continue
