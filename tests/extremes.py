@@ -20,6 +20,7 @@ _NUMBERS = (
     1.7e308,
 )  # fmt: skip
 _TEXTS = ("", "a", "\0", "a\0b", "é ,'\"\n", "x" * 5000)
+_LISTS: tuple[list[Any], ...] = ([], [1, 2, 3], [1e3, 2e3], [0, 0, 200, 100], ["palm", "water"])
 _ENDPOINTS = ("ipc://a\0b", "ipc:///" + "x" * 500, "tcp://:", "tcp://127.0.0.1:99999", "tcp://*:*")
 
 
@@ -45,7 +46,7 @@ def candidates(field: FieldInfo) -> list[Any]:
     if get_origin(kind) is Literal:
         return list(get_args(kind))
     if get_origin(kind) is tuple:
-        return [[address] for address in _ENDPOINTS]
+        return [*_LISTS, *([address] for address in _ENDPOINTS)]
     return [*_TEXTS, *([Path("/nowhere/at all"), Path("x" * 5000)] if kind is not str else [])]
 
 

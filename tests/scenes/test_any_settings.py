@@ -3,28 +3,29 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from functools import cache
-from itertools import count
 from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from pydantic.fields import FieldInfo
-from structlog.testing import capture_logs
 
+from tests.command_line import touchd
 from tests.conftest import Scene
 from tests.extremes import accepted, any_settings, ends
 from touchd.config.render import fields
-from touchd.config.schema import Settings
+from touchd.config.schema import PreRollSettings, Settings
 from touchd.event import Contact
 from touchd.frame import Frame
 from touchd.localization.model import Model
 from touchd.pipeline import Pipeline
 from touchd.service.health import Health
 from touchd.service.messages import Messages, all_but_spectra
-from touchd.service.reload import make_reloader
+from touchd.service.preroll import PreRoll
+from touchd.service.reload import compare, make_reloader
 from touchd.sources.replay import ReplaySource
 
 PERIOD_NS = 8_000_000
@@ -37,21 +38,30 @@ class Daemon:
 
     def __init__(self, recording: Path, scene: Scene, model: Model) -> None:
         source = ReplaySource(recording)
-        self._counts, self._number = scene("circle").frames, count()
+        self._counts, self._number = scene("circle").frames, 0
         self._read = Settings()
         self._model = model
         self.pipeline = Pipeline(source.acquisition, model, Settings())
         messages = Messages(Settings(), all_but_spectra)
         health = Health(source, self.pipeline, messages, Settings().health)
-        self._reloader = make_reloader(Settings(), lambda: self._read, model, self.pipeline, messages, health)
+        self._folder = recording.parent / f"{recording.stem}-rolls"
+        self.preroll = PreRoll(
+            source.acquisition, source.meta.frame_rate_hz, lambda: source.meta,
+            PreRollSettings(folder=self._folder), lambda: self._number * PERIOD_NS, interval_s=0,
+        )  # fmt: skip
+        parts = self.pipeline, messages, health, self.preroll
+        self._reloader = make_reloader(Settings(), lambda: self._read, model, *parts)
 
     def reload(self, read: Settings) -> None:
-        """Reload; a line of the log at level error is a reload that failed."""
-        files = {"keypad": Settings().keypad, "model": read.model.model_copy(update={"path": None})}
-        self._read = read.model_copy(update=files)  # whose files may be missing
-        with capture_logs() as entries:
-            self._reloader.reload()
-        assert [entry for entry in entries if entry["log_level"] == "error"] == []
+        """Reload; all that a running daemon can change is then in use."""
+        files = {  # which may be missing, or beside other tests' files
+            "keypad": Settings().keypad,
+            "model": read.model.model_copy(update={"path": None}),
+            "preroll": read.preroll.model_copy(update={"folder": self._folder}),
+        }
+        self._read = read.model_copy(update=files)
+        self._reloader.reload()
+        assert compare(self._reloader.settings, self._read).taken == ()
 
     def restart(self, settings: Settings) -> None:
         """Begin with a new pipeline."""
@@ -59,11 +69,13 @@ class Daemon:
         self.run(0, 60)
 
     def run(self, begin: int, end: int) -> None:
-        """Process a part of the scene, and look at each number that comes of it."""
+        """Process a part of the scene, look at each number that comes of it, and keep it for a recording."""
         for counts in self._counts[begin:end]:
-            number = next(self._number)
-            for contact in self.pipeline.process(Frame(counts, number, number * PERIOD_NS, 0)).contacts:
-                assert is_finite(contact)
+            self._number += 1
+            frame = Frame(counts, self._number, self._number * PERIOD_NS, 0)
+            contacts = self.pipeline.process(frame).contacts
+            assert all(map(is_finite, contacts))
+            self.preroll.keep(frame, contacts)
         assert math.isfinite(self.pipeline.noise_counts())
 
 
@@ -74,16 +86,18 @@ def is_finite(c: Contact) -> bool:
 @pytest.fixture(scope="module")
 def daemon_of(
     scene: Scene, scene_file: Callable[[str], Path], model: Model, atlas_model: Model
-) -> Callable[[str], Daemon]:
+) -> Iterator[Callable[[str], Daemon]]:
     """A daemon that has learned its plate, by how it localizes."""
+    with ExitStack() as stack:
 
-    @cache
-    def make(name: str) -> Daemon:
-        daemon = Daemon(scene_file("circle"), scene, {"network": model, "atlas": atlas_model}[name])
-        daemon.run(0, 90)
-        return daemon
+        @cache
+        def make(name: str) -> Daemon:
+            daemon = Daemon(scene_file("circle"), scene, {"network": model, "atlas": atlas_model}[name])
+            stack.callback(daemon.preroll.close)
+            daemon.run(0, 90)
+            return daemon
 
-    return make
+        yield make
 
 
 @pytest.mark.parametrize("field", [case.values[2] for case in KEYS], ids=[case.id for case in KEYS])
@@ -97,13 +111,15 @@ def test_limits(field: FieldInfo) -> None:
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize(("table", "key", "field"), KEYS)
 def test_each_key(daemon_of: Callable[[str], Daemon], table: str, key: str, field: FieldInfo) -> None:
-    """Each value of a key that is accepted can be reloaded and started with, and frames go on."""
+    """Each value of a key that is accepted can be reloaded, and the ends of its range started with."""
+    chosen = list(accepted(table, key, field))
+    assert chosen
     for name in ("network", "atlas") if table in IN_THE_PIPELINE else ("network",):
         daemon = daemon_of(name)
-        for settings in accepted(table, key, field):
+        for settings in chosen:
             daemon.reload(settings)
             daemon.run(94, 106)
-        if table in IN_THE_PIPELINE:
+        for settings in chosen[:2] if table in IN_THE_PIPELINE else ():  # the ends are the first candidates
             daemon.restart(settings)
             daemon.run(94, 112)
 
@@ -120,3 +136,19 @@ def test_all_keys(daemon_of: Callable[[str], Daemon], settings: Settings) -> Non
         daemon.restart(settings)
         daemon.run(80, 130)
         daemon.restart(Settings())
+
+
+@pytest.mark.parametrize("end", [0, 1], ids=["lowest", "highest"])
+def test_whole_daemon(scene: Scene, scene_file: Callable[[str], Path], tmp_path: Path, end: int) -> None:
+    """A daemon starts and ends with the lowest of all numbers, and with the highest."""
+    lines = [f"preroll.folder = '{tmp_path}/rolls'"]
+    for table, key, field in fields():
+        if field.annotation in (int, float) and table not in ("ni", "audio"):  # whose numbers depend on each other
+            lines.append(f"{table}.{key} = {ends(field)[end]}")
+    (config := tmp_path / "touchd.toml").write_text("\n".join(lines))
+    replay = "--replay", scene_file("circle"), "--speed", "max", "--bind", f"ipc://{tmp_path}/bus"
+    ended = touchd("--config", config, *replay, "--print")
+    assert ended.code == 0, ended.err
+    health = [message for message in ended.messages if message["type"] == "health"]
+    assert health[-1]["state"] == "stopping"
+    assert health[-1]["frames"] == len(scene("circle").frames)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import resource
 import socket
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import closing, suppress
+from contextlib import ExitStack, closing, suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -17,10 +18,10 @@ import zmq
 from structlog.testing import capture_logs
 
 from tests.system.hostile import stranger
-from tests.system.hostile.stranger import PATIENCE_S, connect, greeted, message, topics
+from tests.system.hostile.stranger import NULL_GREETING, PATIENCE_S, connect, greeted, message, topics
 from touchd.config.schema import BusSettings
 from touchd.event import TOPICS, Contact, SpectrumEvent, TouchEvent
-from touchd.sinks import peers
+from touchd.sinks import peers, zeromq
 from touchd.sinks.peers import MOST_MESSAGES, MOST_SUBSCRIBED_BYTES, MOST_SUBSCRIPTIONS, Peers
 from touchd.sinks.zeromq import ZeromqSink
 
@@ -266,6 +267,48 @@ def test_a_crowd_between_two_frames(sink: ZeromqSink) -> None:
         until(sink, lambda: sink.wants("touch"))
     sink.close()
     assert not list(path.parent.glob(".*.shut"))
+
+
+def test_reserve(log: Log) -> None:
+    """Subscribers get half of the process's descriptors, even if `max_subscribers` is more."""
+    limits, few = resource.getrlimit(resource.RLIMIT_NOFILE), 256
+    resource.setrlimit(resource.RLIMIT_NOFILE, (few, limits[1]))
+    try:
+        sink = ZeromqSink(BusSettings(bind=("tcp://127.0.0.1:*",), max_subscribers=4096))
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, limits)
+    with closing(sink), ExitStack() as stack:
+        idle = [stack.enter_context(connect(sink.addresses[0])) for _ in range(few // 2 + 3)]
+        until(sink, lambda: sum(map(ended, idle)) == 3)
+    assert f"more than {few // 2}" in reasons(log)[0]
+
+
+def test_handshake(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Who greets and then waits is ended: an unfinished handshake holds no place for long."""
+    monkeypatch.setattr(zeromq, "_HANDSHAKE_MS", 300)
+    with closing(ZeromqSink(BusSettings(bind=("tcp://127.0.0.1:*",)))) as sink, connect(sink.addresses[0]) as slow:
+        slow.sendall(NULL_GREETING)
+        begin_s = time.monotonic()
+        until(sink, lambda: ended(slow))
+        assert time.monotonic() - begin_s < 25, "libzmq's own limit is 30 s"
+
+
+def test_backlog() -> None:
+    """What waits in the kernel for a subscriber that does not read is bounded, and the rest is dropped."""
+    settings = BusSettings(bind=("tcp://127.0.0.1:*",), high_water_mark=1)
+    body = SpectrumEvent("plate", 1, 0, "2025-01-01T00:00:00.000000Z", 1, [0.1] * 8000)
+    with closing(ZeromqSink(settings)) as sink, greeted(sink.addresses[0]) as silent:
+        silent.sendall(message(b"\x01spectrum"))
+        until(sink, lambda: sink.wants("spectrum"))
+        for _ in range(300):  # 10 MB
+            sink.publish(body, 0)
+            time.sleep(0.002)
+        received_bytes = 0
+        silent.settimeout(1.0)
+        with suppress(TimeoutError):
+            while part := silent.recv(1 << 20):
+                received_bytes += len(part)
+    assert received_bytes < 1_000_000, "by default there are megabytes"
 
 
 @pytest.mark.parametrize("sink", ["ipc"], indirect=True)

@@ -5,11 +5,12 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 import pytest
 
-from tests.processes import PATIENCE_S
+from tests.processes import PATIENCE_S, wait_until
 from tests.system.usb.backend import FakeBus, FakeDaq, Transfer
 from tests.system.usb.client import Scenario
 from tests.system.usb.plate import recorded
@@ -24,7 +25,7 @@ from touchd.service.daemon import make_service
 from touchd.sinks.sink import Sink
 from touchd.sinks.zeromq import ZeromqSink
 from touchd.sources.usb import open_usb
-from touchd.sources.usb_protocol import Request
+from touchd.sources.usb_protocol import Flag, FrameReader, Request, build_frame
 
 
 class Cable:
@@ -33,6 +34,8 @@ class Cable:
     def __init__(self) -> None:
         self.player = Player(*recorded())
         self.gadget = Gadget(INFO, self.player)
+        self.flags = 0
+        """Of the frames' headers."""
         self.daq = FakeDaq(INFO)
         self.daq.source = self._next
         self.daq.started = self._start
@@ -44,7 +47,13 @@ class Cable:
         wait_s = self.gadget.wait_s()
         if 0 < wait_s < 1:
             threading.Event().wait(wait_s)
-        return self.gadget.next_transfer()
+        transfer = self.gadget.next_transfer()
+        if self.flags and isinstance(transfer, bytes):
+            found = FrameReader(INFO).whole(memoryview(transfer), len(transfer))
+            assert found is not None
+            header, samples = found
+            return build_frame(INFO, header._replace(flags=self.flags), bytes(samples))
+        return transfer
 
     def steer(self, command: str) -> None:
         if command in ("plug", "unplug"):
@@ -61,6 +70,10 @@ class Heard:
 
     def __init__(self) -> None:
         self.health: list[HealthEvent] = []
+
+    def says(self, reason: str) -> bool:
+        """Whether the last message gives this reason."""
+        return reason in (self.health[-1].reason or "")
 
     def wants(self, topic: str) -> bool:
         return topic == "health"
@@ -79,8 +92,8 @@ class Heard:
 class Running:
     """The daemon's own parts, in a thread."""
 
-    def __init__(self, cable: Cable, address: str, model: Model) -> None:
-        device = DeviceSettings(stall_s=0.3)
+    def __init__(self, cable: Cable, address: str, model: Model, stall_s: float) -> None:
+        device = DeviceSettings(stall_s=stall_s)
         health = HealthSettings(period_s=0.2)
         settings = Settings(bus=BusSettings(bind=(address,)), device=device, health=health)
         bus, self.heard = ZeromqSink(settings.bus), Heard()
@@ -105,8 +118,8 @@ class Running:
 
 
 @contextmanager
-def running(cable: Cable, address: str, model: Model) -> Iterator[Running]:
-    daemon = Running(cable, address, model)
+def running(cable: Cable, address: str, model: Model, stall_s: float = 0.3) -> Iterator[Running]:
+    daemon = Running(cable, address, model, stall_s)
     try:
         yield daemon
     finally:
@@ -133,6 +146,22 @@ def test_scenario(tmp_path: Path, model: Model) -> None:
     # The device was away once, so the plate was learned twice.
     assert counters.skipped["learning"] >= 64
     assert cable.daq.opened == cable.daq.closed
+
+
+def test_withheld(tmp_path: Path, model: Model) -> None:
+    """A finger lifts while the device goes on to send frames that measure nothing, and is found again after them."""
+    address, cable = f"ipc://{tmp_path}/bus", Cable()
+    with running(cable, address, model, stall_s=10) as daemon:  # which alone would lift it, too
+        scenario = Scenario(address, cable.steer, PATIENCE_S)
+        scenario.begins()
+        for flag, reason in ((Flag.EMITTER_FAULT, "emitter fault"), (Flag.TEST_PATTERN, "test pattern")):
+            cable.flags = 0
+            scenario.is_touched()
+            cable.flags = flag
+            scenario.is_lifted()
+            wait_until(partial(daemon.heard.says, reason))
+        scenario.close()
+    assert {event.state for event in daemon.heard.health} == {"starting", "streaming", "stopping"}
 
 
 @pytest.mark.parametrize("moment", ["while it is touched", "before any frame"])

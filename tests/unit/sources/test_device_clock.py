@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
+from collections.abc import Callable
 from itertools import pairwise
 from typing import Any
 
@@ -12,6 +14,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from touchd.client import MAX_AGE_S
+from touchd.config.schema import Settings
+from touchd.frame import Frame
+from touchd.localization.model import Model
+from touchd.pipeline import Pipeline
+from touchd.recording.data import Recording
 from touchd.sources.device_clock import DeviceClock
 
 COMPLETE_NS = 1_000_000
@@ -172,3 +180,22 @@ def test_busy_computer(ppm: float) -> None:
     for t, r in zip(link.timestamp_us, link.received_ns, strict=True):
         clock.map(int(t), int(r))
         assert clock.fault is None
+
+
+@pytest.mark.parametrize("rate", [2.0, 0.5, 1e-3, 1e3])
+def test_taps(scene: Callable[[str], Recording], model: Model, rate: float) -> None:
+    """From 2 s on no tap is lost to a clock at a wrong rate: each is found, and young enough for subscribers."""
+    taps = scene("tap")
+    assert taps.contacts_mm is not None
+    frames, contacts_mm = np.tile(taps.frames, (2, 1, 1)), np.tile(taps.contacts_mm, (2, 1, 1))
+    begins = np.flatnonzero(np.diff(np.isfinite(contacts_mm[:, 0, 0]).astype(int)) == 1)
+    clock, pipeline = DeviceClock(COMPLETE_NS), Pipeline(taps.acquisition, model, Settings())
+    found: Counter[str] = Counter()
+    for i, counts in enumerate(frames):
+        received_ns = 7_000_000_000_000 + i * 8_000_000 + COMPLETE_NS
+        t_ns = clock.map(round(i * 8000 * rate), received_ns)
+        contacts = pipeline.process(Frame(counts, i, t_ns, received_ns)).contacts
+        if i > 250 and received_ns - t_ns < MAX_AGE_S * 1e9:
+            found.update(contact.phase for contact in contacts)
+    assert clock.fault
+    assert found["down"] == found["up"] == (begins > 250).sum() > 10
