@@ -114,9 +114,9 @@ class Classifier:
             doubtful |= self._cornered(fit.positions_mm) | self._edged(fit)
         fingers: list[Finger] = []
         for k, lead in enumerate(leads):
-            if not LAG_RAD < lead < DEPARTURE_RAD:
-                continue
             position, energy, size = fit.positions_mm[k], fit.energies[k], sizes[k]
+            if not LAG_RAD < lead < DEPARTURE_RAD or energy <= self._noise.min_signal_energy:
+                continue
             sigma_rad = math.sqrt(variance / energy) if energy > 0 else math.inf
             known = self._known_at(position, errors_mm[k]) if self._known else None
             is_clear = size >= CLEAR_SIZE and lead + self._clear_sigmas * sigma_rad < self._clear_rad  # the usual case

@@ -93,7 +93,7 @@ class NoiseModel:
     variance: float
     """Noise variance of a value, scaled to how far it moves a position, counts squared."""
     min_signal_energy: float
-    """A fit that explains no more may be one of noise, counts squared."""
+    """A fit, or a finger of several, that explains no more may be one of noise, counts squared."""
     active_bins: int
     """Values in use."""
     mean_error: float
