@@ -164,17 +164,18 @@ def test_token(browser: Browser, server: Web, address: str) -> None:
 
 def test_two_browsers(browser: Browser, server: Web) -> None:
     """Two browsers see the same, each at its own pace and in its own colours, which outlive a visit."""
-    with page(browser, server.url) as one, page(browser, server.base) as other:
-        for opened in (one, other):
-            expect(opened.locator(".fingers tbody tr")).to_have_count(5)
-            await_more(opened, 20)
+    with page(browser, server.url) as one:
         for theme in ("light", "dark"):
             one.locator("#theme").click()
             expect(one.locator("html")).to_have_attribute("data-theme", theme)
         one.reload()
-        for opened, theme, ground in ((one, "dark", "rgb(14, 19, 23)"), (other, "auto", "rgb(238, 241, 244)")):
-            expect(opened.locator("html")).to_have_attribute("data-theme", theme)
-            expect(opened.locator("body")).to_have_css("background-color", ground)
+        with page(browser, server.base) as other:
+            for opened in (one, other):
+                expect(opened.locator(".fingers tbody tr")).to_have_count(5)
+                await_more(opened, 20)
+            for opened, theme, ground in ((one, "dark", "rgb(14, 19, 23)"), (other, "auto", "rgb(238, 241, 244)")):
+                expect(opened.locator("html")).to_have_attribute("data-theme", theme)
+                expect(opened.locator("body")).to_have_css("background-color", ground)
 
 
 def test_hidden_tab(browser: Browser, server: Web) -> None:

@@ -100,7 +100,7 @@ def atlases(model: Model, atlas: Atlas) -> Iterator[Estimator]:
 
     def find(residual: Array) -> Place:
         detection = Detection(Outcome.TOUCHED, time_ns(), 0.0, 0.0, 0.0, residual, residual, baseline, live)
-        touches = localizer.localize(detection, alive=False).touches
+        touches = (localizer.follow(detection) or localizer.localize(detection, alive=False)).touches
         if not touches:
             return None
         best = min(touches, key=lambda touch: touch.sigma_mm)

@@ -179,13 +179,14 @@ def run(task: dict[str, Any]) -> dict[str, Any]:
         pipeline = service.pipeline
         for stage, *owned in (
             ("USB read", (daq, "read"), (source, "_take")),
-            ("detection", (pipeline.detector, "detect"), (pipeline.detector, "adapt")),
-            ("localization", (pipeline._localizer, "localize"), (pipeline._localizer, "observe")),
+            ("detection", *((pipeline.detector, name) for name in ("detect", "clean", "adapt"))),
+            ("localization", *((pipeline._localizer, name) for name in ("follow", "localize", "observe"))),
             ("tracking", (pipeline._tracker, "track")), ("message", (service._messages, "make")),
             ("bus", (bus, "publish"), (bus, "poll")), ("pre-roll", (preroll, "keep")),
         ):  # fmt: skip
             for owner, name in owned:
-                timed(owner, name, stages[stage])
+                if hasattr(owner, name):  # another checkout may do without
+                    timed(owner, name, stages[stage])
         timed(device, "fill", stages["USB read"], -1)  # waits, and is the device's
     realtime.freeze()
     if task["subscriber"]:
