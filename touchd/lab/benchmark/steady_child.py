@@ -177,14 +177,15 @@ def run(task: dict[str, Any]) -> dict[str, Any]:
     service = make_service(source, [bus], settings, model, preroll=preroll)
     if task["stages"]:
         pipeline = service.pipeline
-        for stage, *owned in (
-            ("USB read", (daq, "read"), (source, "_take")),
-            ("detection", *((pipeline.detector, name) for name in ("detect", "clean", "adapt"))),
-            ("localization", *((pipeline._localizer, name) for name in ("follow", "localize", "observe"))),
-            ("tracking", (pipeline._tracker, "track")), ("message", (service._messages, "make")),
-            ("bus", (bus, "publish"), (bus, "poll")), ("pre-roll", (preroll, "keep")),
-        ):  # fmt: skip
-            for owner, name in owned:
+        owned: dict[str, list[tuple[object, str]]] = {
+            "USB read": [(daq, "read"), (source, "_take")],
+            "detection": [(pipeline.detector, name) for name in ("detect", "clean", "adapt")],
+            "localization": [(pipeline._localizer, name) for name in ("follow", "localize", "observe")],
+            "tracking": [(pipeline._tracker, "track")], "message": [(service._messages, "make")],
+            "bus": [(bus, "publish"), (bus, "poll")], "pre-roll": [(preroll, "keep")],
+        }  # fmt: skip
+        for stage, calls in owned.items():
+            for owner, name in calls:
                 if hasattr(owner, name):  # another checkout may do without
                     timed(owner, name, stages[stage])
         timed(device, "fill", stages["USB read"], -1)  # waits, and is the device's
