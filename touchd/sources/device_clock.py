@@ -89,9 +89,12 @@ class DeviceClock:
             self._restart(device_ns, received_ns)
             t_ns = self._fitted_ns(device_ns, received_ns)
         self._last_ns, self._last_received_ns = device_ns, received_ns
-        if self.fault:
-            t_ns = received_ns - self._complete_ns
-        self.delay_ns = received_ns - self._complete_ns - t_ns
+        arrived_ns = received_ns - self._complete_ns
+        # Until a slow clock can be told from a late frame, a subscriber must not take new touches for old.
+        young = len(self._minima) < _JUDGE_BUCKETS and arrived_ns - t_ns > MAX_DELAY_SPREAD_NS
+        if self.fault or young:
+            t_ns = arrived_ns
+        self.delay_ns = arrived_ns - t_ns
         self._last_t_ns = max(t_ns, self._last_t_ns + 1)
         return self._last_t_ns
 

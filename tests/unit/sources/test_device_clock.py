@@ -184,7 +184,7 @@ def test_busy_computer(ppm: float) -> None:
 
 @pytest.mark.parametrize("rate", [2.0, 0.5, 1e-3, 1e3])
 def test_taps(scene: Callable[[str], Recording], model: Model, rate: float) -> None:
-    """From 2 s on no tap is lost to a clock at a wrong rate: each is found, and young enough for subscribers."""
+    """No tap is lost to a clock at a wrong rate, from the first frame on: each is found, and young for subscribers."""
     taps = scene("tap")
     assert taps.contacts_mm is not None
     frames, contacts_mm = np.tile(taps.frames, (2, 1, 1)), np.tile(taps.contacts_mm, (2, 1, 1))
@@ -195,7 +195,7 @@ def test_taps(scene: Callable[[str], Recording], model: Model, rate: float) -> N
         received_ns = 7_000_000_000_000 + i * 8_000_000 + COMPLETE_NS
         t_ns = clock.map(round(i * 8000 * rate), received_ns)
         contacts = pipeline.process(Frame(counts, i, t_ns, received_ns)).contacts
-        if i > 250 and received_ns - t_ns < MAX_AGE_S * 1e9:
+        if received_ns - t_ns < MAX_AGE_S * 1e9:
             found.update(contact.phase for contact in contacts)
     assert clock.fault
-    assert found["down"] == found["up"] == (begins > 250).sum() > 10
+    assert found["down"] == found["up"] == len(begins) > 10
