@@ -46,11 +46,13 @@ class Arrivals:
     """
 
     def __init__(self, publisher: zmq.Socket[bytes], most: int) -> None:
-        self.events: deque[tuple[int, int]] = deque()
-        """Kind and descriptor of what has not been looked at yet."""
+        self.events: deque[tuple[int, int, int]] = deque()
+        """Kind, descriptor and the connection's number of what has not been looked at yet."""
+        self.numbers: dict[int, int] = {}
+        """The number of each descriptor's last connection; they count up from 1."""
         self._publisher, self._most = publisher, most
         self._crowd = max(most + 1, min(_CROWD * most, resource.getrlimit(resource.RLIMIT_NOFILE)[0] // 4))
-        self._connected = 0
+        self._connected = self._accepted = 0
         self._doors: list[tuple[Path, Path]] = []
         self._shut = self._stopped = False
         publisher.setsockopt(zmq.BACKLOG, BACKLOG)
@@ -97,9 +99,12 @@ class Arrivals:
             event, _address = self._monitor.recv_multipart(_NOBLOCK)
             kind, descriptor = _EVENT.unpack(event)
             self._connected += (kind == ACCEPTED) - (kind == DISCONNECTED)
+            if kind == ACCEPTED:
+                self._accepted += 1
+                self.numbers[descriptor] = self._accepted
             self._stopped = kind == _STOPPED
             if not self._stopped:
-                self.events.append((kind, descriptor))
+                self.events.append((kind, descriptor, self.numbers.get(descriptor, 0)))
             if not self._shut and self._connected >= self._crowd:
                 self._set_shut(True)
             elif self._shut and self._connected <= self._most:

@@ -44,6 +44,8 @@ class _Peer:
     """One connection."""
 
     descriptor: int
+    number: int
+    """Of the connection: descriptors are used again."""
     name: str
     """For the log: address and port, or process and user."""
     origin: str
@@ -57,8 +59,6 @@ class _Peer:
     credit_s: float = 0.0
     subscribed: bool = False
     """Whether it ever subscribed."""
-    early: bool = False
-    """Whether the monitor has yet to say that it came."""
     unsent: bytes = b""
     """How much waits to be sent, as the kernel says it."""
     unsent_s: float = 0.0
@@ -98,6 +98,7 @@ class Peers:
         self._cut_off = Throttle("subscriber cut off")
         self._refused = Throttle("subscriber refused")
         self._failed = False
+        self._entered = 0  # number of the last connection that `poll` took in
         self._arrivals = Arrivals(publisher, self._most)
 
     def guard(self, path: Path) -> None:
@@ -119,12 +120,13 @@ class Peers:
             descriptor = int(message.get(_SRCFD))
         except zmq.ZMQError:
             return frozenset()  # libzmq's own, when the last subscriber of a prefix went: `poll` sees it go
-        if descriptor not in self._peers:
-            self._arrivals.take_in()
-            if self._follow_arrivals() and descriptor not in self._peers:
-                self._enter(descriptor, early=True)
+        # Its sender may have come since the last poll, and in the place of another that has left.
+        self._arrivals.take_in()
+        number = self._arrivals.numbers.get(descriptor, 0)
+        if number > self._entered:
+            self._enter(descriptor, number)
         peer = self._peers.get(descriptor)
-        if peer is None:
+        if peer is None or peer.number != number:
             return frozenset()
         now_s = self._clock()
         peer.credit = min(MOST_MESSAGES, peer.credit + (now_s - peer.credit_s) * MESSAGES_HZ) - 1
@@ -158,27 +160,26 @@ class Peers:
 
     # -- connections ------------------------------------------------------------------------------------
 
-    def _follow_arrivals(self) -> bool:
-        """Take in who came and went, for a share of the time since the last call; return whether more wait."""
+    def _follow_arrivals(self) -> None:
+        """Take in who came and went, for a share of the time since the last call."""
         before_s, self._read_s = self._read_s, self._clock()
         until_s = self._read_s + _SHARE * (self._read_s - before_s)
         events = self._arrivals.events
         for _ in range(min(_MOST_EVENTS, len(events))):
-            kind, descriptor = events.popleft()
+            kind, descriptor, number = events.popleft()
             if kind == ACCEPTED:
-                self._enter(descriptor)
+                self._entered = number
+                self._enter(descriptor, number)
             elif kind == DISCONNECTED:
-                self._leave(descriptor)
+                self._leave(descriptor, number)
             else:  # the disconnection of the same connection follows
                 self._failed = True
             if self._clock() > until_s:
                 break
-        return bool(events)
 
-    def _enter(self, descriptor: int, *, early: bool = False) -> None:
+    def _enter(self, descriptor: int, number: int) -> None:
         known = self._peers.get(descriptor)
-        if known is not None and known.early:
-            known.early = False
+        if known is not None and known.number >= number:
             return
         self._forget(descriptor)
         name, origin, stream = "gone already", "", True
@@ -186,18 +187,19 @@ class Peers:
             name, origin = _names(connection)
             stream = connection.family != socket.AF_UNIX
         now_s = self._clock()
-        newcomer = _Peer(descriptor, name, origin, now_s, stream, credit_s=now_s, early=early)
+        newcomer = _Peer(descriptor, number, name, origin, now_s, stream, credit_s=now_s)
         if len(self._peers) >= self._most:
             self._cut(self._choose(newcomer), f"there are more than {self._most}")
             if len(self._peers) >= self._most:
                 return
         self._peers[descriptor] = newcomer
 
-    def _leave(self, descriptor: int) -> None:
-        peer = self._forget(descriptor)
+    def _leave(self, descriptor: int, number: int) -> None:
         failed, self._failed = self._failed, False
-        if peer is None:
+        peer = self._peers.get(descriptor)
+        if peer is None or peer.number != number:
             return
+        self._forget(descriptor)
         if failed:
             self._refused.warn(peer=peer.name, reason="its keys do not fit, or it has none")
         elif not peer.subscribed:  # libzmq itself ends a connection that sends too long a message, or no ZMTP

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import resource
 import socket
 import subprocess
@@ -124,6 +125,28 @@ def test_subscriber_in_a_flood(flood: Flood) -> None:
     while flood.cut_by(1.0) > 2:
         pass
     assert flood.peers.wanted == {"touch"}
+
+
+def test_a_subscriber_in_the_place_of_another(tmp_path: Path) -> None:
+    """Who subscribes with the descriptor of one that has just left is not taken for it."""
+    with zmq.Context() as context, closing(Flood(context, f"ipc://{tmp_path}/bus", 1)) as bus:
+
+        def subscribe() -> int:
+            bus.connections[-1].sendall(message(b"\x01touch"))
+            assert bus.publisher.poll(int(PATIENCE_S * 1000))
+            frame = bus.publisher.recv(copy=False)
+            assert bus.peers.take(frame) == {"touch"}
+            return int(frame.get(zmq.SRCFD))
+
+        first, files = subscribe(), len(os.listdir("/proc/self/fd"))
+        bus.connections.pop().close()
+        while len(os.listdir("/proc/self/fd")) > files - 2:  # both ends
+            time.sleep(0.001)
+        bus.publisher.recv(copy=False)  # libzmq's own word for the one that left
+        bus.connections.append(greeted(f"ipc://{tmp_path}/bus"))
+        assert subscribe() == first
+        bus.cut_by(1.0)
+        assert bus.peers.wanted == {"touch"}
 
 
 def ended(connection: socket.socket) -> bool:
