@@ -13,11 +13,14 @@ from touchd.evaluation.metrics import position_scores
 from touchd.evaluation.replay_scores import StreamScores, score_stream
 from touchd.evaluation.single_frames import find_with, see, touched_frames
 from touchd.event import TouchEvent
+from touchd.frame import Frame
 from touchd.localization.model import Model, default_model_path
+from touchd.pipeline import Pipeline
 from touchd.recording.format import read
 from touchd.service.replay import Replayed, replay
 from touchd.twin.electronics import Electronics
 from touchd.twin.instrument import REFERENCE_C, Instrument
+from touchd.twin.physics.finger import Contact
 from touchd.twin.simulate import DEFAULT_PLATE, simulate_touches, stage_scene
 
 
@@ -60,6 +63,28 @@ def test_real_fingers(name: str, finger: str, instrument: Instrument) -> None:
     print(f"{name} {finger}: {result.found} of {result.touches}, median {np.median(error_mm):.3f} mm")
     assert (result.missed, result.ghosts, result.split) == (0, 0, 0)
     assert np.median(error_mm) < 0.4
+
+
+@pytest.mark.parametrize("seed", [2, 3, 7])
+def test_a_first_frame_like_no_other(seed: int, instrument: Instrument, atlas_model: Model) -> None:
+    """Two fingers are soon found though they came while a frame was measured: its search is given up for a new one."""
+    rng = np.random.default_rng(seed)
+    two = [Contact(60.0, 70.0, 60.0, "fingertip"), Contact(150.0, 130.0, 60.0, "fingertip")]
+    passing = [Contact(*map(float, place), 60.0, "fingertip") for place in rng.uniform(30.0, 170.0, (4, 2))]
+    (untouched,), (rest, other) = (
+        instrument.untouched([REFERENCE_C]),
+        instrument.change([two, passing], [REFERENCE_C] * 2),
+    )
+    to_counts = 20000.0 / np.abs(untouched).max()
+    pipeline, downs = Pipeline(instrument.acquisition, atlas_model, Settings()), list[int]()
+    for number in range(112):
+        change = 0.0 if number < 100 else 0.6 * rest + 0.5 * other if number == 100 else rest
+        frame = to_counts * (untouched + change) + rng.normal(0.0, 3.0, untouched.shape)
+        t_ns = number * 8_000_000
+        result = pipeline.process(Frame(np.rint(frame).astype(np.int16), number, t_ns, t_ns + 1_000_000))
+        downs += [number for contact in result.contacts if contact.phase == "down"]
+    assert len(downs) == 2
+    assert max(downs) <= 108
 
 
 @pytest.mark.parametrize(("finger", "fingers", "right", "median_mm"), [

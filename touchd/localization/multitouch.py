@@ -37,6 +37,9 @@ _GAIN = 0.8
 """A search that leaves less than this share of the energy was worth its time."""
 _OUTDATED = 4.0
 """A search for fingers that land begins again once the signal has grown by this factor: they were faint at first."""
+_LIKE, _PATIENT_FRAMES = 0.95, 5
+"""So it does after so many frames if the first one has less than this of the present one's shape: it began while they
+landed, and what it finds would be of no use now."""
 _HOLD_NS = 120_000_000
 """Tracked fingers wait for a search for this long."""
 _STEPS = 2
@@ -123,12 +126,13 @@ class MultitouchSearch:
         limited : bool
             Whether the search may go on in later frames; if not, it runs to its end now.
         """
-        if tracked is not self._tracked or (not tracked and signal > _OUTDATED * self._begun):
+        if tracked is not self._tracked or (not tracked and (signal > _OUTDATED * self._begun or self._is_past(bins))):
             self._running = None
         fresh, count = self._running is None, len(fit.positions_mm)
         if self._running is None:
             self._running = self._all(bins.copy(), fit, signal, count if tracked else 0, grow=tracked)
             self._tracked, self._begun, self._begun_ns = tracked, signal, self._t_ns
+            self._first = bins.vector.copy()
             self._grown, self._frames, self._credit = 0, 0, 0.0
         allowance = self._allowance(fit, landing=fresh and not tracked) if limited else math.inf
         self._credit = min(self._credit, 0.0) + allowance  # what the last frame has left is none of this one
@@ -153,6 +157,14 @@ class MultitouchSearch:
                 self._running = self._all(bins.copy(), found, signal, known, grow=True)
                 return waiting
         return self._settle(bins, found, known, fit, signal)
+
+    def _is_past(self, bins: Bins) -> bool:
+        """Return whether a search that goes on for long began with a frame unlike this one, noise apart."""
+        if self._running is None or self._frames < _PATIENT_FRAMES:
+            return False
+        noise_energy = self._noise.noise_energy
+        first, now = float(self._first @ self._first) - noise_energy, bins.energy - noise_energy
+        return float(self._first @ bins.vector) ** 2 < _LIKE * first * now
 
     def _allowance(self, fit: Fit, *, landing: bool) -> float:
         """Return how many look-ups the search may take in this frame; what was fitted in it has taken some of them."""
