@@ -83,6 +83,8 @@ wait_for 300 active touchd-wizard
 wait_for 300 active touchd-web
 address=$(journalctl -u touchd-web -o cat --no-pager | sed -n 's/^touchd: open //p' | tail -n 1)
 
+journalctl -fu 'touchd*' > journal.log 2>&1 4>&- &
+
 say browser
 python3 -B pageserver.py >> page.log 2> pageserver.err 4>&- &
 printf '[core]\nidle-time=0\nshell=kiosk-shell.so\nrequire-input=false\n[output]\nname=Virtual-1\nmode=1024x768\n' \
@@ -103,5 +105,4 @@ found browser $?
 say wizard
 person browser
 found person $?
-journalctl -u 'touchd*' --no-pager > journal.log
 say end
