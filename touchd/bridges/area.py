@@ -57,6 +57,8 @@ class Area:
         self._turns = settings.rotate // 90
         corners = ((left_mm, top_mm), (right_mm, top_mm), (right_mm, bottom_mm), (left_mm, bottom_mm))
         self._corner_mm = corners[self._turns]  # the picture's top-left one, on the plate
+        self._axes = ((1, 0, 0, 1), (0, 1, -1, 0), (-1, 0, 0, -1), (0, -1, 1, 0))[self._turns]
+        """The picture's right and down as directions on the plate."""
         self.size_mm = (high_mm, wide_mm) if self._turns % 2 else (wide_mm, high_mm)
         """Width and height of the picture."""
         self._fates: dict[int, tuple[_Fate, int]] = {}  # and the time of its first message, ns
@@ -81,11 +83,12 @@ class Area:
                 fate = _Fate.SHOWN
             elif fate is _Fate.SHOWN and ignored:
                 fate = _Fate.DROPPED
-            if settings.border == "lift" and not self._holds(place):
-                fate = _Fate.DROPPED
-            if fate is _Fate.SHOWN:
+            if not self._holds(place):
+                if settings.border == "lift":
+                    fate = _Fate.DROPPED
                 place.x_mm = min(max(place.x_mm, 0.0), self.size_mm[0])
                 place.y_mm = min(max(place.y_mm, 0.0), self.size_mm[1])
+            if fate is _Fate.SHOWN:
                 found[number] = place
             fates[number] = fate, since_ns
         self._fates = fates
@@ -99,15 +102,11 @@ class Area:
         return margin_mm <= place.x_mm <= wide_mm - margin_mm and margin_mm <= place.y_mm <= high_mm - margin_mm
 
     def _place(self, contact: Contact) -> Place:
-        x_mm, y_mm = self._corner_mm
-        across, down = self._turned(contact.x_mm - x_mm, contact.y_mm - y_mm)
-        angle_deg = half_turn((contact.angle_deg or 0.0) - 90 * self._turns)
-        return Place(across, down, *self._turned(contact.vx_mm_s, contact.vy_mm_s), angle_deg, contact)
-
-    def _turned(self, x: float, y: float) -> tuple[float, float]:
-        """Return a vector of the plate as one of the picture."""
-        turns = self._turns
-        return (x, y) if turns == 0 else (y, -x) if turns == 1 else (-x, -y) if turns == 2 else (-y, x)
+        left_mm, top_mm = self._corner_mm
+        x_mm, y_mm, vx, vy = contact.x_mm - left_mm, contact.y_mm - top_mm, contact.vx_mm_s, contact.vy_mm_s
+        angle_deg = 0.0 if contact.angle_deg is None else half_turn(contact.angle_deg - 90 * self._turns)
+        a, b, c, d = self._axes
+        return Place(a * x_mm + b * y_mm, c * x_mm + d * y_mm, a * vx + b * vy, c * vx + d * vy, angle_deg, contact)
 
 
 def half_turn(angle_deg: float) -> float:
