@@ -33,6 +33,9 @@ class _Fate(Enum):
     DROPPED = 2
 
 
+_WAITING, _SHOWN, _DROPPED = _Fate  # to look up an enum's member is slow
+
+
 class Area:
     """The screen's rectangle on the plate.
 
@@ -79,23 +82,23 @@ class Area:
             place = self._place(contact)
             fate, since_ns = self._fates.get(number) or self._begin(place, t_ns)
             ignored = contact.kind in settings.ignore
-            if fate is _Fate.WAITING and not ignored and t_ns - since_ns >= settings.min_contact_s * 1e9:
-                fate = _Fate.SHOWN
-            elif fate is _Fate.SHOWN and ignored:
-                fate = _Fate.DROPPED
+            if fate is _WAITING and not ignored and t_ns - since_ns >= settings.min_contact_s * 1e9:
+                fate = _SHOWN
+            elif fate is _SHOWN and ignored:
+                fate = _DROPPED
             if not self._holds(place):
                 if settings.border == "lift":
-                    fate = _Fate.DROPPED
+                    fate = _DROPPED
                 place.x_mm = min(max(place.x_mm, 0.0), self.size_mm[0])
                 place.y_mm = min(max(place.y_mm, 0.0), self.size_mm[1])
-            if fate is _Fate.SHOWN:
+            if fate is _SHOWN:
                 found[number] = place
             fates[number] = fate, since_ns
         self._fates = fates
         return found
 
     def _begin(self, place: Place, t_ns: int) -> tuple[_Fate, int]:
-        return _Fate.WAITING if self._holds(place, self._settings.edge_mm) else _Fate.DROPPED, t_ns
+        return _WAITING if self._holds(place, self._settings.edge_mm) else _DROPPED, t_ns
 
     def _holds(self, place: Place, margin_mm: float = 0.0) -> bool:
         wide_mm, high_mm = self.size_mm
