@@ -33,6 +33,9 @@ class _Fate(Enum):
     DROPPED = 2
 
 
+_WAITING, _SHOWN, _DROPPED = _Fate  # to look up an enum's member is slow
+
+
 class Area:
     """The screen's rectangle on the plate.
 
@@ -57,6 +60,8 @@ class Area:
         self._turns = settings.rotate // 90
         corners = ((left_mm, top_mm), (right_mm, top_mm), (right_mm, bottom_mm), (left_mm, bottom_mm))
         self._corner_mm = corners[self._turns]  # the picture's top-left one, on the plate
+        self._axes = ((1, 0, 0, 1), (0, 1, -1, 0), (-1, 0, 0, -1), (0, -1, 1, 0))[self._turns]
+        """The picture's right and down as directions on the plate."""
         self.size_mm = (high_mm, wide_mm) if self._turns % 2 else (wide_mm, high_mm)
         """Width and height of the picture."""
         self._fates: dict[int, tuple[_Fate, int]] = {}  # and the time of its first message, ns
@@ -77,37 +82,34 @@ class Area:
             place = self._place(contact)
             fate, since_ns = self._fates.get(number) or self._begin(place, t_ns)
             ignored = contact.kind in settings.ignore
-            if fate is _Fate.WAITING and not ignored and t_ns - since_ns >= settings.min_contact_s * 1e9:
-                fate = _Fate.SHOWN
-            elif fate is _Fate.SHOWN and ignored:
-                fate = _Fate.DROPPED
-            if settings.border == "lift" and not self._holds(place):
-                fate = _Fate.DROPPED
-            if fate is _Fate.SHOWN:
+            if fate is _WAITING and not ignored and t_ns - since_ns >= settings.min_contact_s * 1e9:
+                fate = _SHOWN
+            elif fate is _SHOWN and ignored:
+                fate = _DROPPED
+            if not self._holds(place):
+                if settings.border == "lift":
+                    fate = _DROPPED
                 place.x_mm = min(max(place.x_mm, 0.0), self.size_mm[0])
                 place.y_mm = min(max(place.y_mm, 0.0), self.size_mm[1])
+            if fate is _SHOWN:
                 found[number] = place
             fates[number] = fate, since_ns
         self._fates = fates
         return found
 
     def _begin(self, place: Place, t_ns: int) -> tuple[_Fate, int]:
-        return _Fate.WAITING if self._holds(place, self._settings.edge_mm) else _Fate.DROPPED, t_ns
+        return _WAITING if self._holds(place, self._settings.edge_mm) else _DROPPED, t_ns
 
     def _holds(self, place: Place, margin_mm: float = 0.0) -> bool:
         wide_mm, high_mm = self.size_mm
         return margin_mm <= place.x_mm <= wide_mm - margin_mm and margin_mm <= place.y_mm <= high_mm - margin_mm
 
     def _place(self, contact: Contact) -> Place:
-        x_mm, y_mm = self._corner_mm
-        across, down = self._turned(contact.x_mm - x_mm, contact.y_mm - y_mm)
-        angle_deg = half_turn((contact.angle_deg or 0.0) - 90 * self._turns)
-        return Place(across, down, *self._turned(contact.vx_mm_s, contact.vy_mm_s), angle_deg, contact)
-
-    def _turned(self, x: float, y: float) -> tuple[float, float]:
-        """Return a vector of the plate as one of the picture."""
-        turns = self._turns
-        return (x, y) if turns == 0 else (y, -x) if turns == 1 else (-x, -y) if turns == 2 else (-y, x)
+        left_mm, top_mm = self._corner_mm
+        x_mm, y_mm, vx, vy = contact.x_mm - left_mm, contact.y_mm - top_mm, contact.vx_mm_s, contact.vy_mm_s
+        angle_deg = 0.0 if contact.angle_deg is None else half_turn(contact.angle_deg - 90 * self._turns)
+        a, b, c, d = self._axes
+        return Place(a * x_mm + b * y_mm, c * x_mm + d * y_mm, a * vx + b * vy, c * vx + d * vy, angle_deg, contact)
 
 
 def half_turn(angle_deg: float) -> float:

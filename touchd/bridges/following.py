@@ -65,7 +65,7 @@ class Following:
         if self._joining:
             self._ignored = {contact.id for contact in present}
             self._joining = False
-        else:
+        elif self._ignored:
             self._ignored &= {contact.id for contact in present}
         before, self._numbers, self.down = self._numbers, {}, {}
         for contact in present:

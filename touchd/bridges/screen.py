@@ -34,14 +34,14 @@ class Screen:
 
     def __init__(self, area: Area, device: Writer) -> None:
         self._area, self._device = area, device
-        self._slots = slots.EMPTY
+        self._slots: slots.Slots = {}
         self._fingers: dict[int, slots.Finger] = {}  # as written last
 
     def show(self, down: Down, t_ns: int) -> None:
         """Write one frame, unless all fingers are where they were, in the device's units."""
         places = self._area.places(down, t_ns)
         fingers = {number: slots.finger(place) for number, place in places.items()}
-        if fingers == self._fingers and fingers.keys() <= {*self._slots}:  # none waits for a slot
+        if fingers == self._fingers and fingers.keys() <= self._slots.keys():  # none waits for a slot
             return
         self._fingers = fingers
         frame, self._slots = slots.encode(self._slots, fingers)

@@ -29,9 +29,8 @@ UNKNOWN_SIZE = 1, 1, 0
 SLOTS = 5
 """Most fingers at once, as libinput names them; further ones wait for a free slot."""
 LIFTED = -1
-Slots = tuple[int | None, ...]
-"""The number of the finger in each slot."""
-EMPTY: Slots = (None,) * SLOTS
+Slots = dict[int, int]
+"""The slot of each finger, by its number."""
 
 
 def _head(kind: int, code: int) -> bytes:
@@ -80,32 +79,31 @@ def encode(slots: Slots, fingers: Mapping[int, Finger]) -> tuple[bytes, Slots]:
     end alone would take both for one.
     """
     events = []
-    after = list(slots)
-    free = [slot for slot, number in enumerate(slots) if number is None]
-    for slot, number in enumerate(slots):
-        if number is not None and number not in fingers:
+    after: Slots = {}
+    for number, slot in slots.items():
+        if number in fingers:
+            after[number] = slot
+        else:
             events.append(_two(_SLOT, slot, _ID, LIFTED))
-            after[slot] = None
     x, y, pressure, major, minor, angle = _AT
     for number, one in fingers.items():
-        if number not in slots:
+        if number in after:
+            events.append(_one(_SLOT, after[number]))
+        else:
+            free = {*range(SLOTS)}.difference(slots.values(), after.values())
             if not free:
                 continue
-            slot = free.pop(0)
-            after[slot] = number
-            events.append(_two(_SLOT, slot, _ID, number & 0xFFFF))
-        else:
-            events.append(_one(_SLOT, slots.index(number)))
+            after[number] = min(free)
+            events.append(_two(_SLOT, min(free), _ID, number & 0xFFFF))
         long, short, turned = one.size
         events.append(_six(x, one.x, y, one.y, pressure, one.pressure, major, long, minor, short, angle, turned))
-    held = [number for number in after if number is not None]
     x, y, pressure = _POINTER
-    if held:
-        oldest = fingers[min(held)]
+    if after:
+        oldest = fingers[min(after)]
         events.append(_five(_TOUCHED, 1, x, oldest.x, y, oldest.y, pressure, oldest.pressure, _REPORT, 0))
     else:
         events.append(_three(_TOUCHED, 0, pressure, 0, _REPORT, 0))
-    return b"".join(events), tuple(after)
+    return b"".join(events), after
 
 
 def pack(*events: tuple[int, int, int]) -> bytes:
@@ -115,4 +113,4 @@ def pack(*events: tuple[int, int, int]) -> bytes:
 
 def lift_all() -> bytes:
     """Return the frame that empties every slot, whoever has it."""
-    return encode(tuple(range(SLOTS)), {})[0]
+    return encode({slot: slot for slot in range(SLOTS)}, {})[0]

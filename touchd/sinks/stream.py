@@ -64,7 +64,7 @@ class Stream:
             return None
         self._last[event.type] = now
         # The bus never sends an older message again, so a counter that fell belongs to a restarted daemon.
-        if last is not None and event.seq > last[0]:
+        if last is not None and event.seq > last[0] + 1:
             self._lost[event.type] += event.seq - last[0] - 1
         follows = last is not None and event.seq == last[0] + 1 and event.t_ns >= last[1]
         if not self._is_stale(event, follows=follows):

@@ -1,7 +1,7 @@
 """`touchd input` with a pipe in the place of /dev/uinput: run as `python -m tests.system.bridges.fakeuinput PIPE ...`.
 
-Of the kernel only opening, ioctl and the folder of devices are replaced; the rest is the command as it is. With the
-variable PATIENT it lifts nothing in silence and drops no old message: a computer that is busy stands still for longer.
+Of the kernel only opening, ioctl and the folders of devices and outputs are replaced; the rest is the command as it is.
+With the variable PATIENT it lifts nothing in silence and drops no old message: a busy computer stands still for longer.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import sys
 from functools import partial
 from pathlib import Path
 
-from touchd.bridges import bridge, following, uinput
+from touchd.bridges import bridge, dark, following, uinput
 from touchd.cli.main import main
 from touchd.client import Subscriber
 
@@ -27,7 +27,7 @@ def ioctl(_fd: int, request: int, argument: object = 0) -> int:
 
 if __name__ == "__main__":
     uinput.NODE = Path(sys.argv[1])
-    uinput.DEVICES = uinput.NODE.parent / "devices"
+    uinput.DEVICES, dark.CONNECTORS = (uinput.NODE.parent / name for name in ("devices", "drm"))
     if os.environ.get("PATIENT"):
         following.SILENCE_NS = 10**12
         vars(bridge)["Subscriber"] = partial(Subscriber, max_age_s=None)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -50,25 +51,39 @@ def test_a_killed_daemon_lifts_and_the_next_one_is_followed(tmp_path: Path) -> N
         assert screen.process.poll() is None
 
 
-def test_a_state_lifts(tmp_path: Path) -> None:
-    """A daemon that says that its device is lost lifts all."""
-    with daemon(tmp_path) as bus, bridge(tmp_path, bus) as screen:
-        bus.touch(down())
+def test_a_state_and_the_dark_lift(tmp_path: Path) -> None:
+    """A daemon that says that its device is lost lifts all; so does a screen that goes dark, with `hold_off`."""
+    connector = tmp_path / "drm/card0-HDMI-A-1"
+    connector.mkdir(parents=True)
+    (connector / "status").write_text("connected\n")
+    (connector / "dpms").write_text("On\n")
+    with daemon(tmp_path) as bus, bridge(tmp_path, bus, TOUCHD_INPUT__HOLD_OFF="true", PATIENT="1") as screen:
+        bus.touch(down(1))
         screen.until(lambda: screen.kernel.live)
         bus.health("lost")
+        screen.until(lambda: not screen.kernel.live)
+        bus.touch(down(2))
+        screen.until(lambda: screen.kernel.live)
+        (connector / "dpms").write_text("Off\n")
         screen.until(lambda: not screen.kernel.live)
 
 
 def test_sigterm_lifts(tmp_path: Path) -> None:
-    """A bridge that is told to end lifts the finger first, and ends well."""
-    with daemon(tmp_path) as bus, bridge(tmp_path, bus) as screen:
-        bus.touch(down())
-        screen.until(lambda: screen.kernel.live)
-        screen.process.send_signal(signal.SIGTERM)
-        screen.until(lambda: screen.process.poll() is not None, lambda: bus.touch(contact(1, "hold")))
-        screen.pump()
-        assert screen.kernel.live == {}
-        assert screen.process.returncode == 0
+    """A bridge says that it is ready and lives; one that is told to end lifts the finger first, and ends well."""
+    manager = {"NOTIFY_SOCKET": str(tmp_path / "notify"), "WATCHDOG_USEC": "2000000"}
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as heard, daemon(tmp_path) as bus:
+        heard.bind(manager["NOTIFY_SOCKET"])
+        heard.settimeout(PATIENCE_S)
+        with bridge(tmp_path, bus, **manager) as screen:
+            said = [heard.recv(4096).decode() for _ in range(3)]
+            assert said == ["STATUS=a touch screen of 200 x 100 mm", "READY=1", "WATCHDOG=1"]
+            bus.touch(down())
+            screen.until(lambda: screen.kernel.live)
+            screen.process.send_signal(signal.SIGTERM)
+            screen.until(lambda: screen.process.poll() is not None, lambda: bus.touch(contact(1, "hold")))
+            screen.pump()
+            assert screen.kernel.live == {}
+            assert screen.process.returncode == 0
 
 
 def test_a_restart_with_a_finger_down_clicks_nothing(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from tests.unit.bridges.tuioclient import Client
 
 
 def test_cursors(tmp_path: Path) -> None:
-    """Touches become cursors; silence of the daemon, and SIGTERM, remove them."""
+    """Touches become cursors; silence of the daemon, and SIGTERM, remove them; the last frame is said again."""
     client = Client()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as udp, daemon(tmp_path) as bus:
         udp.bind(("127.0.0.1", 0))
@@ -25,8 +25,10 @@ def test_cursors(tmp_path: Path) -> None:
             while not client.rows:
                 client.take(udp.recv(2000))
             assert next(iter(client.rows.values()))[:2] == (0.5, 0.25)
+            assert client.boundaries == 1
             while client.rows:
-                client.take(udp.recv(2000))
+                client.take(lifted := udp.recv(2000))
+            assert udp.recv(2000) == lifted, "for a client that lost it"
             bus.touch(down(2))
             while not client.rows:
                 client.take(udp.recv(2000))
@@ -35,6 +37,8 @@ def test_cursors(tmp_path: Path) -> None:
                 bus.touch(contact(2, "hold"))
                 client.take(udp.recv(2000))
             assert end(bridge).code == 0
+            while client.boundaries == 1:
+                client.take(udp.recv(2000))
 
 
 def test_beyond_loopback() -> None:

@@ -156,11 +156,13 @@ def test_a_page_hears_touches_where_the_finger_is(found: Found, heard: Heard, de
     (tap,) = heard[f"{desk} tap"]
     assert kinds(tap) == ["touchstart", "touchend"]
     assert all(is_at(event, *TAP_MM) for event in touches(tap))
-    assert [event["type"] for event in touches(tap, "click")] == ["touch"]
+    pointers = [(event["kind"], event["type"]) for event in touches(tap, "pointerdown", "pointerup", "click")]
+    assert pointers == [(kind, "touch") for kind in ("pointerdown", "pointerup", "click")]
     (swipe,) = heard[f"{desk} swipe"]
     assert is_at(touches(swipe)[0], 20, 100)
     assert is_at(touches(swipe)[-1], 180, 100.37)
     assert kinds(swipe) == ["touchstart", "touchend"]
+    assert touches(swipe, "touchmove")
     (pinch,) = heard[f"{desk} pinch"]
     assert max(event["down"] for event in touches(pinch)) == 2
     assert sorted(kinds(pinch)) == ["touchend"] * 2 + ["touchstart"] * 2
@@ -180,6 +182,7 @@ def test_weston_cancels_the_touch_of_a_killed_bridge(found: Found, heard: Heard)
     assert found["weston-killed"] == "0"
     (killed,) = heard["weston weston-killed"]
     assert kinds(killed) == ["touchstart", "touchcancel"]
+    assert len(touches(killed, "pointercancel")) == 1
     assert not touches(killed, "click")
     (tap,) = heard["weston tap after"]
     assert kinds(tap) == ["touchstart", "touchend"]

@@ -80,6 +80,9 @@ found screen-user "$(ps -o user= -p "$(bridge MainPID)")"
 found screen-memory "$(sed -n 's/^VmRSS:[^0-9]*\([0-9]*\) kB/\1/p' "/proc/$(bridge MainPID)/status")"
 timeout 100 touchd input --bus ipc:///run/touchd/bus
 found screen-second $?
+# From here on by an udev that has started again: it knows the screen, and the ones that come after it.
+systemctl restart systemd-udevd
+found udev-restarted $?
 libinput list-devices > screen.devices
 watch screen
 scene tap swipe pinch five corner tap

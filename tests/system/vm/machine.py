@@ -48,6 +48,8 @@ def handed_in(folder: Path, script: Path, *files: Path) -> Path:
     # Not compressed, and compiled: an emulated processor would unpack, and then compile, for minutes.
     plain = folder / "plain"
     subprocess.run(["dpkg-deb", "--raw-extract", ROOT / built.stdout.split()[-1], plain], check=True)
+    for shared in ("doc/touchd/examples/listen.py", "man/man1/touchd.1.gz", "bash-completion/completions/touchd"):
+        assert (plain / "usr/share" / shared).is_file(), "the machine's dpkg leaves documentation out"
     library = plain / "usr/lib/touchd"
     compiling = [sys.executable, "-m", "compileall", "-q", "-j", "0", "-p", "/usr/lib/touchd"]
     subprocess.run([*compiling, "-s", str(library), str(library)], check=True)

@@ -48,6 +48,8 @@ def test_directions(rotate: int, velocity: tuple[float, float], angle_deg: float
     place = area(rotate=rotate).places({1: down}, 0)[1]
     assert (place.vx_mm_s, place.vy_mm_s) == velocity
     assert place.angle_deg == pytest.approx(angle_deg)
+    down.angle_deg = None
+    assert area(rotate=rotate).places({1: down}, 0)[1].angle_deg == 0.0
 
 
 def test_beginning_outside() -> None:
@@ -63,6 +65,7 @@ def test_leaving() -> None:
     one = area()
     assert at(one, 50, 30) == (40, 10)
     assert at(one, 5, 30) == (0, 10)
+    assert at(one, 120, 90) == (100, 50)
     assert at(one, 50, 30) == (40, 10)
     one = area(border="lift")
     assert at(one, 50, 30) == (40, 10)

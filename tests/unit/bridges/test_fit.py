@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
+import json
 import math
+from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tests.unit.bridges.events import contact
+from tests.unit.bridges.events import contact, touch
 from touchd.bridges.area import Area
+from touchd.bridges.crosses import Crosses
 from touchd.bridges.fit import CROSSES, Touched, fit
+from touchd.cli.main import main
 from touchd.cli.map import page_of
 from touchd.config.bridges import InputSettings
-from touchd.errors import BridgeError
+from touchd.errors import BridgeError, ConfigError
 
 SCREENS = st.builds(
     lambda x, y, w, h, rotate: InputSettings(screen_mm=(x, y, w, h), rotate=rotate),
@@ -82,6 +86,43 @@ def test_a_bad_mapping_is_refused(bad: str) -> None:
     with pytest.raises(BridgeError) as refused:
         fit(touches)
     assert refused.value.fix
+
+
+@pytest.mark.parametrize(
+    ("signs", "good_mm", "bad_mm"), [([1, -1, 1, -1], 2.95, 3.05), ([0, 0, 0, 0, 1, 0, 0, 0, 0], 6.7, 6.8)]
+)
+def test_bounds(signs: list[int], good_mm: float, bad_mm: float) -> None:
+    """Touches 3 mm RMS off the best rectangle are refused, and one 6 mm off it; nearer ones are taken."""
+
+    def missed(off_mm: float) -> list[Touched]:
+        return [Touched(u, v, 200 * u + sign * off_mm, 100 * v) for sign, (u, v) in zip(signs, CROSSES, strict=False)]
+
+    fit(missed(good_mm))
+    with pytest.raises(BridgeError):
+        fit(missed(bad_mm))
+
+
+def test_touches_at_crosses() -> None:
+    """A touch counts once, where it was on the average; one that ended while nobody listened does not count."""
+    crosses = Crosses()
+    assert not crosses.feed(touch(contact(1, "down", 10, 20)))
+    assert not crosses.feed(touch(contact(1, "move", 20, 20)))
+    assert crosses.feed(touch(contact(1, "up", 90, 90)))
+    assert crosses.taken == [Touched(*CROSSES[0], 15, 20)]
+    crosses.feed(touch(contact(2, "down")))
+    crosses.feed(touch())
+    assert not crosses.feed(touch(contact(2, "up")))
+    assert crosses.due == CROSSES[1]
+
+
+def test_what_is_not_written(tmp_path: Path) -> None:
+    """A dry run writes nothing; nor does a mapping into a configuration that cannot be read."""
+    config, given = tmp_path / "touchd.toml", tmp_path / "touched.json"
+    given.write_text(json.dumps(square()))
+    for text, options, code in (("", ["--dry-run"], 0), ("[input]\nborder = 1\n", [], ConfigError.exit_code)):
+        config.write_text(text)
+        assert main(["--config", str(config), "map", "--from", str(given), *options]) == code
+        assert config.read_text() == text
 
 
 def test_the_page_has_the_crosses() -> None:

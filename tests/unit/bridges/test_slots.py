@@ -11,7 +11,7 @@ from tests.unit.bridges.kernel import Kernel
 from touchd.bridges import slots
 from touchd.bridges.area import Area, Place
 from touchd.bridges.screen import Screen
-from touchd.bridges.slots import EMPTY, Finger, Slots, encode, finger, lift_all
+from touchd.bridges.slots import Finger, Slots, encode, finger, lift_all
 from touchd.config.bridges import InputSettings
 
 FINGER = st.builds(
@@ -30,24 +30,20 @@ def values(number: int, one: Finger) -> dict[str, int]:
 @given(FRAMES)
 def test_slots_equal_fingers(frames: list[dict[int, Finger]]) -> None:
     """After each frame the kernel's slots hold the fingers that are down, each in its own slot, and nobody else."""
-    kernel, held = Kernel(), EMPTY
+    kernel, held = Kernel(), Slots()
     for fingers in frames:
         before = held
         frame, held = encode(held, fingers)
         kernel.write(frame)
-        shown = {number for number in held if number is not None}
-        assert shown <= fingers.keys()
-        assert {n for n in before if n in fingers} - {None} <= shown, "who has a slot keeps it"
-        assert len(shown) == min(len(fingers), sum(n is None or n in fingers for n in before)), "no slot stays empty"
-        for slot, number in enumerate(held):
-            if number is not None:
-                there = kernel.live[slot]
-                assert there | values(number, fingers[number]) == there
+        assert held.keys() <= fingers.keys()
+        kept = {number: slot for number, slot in before.items() if number in fingers}
+        assert kept.items() <= held.items()
+        assert len(held) == min(len(fingers), slots.SLOTS - len(before) + len(kept)), "no slot stays empty"
+        assert kernel.live == {slot: values(number, fingers[number]) for number, slot in held.items()}
         report = kernel.reports[-1]
-        assert len(report.fingers) == len(shown)
-        assert report.touched == bool(shown)
-        if shown:
-            oldest = fingers[min(shown)]
+        assert report.touched == bool(held)
+        if held:
+            oldest = fingers[min(held)]
             assert report.pointer == (oldest.x, oldest.y, oldest.pressure)
         else:
             assert report.pointer[2] == 0
@@ -57,7 +53,7 @@ def test_slots_equal_fingers(frames: list[dict[int, Finger]]) -> None:
 @given(FRAMES)
 def test_lift_all(frames: list[dict[int, Finger]]) -> None:
     """The frame that lifts all empties every slot, whoever has it."""
-    kernel, held = Kernel(), EMPTY
+    kernel, held = Kernel(), Slots()
     for fingers in frames:
         frame, held = encode(held, fingers)
         kernel.write(frame)
@@ -68,12 +64,12 @@ def test_lift_all(frames: list[dict[int, Finger]]) -> None:
 
 def test_a_slot_waits_a_frame() -> None:
     """A finger that comes while another goes gets another slot, so that no reader takes both for one."""
-    full: Slots = (1, 2, 3, 4, 5)
+    full: Slots = {1: 0, 2: 1, 3: 2, 4: 3, 5: 4}
     at = Finger(1, 2, 3)
     _, held = encode(full, {2: at, 3: at, 4: at, 5: at, 6: at})
-    assert held == (None, 2, 3, 4, 5)
+    assert held == {2: 1, 3: 2, 4: 3, 5: 4}
     _, held = encode(held, {2: at, 3: at, 4: at, 5: at, 6: at})
-    assert held == (6, 2, 3, 4, 5)
+    assert held == {2: 1, 3: 2, 4: 3, 5: 4, 6: 0}
 
 
 def test_units() -> None:

@@ -13,9 +13,10 @@ from pythonosc.osc_bundle import OscBundle
 
 from tests.unit.bridges.events import MS, contact
 from tests.unit.bridges.tuioclient import Client
-from touchd.bridges.area import Place
-from touchd.bridges.tuio import BLOB, CURSOR, Frames
+from touchd.bridges.area import Area, Place
+from touchd.bridges.tuio import BLOB, CURSOR, Frames, Tuio
 from touchd.cli.tuio import destination
+from touchd.config.bridges import InputSettings
 from touchd.errors import ConfigError, InsecureBind
 
 SIZE_MM = (200.0, 100.0)
@@ -54,7 +55,8 @@ SIZED = replace(contact(1), major_mm=12.0, minor_mm=8.0)
 def test_blobs() -> None:
     """A contact with a size is a blob too, with its axes in shares and the angle of the long one."""
     sized = Place(100, 50, 0.0, 0.0, -45.0, SIZED)
-    cursors, blobs = frames().frame({1: sized, 2: place(1, 1)}, 0)
+    one = frames()
+    cursors, blobs = one.frame({1: sized, 2: place(1, 1)}, 0)
     assert len(decoded(cursors)) == 5
     messages = decoded(blobs)
     assert messages[1] == (BLOB, ["alive", 5001]), "who has no size is no blob"
@@ -62,6 +64,22 @@ def test_blobs() -> None:
     assert row[2:] == pytest.approx(
         [0.5, 0.5, math.radians(315), 0.06, 0.08, math.pi / 4 * 0.06 * 0.08, 0, 0, 0, 0, 0], rel=1e-6
     )
+    _, blobs = one.frame({2: place(1, 1)}, 0)
+    assert decoded(blobs)[1] == (BLOB, ["alive"])
+
+
+def test_numbers_wrap() -> None:
+    """After the largest int32 frames count from 1."""
+    (packet,) = frames(0x7FFFFFFF * MS).frame({9: place(1, 1)}, 0)
+    assert decoded(packet)[-1] == (CURSOR, ["fseq", 1])
+
+
+def test_unreachable() -> None:
+    """An address that cannot be reached stops nothing: the network may come."""
+    area = Area(InputSettings(screen_mm=(0, 0, *SIZE_MM)))
+    source = Tuio(area, ("255.255.255.255", 3333), "plate", 0)  # which takes a right that nobody asked for
+    source.show({1: contact(1, "down")}, 0)
+    source.close()
 
 
 def test_size_of_a_frame() -> None:

@@ -19,6 +19,7 @@ class Client:
         self.rows: dict[int, Row] = {}
         self.frame = 0
         self.late = 0
+        self.boundaries = 0
         self.added: list[int] = []
         self.removed: list[int] = []
 
@@ -50,6 +51,7 @@ class Client:
         else:
             assert fseq == -1
             assert not alive
+            self.boundaries += 1
         self.removed += [session for session in self.rows if session not in alive]
         self.added += [session for session in rows if session not in self.rows]
         self.rows = {s: rows.get(s, self.rows.get(s, ())) for s in alive}
