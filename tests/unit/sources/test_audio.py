@@ -171,6 +171,27 @@ def test_an_xrun_is_counted_and_costs_no_accuracy(reference: np.ndarray) -> None
     assert off_db(means[1], means[0]) < -65
 
 
+def test_lower_rate(reference: np.ndarray) -> None:
+    """At a lower rate chirps go on and frames are left out: numbers have no gaps, times tell, an xrun is withheld."""
+    card = plate(seed=3)
+    daq = started(card, reference)
+    found = frames(daq, 5)
+    daq.set_rate(50)
+    found += frames(daq, 10)
+    card.xrun = True
+    lost = frames(daq, 100)
+    daq.set_rate(125)
+    back = frames(daq, 10)
+    withheld = [frame for frame in lost if frame.withheld]
+    assert 20 < len(withheld) < 60, "one of each period, as at the full rate"
+    everything = [*found, *lost, *back]
+    assert [frame.sequence for frame in everything] == list(range(len(everything)))
+    for some, step_us in ((found[:5], 8000), (found[6:], 16_000), (lost[-20:], 16_000), (back, 8000)):
+        assert set(np.diff([frame.timestamp_us for frame in some])) == {step_us}
+    counts = np.mean([frame.counts for frame in (*found[6:], *lost[-20:])], axis=0)
+    assert off_db(counts, EXPECTED) < -50
+
+
 def test_an_unplugged_card_is_gone(reference: np.ndarray) -> None:
     card = plate()
     daq = started(card, reference)
