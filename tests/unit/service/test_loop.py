@@ -402,13 +402,14 @@ class Scanned:
 
 def test_scan_rate(scene: Scene, atlas_model: Model, circle: list[Frame]) -> None:
     """The loop asks for few frames of an untouched plate, and for all with the first touched one, once it is told."""
-    bench = Scanned(scene, atlas_model, 290, circle[150:160])
+    bench = Scanned(scene, atlas_model, 290, circle[150:290])
     bench.service.run()
     (fell_ns, idle_hz, _), (rose_ns, full_hz, told) = bench.source.asked
     assert (idle_hz, full_hz) == (50, 125)
     assert 2e9 <= fell_ns <= 2e9 + 32 * PERIOD_NS + 50e6, "2 s after the last frame that the plate was learned from"
     assert rose_ns == 291 * PERIOD_NS
     assert told == [(1, "down")]
+    assert bench.control.polls < 55, "ten times a second, then twenty"
 
 
 def test_scan_rate_of_a_dark_screen(scene: Scene, model: Model) -> None:
