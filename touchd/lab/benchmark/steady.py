@@ -23,7 +23,7 @@ from touchd.lab.benchmark import steady_child
 from touchd.lab.benchmark.daemon import FOREVER_S, daemon_cpus
 from touchd.lab.benchmark.loop import Loop
 from touchd.lab.benchmark.scenes import DAY_S
-from touchd.lab.benchmark.steady_child import FOOTPRINT, RAPL, STAGES
+from touchd.lab.benchmark.steady_child import RAPL, STAGES
 from touchd.lab.benchmark.tables import number
 from touchd.training.report.template import Table
 
@@ -35,12 +35,14 @@ WARM_S, FALL_S, SECONDS = 1.5, 4.0, 4.0
 COUNTERS = "instructions:u", "instructions:k", "cache-misses:u"
 """Events of `perf stat`, where the processor lets it count them."""
 _HERE = Path(touchd.__file__).resolve().parent.parent
+CALLS = "calls", "functions"
+"""Of a frame: how many of Python and C, and how many different ones."""
 SHOWN = "wake-up", *STAGES
 COLUMNS = {
     "cpu_us_per_s": "CPU us/s", "cpu_us_per_frame": "us/frame", "wakeups_hz": "wake-ups/s", "frames_hz": "frames/s",
     "wake_us": "wake us", "sent_us": "sent us", "done_us": "done us", "socket_us": "socket us", "socket_p99_us": "p99",
     "subscriber_us": "subscriber us", "subscriber_p99_us": "p99", "faults_hz": "faults/s", "energy_w": "W",
-    **{name: name for name in (*FOOTPRINT, *COUNTERS)},
+    **{name: name for name in (*CALLS, *COUNTERS)},
 }  # fmt: skip
 """Keys of a result, and their headings."""
 LEGEND = (
@@ -49,7 +51,7 @@ LEGEND = (
     "socket: until its message is about to be sent; subscriber: until another process has it. A ratio is this tree's",
     "over the other's, median of the turns. Stages: time a frame, in brackets its processor time; wake-up: what is",
     "left of the latter, with the loop's own. calls, functions: of Python and C in the loop's thread in a frame, and",
-    "how many different ones, as Python's profiler sees them; pages: of 4 kB touched, also by the fake device.",
+    "how many different ones, as Python's profiler sees them.",
 )
 
 Found = dict[str, Any]
@@ -105,7 +107,7 @@ def measure(
             for tree, path in trees.items():
                 progress(f"{cell.name}: {tree}, stages")
                 split = _run(cell, path, folder, seconds, stages=True)
-                found[cell.name][tree] |= {key: split[key] for key in ("stages", *FOOTPRINT)}
+                found[cell.name][tree] |= {key: split[key] for key in ("stages", *CALLS)}
                 if events:
                     run = _run(cell, path, folder, seconds, events=events)
                     of_all = counts(run["events"]).items()

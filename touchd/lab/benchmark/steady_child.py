@@ -38,8 +38,8 @@ from touchd.sources.usb_stream import UsbDaq
 
 STAGES = "USB read", "detection", "localization", "tracking", "message", "bus", "pre-roll"
 """Of a frame, beside its wake-up: what is left of its processor time."""
-FOOTPRINT, COUNTED = ("calls", "functions", "pages"), 50
-"""What is counted of a frame: calls and different functions, of Python and C; pages of 4 kB. And of how many frames."""
+COUNTED = 50
+"""Frames of which calls are counted."""
 RAPL = Path("/sys/class/powercap/intel-rapl:0/energy_uj")
 
 
@@ -119,9 +119,9 @@ class Handed(PreRoll):
         super().keep(frame, contacts)
 
 
-def footprint() -> Iterator[dict[str, float] | None]:
-    """Count at each step what the frame before it has run in this thread, or touched; the medians come last."""
-    found: dict[str, list[int]] = {name: [] for name in FOOTPRINT}
+def calls_of_frames() -> Iterator[dict[str, float] | None]:
+    """Count at each step what the frame before it has called in this thread; the medians come last."""
+    found: list[tuple[int, int]] = []
     ran: list[object] = []
     device = False
 
@@ -138,13 +138,9 @@ def footprint() -> Iterator[dict[str, float] | None]:
         sys.setprofile(note)
         yield None
         sys.setprofile(None)
-        for name, count in zip(FOOTPRINT, (len(ran), len(set(ran))), strict=False):
-            found[name].append(count)
-        Path("/proc/self/clear_refs").write_text("1")
-        yield None
-        lines = Path("/proc/self/smaps_rollup").read_text().splitlines()
-        found["pages"].append(next(int(line.split()[1]) // 4 for line in lines if line.startswith("Referenced:")))
-    yield {name: median(counts) for name, counts in found.items()}
+        found.append((len(ran), len(set(ran))))
+    calls, functions = zip(*found, strict=True)
+    yield {"calls": median(calls), "functions": median(functions)}
 
 
 def switches() -> dict[str, int]:
@@ -228,7 +224,7 @@ def run(task: dict[str, Any]) -> dict[str, Any]:
         }  # fmt: skip
 
     perf: list[subprocess.Popen[str]] = []
-    clock, keep, steps = time.monotonic, preroll.keep, footprint()
+    clock, keep, steps = time.monotonic, preroll.keep, calls_of_frames()
     counted: dict[str, float] = {}
     since_s = clock()
     device.go.set()
