@@ -38,6 +38,10 @@ class Capture:
         """Move the next cut; by whole periods it keeps its place in the period."""
         self._next += -(-samples // self._period) * self._period if whole_periods else samples
 
+    def skip_frame(self) -> None:
+        """Move the next cut behind a frame's chirps."""
+        self._next += self._chirps * self._period
+
     def has(self, samples: int) -> bool:
         """Return whether so many samples from the next cut on are captured."""
         return self._end - self._next >= samples
@@ -63,7 +67,7 @@ class Capture:
     def frame(self, samples: int) -> NDArray[np.generic]:
         """Return the mean of a frame's chirps, (inputs, margin + samples + margin); the cut moves behind them."""
         at, wide = self._next - self._first - self._margin, samples + 2 * self._margin
-        self._next += self._chirps * self._period
+        self.skip_frame()
         if self._chirps == 1:
             return self._held[:, at : at + wide]
         total = np.zeros((len(self._held), wide), np.float32)

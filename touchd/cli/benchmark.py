@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from touchd.lab.benchmark.results import Run
     from touchd.training.report.template import Table
 
-WIDTH, STEADY_WIDTH = 150, 190
+WIDTH, STEADY_WIDTH = 150, 225
 """Columns that the widest table needs."""
 
 

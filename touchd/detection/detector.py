@@ -19,7 +19,7 @@ from touchd.config.schema import Settings
 from touchd.detection.baseline import Baseline, Signal
 from touchd.detection.detection import Detection
 from touchd.detection.gate import Gate
-from touchd.detection.interference import LISTEN_EVERY, Interference
+from touchd.detection.interference import LISTEN_EVERY, RENEW_EVERY, Interference
 from touchd.detection.liveness import Liveness
 from touchd.detection.pace import Pace
 from touchd.detection.relearn import Reason, Relearn
@@ -117,7 +117,8 @@ class Detector:
         gate = self.gate
         self._was_open = was_open = gate.is_open
         if self._interference.tones_hz:
-            self._interference.remove(baseline.residual, frame.sequence, gate.noise_energy, was_open=was_open)
+            renew = not was_open and not frame.sequence % (RENEW_EVERY * pace.slow_every)
+            self._interference.remove(baseline.residual, gate.noise_energy, renew=renew)
             energy = baseline.residual_energy()
         touched = gate.decide(energy)
         if self._alive:

@@ -13,8 +13,8 @@ from touchd.frame import Acquisition
 LISTEN_EVERY = 16
 """Tones are looked for in this part of the frames that fingers explain, and in every other touched frame: one that
 grows slowly makes no frame differ from the last one."""
-RENEW_EVERY = 128
-"""Known tones are looked for again in this part of the untouched frames."""
+RENEW_EVERY = 8
+"""Known tones are looked for again in this part of the untouched frames that tell the noise: once a second."""
 
 
 class Interference:
@@ -47,9 +47,9 @@ class Interference:
         hit = self._impulses.learn(baseline.window)
         return baseline.leave_out(hit) if hit.any() else energies
 
-    def remove(self, residual: Signal, sequence: int, noise_energy: float, *, was_open: bool) -> None:
-        """Take the known tones out of a residual, in place; `was_open` says whether the last frame was touched."""
-        if not sequence % RENEW_EVERY and not was_open:
+    def remove(self, residual: Signal, noise_energy: float, *, renew: bool) -> None:
+        """Take the known tones out of a residual, in place; look first whether an untouched one has them yet."""
+        if renew:
             self._tones.renew(residual, noise_energy)
             self.tones_hz = self._tones.known_hz
         self._tones.remove(residual)

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import json
 import tempfile
-from functools import cache
 from pathlib import Path
 from typing import Any
 
 from tests.processes import through_the_bus
 from tests.scenes.golden import scenes
 from touchd.cli.demo import SESSION
-from touchd.twin.instrument import Instrument
-from touchd.twin.simulate import DEFAULT_PLATE, simulate_scene
+from touchd.jobs import Job, run
 
 GOLDEN = Path(__file__).parent / "session.jsonl"
 COUNTERS = ("frames", "lost", "corrupt", "skipped", "inferred")
@@ -48,15 +46,13 @@ def _short(value: Any) -> Any:
 
 
 def main() -> None:
-    """Write the results again."""
+    """Write the results again, on all cores."""
     with tempfile.TemporaryDirectory(prefix="touchd-golden-") as folder:
         lines = [json.dumps(_short(event), separators=(",", ":")) for event in received(Path(folder))]
     GOLDEN.write_text("\n".join(lines) + "\n")
     print(f"{GOLDEN}: {len(lines) - 1} messages, {GOLDEN.stat().st_size / 1e3:.0f} kB")
-    instrument = Instrument(DEFAULT_PLATE)
-    scene = cache(lambda name: simulate_scene(name, seed=scenes.SEED, instrument=instrument))
-    for case, (name, _) in scenes.CASES.items():
-        found = scenes.rows(case, scene(name))
+    jobs = [Job(case, scenes.played, {"case": case}) for case in scenes.CASES]
+    for case, found in run(jobs, progress=lambda case, done, of: print(f"{done} of {of}: {case}")).items():
         path = scenes.write(case, found)
         print(f"{path}: {len(found) - 1} events, {path.stat().st_size / 1e3:.0f} kB")
 

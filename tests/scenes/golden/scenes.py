@@ -14,7 +14,9 @@ from touchd.keypad import PHONE
 from touchd.recording.data import Recording
 from touchd.service.replay import run_through
 from touchd.sources.source import EndOfStream
+from touchd.twin.instrument import Instrument
 from touchd.twin.scenes.catalogue import SCENES
+from touchd.twin.simulate import DEFAULT_PLATE, simulate_scene
 
 FOLDER = Path(__file__).parent / "scenes"
 SEED = 21
@@ -69,6 +71,11 @@ def rows(case: str, recording: Recording) -> list[Any]:
     last = {"counters": counted, "notices": outcome.notices}
     found: list[Any] = json.loads(json.dumps([*(_row(event) for event in outcome.events), last]))
     return found
+
+
+def played(case: str) -> list[Any]:
+    """The rows of a case whose scene is simulated first: a job."""
+    return rows(case, simulate_scene(CASES[case][0], seed=SEED, instrument=Instrument(DEFAULT_PLATE)))
 
 
 def _row(event: Event) -> list[Any]:

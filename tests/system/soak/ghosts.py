@@ -2,7 +2,7 @@
 
 Each scene is played for an hour, the mixed day for three, in pieces of a minute, no two alike: noise, trigger jitter,
 rates of drift, tones, drops and palms differ. Frames come block by block and are not kept, faster than real time. What
-was found in a piece is printed as soon as it has been played, of a scene when all its pieces have.
+was found of a scene is printed when all its pieces have been played, on all cores; a run that was stopped goes on.
 """
 
 from __future__ import annotations
@@ -17,16 +17,13 @@ import argparse
 import sys
 import time
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
-from functools import partial
-from multiprocessing import get_context
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tests.scenes.stages import RATE_HZ, empty_stage, play, score
-from tests.system.soak.interpolated import Interpolated
+from tests.system.soak.pieces import play_all, shared_instrument
 from touchd.config.schema import Settings
 from touchd.evaluation.matching import Position
 from touchd.evaluation.replay_scores import found_contacts
@@ -35,7 +32,6 @@ from touchd.twin.instrument import Instrument
 from touchd.twin.scenes.one_finger import END_S, FORCES_N, IDLE_S, press_warming
 from touchd.twin.scenes.timeline import Stage
 from touchd.twin.scenes.trajectory import anywhere, line, still
-from touchd.twin.simulate import DEFAULT_PLATE
 
 PIECE_S = 60.0
 HOURS = {"mixed": 3.0}
@@ -263,34 +259,40 @@ def taps(stage: Stage, pause_s: float) -> None:
         at_s += length_s + pause_s * rng.uniform(0.7, 2.0)
 
 
+def job(name: str, seed: int, atlas: bool) -> Piece:
+    """Judge a piece in a process of its own."""
+    return judge(name, seed, shared_instrument(interpolated=name == "resting"), atlas=atlas)
+
+
 def main() -> int:
     """Play all, and return 1 if there was a ghost."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("scenes", nargs="*", default=list(SCENES), help=f"of {', '.join(SCENES)}")
     parser.add_argument("--minutes", type=float, default=60, help="of each scene; three times as many of the mixed day")
     parser.add_argument("--seed", type=int, default=1, help="of the first piece; the next have the next")
-    parser.add_argument("--jobs", type=int, default=2, help="processes")
+    parser.add_argument("--jobs", type=int, help="processes; by default one for each core")
     parser.add_argument("--network", action="store_true", help="without the field atlas")
     arguments = parser.parse_args()
-    ghosts, began_s, hours = 0, time.monotonic(), 0.0
+    pieces = {
+        name: [
+            {"name": name, "seed": arguments.seed + i, "atlas": not arguments.network}
+            for i in range(max(1, round(arguments.minutes * HOURS.get(name, 1.0) * 60 / PIECE_S)))
+        ]
+        for name in arguments.scenes
+    }
+    hours, total, began_s = 0.0, np.zeros(5), time.monotonic()
     print(f"{'scene':14} {'minutes':>7} {'touches':>8} {'missed':>7} {'split':>6} {'ghosts':>7} {'cpu s':>7}")
-    for name in arguments.scenes:
-        count = max(1, round(arguments.minutes * HOURS.get(name, 1.0) * 60 / PIECE_S))
-        seeds = range(arguments.seed, arguments.seed + count)
-        total = np.zeros(5)
-        instrument = Interpolated(DEFAULT_PLATE) if name == "resting" else Instrument(DEFAULT_PLATE)
-        play_piece = partial(judge, instrument=instrument, atlas=not arguments.network)
-        with ProcessPoolExecutor(arguments.jobs, get_context("spawn")) as pool:
-            for p in pool.map(partial(play_piece, name), seeds):
-                total += p.touches, p.missed, p.split, p.ghosts, p.seconds
-                if p.missed or p.ghosts:
-                    print(f"  seed {p.seed}: {p.missed} missed, {p.ghosts} ghosts", *p.strays, sep="\n    ", flush=True)
-        minutes = count * PIECE_S / 60
-        print(f"{name:14} {minutes:7g} " + "{:8.0f} {:7.0f} {:6.0f} {:7.0f} {:7.0f}".format(*total), flush=True)
-        ghosts += int(total[3])
+    for name, found in play_all("tests.system.soak.ghosts", pieces, arguments.jobs):
+        for p in found:
+            if p.missed or p.ghosts:
+                print(f"  seed {p.seed}: {p.missed} missed, {p.ghosts} ghosts", *p.strays, sep="\n    ")
+        sums = np.array([(p.touches, p.missed, p.split, p.ghosts, p.seconds) for p in found]).sum(axis=0)
+        minutes = len(found) * PIECE_S / 60
+        print(f"{name:14} {minutes:7g} " + "{:8.0f} {:7.0f} {:6.0f} {:7.0f} {:7.0f}".format(*sums), flush=True)
+        total += sums
         hours += minutes / 60
-    print(f"{hours:g} hours in {(time.monotonic() - began_s) / 3600:.2f}: {ghosts} ghosts")
-    return 1 if ghosts else 0
+    print(f"{hours:g} hours in {(time.monotonic() - began_s) / 3600:.2f}: {total[3]:.0f} ghosts")
+    return 1 if total[3] else 0
 
 
 if __name__ == "__main__":

@@ -21,7 +21,7 @@ from unittest.mock import patch
 import numpy as np
 
 from tests.scenes.stages import RATE_HZ, empty_stage, play, score
-from tests.system.soak.interpolated import Interpolated
+from tests.system.soak.pieces import play_all, shared_instrument
 from touchd.config.schema import Settings
 from touchd.event import Contact, KeyEvent, TouchEvent
 from touchd.keypad import PHONE, load_layout
@@ -184,36 +184,42 @@ def _told(outcome: Replayed) -> list[tuple[float, str]]:
     ]  # fmt: skip
 
 
+def job(finger: str, act: str, seed: int) -> Act | tuple[int, int]:
+    """Play a piece, of an act or of `keys`, in a process of its own."""
+    plate = shared_instrument(interpolated=True)
+    return press(finger, seed, plate) if act == "keys" else perform(act, finger, seed, plate)
+
+
 def main() -> None:
     """Play all acts by all fingers."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--minutes", type=float, default=10, help="of each act")
     parser.add_argument("--presses", type=int, default=1000, help="of keys, by each finger")
     parser.add_argument("--seed", type=int, default=7100, help="of the first piece; the next have the next")
+    parser.add_argument("--jobs", type=int, help="processes; by default one for each core")
     arguments = parser.parse_args()
-    instrument = Interpolated(DEFAULT_PLATE)
     columns = ("touches", 8), ("missed", 7), ("ghosts", 7), ("split", 6), ("switches", 9), ("kinds", 6)
     print(f"{'finger':10}{'act':7}" + "".join(f"{name:>{width}}" for name, width in columns) + "  jitter, mm")
-    pieces = range(arguments.seed, arguments.seed + max(1, round(arguments.minutes * 60 / PIECE_S)))
-    for finger in FINGERS:
-        for act in ACTS:
-            found = []
-            for seed in pieces:
-                found.append(one := perform(act, finger, seed, instrument))
-                if any(one[1:-1]):
-                    print(f"  seed {seed}: {one}", flush=True)
-            *counts, jitters = zip(*found, strict=True)
-            known = [jitter for jitter in jitters if jitter is not None]
-            jitter = f"{np.sqrt(np.mean(np.square(known))):.4f}" if act in STILL and known else "-"
-            figures = "".join(f"{sum(count):>{width}}" for count, (_, width) in zip(counts, columns, strict=True))
-            print(f"{finger:10}{act:7}{figures}  {jitter}", flush=True)
-        seeds = range(arguments.seed, arguments.seed + max(1, arguments.presses // PRESSES))
-        total = np.zeros(2, int)
-        for seed in seeds:
-            total += (told := press(finger, seed, instrument))
-            if told != (PRESSES, 0):
-                print(f"  seed {seed}: {told[0]} of {PRESSES} right, {told[1]} taken for another", flush=True)
-        print(f"{finger:10}keys: {total[0]} of {PRESSES * len(seeds)} right, {total[1]} taken for another", flush=True)
+    counts = dict.fromkeys(ACTS, round(arguments.minutes * 60 / PIECE_S)) | {"keys": arguments.presses // PRESSES}
+    pieces = {
+        f"{finger:10}{act:7}": [
+            {"finger": finger, "act": act, "seed": arguments.seed + i} for i in range(max(1, count))
+        ]
+        for finger in FINGERS for act, count in counts.items()
+    }  # fmt: skip
+    for name, found in play_all("tests.system.soak.hands", pieces, arguments.jobs):
+        clean = (PRESSES, 0) if "keys" in name else None
+        for seed, one in enumerate(found, arguments.seed):
+            if one != clean if clean else any(one[1:-1]):
+                print(f"  seed {seed}: {one}")
+        *counted, last = zip(*found, strict=True)
+        if clean:
+            print(f"{name}{sum(counted[0])} of {PRESSES * len(found)} right, {sum(last)} taken for another", flush=True)
+            continue
+        known = [jitter for jitter in last if jitter is not None]
+        jitter = f"{np.sqrt(np.mean(np.square(known))):.4f}" if known else "-"
+        figures = "".join(f"{sum(count):>{width}}" for count, (_, width) in zip(counted, columns, strict=True))
+        print(f"{name}{figures}  {jitter}", flush=True)
 
 
 if __name__ == "__main__":

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import threading
+import time
 from dataclasses import replace
 from itertools import pairwise
 
@@ -132,13 +133,18 @@ def test_clipped(daq: FakeDaq, read: Read) -> None:
 
 def test_late(daq: FakeDaq, read: Read) -> None:
     """A frame later than the quickest ones by more than a period counts as late."""
-    # By the device's clock the last one is from a second before it comes; all before come as soon as they are made.
-    daq.started = lambda: daq.send(*[daq.frame(timestamp_us=i) for i in range(1, 4)])
+    begun_ns = time.monotonic_ns()
+
+    def frame(late_us: int = 0) -> bytes:
+        return daq.frame(timestamp_us=1_000_000 + (time.monotonic_ns() - begun_ns) // 1000 - late_us)
+
+    daq.started = lambda: daq.send(*[frame() for _ in range(3)])
     reader = read(rate_hz=1000)
     reader.until_frames(3)
-    threading.Event().wait(0.05)
-    daq.send(daq.frame(timestamp_us=10))
-    reader.until_frames(4)
+    while not reader.source.tally.late and len(reader.frames) < 100:  # much later, its clock might be slow instead
+        threading.Event().wait(0.03)
+        daq.send(frame(late_us=20_000))
+        reader.until_frames(len(reader.frames) + 1)
     assert reader.source.tally.late >= 1
 
 

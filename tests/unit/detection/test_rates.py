@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from statistics import NormalDist
+
 import numpy as np
 import pytest
 
@@ -27,15 +29,21 @@ class Plate:
         self._rng = np.random.default_rng(7)
         self._plate = 1000 * np.sin(np.arange(500).reshape(SHAPE))
         self.counts = np.zeros(SHAPE, np.int16)
+        self.tone = 0.0
+        self.tones_hz: tuple[float, ...] = ()
 
     def frame(self, rate_hz: float, change: float = 0.0, repeat: bool = False) -> Outcome:
-        """Play one frame, and let what came of it have its effect."""
+        """Play one frame, with a tone if there is one, and let what came of it have its effect."""
         self.t_ns += round(1e9 / rate_hz)
         self.number += 1
         if not repeat:
             noise = self._rng.normal(0, 5, SHAPE)
+            noise += self.tone * np.sin(0.7 * np.arange(SHAPE[1]) + self._rng.uniform(0, 6.28))
             self.counts = np.rint((1 + change) * self._plate + noise).astype(np.int16)
         detection = self.detector.detect(Frame(self.counts, self.number, self.t_ns, self.t_ns))
+        if self.tone and detection.outcome is Outcome.TOUCHED:
+            detection = self.detector.clean(detection)
+        self.tones_hz = detection.tones_hz
         if detection.outcome > Outcome.LEARNING:
             self.detector.adapt(detection, found=False, departure=False, alive=False)
         return detection.outcome
@@ -102,6 +110,32 @@ def test_liveness(rate_hz: int) -> None:
         plate.frame(rate_hz, repeat=True)
         assert plate.t_ns - began_ns <= 100_000_000 + 1e9 / rate_hz
     assert plate.frame(rate_hz) is Outcome.UNTOUCHED
+
+
+@pytest.mark.parametrize("rate_hz", RATES_HZ)
+def test_threshold(rate_hz: int) -> None:
+    """The detector's gate opens by noise alone in a frame as seldom as makes its rate an hour's."""
+    plate = Plate()
+    plate.play(125, 1.0)
+    plate.play(rate_hz, max(1.0, 30 / rate_hz))
+    gate, rate = plate.detector.gate, Settings().gate.false_alarm_rate
+    deviates = (gate.threshold_energy ** (1 / 3) - gate.noise_root) / gate.noise_deviation
+    assert NormalDist().cdf(-deviates) == pytest.approx(rate * 125 / rate_hz, rel=0.02)
+
+
+@pytest.mark.parametrize("rate_hz", RATES_HZ)
+def test_tone(rate_hz: int) -> None:
+    """A tone that has ended is forgotten after about a second."""
+    plate, frames = Plate(), 0
+    plate.play(rate_hz, max(1.0, 40 / rate_hz))
+    plate.tone = 50.0
+    plate.play(rate_hz, 1.0)
+    assert plate.tones_hz
+    plate.tone = 0.0
+    while plate.tones_hz and frames < 10 * rate_hz:
+        plate.frame(rate_hz)
+        frames += 1
+    assert frames / rate_hz <= 1.1
 
 
 def test_changing_rate() -> None:

@@ -20,7 +20,9 @@ from touchd.frame import Frame
 from touchd.localization.model import Model
 from touchd.pipeline import Pipeline
 from touchd.recording.data import Recording
+from touchd.service.control import Control
 from touchd.service.cpu_latency import Awake
+from touchd.service.frame_feed import FrameFeed
 from touchd.service.health import Health
 from touchd.service.loop import STALL_NS, Service
 from touchd.service.messages import Messages, wants_of
@@ -49,12 +51,13 @@ class Bench:
 
 
 class Adjustable(Script):
-    """A source whose rate can be changed; it keeps what it is asked for, and when."""
+    """A source whose rate can be changed; it keeps when it is asked for what, and which contacts were told by then."""
 
-    asked: list[tuple[int, int]]
+    asked: list[tuple[int, int, list[tuple[int, str]]]]
+    sink: Keeper
 
     def set_rate(self, rate_hz: int) -> None:
-        self.asked.append((self._clock.now_ns - START_NS, rate_hz))
+        self.asked.append((self._clock.now_ns - START_NS, rate_hz, self.sink.phases()))
 
 
 @pytest.fixture
@@ -350,19 +353,93 @@ def test_latency(make: Callable[..., Bench], circle: list[Frame]) -> None:
         np.testing.assert_allclose((latency.p50, latency.p99, latency.max), expected, atol=0.06)
 
 
-def test_scan_rate(scene: Scene, model: Model, circle: list[Frame]) -> None:
-    """The loop asks for few frames once the plate is untouched, and for all with the first touched frame."""
-    idle = [Frame(counts, i, 0, 0) for i, counts in enumerate(scene("idle").frames[:290])]
-    touched = [replace(frame, sequence=290 + i) for i, frame in enumerate(circle[150:160])]
-    clock = Clock()
-    source = Adjustable(scene("idle"), [*idle, *touched], clock)
-    source.asked = []
-    messages = Messages(Settings(), wants_of([]))
-    pipeline = Pipeline(source.acquisition, model, Settings())
-    health = Health(source, pipeline, messages, HealthSettings())
-    rate = ScanRate(source, DeviceSettings())
-    Service(source, pipeline, messages, [], health, clock=clock, rate=rate).run()
-    (fell_ns, idle_hz), (rose_ns, full_hz) = source.asked
+class Commands(Control):
+    """Commands that come with no socket, at a given time."""
+
+    def __init__(self, clock: Clock, due: dict[int, str]) -> None:
+        self.listeners, self.polls = [], 0
+        self._clock, self._due = clock, due
+
+    def poll(self) -> list[str]:
+        self.polls += 1
+        return [self._due.pop(at_ns) for at_ns in sorted(self._due) if at_ns <= self._clock() - START_NS]
+
+
+class Reading(FrameFeed):
+    """A program that takes frames from a time on."""
+
+    def __init__(self, clock: Clock, since_ns: int) -> None:
+        self._clock, self._since_ns = clock, since_ns
+
+    @property
+    def listeners(self) -> list[object]:  # type: ignore[override]  # who reads does not matter here
+        return [self] if self._clock() - START_NS >= self._since_ns else []
+
+    def send(self, frame: Frame) -> None: ...
+
+    def close(self) -> None: ...
+
+
+class Scanned:
+    """A service whose source has an adjustable rate, on untouched frames and then some with a finger."""
+
+    def __init__(self, scene: Scene, model: Model, idle: int, touched: Sequence[Frame] = (), read_from_s: float = 1e9,
+                 commands: dict[int, str] | None = None) -> None:  # fmt: skip
+        recording, self.clock = scene("idle"), Clock()
+        quiet = [Frame(recording.frames[i % 290], i, 0, 0) for i in range(idle)]
+        steps = [*quiet, *(replace(frame, sequence=idle + i) for i, frame in enumerate(touched))]
+        self.source, self.sink = Adjustable(recording, steps, self.clock), Keeper(self.clock)
+        self.source.asked, self.source.sink = [], self.sink
+        messages = Messages(Settings(), wants_of([self.sink]))
+        self.pipeline = Pipeline(recording.acquisition, model, Settings())
+        health = Health(self.source, self.pipeline, messages, HealthSettings())
+        self.control = Commands(self.clock, commands or {})
+        self.service = Service(
+            self.source, self.pipeline, messages, [self.sink], health, clock=self.clock, control=self.control,
+            feed=Reading(self.clock, round(read_from_s * 1e9)), rate=ScanRate(self.source, DeviceSettings()),
+        )  # fmt: skip
+
+
+def test_scan_rate(scene: Scene, atlas_model: Model, circle: list[Frame]) -> None:
+    """The loop asks for few frames of an untouched plate, and for all with the first touched one, once it is told."""
+    bench = Scanned(scene, atlas_model, 290, circle[150:290])
+    bench.service.run()
+    (fell_ns, idle_hz, _), (rose_ns, full_hz, told) = bench.source.asked
     assert (idle_hz, full_hz) == (50, 125)
     assert 2e9 <= fell_ns <= 2e9 + 32 * PERIOD_NS + 50e6, "2 s after the last frame that the plate was learned from"
     assert rose_ns == 291 * PERIOD_NS
+    assert told == [(1, "down")]
+    assert bench.control.polls < 55, "ten times a second, then twenty"
+
+
+def test_scan_rate_of_a_dark_screen(scene: Scene, model: Model) -> None:
+    """Frames fall to 10 a second within 0.1 s of the screen's going off, and are all there when it comes on."""
+    off_ns, on_ns = 1_000_000_000, 3_000_000_000
+    bench = Scanned(scene, model, 450, commands={off_ns: "screen off", on_ns: "screen on"})
+    bench.service.run()
+    (fell_ns, few_hz, _), (rose_ns, full_hz, _) = bench.source.asked
+    assert (few_hz, full_hz) == (10, 125)
+    assert off_ns < fell_ns <= off_ns + 100_000_000 + 2 * PERIOD_NS
+    assert on_ns < rose_ns <= on_ns + 100_000_000 + 2 * PERIOD_NS
+
+
+def test_scan_rate_for_a_reader(scene: Scene, model: Model) -> None:
+    """A program that begins to take frames of an untouched plate gets all from then on."""
+    bench = Scanned(scene, model, 500, read_from_s=3.0)
+    bench.service.run()
+    assert [rate_hz for _, rate_hz, _ in bench.source.asked] == [50, 125]
+    assert 3e9 < bench.source.asked[1][0] <= 3.1e9 + 2 * PERIOD_NS
+
+
+def test_idle_bus(scene: Scene, model: Model) -> None:
+    """Without a touch and a subscriber frames are examined, and little else: the sinks are polled and commands read ten
+    times a second, and health is made every 10 s."""
+    bench = Scanned(scene, model, 2500)
+    bench.sink.unwanted = lambda _topic: True
+    bench.service.run()
+    assert bench.pipeline.counters.frames == 2500
+    assert 180 <= bench.sink.polls <= 202
+    assert 180 <= bench.control.polls <= 202
+    states = [event.state for event in bench.sink.health]
+    assert states == ["starting", "streaming", "streaming", "stopping"], "one of them in between"
+    assert len(bench.sink.events) == len(states)

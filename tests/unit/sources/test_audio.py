@@ -171,6 +171,33 @@ def test_an_xrun_is_counted_and_costs_no_accuracy(reference: np.ndarray) -> None
     assert off_db(means[1], means[0]) < -65
 
 
+def test_lower_rate(reference: np.ndarray) -> None:
+    """At a lower rate chirps go on and frames are left out: numbers have no gaps, times tell, an xrun is withheld."""
+    card = plate(seed=3)
+    daq = started(card, reference)
+    found = frames(daq, 5)
+    daq.set_rate(50)
+    found += frames(daq, 10)
+    daq.set_rate(10)
+    found += frames(daq, 1)
+    passed_ns = card.clock()
+    for _ in range(60):
+        assert daq.read(0.1) is None
+    card.xrun = True
+    lost = frames(daq, 60)
+    while lost[-1].withheld:
+        lost += frames(daq, 1)
+    gone_us = (card.clock() - passed_ns) / 1e3
+    daq.set_rate(125)
+    back = frames(daq, 10)
+    everything = [*found, *lost, *back]
+    assert [frame.sequence for frame in everything] == list(range(len(everything)))
+    for some, step_us in ((found[:5], 8000), (found[6:-1], 16_000), (back, 8000)):
+        assert set(np.diff([frame.timestamp_us for frame in some])) == {step_us}
+    assert abs(lost[-1].timestamp_us - found[-1].timestamp_us - gone_us) < 16_000
+    assert off_db(np.mean([frame.counts for frame in (*found[6:], *back)], axis=0), EXPECTED) < -50
+
+
 def test_an_unplugged_card_is_gone(reference: np.ndarray) -> None:
     card = plate()
     daq = started(card, reference)

@@ -116,6 +116,7 @@ class Steady(Stubborn):
     def __init__(self) -> None:
         super().__init__(failures=0)
         self.readers: list[str] = []
+        self.waits_s: list[float] = []
         self.fails: Exception | None = None
         self.silent = False
         """Until it is started again."""
@@ -130,6 +131,7 @@ class Steady(Stubborn):
 
     def read(self, timeout_s: float) -> DaqFrame | None:
         self.readers.append(threading.current_thread().name)
+        self.waits_s.append(timeout_s)
         if self.silent:
             time.sleep(timeout_s)
             return None
@@ -229,6 +231,20 @@ def test_frames_that_the_device_could_not_keep(
     count = len(one.numbers)
     one.until(lambda: len(one.numbers) > count)
     assert (one.source.tally.lost, one.source.tally.behind) == (lost, behind)
+
+
+def test_low_rate(reading: Callable[..., Reading]) -> None:
+    """At a low rate neither a loan ends nor a stream has stalled before three frames are missing."""
+    lent = reading()
+    lent.until_direct()
+    lent.source.set_rate(10)
+    lent.until(lambda: lent.daq.waits_s[-1] == pytest.approx(0.3))
+    one = reading(rate_hz=500)
+    one.until(lambda: len(one.numbers) > 50)
+    one.source.set_rate(10)
+    since_s, one.daq.silent = time.monotonic(), True
+    one.until(lambda: "stalled" in one.states)
+    assert time.monotonic() - since_s > 0.25, "0.05 s is a stall at the full rate"
 
 
 def test_high_rate(reading: Callable[..., Reading]) -> None:

@@ -68,6 +68,7 @@ geometries = st.builds(
     max_frame_rate_hz=st.integers(1000, 2**16 - 1),
     min_frame_rate_hz=st.integers(1, 1000),
     firmware=st.tuples(st.integers(0, 2**16 - 1), st.integers(0, 255), st.integers(0, 255)),
+    capabilities=st.integers(0, 2**32 - 1),
 )
 
 
@@ -116,6 +117,7 @@ def test_info_and_status_vectors() -> None:
     small, full = (bytes.fromhex(vector["hex"]) for vector in VECTORS["info"])
     assert (GEOMETRY["small"].channels, GEOMETRY["small"].samples, GEOMETRY["small"].firmware) == (2, 3, (1, 2, 3))
     assert (GEOMETRY["full"].channels, GEOMETRY["full"].samples, GEOMETRY["full"].frame_bytes) == (4, 250, 2032)
+    assert [info.capabilities for info in GEOMETRY.values()] == [1, 0], "an older device has none"
     assert [build_info(info) for info in GEOMETRY.values()] == [small, full]
     (status,) = VECTORS["status"]
     data = bytes.fromhex(status.pop("hex"))

@@ -35,19 +35,23 @@ WARM_S, FALL_S, SECONDS = 1.5, 4.0, 4.0
 COUNTERS = "instructions:u", "instructions:k", "cache-misses:u"
 """Events of `perf stat`, where the processor lets it count them."""
 _HERE = Path(touchd.__file__).resolve().parent.parent
+CALLS = "calls", "functions"
+"""Of a frame: how many of Python and C, and how many different ones."""
+SHOWN = "wake-up", *STAGES
 COLUMNS = {
     "cpu_us_per_s": "CPU us/s", "cpu_us_per_frame": "us/frame", "wakeups_hz": "wake-ups/s", "frames_hz": "frames/s",
     "wake_us": "wake us", "sent_us": "sent us", "done_us": "done us", "socket_us": "socket us", "socket_p99_us": "p99",
     "subscriber_us": "subscriber us", "subscriber_p99_us": "p99", "faults_hz": "faults/s", "energy_w": "W",
-    **{event: event for event in COUNTERS},
+    **{name: name for name in (*CALLS, *COUNTERS)},
 }  # fmt: skip
 """Keys of a result, and their headings."""
 LEGEND = (
     "CPU: of all threads. wake-ups: switches to any thread. wake: from the last sample until the reader has the frame;",
     "sent: from there until its message is about to be sent; done: from the last sample until the frame is done with;",
     "socket: until its message is about to be sent; subscriber: until another process has it. A ratio is this tree's",
-    "over the other's, median of the turns. Stages: time a frame, in brackets its processor time; what is left of the",
-    "latter is waking up.",
+    "over the other's, median of the turns. Stages: time a frame, in brackets its processor time; wake-up: what is",
+    "left of the latter, with the loop's own. calls, functions: of Python and C in the loop's thread in a frame, and",
+    "how many different ones, as Python's profiler sees them.",
 )
 
 Found = dict[str, Any]
@@ -102,9 +106,12 @@ def measure(
             found[cell.name] = {tree: _middle(some) for tree, some in runs.items()}
             for tree, path in trees.items():
                 progress(f"{cell.name}: {tree}, stages")
-                found[cell.name][tree]["stages"] = _run(cell, path, folder, seconds, stages=True)["stages"]
+                split = _run(cell, path, folder, seconds, stages=True)
+                found[cell.name][tree] |= {key: split[key] for key in ("stages", *CALLS)}
                 if events:
-                    found[cell.name][tree] |= _run(cell, path, folder, seconds, events=events)["events"]
+                    run = _run(cell, path, folder, seconds, events=events)
+                    of_all = counts(run["events"]).items()
+                    found[cell.name][tree] |= {event: count / run["counted"] for event, count in of_all}
             if against:
                 found[cell.name]["ratio"] = _ratios(runs["here"], runs["against"])
     return found
@@ -116,12 +123,12 @@ def tables(found: Cells) -> list[Table]:
     keys = [key for key in COLUMNS if any(key in one for _, _, one in rows)]
     costs = [[name, tree, *(number(one[key]) if key in one else "-" for key in keys)] for name, tree, one in rows]
     split = [
-        [name, tree, *("{} ({})".format(*map(number, one["stages"][stage])) for stage in STAGES)]
+        [name, tree, *("{} ({})".format(*map(number, times)) for times in one["stages"].values())]
         for name, tree, one in rows if "stages" in one
     ]  # fmt: skip
     return [
         Table(("scene", "tree", *(COLUMNS[key] for key in keys)), costs, "Steady rates"),
-        Table(("scene", "tree", *(f"{stage} us" for stage in STAGES)), split, "Where a frame's time goes"),
+        Table(("scene", "tree", *(f"{stage} us" for stage in SHOWN)), split, "Where a frame's time goes"),
     ]
 
 
@@ -139,7 +146,13 @@ def countable() -> tuple[str, ...]:
         told = subprocess.run(asked, check=False, capture_output=True, text=True).stderr  # noqa: S603 - as written
     except OSError:
         return ()
-    return tuple(steady_child.counts(told))
+    return tuple(counts(told))
+
+
+def counts(told: str) -> dict[str, float]:
+    """Return the events that `perf stat -x ,` has counted, by name."""
+    rows = [line.split(",") for line in told.splitlines() if line.count(",") > 2]
+    return {row[2]: float(row[0]) for row in rows if row[0].replace(".", "").isdigit()}
 
 
 def _run(

@@ -19,6 +19,8 @@ from array import array
 from collections.abc import Callable, Iterator
 from itertools import chain, cycle
 from pathlib import Path
+from statistics import median
+from types import FrameType
 from typing import Any
 
 import numpy as np
@@ -35,7 +37,9 @@ from touchd.sources.usb_protocol import Header, Info, Request, build_frame
 from touchd.sources.usb_stream import UsbDaq
 
 STAGES = "USB read", "detection", "localization", "tracking", "message", "bus", "pre-roll"
-"""Of a frame; waking up is what is left of its processor time."""
+"""Of a frame, beside its wake-up: what is left of its processor time."""
+COUNTED = 50
+"""Frames of which calls are counted."""
 RAPL = Path("/sys/class/powercap/intel-rapl:0/energy_uj")
 
 
@@ -95,10 +99,9 @@ class Device:
         return self._there[at % len(self._there)]
 
     def clear_halt(self) -> None:
-        """Nothing is halted."""
+        """Nothing is halted, nor to be reset."""
 
-    def reset(self) -> None:
-        """Nothing is reset."""
+    reset = clear_halt
 
     def close(self) -> None:
         """End."""
@@ -114,6 +117,30 @@ class Handed(PreRoll):
         """Note number, arrival and now; then keep the frame."""
         self.done.append((frame.sequence, frame.received_ns, time.monotonic_ns()))
         super().keep(frame, contacts)
+
+
+def calls_of_frames() -> Iterator[dict[str, float] | None]:
+    """Count at each step what the frame before it has called in this thread; the medians come last."""
+    found: list[tuple[int, int]] = []
+    ran: list[object] = []
+    device = False
+
+    def note(frame: FrameType, event: str, what: Any) -> None:
+        nonlocal device
+        code = frame.f_code
+        if code is Device.fill.__code__ and event in ("call", "return"):
+            device = event == "call"
+        elif event in ("call", "c_call") and not device and code.co_filename != __file__:
+            ran.append(code if event == "call" else what.__qualname__)
+
+    for _ in range(COUNTED):
+        ran.clear()
+        sys.setprofile(note)
+        yield None
+        sys.setprofile(None)
+        found.append((len(ran), len(set(ran))))
+    calls, functions = zip(*found, strict=True)
+    yield {"calls": median(calls), "functions": median(functions)}
 
 
 def switches() -> dict[str, int]:
@@ -150,12 +177,6 @@ def energy_uj() -> int | None:
         return int(RAPL.read_text())
     except (OSError, ValueError):
         return None
-
-
-def counts(told: str) -> dict[str, float]:
-    """Return the events that `perf stat -x ,` has counted, by name."""
-    rows = [line.split(",") for line in told.splitlines() if line.count(",") > 2]
-    return {row[2]: float(row[0]) for row in rows if row[0].replace(".", "").isdigit()}
 
 
 def run(task: dict[str, Any]) -> dict[str, Any]:
@@ -203,7 +224,8 @@ def run(task: dict[str, Any]) -> dict[str, Any]:
         }  # fmt: skip
 
     perf: list[subprocess.Popen[str]] = []
-    clock, keep = time.monotonic, preroll.keep
+    clock, keep, steps = time.monotonic, preroll.keep, calls_of_frames()
+    counted: dict[str, float] = {}
     since_s = clock()
     device.go.set()
 
@@ -215,7 +237,10 @@ def run(task: dict[str, Any]) -> dict[str, Any]:
                 perf.append(counting(task["events"]))
             begin.update(sample())
         elif begin and now_s - begin["wall_s"] >= task["seconds"]:
-            service.stop()
+            ended.update({} if ended else sample())
+            if (told := next(steps) if task["stages"] else {}) is not None:
+                counted.update(told)
+                service.stop()
 
     preroll.keep = watched  # type: ignore[method-assign]
     ended: dict[str, Any] = {}
@@ -230,9 +255,8 @@ def run(task: dict[str, Any]) -> dict[str, Any]:
     found = _result(begin, ended, preroll.done, device.due_ns)
     for process in perf:
         process.send_signal(signal.SIGINT)
-        counted = ended["frames"] - begin["frames"]
-        found["events"] = {event: count / counted for event, count in counts(process.communicate()[1]).items()}
-    return found
+        found["events"] = process.communicate()[1]
+    return found | counted
 
 
 def counting(events: list[str]) -> subprocess.Popen[str]:
@@ -249,18 +273,17 @@ def _result(
     threads = {
         name: round((count - begin["switches"].get(name, 0)) / wall_s, 2) for name, count in ended["switches"].items()
     }
+    split = {stage: [(last - first) * 1e-3 / frames for last, first in zip(taken, begin["stages"][stage], strict=True)]
+             for stage, taken in ended["stages"].items()}  # fmt: skip
+    frame_us = 1e6 * (ended["cpu_s"] - begin["cpu_s"]) / frames
+    wake_us = float(np.median([(received - due_ns[number]) * 1e-3 for number, received, _ in counted]))
     found = {
         "cpu_us_per_s": 1e6 * (ended["cpu_s"] - begin["cpu_s"]) / wall_s,
-        "cpu_us_per_frame": 1e6 * (ended["cpu_s"] - begin["cpu_s"]) / frames,
+        "cpu_us_per_frame": frame_us, "counted": frames, "wake_us": wake_us,
         "wakeups_hz": sum(threads.values()), "threads_hz": threads, "frames_hz": frames / wall_s,
         "faults_hz": (ended["faults"] - begin["faults"]) / wall_s,
-        "wake_us": float(np.median([(received - due_ns[number]) * 1e-3 for number, received, _ in counted])),
         "done_us": float(np.median([(at - due_ns[number]) * 1e-3 for number, _, at in counted])),
-        "stages": {
-            stage: [round((after - before) * 1e-3 / frames, 2)
-                    for after, before in zip(taken, begin["stages"][stage], strict=True)]
-            for stage, taken in ended["stages"].items()
-        },
+        "stages": {"wake-up": [wake_us, frame_us - sum(cpu for _, cpu in split.values())], **split},
         "frames": {number: (due_ns[number], received) for number, received, _ in counted},
     }  # fmt: skip
     if begin["energy_uj"] is not None:

@@ -15,8 +15,19 @@ from tests.processes import PATIENCE_S, ROOT, Ended, touchd
 from touchd.cli.benchmark import command
 from touchd.lab.benchmark import steady
 from touchd.lab.benchmark.scenes import DAY_S, make_day, make_loop
-from touchd.lab.benchmark.steady import CELLS, COLUMNS, COUNTERS, DAY, QUICK, RATES_HZ, SCENES, Cell
-from touchd.lab.benchmark.steady_child import STAGES, counts
+from touchd.lab.benchmark.steady import (
+    CALLS,
+    CELLS,
+    COLUMNS,
+    COUNTERS,
+    DAY,
+    QUICK,
+    RATES_HZ,
+    SCENES,
+    SHOWN,
+    Cell,
+    counts,
+)
 from touchd.twin.instrument import Instrument
 
 ALWAYS = ("cpu_us_per_s", "cpu_us_per_frame", "wakeups_hz", "frames_hz", "wake_us", "done_us", "faults_hz")
@@ -39,8 +50,11 @@ def test_figures(made: tuple[Ended, dict[str, Any]]) -> None:
     idle, moving = (trees["here"] for trees in stored["cells"].values())
     for cell in (idle, moving):
         assert all(cell[key] > 0 for key in ALWAYS[:-1])
-        assert list(cell["stages"]) == list(STAGES)
+        assert list(cell["stages"]) == list(SHOWN)
         assert all(len(times) == 2 for times in cell["stages"].values())
+        assert min(cell["stages"]["wake-up"]) > 0
+        assert cell["calls"] >= cell["functions"] > 0
+    assert all(idle[name] < moving[name] for name in CALLS), "an untouched plate needs less"
     assert not set(OF_MESSAGES) & set(idle)
     assert 0 < moving["sent_us"] < moving["socket_us"] <= moving["socket_p99_us"]
     assert moving["socket_us"] < moving["subscriber_us"]
@@ -49,13 +63,14 @@ def test_figures(made: tuple[Ended, dict[str, Any]]) -> None:
     for stage in ("localization", "tracking", "message", "bus"):
         assert min(moving["stages"][stage]) > 0
     assert idle["frames_hz"] < 0.9 * moving["frames_hz"], "the rate falls while nobody touches"
+    assert {name for name, hz in idle["threads_hz"].items() if hz} == {"main"}, "one wakes, and none for another"
 
 
 def test_text(made: tuple[Ended, dict[str, Any]]) -> None:
     """The tables name every column and stage that was measured, and the end says what was not, and why."""
     done, stored = made
-    assert all(COLUMNS[key] in done.out for key in (*ALWAYS, *OF_MESSAGES))
-    assert all(f"{stage} us" in done.out for stage in STAGES)
+    assert all(COLUMNS[key] in done.out for key in (*ALWAYS, *OF_MESSAGES, *CALLS))
+    assert all(f"{stage} us" in done.out for stage in SHOWN)
     assert all(cell.name in done.out for cell in QUICK)
     for what in stored["left_out"]:
         assert f"Left out: {what}" in done.out
