@@ -7,6 +7,7 @@ from functools import cache, partial
 from importlib import import_module
 from typing import Any
 
+from tests.processes import ROOT
 from tests.system.soak.interpolated import Interpolated
 from touchd.cli.progress import Bars
 from touchd.jobs import Job, run
@@ -27,8 +28,10 @@ def play_all(
     The module is named, since the one that runs as a program is another to the processes.
     """
     job: Callable[..., Any] = import_module(module).job
-    model = [path.read_bytes() for path in (default_model_path(), atlas_path(default_model_path()))]
-    with Bars() as bars, parts_kept("soak", [module, dict(parts), model]) as kept:
+    model = [default_model_path(), atlas_path(default_model_path())]
+    code = sorted(path for folder in ("touchd", "tests") for path in (ROOT / folder).rglob("*.py"))
+    judged = [path.read_bytes() for path in model + code]  # another one's pieces say nothing of this one
+    with Bars() as bars, parts_kept("soak", [module, dict(parts), judged]) as kept:
         for part, pieces in parts.items():
             jobs = [Job(f"{part} {i}", job, arguments) for i, arguments in enumerate(pieces)]
             found = run(jobs, workers=workers, cache=kept, progress=partial(_advance, bars, part))
