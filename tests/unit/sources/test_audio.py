@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from tests.audiocard import FakeCard, answers
 from tests.processes import PATIENCE_S
 from touchd.audio.card import Card, CardAbsent
 from touchd.audio.highpass import HighPass
-from touchd.audio.waveform import periods_of, rates_of
+from touchd.audio.waveform import loop_of, periods_of, rates_of
 from touchd.cli.demo import SESSION
 from touchd.config.rigs import AudioSettings
 from touchd.config.schema import DeviceSettings, Settings
@@ -188,18 +188,66 @@ def test_a_rate_in_name_alone_is_refused(reference: np.ndarray) -> None:
         frames(started(card, reference), 1)
 
 
-def test_swapped_cables_are_told(reference: np.ndarray) -> None:
-    card = plate()
-    card.order = [1, 0, 2, 3]
+@pytest.mark.parametrize("loopback", [0, 5])
+def test_swapped_cables_are_told(reference: np.ndarray, loopback: int) -> None:
+    """Also where a cable tells the delay."""
+    card = plate(loopback=0.3 if loopback else 0.0)
+    card.order[:2] = [1, 0]
     with pytest.raises(DaqGone, match="input of disc 2 where that of disc 1 should be"):
-        frames(started(card, reference), 1)
+        frames(started(card, reference, SETTINGS.model_copy(update={"loopback": loopback})), 1)
 
 
-def test_nothing_heard_is_told(reference: np.ndarray) -> None:
-    card = plate()
-    card.gains[:] = 0
-    with pytest.raises(DaqGone, match="nothing is heard"):
-        frames(started(card, reference), 1)
+@pytest.mark.parametrize("loopback", [0, 5])
+def test_nothing_heard_is_told(reference: np.ndarray, loopback: int) -> None:
+    card = plate(loopback=0.3 if loopback else 0.0)
+    card.gains[:4] = 0
+    with pytest.raises(DaqGone, match="nothing is heard: check the output's cable"):
+        frames(started(card, reference, SETTINGS.model_copy(update={"loopback": loopback})), 1)
+
+
+@pytest.mark.parametrize(
+    ("gain", "order", "told"),
+    [
+        (0.0, [0, 1, 2, 3, 4], "nothing is heard at the loopback input"),
+        (1.0, [0, 1, 2, 3, 0], "the loopback input hears something else"),
+    ],
+)
+def test_a_loopback_without_its_cable_is_told(gain: float, order: list[int], told: str) -> None:
+    """An input that hears nothing, or a disc, tells no delay, and no plate is blamed for it."""
+    card = plate(loopback=0.3)
+    card.gains[4], card.order = gain, order
+    with pytest.raises(DaqGone, match=told):
+        frames(started(card, None, SETTINGS.model_copy(update={"loopback": 5})), 1)
+
+
+def change_to(source: DaqSource, state: str) -> str:
+    """Read until the source enters a state, and return the reason."""
+    until = time.monotonic() + PATIENCE_S
+    while time.monotonic() < until:
+        source.read(0.1)
+        for change in source.changes():
+            if change.state == state:
+                return change.reason
+    raise AssertionError(state)
+
+
+def test_a_busy_card_and_a_silent_one_are_awaited() -> None:
+    """Frames come once another program lets go of the card, and again once a card that fell silent speaks."""
+    audio = AudioSettings(sample_rate_hz=96_000, band_hz=(15e3, 44e3), chirp_s=1e-3, loopback=5)
+    acquisition = acquisition_of(audio)
+    chirp = 2**14 * loop_of(acquisition.chirp, 96_000, acquisition.samples, audio.level_dbfs)
+    card = FakeCard(acquisition, lambda _: np.tile(chirp, (4, 1)), acquisition.samples, loopback=0.3)
+    card.busy = True
+    settings = Settings(audio=audio, device=DeviceSettings(stall_s=0.05))  # a start takes longer than that
+    source = open_audio(settings, lambda *_: card.open(), card.name, None, clock=card.clock)
+    with closing(source):
+        assert "in use by another program" in change_to(source, "lost")
+        card.busy = False
+        change_to(source, "streaming")
+        card.silent = True
+        change_to(source, "stalled")
+        card.silent = False
+        change_to(source, "streaming")
 
 
 def test_another_plate_is_told(reference: np.ndarray) -> None:
@@ -252,10 +300,14 @@ def test_a_dead_channel_does_not_keep_the_others_from_working(reference: np.ndar
 
 
 def test_clipping_is_counted(reference: np.ndarray) -> None:
+    """The samples that clip are at the limit in the frame, too, where `touchd doctor` looks for them."""
     card = plate()
     assert not frames(started(card, reference), 5)[-1].clipped
-    card.gains[:] = 3.0
-    assert frames(started(card, reference), 5)[-1].clipped
+    card.gains[1] = 3.0
+    frame = frames(started(card, reference), 5)[-1]
+    assert frame.clipped
+    at_limit = (frame.counts == 2**15 - 1) | (frame.counts == -(2**15))
+    assert at_limit.any(axis=1).tolist() == [False, True, False, False]
 
 
 def test_the_loopback_channel_tells_the_delay() -> None:
