@@ -153,6 +153,7 @@ class CableCard:
         self.hum = 0.0
         """Amplitude of 50 Hz in all inputs."""
         self.xruns = 0
+        self.true_rate_hz, self.seconds = float(rate_hz), 0.0
         self._rng = np.random.default_rng(seed)
 
     def start(self, loop: Floats) -> None:
@@ -170,6 +171,7 @@ class CableCard:
             self.xruns -= 1
             raise CardXrun("samples were lost")
         block = self.rate_hz // 100
+        self.seconds += block / self.true_rate_hz
         at = (self._at + np.arange(block)) % self._heard.shape[1]
         self._at += block
         signal = self._heard[:, at].T + self.noise * self._rng.standard_normal((block, self.inputs))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import tomllib
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -147,3 +148,13 @@ def test_xruns_are_counted() -> None:
         card.xruns = 3 if what.startswith("xruns") else card.xruns
 
     assert check(card, restarts=1, seconds=0.05, level_dbfs=-12.0, progress=progress).xruns == 3
+
+
+def test_the_true_rate_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By this computer's clock, which here is the card's true one."""
+    card = CableCard()
+    card.true_rate_hz = 48_005.0
+    monkeypatch.setattr("touchd.audio.check.time", SimpleNamespace(monotonic=lambda: card.seconds))
+    found = check(card, restarts=1, seconds=1.0, level_dbfs=-12.0)
+    assert found.true_rate_hz == pytest.approx(48_005.0, abs=0.1)
+    assert "48005.0 Hz, +104 ppm" in text(found)[1]

@@ -17,7 +17,7 @@ from touchd.audio.waveform import loop_of, periods_of, rates_of
 from touchd.cli.demo import SESSION
 from touchd.config.rigs import AudioSettings
 from touchd.config.schema import DeviceSettings, Settings
-from touchd.errors import ConfigError
+from touchd.errors import ConfigError, ModelMismatch
 from touchd.frame import ACQUISITIONS, Frame
 from touchd.localization.model import Model, default_model_path
 from touchd.pipeline import Pipeline
@@ -415,6 +415,11 @@ def test_the_default_rate_is_one_that_chirps_fill(sample_rate_hz: int, chirp_s: 
 
 def refuse(name: str, _rate_hz: int, _inputs: int) -> Card:
     raise CardAbsent(name)
+
+
+def test_a_model_of_another_acquisition_is_refused(model: Model) -> None:
+    with pytest.raises(ModelMismatch):
+        open_audio(Settings(), refuse, "hw:CARD=none", model)
 
 
 def test_chirps_that_fill_no_rate_are_refused() -> None:
