@@ -150,7 +150,10 @@ class CableCard:
         self.gains = np.array([0.001, 0.5, *[0.0] * (inputs - 2)])
         self.noise, self.third, self.fraction = 1e-4, 1e-3, 0.25
         self.lowpass_hz = 0.5 * rate_hz
+        self.hum = 0.0
+        """Amplitude of 50 Hz in all inputs."""
         self.xruns = 0
+        self.true_rate_hz, self.seconds = float(rate_hz), 0.0
         self._rng = np.random.default_rng(seed)
 
     def start(self, loop: Floats) -> None:
@@ -168,9 +171,11 @@ class CableCard:
             self.xruns -= 1
             raise CardXrun("samples were lost")
         block = self.rate_hz // 100
+        self.seconds += block / self.true_rate_hz
         at = (self._at + np.arange(block)) % self._heard.shape[1]
         self._at += block
         signal = self._heard[:, at].T + self.noise * self._rng.standard_normal((block, self.inputs))
+        signal += self.hum * np.sin(100 * np.pi / self.rate_hz * (self._at + np.arange(block)))[:, None]
         return np.asarray(np.clip(np.rint(signal * 2**15), -(2**15), 2**15 - 1), np.int16)
 
     def close(self) -> None:

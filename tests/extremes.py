@@ -76,6 +76,8 @@ def any_settings(draw: st.DrawFn) -> Settings:
         keys[key] = value
     if tables["ni"]["amplitude_v"] > tables["ni"]["output_limit_v"]:
         del tables["ni"]["amplitude_v"], tables["ni"]["output_limit_v"]
+    if tables["audio"]["loopback"] in tables["audio"]["channels"]:
+        del tables["audio"]["loopback"]
     rate_hz = tables["audio"]["sample_rate_hz"]
     low_hz = draw(st.floats(1, 0.4 * rate_hz))
     tables["audio"]["band_hz"] = low_hz, draw(st.floats(1.01 * low_hz, 0.49 * rate_hz))

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import os
+import select
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
+import alsaaudio
 import numpy as np
 import pytest
 
 from tests.processes import PATIENCE_S, ROOT, environment
+from touchd.audio.alsa import AlsaCard
+from touchd.audio.card import CardAbsent, CardGone, CardXrun
 
 CONFIG = """
 </usr/share/alsa/alsa.conf>
@@ -89,3 +95,84 @@ def test_a_card_that_may_not_be_opened_is_not_called_absent(home: Path) -> None:
     """ALSA's library lists no card that this user may not open."""
     _, line = (home / "said").read_text().splitlines()
     assert line.startswith("hw:CARD=Denied,DEV=0 is there, but may not be opened: join the group audio")
+
+
+class Driver:
+    """A stream of a card whose driver answers as a test says; other answers are those of a card that works."""
+
+    said: dict[str, object]
+
+    def __init__(self, **asked: object) -> None:
+        if isinstance(refusal := self.said.get("open"), Exception):
+            raise refusal
+        self._asked = asked
+        self._ready = os.eventfd(1)
+
+    def info(self) -> dict[str, object]:
+        return {
+            "rate": self.said.get("rate", self._asked["rate"]), "channels": self._asked["channels"],
+            "format": self._asked["format"], "buffer_size": 96, "period_size": 48,
+        }  # fmt: skip
+
+    def polldescriptors(self) -> list[tuple[int, int]]:
+        return [(self._ready, select.POLLIN)]
+
+    def drop(self) -> None:
+        pass
+
+    def read(self) -> tuple[int, bytes]:
+        answer = self.said.get("read", (0, b""))
+        if isinstance(answer, Exception):
+            raise answer
+        assert isinstance(answer, tuple)
+        return answer
+
+    def write(self, data: bytes) -> int:
+        answer = self.said.get("write", len(data) // 8)
+        assert isinstance(answer, int)
+        return answer
+
+    def close(self) -> None:
+        os.close(self._ready)
+
+
+@pytest.fixture
+def driver(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, object]]:
+    """What the driver answers."""
+    Driver.said = {}
+    monkeypatch.setattr(alsaaudio, "PCM", Driver)
+    yield Driver.said
+    Driver.said = {}
+
+
+@pytest.mark.parametrize(
+    ("said", "told"),
+    [
+        ({"open": alsaaudio.ALSAAudioError("Device or resource busy [bench]")}, "bench is in use by another program"),
+        ({"rate": 44_100}, "bench takes 44100 samples a second, not 48000"),
+    ],
+)
+def test_a_card_that_cannot_be_used_says_why(driver: dict[str, object], said: dict[str, object], told: str) -> None:
+    driver |= said
+    with pytest.raises(CardAbsent, match=told):
+        AlsaCard("bench", 48_000, 4)
+
+
+@pytest.mark.parametrize(
+    ("said", "kind", "told"),
+    [
+        ({"read": (-32, b"")}, CardXrun, "too late to read"),
+        ({"read": (48, bytes(768)), "write": -32}, CardXrun, "too late to write"),
+        ({"read": alsaaudio.ALSAAudioError("No such device [bench]")}, CardGone, "No such device"),
+    ],
+)
+def test_what_happens_to_a_stream_is_told(
+    driver: dict[str, object], said: dict[str, object], kind: type[Exception], told: str
+) -> None:
+    """Samples lost on either side are an xrun, after which the card is started again; a card that is pulled is gone."""
+    card = AlsaCard("bench", 48_000, 4)
+    card.start(np.zeros(480))
+    driver |= said
+    with pytest.raises(kind, match=told):
+        card.exchange(0.1)
+    card.close()

@@ -27,6 +27,7 @@ class Capture:
 
     def __init__(self, inputs: NDArray[np.int64], period: int, chirps: int, margin: int) -> None:
         self._inputs, self._period, self._chirps, self._margin = inputs, period, chirps, margin
+        self._share = np.float32(1 / chirps)
         self._held = np.zeros((len(inputs), max(_FRAMES * chirps, 6) * period), np.int16)
         self.reset()
 
@@ -70,12 +71,12 @@ class Capture:
         self.skip_frame()
         if self._chirps == 1:
             return self._held[:, at : at + wide]
-        total = np.zeros((len(self._held), wide), np.float32)
-        for chirp in range(self._chirps):
-            begin = at + chirp * self._period
-            total += self._held[:, begin : begin + wide]
-        total /= self._chirps
-        return total
+        row, each = self._held.strides
+        shape, strides = (len(self._held), self._chirps, wide), (row, each * self._period, each)
+        chirps: Samples = np.ndarray(shape, np.int16, self._held, each * at, strides)
+        mean: NDArray[np.float32] = np.add.reduce(chirps, axis=1, dtype=np.float32)
+        mean *= self._share
+        return mean
 
     def needed(self, samples: int) -> int:
         """Return how many samples from the cut on a frame takes."""

@@ -25,6 +25,10 @@ LOW_DISTORTION_DB = -60.0
 PASSED_DB = -12.0
 """The band ends where less passes, relative to its middle."""
 AUDIBLE_HZ = 20_000.0
+GOOD_DB = 60.0
+"""Signal-to-noise ratio that the pages' accuracies are for."""
+UNTOUCHED_DBFS = -12.0
+"""Level of an untouched plate whose response peaks at 0.6 of full scale."""
 _SETTLE_S = 0.1
 _FULL_SCALE = 2.0**15
 _LIMIT = 2**15 - 1
@@ -57,9 +61,18 @@ class Checked:
     """Why the sample rate is not a true one; empty if it is."""
     band_hz: tuple[float, float] = (0.0, 0.0)
     level_dbfs: float = 0.0
+    floor_dbfs: float = 0.0
+    """Noise of the cable's input, if it were at all frequencies as strong as in the band."""
     frequency_hz: Floats = field(default_factory=lambda: np.zeros(0))
     response_db: Floats = field(default_factory=lambda: np.zeros(0))
-    """From output to the cable's input, at each of the frequencies."""
+    """From output to the cable's input, around each of the frequencies."""
+    noise_db: Floats = field(default_factory=lambda: np.zeros(0))
+    """Of the cable's input around each of the frequencies, dBFS."""
+
+    @property
+    def snr_db(self) -> float:
+        """How far noise lies below the chirp at the cable's input."""
+        return self.level_dbfs + self.gain_db - self.floor_dbfs
 
     @property
     def delay_spread(self) -> float:
@@ -126,11 +139,12 @@ def check(card: Card, *, restarts: int, seconds: float, level_dbfs: float, progr
     heard = bench.hear(sweep).mean(axis=0)
     power = np.square(heard).sum(axis=1)
     cable = int(np.argmax(power))
-    if power[cable] < 10 * np.square(noise - noise.mean(axis=2, keepdims=True)).sum(axis=2).mean(axis=0)[cable]:
+    noise -= noise.mean(axis=2, keepdims=True)
+    if power[cable] < 10 * np.square(noise[:, cable]).sum(axis=1).mean():
         raise Doubtful("no input hears the output: join an output to an input with a cable, and turn the knobs up")
     found = Checked(card.name, card.rate_hz, cable + 1)
-    found.noise_dbfs = _db(2 * (noise - noise.mean(axis=2, keepdims=True)).var(axis=(0, 2))).tolist()
-    _take_response(found, heard, sweep)
+    found.noise_dbfs = _db(2 * noise.var(axis=(0, 2))).tolist()
+    _take_response(found, heard, sweep, noise[:, cable])
     try:
         check_band(heard[cable : cable + 1], sweep, card.rate_hz)
     except Doubtful as doubt:
@@ -156,8 +170,8 @@ def _sweep(period: int, rate_hz: float) -> Floats:
     return np.asarray(np.sin(np.pi * top_hz / t[-1] * t**2))
 
 
-def _take_response(found: Checked, heard: Floats, sweep: Floats) -> None:
-    """Set what passes from the output to each input."""
+def _take_response(found: Checked, heard: Floats, sweep: Floats, noise: Floats) -> None:
+    """Set what passes from the output to each input, and the noise, (n, period), of the cable's."""
     played = np.fft.rfft(sweep)
     frequency_hz = np.fft.rfftfreq(len(sweep), 1 / found.sample_rate_hz)
     edges_hz = np.geomspace(20, PASSED * found.sample_rate_hz, 121)
@@ -172,6 +186,10 @@ def _take_response(found: Checked, heard: Floats, sweep: Floats) -> None:
     inside = (found.frequency_hz >= found.band_hz[0]) & (found.frequency_hz <= found.band_hz[1])
     found.gain_db = float(np.median(found.response_db[inside]))
     found.crosstalk_db = (_db(table[:, inside].mean(axis=1)) - _db(table[found.cable - 1, inside].mean())).tolist()
+    hiss = (np.abs(np.fft.rfft(noise)) ** 2).mean(axis=0) * (2 / len(sweep)) ** 2
+    found.noise_db = _db(np.array([hiss[part].sum() for part in parts]))
+    band = (frequency_hz >= found.band_hz[0]) & (frequency_hz <= found.band_hz[1])
+    found.floor_dbfs = float(_db(hiss[band].mean() * len(hiss)))
 
 
 def _band(frequency_hz: Floats, response_db: Floats, rate_hz: int) -> tuple[float, float]:

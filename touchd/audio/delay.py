@@ -32,8 +32,21 @@ _CONVERGED = 1e-7
 _STEPS = 8  # of a stretch, each to first order
 _MOST_STRETCH = 4e-3
 _MOST_PERMUTED = 5
+_BY_CHANCE = 0.25
+"""Share of the captured energy that another plate's reference does not reach, in any order."""
 _PARTS = 16  # of the chirp's band, for a stretch
 _LEAD = 0.1  # of a period: how early an answer may come, in steady state
+_PLATE = (
+    "nothing is heard: check the output's cable and knob, the discs' cables, and audio.level_dbfs",
+    "what is heard is not the plate that the model was made for (that explains {:.0%}): check the cables; is another "
+    "program playing? Else stop touchd, and calibrate again with --audio",
+)
+_CABLE = (
+    "nothing is heard at the loopback input: check its cable, its gain, and audio.loopback",
+    "the loopback input hears something else than what is played (that explains {:.0%}): check its cable and "
+    "audio.loopback; is another program playing?",
+)
+"""What is said of silence, and of something else."""
 _UNLIKE_ITSELF = 0.05
 
 
@@ -76,7 +89,14 @@ class Delay(NamedTuple):
 
 def by_loopback(captured: Floats, loop: Floats) -> Delay:
     """Return the delay of a cable's signal, (period,), by the loop that was played."""
-    return _find(captured[None], loop[None], None)
+    return _find(captured[None], loop[None], None, _CABLE)
+
+
+def check_discs(captured: Floats, reference: Floats | None) -> None:
+    """Raise Doubtful if no disc is heard, or if cables are swapped since the reference; shapes as in `by_reference`."""
+    _check_heard(captured, _PLATE[0])
+    if reference is not None:
+        _check_order(_explained(captured, _whole(reference, captured.shape[1])), float(np.square(captured).sum()))
 
 
 def by_reference(captured: Floats, reference: Floats, chirp: Chirp, rate_hz: float) -> Delay:
@@ -98,12 +118,12 @@ def by_reference(captured: Floats, reference: Floats, chirp: Chirp, rate_hz: flo
     Doubtful
         Nothing is heard, the plate is another, channels are swapped, or two delays fit as well.
     """
-    return _find(captured, reference, _Emission(chirp, rate_hz, captured.shape[1]))
+    return _find(captured, reference, _Emission(chirp, rate_hz, captured.shape[1]), _PLATE)
 
 
 def by_onset(captured: Floats, loop: Floats) -> Delay:
     """Return when the first sound arrives, by the envelope of the impulse responses, shape (channels, period)."""
-    _check_heard(captured)
+    _check_heard(captured, _PLATE[0])
     played = np.fft.rfft(loop)
     power = np.abs(played) ** 2
     band = power > 0.1 * power.max()
@@ -121,21 +141,17 @@ def by_onset(captured: Floats, loop: Floats) -> Delay:
     return Delay(float(first), 1.0, np.ones(len(captured)))
 
 
-def _find(captured: Floats, reference: Floats, emission: _Emission | None) -> Delay:
-    _check_heard(captured)
+def _find(captured: Floats, reference: Floats, emission: _Emission | None, wrong: tuple[str, str]) -> Delay:
+    _check_heard(captured, wrong[0])
     channels, period = captured.shape
-    known = np.zeros((channels, period))
-    known[:, : reference.shape[1]] = reference
+    known = _whole(reference, period)
     table = _explained(captured, known)
     own = table[range(channels), range(channels)].sum(axis=0)
     at = int(np.argmax(own))
-    _check_order(table, own[at])
+    _check_order(table, float(np.square(captured).sum()))
     samples, stretch, share, alike = _refine(captured, known, reference.shape[1], at / _FINER, emission)
     if share < GOOD:
-        raise Doubtful(
-            f"what is heard is not the plate that the model was made for (that explains {share:.0%}): "
-            "check the cables; is another program playing? Else calibrate again"
-        )
+        raise Doubtful(wrong[1].format(share))
     # Beyond the main lobe, whose width is that of the reference's own correlation.
     itself = _explained(known, known)[range(channels), range(channels)].sum(axis=0)
     apart = int(np.argmax(itself < 0.5 * itself[0]))
@@ -157,20 +173,25 @@ def _explained(captured: Floats, known: Floats) -> Floats:
     return np.asarray(np.square(np.maximum(cross, 0.0)) / norm[None, :, None])
 
 
-def _check_heard(captured: Floats) -> None:
+def _whole(reference: Floats, period: int) -> Floats:
+    """Return a reference of shape (channels, samples) as a period."""
+    return np.pad(reference, ((0, 0), (0, period - reference.shape[1])))
+
+
+def _check_heard(captured: Floats, said: str) -> None:
     if np.square(captured).mean() < SILENT * 2.0**30:
-        raise Doubtful("nothing is heard: check the output's cable and knob, the discs' cables, and audio.level_dbfs")
+        raise Doubtful(said)
 
 
-def _check_order(table: Floats, own: float) -> None:
-    """Raise Doubtful if the channels fit much better in another order."""
+def _check_order(table: Floats, energy: float) -> None:
+    """Raise Doubtful if the channels, of this energy, fit another order much better than their own."""
     channels = len(table)
     if not 2 <= channels <= _MOST_PERMUTED:
         return
     orders = list(permutations(range(channels)))
     best = [max(table[range(channels), order].sum(axis=0).max(), 0.0) for order in orders]
     order = orders[int(np.argmax(best))]
-    if max(best) > SWAPPED * own:
+    if max(best) > max(SWAPPED * best[0], _BY_CHANCE * energy):  # the first order is their own
         swapped = ", ".join(f"input of disc {order[i] + 1} where that of disc {i + 1} should be"
                             for i in range(channels) if order[i] != i)  # fmt: skip
         raise Doubtful(f"cables are swapped: the {swapped}; swap them back, or change audio.channels")

@@ -53,12 +53,17 @@ class HighPass:
         self._input[:] = counts
         np.matmul(self._windows, self._matrix, out=self._filtered)
         np.rint(self.filtered, out=self.filtered)
-        np.clip(self.filtered, -_TOP - 1, _TOP, out=self.filtered)
+        self.filtered.clip(-_TOP - 1, _TOP, out=self.filtered)
         return self.filtered.astype(np.int16)
 
-    def is_clipped(self) -> bool:
-        """Return whether the last counts were at the converter's limit."""
-        return bool(self._input.max() >= _TOP or self._input.min() <= -_TOP)
+    def clips(self, filtered: Samples) -> bool:
+        """Return whether the last counts were at the converter's limit; samples that were shall show it filtered."""
+        if self._input.max() < _TOP and self._input.min() > -_TOP:
+            return False
+        counts = self._input[:, self.margin : self.margin + filtered.shape[1]]
+        filtered[counts >= _TOP] = _TOP
+        filtered[counts <= -_TOP] = -_TOP - 1
+        return True
 
     def around(self, period: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return filtered periodic signals, shape (..., period)."""

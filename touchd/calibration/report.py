@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, FigureBase
 
 from touchd import __version__
 from touchd.calibration.calibrate import Calibrated, Fitted, expected_error_mm
@@ -17,6 +17,8 @@ from touchd.training.report.template import render
 TEMPLATE = Path(__file__).with_name("report.md.j2")
 SHOWN_S = 1e-3
 """Length of the plotted response."""
+Maps = dict[str, tuple[np.ndarray, np.ndarray]]
+"""By title the expected error (mm), and the discs, the emitter first."""
 
 
 def write_calibration_report(fitted: Fitted, made: Calibrated | None, path: Path) -> Path:
@@ -68,9 +70,15 @@ def draw_residual(fitted: Fitted) -> Figure:
     return figure
 
 
-def draw_expected(plate: Plate, maps: dict[str, tuple[np.ndarray, np.ndarray]]) -> Figure:
-    """Plot maps of the expected error over a plate: by title the error (mm), and the discs, the emitter first."""
+def draw_expected(plate: Plate, maps: Maps) -> Figure:
+    """Plot maps of the expected error over a plate."""
     figure = Figure(figsize=(7.0 * len(maps), 6.0), layout="constrained")
+    draw_maps(figure, plate, maps)
+    return figure
+
+
+def draw_maps(figure: FigureBase, plate: Plate, maps: Maps) -> None:
+    """Plot maps of the expected error over a plate into a figure, or a part of one."""
     most = max(float(np.percentile(error_mm, 98)) for error_mm, _ in maps.values())
     panels = np.atleast_1d(figure.subplots(1, len(maps)))
     for axes, (title, (error_mm, discs_mm)) in zip(panels, maps.items(), strict=True):
@@ -80,4 +88,3 @@ def draw_expected(plate: Plate, maps: dict[str, tuple[np.ndarray, np.ndarray]]) 
         axes.plot(*discs_mm[1:].T, "^", color="white", ms=7, markeredgecolor="black", ls="none")
         axes.set(xlabel="x (mm)", ylabel="y (mm)", title=title)
     figure.colorbar(image, ax=panels, label="expected error (mm)", extend="max", shrink=0.85)
-    return figure

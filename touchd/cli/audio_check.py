@@ -12,7 +12,12 @@ import click
 from touchd.errors import DeviceLost
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from touchd.audio.check import Checked
+    from touchd.calibration.plan import Plan
+    from touchd.calibration.plate_file import PlateFile
+    from touchd.config.rigs import AudioSettings
 
 
 @click.command(short_help="Measure an audio interface.")
@@ -22,11 +27,12 @@ if TYPE_CHECKING:
               help="Level of the sweep.")  # fmt: skip
 @click.option("--restarts", type=click.IntRange(1, 1000), default=10, show_default=True, metavar="N",
               help="Starts that tell how stable the delay is.")  # fmt: skip
-@click.option("--seconds", type=click.FloatRange(1, 86400), default=10.0, show_default=True, metavar="S",
+@click.option("--seconds", type=click.FloatRange(0.1, 86400), default=10.0, show_default=True, metavar="S",
               help="For how long xruns are counted.")  # fmt: skip
-@click.option(
-    "-o", "--output", type=click.Path(path_type=Path), help="Write a picture of response, noise and crosstalk."
-)
+@click.option("--plate", "plate_file", type=click.Path(path_type=Path), metavar="PLATE.toml",
+              help="Also compute the expected error on this plate.")  # fmt: skip
+@click.option("-o", "--output", type=click.Path(path_type=Path), metavar="FILE.png",
+              help="Draw response, noise and crosstalk, and the expected error.")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 @click.option("--config", "config", type=click.Path(path_type=Path), help="Configuration file (TOML).")
 @click.pass_context
@@ -37,6 +43,7 @@ def command(
     level: float,
     restarts: int,
     seconds: float,
+    plate_file: Path | None,
     output: Path | None,
     as_json: bool,
     config: Path | None,
@@ -44,15 +51,17 @@ def command(
     """Measure the audio interface DEVICE, or else the configured one.
 
     DEVICE is an ALSA name such as hw:CARD=U192k. Join an output to an input with a cable first, and take the discs off:
-    tones are played. Says which band and level to use.
+    tones are played. Says which band and level to use, and what to do about what is wrong.
     """
     from touchd.audio.alsa import AlsaCard
     from touchd.audio.card import CardAbsent, CardGone
     from touchd.audio.check import check
     from touchd.audio.delay import Doubtful
+    from touchd.calibration.plate_file import read_plate_file
     from touchd.config.load import load
 
     audio = load(config or (ctx.obj or {}).get("config")).audio
+    said = read_plate_file(plate_file) if plate_file else None
     try:
         card = AlsaCard(device or audio.device, audio.sample_rate_hz, inputs or max(*audio.channels, audio.loopback))
         with closing(card):
@@ -62,57 +71,114 @@ def command(
             )  # fmt: skip
     except (CardAbsent, CardGone, Doubtful) as why:
         raise DeviceLost(str(why), "audio", "follow this, and repeat the command") from why
+    plan = expect(found, said, audio) if said else None
     if output is not None:
-        _draw(found, output)
-    click.echo(json.dumps(result(found), indent=1) if as_json else "\n".join(text(found)))
+        from touchd.evaluation.plots.session import save
+
+        save(draw(found, said, plan), output)
+    click.echo(json.dumps(result(found, plan), indent=1) if as_json else "\n".join(text(found, plan)))
 
 
-def result(found: Checked) -> dict[str, Any]:
+def expect(found: Checked, said: PlateFile, audio: AudioSettings) -> Plan:
+    """Return the expected error of fingertips on a plate, by the noise in the band."""
+    from touchd.audio.check import UNTOUCHED_DBFS
+    from touchd.calibration.plan import PlateMap
+    from touchd.sources.audio import acquisition_of
+
+    usual = audio.model_copy(update={"band_hz": found.band_hz, "sample_rate_hz": found.sample_rate_hz})
+    acquisition = acquisition_of(usual).model_copy(update={"channels": len(said.discs.receivers_mm)})
+    here = PlateMap(said, acquisition, UNTOUCHED_DBFS - found.floor_dbfs)
+    return here.plan(said.layout().centres_mm)
+
+
+def result(found: Checked, plan: Plan | None = None) -> dict[str, Any]:
     """Return what `--json` prints."""
-    lists = {"frequency_hz": found.frequency_hz, "response_db": found.response_db}
+    lists = {name: getattr(found, name) for name in ("frequency_hz", "response_db", "noise_db")}
+    expected = dict(zip(("median_mm", "p95_mm", "worst_mm"), plan.quantiles_mm, strict=True)) if plan else None
     return (
         {name: value for name, value in vars(found).items() if name not in lists}
-        | {"delay_spread_samples": found.delay_spread}
+        | {"delay_spread_samples": found.delay_spread, "snr_db": found.snr_db, "expected": expected}
         | {name: [round(float(one), 2) for one in values] for name, values in lists.items()}
     )
 
 
-def text(found: Checked) -> list[str]:
-    """Return the lines of the table."""
+def text(found: Checked, plan: Plan | None = None) -> list[str]:
+    """Return the lines of the table: what was measured, and below it what to do if that will not do."""
     off_ppm = 1e6 * (found.true_rate_hz / found.sample_rate_hz - 1)
-    heard = "  ".join(f"{i}: {db:.0f}" for i, db in enumerate(found.noise_dbfs, 1))
-    mixed = "  ".join(f"{i}: {db:.0f}" for i, db in enumerate(found.crosstalk_db, 1) if i != found.cable)
-    harmonics = "  ".join(f"{at}: {'clips' if db is None else f'{db:.0f}'}" for at, db in found.distortion_db.items())
-    whole = sorted(round(delay) for delay in found.delays)
-    low_hz, high_hz = found.band_hz
+    mixed = [f"input {i}: {db:.0f}" for i, db in enumerate(found.crosstalk_db, 1) if i != found.cable]
+    harmonics = [f"{'clips' if db is None else f'{db:.0f} dB'} at {at}" for at, db in found.distortion_db.items()]
+    delays_ms = [1e3 * delay / found.sample_rate_hz for delay in found.delays]
     rows = {
         "cable": f"to input {found.cable}, {found.gain_db:+.1f} dB from output to input",
-        "sample rate": found.resamples or f"{found.true_rate_hz:.1f} Hz, {off_ppm:+.0f} ppm by this computer's clock",
-        "noise": f"{heard}  dBFS by input",
-        "crosstalk": f"{mixed or 'no other input'}  dB by input",
-        "distortion": f"{harmonics}  dB by level played, dBFS",
-        "delay": f"{whole[0]} to {whole[-1]} samples in {len(whole)} starts, fractions within {found.delay_spread:.4f}",
+        "sample rate": f"{found.true_rate_hz:.1f} Hz, {off_ppm:+.0f} ppm by this computer's clock",
+        "noise": f"{found.snr_db:.0f} dB below the chirp; "
+        + ", ".join(f"input {i}: {db:.0f}" for i, db in enumerate(found.noise_dbfs, 1)) + " dBFS",
+        "crosstalk": f"{', '.join(mixed)} dB, relative to input {found.cable}" if mixed else "no other input",
+        "distortion": f"{', '.join(harmonics)} dBFS",
+        "delay": f"{min(delays_ms):.1f} to {max(delays_ms):.1f} ms in {len(delays_ms)} starts, fractions of a sample "
+        f"within {found.delay_spread:.4f}",
         "xruns": f"{found.xruns} in {found.seconds:g} s",
-        "use": f"band_hz = [{low_hz:.0f}, {high_hz:.0f}]  level_dbfs = {found.level_dbfs:g}",
+    }  # fmt: skip
+    if plan is not None:
+        median, p95, worst = plan.quantiles_mm
+        rows["plate"] = (
+            f"noise moves a fingertip by {median:.2g} mm, at most {p95:.2g} at 95 % of the places and {worst:.2g} at "
+            f"the\nworst; what a calibration does not know of the plate, by some {plan.exact_mm:.2f} mm"
+        )
+    low_hz, high_hz = found.band_hz
+    rows["use"] = (
+        f"[audio]\nsample_rate_hz = {found.sample_rate_hz}\nband_hz = [{low_hz:.1f}, {high_hz:.1f}]\n"
+        f"level_dbfs = {found.level_dbfs:.1f}"
+    )
+    remedies = _remedies(found)
+    lines = []
+    for name, row in rows.items():
+        for at, line in enumerate(row.split("\n")):
+            lines.append(f"{'' if at else name:12} {line}")
+        if name in remedies:
+            lines.append(f"{'':12} -> {remedies[name]}")
+    return lines
+
+
+def _remedies(found: Checked) -> dict[str, str]:
+    """Return by row what to do about what will not do."""
+    from touchd.audio.check import GOOD_DB, LOW_DISTORTION_DB
+
+    clean = any(db is not None and db < LOW_DISTORTION_DB for db in found.distortion_db.values())
+    wrong = {
+        "sample rate": (bool(found.resamples), found.resamples),
+        "noise": (
+            found.snr_db < GOOD_DB,
+            f"{GOOD_DB:.0f} dB are wanted: turn the output up, or the input's gain; switch its pad off",
+        ),
+        "distortion": (not clean, f"below {LOW_DISTORTION_DB:.0f} dB is wanted: turn the input's gain down"),
+        "xruns": (found.xruns > 0, "end other programs; see Real time in docs/integrator.md"),
     }
-    return [f"{name:12} {row}" for name, row in rows.items()]
+    return {name: remedy for name, (is_wrong, remedy) in wrong.items() if is_wrong}
 
 
-def _draw(found: Checked, path: Path) -> None:
+def draw(found: Checked, said: PlateFile | None = None, plan: Plan | None = None) -> Figure:
+    """Plot response, noise and crosstalk over frequency, and the expected error over the plate."""
     from matplotlib.figure import Figure
 
-    from touchd.files import writing
+    from touchd.calibration.report import draw_maps
 
-    figure = Figure(figsize=(8, 4), layout="constrained")
-    axes = figure.add_subplot()
+    figure = Figure(figsize=(8.0 if plan is None else 14.0, 5.0), layout="constrained")
+    left, *right = figure.subfigures(1, 1 if plan is None else 2, squeeze=False)[0]
+    axes = left.subplots()
     axes.semilogx(found.frequency_hz, found.response_db, label=f"output to input {found.cable}")
-    axes.axhline(found.noise_dbfs[found.cable - 1], color="grey", linestyle=":", label="noise, dBFS")
+    axes.semilogx(found.frequency_hz, found.noise_db, color="grey", label="noise in a tenth of an octave")
     for number, db in enumerate(found.crosstalk_db, 1):
         if number != found.cable:
-            axes.axhline(found.gain_db + db, linewidth=0.8, linestyle="--", label=f"crosstalk to input {number}")
-    axes.axvspan(*found.band_hz, alpha=0.15, label="band to use")
-    axes.set(xlabel="frequency, Hz", ylabel="dB", title=f"{found.device} at {found.sample_rate_hz} Hz")
-    axes.grid(visible=True, which="both", alpha=0.3)
-    axes.legend()
-    with writing(path):
-        figure.savefig(path, dpi=120)
+            level_db, label = found.gain_db + db, f"crosstalk to input {number}"
+            axes.hlines(level_db, *found.band_hz, colors=f"C{number}", linestyles="--", label=label)
+    axes.axvspan(*found.band_hz, color="C2", alpha=0.15, label="band to use")
+    axes.set(xlabel="frequency (Hz)", ylabel="level (dBFS)", ylim=(-140, 10))
+    axes.grid(visible=True, alpha=0.3)
+    axes.legend(
+        title=f"{found.device} at {found.sample_rate_hz} Hz, full scale played", loc="lower center",
+        bbox_to_anchor=(0.5, 1.0), ncols=3, frameon=False,
+    )  # fmt: skip
+    if said is not None and plan is not None:
+        draw_maps(right[0], said.twin_plate(), {"fingertip, by noise": (plan.error_mm, plan.discs_mm)})
+    return figure

@@ -51,6 +51,13 @@ class AudioSettings(Section):
             raise ValueError("must be different inputs, counted from 1")
         return channels
 
+    @field_validator("loopback")
+    @classmethod
+    def _has_no_disc(cls, loopback: int, info: ValidationInfo) -> int:
+        if loopback in info.data.get("channels", ()):
+            raise ValueError(f"is input {loopback}, which is a disc's in audio.channels")
+        return loopback
+
     @field_validator("band_hz")
     @classmethod
     def _is_a_band(cls, band_hz: tuple[float, float], info: ValidationInfo) -> tuple[float, float]:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from touchd.audio.capture import Capture
 from touchd.audio.card import Card, CardAbsent, CardGone, CardXrun, Samples
-from touchd.audio.delay import Delay, Doubtful, by_loopback, by_onset, by_reference
+from touchd.audio.delay import Delay, Doubtful, by_loopback, by_onset, by_reference, check_discs
 from touchd.audio.highpass import HighPass
 from touchd.audio.spectrum import check_band
 from touchd.audio.watch import Watch
@@ -37,6 +37,8 @@ MEASURED, MEASURED_S = 8, 0.06
 """Periods whose mean tells the delay, at least, and how long they last, at least."""
 SETTLE_S = 0.05
 """Ringing of the plate, and what converters delay, between a change of what is played and the first measured period."""
+START_S = 1.0
+"""A card that brings no frame for this long after its start will bring none: the delay is found by then."""
 STILL_SAMPLES = 5e-4
 """A smaller fraction is left as it is."""
 _MOST_MOVES = 3
@@ -214,10 +216,11 @@ class AudioDaq:
 
     def _find(self, mean: Floats) -> Delay:
         discs, a = mean[: self._discs], self.acquisition
-        if self._settings.loopback:
-            return by_loopback(mean[self._discs], self._nominal)
         # After an xrun, the response that the baseline was learned from.
         reference = self._reference if self._own is None else self._own
+        if self._settings.loopback:
+            check_discs(discs, reference)
+            return by_loopback(mean[self._discs], self._nominal)
         if reference is not None:
             return by_reference(discs, reference, a.chirp, a.sample_rate_hz)
         return by_onset(discs, self._nominal)
@@ -239,7 +242,7 @@ class AudioDaq:
             self._sequence += max(round(gone / self._period_us), 1) - 1
             self._time_us += max(gone - self._period_us, 0.0)
         counts = self._high_pass.apply(self._capture.frame(self.acquisition.samples)[: self._discs])
-        clipped = self._high_pass.is_clipped()
+        clipped = self._high_pass.clips(counts)
         if lost := self._watch.lost(self._high_pass.filtered):
             which = ", ".join(str(self._settings.channels[i]) for i in lost)
             raise DaqGone(f"input {which} no longer hears the chirp as before: lost samples, a cable, a knob or a mute")
@@ -284,7 +287,8 @@ def open_audio(
     acquisition = acquisition_of(audio)
     if model is not None:
         model.check(acquisition)
-    device = settings.device.model_copy(update={"rate_hz": rate_of(acquisition, settings.device)})
+    changes = {"rate_hz": rate_of(acquisition, settings.device), "stall_s": max(settings.device.stall_s, START_S)}
+    device = settings.device.model_copy(update=changes)
     periods_of(acquisition, device.rate_hz)
     reference = model.atlas.baseline.astype(np.float64) if model is not None and model.atlas is not None else None
 

@@ -2,12 +2,32 @@
 
 from __future__ import annotations
 
+import json
+import tomllib
+from pathlib import Path
+from types import SimpleNamespace
+
 import pytest
 
 from tests.audiocard import CableCard
+from tests.command_line import touchd
 from touchd.audio.check import Checked, check
 from touchd.audio.delay import Doubtful
 from touchd.cli.audio_check import result, text
+from touchd.config.rigs import AudioSettings
+
+PLATE = """
+[plate]
+width_mm = 110
+height_mm = 90
+thickness_mm = 5
+material = "glass"
+
+[discs]
+diameter_mm = 6
+emitter_mm = [20, 50]
+receivers_mm = [[12, 12], [98, 18], [85, 78]]
+"""
 
 
 @pytest.fixture(scope="module")
@@ -35,10 +55,58 @@ def test_the_delay_is_told_with_its_fraction(found: Checked) -> None:
 
 
 def test_the_table_and_the_object_are_whole(found: Checked) -> None:
-    assert [line.split()[0] for line in text(found)] == [
+    lines = text(found)
+    assert [line.split()[0] for line in lines if line[0] != " "] == [
         "cable", "sample", "noise", "crosstalk", "distortion", "delay", "xruns", "use",
     ]  # fmt: skip
+    assert not [line for line in lines if "->" in line], "nothing is wrong"
     assert {"band_hz", "level_dbfs", "delay_spread_samples", "response_db"} <= result(found).keys()
+
+
+def test_what_it_says_to_use_can_be_pasted(found: Checked) -> None:
+    """Below `use` stand settings of `[audio]` as the configuration takes them."""
+    _, said = "\n".join(line[13:] for line in text(found)).split("[audio]")
+    used = AudioSettings.model_validate(tomllib.loads(said))
+    assert (used.sample_rate_hz, used.band_hz, used.level_dbfs) == (48_000, found.band_hz, -1.0)
+
+
+def test_hum_outside_the_band_does_not_count() -> None:
+    """The noise that a chirp's band brings is what says how far noise lies below the chirp."""
+    card = CableCard()
+    card.hum = 0.01
+    found = check(card, restarts=1, seconds=0.05, level_dbfs=-12.0)
+    assert found.noise_dbfs == pytest.approx([-40.0] * 3, abs=0.5)
+    assert found.floor_dbfs == pytest.approx(-77.0, abs=0.5)
+    assert found.snr_db == pytest.approx(-1.0 - 6.0 + 77.0, abs=0.7)
+
+
+def test_a_remedy_follows_what_will_not_do() -> None:
+    card = CableCard()
+    card.noise = 3e-3
+    lines = text(check(card, restarts=1, seconds=0.05, level_dbfs=-12.0))
+    (remedy,) = (line for line in lines if "->" in line)
+    assert lines[lines.index(remedy) - 1].startswith("noise")
+    assert "60 dB are wanted" in remedy
+
+
+def test_the_expected_error_on_a_plate(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With PLATE.toml the table ends with what noise leaves of a fingertip's place, and the picture has a map of it."""
+    (tmp_path / "PLATE.toml").write_text(PLATE)
+    (tmp_path / "touchd.toml").write_text("[audio]\nsample_rate_hz = 96000\nband_hz = [15e3, 44e3]\nchirp_s = 0.001\n")
+    expected = []
+    for noise in (1e-4, 1e-3):
+        card = CableCard(96_000)
+        card.noise = noise
+        monkeypatch.setattr("touchd.audio.alsa.AlsaCard", lambda *_, card=card: card)
+        done = touchd(
+            "audio-check", "hw:CARD=Fake", "--config", tmp_path / "touchd.toml", "--plate", tmp_path / "PLATE.toml",
+            "--restarts", 1, "--seconds", 0.1, "-o", tmp_path / "card.png", "--json",
+        )  # fmt: skip
+        assert done.code == 0, done.err
+        expected.append(json.loads(done.out)["expected"])
+    assert expected[0]["median_mm"] < expected[0]["p95_mm"] < expected[0]["worst_mm"] < 0.3
+    assert expected[1]["median_mm"] == pytest.approx(10 * expected[0]["median_mm"], rel=0.1)
+    assert (tmp_path / "card.png").stat().st_size > 10_000
 
 
 def test_the_band_ends_where_less_passes() -> None:
@@ -72,6 +140,21 @@ def test_without_a_cable_it_says_so() -> None:
 
 
 def test_xruns_are_counted() -> None:
+    """Those of the time that is asked for; a measurement that one hits is repeated."""
     card = CableCard()
-    card.xruns = 2  # during the first measurement, which is repeated
-    assert check(card, restarts=1, seconds=0.05, level_dbfs=-12.0).xruns == 0
+    card.xruns = 2
+
+    def progress(what: str) -> None:
+        card.xruns = 3 if what.startswith("xruns") else card.xruns
+
+    assert check(card, restarts=1, seconds=0.05, level_dbfs=-12.0, progress=progress).xruns == 3
+
+
+def test_the_true_rate_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    """By this computer's clock, which here is the card's true one."""
+    card = CableCard()
+    card.true_rate_hz = 48_005.0
+    monkeypatch.setattr("touchd.audio.check.time", SimpleNamespace(monotonic=lambda: card.seconds))
+    found = check(card, restarts=1, seconds=1.0, level_dbfs=-12.0)
+    assert found.true_rate_hz == pytest.approx(48_005.0, abs=0.1)
+    assert "48005.0 Hz, +104 ppm" in text(found)[1]

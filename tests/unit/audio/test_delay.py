@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from touchd.audio.delay import by_onset, by_reference
+from touchd.audio.delay import Doubtful, by_onset, by_reference
 from touchd.audio.waveform import loop_of, moved
 from touchd.frame import ACQUISITIONS
 from touchd.twin.instrument import REFERENCE_C, Instrument
@@ -30,6 +30,14 @@ def test_any_delay_any_gains(plate: Instrument, warmer_k: float, most: float) ->
         found = by_reference(noisy, reference, A.chirp, A.sample_rate_hz)
         assert (found.samples - delay + 384) % 768 - 384 == pytest.approx(0, abs=most)
         assert found.explained > 0.99
+
+
+def test_two_delays_that_fit_are_refused(plate: Instrument) -> None:
+    """What is heard twice, as where an interface mixes its input into its output, tells no delay."""
+    reference = 1e4 * plate.untouched([REFERENCE_C])[0]
+    heard = moved(reference, 211.8) + 0.98 * moved(reference, 500.3)
+    with pytest.raises(Doubtful, match="two delays between playback and capture fit equally well"):
+        by_reference(heard, reference, A.chirp, A.sample_rate_hz)
 
 
 def test_the_first_sound(plate: Instrument) -> None:
