@@ -70,7 +70,7 @@ def test_a_first_frame_like_no_other(seed: int, instrument: Instrument, atlas_mo
     """Two fingers are soon found though they came while a frame was measured: its search is given up for a new one."""
     rng = np.random.default_rng(seed)
     two = [Contact(60.0, 70.0, 60.0, "fingertip"), Contact(150.0, 130.0, 60.0, "fingertip")]
-    passing = [Contact(*map(float, place), 60.0, "fingertip") for place in rng.uniform(30.0, 170.0, (4, 2))]
+    passing = [Contact(float(x), float(y), 60.0, "fingertip") for x, y in rng.uniform(30.0, 170.0, (4, 2))]
     (untouched,), (rest, other) = (
         instrument.untouched([REFERENCE_C]),
         instrument.change([two, passing], [REFERENCE_C] * 2),
