@@ -117,9 +117,8 @@ class AudioDaq:
         self._fraction = 0.0
         self._own: Floats | None = None
         self._sequence, self._time_us = 0, 0.0  # of the next frame
-        self._cuts, self._every = 0, 1
         self._last_ns = 0  # when the last frame, or one that is withheld, was complete
-        self._xrun = False
+        self._xrun, self._cuts, self._every = False, 0, 1
         self._restart()
 
     def read(self, timeout_s: float) -> DaqFrame | None:
@@ -196,8 +195,7 @@ class AudioDaq:
         except Doubtful as doubt:
             raise DaqGone(str(doubt)) from doubt
         whole = round(found.samples)
-        fraction = found.samples - whole
-        if abs(fraction) > STILL_SAMPLES and self._moves < _MOST_MOVES:
+        if abs(fraction := found.samples - whole) > STILL_SAMPLES and self._moves < _MOST_MOVES:
             self._moves += 1
             self._fraction += fraction
             self._card.play(moved(self._nominal, -self._fraction))
