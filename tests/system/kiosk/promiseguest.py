@@ -177,6 +177,7 @@ def calibrate(page: Browser) -> None:
     word = page.until("document.querySelector('.fitted .word')?.offsetParent &&"
                       " document.querySelector('.fitted .word').textContent")  # fmt: skip
     page.until("[...document.querySelectorAll('.pictures img')].some(i => i.naturalWidth > 0)")
+    time.sleep(3.0)
     picture("verdict")
     step("verdict", word, page.find("document.querySelector('.fitted').innerText.slice(0, 200)"))
     page.press("Try this model")
@@ -230,6 +231,7 @@ def browser(address: str) -> None:
     hand, page = Hand(address), Browser()
     # A link that is followed before the page's script has run takes the place of the token in the address.
     page.until("document.body.innerText.includes('Uncalibrated')")
+    time.sleep(3.0)  # the screen shows it later
     picture("uncalibrated")
     step("page")
     calibrate(page)
