@@ -108,7 +108,7 @@ def plate_of(baseline: NDArray[np.floating], atlas: Atlas) -> Plate:
         system = np.stack([flat(c[alive]) for c in columns], axis=1)
         move = np.linalg.lstsq(system, flat((found - gains[:, None] * expected)[alive]), rcond=1e-9)[0]
         stretch, gains[alive] = stretch + move[0], gains[alive] + move[2:]
-    if not (abs(stretch) < 3e-3 and np.abs(gains - 1).max() < 1):
+    if not (abs(stretch) < 3e-3 and 1 / 30 < gains.min() <= gains.max() < 30):
         stretch, gains = 0.0, np.ones(channels)
     return Plate(stretch, gains, dead)
 
