@@ -38,8 +38,8 @@ _GAIN = 0.8
 _OUTDATED = 4.0
 """A search for fingers that land begins again once the signal has grown by this factor: they were faint at first."""
 _LIKE, _PATIENT_FRAMES = 0.95, 5
-"""So it does after so many frames if the first one has less than this of the present one's shape: it began while they
-landed, and what it finds would be of no use now."""
+"""So it does if less than this share of the signal is along the first frame's so many frames later: that one was
+measured while they came, and what is found in it is of no use."""
 _HOLD_NS = 120_000_000
 """Tracked fingers wait for a search for this long."""
 _STEPS = 2
@@ -68,6 +68,7 @@ class MultitouchSearch:
     def reset(self) -> None:
         """End the search, and allow the next one at once."""
         self._running: Steps[Found] | None = None
+        self._first: Bins | None = None  # the bins that it began with
         self._searched_ns: int | None = None
         self._pause_ns, self._unexplained = 0, math.inf
         self._tracked, self._begun, self._begun_ns, self._credit = False, 0.0, 0, 0.0  # of the search that goes on
@@ -126,13 +127,13 @@ class MultitouchSearch:
         limited : bool
             Whether the search may go on in later frames; if not, it runs to its end now.
         """
-        if tracked is not self._tracked or (not tracked and (signal > _OUTDATED * self._begun or self._is_past(bins))):
+        if tracked is not self._tracked or (not tracked and self._is_outdated(bins, signal)):
             self._running = None
         fresh, count = self._running is None, len(fit.positions_mm)
         if self._running is None:
-            self._running = self._all(bins.copy(), fit, signal, count if tracked else 0, grow=tracked)
+            self._first = bins.copy()
+            self._running = self._all(self._first, fit, signal, count if tracked else 0, grow=tracked)
             self._tracked, self._begun, self._begun_ns = tracked, signal, self._t_ns
-            self._first = bins.vector.copy()
             self._grown, self._frames, self._credit = 0, 0, 0.0
         allowance = self._allowance(fit, landing=fresh and not tracked) if limited else math.inf
         self._credit = min(self._credit, 0.0) + allowance  # what the last frame has left is none of this one
@@ -158,13 +159,14 @@ class MultitouchSearch:
                 return waiting
         return self._settle(bins, found, known, fit, signal)
 
-    def _is_past(self, bins: Bins) -> bool:
-        """Return whether a search that goes on for long began with a frame unlike this one, noise apart."""
-        if self._running is None or self._frames < _PATIENT_FRAMES:
+    def _is_outdated(self, bins: Bins, signal: float) -> bool:
+        """Return whether the search that goes on, if any, began with a frame unlike this one, noise apart."""
+        if self._running is None or self._first is None:
             return False
-        noise_energy = self._noise.noise_energy
-        first, now = float(self._first @ self._first) - noise_energy, bins.energy - noise_energy
-        return float(self._first @ bins.vector) ** 2 < _LIKE * first * now
+        if self._frames < _PATIENT_FRAMES:
+            return signal > _OUTDATED * self._begun
+        along = float(self._first.vector @ bins.vector)
+        return signal > _OUTDATED * self._begun or along**2 < _LIKE * self._begun * signal
 
     def _allowance(self, fit: Fit, *, landing: bool) -> float:
         """Return how many look-ups the search may take in this frame; what was fitted in it has taken some of them."""
