@@ -37,7 +37,8 @@ class Row(NamedTuple):
     what: str
     limit: str
     measured: str
-    held: bool
+    held: bool | None
+    """None where nothing is promised."""
 
 
 def cpu_s(server: Web) -> float:
@@ -101,10 +102,9 @@ def turns(browser: Browser, address: str, other: str) -> Iterator[Row]:
                 opened.locator(".fingers tbody tr").first.wait_for()
                 took.append(latency_us(address))
     print(f"latency: {', '.join(f'{statistics.median(took):.0f}' for took in (alone, elsewhere, watched))} us")
-    drawing, more = more_by(elsewhere, alone), more_by(watched, elsewhere)
-    yield Row("latency of the daemon's touches, with a page: what a browser beside it costs", "told",
-              f"{100 * drawing:+.1f} %", held=True)  # fmt: skip
-    yield Row("what the page itself costs", "at most +5 %", f"{100 * more:+.1f} %", more <= 0.05)
+    beside, more = more_by(elsewhere, alone), more_by(watched, alone)
+    yield Row("latency of the daemon's touches, with a page", "at most +5 %", f"{100 * more:+.1f} %", more <= 0.05)
+    yield Row("the same while the page shows another daemon", "told", f"{100 * beside:+.1f} %", None)
 
 
 def more_by(took: list[float], base: list[float]) -> float:
@@ -114,7 +114,8 @@ def more_by(took: list[float], base: list[float]) -> float:
 
 def table(rows: list[Row]) -> str:
     """Return the figures as Markdown."""
-    lines = [f"| {r.what} | {r.limit} | {r.measured} | {'held' if r.held else 'not held'} |" for r in rows]
+    verdict = {True: "held", False: "not held", None: ""}
+    lines = [f"| {r.what} | {r.limit} | {r.measured} | {verdict[r.held]} |" for r in rows]
     return "\n".join(["| what | limit | measured | |", "|---|---|---:|---|", *lines])
 
 
@@ -133,7 +134,7 @@ def main() -> int:
         told = f"{minutes:g} minutes:\n\n{table(rows)}\n"
         marked = r"(?s)(<!-- endurance:begin -->\n).*(<!-- endurance:end -->)"
         PAGE.write_text(re.sub(marked, rf"\g<1>{told}\g<2>", PAGE.read_text()))
-    return int(not all(row.held for row in rows))
+    return int(any(row.held is False for row in rows))
 
 
 if __name__ == "__main__":
