@@ -25,6 +25,21 @@ def answers(frames: NDArray[np.int16]) -> Response:
     return lambda number: frames[number % len(frames)].astype(float)
 
 
+SMALL_PLATE = """
+[plate]
+width_mm = 110
+height_mm = 90
+thickness_mm = 5
+material = "glass"
+
+[discs]
+diameter_mm = 6
+emitter_mm = [20, 50]
+receivers_mm = [[12, 12], [98, 18], [85, 78]]
+"""
+"""A PLATE.toml, of a pane with three receivers that is soon computed."""
+
+
 class Clock:
     """Time that passes by samples alone."""
 

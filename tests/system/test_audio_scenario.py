@@ -60,7 +60,7 @@ class Interface(FakeCard):
         self.delays.append(self.delay)
 
     def exchange(self, timeout_s: float) -> Samples | None:
-        time.sleep(1e-4)
+        time.sleep(1e-4)  # others run, too: the card's clock is its samples
         return super().exchange(timeout_s)
 
 

@@ -177,7 +177,7 @@ def calibrate(page: Browser) -> None:
     word = page.until("document.querySelector('.fitted .word')?.offsetParent &&"
                       " document.querySelector('.fitted .word').textContent")  # fmt: skip
     page.until("[...document.querySelectorAll('.pictures img')].some(i => i.naturalWidth > 0)")
-    time.sleep(3.0)
+    time.sleep(3.0)  # the screen shows it later
     picture("verdict")
     step("verdict", word, page.find("document.querySelector('.fitted').innerText.slice(0, 200)"))
     page.press("Try this model")

@@ -18,6 +18,7 @@ import pytest
 import zmq
 from structlog.testing import capture_logs
 
+from tests.processes import wait_until
 from tests.system.hostile import stranger
 from tests.system.hostile.stranger import NULL_GREETING, PATIENCE_S, connect, greeted, message, topics
 from touchd.config.schema import BusSettings
@@ -140,8 +141,7 @@ def test_a_subscriber_in_the_place_of_another(tmp_path: Path) -> None:
 
         first, files = subscribe(), len(os.listdir("/proc/self/fd"))
         bus.connections.pop().close()
-        while len(os.listdir("/proc/self/fd")) > files - 2:  # both ends
-            time.sleep(0.001)
+        wait_until(lambda: len(os.listdir("/proc/self/fd")) <= files - 2)  # both ends
         bus.publisher.recv(copy=False)  # libzmq's own word for the one that left
         bus.connections.append(greeted(f"ipc://{tmp_path}/bus"))
         assert subscribe() == first
@@ -326,7 +326,7 @@ def test_backlog() -> None:
         until(sink, lambda: sink.wants("spectrum"))
         for _ in range(300):  # 10 MB
             sink.publish(body, 0)
-            time.sleep(0.002)
+            time.sleep(0.002)  # the reader has time to take it, and does not
         received_bytes = 0
         silent.settimeout(1.0)
         with suppress(TimeoutError):

@@ -9,25 +9,12 @@ from types import SimpleNamespace
 
 import pytest
 
-from tests.audiocard import CableCard
+from tests.audiocard import SMALL_PLATE, CableCard
 from tests.command_line import touchd
 from touchd.audio.check import Checked, check
 from touchd.audio.delay import Doubtful
 from touchd.cli.audio_check import result, text
 from touchd.config.rigs import AudioSettings
-
-PLATE = """
-[plate]
-width_mm = 110
-height_mm = 90
-thickness_mm = 5
-material = "glass"
-
-[discs]
-diameter_mm = 6
-emitter_mm = [20, 50]
-receivers_mm = [[12, 12], [98, 18], [85, 78]]
-"""
 
 
 @pytest.fixture(scope="module")
@@ -91,7 +78,7 @@ def test_a_remedy_follows_what_will_not_do() -> None:
 
 def test_the_expected_error_on_a_plate(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With PLATE.toml the table ends with what noise leaves of a fingertip's place, and the picture has a map of it."""
-    (tmp_path / "PLATE.toml").write_text(PLATE)
+    (tmp_path / "PLATE.toml").write_text(SMALL_PLATE)
     (tmp_path / "touchd.toml").write_text("[audio]\nsample_rate_hz = 96000\nband_hz = [15e3, 44e3]\nchirp_s = 0.001\n")
     expected = []
     for noise in (1e-4, 1e-3):

@@ -73,7 +73,7 @@ def test_a_touch_screen(asked: Asked) -> None:
 
 @pytest.mark.parametrize(("other", "stays"), [("input7", False), ("input100", True)])
 def test_two_at_once(asked: Asked, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, other: str, stays: bool) -> None:
-    """Of two that start at the same time, the kernel's earlier one stays, and the other goes; a later one is none."""
+    """Of two that start at the same time, the one that the kernel made first stays, and the other goes."""
     create = fcntl.ioctl
 
     def ioctl(fd: int, request: int, argument: object = 0) -> int:

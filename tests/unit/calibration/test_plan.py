@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.audiocard import SMALL_PLATE
 from tests.command_line import touchd
 from touchd.calibration.plan import AREA_MM2, FINGER, MIRRORED_MM, PlateMap, is_mirrored
 from touchd.calibration.plate_file import PlateFile, check_plate_file
@@ -18,18 +19,6 @@ from touchd.twin.instrument import REFERENCE_C, Instrument
 from touchd.twin.physics.finger import Contact
 
 SMALL: Acquisition = ACQUISITIONS["audio-96"].model_copy(update={"channels": 3})
-TOML = """
-[plate]
-width_mm = 110
-height_mm = 90
-thickness_mm = 5
-material = "glass"
-
-[discs]
-diameter_mm = 6
-emitter_mm = [20, 50]
-receivers_mm = [[12, 12], [98, 18], [85, 78]]
-"""
 
 
 @pytest.fixture(scope="module")
@@ -91,7 +80,7 @@ def test_mirrored(place: tuple[float, float], size: tuple[float, float], mirrore
 
 def test_command(tmp_path: Path) -> None:
     """`touchd plan` prints both layouts, and draws them."""
-    (tmp_path / "PLATE.toml").write_text(TOML)
+    (tmp_path / "PLATE.toml").write_text(SMALL_PLATE)
     picture = tmp_path / "plan.png"
     done = touchd("plan", tmp_path / "PLATE.toml", "--acquisition", "audio-96", "-o", picture, "--json")
     found = json.loads(done.out)

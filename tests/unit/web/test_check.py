@@ -15,5 +15,5 @@ def test_own_bus(address: str) -> None:
 
 @pytest.mark.parametrize("address", [None, "tcp://10.0.0.7:5570", "tcp://plate.example:5570"])
 def test_far_bus(address: str | None) -> None:
-    """A bus of another computer is none that a daemon here could bind: the doctor keeps to the configured one."""
+    """The doctor keeps to the configured bus if the page shows another computer's: no daemon here could bind that."""
     assert _own_bus(address) == {}
