@@ -217,7 +217,7 @@ class Service:
             self._publish_health()
         if self._rate is not None:
             self._rate.wanted = self._feed is not None and bool(self._feed.listeners)
-            self._rate.untouched(self._stream_ns)
+            self._rate.tick(self._stream_ns)
         if self._control is not None and now_ns - self._control_ns >= _CONTROL_NS:
             self._control_ns = now_ns
             self._obey(self._control, now_ns)

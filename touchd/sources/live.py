@@ -142,13 +142,19 @@ class DaqSource:
         """Take the changes of state that come before the next waiting frame."""
         return self._ring.marks()
 
-    def set_rate(self, rate_hz: int) -> None:
-        """Ask the device for this rate at once; a device that has one rate alone keeps it."""
+    def set_rate(self, rate_hz: int) -> bool:
+        """Ask the device for this rate at once; return whether it has taken it, or will once it is there.
+
+        A device that has one rate alone keeps it.
+        """
         with self._commanding:
             self._rate_hz = rate_hz
             if self._streaming is not None:
-                with contextlib.suppress(DaqGone):  # the thread that reads finds out
+                try:
                     self._streaming.set_rate(rate_hz)
+                except DaqGone:  # the thread that reads finds out whether it is
+                    return False
+        return True
 
     def close(self) -> None:
         """Stop the device's stream and release the device; further calls do nothing."""

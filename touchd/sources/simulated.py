@@ -126,12 +126,13 @@ class SimulatedSource:
             self._wanted_ns = max(self._wanted_ns, t_ns - self._period_ns) + self._period_ns
         return Frame(counts, sequence - self._omitted, t_ns, now_ns)
 
-    def set_rate(self, rate_hz: int) -> None:
-        """Return the frames nearest to this rate; all from the scene's own rate on."""
+    def set_rate(self, rate_hz: int) -> bool:
+        """Return the frames nearest to this rate from now on, all from the scene's own rate on; never fails."""
         self._period_ns, self._wanted_ns = 0.0, -math.inf
         if rate_hz < self._stage.rate_hz:
             self._period_ns = 1e9 / rate_hz
             self._wanted_ns = self._last_ns + self._period_ns
+        return True
 
     def truth(self) -> list[tuple[float, float]]:
         """Return the places of the fingers in the frame that was read last, mm."""

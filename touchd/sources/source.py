@@ -71,8 +71,14 @@ class Tally:
 class AdjustableSource(Protocol):
     """A source whose frame rate can be changed. Times tell the rate; numbers go on without a gap."""
 
-    def set_rate(self, rate_hz: int) -> None:
-        """Ask for this rate from the next frame on; a device that has one rate alone keeps it."""
+    def set_rate(self, rate_hz: int) -> bool:
+        """Ask for this rate from the next frame on; a device that has one rate alone keeps it.
+
+        Returns
+        -------
+        bool
+            Whether nothing is left to ask for; False if the device did not answer.
+        """
         ...
 
 

@@ -56,8 +56,9 @@ class Adjustable(Script):
     asked: list[tuple[int, int, list[tuple[int, str]]]]
     sink: Keeper
 
-    def set_rate(self, rate_hz: int) -> None:
+    def set_rate(self, rate_hz: int) -> bool:
         self.asked.append((self._clock.now_ns - START_NS, rate_hz, self.sink.phases()))
+        return True
 
 
 @pytest.fixture

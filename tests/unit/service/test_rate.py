@@ -18,9 +18,11 @@ class Adjustable:
 
     def __init__(self) -> None:
         self.asked: list[int] = []
+        self.answers = True
 
-    def set_rate(self, rate_hz: int) -> None:
+    def set_rate(self, rate_hz: int) -> bool:
         self.asked.append(rate_hz)
+        return self.answers
 
 
 def made(source: object, **settings: int) -> ScanRate:
@@ -34,10 +36,10 @@ def test_untouched() -> None:
     source = Adjustable()
     rate = made(source)
     for after_ns in (0, QUIET_NS - 1):
-        rate.untouched(BEGIN_NS + after_ns)
+        rate.tick(BEGIN_NS + after_ns)
     assert source.asked == []
     for after_ns in (QUIET_NS, QUIET_NS + 1):
-        rate.untouched(BEGIN_NS + after_ns)
+        rate.tick(BEGIN_NS + after_ns)
     assert source.asked == [50]
 
 
@@ -46,9 +48,9 @@ def test_first_touch(outcome: Outcome) -> None:
     """The first frame that opens the gate brings all frames, whatever is found in it."""
     source = Adjustable()
     rate = made(source)
-    rate.untouched(BEGIN_NS + QUIET_NS)
+    rate.tick(BEGIN_NS + QUIET_NS)
     rate.touched(BEGIN_NS + QUIET_NS + 1, outcome)
-    rate.untouched(BEGIN_NS + QUIET_NS + 2)
+    rate.tick(BEGIN_NS + QUIET_NS + 2)
     assert source.asked == [50, 125]
 
 
@@ -57,10 +59,10 @@ def test_screen() -> None:
     source = Adjustable()
     rate = made(source)
     rate.touched(BEGIN_NS, OFF)
-    rate.untouched(BEGIN_NS)
+    rate.tick(BEGIN_NS)
     assert source.asked == [SCREEN_OFF_HZ]
     rate.wake()
-    rate.untouched(BEGIN_NS + 1)
+    rate.tick(BEGIN_NS + 1)
     assert source.asked == [SCREEN_OFF_HZ, 125]
 
 
@@ -68,9 +70,9 @@ def test_listener() -> None:
     """A program that records gets all frames, of an untouched plate and with the screen off too."""
     source = Adjustable()
     rate = made(source)
-    rate.untouched(BEGIN_NS + QUIET_NS)
+    rate.tick(BEGIN_NS + QUIET_NS)
     rate.wanted = True
-    rate.untouched(BEGIN_NS + 2 * QUIET_NS)
+    rate.tick(BEGIN_NS + 2 * QUIET_NS)
     rate.touched(BEGIN_NS + 2 * QUIET_NS, OFF)
     assert source.asked == [50, 125]
 
@@ -79,7 +81,7 @@ def test_limits() -> None:
     """No rate is above the full one."""
     source = Adjustable()
     rate = made(source, rate_hz=8)
-    rate.untouched(BEGIN_NS + QUIET_NS)
+    rate.tick(BEGIN_NS + QUIET_NS)
     rate.touched(BEGIN_NS + QUIET_NS, OFF)
     assert source.asked == []
 
@@ -88,7 +90,7 @@ def test_clock_back() -> None:
     """A clock that steps back does not keep the rate up."""
     source = Adjustable()
     rate = made(source)
-    rate.untouched(BEGIN_NS - QUIET_NS)
+    rate.tick(BEGIN_NS - QUIET_NS)
     assert source.asked == [50]
 
 
@@ -100,5 +102,23 @@ def test_one_rate() -> None:
 
     source: Source = Fixed()  # type: ignore[assignment]
     rate = made(source)
-    rate.untouched(BEGIN_NS + QUIET_NS)
+    rate.tick(BEGIN_NS + QUIET_NS)
     rate.wake()
+
+
+def test_no_answer() -> None:
+    """A device that did not answer is asked again 5 s later, and no more once it has."""
+    source = Adjustable()
+    rate = made(source)
+    rate.tick(BEGIN_NS + QUIET_NS)
+    source.answers, now_ns = False, BEGIN_NS + 2 * QUIET_NS
+    rate.touched(now_ns, Outcome.TOUCHED)
+    for after_s in (1, 4.9, 5):
+        rate.touched(now_ns + round(after_s * 1e9), Outcome.TOUCHED)
+        rate.tick(now_ns + round(after_s * 1e9))
+    assert source.asked == [50, 125, 125]
+    source.answers = True
+    for after_s in (9.9, 10, 15, 20):
+        rate.touched(now_ns + round(after_s * 1e9), Outcome.TOUCHED)
+        rate.tick(now_ns + round(after_s * 1e9))
+    assert source.asked == [50, 125, 125, 125]

@@ -22,6 +22,8 @@ from touchd.sources.source import Change
 from touchd.sources.waits import Waits
 
 ACQUISITION = Acquisition(channels=2, samples=30, sample_rate_hz=250e3)
+UNHEARD_HZ = 11
+"""A rate that the devices here do not answer to."""
 AT_ONCE = Waits(read_s=0.01, retry_s=1e-6, max_retry_s=1e-6)
 
 
@@ -40,7 +42,8 @@ class Stubborn:
             raise DaqGone("it refuses START")
 
     def set_rate(self, rate_hz: int) -> None:
-        pass
+        if rate_hz == UNHEARD_HZ:
+            raise DaqGone("it does not answer SET_RATE")
 
     def stop(self) -> None:
         pass
@@ -245,6 +248,16 @@ def test_low_rate(reading: Callable[..., Reading]) -> None:
     since_s, one.daq.silent = time.monotonic(), True
     one.until(lambda: "stalled" in one.states)
     assert time.monotonic() - since_s > 0.25, "0.05 s is a stall at the full rate"
+
+
+def test_no_answer(reading: Callable[..., Reading]) -> None:
+    """Whoever asks for a rate learns that the device did not answer; the stream goes on."""
+    one = reading()
+    one.until(lambda: len(one.numbers) > 5)
+    assert [one.source.set_rate(rate_hz) for rate_hz in (10, UNHEARD_HZ, 125)] == [True, False, True]
+    count = len(one.numbers)
+    one.until(lambda: len(one.numbers) > count + 5)
+    assert one.states == ["streaming"]
 
 
 def test_high_rate(reading: Callable[..., Reading]) -> None:
