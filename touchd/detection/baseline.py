@@ -45,6 +45,9 @@ class Baseline:
         self.residual: Signal = np.zeros(shape, dtype)
         """The last frame less the mean; valid until the next frame."""
         self._flat = self.residual.reshape(-1)
+        self._whole = self.residual
+        """What the mean follows: the residual, or a copy from before something was taken out of it."""
+        self._copy = np.zeros(shape, dtype)
         self._step = np.zeros(shape, dtype)
         self._weight = np.zeros((), dtype)
         self._energy = np.zeros((), dtype)
@@ -137,12 +140,18 @@ class Baseline:
         """Put the frame less the mean into `residual`, and return the latter's `residual_energy` (counts squared)."""
         self._elapsed_ns = t_ns - self._t_ns
         self._t_ns = t_ns
+        self._whole = self.residual
         # One conversion, then floats alone: to mix them in one call takes twice as long, and memory each time.
         self.signal[...] = counts
         _subtract(self.signal, self.mean, self.residual)
         for channel in self._silenced:
             self.residual[channel] = 0
         return self.residual_energy()
+
+    def keep(self) -> None:
+        """Keep the residual as it is for the mean to follow, whatever is taken out of it next."""
+        self._copy[...] = self.residual
+        self._whole = self._copy
 
     def residual_energy(self) -> float:
         """Return the energy of `residual` but for a delay of the trigger, if it jitters; counts squared."""
@@ -170,7 +179,7 @@ class Baseline:
             self._weighed_ns = elapsed_ns
             elapsed_s = min(max(elapsed_ns * 1e-9, 0.0), _LONGEST_STEP_S)
             self._weight.fill(elapsed_s / (self._time_constant_s + elapsed_s))
-        _multiply(self.residual, self._weight, self._step)
+        _multiply(self._whole, self._weight, self._step)
         _add(self.mean, self._step, self.mean)
 
 

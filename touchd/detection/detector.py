@@ -118,6 +118,7 @@ class Detector:
         self._was_open = was_open = gate.is_open
         if self._interference.tones_hz:
             renew = not was_open and not frame.sequence % (RENEW_EVERY * pace.slow_every)
+            baseline.keep()  # else what a tone has left in the mean while it was learned would stay there for ever
             self._interference.remove(baseline.residual, gate.noise_energy, renew=renew)
             energy = baseline.residual_energy()
         touched = gate.decide(energy)

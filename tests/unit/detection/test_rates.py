@@ -138,6 +138,18 @@ def test_tone(rate_hz: int) -> None:
     assert frames / rate_hz <= 1.1
 
 
+@pytest.mark.parametrize("rate_hz", RATES_HZ)
+def test_learned_tone(rate_hz: int) -> None:
+    """A tone that sounds while the plate is learned is forgotten, too, once it has ended."""
+    plate = Plate()
+    plate.tone = 50.0
+    plate.play(rate_hz, max(1.0, 40 / rate_hz))
+    assert plate.tones_hz
+    plate.tone = 0.0
+    plate.play(rate_hz, 2.5)
+    assert not plate.tones_hz
+
+
 def test_changing_rate() -> None:
     """A plate that is scanned now quickly, now slowly stays untouched, and a change opens the gate at any rate."""
     plate = Plate()
