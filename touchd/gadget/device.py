@@ -39,7 +39,8 @@ class Gadget:
     info : Info
         What GET_INFO answers.
     samples : iterator of bytes
-        The interleaved samples of one frame after the other; the stream ends with them.
+        The interleaved samples of one frame after the other, at the rate that START asks for: at a lower one some
+        are left out, so that a scene keeps its speed. The stream ends with them.
     clock : callable
         Monotonic time, ns.
 
@@ -63,6 +64,8 @@ class Gadget:
         self.frames_sent = 0
         self.overruns = 0
         self._samples = samples
+        self._start_hz = 0
+        self._due = 0.0  # samples that the scene is ahead of the last frame's
         self._clock = clock
         self._born_ns = clock()
         self._sequence = 0
@@ -86,7 +89,8 @@ class Gadget:
         if kind == _VENDOR_OUT and request == Request.START:
             if not self.info.min_frame_rate_hz <= value <= self.info.max_frame_rate_hz:
                 return None
-            self.rate_hz, self._chirp_ns = value, self._clock()
+            self.rate_hz = self._start_hz = value
+            self._chirp_ns = self._clock()
             self.running = True
             return b""
         if kind == _VENDOR_OUT and request == Request.SET_RATE and self.info.capabilities & Capability.SET_RATE:
@@ -123,7 +127,7 @@ class Gadget:
         if fault == "halt":
             return errno.EPIPE
         self._catch_up()
-        samples = next(self._samples, None)
+        samples = self._take()
         if samples is None:
             self.running = False
             return None
@@ -145,10 +149,19 @@ class Gadget:
         if late_ns > max(_PAUSE_NS, (BACKLOG + 1) * period_ns):
             self._chirp_ns += late_ns  # the host was away: the scene has waited
         for _ in range(late_ns // period_ns - BACKLOG if late_ns <= _PAUSE_NS else 0):
-            next(self._samples, None)
+            self._take()
             self._advance()
             self.overruns += 1
             self._dropped = True
+
+    def _take(self) -> bytes | None:
+        """Return the samples of the scene's moment, None after its end."""
+        self._due += max(1.0, self._start_hz / self.rate_hz)
+        taken: bytes | None = None
+        while self._due >= 1:
+            self._due -= 1
+            taken = next(self._samples, None)
+        return taken
 
     def _advance(self) -> None:
         self._sequence = (self._sequence + 1) % (1 << 32)

@@ -197,6 +197,22 @@ def test_set_rate(gadget: Gadget, clock: Clock) -> None:
     assert gadget.overruns == 0
 
 
+@pytest.mark.parametrize(("rate_hz", "expected"), [(50, [0, 2, 4, 6, 8]), (40, [0, 2, 5, 7, 10]), (200, [0, 1, 2, 3, 4])])
+def test_scene_keeps_its_speed(gadget: Gadget, clock: Clock, rate_hz: int, expected: list[int]) -> None:
+    """At a lower rate frames of the scene are left out; at a higher one it runs faster, for no frame comes twice."""
+    start(gadget)
+    clock.now_ns += COMPLETE_NS
+    taken = [fetch(gadget)[1]]
+    assert gadget.control(OUT, Request.SET_RATE, rate_hz, 0) == b""
+    for _ in range(4):
+        clock.now_ns += 10**9 // rate_hz
+        taken.append(fetch(gadget)[1])
+    assert taken == expected
+    assert gadget.control(OUT, Request.SET_RATE, 100, 0) == b""
+    clock.now_ns += PERIOD_NS
+    assert fetch(gadget)[1] == expected[-1] + 1
+
+
 def test_set_rate_refused(clock: Clock) -> None:
     """SET_RATE is stalled beyond the limits, while stopped, and by a device without the capability."""
     gadget = Gadget(INFO, iter([]), clock)
