@@ -15,7 +15,6 @@ from touchd.cli.progress import Bars
 from touchd.config.load import load
 from touchd.config.schema import Settings
 from touchd.errors import RecordingValues
-from touchd.evaluation.cramer_rao import median_bound_mm
 from touchd.evaluation.matching import Matches, match_frames, scores_by_fingers
 from touchd.evaluation.metrics import position_scores
 from touchd.evaluation.model_scores import Judgement, judge, scores
@@ -98,6 +97,8 @@ def _score_frames(truth: Recording, model: Model, plot: Path | None) -> dict[str
     if len(judged.true_mm):
         found = scores(judged) | {"n": len(judged.true_mm)}
         if model.atlas is not None:
+            from touchd.evaluation.cramer_rao import median_bound_mm  # with scipy's optimisers: half a second
+
             # The bound uses the atlas' own field, since a rig has no other; the twin's true field differs by a few %.
             found["bound_mm"] = median_bound_mm(truth, model.atlas)
             found["times_bound"] = found["median_mm"] / found["bound_mm"]
