@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import logging
 import os
 import signal
 import socket
@@ -266,6 +267,24 @@ def test_strangers_are_not_heard() -> None:
                 return list(await asyncio.gather(*starmap(knock, knocks)))
 
     assert asyncio.run(ports()) == [b"", b""], "closed without a word"
+
+
+def test_a_stranger_that_leaves_is_no_error(caplog: pytest.LogCaptureFixture) -> None:
+    """As a scan of the ports does: it connects, says nothing or too little, and goes."""
+
+    async def leave() -> None:
+        async with connected_here(1) as client:
+            port = int(client.scheduler.address.rpartition(":")[2])  # type: ignore[union-attr]  # connected
+            for word in (b"", b"x"):
+                _, writer = await asyncio.open_connection(LOOPBACK, port)
+                writer.write(word)
+                writer.close()
+                await writer.wait_closed()
+            await asyncio.sleep(0.2)
+            assert await client.nthreads(), "the workers are there"
+
+    asyncio.run(leave())
+    assert not [record for record in caplog.records if record.levelno >= logging.ERROR]
 
 
 @pytest.mark.parametrize("silent", [False, True])

@@ -17,7 +17,7 @@ import sys
 import tempfile
 import threading
 from collections.abc import AsyncIterator
-from contextlib import ExitStack, asynccontextmanager
+from contextlib import ExitStack, asynccontextmanager, suppress
 from typing import Any
 
 import dask
@@ -25,7 +25,7 @@ from distributed import Client, Scheduler, Worker
 from distributed.comm.registry import backends
 from distributed.comm.tcp import TCPBackend, TCPConnector, TCPListener
 from distributed.security import Security
-from tornado.iostream import IOStream
+from tornado.iostream import IOStream, StreamClosedError
 from tornado.tcpclient import TCPClient
 
 from touchd.errors import JobError
@@ -128,8 +128,9 @@ class _Listener(TCPListener):
     prefix = f"{SCHEME}://"
 
     async def _prepare_stream(self, stream: IOStream, _address: str) -> IOStream | None:
-        if secrets.compare_digest(await stream.read_bytes(SECRET_BYTES), _Backend.secret):
-            return stream
+        with suppress(StreamClosedError):  # a stranger that says nothing, or a process that gave up meanwhile
+            if secrets.compare_digest(await stream.read_bytes(SECRET_BYTES), _Backend.secret):
+                return stream
         stream.close()
         return None
 
