@@ -96,6 +96,22 @@ weston_with() {
     wait_for 300 test -S $XDG_RUNTIME_DIR/wayland-1
     sleep 3
 }
+# What a page makes of a finger that leaves the screen before it is lifted.
+lifted_elsewhere() {
+    mkfifo /run/probe-commands
+    exec 6<> /run/probe-commands
+    PYTHONPATH=/usr/lib/touchd python3 -B offscreen.py < /run/probe-commands 2> probe.err 5>&- 6>&- &
+    wait_for 120 test -e probe.ready
+    found probe $?
+    wait_for 120 sh -c 'xinput list | grep -q "touchd probe"'
+    sleep 2
+    for place in there corner outside; do
+        mark scene "lifted $place"
+        echo $place >&6
+        settle 'touchend\|touchcancel' 1
+    done
+    exec 6>&-
+}
 no_screen() {
     systemctl stop touchd-input
     exec 5>&-
@@ -182,6 +198,7 @@ x11() {
     systemctl stop touchd-input
     found xorg-stopped "$(bridge Result)"
     settle touchend 1
+    lifted_elsewhere
     leave
     kill $desktop
     wait $desktop

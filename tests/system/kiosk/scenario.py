@@ -54,7 +54,7 @@ def take_pictures(host: Path, monitor: Path, ended: threading.Event) -> None:
 @pytest.fixture(scope="session")
 def host(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What goes into the machine, and comes out of it."""
-    names = ("page.html", "pageserver.py", "kills.py", "audio.sh", "audioplate.py", "audioscenario.py")
+    names = ("page.html", "pageserver.py", "kills.py", "offscreen.py", "audio.sh", "audioplate.py", "audioscenario.py")
     files = [*(HERE / name for name in names), ROOT / "tests/system/vm/screenbus.py", ROOT / "deploy/audio.conf"]
     host = handed_in(tmp_path_factory.mktemp("host"), HERE / "guest.sh", *files)
     parts = os.environ.get("KIOSK_PARTS", "kills wayland turned x11 audio").split()
@@ -70,7 +70,7 @@ def found(host: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Foun
     pictures.start()
     options = ("-m", "2560", "-device", "virtio-vga,xres=1024,yres=768", "-qmp", f"unix:{monitor},server,nowait")
     logs = ("screen.err", "pageserver.err", "weston.log", "weston.out", "xorg.out", "chromium.out", "page.log",
-            "audio.err", "audio.steps")  # fmt: skip
+            "probe.err", "audio.err", "audio.steps")  # fmt: skip
     # The model takes some minutes: the machine begins meanwhile.
     making = subprocess.Popen([sys.executable, "-m", "tests.system.kiosk.audiohost", host], cwd=ROOT, env=environment())
     try:
@@ -200,6 +200,16 @@ def test_a_stopped_bridge_lifts_first(found: Found, heard: Heard) -> None:
     assert found["xorg-stopped"] == "success"
     (stopped,) = heard["xorg-killed stopped"]
     assert kinds(stopped) == ["touchstart", "touchend"]
+
+
+@pytest.mark.parametrize("place", ["there", "corner", "outside"])
+def test_x11_cancels_no_touch_that_leaves_the_screen(found: Found, heard: Heard, place: str) -> None:
+    """Why a bridge that loses the daemon lifts where the finger was."""
+    assert found["probe"] == "0"
+    (lifted,) = heard[f"xorg-killed lifted {place}"]
+    print(f"lifted {place}:", [(event["kind"], event["x"], event["y"]) for event in lifted])
+    assert "touchcancel" not in kinds(lifted)
+    assert bool(touches(lifted, "click")) == (place == "there")
 
 
 @pytest.mark.parametrize(("scene", "page"), [("turned tap", "turned-page"), ("xorg-turned tap mapped", "xorg-page")])
