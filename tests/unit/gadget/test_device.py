@@ -197,7 +197,9 @@ def test_set_rate(gadget: Gadget, clock: Clock) -> None:
     assert gadget.overruns == 0
 
 
-@pytest.mark.parametrize(("rate_hz", "expected"), [(50, [0, 2, 4, 6, 8]), (40, [0, 2, 5, 7, 10]), (200, [0, 1, 2, 3, 4])])
+@pytest.mark.parametrize(
+    ("rate_hz", "expected"), [(50, [0, 2, 4, 6, 8]), (40, [0, 2, 5, 7, 10]), (200, [0, 1, 2, 3, 4])]
+)
 def test_scene_keeps_its_speed(gadget: Gadget, clock: Clock, rate_hz: int, expected: list[int]) -> None:
     """At a lower rate frames of the scene are left out; at a higher one it runs faster, for no frame comes twice."""
     start(gadget)

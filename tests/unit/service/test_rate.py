@@ -32,7 +32,7 @@ def made(source: object, **settings: int) -> ScanRate:
 
 
 def test_untouched() -> None:
-    """After 2 s without a touch the rate falls, and is asked for once."""
+    """After half a second without a touch the rate falls, and is asked for once."""
     source = Adjustable()
     rate = made(source)
     for after_ns in (0, QUIET_NS - 1):
