@@ -9,6 +9,7 @@ import os
 import signal
 import zipfile
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -168,18 +169,26 @@ def test_long_message(server: Web) -> None:
         assert end_of(socket, 10_000) is not None
 
 
+@contextmanager
+def sleeper(server: Web) -> Iterator[None]:
+    """A browser that reads nothing, and leaves without a word."""
+    asleep = live(server, max_queue=1)
+    try:
+        yield
+    finally:
+        asleep.socket.close()
+
+
 def test_slow_reader(tmp_path: Path) -> None:
     """A browser that reads nothing of a minute's frames and updates costs at most 5 MB, and holds up nobody."""
     where = f"ipc://{tmp_path}/bus"
     with bus(where, "hurried"), web(where, module=HURRIED) as server, live(server) as reader:
-        read_on(reader, round(20 / PERIOD_S), 20 * RATE_HZ)  # what a busy server has in its queues counts as before
+        with sleeper(server):  # what any such browser costs a busy server once, as queues and arenas, counts as before
+            read_on(reader, round(20 / PERIOD_S), 20 * RATE_HZ)
         before = server.memory_bytes()
-        sleeper = live(server, max_queue=1)
-        try:
+        with sleeper(server):
             read_on(reader, round(60 / PERIOD_S), 60 * RATE_HZ)
             assert server.memory_bytes() - before < 5_000_000
-        finally:
-            sleeper.socket.close()
 
 
 def test_end(address: str) -> None:

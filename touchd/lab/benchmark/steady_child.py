@@ -95,7 +95,8 @@ class Device:
     def _body(self) -> bytes:
         if not self._full_hz or self._sequence < len(self._lead):
             return next(self._bodies)
-        at = round((self._chirp_ns - self._first_ns) * 1e-9 * self._full_hz) - len(self._lead)
+        # Rounded down: to the nearest, half a frame off, every other one would come twice, as from a device that hangs.
+        at = (self._chirp_ns - self._first_ns) * self._full_hz // 1_000_000_000 - len(self._lead)
         return self._there[at % len(self._there)]
 
     def clear_halt(self) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from array import array
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +29,8 @@ from touchd.lab.benchmark.steady import (
     Cell,
     counts,
 )
+from touchd.lab.benchmark.steady_child import Device
+from touchd.sources.usb_protocol import Request
 from touchd.twin.instrument import Instrument
 
 ALWAYS = ("cpu_us_per_s", "cpu_us_per_frame", "wakeups_hz", "frames_hz", "wake_us", "done_us", "faults_hz")
@@ -64,6 +67,21 @@ def test_figures(made: tuple[Ended, dict[str, Any]]) -> None:
         assert min(moving["stages"][stage]) > 0
     assert idle["frames_hz"] < 0.9 * moving["frames_hz"], "the rate falls while nobody touches"
     assert {name for name, hz in idle["threads_hz"].items() if hz} == {"main"}, "one wakes, and none for another"
+
+
+def test_changing_rate() -> None:
+    """At a rate that is no part of the full one frames are left out, and none comes twice."""
+    frames = np.broadcast_to(np.arange(100, dtype=np.int16)[:, None, None], (100, 4, 250))
+    device, buffer = Device(frames, 2, 125), array("B", bytes(4096))
+    device.go.set()
+    played = []
+    for rate_hz, count in ((125, 4), (50, 5), (125, 6), (50, 1), (125, 6)):
+        device.command(Request.SET_RATE, rate_hz)
+        for _ in range(count):
+            assert device.fill(buffer, 0)
+            played.append(buffer[32])  # after the header
+    steps = np.diff(played[2:])
+    assert set(steps.tolist()) == {1, 2, 3}
 
 
 def test_text(made: tuple[Ended, dict[str, Any]]) -> None:
