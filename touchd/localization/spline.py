@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from functools import cache
 from typing import Any
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -43,7 +42,10 @@ class Raster:
         self._of_rows, self._of_columns = map(list, spline_weights(d.step_mm, dtype, orders, per_cell))
         self._weights = np.zeros(16 * len(orders), dtype)
         self._by_order = self._weights.reshape(-1, 16)
-        self._nodes, self._size = _by_parts(atlas), atlas.size
+        # In each node the real parts of all channels, then the imaginary parts: fetched so, not held so a second time.
+        parts = *atlas.coefficients.shape[:2], d.acquisition.channels, 2, len(d.bins)
+        self._nodes = atlas.coefficients.reshape(parts).swapaxes(2, 3)
+        self._of_cell = 4, 4, *self._nodes.shape[2:]
         self._grid = per_cell, per_cell / d.step_mm, d.step_mm / per_cell, *d.origin_mm
         self.low_mm, self.high_mm = known_part_mm(atlas)
         self._limits = (*self.low_mm, *self.high_mm)
@@ -75,9 +77,9 @@ class Raster:
 
     def _fetch(self, cell: tuple[int, int]) -> Array:
         """Copy the nodes around a cell over those of the cell fetched longest ago."""
-        (row, column), size = cell, self._size
+        row, column = cell
         around = self._cells[cell] = self._cells.pop(next(iter(self._cells)))
-        around.reshape(4, -1)[...] = self._nodes[row - 1 : row + 3, (column - 1) * size : (column + 3) * size]
+        around.reshape(self._of_cell)[...] = self._nodes[row - 1 : row + 3, column - 1 : column + 3]
         return around
 
 
@@ -111,21 +113,6 @@ def known_part_mm(atlas: Atlas) -> tuple[Position, Position]:
     low = max(0.0, x0_mm + step_mm), max(0.0, y0_mm + step_mm)
     last = columns - 2 - 1 / CONTACT_PER_CELL, rows - 2 - 1 / CONTACT_PER_CELL
     return low, (min(d.plate.width_mm, x0_mm + last[0] * step_mm), min(d.plate.height_mm, y0_mm + last[1] * step_mm))
-
-
-_nodes: WeakKeyDictionary[Atlas, Array] = WeakKeyDictionary()
-
-
-def _by_parts(atlas: Atlas) -> Array:
-    """Return the atlas' coefficients, shape (rows, columns * size): of each node the real, then the imaginary parts.
-
-    One table serves all rasters of an atlas, so that four nodes in a row are copied at once.
-    """
-    if (known := _nodes.get(atlas)) is None:
-        rows, columns, _ = atlas.coefficients.shape
-        parts = atlas.coefficients.reshape(rows, columns, atlas.description.acquisition.channels, 2, -1)
-        known = _nodes[atlas] = np.ascontiguousarray(parts.swapaxes(2, 3)).reshape(rows, -1)
-    return known
 
 
 @cache
