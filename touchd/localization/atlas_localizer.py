@@ -197,20 +197,22 @@ class AtlasLocalizer:
         if tracked and clear and confidence >= min_confidence and not search.pending:  # the usual case
             self._model_fit.add(fit.residual_energy - noise.noise_energy, signal, noise.noise_energy)
             return self._accept(bins, fit, confidence, excess, t_ns, alone=complete), False
-        may_be_gone = tracked and excess > CRITERIA.fair
-        if may_be_gone and self._is_untouched(bins, noise.plate_energy(bins.vector), t_ns):
+        poor = excess > CRITERIA.fair
+        if tracked and poor and self._is_untouched(bins, noise.plate_energy(bins.vector), t_ns):
             return self._lose(), inferred
-        rest = self._follower.rest(bins) if may_be_gone else None
-        if rest is not None and self._plate.explains(rest, noise.plate_energy(rest.vector), t_ns):
-            # The plate has moved at once, and the contacts have not.
+        rest = self._follower.rest(bins, fit) if poor else None
+        if rest and self._plate.explains(rest, noise.plate_energy(rest.vector), t_ns):
+            # The plate has moved, at once or while nobody could tell, and the contacts have not.
             held, bins = False, self._plate.bins(detection.residual, detection.hits)
-            fit = self._follower.follow(bins, t_ns, bins.energy - noise.noise_energy)
-            self._follower.drop()
-            bins, fit = self._settle(detection, bins, fit)
+            if tracked:
+                fit = self._follower.follow(bins, t_ns, bins.energy - noise.noise_energy)
+                self._follower.drop()
+            else:
+                fit = self._solver.fit_one(bins, *fit.positions_mm[0], FIRST_STEPS)
+            bins, fit = self._settle(detection, bins, fit, shaped=not tracked)
             signal = bins.energy - noise.noise_energy
             excess, confidence = noise.judge(fit, signal)
-        # What may be beside one well explained finger that has just landed is sought from the next frame on; a search
-        # that goes on began with a frame that was not like this.
+        # What may be beside one well explained finger that has just landed is sought from the next frame on, anew.
         waits = not (tracked or complete) and len(fit.positions_mm) == 1 and excess < CRITERIA.fair
         if waits:
             search.cancel()
@@ -233,15 +235,13 @@ class AtlasLocalizer:
             excess, confidence = noise.judge(fit, signal)
         if fit.positions_mm or inferred or not search.pending:
             self._model_fit.add(fit.residual_energy - noise.noise_energy, signal, noise.noise_energy)
-        # An emitter that falls silent, or a gain that changes, looks like a finger on the emitter; but the plate's own
-        # directions explain it better. A tracked finger was none of that.
+        # A silent emitter, or another gain, looks like a finger there; but the plate's directions explain it better.
         faint = signal < CRITERIA.faint * noise.noise_energy
         doubtful = faint or excess > (CRITERIA.good if tracked else CRITERIA.enough)
         by_plate = doubtful and bins.energy - noise.plate_energy(bins.vector) < fit.residual_energy
         by_palms = excess > CRITERIA.fair and signal > CRITERIA.most_poor * self._drift.signal_energy and not tracked
-        if by_plate or by_palms or not confidence >= min_confidence or not fit.positions_mm:
-            return self._lose(), inferred
-        if not tracked and self._landing.is_implausible(bins, fit, signal, excess):
+        unlikely = by_plate or by_palms or not confidence >= min_confidence or not fit.positions_mm
+        if unlikely or (not tracked and self._landing.is_implausible(bins, fit, signal, excess)):
             return self._lose(), inferred
         return self._accept(bins, fit, confidence, excess, t_ns, alone=complete), inferred
 

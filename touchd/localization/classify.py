@@ -109,9 +109,8 @@ class Classifier:
         variance = self._errors.variance(fit, sizes)
         errors_mm = self._errors.sigmas_mm(fit, variance)
         self.sure = True
-        doubtful = self._palm.contacts(fit, t_ns)
-        if several:
-            doubtful |= self._cornered(fit.positions_mm) | self._edged(fit)
+        of_palm = self._palm.contacts(fit, t_ns)
+        doubtful = of_palm | self._cornered(fit.positions_mm) | self._edged(fit) if several else of_palm
         fingers: list[Finger] = []
         for k, lead in enumerate(leads):
             position, energy, size = fit.positions_mm[k], fit.energies[k], sizes[k]
@@ -139,6 +138,8 @@ class Classifier:
                 self.sure = self.sure and (known is None or known.least >= 0)
             if k not in doubtful:
                 fingers.append((k, errors_mm[k], size))
+            elif k in of_palm:
+                self._palm.see(t_ns)
         self._fingers = [fit.positions_mm[k] for k, _, _ in fingers]
         return fingers
 

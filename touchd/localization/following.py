@@ -124,11 +124,15 @@ class Follower:
         nothing = [0.0] * len(positions)
         return Fit(positions, [0j] * len(positions), nothing, (), bins.energy)
 
-    def rest(self, bins: Bins) -> Bins | None:
-        """Return what the last fit leaves of a frame, valid until the next fit; None without a last fit."""
-        if self._last is None:
+    def rest(self, bins: Bins, landed: Fit) -> Bins | None:
+        """Return what the last fit, or that of a finger that has `landed`, leaves of a frame; None without a finger.
+
+        It is valid until the next fit.
+        """
+        fit = self._last or landed
+        if not fit.positions_mm:
             return None
-        left = self._solver.residual(bins, self._last)
+        left = self._solver.residual(bins, fit)
         return Bins(left, bins.mask, float(left @ left))
 
     def follow(self, bins: Bins, t_ns: int, signal: float) -> Fit:

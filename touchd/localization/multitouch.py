@@ -36,7 +36,8 @@ _DOUBT_FRAMES = 5
 _GAIN = 0.8
 """A search that leaves less than this share of the energy was worth its time."""
 _OUTDATED = 4.0
-"""A search for fingers that land begins again once the signal has grown by this factor: they were faint at first."""
+"""A search for fingers that land begins again once the signal has grown by this factor, and beside others once what
+they leave has: they were faint at first."""
 _LIKE, _PATIENT_FRAMES = 0.95, 5
 """So it does if less than this share of the signal is along the first frame's so many frames later: that one was
 measured while they came, and what is found in it is of no use."""
@@ -72,6 +73,7 @@ class MultitouchSearch:
         self._searched_ns: int | None = None
         self._pause_ns, self._unexplained = 0, math.inf
         self._tracked, self._begun, self._begun_ns, self._credit = False, 0.0, 0, 0.0  # of the search that goes on
+        self._sought = math.inf  # what the first frame left unexplained
         self._grown = 0  # fingers from which it went on in a later frame
         self._frames = 0  # in which it went on
 
@@ -106,9 +108,10 @@ class MultitouchSearch:
             return True
         if excess <= CRITERIA.search_above:
             return False
-        # Energy that nothing explains is not searched in every frame, unless it has become much more.
-        much_more = excess * signal > 2 * self._unexplained
-        pause_ns = min(self._pause_ns, _SOON_NS) if much_more else self._pause_ns
+        # Energy that nothing explains is not searched in every frame, unless it has become much more: at once if what
+        # was searched in vain was but the first of a finger that was landing.
+        more = excess * signal / max(self._unexplained, 1e-30)
+        pause_ns = 0 if more > _OUTDATED else min(self._pause_ns, _SOON_NS) if more > 2 else self._pause_ns
         return self._searched_ns is None or not 0 <= self._t_ns - self._searched_ns < pause_ns
 
     def search(self, bins: Bins, fit: Fit, signal: float, *, tracked: bool, limited: bool) -> Found:
@@ -134,6 +137,7 @@ class MultitouchSearch:
             self._first = bins.copy()
             self._running = self._all(self._first, fit, signal, count if tracked else 0, grow=tracked)
             self._tracked, self._begun, self._begun_ns = tracked, signal, self._t_ns
+            self._sought = fit.residual_energy
             self._grown, self._frames, self._credit = 0, 0, 0.0
         allowance = self._allowance(fit, landing=fresh and not tracked) if limited else math.inf
         self._credit = min(self._credit, 0.0) + allowance  # what the last frame has left is none of this one
@@ -250,7 +254,7 @@ class MultitouchSearch:
         worth = excess < CRITERIA.half_confidence / 2 and found.residual_energy < _GAIN * fit.residual_energy
         self._pause_ns = 0 if worth else min(max(2 * self._pause_ns, _AGAIN_NS), _SELDOM_NS)
         self._searched_ns = self._t_ns
-        self._unexplained = max(excess, 0.0) * signal
+        self._unexplained = min(max(excess, 0.0) * signal, self._sought)
         return found, known
 
     def _without_movement(self, bins: Bins, fit: Fit) -> Fit:

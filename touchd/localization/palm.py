@@ -13,8 +13,9 @@ from touchd.localization.fit import Fit
 from touchd.localization.spline import Position
 
 LEAST_CONTACTS = 3
-LARGE_MM2 = 4.2
-"""Mean second moment over z: contacts of more than 175 mm^2. Thumbs of 160 mm^2 have 4.0 (twin)."""
+LARGE_MM2, LARGE_SIZE = 4.2, 2.0
+"""Mean second moment over z: contacts of more than 175 mm^2. Thumbs of 160 mm^2 have 4.0 (twin). Their amplitude is
+more than 2.6; the shape of what has one of 0.1, as dry glass where a drop was learned, tells nothing."""
 REACH_MM = 60.0
 """From a palm's heel to the balls of the fingers."""
 GONE_NS = 300_000_000
@@ -33,9 +34,12 @@ class Palm:
         self._until_ns = 0
 
     def contacts(self, fit: Fit, t_ns: int) -> set[int]:
-        """Return the indices of a fit's contacts that are a palm's."""
+        """Return the indices of a fit's contacts that are a palm's, or water that lies within its reach."""
         if len(fit.shapes) >= LEAST_CONTACTS:
-            moments_mm2 = list(map(mean_moment_mm2, fit.amplitudes, fit.shapes))
+            moments_mm2 = [
+                mean_moment_mm2(amplitude, shape) if abs(amplitude) > LARGE_SIZE else 0.0
+                for amplitude, shape in zip(fit.amplitudes, fit.shapes, strict=True)
+            ]
             largest_mm2 = max(moments_mm2)
             if largest_mm2 > LARGE_MM2:
                 self._place_mm, self._until_ns = fit.positions_mm[moments_mm2.index(largest_mm2)], t_ns + GONE_NS
@@ -44,7 +48,8 @@ class Palm:
         if t_ns > self._until_ns:
             self.reset()
             return set()
-        here = {k for k, place in enumerate(fit.positions_mm) if math.dist(place, self._place_mm) < REACH_MM}
-        if here:
-            self._until_ns = t_ns + GONE_NS
-        return here
+        return {k for k, place in enumerate(fit.positions_mm) if math.dist(place, self._place_mm) < REACH_MM}
+
+    def see(self, t_ns: int) -> None:
+        """Take a frame that shows a contact of the palm's which is not water: it lies there."""
+        self._until_ns = t_ns + GONE_NS
