@@ -146,6 +146,15 @@ def test_in_vain() -> None:
     assert rig.see(2.0 * palm, (), 50_000_000) is not None, "four times the energy"
 
 
+def test_much_more() -> None:
+    """What was searched in vain is searched again in the next frame once it is the first of a finger that lands."""
+    rig, palm = Rig(), 300 * np.random.default_rng(3).standard_normal(ATLAS.size)
+    assert rig.see(palm, (), 8_000_000, limited=False) is not None
+    assert rig.see(1.9 * palm, (), 8_000_000, limited=False) is None
+    assert rig.see(2.1 * palm, (), 8_000_000, limited=False) is not None
+    assert rig.see(2.1 * palm, (), 8_000_000, limited=False) is None
+
+
 def test_clock_steps_back_in_vain() -> None:
     """A clock that steps back by an hour does not put the next search off by an hour."""
     rig, palm = Rig(), 300 * np.random.default_rng(3).standard_normal(ATLAS.size)
