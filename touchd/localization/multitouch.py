@@ -71,9 +71,8 @@ class MultitouchSearch:
         self._running: Steps[Found] | None = None
         self._first: Bins | None = None  # the bins that it began with
         self._searched_ns: int | None = None
-        self._pause_ns, self._unexplained = 0, math.inf
+        self._pause_ns, self._unexplained, self._sought = 0, math.inf, math.inf  # sought: what the first frame left
         self._tracked, self._begun, self._begun_ns, self._credit = False, 0.0, 0, 0.0  # of the search that goes on
-        self._sought = math.inf  # what the first frame left unexplained
         self._grown = 0  # fingers from which it went on in a later frame
         self._frames = 0  # in which it went on
 
@@ -120,9 +119,8 @@ class MultitouchSearch:
         Parameters
         ----------
         bins : Bins
-            Of this frame.
         fit : Fit
-            Of this frame.
+            Both of this frame.
         signal : float
             Energy of the frame beyond the noise, counts squared.
         tracked : bool
@@ -133,19 +131,14 @@ class MultitouchSearch:
         if tracked is not self._tracked or (not tracked and self._is_outdated(bins, signal)):
             self._running = None
         fresh, count = self._running is None, len(fit.positions_mm)
-        if self._running is None:
-            self._first = bins.copy()
-            self._running = self._all(self._first, fit, signal, count if tracked else 0, grow=tracked)
-            self._tracked, self._begun, self._begun_ns = tracked, signal, self._t_ns
-            self._sought = fit.residual_energy
-            self._grown, self._frames, self._credit = 0, 0, 0.0
+        running = self._running or self._begin(bins, fit, signal, tracked=tracked)
         allowance = self._allowance(fit, landing=fresh and not tracked) if limited else math.inf
         self._credit = min(self._credit, 0.0) + allowance  # what the last frame has left is none of this one
         self._frames += 1
         waiting = (fit, count) if tracked else (no_fit(bins.energy), 0)
         try:
             while self._credit > 0:
-                self._credit -= next(self._running)
+                self._credit -= next(running)
         except StopIteration as end:
             found, known = end.value
         else:
@@ -161,7 +154,18 @@ class MultitouchSearch:
                 self._grown = len(found.positions_mm)
                 self._running = self._all(bins.copy(), found, signal, known, grow=True)
                 return waiting
+            fitted = found is fit and bool(fit.fisher_information)  # fingers that wait are not
+            if tracked and limited and fitted and fit.residual_energy > _OUTDATED * self._sought:
+                self._begin(bins, fit, signal, tracked=True)
+                return waiting
         return self._settle(bins, found, known, fit, signal)
+
+    def _begin(self, bins: Bins, fit: Fit, signal: float, *, tracked: bool) -> Steps[Found]:
+        self._first, self._sought = bins.copy(), fit.residual_energy
+        self._tracked, self._begun, self._begun_ns = tracked, signal, self._t_ns
+        self._grown, self._frames, self._credit = 0, 0, 0.0
+        self._running = self._all(self._first, fit, signal, len(fit.positions_mm) if tracked else 0, grow=tracked)
+        return self._running
 
     def _is_outdated(self, bins: Bins, signal: float) -> bool:
         """Return whether the search that goes on, if any, began with a frame unlike this one, noise apart."""
@@ -248,7 +252,7 @@ class MultitouchSearch:
         """Return what was found without false fingers, and decide when to search again."""
         found, dropped = self.prune(bins, found, signal)
         known = 0 if dropped else known
-        rest = self._without_movement(bins, found)
+        rest = self._without_needless(bins, self._without_movement(bins, found), signal)
         found, known = rest, known if rest is found else 0
         excess = self._noise.excess(found.residual_energy, signal)
         worth = excess < CRITERIA.half_confidence / 2 and found.residual_energy < _GAIN * fit.residual_energy
@@ -267,6 +271,17 @@ class MultitouchSearch:
             if self._moved_energy(bins, fit, k) < most:
                 fit = self._fit(bins, _without(fit.positions_mm, k))
         return fit
+
+    def _without_needless(self, bins: Bins, fit: Fit, signal: float) -> Fit:
+        """Return a fit without its faintest finger if the others need none: from elsewhere their shapes were wrong."""
+        least = min(fit.energies, default=math.inf)
+        if len(fit.positions_mm) < 2 or not fit.shapes or least > CRITERIA.fair * signal:
+            return fit
+        k = fit.energies.index(least)
+        amplitudes, energies, shapes = (_without(values, k) for values in (fit.amplitudes, fit.energies, fit.shapes))
+        kept = replace(fit, amplitudes=amplitudes, energies=energies, shapes=shapes)
+        fewer = self._again(bins, _without(fit.positions_mm, k), kept)
+        return fit if is_worth(fit, fewer, self._noise.noise_energy, signal) else fewer
 
     def _moved_energy(self, bins: Bins, fit: Fit, k: int) -> float:
         """Return what a fit leaves if the plate's own movement takes the place of finger `k`, counts squared."""
