@@ -87,6 +87,16 @@ def test_a_thumb_that_slows_is_no_two_fingers(instrument: Instrument) -> None:
     assert (found.touches, found.missed, found.ghosts, found.split) == (1, 0, 0, 0)
 
 
+@pytest.mark.parametrize(
+    ("act", "finger", "seed", "seconds"), [("tap", "thumb", 960117, 6.0), ("pinch", "fingertip", 930107, 9.0)]
+)
+def test_each_finger_is_one_contact(act: str, finger: str, seed: int, seconds: float) -> None:
+    """A thumb's shape, fitted from beside it, once left what a second finger explained, and the first finger of a pinch
+    was lost as the second one landed."""
+    found = perform(act, finger, seed, Interpolated(DEFAULT_PLATE), seconds)
+    assert (found.missed, found.ghosts, found.split, found.switches) == (0, 0, 0, 0)
+
+
 def test_a_plate_that_warms_while_it_is_pressed_hides_no_tap_after(instrument: Instrument) -> None:
     """Six touches of this minute were once missed: the baseline did not follow what had changed by more than -50 dB."""
     found = judge("warming", 3, instrument)
