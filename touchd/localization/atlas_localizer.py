@@ -212,7 +212,7 @@ class AtlasLocalizer:
             bins, fit = self._settle(detection, bins, fit, shaped=not tracked)
             signal = bins.energy - noise.noise_energy
             excess, confidence = noise.judge(fit, signal)
-        # What may be beside one well explained finger that has just landed is sought from the next frame on, anew.
+        # From the next frame on a search begins for what may be beside one well explained finger that has just landed.
         waits = not (tracked or complete) and len(fit.positions_mm) == 1 and excess < CRITERIA.fair
         if waits:
             search.cancel()

@@ -14,8 +14,8 @@ from touchd.localization.spline import Position
 
 LEAST_CONTACTS = 3
 LARGE_MM2, LARGE_SIZE = 4.2, 2.0
-"""Mean second moment over z: contacts of more than 175 mm^2. Thumbs of 160 mm^2 have 4.0 (twin). Their amplitude is
-more than 2.6; the shape of what has one of 0.1, as dry glass where a drop was learned, tells nothing."""
+"""Mean second moment over z: contacts of more than 175 mm^2. Thumbs of 160 mm^2 have 4.0 (twin). The amplitude of such
+a contact is above 2.6 (twin); of faint ones, as of dry glass where a drop was learned, the shape is noise."""
 REACH_MM = 60.0
 """From a palm's heel to the balls of the fingers."""
 GONE_NS = 300_000_000
