@@ -215,7 +215,7 @@ class AtlasLocalizer:
         # From the next frame on a search begins for what may be beside one well explained finger that has just landed.
         waits = not (tracked or complete) and len(fit.positions_mm) == 1 and excess < CRITERIA.fair
         if waits:
-            search.cancel()
+            search.cancel()  # it began with a frame that was not like this
         elif search.is_due(excess, signal):
             if not search.pending and self._plate.drop_silent(detection):
                 bins = self._plate.bins(detection.residual, detection.hits)

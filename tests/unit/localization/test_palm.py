@@ -36,7 +36,7 @@ def test_no_palm(largest_mm2: float, size: float, count: int) -> None:
 
 
 def test_it_lifts() -> None:
-    """It is forgotten 0.3 s after its last contact that is no water, whatever water it leaves."""
+    """Once it has lifted it is forgotten within 0.3 s, though drops stay where it lay."""
     palm, heel = Palm(), {HEEL: 1.2 * LARGE_MM2, BALL: 2.0, NEAR: 2.0}
     ball, t_ns = fit_of({BALL: 2.0}, 1.0), 0
     assert palm.contacts(fit_of(heel, 10.0), t_ns) == {0, 1, 2}
