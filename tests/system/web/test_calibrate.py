@@ -146,12 +146,17 @@ def seen_at_mm(rig: Rig, x_mm: float, y_mm: float) -> tuple[float, float]:
         to = f"127.0.0.1:{udp.getsockname()[1]}"
         with started("--config", rig.config, "tuio", "--to", to, "--bus", f"ipc://{rig.folder}/bus"):
             client.take(udp.recv(2000))  # it runs
-            rig.press(f"{x_mm} {y_mm}")
             until_s = time.monotonic() + PATIENCE_S
             while not client.rows:
                 assert time.monotonic() < until_s, "no finger arrives"
-                client.take(udp.recv(2000))
-            rig.press("")
+                # A finger that is down before the bridge has subscribed means nothing to it: the next one counts.
+                rig.press(f"{x_mm} {y_mm}")
+                again_s = time.monotonic() + 2.0
+                while not client.rows and time.monotonic() < again_s:
+                    client.take(udp.recv(2000))
+                rig.press("")
+                while not client.rows and time.monotonic() < again_s + 0.5:
+                    client.take(udp.recv(2000))
             across, along = next(iter(client.rows.values()))[:2]
     return SCREEN_MM[2] * across, SCREEN_MM[3] * along
 
