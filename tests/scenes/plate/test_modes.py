@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from touchd.frame import Plate
 from touchd.twin.physics.material import stiffness_of
@@ -40,7 +41,18 @@ def test_orthogonal(glass: Plate, bare: Modes) -> None:
 
 
 def test_kept(glass: Plate, loaded: LoadedModes) -> None:
-    """The modes on disk, which all other scenes use, are those that are solved today."""
+    """The modes on disk, which all other scenes use, respond as those that are solved today.
+
+    Of two modes of nearly one frequency each solver may take any mixture: their response together says the same.
+    """
     kept = loaded_modes(glass, default_layout(glass))
     np.testing.assert_allclose(kept.omega_rad_s, loaded.omega_rad_s, rtol=1e-9)
-    np.testing.assert_allclose(np.abs(kept.discs), np.abs(loaded.discs), rtol=1e-6, atol=1e-9)
+    one, other = (receptance(modes) for modes in (kept, loaded))
+    np.testing.assert_allclose(one, other, atol=1e-7 * np.abs(other).max())
+
+
+def receptance(modes: LoadedModes) -> NDArray[np.complexfloating]:
+    """Rotation at each disc for a moment at each, in the band at a loss of 0.005, shape (frequencies, discs, discs)."""
+    nu = 2 * np.pi * np.linspace(50e3, 100e3, 51)
+    of_modes = 1 / (modes.omega_rad_s**2 * (1 + 5e-3j) - nu[:, None] ** 2)
+    return np.asarray(np.einsum("fk,ki,kj->fij", of_modes, modes.discs, modes.discs))
