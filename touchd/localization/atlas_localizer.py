@@ -28,6 +28,7 @@ from touchd.localization.multitouch import MultitouchSearch
 from touchd.localization.plate_model import PlateModel
 from touchd.localization.prediction import Prediction
 from touchd.localization.pursuit import Pursuit
+from touchd.localization.refinement import Refinement
 from touchd.localization.stillness import StillFinger
 from touchd.outcome import Outcome
 from touchd.touch import Face, Touch
@@ -60,6 +61,7 @@ class AtlasLocalizer:
         self._classifier = Classifier(atlas, self._noise, self._solver)
         self._size = ContactSize(atlas, self._noise)
         self._prediction = Prediction()
+        self._refinement = Refinement(atlas)
         self._follower = Follower(self._solver, self._search, self._noise, self._prediction)
         self._still = StillFinger(atlas, self._solver)
         self._faces: list[Face | None] = []  # of the fingers followed, as their shapes were fitted
@@ -81,10 +83,8 @@ class AtlasLocalizer:
     def reset(self) -> None:
         """Forget all fingers, and water."""
         self._touches = self._lose()
-        self._still.reset()
-        self._classifier.reset()
-        self._search.reset()
-        self._drift.reset()
+        for part in (self._still, self._classifier, self._search, self._drift):
+            part.reset()
 
     def update(self, baseline: Signal, residuals: Signal | None = None) -> None:
         """Take another baseline, (channels, samples), and residuals that tell its noise, (n, ...); else that stays."""
@@ -197,10 +197,9 @@ class AtlasLocalizer:
         if tracked and clear and confidence >= min_confidence and not search.pending:  # the usual case
             self._model_fit.add(fit.residual_energy - noise.noise_energy, signal, noise.noise_energy)
             return self._accept(bins, fit, confidence, excess, t_ns, alone=complete), False
-        poor = excess > CRITERIA.fair
-        if tracked and poor and self._is_untouched(bins, noise.plate_energy(bins.vector), t_ns):
+        if tracked and excess > CRITERIA.fair and self._is_untouched(bins, noise.plate_energy(bins.vector), t_ns):
             return self._lose(), inferred
-        rest = self._follower.rest(bins, fit) if poor else None
+        rest = self._follower.rest(bins, fit) if excess > CRITERIA.fair else None
         if rest and self._plate.explains(rest, noise.plate_energy(rest.vector), t_ns):
             # The plate has moved, at once or while nobody could tell, and the contacts have not.
             held, bins = False, self._plate.bins(detection.residual, detection.hits)
@@ -260,7 +259,7 @@ class AtlasLocalizer:
         if excess < CRITERIA.good and self._drift.is_due(t_ns):
             self._drift.update(self._solver.residual(bins, fit, self._follower.shapes_of(fit)), t_ns)
         self._prediction.update(fit.positions_mm, t_ns)
-        if self._follower.update(bins, fit, excess):
+        if new := self._follower.update(bins, fit, excess):
             self._faces = self._size.faces(fit) if fit.shapes else [None] * len(fit.positions_mm)
         doubt = self._follower.is_in_doubt(t_ns)
         fingers = self._classifier.fingers(bins, fit, t_ns, alone=alone, lacking=self._search.explains)
@@ -270,7 +269,8 @@ class AtlasLocalizer:
         self._departure = self._classifier.departure
         change = self._field_rms / self._plate.signal_rms  # of the signal, by a finger of amplitude 1
         sure = [finger for finger in fingers if finger[1] <= self._max_sigma_mm]
-        return self._touch_maker.touches(fit.positions_mm, sure, None if doubt else self._faces, confidence, change)
+        at, sure = self._refinement.place(bins, fit, sure, self._noise.variance, new=new, alone=alone)
+        return self._touch_maker.touches(at, sure, None if doubt else self._faces, confidence, change)
 
     def _rests(self, detection: Detection) -> bool:
         """Return whether the finger of the last fit is still where it was, but for the noise."""
@@ -286,10 +286,9 @@ class AtlasLocalizer:
     def _settle(self, detection: Detection, bins: Bins, fit: Fit, *, shaped: bool = False) -> Fitted:
         """Give fingers back what the frame's delay and hits took from them, and if `shaped` the shapes they ask for."""
         bins, fit = self._plate.settle(bins, fit, self._solver, detection.hits)
-        if not shaped or fit.shapes:
-            return bins, fit
         signal = bins.energy - self._noise.noise_energy
-        if not self._follower.asks_shapes(self._noise.excess(fit.residual_energy, signal), signal):
+        excess = self._noise.excess(fit.residual_energy, signal)
+        if not shaped or fit.shapes or not self._follower.asks_shapes(excess, signal):
             return bins, fit
         return self._settle(detection, bins, self._solver.with_shapes(bins, fit, self._noise.noise_energy))
 
@@ -297,4 +296,5 @@ class AtlasLocalizer:
         self._plate.nuisance.forget_fingers()
         self._prediction.reset()
         self._follower.reset()
+        self._refinement.reset()
         return ()

@@ -56,14 +56,16 @@ class ContactModel:
         """Steps of a contact so far."""
 
     def fit(
-        self, bins: Bins, positions_mm: Sequence[Position], variance: float, steps: int, unexplained: float = 0.0
-    ) -> Fit:
+        self, bins: Bins, positions_mm: Sequence[Position], variance: float, steps: int, unexplained: float = 0.0,
+        whiten: Complex | None = None,
+    ) -> Fit:  # fmt: skip
         """Fit contacts jointly from positions nearby: all of `pieces` at once."""
-        return finish(self.pieces(bins, positions_mm, variance, steps, unexplained))
+        return finish(self.pieces(bins, positions_mm, variance, steps, unexplained, whiten))
 
     def pieces(
-        self, bins: Bins, positions_mm: Sequence[Position], variance: float, steps: int, unexplained: float = 0.0
-    ) -> Steps[Fit]:
+        self, bins: Bins, positions_mm: Sequence[Position], variance: float, steps: int, unexplained: float = 0.0,
+        whiten: Complex | None = None,
+    ) -> Steps[Fit]:  # fmt: skip
         """Fit contacts jointly from positions nearby, in at most `steps` steps (at least one).
 
         Parameters
@@ -76,13 +78,15 @@ class ContactModel:
         steps : int
         unexplained : float
             Energy that is left at the positions: where fingers are missing it weighs the prior instead.
+        whiten : array of shape (bins, channels, channels), optional
+            What makes errors of all channels of a bin white, of the same variance: all energies are then of such bins.
         """
         count = len(positions_mm)
         own = _AMPLITUDES * count
         at = [self._field.inside(*position) for position in positions_mm]
         while True:
             self._load(bins, count)  # others may have been fitted since the last piece
-            at, gram = self._gram(at)
+            at, gram = self._gram(at, whiten)
             normal, right = gram[:own, :own], gram[:own, -1]
             ridge = _ridge(normal, right, max(variance, unexplained / bins.vector.size))
             solved = np.linalg.solve(normal + ridge, gram[:own, own:])
@@ -132,7 +136,7 @@ class ContactModel:
         np.copyto(self._rows[:, needed - 1].reshape(parts.shape), parts)
         self._mask = None if bins.mask is None else bins.mask.reshape(self._shape)[:, 0].ravel()
 
-    def _gram(self, positions_mm: Sequence[Position]) -> tuple[list[Position], Complex]:
+    def _gram(self, positions_mm: Sequence[Position], whiten: Complex | None) -> tuple[list[Position], Complex]:
         """Return the raster points, and the complex products of all rows with each other."""
         count, block, band, at = len(positions_mm), self._block, self._field.band, []
         last = (_AMPLITUDES + _SLOPES) * count
@@ -147,6 +151,11 @@ class ContactModel:
             np.multiply(block[:, 0], band, rows[:, own + 4])
             rows[:, slope : slope + 6] = block[:, 4:]
             np.multiply(block[:, 4:6], band, rows[:, slope + 6 : slope + 8])
+        if whiten is not None:
+            channels, _, bins = self._shape
+            parts = rows.reshape(2, last + 1, channels, bins).transpose(0, 3, 2, 1)
+            white = (whiten @ (parts[0] + 1j * parts[1])).reshape(-1, last + 1)
+            return at, white.conj().T @ white
         flat = rows.reshape(2 * (last + 1), -1)
         products = flat @ flat.T
         n = last + 1

@@ -120,9 +120,14 @@ def truncations(look: Look, features: reference.Floats, atlas: Atlas) -> Iterato
     if not look.touches:
         return
     fit = converged(look, features, atlas)
-    for touch in look.touches:
-        which = min(range(len(look.places_mm)), key=lambda k: dist(look.places_mm[k], _place(touch)))
-        yield dist(fit.places_mm[which], _place(touch)), touch.sigma_mm
+    for x_mm, y_mm, sigma_mm in look.fitted:
+        which = min(range(len(look.places_mm)), key=lambda k: dist(look.places_mm[k], (x_mm, y_mm)))
+        yield dist(fit.places_mm[which], (x_mm, y_mm)), sigma_mm
+    if look.weighed:
+        assert look.fit is not None
+        weighed = reference.refine_weighted(atlas, features - look.drifted, look.fit, look.mask, look.noise)
+        for place, there_mm in zip(look.weighed, weighed.places_mm, strict=True):
+            yield dist(place[:2], there_mm), place.sigma_mm
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,6 +20,7 @@ from onnx.reference import ReferenceEvaluator
 
 from tests.scenes.numerics.double import in_double
 from touchd.frame import Acquisition
+from touchd.localization import fit as localizer_fit
 from touchd.localization.atlas import Atlas
 
 Floats = NDArray[np.float64]
@@ -255,6 +256,51 @@ def refine_shapes(
             break
         left = fit.left
     return fit
+
+
+def refine_weighted(
+    atlas: Atlas, features: Floats, found: localizer_fit.Fit, mask: NDArray[np.bool_] | None, variance: float
+) -> Fit:
+    """The same with the bins' errors made white: what a bin's channels miss is correlated, and goes with the contacts.
+
+    `found` are the contacts as the fast path fitted them: they say how large the errors are.
+    """
+    white = whitening(atlas, found, mask, variance)
+    keep = np.ones(atlas.size // 2) if mask is None else _complex(mask.astype(float), atlas).real
+
+    def look(_: int, x_mm: float, y_mm: float) -> tuple[Complex, ...]:
+        return tuple(white(part * keep) for part in contact_rows(atlas, x_mm, y_mm))
+
+    data = flat(white(_complex(features, atlas) * keep).reshape(atlas.description.acquisition.channels, -1))
+    return _descend(atlas, data, np.array(found.positions_mm), None, MOST_STEPS, look, variance)
+
+
+def whitening(
+    atlas: Atlas, found: localizer_fit.Fit, mask: NDArray[np.bool_] | None, variance: float
+) -> Callable[[Complex], Complex]:
+    """What makes errors white in rows (..., channels * bins): the covariance's inverse root, by its eigenvectors."""
+    d = atlas.description
+    channels, bins = d.acquisition.channels, len(d.bins)
+    keep = np.ones(atlas.size // 2) if mask is None else _complex(mask.astype(float), atlas).real
+    covariance = 2 * variance * np.tile(np.eye(channels, dtype=complex), (bins, 1, 1))
+    for (x_mm, y_mm), z, (_, xx, yy, _) in zip(found.positions_mm, found.amplitudes, found.shapes, strict=True):
+        share = 0.0035 * (abs(xx + yy) / 2 / abs(z)) ** 3 + 0.002 * (len(found.positions_mm) - 1)
+        u = (field(atlas, x_mm, y_mm)[0] * keep).reshape(channels, bins)
+        mean = np.square(np.abs(u)).mean(axis=1)
+        for k in range(bins):
+            covariance[k] += abs(z) ** 2 * share * np.outer(u[:, k], u[:, k].conj())
+            alone = 0.55 * d.field_scale * atlas.error[:, k] + 0.05 * share * (np.abs(u[:, k]) ** 2 + mean)
+            covariance[k] += abs(z) ** 2 * np.diag(alone)
+    roots = []
+    for one in covariance:
+        values, vectors = np.linalg.eigh(one)
+        roots.append(np.sqrt(2 * variance) * vectors @ np.diag(values**-0.5) @ vectors.conj().T)
+
+    def white(rows: Complex) -> Complex:
+        parts = rows.reshape(-1, channels, bins)
+        return np.stack([roots[k] @ parts[:, :, k].T for k in range(bins)], axis=-1).swapaxes(0, 1).reshape(rows.shape)
+
+    return white
 
 
 Look = Callable[[int, float, float], tuple[Complex, ...]]

@@ -16,8 +16,10 @@ from touchd.detection.detection import Detection
 from touchd.event import Event, TouchEvent
 from touchd.frame import Frame
 from touchd.localization.atlas_localizer import AtlasLocalizer, Fitted
+from touchd.localization.estimator import Finger
 from touchd.localization.fit import Bins, Fit, shapes_of
 from touchd.localization.model import Model, default_model_path
+from touchd.localization.weighted_fit import Place
 from touchd.pipeline import Pipeline
 from touchd.recording.data import Recording
 from touchd.service.messages import Messages
@@ -50,8 +52,16 @@ class Look:
     """Whether those were the shapes of an earlier frame."""
     variance: float
     """Of a value's noise, as it weighs the prior on shapes."""
+    noise: float
+    """The same, as it weighs all in the weighted fit."""
     touches: tuple[Touch, ...]
     """Of this frame; none if those of an earlier one stay, while a search goes on."""
+    fitted: list[tuple[float, float, float]]
+    """Where the fit has these touches, and its sigma, mm, before it is weighed."""
+    weighed: list[Place]
+    """Where the weighted fit has all that was fitted; empty unless it was asked in this frame."""
+    fit: Fit | None
+    """What it was asked about."""
 
 
 @dataclass(slots=True)
@@ -104,18 +114,33 @@ class _Watch:
     shapes: NDArray[np.complex128] | None = None
     known: bool = False
     fitted: bool = False
+    places: list[tuple[float, float, float]] = field(default_factory=list)
+    weighed: list[Place] = field(default_factory=list)
+    fit: Fit | None = None
 
 
 def _watch(localizer: AtlasLocalizer) -> _Watch:
     """Have each fit of a localizer leave what it was given and what it made of it."""
     watch, place, plate, drift = _Watch(), localizer._place, localizer._plate, localizer._drift
     follower, update = localizer._follower, localizer._follower.update
+    refinement, refine = localizer._refinement, localizer._refinement.place
+    weigh = refinement._weighted.place
 
     def accepted(bins: Bins, fit: Fit, excess: float) -> bool:
         watch.fitted = True
         watch.shapes = np.array(shapes_of(fit), np.complex128) if fit.shapes else None
         watch.known = fit is follower._last
+        watch.fit, watch.weighed = fit, []
         return update(bins, fit, excess)
+
+    def placed(bins: Bins, fit: Fit, fingers: list[Finger], *args: Any, **named: Any) -> Any:
+        watch.places = [(*fit.positions_mm[k], sigma_mm) for k, sigma_mm, _ in fingers]
+        return refine(bins, fit, fingers, *args, **named)
+
+    def weighed(bins: Bins, fit: Fit, variance: float) -> list[Place] | None:
+        found = weigh(bins, fit, variance)
+        watch.weighed = found or []
+        return found
 
     def watched(
         detection: Detection, min_confidence: float, complete: bool, begun: Fitted | None
@@ -131,12 +156,15 @@ def _watch(localizer: AtlasLocalizer) -> _Watch:
             Look(
                 watch.number, residual.copy(), plate._baseline.copy(), features, -nothing,
                 None if mask is None else mask > 0, at,
-                watch.shapes, watch.known, plate.noise.noise_energy / len(features),
-                touches if watch.fitted else (),
+                watch.shapes, watch.known, plate.noise.noise_energy / len(features), plate.noise.variance,
+                touches if watch.fitted else (), watch.places if watch.fitted else [],
+                watch.weighed if watch.fitted else [], watch.fit,
             )
         )  # fmt: skip
         return touches, inferred
 
     follower.update = accepted  # type: ignore[method-assign]  # to know which fits are taken
+    refinement.place = placed  # type: ignore[method-assign]  # to know where they were before they are weighed
+    refinement._weighted.place = weighed  # type: ignore[method-assign]  # to know when they are
     localizer._place = watched  # type: ignore[method-assign]  # to see each fit, and only that
     return watch

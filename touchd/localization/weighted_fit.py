@@ -1,0 +1,123 @@
+"""Where contacts are, by a fit that knows how the model errs: generalized least squares.
+
+What five amplitudes a contact cannot say grows with the contact, and is alike in many bins: with full weight on every
+bin it moves the position. Here the errors of a bin's channels have the covariance
+
+    R = 2 v I + sum over contacts of |z|^2 (F E + s (u u^H + O |u|^2))
+
+===========  ==================================================================================================
+v            variance of noise in a value
+F E          what the field itself misses, by channel: `FIELD` of the atlas' error as its test touches scaled it
+u u^H        an error of the contact's own amplitude in this bin, which all receivers share: what the expansion to
+             second order leaves, and the waves that other fingers send to this one
+O |u|^2      what they do not share: of each channel's own energy, and of its mean over the bins
+s            `TISSUE` times the moment to the power of `POWER`, and `SCATTER` for each finger beside it
+===========  ==================================================================================================
+
+Positions alone are taken from it: what decides on fingers are energies, which stay unweighted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchd.localization.atlas import Atlas
+from touchd.localization.contact_field import ContactField
+from touchd.localization.contact_model import Complex, ContactModel, mean_moment_mm2
+from touchd.localization.fit import Bins, Fit, sigmas_mm
+from touchd.localization.spline import Position, Spline
+
+FIELD = 0.55
+"""Of half the touches, as a share of its mean: a few badly known places have most of it."""
+TISSUE, POWER = 0.0035, 3.0
+"""Share of a contact's energy in a bin for a moment of 1 mm^2, and how it grows: by less 68 and 95 % of silicone tips,
+children's fingers, fingertips and thumbs are not within one and two standard errors (twin)."""
+SCATTER = 0.002
+"""Share for each finger beside it: with it those of five fingertips are (twin). Half of it and twice it place them as
+well."""
+OWN = 0.05
+"""Share of it that receivers do not have in common."""
+STEPS = 3
+MOST_MM = 1.0
+"""A fit that is farther away is one of another valley."""
+
+
+class Place(NamedTuple):
+    """Where a contact is."""
+
+    x_mm: float
+    y_mm: float
+    sigma_mm: float
+    """Standard error per axis."""
+
+
+class WeightedFit:
+    """Places contacts of a size and a shape once more.
+
+    Parameters
+    ----------
+    atlas : Atlas
+    """
+
+    def __init__(self, atlas: Atlas) -> None:
+        d, dtype = atlas.description, atlas.coefficients.dtype
+        self._shape = d.acquisition.channels, len(d.bins)
+        self._field = np.zeros((3, atlas.size), dtype)
+        self._spline = Spline(atlas, self._field)
+        self._model = ContactModel(atlas, ContactField(atlas, np.zeros_like(self._field)))
+        self._error: NDArray[np.float64] = FIELD * d.field_scale * atlas.error.T.astype(np.float64)
+
+    def place(self, bins: Bins, fit: Fit, variance: float) -> list[Place] | None:
+        """Return where the contacts of a fit with shapes are; None where that cannot be told better than it is.
+
+        `variance` is that of the noise of a value, counts squared.
+        """
+        variance = max(variance, 1e-12 * bins.energy / bins.vector.size, 1e-30)
+        try:
+            whiten = self._whitener(bins, fit, variance)
+            found = self._model.fit(bins, fit.positions_mm, variance, STEPS, whiten=whiten)
+        except np.linalg.LinAlgError:
+            return None
+        sigmas = sigmas_mm(found.fisher_information, variance)
+        places = [Place(x, y, sigma) for (x, y), sigma in zip(found.positions_mm, sigmas, strict=True)]
+        # Asked this way round, so that NaN is not taken.
+        near = all(
+            abs(place.x_mm - x) < MOST_MM and abs(place.y_mm - y) < MOST_MM and place.sigma_mm < MOST_MM
+            for place, (x, y) in zip(places, fit.positions_mm, strict=True)
+        )
+        return places if near else None
+
+    def _whitener(self, bins: Bins, fit: Fit, variance: float) -> Complex:
+        """Return what makes the errors of each bin white, of the variance of noise, (bins, channels, channels)."""
+        channels, count = self._shape
+        covariance = np.zeros((count, channels, channels), complex)
+        own = np.full((count, channels), 2 * variance)
+        mask = None if bins.mask is None else bins.mask.reshape(channels, 2, count)[:, 0]
+        for (x_mm, y_mm), z, share in zip(fit.positions_mm, fit.amplitudes, shares(fit), strict=True):
+            u = self._look_up(self._spline.inside(x_mm, y_mm), mask)
+            power, energy = abs(z) ** 2, np.square(np.abs(u))
+            covariance += power * share * (u[:, :, None] * u[:, None].conj())
+            own += power * (self._error + OWN * share * (energy + energy.mean(axis=0)))
+        covariance.reshape(count, -1)[:, :: channels + 1] += own
+        root = np.linalg.inv(np.linalg.cholesky(covariance))
+        return np.asarray(np.sqrt(2 * variance) * root)
+
+    def _look_up(self, at: Position, mask: NDArray[np.floating] | None) -> Complex:
+        """Return the masked field of a contact of amplitude 1, shape (bins, channels)."""
+        self._spline.at(*at)
+        real, imaginary = self._field[0].astype(np.float64).reshape(2, *self._shape)
+        u = real + 1j * imaginary
+        return np.asarray((u if mask is None else u * mask).T)
+
+
+def shares(fit: Fit) -> Sequence[float]:
+    """Return of each contact of a fit with shapes which share of its energy in a bin the model misses."""
+    beside = SCATTER * (len(fit.positions_mm) - 1)
+    return [
+        TISSUE * mean_moment_mm2(z, shape) ** POWER + beside
+        for z, shape in zip(fit.amplitudes, fit.shapes, strict=True)
+    ]
