@@ -30,6 +30,7 @@ from touchd.localization.prediction import Prediction
 from touchd.localization.pursuit import Pursuit
 from touchd.localization.refinement import Refinement
 from touchd.localization.stillness import StillFinger
+from touchd.localization.weighted_fit import WeightedFit
 from touchd.outcome import Outcome
 from touchd.touch import Face, Touch
 
@@ -42,7 +43,6 @@ class AtlasLocalizer:
     Parameters
     ----------
     model : Model
-        Its network says where a finger that has just landed is.
     atlas : Atlas
     settings : Settings
     layout : Layout, optional
@@ -55,13 +55,13 @@ class AtlasLocalizer:
         self._plate = PlateModel(atlas)
         self._noise, self._drift = self._plate.noise, self._plate.drift
         self._pursuit = Pursuit(atlas, GaussNewton(atlas))  # of its own: its frame stays while others are fitted
-        self._field_rms = math.sqrt(self._pursuit.mean_energy)
         self._landing = Landing(self._estimator, self._solver, self._pursuit, self._noise, atlas.description)
-        self._search = MultitouchSearch(self._solver, self._pursuit, self._noise)
+        weighted = WeightedFit(atlas)
+        self._search = MultitouchSearch(self._solver, self._pursuit, self._noise, weighted)
         self._classifier = Classifier(atlas, self._noise, self._solver)
         self._size = ContactSize(atlas, self._noise)
         self._prediction = Prediction()
-        self._refinement = Refinement(atlas)
+        self._refinement = Refinement(weighted)
         self._follower = Follower(self._solver, self._search, self._noise, self._prediction)
         self._still = StillFinger(atlas, self._solver)
         self._faces: list[Face | None] = []  # of the fingers followed, as their shapes were fitted
@@ -267,9 +267,10 @@ class AtlasLocalizer:
             moved_mm = self._prediction.moved_mm if self._classifier.sure and not doubt else math.inf
             self._still.update(bins, fit, moved_mm, self._noise.variance)
         self._departure = self._classifier.departure
-        change = self._field_rms / self._plate.signal_rms  # of the signal, by a finger of amplitude 1
+        change = math.sqrt(self._pursuit.mean_energy) / self._plate.signal_rms  # of the signal, by one of amplitude 1
         sure = [finger for finger in fingers if finger[1] <= self._max_sigma_mm]
         at, sure = self._refinement.place(bins, fit, sure, self._noise.variance, new=new, alone=alone)
+        self._search.look(bins, fit, self._refinement.misfit)
         return self._touch_maker.touches(at, sure, None if doubt else self._faces, confidence, change)
 
     def _rests(self, detection: Detection) -> bool:
@@ -294,7 +295,6 @@ class AtlasLocalizer:
 
     def _lose(self) -> tuple[Touch, ...]:
         self._plate.nuisance.forget_fingers()
-        self._prediction.reset()
-        self._follower.reset()
-        self._refinement.reset()
+        for part in (self._prediction, self._follower, self._refinement):
+            part.reset()
         return ()

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import TypeVar
 
-from msgspec.structs import replace
-
-from touchd.localization.anytime import Steps
-from touchd.localization.fit import Bins, Fit, no_fit, shapes_of
+from touchd.localization.anytime import Steps, finish
+from touchd.localization.fit import Bins, Fit, no_fit
 from touchd.localization.fit_criteria import CRITERIA
 from touchd.localization.gauss_newton import GaussNewton
+from touchd.localization.missing import LARGE, MissingFinger
 from touchd.localization.noise import NoiseModel
+from touchd.localization.pruning import Pruning
 from touchd.localization.pursuit import Pursuit, are_merged, is_worth
-from touchd.localization.spline import Position
+from touchd.localization.weighted_fit import WeightedFit
 
 LOOK_UPS_A_SECOND = 8000.0
 """A search may cost this much per second of the frames' time, a quarter of a processor's, ..."""
@@ -43,9 +41,6 @@ _LIKE, _PATIENT_FRAMES = 0.95, 5
 measured while they came, and what is found in it is of no use."""
 _HOLD_NS = 120_000_000
 """Tracked fingers wait for a search for this long."""
-_STEPS = 2
-
-T = TypeVar("T")
 Found = tuple[Fit, int]
 """A fit, and how many of its fingers, the first ones, are those that were known."""
 
@@ -58,10 +53,14 @@ class MultitouchSearch:
     solver : GaussNewton
     pursuit : Pursuit
     noise : NoiseModel
+    weighted : WeightedFit
     """
 
-    def __init__(self, solver: GaussNewton, pursuit: Pursuit, noise: NoiseModel) -> None:
+    def __init__(self, solver: GaussNewton, pursuit: Pursuit, noise: NoiseModel, weighted: WeightedFit) -> None:
         self._solver, self._pursuit, self._noise = solver, pursuit, noise
+        self._missing = MissingFinger(pursuit, weighted, noise)
+        self.pruning = Pruning(solver, noise, self._missing)
+        """Takes fingers out that are none."""
         self._t_ns = self._before_ns = 0  # of the last frame and the one before
         self._spent = 0.0  # by the solver before this frame
         self.reset()
@@ -75,6 +74,7 @@ class MultitouchSearch:
         self._tracked, self._begun, self._begun_ns, self._credit = False, 0.0, 0, 0.0  # of the search that goes on
         self._grown = 0  # fingers from which it went on in a later frame
         self._frames = 0  # in which it went on
+        self._looks = False  # whether it looks for what resting fingers lack; what comes beside them goes first
 
     @property
     def pending(self) -> bool:
@@ -89,7 +89,8 @@ class MultitouchSearch:
     @property
     def explains(self) -> bool:
         """Whether a search, begun not long ago, is about to say what has come beside tracked fingers."""
-        return self._running is not None and self._tracked and 0 <= self._t_ns - self._begun_ns < _HOLD_NS
+        tells = self._running is not None and self._tracked and not self._looks
+        return tells and 0 <= self._t_ns - self._begun_ns < _HOLD_NS
 
     def cancel(self) -> None:
         """End the search that goes on, if any: the fingers that it began with have changed."""
@@ -103,14 +104,19 @@ class MultitouchSearch:
 
     def is_due(self, excess: float, signal: float) -> bool:
         """Return whether to search in this frame, whose fit leaves the share `excess` of the signal's energy."""
-        if self._running is not None:
+        unexplained = excess > CRITERIA.search_above
+        if self._running is not None and not (self._looks and unexplained):
             return True
-        if excess <= CRITERIA.search_above:
+        self.cancel()
+        if not unexplained:
             return False
         # Energy that nothing explains is not searched in every frame, unless it has become much more: at once if what
         # was searched in vain was but the first of a finger that was landing.
         more = excess * signal / max(self._unexplained, 1e-30)
         pause_ns = 0 if more > _OUTDATED else min(self._pause_ns, _SOON_NS) if more > 2 else self._pause_ns
+        return self._may_begin(pause_ns)
+
+    def _may_begin(self, pause_ns: int) -> bool:
         return self._searched_ns is None or not 0 <= self._t_ns - self._searched_ns < pause_ns
 
     def search(self, bins: Bins, fit: Fit, signal: float, *, tracked: bool, limited: bool) -> Found:
@@ -144,6 +150,8 @@ class MultitouchSearch:
         else:
             return waiting
         self._running = None
+        if not limited:  # else `look` asks, once the fingers rest
+            found = finish(self._missing.steps(bins, found))
         if known and known != count:
             return fit, 0  # fingers have come or gone meanwhile
         if not fresh:
@@ -160,10 +168,23 @@ class MultitouchSearch:
                 return waiting
         return self._settle(bins, found, known, fit, signal)
 
+    def look(self, bins: Bins, fit: Fit, misfit: float) -> None:
+        """Begin to look for a finger that those of a fit lack if that is likely, unless a search has just ended."""
+        several = len(fit.positions_mm) > 1
+        if several and misfit > LARGE and self._running is None and self._may_begin(self._pause_ns):
+            self._begin(bins, fit, bins.energy - self._noise.noise_energy, tracked=True)
+            assert self._first is not None  # it has begun
+            self._running, self._looks = self._lacking(self._first, fit), True
+
+    def _lacking(self, bins: Bins, fit: Fit) -> Steps[Found]:
+        found = yield from self._missing.steps(bins, fit)
+        yield _CONFIRM_LOOK_UPS * len(found.positions_mm)
+        return found, len(fit.positions_mm) if len(found.positions_mm) > len(fit.positions_mm) or found is fit else 0
+
     def _begin(self, bins: Bins, fit: Fit, signal: float, *, tracked: bool) -> Steps[Found]:
         self._first, self._sought = bins.copy(), fit.residual_energy
         self._tracked, self._begun, self._begun_ns = tracked, signal, self._t_ns
-        self._grown, self._frames, self._credit = 0, 0, 0.0
+        self._grown, self._frames, self._credit, self._looks = 0, 0, 0.0, False
         self._running = self._all(self._first, fit, signal, len(fit.positions_mm) if tracked else 0, grow=tracked)
         return self._running
 
@@ -186,35 +207,6 @@ class MultitouchSearch:
         beyond = self._solver.spent - self._spent - _FREE_LOOK_UPS
         return most - fitted if beyond <= fitted else min(most - fitted, max(most - beyond, _LEAST_SHARE * most))
 
-    def prune(self, bins: Bins, fit: Fit, signal: float) -> tuple[Fit, list[int]]:
-        """Return a fit without the fingers that explain next to nothing, and the indices of those, as they go.
-
-        Nor does a faint one explain anything if the plate's own movement explains it as well. Several go at once: all
-        fingers of a hand may lift in one frame.
-        """
-        dropped: list[int] = []
-        noise_energy, energies = self._noise.noise_energy, fit.energies
-        while len(energies) > 1:
-            least = min(energies)
-            weak = CRITERIA.weak * max(fit.residual_energy - noise_energy, CRITERIA.enough * signal)
-            if least <= weak:
-                most = max(energies)
-                gone = [k for k, energy in enumerate(energies) if energy <= weak and energy < most]
-            elif least < CRITERIA.faint * noise_energy:
-                weakest = energies.index(least)
-                gone = [weakest] if self._moved_energy(bins, fit, weakest) < fit.residual_energy else []
-            else:
-                break
-            if not gone:
-                break
-            places = fit.positions_mm
-            for k in reversed(gone):
-                dropped.append(k)
-                places = _without(places, k)
-            fit = self._fit(bins, places)
-            energies = fit.energies
-        return fit, dropped
-
     def _all(self, bins: Bins, fit: Fit, signal: float, known: int, *, grow: bool) -> Steps[Found]:
         """Look for more fingers than a fit has, if it may `grow`; if that is not enough, for all from the start."""
         pursuit, noise_energy = self._pursuit, self._noise.noise_energy
@@ -234,25 +226,16 @@ class MultitouchSearch:
         if known and len(found.positions_mm) == count:
             return fit, count  # nothing was found
         positions_mm = [*(fit.positions_mm if known else []), *found.positions_mm[known:]]
-        now = self._again(bins, positions_mm, found)
+        now = self.pruning.again(bins, positions_mm, found)
         if not are_merged(now) and is_worth(now, fit, self._noise.noise_energy, signal):
             return now, known
         return fit, count
 
-    def _again(self, bins: Bins, positions_mm: list[Position], found: Fit) -> Fit:
-        """Fit contacts found in an earlier frame from positions nearby, with the shapes that they had or new ones."""
-        if not found.shapes:
-            return self._fit(bins, positions_mm)
-        as_found = self._solver.fit_known(bins, positions_mm, _STEPS, shapes_of(found))
-        shaped = self._solver.fit_shapes(bins, as_found, self._noise.noise_energy, _STEPS)
-        grown = sum(as_found.energies) / max(sum(found.energies), 1e-30)
-        return replace(shaped if shaped.positions_mm else as_found, points_energy=grown * found.points_energy)
-
     def _settle(self, bins: Bins, found: Fit, known: int, fit: Fit, signal: float) -> Found:
         """Return what was found without false fingers, and decide when to search again."""
-        found, dropped = self.prune(bins, found, signal)
+        found, dropped = self.pruning.prune(bins, found, signal)
         known = 0 if dropped else known
-        rest = self._without_needless(bins, self._without_movement(bins, found), signal)
+        rest = self.pruning.needed(bins, found, signal)
         found, known = rest, known if rest is found else 0
         excess = self._noise.excess(found.residual_energy, signal)
         worth = excess < CRITERIA.half_confidence / 2 and found.residual_energy < _GAIN * fit.residual_energy
@@ -260,40 +243,3 @@ class MultitouchSearch:
         self._searched_ns = self._t_ns
         self._unexplained = min(max(excess, 0.0) * signal, self._sought)
         return found, known
-
-    def _without_movement(self, bins: Bins, fit: Fit) -> Fit:
-        """Return a fit without further fingers that the plate's own movement explains nearly as well."""
-        noise_energy = self._noise.noise_energy
-        for k in range(len(fit.positions_mm) - 1, -1, -1):
-            if len(fit.positions_mm) < 2:
-                break
-            most = max(fit.residual_energy - noise_energy, 0.0) / CRITERIA.worth + 1.25 * noise_energy
-            if self._moved_energy(bins, fit, k) < most:
-                fit = self._fit(bins, _without(fit.positions_mm, k))
-        return fit
-
-    def _without_needless(self, bins: Bins, fit: Fit, signal: float) -> Fit:
-        """Return a fit without its faintest finger if the others need none: from elsewhere their shapes were wrong."""
-        least = min(fit.energies, default=math.inf)
-        if len(fit.positions_mm) < 2 or not fit.shapes or least > CRITERIA.fair * signal:
-            return fit
-        k = fit.energies.index(least)
-        amplitudes, energies, shapes = (_without(values, k) for values in (fit.amplitudes, fit.energies, fit.shapes))
-        kept = replace(fit, amplitudes=amplitudes, energies=energies, shapes=shapes)
-        fewer = self._again(bins, _without(fit.positions_mm, k), kept)
-        return fit if is_worth(fit, fewer, self._noise.noise_energy, signal) else fewer
-
-    def _moved_energy(self, bins: Bins, fit: Fit, k: int) -> float:
-        """Return what a fit leaves if the plate's own movement takes the place of finger `k`, counts squared."""
-        left = self._solver.residual(bins, fit, without=k)
-        return float(left @ left) - self._noise.plate_energy(left)
-
-    def _fit(self, bins: Bins, positions_mm: list[Position]) -> Fit:
-        """Fit contacts of unknown shape from positions nearby."""
-        fit = self._solver.fit_several(bins, positions_mm, _STEPS)
-        return self._solver.with_shapes(bins, fit, self._noise.noise_energy)
-
-
-def _without(values: Sequence[T], k: int) -> list[T]:
-    """Return all values but the one at index `k`; none of none."""
-    return [*values[:k], *values[k + 1 :]]

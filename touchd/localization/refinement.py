@@ -15,7 +15,6 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from touchd.localization.atlas import Atlas
 from touchd.localization.estimator import Finger
 from touchd.localization.fit import Bins, Fit
 from touchd.localization.spline import Position
@@ -39,17 +38,19 @@ class Refinement:
 
     Parameters
     ----------
-    atlas : Atlas
+    weighted : WeightedFit
     """
 
-    def __init__(self, atlas: Atlas) -> None:
-        self._weighted = WeightedFit(atlas)
+    def __init__(self, weighted: WeightedFit) -> None:
+        self._weighted = weighted
         self.reset()
 
     def reset(self) -> None:
         """Forget all fingers."""
         self._moved: Sequence[_Moved] = ()
         self._last_mm: Sequence[Position] = ()
+        self.misfit = 0.0
+        """Of the fingers, if they were placed by the weighted fit in the last frame; else 0."""
 
     def place(
         self, bins: Bins, fit: Fit, fingers: list[Finger], variance: float, *, new: bool, alone: bool
@@ -69,7 +70,7 @@ class Refinement:
         alone : bool
             Whether no further frame will be judged.
         """
-        at, last, self._last_mm = fit.positions_mm, self._last_mm, fit.positions_mm
+        at, last, self._last_mm, self.misfit = fit.positions_mm, self._last_mm, fit.positions_mm, 0.0
         if not fit.shapes:
             self._moved = ()
         elif new or not self._holds(at):
@@ -87,8 +88,8 @@ class Refinement:
         )
 
     def _weigh(self, bins: Bins, fit: Fit, variance: float) -> Sequence[_Moved]:
-        places = self._weighted.place(bins, fit, variance)
+        places, self.misfit = self._weighted.place(bins, fit, variance)
         return [
             _Moved((x, y), (place.x_mm - x, place.y_mm - y), place.sigma_mm)
-            for (x, y), place in zip(fit.positions_mm, places or (), strict=False)
+            for (x, y), place in zip(fit.positions_mm, places, strict=False)
         ]

@@ -137,10 +137,9 @@ def _watch(localizer: AtlasLocalizer) -> _Watch:
         watch.places = [(*fit.positions_mm[k], sigma_mm) for k, sigma_mm, _ in fingers]
         return refine(bins, fit, fingers, *args, **named)
 
-    def weighed(bins: Bins, fit: Fit, variance: float) -> list[Place] | None:
-        found = weigh(bins, fit, variance)
-        watch.weighed = found or []
-        return found
+    def weighed(bins: Bins, fit: Fit, variance: float) -> tuple[list[Place], float]:
+        watch.weighed, misfit = weigh(bins, fit, variance)
+        return watch.weighed, misfit
 
     def watched(
         detection: Detection, min_confidence: float, complete: bool, begun: Fitted | None

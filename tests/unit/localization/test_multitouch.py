@@ -15,6 +15,7 @@ from touchd.localization.gauss_newton import GaussNewton
 from touchd.localization.multitouch import LOOK_UPS_A_SECOND, MOST_LOOK_UPS, MultitouchSearch
 from touchd.localization.noise import NoiseModel
 from touchd.localization.pursuit import Pursuit
+from touchd.localization.weighted_fit import WeightedFit
 
 FIELD = Field()
 ATLAS = make_atlas(FIELD)
@@ -46,7 +47,7 @@ class Rig:
         for _ in range(64):
             self.noise.update((DEVIATION * rng.standard_normal(ATLAS.size)).astype(np.float32))
         self.noise.set_channels(np.ones(4, bool), np.zeros((0, ATLAS.size), np.float32))
-        self.search = MultitouchSearch(SOLVER, Pursuit(ATLAS, self.solver), self.noise)
+        self.search = MultitouchSearch(SOLVER, Pursuit(ATLAS, self.solver), self.noise, WeightedFit(ATLAS))
 
     def see(self, features: np.ndarray, known: Sequence[Finger], after_ns: int, *, limited: bool = True) -> Fit | None:
         """One frame in which some fingers are tracked; what is found, None if no search was due."""
@@ -169,11 +170,11 @@ def test_prune() -> None:
     bins = bins_of(FIELD.frame(FOUR[:2], DEVIATION, 1))
     signal = bins.energy - rig.noise.noise_energy
     fit = SOLVER.fit_several(bins, [(25.0, 25.0), (60.0, 40.0), (90.0, 30.0)], 3)
-    pruned, dropped = rig.search.prune(bins, fit, signal)
+    pruned, dropped = rig.search.pruning.prune(bins, fit, signal)
     assert dropped == [1]
     assert found(pruned, FOUR[:2])
     one = SOLVER.fit_several(bins, [(25.0, 25.0)], 3)
-    assert rig.search.prune(bins, one, signal) == (one, [])
+    assert rig.search.pruning.prune(bins, one, signal) == (one, [])
 
 
 def test_cancel() -> None:

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
-from tests.unit.localization.rig import ATLAS
 from touchd.localization.fit import Bins, Fit
 from touchd.localization.refinement import HOLD_MM, SLOW_MM, Refinement
-from touchd.localization.weighted_fit import Place
+from touchd.localization.weighted_fit import Place, WeightedFit
 
 BY_MM, SIGMA_MM = (0.03, -0.04), 0.02
 BINS = Bins(np.zeros(4, np.float32), None, 1.0)
@@ -23,15 +22,15 @@ class Weighted:
     def __init__(self, *, finds: bool = True) -> None:
         self.finds, self.asked = finds, 0
 
-    def place(self, _bins: Bins, fit: Fit, _variance: float) -> list[Place] | None:
+    def place(self, _bins: Bins, fit: Fit, _variance: float) -> tuple[list[Place], float]:
         self.asked += 1
-        return [Place(x + BY_MM[0], y + BY_MM[1], SIGMA_MM) for x, y in fit.positions_mm] if self.finds else None
+        if not self.finds:
+            return [], 0.0
+        return [Place(x + BY_MM[0], y + BY_MM[1], SIGMA_MM) for x, y in fit.positions_mm], 0.2
 
 
 def refinement(weighted: Weighted) -> Any:
-    one: Any = Refinement(ATLAS)
-    one._weighted = weighted
-    return one
+    return Refinement(cast(WeightedFit, weighted))
 
 
 def fit(*at: tuple[float, float], shaped: bool = True) -> Fit:
