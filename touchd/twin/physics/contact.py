@@ -16,7 +16,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.twin.physics import chebyshev
 from touchd.twin.physics.finger import Contact, impedance, is_compliant, piston, tissue_of
 
 Floats = NDArray[np.float64]
@@ -24,8 +23,8 @@ Complex = NDArray[np.complex128]
 
 RINGS = 3
 """Rings of the hexagonal patchwork around its middle disc: 37 discs change the signal as 91 do, to 2 % of the touch."""
-FREQUENCIES = 12
-"""Chebyshev's points at which a face's impedance is computed; between them it is interpolated to 1e-8."""
+COMPLIANT_FREQUENCIES, RIGID_FREQUENCIES = 12, 24
+"""Chebyshev's points at which an impedance is computed; between them it is interpolated to 1e-8, and to 1e-13."""
 DEGREES_MM2 = ((70.0, 2), (np.inf, 3))
 """Degree of the polynomials by contact area: a higher one changes the signal by under 1 % of the touch."""
 
@@ -59,6 +58,11 @@ def size_of(contact: Contact) -> int:
     return (degree + 1) * (degree + 2) // 2
 
 
+def frequencies_of(contact: Contact) -> int:
+    """Return the number of Chebyshev's points at which a contact's impedance tells it everywhere."""
+    return COMPLIANT_FREQUENCIES if is_compliant(contact.kind) else RIGID_FREQUENCIES
+
+
 def impedance_of(contact: Contact, omega_rad_s: Complex) -> Complex:
     """Return the impedance of a contact between its forces, N s/m, shape (F, K, K).
 
@@ -66,16 +70,12 @@ def impedance_of(contact: Contact, omega_rad_s: Complex) -> Complex:
     ----------
     contact : Contact
     omega_rad_s : complex array of shape (F,)
-        Angular frequencies of equal imaginary part; time goes as exp(i omega t).
+        Angular frequencies; time goes as exp(i omega t).
     """
     if not is_compliant(contact.kind):
         return np.asarray(impedance(contact.kind, omega_rad_s, contact.area_mm2))[:, None, None]
-    real = omega_rad_s.real
-    middle, reach = (real.max() + real.min()) / 2, (real.max() - real.min()) / 2 + 1.0
-    nodes = chebyshev.points(middle, reach, FREQUENCIES)
-    between = _between(contact, nodes + 1j * omega_rad_s[0].imag)
     basis = _basis(_degree(contact.area_mm2))
-    return np.asarray(np.tensordot(chebyshev.weights(real, nodes), basis.T @ between @ basis, 1))
+    return np.asarray(basis.T @ _between(contact, omega_rad_s) @ basis)
 
 
 def _between(contact: Contact, omega_rad_s: Complex) -> Complex:

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from touchd.errors import SimulationError
 from touchd.frame import Plate
 from touchd.twin.physics import chebyshev, legendre
-from touchd.twin.physics.contact import face_of, impedance_of, size_of
+from touchd.twin.physics.contact import face_of, frequencies_of, impedance_of
 from touchd.twin.physics.finger import Contact
 from touchd.twin.physics.plate import size_m
 from touchd.twin.physics.transducer import LoadedModes
@@ -23,6 +23,9 @@ FEW = 5
 is computed at a few temperatures only."""
 SMALL_DISC = (1, 4)
 """Rule for the averages over the discs of a compliant contact, of at most 1.3 mm radius: exact to 1e-4."""
+FAR, FAR_FREQUENCIES = 1.2, 32
+"""What modes above this many times the highest frequency answer is smooth: it is computed at so few, and interpolated
+to 1e-12."""
 SMOOTH = 0.02
 """Relative range of modes' frequencies over which a contact's change is smooth, because of damping."""
 
@@ -46,11 +49,33 @@ class Response:
         self.plate = plate
         self.modes, self.loss = modes, loss
         self.nu_rad_s = np.asarray(nu_rad_s, dtype=np.complex128)
-        H = 1 / (modes.omega_rad_s**2 * (1 + 1j * np.reshape(loss, (-1, 1))) - self.nu_rad_s[:, None] ** 2)
         # Where shapes are real, stacking the parts makes one real product of what would be two.
-        self._real = not np.iscomplexobj(modes.w)
-        self._kernel = np.concatenate([H.real, H.imag]) if self._real else H
+        self._parts = 1 if np.iscomplexobj(modes.w) else 2
+        self._few: dict[int, tuple[Complex, Floats]] = {}
+        self._near = self._count_near()
+        self._kernel = self._kernel_of(slice(self._near), self.nu_rad_s)
+        if self._near < len(modes.omega_rad_s):
+            self._far_kernel = self._kernel_of(slice(self._near, None), self._frequencies(FAR_FREQUENCIES)[0])
         self._w = modes.w.reshape(len(modes.w), -1)
+
+    def _count_near(self) -> int:
+        """Return the number of modes up to the last one that is not far above all frequencies."""
+        if np.ndim(self.loss) > 0 or len(self._frequencies(FAR_FREQUENCIES)[0]) == len(self.nu_rad_s):
+            return len(self.modes.omega_rad_s)
+        near = self.modes.omega_rad_s.real <= FAR * self.nu_rad_s.real.max()
+        return int(np.flatnonzero(near).max(initial=-1)) + 1
+
+    def _kernel_of(self, modes: slice, nu_rad_s: Complex) -> Floats | Complex:
+        """Return what modes answer at frequencies, with real and imaginary parts stacked if shapes are real."""
+        stiff = self.modes.omega_rad_s[modes] ** 2 * (1 + 1j * np.reshape(self.loss, (-1, 1)))
+        H = 1 / (stiff - nu_rad_s[:, None] ** 2)
+        return np.concatenate([H.real, H.imag]) if self._parts == 2 else np.asarray(H)
+
+    def _frequencies(self, count: int) -> tuple[Complex, Floats]:
+        """Return up to `count` frequencies, and the weights (F, count) by which smooth functions follow from them."""
+        if count not in self._few:
+            self._few[count] = _few_frequencies(self.nu_rad_s, count)
+        return self._few[count]
 
     def shape_at(self, x_mm: Floats, y_mm: Floats, area_mm2: Floats) -> Floats | Complex:
         """Deflection of each mode averaged over discs; all of shape (n,), result (M, n).
@@ -87,11 +112,14 @@ class Response:
     def receptance(self, one: Floats | Complex, other: Floats | Complex) -> Complex:
         """Sum over modes of `one` times `other`, both (M, ...), times the modes' response; result (F, ...)."""
         product = one * other
-        flat = self._kernel @ product.reshape(len(product), -1)
-        if not self._real:
-            return np.asarray(flat).reshape(len(flat), *product.shape[1:])
-        half = len(flat) // 2
-        return np.asarray(flat[:half] + 1j * flat[half:]).reshape(half, *product.shape[1:])
+        flat = product.reshape(len(product), -1)
+        found = (self._kernel @ flat[: self._near]).reshape(self._parts, len(self.nu_rad_s), -1)
+        if self._near < len(flat):
+            _, weights = self._frequencies(FAR_FREQUENCIES)
+            far = self._far_kernel @ flat[self._near :]
+            found += weights @ far.reshape(self._parts, weights.shape[1], -1)
+        answer = found[0] if self._parts == 1 else found[0] + 1j * found[1]
+        return np.asarray(answer).reshape(-1, *product.shape[1:])
 
     def untouched(self) -> Complex:
         """Response of each receiver to the emitter, shape (R, F)."""
@@ -140,23 +168,59 @@ class Response:
     ) -> Complex:
         """Change of the response, as `change` has it, from receptances of shape (F, n, c, 1 + R) and (F, n, pairs)."""
         n, c, F = len(touches), to_discs.shape[2], len(self.nu_rad_s)
-        z = np.zeros((F, n, c, c), dtype=complex)  # i omega Z(omega) at omega = s nu, over s^2
-        for k, (touch, s) in enumerate(zip(touches, scale, strict=True)):
-            start = 0
-            for contact in touch:
-                block = slice(start, start := start + size_of(contact))
-                z[:, k, block, block] = impedance_of(contact, s * self.nu_rad_s)
-        z *= 1j * self.nu_rad_s[:, None, None, None] / scale[:, None, None]
+        loads = self._loads(touches, scale)
         if c == 1:
-            strength = z[..., 0, 0] / (1 + z[..., 0, 0] * pairs[..., 0]) * to_discs[..., 0, 0]  # (F, n)
+            z = loads[0][..., 0, 0]
+            strength = z / (1 + z * pairs[..., 0]) * to_discs[..., 0, 0]  # (F, n)
             change = -strength[..., None] * to_discs[..., 0, 1:]
         else:
             i, j = np.triu_indices(c)
-            between = np.empty((F, n, c, c), dtype=complex)
-            between[..., i, j] = between[..., j, i] = pairs
-            force = np.linalg.solve(np.eye(c) + z @ between, z @ to_discs[..., :1])
+            which = np.empty((c, c), dtype=np.intp)
+            which[i, j] = which[j, i] = np.arange(len(i))
+            system = pairs[..., which]  # (F, n, c, c): what each force moves where the others are
+            load = np.empty((F, n, c, 1), dtype=complex)
+            start = 0
+            for z in loads:
+                block = slice(start, start := start + z.shape[-1])
+                if z.shape[-1] == 1:
+                    system[..., block, :] *= z
+                    load[..., block, :] = z * to_discs[..., block, :1]
+                else:
+                    system[..., block, :] = z @ system[..., block, :]
+                    load[..., block, :] = z @ to_discs[..., block, :1]
+            system.reshape(F, n, -1)[..., :: c + 1] += 1
+            force = np.linalg.solve(system, load)
             change = -(force * to_discs[..., 1:]).sum(axis=-2)
         return np.asarray(change.transpose(1, 2, 0) / scale[:, None, None] ** 2)
+
+    def _loads(self, touches: Sequence[Sequence[Contact]], scale: Floats) -> list[Complex]:
+        """Return i omega Z(omega) at omega = s nu, over s^2, of each contact of n touches, each (F, n, K, K).
+
+        Impedances are smooth in frequency: few are computed, once for all patches of a palm, and interpolated.
+        """
+        factor = 1j * self.nu_rad_s[:, None, None, None] / scale[:, None, None]
+        known: dict[tuple[Contact, float], Complex] = {}
+        loads: list[Complex] = []
+        for column in zip(*touches, strict=True):
+            nodes, weights = self._frequencies(frequencies_of(column[0]))
+            rows = []
+            for contact, s in zip(column, scale.tolist(), strict=True):
+                key = contact._replace(x_mm=0.0, y_mm=0.0), s
+                if key not in known:
+                    known[key] = impedance_of(contact, s * nodes)
+                rows.append(known[key])
+            few = np.stack(rows, axis=1)  # (nodes, n, K, K)
+            loads.append((weights @ few.reshape(len(nodes), -1)).reshape(-1, *few.shape[1:]) * factor)
+        return loads
+
+
+def _few_frequencies(nu_rad_s: Complex, count: int) -> tuple[Complex, Floats]:
+    """Return up to `count` frequencies, and the weights (F, count) by which smooth functions follow from them."""
+    real, damping = nu_rad_s.real, nu_rad_s.imag
+    if len(nu_rad_s) <= count or np.ptp(damping) > 0:
+        return nu_rad_s, np.eye(len(nu_rad_s))
+    nodes = chebyshev.points((real.max() + real.min()) / 2, (real.max() - real.min()) / 2, count)
+    return nodes + 1j * damping[0], chebyshev.weights(real, nodes)
 
 
 def _few_scales(scale: Floats) -> Floats:
