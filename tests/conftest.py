@@ -61,6 +61,20 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--hostile", choices=["short", "full"], default="short")
 
 
+FIRST = (
+    "system/web/test_calibrate", "system/web/test_page", "scenes/test_ghosts", "scenes/test_scenes",
+    "system/hostile/test_bus", "scenes/test_calibration", "system/deploy/test_systemd", "system/web/test_server",
+)  # fmt: skip
+"""Files that take longest. Some wait, some compute: side by side they leave no processor idle, nor one at the end."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Run the longest files first; the others stay in the order of pyproject's `testpaths`."""
+    tests = Path(__file__).parent
+    order = {tests / f"{name}.py": number for number, name in enumerate(FIRST)}
+    items.sort(key=lambda item: order.get(item.path, len(order)))
+
+
 def pytest_collection_finish() -> None:
     """Collect garbage again once the tests are imported."""
     gc.enable()
