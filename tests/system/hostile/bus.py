@@ -30,7 +30,9 @@ def free_address() -> str:
 class Daemon:
     """A daemon in a process of its own, which replays the demo session for ever."""
 
-    def __init__(self, folder: Path, address: str, *, descriptors: int = DESCRIPTORS, **settings: str) -> None:
+    def __init__(
+        self, folder: Path, address: str, *, descriptors: int = DESCRIPTORS, speed: float = 1.0, **settings: str
+    ) -> None:
         self.folder, self.address = folder, address
         self.log = folder / "log"
         self.config = folder / "touchd.toml"
@@ -39,7 +41,7 @@ class Daemon:
         with self.log.open("w") as log:
             self.process = subprocess.Popen(
                 ["prlimit", f"--nofile={descriptors}:{descriptors}", *command(
-                    "--config", self.config, "--replay", SESSION, "--loop", "--bind", address)],
+                    "--config", self.config, "--replay", SESSION, "--loop", "--speed", speed, "--bind", address)],
                 stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT, cwd=ROOT, env=environment(**settings),
             )  # fmt: skip
 

@@ -21,6 +21,8 @@ from touchd.client import Subscriber
 from touchd.sinks import curve
 
 MOST_GROWTH_KB = 20_000
+SPEED = 4.0
+"""Of the replay: each step waits for tens of touches."""
 
 
 @contextmanager
@@ -70,7 +72,8 @@ def full(request: pytest.FixtureRequest) -> bool:
 @pytest.fixture
 def daemon(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Daemon]:
     """A daemon that publishes at a file, or at a port if a test asks for one."""
-    daemon = Daemon(tmp_path, free_address() if getattr(request, "param", "") == "tcp" else f"ipc://{tmp_path}/bus")
+    address = free_address() if getattr(request, "param", "") == "tcp" else f"ipc://{tmp_path}/bus"
+    daemon = Daemon(tmp_path, address, speed=SPEED)
     yield daemon
     daemon.process.kill()
     daemon.process.wait()
@@ -149,7 +152,7 @@ def test_keys(tmp_path: Path, full: bool) -> None:
     shutil.copy(tmp_path / "keys/friend.key", clients)
     address = free_address()
     daemon = Daemon(
-        tmp_path, address, descriptors=256,
+        tmp_path, address, descriptors=256, speed=SPEED,
         TOUCHD_BUS__CURVE_SECRET_KEY=str(tmp_path / "keys/server.key_secret"), TOUCHD_BUS__CURVE_CLIENTS=str(clients),
     )  # fmt: skip
     server_key = tmp_path / "keys/server.key"
