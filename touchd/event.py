@@ -213,7 +213,7 @@ class TruthEvent(Struct, gc=False):
 Event = TouchEvent | KeyEvent | HealthEvent | SpectrumEvent | PlateEvent | TruthEvent
 TOPICS = ("touch", "key", "health", "spectrum", "plate", "truth")
 
-_DECODERS: dict[str, msgspec.json.Decoder[Any]] = {
+DECODERS: dict[str, msgspec.json.Decoder[Any]] = {
     "touch": msgspec.json.Decoder(TouchEvent),
     "key": msgspec.json.Decoder(KeyEvent),
     "health": msgspec.json.Decoder(HealthEvent),
@@ -256,7 +256,7 @@ def decode(topic: str, payload: bytes) -> Event:
     msgspec.DecodeError
         If the payload is no such event; its text can quote the payload.
     """
-    decoder = _DECODERS[topic]
+    decoder = DECODERS[topic]
     try:
         event: Event = decoder.decode(payload)
     except UnicodeDecodeError:

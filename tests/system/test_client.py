@@ -12,6 +12,8 @@ from pathlib import Path
 
 import pytest
 import zmq
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from touchd import client
 from touchd.client import Subscriber
@@ -167,7 +169,7 @@ PRESS = encode(KeyEvent("plate", 1, 0, "", "7", "press", 1.0))
         ([b"key", b'{"v":1,"seq":"hush-7"}'], "seq: Expected `int`, got `str`"),
         ([b"touch", encode(touch(1)).replace(b'"device"', b'"dev"')], "missing required field `device`"),
         ([b"touch"], "1 parts instead of 2"),
-        ([b"touch", b"{}", b"{}"], "3 parts instead of 2"),
+        ([b"touch", b"x", b"{}"], "3 parts instead of 2"),
         ([b"touch", encode(touch(1)).replace(b'"v":1', b'"v":2')], "of version 2.*upgrade"),
         ([b"touch", b'{"v":2}'], "of version 2.*upgrade"),
         ([b"touch", b'{"more":' + b"[" * 100_000 + b"]" * 100_000 + b"}"], "not a touch message"),
@@ -186,6 +188,36 @@ def test_a_malformed_message_is_explained_without_quoting_it(wire: Wire, parts: 
         assert "hush-7" not in str(failed.value)
         assert failed.value.__cause__ is None  # msgspec's own error can quote what it was given
         assert next(events).seq == 9  # and the iteration can go on
+
+
+PARTS = st.sampled_from([b"touch", b"key", b"touchscreen", b"{}", b"x", b"", encode(touch(2)), PRESS])
+
+
+@settings(deadline=None, max_examples=50, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.lists(st.lists(PARTS, min_size=1, max_size=4), min_size=1, max_size=8))
+def test_messages_of_any_parts(wire: Wire, messages: list[list[bytes]]) -> None:
+    """Whatever parts a message has, it is refused unless it is a topic and its event, and costs no other message."""
+    with Subscriber(wire.address, topics=("touch", "key"), timeout_s=60, max_age_s=None) as events:
+        wire.wait()
+        wire.wait()
+        for number, parts in enumerate(messages):
+            wire.socket.send_multipart(parts)
+            wire.send(touch(100 + number, number))
+        seen, refused = [0], 0
+        while seen[-1] < 99 + len(messages):
+            try:
+                seen.append(next(events).seq)
+            except BusError:
+                refused += 1
+    wire.wait()
+    wire.wait()  # it is gone
+    assert [seq for seq in seen if seq >= 100] == list(range(100, 100 + len(messages)))
+    assert refused >= sum(_is_wrong(parts) for parts in messages)
+
+
+def _is_wrong(parts: list[bytes]) -> bool:
+    """Whether a message is of a known topic, and not this and an event."""
+    return parts[0] in (b"touch", b"key") and parts not in ([b"touch", encode(touch(2))], [b"key", PRESS])
 
 
 def test_silence_ends_in_a_timeout_that_says_what_to_check(wire: Wire) -> None:

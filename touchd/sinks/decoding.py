@@ -7,11 +7,11 @@ import re
 import msgspec
 
 from touchd.errors import BusError
-from touchd.event import TOPICS, VERSION, Event, decode
+from touchd.event import DECODERS, TOPICS, VERSION, Event
 
 _LONGEST_BYTES = 1 << 20
 """A spectrum has some ten thousand."""
-_KNOWN = {topic.encode(): topic for topic in TOPICS}
+KNOWN = {topic.encode(): (topic, DECODERS[topic].decode) for topic in TOPICS}
 
 
 def decode_message(parts: list[bytes], address: str) -> Event | None:
@@ -22,9 +22,10 @@ def decode_message(parts: list[bytes], address: str) -> Event | None:
     BusError
         If the message is not one of the bus; nothing of it is quoted, since a key press is secret.
     """
-    topic = _KNOWN.get(parts[0])
-    if topic is None:
+    known = KNOWN.get(parts[0])
+    if known is None:
         return None
+    topic, decode = known
     if len(parts) != 2:
         raise BusError(
             f"a {topic} message of {len(parts)} parts instead of 2", address, "is it a touchd that publishes?"
@@ -32,8 +33,8 @@ def decode_message(parts: list[bytes], address: str) -> Event | None:
     if len(parts[1]) > _LONGEST_BYTES:
         raise BusError(f"a {topic} message of {len(parts[1])} bytes", address, "is it a touchd that publishes?")
     try:
-        event = decode(topic, parts[1])
-    except msgspec.DecodeError as error:
+        event: Event = decode(parts[1])
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         problem = _problem(error)
         version = _version(parts[1])
     else:
@@ -49,7 +50,7 @@ def decode_message(parts: list[bytes], address: str) -> Event | None:
     raise BusError(f"not a {topic} message ({problem})", address, "is it a touchd that publishes?")
 
 
-def _problem(error: msgspec.DecodeError) -> str:
+def _problem(error: Exception) -> str:
     """Return which field is wrong; neither its value nor the error itself, which quotes it: a key press is secret."""
     if not isinstance(error, msgspec.ValidationError):
         return "payload: no JSON"
