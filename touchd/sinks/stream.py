@@ -67,10 +67,15 @@ class Stream:
         if last is not None and event.seq > last[0] + 1:
             self._lost[event.type] += event.seq - last[0] - 1
         follows = last is not None and event.seq == last[0] + 1 and event.t_ns >= last[1]
-        if not self._is_stale(event, follows=follows):
+        now_ns = self._clock()
+        fresh = follows and self._shared and 0 <= now_ns - event.t_ns - self._least_ns <= self._max_age_ns
+        if fresh or not self._is_stale(event, now_ns, follows=follows):  # nearly always the former
             if isinstance(event, TouchEvent):
-                # A generator is another function in each frame.
-                self._touched = any([contact.phase != "up" for contact in event.contacts])  # noqa: C419
+                self._touched = False
+                for contact in event.contacts:  # `any` would be another function in each frame
+                    if contact.phase != "up":
+                        self._touched = True
+                        break
             elif isinstance(event, KeyEvent):
                 self._note(event)
             return event
@@ -89,9 +94,8 @@ class Stream:
         elif len(self._pressed) < 1000:
             self._pressed.add(event.key)
 
-    def _is_stale(self, event: Event, *, follows: bool) -> bool:
+    def _is_stale(self, event: Event, now_ns: int, *, follows: bool) -> bool:
         """Return whether an event is stale; `follows` says that it is the next one after the last of its topic."""
-        now_ns = self._clock()
         delay_ns = now_ns - event.t_ns
         # Reading `wall` is slow: not for a message that follows the last one and is new by what is known.
         known = follows and delay_ns - self._least_ns <= self._max_age_ns
