@@ -64,7 +64,8 @@ class Area:
         """The picture's right and down as directions on the plate."""
         self.size_mm = (high_mm, wide_mm) if self._turns % 2 else (wide_mm, high_mm)
         """Width and height of the picture."""
-        self._fates: dict[int, tuple[_Fate, int]] = {}  # and the time of its first message, ns
+        self._fates: dict[int, _Fate] = {}
+        self._since_ns: dict[int, int] = {}  # the time of each one's first message
 
     def places(self, down: Down, t_ns: int) -> dict[int, Place]:
         """Return the fingers on the screen.
@@ -76,40 +77,50 @@ class Area:
         | leaves the screen | clamped to it, or dropped if `border` is `lift` |
         | turns into an ignored kind while it is shown | dropped |
         """
-        settings, found = self._settings, {}
-        fates: dict[int, tuple[_Fate, int]] = {}
+        found, fates, ignored = {}, self._fates, self._settings.ignore
+        (left_mm, top_mm), (a, b, c, d), (wide_mm, high_mm) = self._corner_mm, self._axes, self.size_mm
+        # No calls for the usual finger, which is shown and stays: from one message to the next the caches run cold, and
+        # a call takes 2 us.
         for number, contact in down.items():
-            place = self._place(contact)
-            fate, since_ns = self._fates.get(number) or self._begin(place, t_ns)
-            ignored = contact.kind in settings.ignore
-            if fate is _WAITING and not ignored and t_ns - since_ns >= settings.min_contact_s * 1e9:
-                fate = _SHOWN
-            elif fate is _SHOWN and ignored:
-                fate = _DROPPED
-            if not self._holds(place):
-                if settings.border == "lift":
-                    fate = _DROPPED
-                place.x_mm = min(max(place.x_mm, 0.0), self.size_mm[0])
-                place.y_mm = min(max(place.y_mm, 0.0), self.size_mm[1])
-            if fate is _SHOWN:
+            from_left, from_top = contact.x_mm - left_mm, contact.y_mm - top_mm
+            x_mm, y_mm = a * from_left + b * from_top, c * from_left + d * from_top
+            vx, vy = contact.vx_mm_s, contact.vy_mm_s
+            angle_deg = contact.angle_deg
+            if angle_deg is None:
+                angle_deg = 0.0
+            elif self._turns:
+                angle_deg = half_turn(angle_deg - 90 * self._turns)
+            place = Place(x_mm, y_mm, a * vx + b * vy, c * vx + d * vy, angle_deg, contact)
+            inside = 0.0 <= x_mm <= wide_mm and 0.0 <= y_mm <= high_mm
+            if (inside and contact.kind not in ignored and fates.get(number) is _SHOWN) or (
+                self._judge(number, place, t_ns) is _SHOWN
+            ):
                 found[number] = place
-            fates[number] = fate, since_ns
-        self._fates = fates
+        if len(fates) > len(down):
+            self._fates = {number: fates[number] for number in down}
+            self._since_ns = {number: self._since_ns[number] for number in down}
         return found
 
-    def _begin(self, place: Place, t_ns: int) -> tuple[_Fate, int]:
-        return _WAITING if self._holds(place, self._settings.edge_mm) else _DROPPED, t_ns
+    def _judge(self, number: int, place: Place, t_ns: int) -> _Fate:
+        """Clamp a finger to the screen, and return what becomes of it."""
+        settings, since_ns = self._settings, self._since_ns.setdefault(number, t_ns)
+        fate = self._fates.get(number) or (_WAITING if self._holds(place, settings.edge_mm) else _DROPPED)
+        ignored = place.contact.kind in settings.ignore
+        if fate is _WAITING and not ignored and t_ns - since_ns >= settings.min_contact_s * 1e9:
+            fate = _SHOWN
+        elif fate is _SHOWN and ignored:
+            fate = _DROPPED
+        if not self._holds(place):
+            if settings.border == "lift":
+                fate = _DROPPED
+            place.x_mm = min(max(place.x_mm, 0.0), self.size_mm[0])
+            place.y_mm = min(max(place.y_mm, 0.0), self.size_mm[1])
+        self._fates[number] = fate
+        return fate
 
     def _holds(self, place: Place, margin_mm: float = 0.0) -> bool:
         wide_mm, high_mm = self.size_mm
         return margin_mm <= place.x_mm <= wide_mm - margin_mm and margin_mm <= place.y_mm <= high_mm - margin_mm
-
-    def _place(self, contact: Contact) -> Place:
-        left_mm, top_mm = self._corner_mm
-        x_mm, y_mm, vx, vy = contact.x_mm - left_mm, contact.y_mm - top_mm, contact.vx_mm_s, contact.vy_mm_s
-        angle_deg = 0.0 if contact.angle_deg is None else half_turn(contact.angle_deg - 90 * self._turns)
-        a, b, c, d = self._axes
-        return Place(a * x_mm + b * y_mm, c * x_mm + d * y_mm, a * vx + b * vy, c * vx + d * vy, angle_deg, contact)
 
 
 def half_turn(angle_deg: float) -> float:

@@ -9,7 +9,7 @@ from typing import Protocol
 from touchd.bridges.following import Down, Following
 from touchd.client import Subscriber
 from touchd.errors import BusTimeout
-from touchd.event import Event, KeyEvent
+from touchd.event import Event, KeyEvent, TouchEvent
 
 _WAIT_S, _BEAT_NS = 0.25, 100_000_000
 """Longest wait for the bus, and least time between two looks at what is not on it: signals, the watchdog of 2 s."""
@@ -63,6 +63,7 @@ def run(
     try:
         with Subscriber(address, output.topics) as events:
             now_ns = due_ns = clock()
+            wait_s = _WAIT_S
             while True:
                 if now_ns >= due_ns:
                     if not goes_on(now_ns):
@@ -70,15 +71,20 @@ def run(
                     output.idle(now_ns)
                     due_ns = now_ns + _BEAT_NS
                 try:
-                    event = events.receive(following.patience_s(now_ns, _WAIT_S))
+                    event = events.receive(wait_s)
                 except BusTimeout:
                     if following.check(now_ns := clock()):
                         output.show(following.down, now_ns)
+                    wait_s = following.patience_s(now_ns, _WAIT_S)
                     continue
                 now_ns = clock()
                 if following.take(event, now_ns) or following.check(now_ns):
                     output.show(following.down, event.t_ns)
+                if isinstance(event, TouchEvent):
+                    wait_s = _WAIT_S  # the patience after a touch is longer
+                    continue
                 if isinstance(event, KeyEvent):
                     output.press(event)
+                wait_s = following.patience_s(now_ns, _WAIT_S)
     finally:
         output.close()

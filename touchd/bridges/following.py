@@ -34,12 +34,31 @@ class Following:
 
     def take(self, event: Event, now_ns: int) -> bool:
         """Update `down` by an event that came at `now_ns`; return whether there is something to show."""
-        if isinstance(event, TouchEvent):
-            if not event.contacts:  # this subscriber stood still, and messages were dropped
-                return self.lift()
-            self._touch(event, now_ns)
-            return True
-        return isinstance(event, HealthEvent) and event.state != "streaming" and self.lift()
+        if not isinstance(event, TouchEvent):
+            return isinstance(event, HealthEvent) and event.state != "streaming" and self.lift()
+        if not event.contacts:  # this subscriber stood still, and messages were dropped
+            return self.lift()
+        self._heard_ns = now_ns
+        if self._joining or self._ignored:
+            present = {contact.id for contact in event.contacts if contact.phase != "up"}
+            self._ignored = present if self._joining else self._ignored & present
+            self._joining = False
+        before, numbers, down = self._numbers, {}, {}
+        for contact in event.contacts:
+            if contact.phase == "up":
+                continue
+            if contact.phase == "down":  # a new finger, even under an id that was in use: the daemon restarted
+                self._ignored.discard(contact.id)
+                before.pop(contact.id, None)
+            elif contact.id in self._ignored:
+                continue
+            number = before.get(contact.id)
+            if number is None:
+                number, self._next = self._next, self._next + 1
+            numbers[contact.id] = number
+            down[number] = contact
+        self._numbers, self.down = numbers, down
+        return True
 
     def check(self, now_ns: int) -> bool:
         """Lift all if the daemon has been silent for too long; return whether there is something to show."""
@@ -58,24 +77,3 @@ class Following:
         self._numbers.clear()
         self._joining = True
         return lifted
-
-    def _touch(self, event: TouchEvent, now_ns: int) -> None:
-        self._heard_ns = now_ns
-        present = [contact for contact in event.contacts if contact.phase != "up"]
-        if self._joining:
-            self._ignored = {contact.id for contact in present}
-            self._joining = False
-        elif self._ignored:
-            self._ignored &= {contact.id for contact in present}
-        before, self._numbers, self.down = self._numbers, {}, {}
-        for contact in present:
-            if contact.phase == "down":  # a new finger, even under an id that was in use: the daemon restarted
-                self._ignored.discard(contact.id)
-                before.pop(contact.id, None)
-            elif contact.id in self._ignored:
-                continue
-            number = before.get(contact.id)
-            if number is None:
-                number, self._next = self._next, self._next + 1
-            self._numbers[contact.id] = number
-            self.down[number] = contact

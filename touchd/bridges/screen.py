@@ -39,8 +39,7 @@ class Screen:
 
     def show(self, down: Down, t_ns: int) -> None:
         """Write one frame, unless all fingers are where they were, in the device's units."""
-        places = self._area.places(down, t_ns)
-        fingers = {number: slots.finger(place) for number, place in places.items()}
+        fingers = slots.fingers_at(self._area.places(down, t_ns))
         if fingers == self._fingers and fingers.keys() <= self._slots.keys():  # none waits for a slot
             return
         self._fingers = fingers

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 
 from msgspec import Struct
 
-from touchd.bridges.area import Place, half_turn
+from touchd.bridges.area import Place
 
 EV_SYN, EV_KEY, EV_ABS = 0, 1, 3
 SYN_REPORT = 0
@@ -42,7 +42,7 @@ _SLOT, _ID, _TOUCHED = _head(EV_ABS, ABS_MT_SLOT), _head(EV_ABS, ABS_MT_TRACKING
 _AT = tuple(_head(EV_ABS, code) for code in (ABS_MT_POSITION_X, ABS_MT_POSITION_Y, ABS_MT_PRESSURE, *_SIZE))
 _POINTER = tuple(_head(EV_ABS, code) for code in (ABS_X, ABS_Y, ABS_PRESSURE))
 _REPORT = _head(EV_SYN, SYN_REPORT)
-_one, _two, _three, _five, _six = (struct.Struct("@" + f"{len(_SLOT)}si" * n).pack for n in (1, 2, 3, 5, 6))
+_one, _two, _three, _five, _seven = (struct.Struct("@" + f"{len(_SLOT)}si" * n).pack for n in (1, 2, 3, 5, 7))
 
 
 class Finger(Struct, gc=False):
@@ -56,19 +56,18 @@ class Finger(Struct, gc=False):
     """Long and short axis, and the angle of the long one from the y axis, clockwise, -90 to 90 degrees."""
 
 
-def finger(place: Place) -> Finger:
-    """Return a finger in the device's units."""
-    contact = place.contact
-    pressure = min(max(round(contact.force * PRESSURE_MAX), 1), PRESSURE_MAX)
-    return Finger(round(place.x_mm * PER_MM), round(place.y_mm * PER_MM), pressure, _size(place))
-
-
-def _size(place: Place) -> tuple[int, int, int]:
-    major_mm, minor_mm = place.contact.major_mm, place.contact.minor_mm
-    if not major_mm or not minor_mm:
-        return UNKNOWN_SIZE
-    major, minor = round(major_mm * PER_MM), round(minor_mm * PER_MM)
-    return min(max(major, 1), SIZE_MAX), min(max(minor, 1), SIZE_MAX), round(half_turn(place.angle_deg - 90.0))
+def fingers_at(places: Mapping[int, Place]) -> dict[int, Finger]:
+    """Return the fingers in the device's units."""
+    fingers = {}
+    for number, place in places.items():
+        contact, size = place.contact, UNKNOWN_SIZE
+        if contact.major_mm and contact.minor_mm:
+            major, minor = round(contact.major_mm * PER_MM), round(contact.minor_mm * PER_MM)
+            turned = round(place.angle_deg % 180.0 - 90.0)
+            size = min(max(major, 1), SIZE_MAX), min(max(minor, 1), SIZE_MAX), turned
+        pressure = min(max(round(contact.force * PRESSURE_MAX), 1), PRESSURE_MAX)
+        fingers[number] = Finger(round(place.x_mm * PER_MM), round(place.y_mm * PER_MM), pressure, size)
+    return fingers
 
 
 def encode(slots: Slots, fingers: Mapping[int, Finger]) -> tuple[bytes, Slots]:
@@ -87,16 +86,17 @@ def encode(slots: Slots, fingers: Mapping[int, Finger]) -> tuple[bytes, Slots]:
             events.append(_two(_SLOT, slot, _ID, LIFTED))
     x, y, pressure, major, minor, angle = _AT
     for number, one in fingers.items():
-        if number in after:
-            events.append(_one(_SLOT, after[number]))
-        else:
+        own = after.get(number)
+        if own is None:
             free = {*range(SLOTS)}.difference(slots.values(), after.values())
             if not free:
                 continue
-            after[number] = min(free)
-            events.append(_two(_SLOT, min(free), _ID, number & 0xFFFF))
+            own = after[number] = min(free)
+            events.append(_two(_SLOT, own, _ID, number & 0xFFFF))
         long, short, turned = one.size
-        events.append(_six(x, one.x, y, one.y, pressure, one.pressure, major, long, minor, short, angle, turned))
+        events.append(
+            _seven(_SLOT, own, x, one.x, y, one.y, pressure, one.pressure, major, long, minor, short, angle, turned)
+        )
     x, y, pressure = _POINTER
     if after:
         oldest = fingers[min(after)]

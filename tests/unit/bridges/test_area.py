@@ -5,6 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from tests.unit.bridges.events import MS, contact
@@ -98,6 +100,40 @@ def test_kinds() -> None:
     assert at(one, 50, 30, kind="water") is None
     assert at(one, 50, 30, kind="finger") is None
     assert at(area(ignore=()), 50, 30, kind="palm") == (40, 10)
+
+
+def model(course: list[tuple[float, str | None]], border: str) -> list[bool]:
+    """Whether a finger is shown after each message, by the table of `Area.places`."""
+    waits = 10 <= course[0][0] <= 110
+    shown: list[bool] = []
+    for x_mm, kind in course:
+        inside = 10 <= x_mm <= 110
+        if shown and shown[-1]:
+            waits = False
+            shown.append(kind != "palm" and (inside or border == "clamp"))
+        else:
+            waits = waits and (inside or border == "clamp")
+            shown.append(waits and kind != "palm")
+    return shown
+
+
+PLACE = st.tuples(st.sampled_from([5.0, 10.0, 50.0, 110.0, 111.0]), st.sampled_from([None, "palm"]))
+COURSE = st.lists(PLACE, min_size=1)
+
+
+@given(st.lists(COURSE, min_size=1, max_size=3), st.sampled_from(["clamp", "lift"]))
+def test_any_course(courses: list[list[tuple[float, str | None]]], border: str) -> None:
+    """Whatever fingers do, beside others that come and go: each is shown as the table says, and on the screen."""
+    one, expected = area(border=border), [model(course, border) for course in courses]
+    for k in range(max(map(len, courses)) + 1):
+        down = {
+            number: replace(contact(number, "move", course[k][0], 30), kind=course[k][1])
+            for number, course in enumerate(courses) if k < len(course)
+        }  # fmt: skip
+        places = one.places(down, k)
+        assert places.keys() == {number for number in down if expected[number][k]}
+        for number, place in places.items():
+            assert (place.x_mm, place.y_mm) == (min(max(courses[number][k][0] - 10, 0), 100), 10)
 
 
 def test_no_screen() -> None:

@@ -11,7 +11,7 @@ from tests.unit.bridges.kernel import Kernel
 from touchd.bridges import slots
 from touchd.bridges.area import Area, Place
 from touchd.bridges.screen import Screen
-from touchd.bridges.slots import Finger, Slots, encode, finger, lift_all
+from touchd.bridges.slots import Finger, Slots, encode, fingers_at, lift_all
 from touchd.config.bridges import InputSettings
 
 FINGER = st.builds(
@@ -76,11 +76,11 @@ def test_units() -> None:
     """Positions are hundredths of a millimetre, pressure is force in thousandths and never 0."""
     down = contact(1, "down")
     place = Place(12.34, 56.78, 0.0, 0.0, 0.0, down)
-    assert finger(place) == Finger(1234, 5678, 500)
+    assert fingers_at({1: place})[1] == Finger(1234, 5678, 500)
     down.force = 0.0
-    assert finger(place).pressure == 1
+    assert fingers_at({1: place})[1].pressure == 1
     down.force = 7.0
-    assert finger(place).pressure == slots.PRESSURE_MAX
+    assert fingers_at({1: place})[1].pressure == slots.PRESSURE_MAX
 
 
 def test_size() -> None:
@@ -88,9 +88,9 @@ def test_size() -> None:
     sized = replace(contact(1), major_mm=12.0, minor_mm=8.0)
     for angle_deg, orientation in ((90.0, 0), (-90.0, 0), (45.0, -45), (-80.0, 10), (100.0, 10)):
         place = Place(1.0, 1.0, 0.0, 0.0, angle_deg, sized)
-        assert finger(place).size == (1200, 800, orientation)
+        assert fingers_at({1: place})[1].size == (1200, 800, orientation)
     unknown = Place(1.0, 1.0, 0.0, 0.0, 0.0, contact(1))
-    assert finger(unknown).size == (1, 1, 0), "never 0 while down"
+    assert fingers_at({1: unknown})[1].size == (1, 1, 0), "never 0 while down"
 
 
 def test_resting() -> None:
