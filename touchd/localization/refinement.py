@@ -30,7 +30,8 @@ class _Moved(NamedTuple):
 
     from_mm: Position
     by_mm: Position
-    sigma_mm: float
+    share: float
+    """Of the fit's standard error, what was left: a finger that lifts is less sure in each frame."""
 
 
 class Refinement:
@@ -75,11 +76,11 @@ class Refinement:
             self._moved = ()
         elif new or not self._holds(at):
             slow = len(last) == len(at) and max(map(math.dist, at, last)) < SLOW_MM
-            self._moved = self._weigh(bins, fit, variance) if alone or slow else ()
+            self._moved = self._weigh(bins, fit, fingers, variance) if alone or slow else ()
         if not self._moved:
             return at, fingers
         moved = [(x + one.by_mm[0], y + one.by_mm[1]) for (x, y), one in zip(at, self._moved, strict=True)]
-        return moved, [(k, self._moved[k].sigma_mm, size) for k, _, size in fingers]
+        return moved, [(k, self._moved[k].share * sigma_mm, size) for k, sigma_mm, size in fingers]
 
     def _holds(self, at: Sequence[Position]) -> bool:
         """Return whether the fingers are near where they were placed last."""
@@ -87,9 +88,10 @@ class Refinement:
             math.dist(position, one.from_mm) < HOLD_MM for position, one in zip(at, self._moved, strict=True)
         )
 
-    def _weigh(self, bins: Bins, fit: Fit, variance: float) -> Sequence[_Moved]:
+    def _weigh(self, bins: Bins, fit: Fit, fingers: list[Finger], variance: float) -> Sequence[_Moved]:
         places, self.misfit = self._weighted.place(bins, fit, variance)
+        sigmas_mm = {k: sigma_mm for k, sigma_mm, _ in fingers}
         return [
-            _Moved((x, y), (place.x_mm - x, place.y_mm - y), place.sigma_mm)
-            for (x, y), place in zip(fit.positions_mm, places, strict=False)
+            _Moved((x, y), (place.x_mm - x, place.y_mm - y), place.sigma_mm / sigmas_mm.get(k, place.sigma_mm))
+            for k, ((x, y), place) in enumerate(zip(fit.positions_mm, places, strict=False))
         ]

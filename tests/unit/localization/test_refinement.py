@@ -58,8 +58,16 @@ def test_rests() -> None:
         here = 50.0 + 0.005 * step, 50.0
         at, fingers = place(one, fit(here))
         assert at[0] == pytest.approx(moved(here))
-        assert fingers == [(0, SIGMA_MM, 1.0)]
+        assert fingers == [(0, pytest.approx(SIGMA_MM), 1.0)]
     assert weighted.asked == 1
+
+
+def test_lifts() -> None:
+    """A finger that is less sure than when it was placed, as it lifts, is as much less sure where it was moved to."""
+    one = refinement(Weighted())
+    place(one, fit((50.0, 50.0)), new=True, alone=True)
+    _, fingers = one.place(BINS, fit((50.0, 50.0)), [(0, 0.5, 1.0)], 1.0, new=False, alone=False)
+    assert fingers == [(0, pytest.approx(0.5 * SIGMA_MM / 0.05), 1.0)]
 
 
 def test_alone() -> None:
