@@ -1,13 +1,15 @@
 """Look for a finger that the others' shapes make up for.
 
-Five amplitudes each let four fingers explain all but 1 % of what five do: no more than the model misses of five. But
-what it misses is alike for all receivers of a bin, and what a missing finger leaves is not: the weighted fit tells.
+Four fingers with five amplitudes each explain all but 1 % of what five do; the model misses as much of five. But what
+it misses is alike for all receivers of a bin, and what a missing finger leaves is not. So the weighted fit can tell
+(twin):
 
-| misfit | fingers |
+| misfit | says |
 |---|---|
-| 0.1 to 0.3 | all of two to five (twin; 1 in 10 has more) |
-| 0.3 to 1.5 | one is missing |
-| falls to less than `WORTH` | it was: to 0.1 to 0.47 of what it was; one that is none to 0.59 or more |
+| 0.1 to 0.3, of one fit in ten more | two to five fingers are all there |
+| 0.3 to 1.5 | a finger is missing |
+| with another finger, 0.1 to 0.47 of what it was | that was the missing one |
+| with another finger, 0.59 of it or more | there is no finger |
 """
 
 from __future__ import annotations
@@ -24,7 +26,10 @@ from touchd.localization.pursuit import MOST_FINGERS, Pursuit, are_merged
 from touchd.localization.spline import Position
 from touchd.localization.weighted_fit import WeightedFit
 
-LARGE, WORTH = 0.25, 0.5
+LARGE = 0.25
+"""Misfit from which a finger may be missing."""
+WORTH = 0.5
+"""With a missing finger the misfit is less than this share of what it was."""
 _STEPS = 2
 
 

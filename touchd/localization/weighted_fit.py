@@ -1,7 +1,7 @@
 """Where contacts are, by a fit that knows how the model errs: generalized least squares.
 
-What five amplitudes a contact cannot say grows with the contact, and is alike in many bins: with full weight on every
-bin it moves the position. Here the errors of a bin's channels have the covariance
+What a contact's five amplitudes leave out grows with the contact, and is alike for all receivers of a bin: with full
+weight on every channel it moves the position. Here the errors of a bin's channels have the covariance
 
     R = 2 v I + sum over contacts of |z|^2 (F E + s (u u^H + O |u|^2))
 
@@ -14,7 +14,8 @@ O |u|^2      what they do not share: of each channel's own energy, and of its me
 s            `TISSUE` times the moment to the power of `POWER`, and `SCATTER` for each finger beside it
 ===========  ==================================================================================================
 
-Positions alone are taken from it: what decides on fingers are energies, which stay unweighted.
+It says where contacts are, with standard errors, and by its misfit whether one is missing (`missing`); all else is
+decided by unweighted energies.
 """
 
 from __future__ import annotations
@@ -35,13 +36,12 @@ from touchd.localization.spline import Position, Spline
 FIELD = 0.55
 """Of half the touches, as a share of its mean: a few badly known places have most of it."""
 TISSUE, POWER = 0.0035, 3.0
-"""Share of a contact's energy in a bin for a moment of 1 mm^2, and how it grows: by less 68 and 95 % of silicone tips,
-children's fingers, fingertips and thumbs are not within one and two standard errors (twin)."""
+"""Share of a contact's energy in a bin for a moment of 1 mm^2, and how it grows with the moment. With it 68 and 95 % of
+silicone tips, children's fingers, fingertips and thumbs are within one and two standard errors (twin)."""
 SCATTER = 0.002
-"""Share for each finger beside it: with it those of five fingertips are (twin). Half of it and twice it place them as
-well."""
+"""Share for each finger beside it. Half of it and twice it place five fingertips as well (twin)."""
 OWN = 0.05
-"""Share of it that receivers do not have in common."""
+"""What each receiver misses alone, as a share of what all miss together."""
 STEPS, MISFIT_STEPS = 3, 2
 UNKNOWN = 12
 """Of a contact: its place, and five complex amplitudes."""
@@ -97,7 +97,7 @@ class WeightedFit:
     def misfit(self, bins: Bins, fit: Fit, variance: float) -> float:
         """Return what contacts with shapes leave of a frame, in variances that it may; infinite if none fit.
 
-        By what they may leave in each value, which is alike in many: the mean of right fits is 0.15 (twin).
+        They leave less than 1, as what the model misses is alike in many values: fits that lack no finger 0.15 (twin).
         """
         variance = _least(variance, bins)
         try:

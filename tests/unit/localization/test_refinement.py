@@ -91,7 +91,7 @@ def test_moves() -> None:
 
 
 def test_creeps() -> None:
-    """A slow finger is placed anew after each millimetre."""
+    """A slow finger is placed again after each millimetre."""
     weighted = Weighted()
     one = refinement(weighted)
     place(one, fit((50.0, 50.0)), new=True)

@@ -96,7 +96,7 @@ def test_precision(at: tuple[float, float], seed: int) -> None:
 
 @pytest.mark.parametrize("channel", range(CHANNELS))
 def test_dead_channel(channel: int) -> None:
-    """A channel that is left out says nothing: whatever it holds, the place is the same."""
+    """A channel that is left out says nothing: the field that it would have does not matter."""
     at = (60.0, 45.0)
     values = contact(*at, 1.0, FACE, ATLAS)
     mask = np.ones((CHANNELS, len(values) * 2 // CHANNELS))
