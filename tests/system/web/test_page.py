@@ -99,13 +99,13 @@ def server(address: str) -> Iterator[Web]:
 
 
 def batches(opened: Page) -> int:
-    found: int = opened.evaluate("touchd.feed.stats.batches")
+    found: int = opened.evaluate("touchd.feed ? touchd.feed.stats.batches : 0")
     return found
 
 
 def await_more(opened: Page, count: int) -> None:
     """Wait for more updates."""
-    opened.wait_for_function("least => touchd.feed.stats.batches >= least", arg=batches(opened) + count)
+    opened.wait_for_function("least => touchd.feed && touchd.feed.stats.batches >= least", arg=batches(opened) + count)
 
 
 def test_live(browser: Browser, server: Web) -> None:
