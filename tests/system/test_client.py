@@ -196,7 +196,7 @@ PARTS = st.sampled_from([b"touch", b"key", b"touchscreen", b"{}", b"x", b"", enc
 @settings(deadline=None, max_examples=50, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.lists(st.lists(PARTS, min_size=1, max_size=4), min_size=1, max_size=8))
 def test_messages_of_any_parts(wire: Wire, messages: list[list[bytes]]) -> None:
-    """Whatever parts a message has, it is refused unless it is a topic and its event, and costs no other message."""
+    """A message of any parts but a topic and its event is refused, and costs no other message."""
     with Subscriber(wire.address, topics=("touch", "key"), timeout_s=60, max_age_s=None) as events:
         wire.wait()
         wire.wait()

@@ -16,7 +16,7 @@ from touchd.localization.noise import NoiseModel
 from touchd.localization.pursuit import is_worth
 from touchd.localization.spline import Position
 
-STEPS = 2
+_STEPS = 2
 
 T = TypeVar("T")
 
@@ -72,8 +72,8 @@ class Pruning:
         """Fit contacts found in an earlier frame from positions nearby, with the shapes that they had or new ones."""
         if not found.shapes:
             return self._fit(bins, positions_mm)
-        as_found = self._solver.fit_known(bins, positions_mm, STEPS, shapes_of(found))
-        shaped = self._solver.fit_shapes(bins, as_found, self._noise.noise_energy, STEPS)
+        as_found = self._solver.fit_known(bins, positions_mm, _STEPS, shapes_of(found))
+        shaped = self._solver.fit_shapes(bins, as_found, self._noise.noise_energy, _STEPS)
         grown = sum(as_found.energies) / max(sum(found.energies), 1e-30)
         return replace(shaped if shaped.positions_mm else as_found, points_energy=grown * found.points_energy)
 
@@ -107,7 +107,7 @@ class Pruning:
 
     def _fit(self, bins: Bins, positions_mm: list[Position]) -> Fit:
         """Fit contacts of unknown shape from positions nearby."""
-        fit = self._solver.fit_several(bins, positions_mm, STEPS)
+        fit = self._solver.fit_several(bins, positions_mm, _STEPS)
         return self._solver.with_shapes(bins, fit, self._noise.noise_energy)
 
 

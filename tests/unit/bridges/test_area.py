@@ -123,7 +123,7 @@ COURSE = st.lists(PLACE, min_size=1)
 
 @given(st.lists(COURSE, min_size=1, max_size=3), st.sampled_from(["clamp", "lift"]))
 def test_any_course(courses: list[list[tuple[float, str | None]]], border: str) -> None:
-    """Whatever fingers do, beside others that come and go: each is shown as the table says, and on the screen."""
+    """Each finger is shown as the table says, and on the screen, as others come and go beside it."""
     one, expected = area(border=border), [model(course, border) for course in courses]
     for k in range(max(map(len, courses)) + 1):
         down = {
