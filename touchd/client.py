@@ -28,7 +28,6 @@ from touchd.errors import BusError, BusTimeout
 from touchd.event import TOPICS, Event, KeyEvent, TouchEvent
 from touchd.sinks import curve, endpoint
 from touchd.sinks.decoding import decode_message
-from touchd.sinks.reader import Reader
 from touchd.sinks.stream import Stream
 
 DEFAULT_ADDRESS = endpoint.LOOPBACK
@@ -37,6 +36,9 @@ SERVICE_ADDRESS = endpoint.SERVICE
 """Of the installed service."""
 MAX_AGE_S = 0.5
 """Older touches are dropped unless a subscriber asks for another age, s."""
+_FOR_EVER = -1  # to ZeroMQ
+_LONGEST_WAIT_S = 2_000_000.0  # that ZeroMQ can count in milliseconds
+_RCVMORE = int(zmq.RCVMORE)  # pyzmq looks an enum's members up in each call
 _MOST_BYTES = 1 << 24  # of a message: libzmq ends a connection that brings more, for good
 _MOST_DEVICES = 256  # that share an address
 _MOST_DRAINED = 1000  # messages read for one event
@@ -131,7 +133,7 @@ class Subscriber(Generic[E]):
         self._keyed = pair is not None
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self._socket = self._context.socket(zmq.SUB)
-        self._reader = Reader(self._socket, self.topics, self.address)
+        self._waits_s = math.inf  # in a call that receives
         try:
             self._socket.setsockopt(zmq.LINGER, 0)
             self._socket.setsockopt(zmq.MAXMSGSIZE, _MOST_BYTES)
@@ -182,7 +184,7 @@ class Subscriber(Generic[E]):
         left_s = math.inf if timeout_s is None else timeout_s
         deadline_s = time.monotonic() + left_s
         drained = len(self._waiting)
-        while drained < _MOST_DRAINED and (parts := self._reader.read(0.0 if self._waiting else left_s)) is not None:
+        while drained < _MOST_DRAINED and (parts := self._received(0.0 if self._waiting else left_s)) is not None:
             event = decode_message(parts, self.address)
             if event is not None and (new := self._stream(event.device).take(event)) is not None:
                 if not self._newest_only:
@@ -234,6 +236,21 @@ class Subscriber(Generic[E]):
                 del self._streams[next(iter(self._streams))]
             stream = self._streams[device] = Stream(self._max_age_s, self.lost, self.dropped)
         return stream
+
+    def _received(self, timeout_s: float) -> list[bytes] | None:
+        """Return the parts of the next message, None if none comes in time."""
+        # To wait in the call that receives is 7 us quicker than to poll first, of 70 from the socket to here.
+        if timeout_s != self._waits_s:
+            wait_ms = _FOR_EVER if timeout_s > _LONGEST_WAIT_S else max(0, math.ceil(timeout_s * 1000))
+            self._socket.setsockopt(zmq.RCVTIMEO, wait_ms)
+            self._waits_s = timeout_s
+        try:
+            parts = [self._socket.recv()]
+        except zmq.Again:
+            return None
+        while self._socket.get(_RCVMORE):
+            parts.append(self._socket.recv())
+        return parts
 
 
 def _default_addresses() -> tuple[str, ...]:

@@ -11,7 +11,7 @@ from touchd.event import DECODERS, TOPICS, VERSION, Event
 
 _LONGEST_BYTES = 1 << 20
 """A spectrum has some ten thousand."""
-KNOWN = {topic.encode(): (topic, DECODERS[topic].decode) for topic in TOPICS}
+_KNOWN = {topic.encode(): (topic, DECODERS[topic].decode) for topic in TOPICS}
 
 
 def decode_message(parts: list[bytes], address: str) -> Event | None:
@@ -22,7 +22,7 @@ def decode_message(parts: list[bytes], address: str) -> Event | None:
     BusError
         If the message is not one of the bus; nothing of it is quoted, since a key press is secret.
     """
-    known = KNOWN.get(parts[0])
+    known = _KNOWN.get(parts[0])
     if known is None:
         return None
     topic, decode = known
