@@ -1,7 +1,8 @@
 """Plates by other physics than a fit has: discs with rotary inertia and stiffness in all directions, ribs, holes.
 
 Everything is a patch that adds to the plate's energies, integrated over points: mass and rotary inertia per area, and
-bending and shear stiffness. A negative patch takes the plate away.
+bending and shear stiffness. A negative patch takes the plate away. The fields are sums of the bare plate's modes and of
+functions around each disc, which bend as sharply as the plate does there.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.frame import Plate
+from touchd.lab.plates.disc_functions import DiscFunctions
 from touchd.twin.cache import remember
 from touchd.twin.physics import legendre
 from touchd.twin.physics.material import material_of, stiffness_of
@@ -20,9 +22,14 @@ from touchd.twin.physics.transducer import Layout, LoadedModes
 
 Floats = NDArray[np.float64]
 
-VERSION = 1
-BASIS, KEPT = 3.0, 2.0
-"""Times the band's end: modes that carry the patches, and modes that are kept."""
+VERSION = 2
+BASIS, BASIS_OF_MANY = 2.2, 1.6
+"""Times the band's end: modes that carry the patches; fewer where a plate has thousands, which leave 1e-3 of the
+untouched energy. All modes of the loaded plate are kept: the highest stand for how the plate gives way at a disc."""
+REACH = 2.5
+"""Radii of a disc to which the functions around it reach; less where an edge or another disc is near."""
+LEAST_NEW = 1e-9
+"""A function with less than this share that no others make up adds nothing but rounding errors."""
 
 
 class Patch(NamedTuple):
@@ -72,10 +79,9 @@ def other_modes(plate: Plate, layout: Layout, patches: list[Patch], frequency_hz
     }  # fmt: skip
 
     def compute() -> dict[str, Floats]:
-        wide = max(counts) > 80
-        modes = _bare(plate, counts, (1.6 if wide else BASIS) * frequency_hz)
-        every = [*disc_patches(layout), *patches]
-        return _patched(modes, plate, layout, every, (1.4 if wide else KEPT) * frequency_hz)._asdict()
+        basis = BASIS_OF_MANY if max(counts) > 80 else BASIS
+        modes = _bare(plate, counts, basis * frequency_hz)
+        return _patched(modes, plate, layout, patches)._asdict()
 
     return LoadedModes(**remember("other", key, compute))
 
@@ -86,57 +92,132 @@ def _bare(plate: Plate, counts: tuple[int, int], below_hz: float) -> Modes:
     return Modes(**remember("bare", key, lambda: solve(plate, counts, below_hz)._asdict()))
 
 
-def _patched(modes: Modes, plate: Plate, layout: Layout, patches: list[Patch], below_hz: float) -> LoadedModes:
-    n, nx, ny = modes.w.shape
-    mass, stiff = np.eye(n), np.diag(modes.omega_rad_s**2)
-    nu = material_of(plate).nu
-    for patch in patches:
-        at = _Values(modes, plate, patch)
-        for factor, rows in (
-            (patch.mass_kg_m2, [at.w]),
-            (patch.rotary_kg, [at.psi_x, at.psi_y]),
-            (patch.bending_n_m * (1 + nu) / 2, [at.bend_x + at.bend_y]),
-            (patch.bending_n_m * (1 - nu) / 2, [at.bend_x - at.bend_y, at.twist]),
-            (patch.shear_n_m, [at.shear_x, at.shear_y]),
-        ):
-            if factor:
-                total = mass if factor in (patch.mass_kg_m2, patch.rotary_kg) else stiff
-                for row in rows:
-                    total += factor * (row @ row.T)
-    root = np.linalg.cholesky(mass)
-    half = np.linalg.solve(root, stiff)
-    squares, vectors = np.linalg.eigh(np.linalg.solve(root, half.T))
+def _patched(modes: Modes, plate: Plate, layout: Layout, patches: list[Patch]) -> LoadedModes:
+    basis = _Basis(modes, plate, _around(layout, plate))
+    mass, stiff = np.zeros((2, basis.count, basis.count))
+    s, nu = stiffness_of(plate), material_of(plate).nu
+    whole = Patch(0.0, 0.0, 0.0, 0.0, s.mass, s.rotary, s.bending, s.shear)
+    for disc in range(len(basis.discs)):
+        at = basis.at(*basis.discs[disc].rule(), disc)
+        _add(mass, stiff, at, whole, nu)
+    n = len(modes.omega_rad_s)
+    mass[:n, :n], stiff[:n, :n] = np.eye(n), np.diag(modes.omega_rad_s**2)
+    for patch in [*disc_patches(layout), *patches]:
+        _add(mass, stiff, basis.at(*_points(patch)), patch, nu)
+    root = _inverse_root(mass)
+    squares, vectors = np.linalg.eigh(root.T @ stiff @ root)
     omega = np.sqrt(np.maximum(squares, 0.0))
     omega[:3] = 0.0
-    kept = omega < 2 * np.pi * below_hz
-    V = np.linalg.solve(root.T, vectors[:, kept]).T
-    w = modes.w.reshape(n, -1)
-    rims = [legendre.rim_average(c * 1e-3, 0.45e-3 * layout.diameter_mm, size_m(plate), (nx, ny))
-            for c in layout.centres_mm]  # fmt: skip
-    discs = np.stack(
-        [modes.psi_x.reshape(n, -1) @ x.ravel() + modes.psi_y.reshape(n, -1) @ y.ravel() for x, y in rims], axis=1
-    )
-    return LoadedModes(omega[kept], (V @ w).reshape(-1, nx, ny), V @ discs)
+    V = (root @ vectors).T
+    turned = [basis.outward(c * 1e-3, 0.45e-3 * layout.diameter_mm) for c in layout.centres_mm]
+    return LoadedModes(omega, basis.deflection(V), V @ np.stack(turned, axis=1))
 
 
-class _Values:
-    """Fields of modes at a patch's points, times the root of each point's area; each (n, Q)."""
+def _around(layout: Layout, plate: Plate) -> list[DiscFunctions]:
+    """Return the functions around each disc, that overlap neither an edge nor each other."""
+    centres, radius, found = layout.centres_mm * 1e-3, layout.diameter_mm * 0.5e-3, []
+    for k, centre in enumerate(centres):
+        others = np.linalg.norm(np.delete(centres, k, axis=0) - centre, axis=1) / 2
+        reach = min(REACH * radius, *centre, *(np.array(size_m(plate)) - centre), *others)
+        found.append(DiscFunctions(centre[0], centre[1], radius, max(float(reach), 1.01 * radius)))
+    return found
 
-    def __init__(self, modes: Modes, plate: Plate, patch: Patch) -> None:
-        x, y, area = _points(patch)
-        size, counts = size_m(plate), modes.w.shape[1:]
-        px, py = (legendre.values(at, side, count) for at, side, count in zip((x, y), size, counts, strict=True))
-        dx, dy = (p @ legendre.derivative(side, count) for p, side, count in zip((px, py), size, counts, strict=True))
-        root = np.sqrt(area)
 
-        def at(field: Floats, along_x: Floats, along_y: Floats) -> Floats:
-            return np.asarray(((field @ along_y.T).transpose(0, 2, 1) * along_x).sum(axis=2) * root)
+def _inverse_root(mass: Floats) -> Floats:
+    """Return vectors of unit mass, less those that others nearly make up."""
+    scale = np.sqrt(np.diag(mass))
+    values, vectors = np.linalg.eigh(mass / np.outer(scale, scale))
+    some = values > LEAST_NEW
+    return np.asarray(vectors[:, some] / np.sqrt(values[some]) / scale[:, None])
 
-        self.w, self.psi_x, self.psi_y = at(modes.w, px, py), at(modes.psi_x, px, py), at(modes.psi_y, px, py)
-        self.bend_x, self.bend_y = at(modes.psi_x, dx, py), at(modes.psi_y, px, dy)
-        self.twist = at(modes.psi_x, px, dy) + at(modes.psi_y, dx, py)
-        self.shear_x = at(modes.w, dx, py) + self.psi_x
-        self.shear_y = at(modes.w, px, dy) + self.psi_y
+
+class _Values(NamedTuple):
+    """Fields of basis functions at points, times the root of each point's area; each (n, Q)."""
+
+    rows: NDArray[np.intp]
+    """Which of the basis functions."""
+    w: Floats
+    psi_x: Floats
+    psi_y: Floats
+    bend_x: Floats
+    bend_y: Floats
+    twist: Floats
+    shear_x: Floats
+    shear_y: Floats
+
+
+def _add(mass: Floats, stiff: Floats, at: _Values, patch: Patch, nu: float) -> None:
+    """Add a patch's energies."""
+    which = np.ix_(at.rows, at.rows)
+    for total, factor, fields in (
+        (mass, patch.mass_kg_m2, [at.w]),
+        (mass, patch.rotary_kg, [at.psi_x, at.psi_y]),
+        (stiff, patch.bending_n_m * (1 + nu) / 2, [at.bend_x + at.bend_y]),
+        (stiff, patch.bending_n_m * (1 - nu) / 2, [at.bend_x - at.bend_y, at.twist]),
+        (stiff, patch.shear_n_m, [at.shear_x, at.shear_y]),
+    ):
+        if factor:
+            for field in fields:
+                total[which] += factor * (field @ field.T)
+
+
+class _Basis:
+    """A bare plate's modes, then the functions around each disc, each as deflection and as both rotations."""
+
+    def __init__(self, modes: Modes, plate: Plate, discs: list[DiscFunctions]) -> None:
+        self._modes, self._size = modes, size_m(plate)
+        self.discs = discs
+        n = len(modes.omega_rad_s)
+        each = 3 * DiscFunctions.count()
+        self._slices = [slice(n + each * k, n + each * (k + 1)) for k in range(len(discs))]
+        self.count = n + each * len(discs)
+
+    def at(self, x_m: Floats, y_m: Floats, area_m2: Floats, disc: int | None = None) -> _Values:
+        """Return the fields at points (Q,), of the functions around one disc or around all."""
+        modes, some = self._modes, range(len(self.discs)) if disc is None else [disc]
+        counts = modes.w.shape[1:]
+        px, py = (legendre.values(at, side, n) for at, side, n in zip((x_m, y_m), self._size, counts, strict=True))
+        dx, dy = (p @ legendre.derivative(side, n) for p, side, n in zip((px, py), self._size, counts, strict=True))
+
+        def of_modes(field: Floats) -> list[Floats]:
+            half_x, half_y = field @ py.T, field @ dy.T
+            pairs = (half_x, px), (half_x, dx), (half_y, px)
+            return [(half.transpose(0, 2, 1) * along).sum(axis=2) for half, along in pairs]
+
+        parts = [[of_modes(field) for field in modes[1:]]]
+        for k in some:
+            values = self.discs[k].at(x_m, y_m)
+            none = np.zeros_like(values[0])
+            # Value and both slopes of w, psi_x and psi_y; each function is one of the three.
+            parts.append([[np.concatenate([v if i == kind else none for i in range(3)]) for v in values]
+                          for kind in range(3)])  # fmt: skip
+        root = np.sqrt(area_m2)
+        w, psi_x, psi_y = (
+            [np.concatenate([part[kind][i] for part in parts]) * root for i in range(3)] for kind in range(3)
+        )
+        rows = np.concatenate([np.arange(len(modes.omega_rad_s)),
+                               *(np.arange(self._slices[k].start, self._slices[k].stop) for k in some)])  # fmt: skip
+        return _Values(rows, w[0], psi_x[0], psi_y[0], psi_x[1], psi_y[2], psi_x[2] + psi_y[1],
+                       w[1] + psi_x[0], w[2] + psi_y[0])  # fmt: skip
+
+    def outward(self, centre_m: Floats, radius_m: float) -> Floats:
+        """Return each function's mean outward rotation around a circle, shape (n,)."""
+        angle = 2 * np.pi * np.arange(32) / 32
+        normal = np.cos(angle), np.sin(angle)
+        at = self.at(centre_m[0] + radius_m * normal[0], centre_m[1] + radius_m * normal[1], np.ones(32))
+        return np.asarray((at.psi_x * normal[0] + at.psi_y * normal[1]).mean(axis=1))
+
+    def deflection(self, V: Floats) -> Floats:
+        """Return the deflection of modes (m, n) in Legendre products, shape (m, nx, ny)."""
+        n, nx, ny = self._modes.w.shape
+        w = V[:, :n] @ self._modes.w.reshape(n, -1)
+        for disc, part in zip(self.discs, self._slices, strict=True):
+            x, y, area = disc.rule()
+            px, py = (legendre.values(at, side, k) for at, side, k in zip((x, y), self._size, (nx, ny), strict=True))
+            value = disc.at(x, y)[0] * area
+            products = np.stack([(px * row[:, None]).T @ py for row in value])
+            w += V[:, part.start : part.start + len(value)] @ products.reshape(len(value), -1)
+        return np.asarray(w.reshape(-1, nx, ny))
 
 
 def _points(patch: Patch) -> tuple[Floats, Floats, Floats]:
