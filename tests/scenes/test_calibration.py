@@ -108,13 +108,13 @@ def calibrated(fit: PlateFit, touched: Instrument, tmp_path_factory: pytest.Temp
     return make_model(Fitted(idle, said(), untouched_mean(idle, said()), scaled, 0.0), path).model
 
 
-@pytest.mark.parametrize("noise_db", [50.0, 60.0])
+@pytest.mark.parametrize(("noise_db", "seed"), [(50.0, 6), (60.0, 6), (60.0, 9)])
 def test_no_frame_alone_is_sure_of_a_place_a_centimetre_off(
-    noise_db: float, calibrated: Model, touched: Instrument
+    noise_db: float, seed: int, calibrated: Model, touched: Instrument
 ) -> None:
-    """Near an edge the field repeats itself after half a wavelength: 7 of these frames were placed there once."""
+    """Near an edge the field repeats itself after half a wavelength: 9 of these frames were placed there once."""
     electronics = Electronics(noise_db=noise_db, gains=tuple(GAINS))
-    recording = simulate_touches(640, seed=6, instrument=touched, finger="glove", electronics=electronics)
+    recording = simulate_touches(640, seed=seed, instrument=touched, finger="glove", electronics=electronics)
     frames = touched_frames(recording)
     seen = see(find_with(calibrated, calibrated.atlas, frames), frames)
     off_mm = [

@@ -1,7 +1,6 @@
 """Place fingers on the field atlas; the network only says where one that has just landed is.
 
-A tracked finger is placed from where it was going. What the atlas cannot explain is searched for more fingers; what it
-still cannot explain is no finger.
+A tracked finger is placed from where it was going; what is left unexplained is searched for more, or is no finger.
 """
 
 from __future__ import annotations
@@ -222,6 +221,7 @@ class AtlasLocalizer:
                 fit = self._solver.fit_one(bins, *fit.positions_mm[0], FIRST_STEPS) if fit.positions_mm else fit
             else:
                 found, known = search.search(bins, fit, signal, tracked=tracked, limited=not complete)
+                found = found if tracked else self._landing.or_one(bins, found)
                 if tracked and self._follower.waits(bins, signal, excess):
                     return self._touches, inferred
                 if held and found is fit:

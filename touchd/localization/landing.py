@@ -17,6 +17,8 @@ from touchd.localization.pursuit import Pursuit
 AMBIGUOUS_MM = 7.0
 """A finger is not placed if a position farther away than this explains the frame nearly as well."""
 FIRST_STEPS = 5
+STARTS, MANY_STARTS = 3, 24
+"""Places to begin, the likeliest first; many where several fingers with shapes would make up for one."""
 _BETTER = 0.5
 """A start elsewhere at an edge wins if it leaves less than this share: of wrong valleys it leaves 0 to 0.2 (twin)."""
 
@@ -58,6 +60,21 @@ class Landing:
             fits += self._fit_candidates(bins)
         return self._best_along_edge(bins, min(fits, key=_residual_energy, default=no_fit(bins.energy)))
 
+    def or_one(self, bins: Bins, fit: Fit) -> Fit:
+        """Return several fingers with shapes, or one that leaves less than they do where no start has led.
+
+        Shapes of several make up for one finger elsewhere, mostly on a disc or near an edge.
+        """
+        noise_energy = self._noise.noise_energy
+        signal = bins.energy - noise_energy
+        if len(fit.shapes) < 2 or fit.residual_energy - noise_energy < CRITERIA.search_above * signal:
+            return fit
+        ones = self._fit_candidates(bins, MANY_STARTS) + self._fit_along_edge(bins, *fit.positions_mm[0])
+        best = min(ones, key=_residual_energy)
+        if best.residual_energy - noise_energy < CRITERIA.fair * signal:
+            best = self._solver.with_shapes(bins, best, noise_energy)
+        return best if best.residual_energy < fit.residual_energy else fit
+
     def _best_along_edge(self, bins: Bins, fit: Fit) -> Fit:
         """Return a fit, or if it lies near an edge one from elsewhere that leaves much less."""
         left = fit.residual_energy - self._noise.noise_energy
@@ -78,10 +95,10 @@ class Landing:
         starts_mm += [(x_mm, y_mm + step) for step in (-half, half)] if by_side else []
         return [self._solver.fit_one(bins, *start_mm, FIRST_STEPS) for start_mm in starts_mm]
 
-    def _fit_candidates(self, bins: Bins) -> list[Fit]:
+    def _fit_candidates(self, bins: Bins, count: int = STARTS) -> list[Fit]:
         return [
             self._solver.fit_one(bins, *candidate.position_mm, FIRST_STEPS)
-            for candidate in self._pursuit.candidates(bins.vector)
+            for candidate in self._pursuit.candidates(bins.vector, count)
         ]
 
     def is_implausible(self, bins: Bins, fit: Fit, signal: float, excess: float) -> bool:
