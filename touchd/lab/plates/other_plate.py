@@ -97,10 +97,10 @@ def _patched(modes: Modes, plate: Plate, layout: Layout, patches: list[Patch]) -
     mass, stiff = np.zeros((2, basis.count, basis.count))
     s, nu = stiffness_of(plate), material_of(plate).nu
     whole = Patch(0.0, 0.0, 0.0, 0.0, s.mass, s.rotary, s.bending, s.shear)
-    for disc in range(len(basis.discs)):
-        at = basis.at(*basis.discs[disc].rule(), disc)
-        _add(mass, stiff, at, whole, nu)
+    for k, disc in enumerate(basis.discs):
+        _add(mass, stiff, basis.at(*disc.rule(), k), whole, nu)
     n = len(modes.omega_rad_s)
+    # Of the modes themselves the whole plate's energies are known; the above gave a disc's surroundings' only.
     mass[:n, :n], stiff[:n, :n] = np.eye(n), np.diag(modes.omega_rad_s**2)
     for patch in [*disc_patches(layout), *patches]:
         _add(mass, stiff, basis.at(*_points(patch)), patch, nu)
@@ -169,7 +169,7 @@ class _Basis:
         self.discs = discs
         n = len(modes.omega_rad_s)
         each = 3 * DiscFunctions.count()
-        self._slices = [slice(n + each * k, n + each * (k + 1)) for k in range(len(discs))]
+        self._rows = [np.arange(n + each * k, n + each * (k + 1)) for k in range(len(discs))]
         self.count = n + each * len(discs)
 
     def at(self, x_m: Floats, y_m: Floats, area_m2: Floats, disc: int | None = None) -> _Values:
@@ -195,8 +195,7 @@ class _Basis:
         w, psi_x, psi_y = (
             [np.concatenate([part[kind][i] for part in parts]) * root for i in range(3)] for kind in range(3)
         )
-        rows = np.concatenate([np.arange(len(modes.omega_rad_s)),
-                               *(np.arange(self._slices[k].start, self._slices[k].stop) for k in some)])  # fmt: skip
+        rows = np.concatenate([np.arange(len(modes.omega_rad_s)), *(self._rows[k] for k in some)])
         return _Values(rows, w[0], psi_x[0], psi_y[0], psi_x[1], psi_y[2], psi_x[2] + psi_y[1],
                        w[1] + psi_x[0], w[2] + psi_y[0])  # fmt: skip
 
@@ -211,12 +210,12 @@ class _Basis:
         """Return the deflection of modes (m, n) in Legendre products, shape (m, nx, ny)."""
         n, nx, ny = self._modes.w.shape
         w = V[:, :n] @ self._modes.w.reshape(n, -1)
-        for disc, part in zip(self.discs, self._slices, strict=True):
+        for disc, rows in zip(self.discs, self._rows, strict=True):
             x, y, area = disc.rule()
             px, py = (legendre.values(at, side, k) for at, side, k in zip((x, y), self._size, (nx, ny), strict=True))
             value = disc.at(x, y)[0] * area
             products = np.stack([(px * row[:, None]).T @ py for row in value])
-            w += V[:, part.start : part.start + len(value)] @ products.reshape(len(value), -1)
+            w += V[:, rows[: len(value)]] @ products.reshape(len(value), -1)
         return np.asarray(w.reshape(-1, nx, ny))
 
 
