@@ -14,6 +14,7 @@ from touchd.calibration.edges import FREE, Edges, attachments
 from touchd.calibration.least_squares import State
 from touchd.calibration.parameters import LOGARITHMS, Reader
 from touchd.calibration.plate_file import PlateFile
+from touchd.calibration.reduced_plate import ReducedPlate
 from touchd.calibration.stages import run_stages
 from touchd.calibration.untouched import Untouched
 from touchd.calibration.untouched_model import UntouchedModel, band
@@ -24,7 +25,7 @@ from touchd.twin.physics.dispersion import mindlin_wavenumber
 from touchd.twin.physics.material import ElasticPlate, stiffness_of
 from touchd.twin.physics.mounting import attach
 from touchd.twin.physics.response import Response
-from touchd.twin.physics.transducer import Layout, loaded_modes
+from touchd.twin.physics.transducer import Layout, load
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -67,6 +68,8 @@ class PlateFit:
     """Untouched mean frame, shape (R, S), ADC counts."""
     fitted: Floats
     """The same as the fitted plate gives it."""
+    basis: ReducedPlate
+    """What the fitted plate's modes are in: with others a disc would yield otherwise, and its fitted load be wrong."""
     edges: Edges = FREE
     """What holds the sides."""
 
@@ -77,7 +80,7 @@ class PlateFit:
 
     def response(self, nu_rad_s: Complex) -> Response:
         """Return the fitted plate's response at complex angular frequencies (F,)."""
-        modes = loaded_modes(self.plate, self.layout, self.acquisition.highest_hz)
+        modes = load(self.basis.modes(self.plate), self.plate, self.layout)
         chirp = self.acquisition.chirp
         if self.edges.kinds:
             held = attachments(self.edges, self.plate)
@@ -160,7 +163,7 @@ def describe(
         loss_slope=loss.slope, gains=gains, parameters=parameters, verdict=judgement.verdict,
         expected_mm=judgement.expected_mm, reasons=judgement.reasons, undecided=judgement.undecided,
         scale_error=scale_error, unexplained=float(np.nanmean(left)), noise_share=noise_share,
-        measured=measured, fitted=fitted, edges=reader.read(p).edges,
+        measured=measured, fitted=fitted, basis=model.plate, edges=reader.read(p).edges,
     )  # fmt: skip
 
 

@@ -125,6 +125,17 @@ class ReducedPlate:
             turns.append(np.linalg.solve(root.T, vectors))
         return BareModes(np.concatenate(omega2), turns)
 
+    def modes(self, plate: ElasticPlate) -> Modes:
+        """Return another plate's modes with their fields, lowest first."""
+        bare = self.solve(shape_of(plate))
+        unit = np.sqrt(stiffness_of(plate).mass)
+        order = np.argsort(bare.omega2, kind="stable")
+        fields = []
+        for field in self.fields:
+            parts = [turn.T @ part for turn, part in zip(bare.turns, self.to_classes(field), strict=True)]
+            fields.append(np.concatenate(parts)[order].reshape(-1, *self.counts) / unit)
+        return Modes(np.sqrt(bare.omega2[order]), *fields)
+
     def slopes(self, shape: Shape, name: str) -> list[tuple[Floats, float]]:
         """Return, for each class, the derivative (n, n) of the stiffness, and the factor of `rotary` in the mass's."""
         step = 1e-4 * getattr(shape, name)

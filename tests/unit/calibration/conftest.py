@@ -5,16 +5,19 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tests.unit.calibration.plates import LAYOUT, PLATE, exact_fit
+from tests.unit.calibration.plates import LAYOUT, PLATE, basis_of, elastic, exact_fit
 from touchd.calibration.physical_atlas import make_physical_atlas
 from touchd.calibration.plate_fit import PlateFit
 from touchd.localization.atlas import Atlas
 from touchd.twin.instrument import Instrument
+from touchd.twin.physics.transducer import load
 
 
 @pytest.fixture(scope="module")
 def instrument() -> Instrument:
-    return Instrument(PLATE, layout=LAYOUT)
+    """The twin in the modes of the fit, so that both can agree to rounding."""
+    modes = load(basis_of(PLATE).modes(elastic(PLATE)), PLATE, LAYOUT)
+    return Instrument(PLATE, layout=LAYOUT, modes=modes)
 
 
 @pytest.fixture(scope="module")

@@ -8,6 +8,7 @@ import numpy as np
 
 from touchd.calibration.physical_field import AREA_MM2, TISSUE, PhysicalField
 from touchd.calibration.plate_fit import PlateFit
+from touchd.calibration.reduced_plate import ReducedPlate
 from touchd.evaluation.cramer_rao import twin_values
 from touchd.frame import Plate
 from touchd.localization.atlas import Atlas
@@ -22,16 +23,26 @@ PLATE = Plate(width_mm=110, height_mm=90, thickness_mm=5)
 LAYOUT = Layout(emitter_mm=(20, 50), receivers_mm=((12, 12), (98, 18), (85, 78)))
 
 
+def elastic(plate: Plate) -> ElasticPlate:
+    """The plate with its constants."""
+    return ElasticPlate(**plate.model_dump(), elastic=material_of(plate))
+
+
+def basis_of(plate: Plate) -> ReducedPlate:
+    """The basis of a fit whose reference is the plate itself."""
+    return ReducedPlate(elastic(plate), 100e3)
+
+
 def exact_fit(instrument: Instrument) -> PlateFit:
     """The twin's own parameters, as if a fit had found them exactly; a touch tells the gain from units to counts."""
     a = instrument.acquisition
-    plate = ElasticPlate(**instrument.plate.model_dump(), elastic=material_of(instrument.plate))
+    plate = elastic(instrument.plate)
     untouched = PEAK_COUNTS * instrument.untouched([REFERENCE_C])[0]
     unit = PlateFit(
         plate=plate, layout=instrument.layout, acquisition=a, loss=5e-3, loss_slope=0.0,
         gains=np.tile(np.array([1.0, 0, 0], complex), (a.channels, 1)), parameters=(), verdict="good", expected_mm=0.05,
         reasons=(), undecided=(), scale_error=0.0, unexplained=1e-6, noise_share=1e-6, measured=untouched,
-        fitted=untouched,
+        fitted=untouched, basis=basis_of(instrument.plate),
     )  # fmt: skip
     touch = PhysicalField(unit).at(np.array([[50.0, 40.0]]), AREA_MM2, TISSUE)
     exact = twin_values(instrument, [Contact(50.0, 40.0, AREA_MM2, TISSUE)])
