@@ -1,7 +1,7 @@
 """Other plates than the one said, tried where a fit leaves too much: swapped cables, thickness, material, held edges.
 
 Each is tried on the first arrivals, at low frequencies, where a small eigenproblem does; the best is then fitted whole.
-Only soft edges are fitted at once: the first arrivals hardly know them.
+Soft edges, which the first arrivals hardly know, are tried on the whole frame from where the fit has ended.
 """
 
 from __future__ import annotations
@@ -13,10 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.calibration.edges import SIDES
+from touchd.calibration.least_squares import State
 from touchd.calibration.parameters import Reader, held_sides
 from touchd.calibration.plate_file import Edge, Edges, PlateFile
 from touchd.calibration.reduced_plate import ReducedPlate
-from touchd.calibration.stages import window_of
+from touchd.calibration.stages import left_with_edges, window_of
 from touchd.calibration.untouched import Untouched
 from touchd.calibration.untouched_model import UntouchedModel
 from touchd.twin.physics.material import MATERIALS
@@ -56,12 +57,14 @@ def candidates(said: PlateFile, untouched: Untouched, most: int = 2) -> list[Can
     return sorted(found, key=lambda c: c.left)[:most]
 
 
-def soft_edges(said: PlateFile) -> list[Candidate]:
-    """Return the plate with all its edges on tape, if they are said to be free."""
+def soft_edges(said: PlateFile, untouched: Untouched, state: State, plate: ReducedPlate) -> list[Candidate]:
+    """Return the plate with all its edges on tape, if they are said to be free and tape leaves less than the fit."""
     if held_sides(said):
         return []
+    taped, a = _with_edge(said, "tape"), untouched.acquisition
+    left = left_with_edges(state, Reader(said, a), Reader(taped, a), plate, untouched)
     what = "tape or pads along the edges fit: say in PLATE.toml which edge is held"
-    return [Candidate(_with_edge(said, "tape"), what, 0.0)]
+    return [Candidate(taped, what, left)] if left < BETTER else []
 
 
 def _with_edge(said: PlateFile, edge: Edge | Edges) -> PlateFile:

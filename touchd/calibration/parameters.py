@@ -21,9 +21,11 @@ STIFFNESS_M3 = 1e-7
 """Unit of a disc's bending stiffness over the plate's Young's modulus: 6 mm of 2 mm PZT bonded to 5 mm glass have 2."""
 DISC_THICKNESS_MM = 2.0
 """A disc's middle lies half of its and half of the plate's thickness below the plate's."""
-LOSSES = {"pmma": 0.03, "aluminium": 2e-3, "steel": 2e-3}
-"""Typical loss factors of mounted plates with bonded discs; of others `LOSS`."""
-LOSS = 5e-3
+LOSSES = {"aluminium": 2e-3, "steel": 2e-3}
+"""Typical loss factors of mounted plates with bonded discs; of others `LOSS`, of plastics `PLASTIC_LOSS`."""
+LOSS, PLASTIC_LOSS = 5e-3, 0.03
+PLASTIC_M_S = 2500.0
+"""Root of Young's modulus over density under which a plate is of plastic; glass and metals have twice as much."""
 SPEED_PRIOR, POISSON_PRIOR = 0.02, 0.02
 """Standard deviations of handbook values: of the logarithm of the wave speed, and of Poisson's ratio."""
 LOSS_PRIOR, SLOPE_PRIOR, MASS_PRIOR, SIZE_PRIOR, STIFFNESS_PRIOR, LEVER_PRIOR = 0.7, 0.5, 0.3, 0.05, 1.5, 1.0
@@ -45,13 +47,20 @@ class Unknown(NamedTuple):
     """Standard deviation of what was said, in the vector's unit."""
 
 
+def usual_loss(said: PlateFile) -> float:
+    """Return the loss factor that a plate of this material has as a rule."""
+    m = said.plate.elastic
+    other = PLASTIC_LOSS if np.sqrt(m.E_pa / m.rho_kg_m3) < PLASTIC_M_S else LOSS
+    return LOSSES.get((said.plate.material or "").lower(), other)
+
+
 def unknowns_of(said: PlateFile) -> tuple[Unknown, ...]:
     """Return the fit's unknowns for a plate: logarithms of positive numbers, lengths in mm."""
     p, d = said.plate, said.discs
     found = [
         Unknown("speed", "wave speed", "m/s", 0.0, SPEED_PRIOR),
         Unknown("thickness", "thickness", "mm", 0.0, p.thickness_uncertainty_mm / p.thickness_mm),
-        Unknown("loss", "loss factor", "", np.log(LOSSES.get((p.material or "").lower(), LOSS)), LOSS_PRIOR),
+        Unknown("loss", "loss factor", "", np.log(usual_loss(said)), LOSS_PRIOR),
         Unknown("poisson", "Poisson's ratio", "", p.elastic.nu, POISSON_PRIOR),
         Unknown("width", "width", "mm", p.width_mm, p.width_uncertainty_mm),
         Unknown("height", "height", "mm", p.height_mm, p.height_uncertainty_mm),

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd import chirp
-from touchd.calibration.parameters import LOSS, LOSSES
+from touchd.calibration.parameters import usual_loss
 from touchd.calibration.plate_file import PlateFile
 from touchd.calibration.verdict import EXACT
 from touchd.evaluation.dataset import BASELINE_NOISE
@@ -109,7 +109,7 @@ class PlateMap:
         self._w, *self._psi = (field.reshape(n, -1) for field in modes[1:])
         self._load = -(record.nu_rad_s**2) * said.layout().mass_g * 1e-3
         nu = record.nu_rad_s
-        loss = LOSSES.get((said.plate.material or "").lower(), LOSS)
+        loss = usual_loss(said)
         self._kernel = 1 / (modes.omega_rad_s[:, None] ** 2 * (1 + 1j * loss) - nu**2)  # (n, F)
         self._emission = chirp.spectrum(acquisition.chirp, nu) * anti_alias(nu, acquisition.sample_rate_hz)
         # A response's bins are those of its frequencies: one matrix for both.

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.calibration.candidates import candidates, material_like, soft_edges
+from touchd.calibration.candidates import Candidate, candidates, material_like, soft_edges
 from touchd.calibration.disc_response import Loss
 from touchd.calibration.edges import FREE, Edges, attachments
 from touchd.calibration.least_squares import State
@@ -115,22 +115,27 @@ def fit_plate(said: PlateFile, recording_mean: Untouched, progress: Progress = l
         raise CalibrationError(
             "no channel hears the chirp", "recording", "check the emitter's cable and amplifier, and record again"
         )
-    fit = _fit(said, recording_mean, lambda share: progress("fit", share))
-    left = fit.unexplained - fit.noise_share
-    others = candidates(said, recording_mean) if left > USABLE_LEFT else soft_edges(said) if left > GOOD_LEFT else []
+    fit, state = _fit(said, recording_mean, lambda share: progress("fit", share))
+    left, others = fit.unexplained - fit.noise_share, list[Candidate]()
+    if left > USABLE_LEFT:
+        others = candidates(said, recording_mean)
+    elif left > GOOD_LEFT:
+        others = soft_edges(said, recording_mean, state, fit.basis)
     for candidate in others:
-        other = _fit(candidate.said, recording_mean, lambda share: progress("candidates", share), candidate.what)
+        other, _ = _fit(candidate.said, recording_mean, lambda share: progress("candidates", share), candidate.what)
         if other.unexplained < min(HALF * fit.unexplained, USABLE_LEFT):
             return other
     progress("fit", 1.0)
     return fit
 
 
-def _fit(said: PlateFile, untouched: Untouched, progress: Callable[[float], object], found: str = "") -> PlateFit:
+def _fit(
+    said: PlateFile, untouched: Untouched, progress: Callable[[float], object], found: str = ""
+) -> tuple[PlateFit, State]:
     """Fit one plate; `found` says what it has other than PLATE.toml."""
     reader = Reader(said, untouched.acquisition)
     state, model = run_stages(reader, untouched, progress)
-    return describe(reader, untouched, state, model, (found,) if found else ())
+    return describe(reader, untouched, state, model, (found,) if found else ()), state
 
 
 def describe(

@@ -42,9 +42,7 @@ def run_stages(
 ) -> tuple[State, UntouchedModel]:
     """Fit all unknowns, and return the last state with its model; `progress` receives the share that is done."""
     p = reader.start
-    live = ~untouched.dead
-    measured = np.where(live[:, None], untouched.mean, 0.0)
-    noise = np.maximum(untouched.noise, 1e-5 * np.sqrt((measured**2).mean()))
+    measured, noise = _data(untouched)
     samples = measured.shape[1]
     early, middle, whole = (window_of(samples, share) for share in (EARLY, MIDDLE, 1.0))
     # Soft edges hardly change the first arrivals; a clamped one does.
@@ -68,6 +66,21 @@ def run_stages(
     model = _recentred(model, reader, state.p, untouched)
     progress(0.8)
     return descend(model, reader, measured, noise, state.p, (*PLATE, *DISCS, *edges, *places), whole, 8), model
+
+
+def left_with_edges(state: State, free: Reader, held: Reader, plate: ReducedPlate, untouched: Untouched) -> float:
+    """Return what two steps of the held edges' unknowns leave of what a fit of free edges has left."""
+    measured, noise = _data(untouched)
+    p = held.start.copy()
+    p[held.index(free.names)] = state.p
+    model = UntouchedModel(plate, held, untouched.acquisition)
+    return _left(descend(model, held, measured, noise, p, held.edges, np.ones(measured.shape[1]), 2)) / _left(state)
+
+
+def _data(untouched: Untouched) -> tuple[Floats, Floats]:
+    """Return the measured frame, zero where a channel is dead, and its standard errors."""
+    measured = np.where(untouched.dead[:, None], 0.0, untouched.mean)
+    return measured, np.maximum(untouched.noise, 1e-5 * np.sqrt((measured**2).mean()))
 
 
 def _left(state: State) -> float:
