@@ -75,29 +75,37 @@ def _nearest(seen: Seen) -> tuple[float, float]:
 
 
 def tapped(
-    made: Made, fitted: Fitted, model: Model, frames: dict[str, TouchedFrames], labels_mm: Sequence[float], seed: int
-) -> list[dict[str, Any]]:
-    """Score the same touches after 20, 50 and 200 taps, whose labels err by `labels_mm` per axis."""
-    found: list[dict[str, Any]] = []
+    made: Made, fitted: Fitted, model: Model, frames: dict[str, TouchedFrames], labels_mm: Sequence[float], seed: int,
+    sets: int,
+) -> list[dict[str, Any]]:  # fmt: skip
+    """Score the same touches after 20, 50 and 200 taps, whose labels err by `labels_mm` per axis: means over sets."""
     assert model.atlas is not None
+    found: list[dict[str, Any]] = []
     for label_mm in labels_mm:
-        taps = taps_of(simulate_touches(
-            max(TAPS), seed=seed + 1000, instrument=made.instrument, electronics=made.electronics, finger="fingertip",
-            label_noise_mm=label_mm,
-        ), model.atlas)  # fmt: skip
+        drawn = [
+            taps_of(simulate_touches(
+                max(TAPS), seed=seed + 1000 + k, instrument=made.instrument, electronics=made.electronics,
+                finger="fingertip", label_noise_mm=label_mm,
+            ), model.atlas)
+            for k in range(sets)
+        ]  # fmt: skip
         for count in TAPS:
-            some = Taps(taps.label_mm[:count], taps.values[:count])
-            refined = refine(model.atlas, some, 0, widths_of(fitted.fit))
-            found.append({
-                "taps": count, "label_mm": label_mm, "scatter_mm": refined.scatter_mm, "moved_mm": refined.moved_mm,
-                "unexplained": refined.unexplained,
-            } | {finger: scores(model, refined.atlas, each) for finger, each in frames.items()})  # fmt: skip
+            each = []
+            for taps in drawn:
+                some = Taps(taps.label_mm[:count], taps.values[:count])
+                atlas = refine(model.atlas, some, 0, widths_of(fitted.fit)).atlas
+                each.append({finger: scores(model, atlas, touches) for finger, touches in frames.items()})
+            means = {
+                finger: {score: float(np.mean([one[finger][score] for one in each])) for score in each[0][finger]}
+                for finger in frames
+            }
+            found.append({"taps": count, "label_mm": label_mm, "sets": sets} | means)
     return found
 
 
 def row(
     name: str, touches: int, seed: int = 0, fingers: Sequence[str] = FINGERS, labels_mm: Sequence[float] = (),
-    warmer_k: float = 0.0,
+    warmer_k: float = 0.0, sets: int = 1,
 ) -> dict[str, Any]:  # fmt: skip
     """Return one plate's row of the table; without touches only the fit."""
     made = make(name, seed)
@@ -122,7 +130,7 @@ def row(
         frames = {finger: touches_on(made, finger, touches, seed, warmer_k=warmer_k) for finger in fingers}
         result |= {finger: scores(model, model.atlas, each) for finger, each in frames.items()}
         if labels_mm:
-            result["after_taps"] = tapped(made, fitted, model, frames, labels_mm, seed)
+            result["after_taps"] = tapped(made, fitted, model, frames, labels_mm, seed, sets)
     return result
 
 
@@ -134,11 +142,12 @@ def main() -> None:
     parser.add_argument("--seed", type=int, nargs="+", default=[0], help="what the ruler errs by, and the touches")
     parser.add_argument("--fingers", nargs="+", default=FINGERS)
     parser.add_argument("--labels-mm", type=float, nargs="+", default=[], help="also after taps with these errors")
+    parser.add_argument("--tap-sets", type=int, default=1, help="sets of taps of each error")
     parser.add_argument("--warmer-k", type=float, default=0.0, help="the plate at the touches, over its calibration")
     asked = parser.parse_args()
     for name in asked.plates:
         for seed in asked.seed:
-            found = row(name, asked.touches, seed, asked.fingers, asked.labels_mm, asked.warmer_k)
+            found = row(name, asked.touches, seed, asked.fingers, asked.labels_mm, asked.warmer_k, asked.tap_sets)
             sys.stdout.write(json.dumps({"seed": seed} | found) + "\n")
             sys.stdout.flush()
 

@@ -72,7 +72,7 @@ def write_touches(asked: TouchSet, plate: Plate, rng: np.random.Generator, elect
         raise SimulationError(
             f"a margin of {margin_mm:g} mm on a {plate.width_mm:g} x {plate.height_mm:g} mm plate",
             "margin",
-            f"use {least_mm:.1f} mm or more, and less than half of the plate",
+            f"use {np.ceil(10 * least_mm) / 10:.1f} mm or more, and less than half of the plate",
         )
     walk = np.cumsum(rng.standard_normal(2 * count))
     walk *= WALK_K / np.abs(walk).max()
