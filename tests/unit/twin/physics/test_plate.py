@@ -9,7 +9,7 @@ from touchd.errors import SimulationError
 from touchd.frame import Plate
 from touchd.twin.physics import material
 from touchd.twin.physics.dispersion import mindlin_wavenumber
-from touchd.twin.physics.legendre import derivative, disc_average, values
+from touchd.twin.physics.legendre import derivative, disc_average, disc_moments, values
 from touchd.twin.physics.material import ElasticPlate, Material, stiffness_of
 from touchd.twin.physics.plate import polynomials_for, solve
 
@@ -65,6 +65,10 @@ def test_a_disc_average_is_the_mean_of_many_points() -> None:
     px, py = values(0.05 + r * np.cos(a), 0.2, 30), values(0.12 + r * np.sin(a), 0.2, 30)
     average = disc_average([[0.05, 0.12]], [0.004], (0.2, 0.2), (30, 30))[0]
     np.testing.assert_allclose(average, px.T @ py / len(r), atol=0.05 * np.abs(average).max() / 10)
+    first, second = disc_moments([[0.05, 0.12]], [0.004], (0.2, 0.2), (30, 30))
+    for found, along in ((first[0], np.cos(a)), (second[0], np.sin(a))):
+        exact = (px * (2 * r * along / 0.004)[:, None]).T @ py / len(r)
+        np.testing.assert_allclose(found, exact, atol=0.005 * np.abs(average).max())
 
 
 def test_unknown_materials_are_refused_by_name() -> None:
