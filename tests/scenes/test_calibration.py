@@ -206,7 +206,7 @@ def test_a_clamped_edge() -> None:
 
 
 def test_a_plastic_plate() -> None:
-    """On acrylic a disc is three quarters of a wavelength wide and heavier than the plate: discs are found there too."""
+    """On acrylic, where a disc is three quarters of a wavelength wide and heavier than the plate, discs are found."""
     acrylic = Material(3.25e9, 0.346, 1185.0)
     plate = ElasticPlate(width_mm=60.1, height_mm=46.9, thickness_mm=5.98, elastic=acrylic)
     layout = Layout(emitter_mm=(15.0, 25.0), receivers_mm=((9.0, 8.0), (50.0, 10.0), (51.0, 37.0), (10.0, 38.0)))
