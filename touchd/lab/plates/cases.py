@@ -74,6 +74,7 @@ CASES = {
     "audio-192": Case((200.0, 200.0, 5.0), acquisition="audio-192"),
     "audio-96": Case((200.0, 200.0, 5.0), acquisition="audio-96"),
     "tape-not-said": Case(G220, mounting=Mounting(left="tape")),
+    "acrylic-audio-96": Case((190.0, 140.0, 6.0), "acrylic", ACRYLIC, 0.03, said=ACRYLIC_SAID, acquisition="audio-96"),
 }
 
 
