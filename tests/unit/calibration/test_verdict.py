@@ -33,6 +33,7 @@ def test_good() -> None:
         ({"parameters": (PLAIN._replace(fitted=5.2, at_prior=True),)}, "usable", "thickness: 5 mm was said, 5.2"),
         ({"scale_mm": 0.5}, "usable", "the scale is known to 0.50 mm"),
         ({"frame_noise": 0.02}, "usable", "noise of -34 dB"),
+        ({"wavelength_mm": 10.8}, "usable", "waves of 11 mm are shorter than a fingertip"),
         ({"clamped": ("left",)}, "usable", "left edge is clamped"),
         ({"found": ("a thickness of 4 mm fits",)}, "usable", "a thickness of 4 mm fits"),
     ],
