@@ -11,68 +11,21 @@ vectors: `edges`.
 from __future__ import annotations
 
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from touchd.calibration.discs import LEAST_RATIO, VECTORS, Discs, Loss, disc_vectors
 from touchd.calibration.edges import Edges, Lines
 from touchd.calibration.reduced_plate import SHAPE_NAMES, ReducedPlate, Shape
-from touchd.twin.physics import legendre
 from touchd.twin.physics.transducer import OTHER_BENDING
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
-LEAST_RATIO = 0.05
-"""Of frequency over the band's middle: below it the loss stays as it is."""
 _PLACE_STEP_M = 1e-6
-VECTORS = 8
-"""Means over a disc. Without the slopes acrylic left 3.7 % of the untouched energy, where the disc is three quarters of
-a wavelength and twice as heavy as the plate under it, with them 1.4."""
 ABSENT = 1e-9
 """A vector with this share of its largest value in a class of modes is absent there."""
-
-
-class Discs(NamedTuple):
-    """The discs of a plate: D of them, the emitter first."""
-
-    centres_m: Floats
-    """Shape (D, 2)."""
-    radius_m: float
-    mass_kg_m3: float
-    """Mass of each over the plate's density, m^3."""
-    stiffness_m3: float
-    """Resistance of each to the rotation around its rim, over the plate's Young's modulus, m^3."""
-    lever2_m2: float
-    """Square of its height below the plate's middle, m^2."""
-
-
-class Loss(NamedTuple):
-    """Loss factor (f / f0)^slope times `factor`."""
-
-    factor: float
-    slope: float
-    middle_rad_s: float
-
-    def at(self, nu_rad_s: Complex) -> Floats:
-        """Return the loss factor at angular frequencies."""
-        return np.asarray(self.factor * np.maximum(nu_rad_s.real / self.middle_rad_s, LEAST_RATIO) ** self.slope)
-
-
-def disc_vectors(plate: ReducedPlate, size: tuple[float, float], discs: Discs) -> Floats:
-    """Return the discs in the reference's modes, shape (n, VECTORS D), vector by vector."""
-    w, psi_x, psi_y = plate.fields
-    unit = np.sqrt(size[0] * size[1])
-    rims = legendre.rim_average(discs.centres_m, discs.radius_m, size, plate.counts)
-    normal_x, normal_y = (rim.reshape(len(rim), -1).T for rim in rims)
-    xx, xy, yx, yy = psi_x @ normal_x, psi_x @ normal_y, psi_y @ normal_x, psi_y @ normal_y
-    radii = np.full(len(discs.centres_m), discs.radius_m)
-    under = legendre.disc_average(discs.centres_m, radii, size, plate.counts).reshape(len(radii), -1).T
-    means = (w @ under, psi_x @ under, psi_y @ under)
-    moments = legendre.disc_moments(discs.centres_m, radii, size, plate.counts)
-    slopes = (w @ moment.reshape(len(radii), -1).T for moment in moments)
-    return np.asarray(unit * np.concatenate([xx + yy, xx - yy, xy + yx, *means, *slopes], axis=1))
 
 
 class DiscResponse:

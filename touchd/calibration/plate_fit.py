@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.calibration.candidates import Candidate, candidates, material_like, soft_edges
-from touchd.calibration.disc_response import Loss
+from touchd.calibration.discs import Loss
 from touchd.calibration.edges import FREE, Edges, attachments
 from touchd.calibration.least_squares import State
 from touchd.calibration.parameters import LOGARITHMS, Reader

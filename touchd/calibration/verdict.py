@@ -21,8 +21,8 @@ GOOD_LEFT, USABLE_LEFT = 0.01, 0.12
 GOOD_MM, USABLE_MM = 0.2, 1.0
 """Largest expected error of a good and a usable fit, mm."""
 FINGER_MM = 12.0
-"""Width of an adult's fingertip. At a shorter wave it is no longer like a point with a shape: with waves of 10.8 mm 27 %
-were missed in single frames, with 21 mm none (twin, acrylic)."""
+"""Width of an adult's fingertip. At a shorter wave it is no longer like a point with a shape: with waves of 10.8 mm
+27 % were missed in single frames, with 21 mm none (twin, acrylic)."""
 CLAMPED_MM = 0.7
 """Error of places beside a clamped edge: its depth trades off against the plate's sides (twin)."""
 NOT_SAID = ("loss", "slope", "disc", "edge")

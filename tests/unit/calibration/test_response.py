@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from touchd.calibration.disc_response import DiscResponse, Discs, Loss
+from touchd.calibration.disc_response import DiscResponse
+from touchd.calibration.discs import Discs, Loss
 from touchd.calibration.edges import Edges, attachments, lines_along
 from touchd.calibration.reduced_plate import SHAPE_NAMES, ReducedPlate, Shape, shape_of
 from touchd.twin.physics.material import MATERIALS, ElasticPlate, Material
