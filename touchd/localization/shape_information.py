@@ -107,11 +107,21 @@ def _tables(atlas: Atlas) -> NDArray[np.float64]:
         # A field of zeros, as of a plate without channels, tells nothing.
         empty = ~_regular(information)
         information[empty] = np.eye(information.shape[-1])
-        spread = np.einsum("ki,nij,kj->nk", wanted, np.linalg.inv(information), wanted)
+        spread = np.einsum("ki,nij,kj->nk", wanted, _inverse(information), wanted)
         spread[empty] = np.inf
         bias_mm = np.linalg.solve(information[:, :4, :4], 2 * information[:, :4] @ wanted[0, :, None])[:, :2, 0]
         found[:, row] = spread[:, 0], spread[:, 1:].mean(axis=1), np.square(bias_mm).mean(axis=1)
     return found
+
+
+def _inverse(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the inverses; of one that is singular but for rounding, what it cannot tell has a huge variance."""
+    try:
+        return np.asarray(np.linalg.inv(matrices), np.float64)
+    except np.linalg.LinAlgError:
+        values, vectors = np.linalg.eigh(matrices)
+        least = np.finfo(np.float64).eps * values[:, -1:]
+        return np.asarray((vectors / np.maximum(values, least)[:, None]) @ vectors.swapaxes(1, 2))
 
 
 def _regular(matrices: NDArray[np.float64]) -> NDArray[np.bool_]:
