@@ -65,10 +65,9 @@ class DiscResponse:
         spring = shape.speed2 / volume * stiff[:, None] * one
         inert = -(nu_rad_s[:, None] ** 2) / volume * one
         self._per_stiffness = np.concatenate([spring, *[OTHER_BENDING * spring] * 2, *[zero] * 5], axis=1)
-        rolling, bowed = discs.lever2_m2 * inert, discs.spread * inert
-        self._per_mass = np.concatenate([*[zero] * 3, inert, rolling, rolling, bowed, bowed], axis=1)
+        rolling = discs.lever2_m2 * inert
+        self._per_mass = np.concatenate([*[zero] * 3, inert, rolling, rolling, inert, inert], axis=1)
         self._per_lever2 = discs.mass_kg_m3 * np.concatenate([*[zero] * 4, inert, inert, zero, zero], axis=1)
-        self._per_spread = discs.mass_kg_m3 * np.concatenate([*[zero] * 6, inert, inert], axis=1)
         self._stiff_load = discs.stiffness_m3 * self._per_stiffness
         self._disc_load = self._stiff_load + discs.mass_kg_m3 * self._per_mass
         self._load = self._disc_load  # (F, V)
@@ -99,7 +98,7 @@ class DiscResponse:
         """Return the derivatives (R, F) by the named parameters.
 
         Names are those of `Shape`, `loss`, `slope` (both by the logarithm, or the exponent), `mass`, `stiffness`,
-        `lever2`, `spread`, `radius`, and `x0`, `y0`, `x1` .. of the discs' centres, in SI units; and those of `edges`.
+        `lever2`, `radius`, and `x0`, `y0`, `x1` .. of the discs' centres, in SI units; and those of `edges`.
         """
         found: dict[str, Complex] = {}
         D = len(self._discs.centres_m)
@@ -112,10 +111,7 @@ class DiscResponse:
             found["radius"] = self._by_vectors(
                 self._difference(d._replace(radius_m=d.radius_m + step), d._replace(radius_m=d.radius_m - step), step)
             )
-        loads = {
-            "mass": self._per_mass, "stiffness": self._per_stiffness, "lever2": self._per_lever2,
-            "spread": self._per_spread,
-        }  # fmt: skip
+        loads = {"mass": self._per_mass, "stiffness": self._per_stiffness, "lever2": self._per_lever2}
         found |= {name: -self._weighed(loads[name]) for name in loads if name in names}
         found |= {name: -self._weighed(load, VECTORS * D) for name, load in self._per_edge.items() if name in names}
         if names & {"loss", "slope", *SHAPE_NAMES}:

@@ -32,8 +32,6 @@ class Discs(NamedTuple):
     """Resistance of each to the rotation around its rim, over the plate's Young's modulus, m^3."""
     lever2_m2: float
     """Square of its height below the plate's middle, m^2."""
-    spread: float
-    """Share of its mass that moves with the slopes of the deflection: 1 where it is evenly spread."""
 
 
 class Loss(NamedTuple):

@@ -29,11 +29,10 @@ PLASTIC_M_S = 2500.0
 SPEED_PRIOR, POISSON_PRIOR = 0.02, 0.02
 """Standard deviations of handbook values: of the logarithm of the wave speed, and of Poisson's ratio."""
 LOSS_PRIOR, SLOPE_PRIOR, MASS_PRIOR, SIZE_PRIOR, STIFFNESS_PRIOR, LEVER_PRIOR = 0.7, 0.5, 0.3, 0.05, 1.5, 1.0
-SPREAD_PRIOR = 1.0
 
 FIRST = ("speed", "thickness", "loss")
 PLATE = ("speed", "thickness", "loss", "poisson", "width", "height", "slope")
-DISCS = ("mass", "radius", "stiffness", "lever", "spread")
+DISCS = ("mass", "radius", "stiffness", "lever")
 LOGARITHMS = frozenset({"speed", "thickness", "loss", "mass", "radius"})
 
 
@@ -70,7 +69,6 @@ def unknowns_of(said: PlateFile) -> tuple[Unknown, ...]:
         Unknown("radius", "disc diameter", "mm", 0.0, SIZE_PRIOR),
         Unknown("stiffness", "disc stiffness", "1e-7 m^3", 1.0, STIFFNESS_PRIOR),
         Unknown("lever", "disc lever, squared", "mm^2", 1.0, LEVER_PRIOR),
-        Unknown("spread", "disc spread", "", 1.0, SPREAD_PRIOR),
     ]
     for side, kind in held_sides(said).items():
         start = STARTS[kind]
@@ -142,7 +140,6 @@ class Reader:
             layout.mass_g * 1e-3 / material_of(self._plate).rho_kg_m3 * np.exp(v["mass"]),
             max(STIFFNESS_M3 * v["stiffness"], 0.0),
             max(self._lever2_m2 * v["lever"], 0.0),
-            max(v["spread"], 0.0),
         )
         edges = Edges(self.held, {name: v[name] for name in self.edges}, self._middle)
         return Guess(shape, discs, Loss(float(np.exp(v["loss"])), v["slope"], self._middle), edges)
@@ -154,7 +151,7 @@ class Reader:
             "speed": ("speed2", 2 * shape.speed2), "thickness": ("h", shape.h), "loss": ("loss", 1.0),
             "poisson": ("nu", 1.0), "width": ("width", 1e-3), "height": ("height", 1e-3), "slope": ("slope", 1.0),
             "mass": ("mass", discs.mass_kg_m3), "radius": ("radius", discs.radius_m),
-            "stiffness": ("stiffness", STIFFNESS_M3), "lever": ("lever2", self._lever2_m2), "spread": ("spread", 1.0),
+            "stiffness": ("stiffness", STIFFNESS_M3), "lever": ("lever2", self._lever2_m2),
         }  # fmt: skip
         return found | {name: (name, 1.0) for name in self.edges} | {name: (name, 1e-3) for name in self.places}
 
@@ -179,7 +176,6 @@ class Reader:
             emitter_mm=places[0], receivers_mm=tuple(places[1:]), diameter_mm=2e3 * discs.radius_m,
             mass_g=1e3 * rho * discs.mass_kg_m3,
             stiffness_n_m=rho * guess.shape.speed2 * discs.stiffness_m3, lever_mm=1e3 * np.sqrt(discs.lever2_m2),
-            spread=discs.spread,
         )  # fmt: skip
 
     def shown(self, p: Floats) -> Floats:

@@ -22,9 +22,9 @@ GLASS = MATERIALS["glass"]
 PLATE = ElasticPlate(width_mm=70, height_mm=60, thickness_mm=5, elastic=GLASS)
 NU: Complex = np.asarray(2 * np.pi * np.linspace(40e3, 105e3, 40) - 6500j, np.complex128)
 PLACES_MM = np.array([[15.0, 40.0], [10.0, 11.0], [58.0, 12.0]])
-MASS_KG, STIFFNESS_N_M, LEVER_MM, SPREAD = 0.43e-3, 9000.0, 3.5, 0.8
+MASS_KG, STIFFNESS_N_M, LEVER_MM = 0.43e-3, 9000.0, 3.5
 LOSS = Loss(5e-3, 0.3, 2 * np.pi * 75e3)
-DISCS = Discs(PLACES_MM * 1e-3, 3e-3, MASS_KG / GLASS.rho_kg_m3, STIFFNESS_N_M / GLASS.E_pa, LEVER_MM**2 * 1e-6, SPREAD)
+DISCS = Discs(PLACES_MM * 1e-3, 3e-3, MASS_KG / GLASS.rho_kg_m3, STIFFNESS_N_M / GLASS.E_pa, LEVER_MM**2 * 1e-6)
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +54,6 @@ def test_it_is_the_twins(plate: ReducedPlate) -> None:
         mass_g=MASS_KG * 1e3,
         stiffness_n_m=STIFFNESS_N_M,
         lever_mm=LEVER_MM,
-        spread=SPREAD,
     )
     modes = load(solve(PLATE, plate.counts, 300e3), PLATE, layout)
     expected = Response(PLATE, modes, NU, LOSS.at(NU)).untouched()
@@ -73,9 +72,7 @@ def test_another_plate_in_the_references_modes(plate: ReducedPlate) -> None:
 
 def test_held_edges_are_the_twins(plate: ReducedPlate) -> None:
     """With tape and a clamp the response is that of the twin's modes with the same strips attached."""
-    layout = Layout(
-        emitter_mm=(15, 40), receivers_mm=((10, 11), (58, 12)), mass_g=MASS_KG * 1e3, lever_mm=LEVER_MM, spread=SPREAD
-    )
+    layout = Layout(emitter_mm=(15, 40), receivers_mm=((10, 11), (58, 12)), mass_g=MASS_KG * 1e3, lever_mm=LEVER_MM)
     modes = attach(load(solve(PLATE, plate.counts, 300e3), PLATE, layout), PLATE, attachments(EDGES, PLATE), 0.0, 75e3)
     expected = Response(PLATE, modes, NU, LOSS.at(NU)).untouched()
     discs = DISCS._replace(stiffness_m3=0.0)
@@ -122,13 +119,7 @@ def differences(plate: ReducedPlate, name: str) -> Complex:
     if name in EDGES.values:
         value = EDGES.values[name]
         return central(lambda d: response(edges=EDGES._replace(values=EDGES.values | {name: value + d})), 1e-4)
-    field = {
-        "mass": "mass_kg_m3",
-        "stiffness": "stiffness_m3",
-        "radius": "radius_m",
-        "lever2": "lever2_m2",
-        "spread": "spread",
-    }.get(name)
+    field = {"mass": "mass_kg_m3", "stiffness": "stiffness_m3", "radius": "radius_m", "lever2": "lever2_m2"}.get(name)
     if field:
         value = getattr(DISCS, field)
         return central(lambda d: response(discs=DISCS._replace(**{field: value + d})), 1e-4 * value)
@@ -137,8 +128,7 @@ def differences(plate: ReducedPlate, name: str) -> Complex:
     return central(lambda d: response(discs=DISCS._replace(centres_m=DISCS.centres_m + d * unit)), 1e-6)
 
 
-NAMES = (*SHAPE_NAMES, "loss", "slope", "mass", "stiffness", "lever2", "spread", "radius", "x0", "y0", "x1", "y1",
-         "x2", "y2",
+NAMES = (*SHAPE_NAMES, "loss", "slope", "mass", "stiffness", "lever2", "radius", "x0", "y0", "x1", "y1", "x2", "y2",
          *EDGES.values)  # fmt: skip
 
 
