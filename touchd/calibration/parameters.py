@@ -176,6 +176,7 @@ class Reader:
             emitter_mm=places[0], receivers_mm=tuple(places[1:]), diameter_mm=2e3 * discs.radius_m,
             mass_g=1e3 * rho * discs.mass_kg_m3,
             stiffness_n_m=rho * guess.shape.speed2 * discs.stiffness_m3, lever_mm=1e3 * np.sqrt(discs.lever2_m2),
+            spread=True,
         )  # fmt: skip
 
     def shown(self, p: Floats) -> Floats:

@@ -48,8 +48,9 @@ class Layout(BaseModel):
     stiffness_n_m: float = Field(default=0.0, ge=0)
     """Resistance of each to the mean rotation around its rim, N m per rad."""
     lever_mm: float = Field(default=0.0, ge=0)
-    """Height of each disc's middle below the plate's: the plate's rotations move it in the plane. At zero the disc's
-    mass moves with the mean deflection alone, without its slopes."""
+    """Height of each disc's middle below the plate's: the plate's rotations move it in the plane."""
+    spread: bool = False
+    """Whether each disc's mass is evenly spread, and moves with the slopes of the deflection, or is in its centre."""
 
     @property
     def centres_mm(self) -> Floats:
@@ -143,12 +144,11 @@ def load(modes: Modes, plate: Plate, layout: Layout, below_hz: float = np.inf) -
     # M = 1 + B B'; its inverse root differs from 1 only in the span of B.
     psi_x, psi_y, flat = modes.psi_x.reshape(n, -1), modes.psi_y.reshape(n, -1), under.reshape(len(centres), -1).T
     lever = layout.lever_mm * 1e-3
-    moved = w @ flat
-    if lever:
+    moved = [w @ flat, lever * (psi_x @ flat), lever * (psi_y @ flat)] if lever else [w @ flat]
+    if layout.spread:
         moments = legendre.disc_moments(centres, np.full(len(centres), radius), size, (counts[0], counts[1]))
-        slopes = (w @ moment.reshape(len(centres), -1).T for moment in moments)
-        moved = np.concatenate([moved, lever * (psi_x @ flat), lever * (psi_y @ flat), *slopes], axis=1)
-    B = moved * np.sqrt(layout.mass_g * 1e-3)
+        moved += [w @ moment.reshape(len(centres), -1).T for moment in moments]
+    B = np.concatenate(moved, axis=1) * np.sqrt(layout.mass_g * 1e-3)
     U, sigma, _ = np.linalg.svd(B, full_matrices=False)
     root = (U * ((1 + sigma**2) ** -0.5 - 1)) @ U.T
     root[np.diag_indices(n)] += 1
