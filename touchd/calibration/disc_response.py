@@ -66,8 +66,15 @@ class DiscResponse:
         inert = -(nu_rad_s[:, None] ** 2) / volume * one
         self._per_stiffness = np.concatenate([spring, *[OTHER_BENDING * spring] * 2, *[zero] * 5], axis=1)
         rolling = discs.lever2_m2 * inert
-        self._per_mass = np.concatenate([*[zero] * 3, inert, rolling, rolling, inert, inert], axis=1)
-        self._per_lever2 = discs.mass_kg_m3 * np.concatenate([*[zero] * 4, inert, inert, zero, zero], axis=1)
+        tilting = discs.spread * inert
+        self._per_mass = np.concatenate([*[zero] * 3, inert, rolling, rolling, tilting, tilting], axis=1)
+        heavy = discs.mass_kg_m3 * inert
+        rolls = [*[zero] * 4, heavy, heavy, zero, zero]
+        tilts = [*[zero] * 6, heavy / discs.face_m2, heavy / discs.face_m2]
+        lifted = discs.lever2_m2 > 0
+        self._per_gyration2 = np.concatenate(rolls if lifted else tilts, axis=1)
+        # A wider disc of the same gyration rolls less, and its slopes are means over a wider face.
+        self._by_face = self._per_gyration2 * (1.0 if lifted else discs.spread)
         self._stiff_load = discs.stiffness_m3 * self._per_stiffness
         self._disc_load = self._stiff_load + discs.mass_kg_m3 * self._per_mass
         self._load = self._disc_load  # (F, V)
@@ -98,7 +105,7 @@ class DiscResponse:
         """Return the derivatives (R, F) by the named parameters.
 
         Names are those of `Shape`, `loss`, `slope` (both by the logarithm, or the exponent), `mass`, `stiffness`,
-        `lever2`, `radius`, and `x0`, `y0`, `x1` .. of the discs' centres, in SI units; and those of `edges`.
+        `gyration2`, `radius`, and `x0`, `y0`, `x1` .. of the discs' centres, in SI units; and those of `edges`.
         """
         found: dict[str, Complex] = {}
         D = len(self._discs.centres_m)
@@ -110,8 +117,8 @@ class DiscResponse:
             step = 1e-3 * d.radius_m
             found["radius"] = self._by_vectors(
                 self._difference(d._replace(radius_m=d.radius_m + step), d._replace(radius_m=d.radius_m - step), step)
-            )
-        loads = {"mass": self._per_mass, "stiffness": self._per_stiffness, "lever2": self._per_lever2}
+            ) + d.radius_m / 2 * self._weighed(self._by_face)
+        loads = {"mass": self._per_mass, "stiffness": self._per_stiffness, "gyration2": self._per_gyration2}
         found |= {name: -self._weighed(loads[name]) for name in loads if name in names}
         found |= {name: -self._weighed(load, VECTORS * D) for name, load in self._per_edge.items() if name in names}
         if names & {"loss", "slope", *SHAPE_NAMES}:

@@ -30,8 +30,23 @@ class Discs(NamedTuple):
     """Mass of each over the plate's density, m^3."""
     stiffness_m3: float
     """Resistance of each to the rotation around its rim, over the plate's Young's modulus, m^3."""
-    lever2_m2: float
-    """Square of its height below the plate's middle, m^2."""
+    gyration2_m2: float
+    """Square of its radius of gyration about a line in the plate's middle, m^2: what rolls as the plate tilts."""
+
+    @property
+    def face_m2(self) -> float:
+        """What of the square is in the face of a disc of evenly spread mass, m^2."""
+        return self.radius_m**2 / 4
+
+    @property
+    def lever2_m2(self) -> float:
+        """What is beyond the face: the square of the disc's height below the plate's middle, m^2."""
+        return max(self.gyration2_m2 - self.face_m2, 0.0)
+
+    @property
+    def spread(self) -> float:
+        """How far the mass is spread: 0 in the centre, 1 evenly."""
+        return min(self.gyration2_m2 / self.face_m2, 1.0)
 
 
 class Loss(NamedTuple):

@@ -28,11 +28,11 @@ PLASTIC_M_S = 2500.0
 """Root of Young's modulus over density under which a plate is of plastic; glass and metals have twice as much."""
 SPEED_PRIOR, POISSON_PRIOR = 0.02, 0.02
 """Standard deviations of handbook values: of the logarithm of the wave speed, and of Poisson's ratio."""
-LOSS_PRIOR, SLOPE_PRIOR, MASS_PRIOR, SIZE_PRIOR, STIFFNESS_PRIOR, LEVER_PRIOR = 0.7, 0.5, 0.3, 0.05, 1.5, 1.0
+LOSS_PRIOR, SLOPE_PRIOR, MASS_PRIOR, SIZE_PRIOR, STIFFNESS_PRIOR, GYRATION_PRIOR = 0.7, 0.5, 0.3, 0.05, 1.5, 1.0
 
 FIRST = ("speed", "thickness", "loss")
 PLATE = ("speed", "thickness", "loss", "poisson", "width", "height", "slope")
-DISCS = ("mass", "radius", "stiffness", "lever")
+DISCS = ("mass", "radius", "stiffness", "gyration")
 LOGARITHMS = frozenset({"speed", "thickness", "loss", "mass", "radius"})
 
 
@@ -68,7 +68,7 @@ def unknowns_of(said: PlateFile) -> tuple[Unknown, ...]:
         Unknown("mass", "disc mass", "g", 0.0, MASS_PRIOR),
         Unknown("radius", "disc diameter", "mm", 0.0, SIZE_PRIOR),
         Unknown("stiffness", "disc stiffness", "1e-7 m^3", 1.0, STIFFNESS_PRIOR),
-        Unknown("lever", "disc lever, squared", "mm^2", 1.0, LEVER_PRIOR),
+        Unknown("gyration", "disc gyration, squared", "mm^2", 1.0, GYRATION_PRIOR),
     ]
     for side, kind in held_sides(said).items():
         start = STARTS[kind]
@@ -113,7 +113,8 @@ class Reader:
         """Names of the edges' unknowns."""
         self._plate, self._layout = said.twin_plate(), said.layout()
         self._said = shape_of(self._plate)
-        self._lever2_m2 = ((said.plate.thickness_mm + DISC_THICKNESS_MM) / 2e3) ** 2
+        lever_mm = (said.plate.thickness_mm + DISC_THICKNESS_MM) / 2
+        self._gyration2_m2 = 1e-6 * (lever_mm**2 + said.discs.diameter_mm**2 / 16)
         chirp = acquisition.chirp
         self._middle = np.pi * (chirp.start_hz + chirp.stop_hz)
 
@@ -139,7 +140,7 @@ class Reader:
             layout.diameter_mm / 2e3 * np.exp(v["radius"]),
             layout.mass_g * 1e-3 / material_of(self._plate).rho_kg_m3 * np.exp(v["mass"]),
             max(STIFFNESS_M3 * v["stiffness"], 0.0),
-            max(self._lever2_m2 * v["lever"], 0.0),
+            max(self._gyration2_m2 * v["gyration"], 0.0),
         )
         edges = Edges(self.held, {name: v[name] for name in self.edges}, self._middle)
         return Guess(shape, discs, Loss(float(np.exp(v["loss"])), v["slope"], self._middle), edges)
@@ -151,7 +152,7 @@ class Reader:
             "speed": ("speed2", 2 * shape.speed2), "thickness": ("h", shape.h), "loss": ("loss", 1.0),
             "poisson": ("nu", 1.0), "width": ("width", 1e-3), "height": ("height", 1e-3), "slope": ("slope", 1.0),
             "mass": ("mass", discs.mass_kg_m3), "radius": ("radius", discs.radius_m),
-            "stiffness": ("stiffness", STIFFNESS_M3), "lever": ("lever2", self._lever2_m2),
+            "stiffness": ("stiffness", STIFFNESS_M3), "gyration": ("gyration2", self._gyration2_m2),
         }  # fmt: skip
         return found | {name: (name, 1.0) for name in self.edges} | {name: (name, 1e-3) for name in self.places}
 
@@ -176,7 +177,7 @@ class Reader:
             emitter_mm=places[0], receivers_mm=tuple(places[1:]), diameter_mm=2e3 * discs.radius_m,
             mass_g=1e3 * rho * discs.mass_kg_m3,
             stiffness_n_m=rho * guess.shape.speed2 * discs.stiffness_m3, lever_mm=1e3 * np.sqrt(discs.lever2_m2),
-            spread=True,
+            spread=discs.spread,
         )  # fmt: skip
 
     def shown(self, p: Floats) -> Floats:
@@ -185,5 +186,5 @@ class Reader:
         m = plate.elastic
         first = [np.sqrt(m.E_pa / m.rho_kg_m3), plate.thickness_mm, loss.factor, m.nu, plate.width_mm, plate.height_mm]
         return np.array([*first, loss.slope, layout.mass_g, layout.diameter_mm, p[self._at["stiffness"]],
-                         p[self._at["lever"]] * self._lever2_m2 * 1e6,
-                         *p[self._at["lever"] + 1 :]])  # fmt: skip
+                         p[self._at["gyration"]] * self._gyration2_m2 * 1e6,
+                         *p[self._at["gyration"] + 1 :]])  # fmt: skip

@@ -24,7 +24,9 @@ NU: Complex = np.asarray(2 * np.pi * np.linspace(40e3, 105e3, 40) - 6500j, np.co
 PLACES_MM = np.array([[15.0, 40.0], [10.0, 11.0], [58.0, 12.0]])
 MASS_KG, STIFFNESS_N_M, LEVER_MM = 0.43e-3, 9000.0, 3.5
 LOSS = Loss(5e-3, 0.3, 2 * np.pi * 75e3)
-DISCS = Discs(PLACES_MM * 1e-3, 3e-3, MASS_KG / GLASS.rho_kg_m3, STIFFNESS_N_M / GLASS.E_pa, LEVER_MM**2 * 1e-6)
+DISCS = Discs(
+    PLACES_MM * 1e-3, 3e-3, MASS_KG / GLASS.rho_kg_m3, STIFFNESS_N_M / GLASS.E_pa, (LEVER_MM**2 + 1.5**2) * 1e-6
+)
 
 
 @pytest.fixture(scope="module")
@@ -46,19 +48,21 @@ def near(plate: ReducedPlate) -> Shape:
     return s._replace(h=1.003 * s.h, width=1.002 * s.width, speed2=1.01 * s.speed2)
 
 
-def test_it_is_the_twins(plate: ReducedPlate) -> None:
-    """The response between the discs is the twin's, with masses and stiffnesses."""
+@pytest.mark.parametrize(("lever_mm", "spread"), [(LEVER_MM, 1.0), (0.0, 0.4), (0.0, 0.0)])
+def test_it_is_the_twins(plate: ReducedPlate, lever_mm: float, spread: float) -> None:
+    """The response between the discs is the twin's, with stiffnesses and masses spread or in the centre."""
     layout = Layout(
         emitter_mm=(15, 40),
         receivers_mm=((10, 11), (58, 12)),
         mass_g=MASS_KG * 1e3,
         stiffness_n_m=STIFFNESS_N_M,
-        lever_mm=LEVER_MM,
-        spread=True,
+        lever_mm=lever_mm,
+        spread=spread,
     )
     modes = load(solve(PLATE, plate.counts, 300e3), PLATE, layout)
     expected = Response(PLATE, modes, NU, LOSS.at(NU)).untouched()
-    found = DiscResponse(plate, plate.reference, DISCS, LOSS, NU).untouched()
+    discs = DISCS._replace(gyration2_m2=1e-6 * lever_mm**2 + spread * DISCS.face_m2)
+    found = DiscResponse(plate, plate.reference, discs, LOSS, NU).untouched()
     found = found / (GLASS.rho_kg_m3 * 5e-3 * 70e-3 * 60e-3)  # per mass of the plate
     assert np.abs(found - expected).max() < 2e-3 * np.abs(expected).max()
 
@@ -73,10 +77,10 @@ def test_another_plate_in_the_references_modes(plate: ReducedPlate) -> None:
 
 def test_held_edges_are_the_twins(plate: ReducedPlate) -> None:
     """With tape and a clamp the response is that of the twin's modes with the same strips attached."""
-    layout = Layout(emitter_mm=(15, 40), receivers_mm=((10, 11), (58, 12)), mass_g=MASS_KG * 1e3, spread=True)
+    layout = Layout(emitter_mm=(15, 40), receivers_mm=((10, 11), (58, 12)), mass_g=MASS_KG * 1e3, spread=1)
     modes = attach(load(solve(PLATE, plate.counts, 300e3), PLATE, layout), PLATE, attachments(EDGES, PLATE), 0.0, 75e3)
     expected = Response(PLATE, modes, NU, LOSS.at(NU)).untouched()
-    discs = DISCS._replace(stiffness_m3=0.0, lever2_m2=0.0)
+    discs = DISCS._replace(stiffness_m3=0.0, gyration2_m2=DISCS.face_m2)
     held = lines_along(plate, EDGES.kinds), EDGES
     found = DiscResponse(plate, plate.reference, discs, LOSS, NU, held).untouched()
     free = DiscResponse(plate, plate.reference, discs, LOSS, NU).untouched()
@@ -98,13 +102,13 @@ def test_a_turned_plate(plate: ReducedPlate, orientation: int) -> None:
     np.testing.assert_allclose(found[1], found[0], atol=1e-6 * np.abs(found[0]).max())
 
 
-def differences(plate: ReducedPlate, name: str) -> Complex:
+def differences(plate: ReducedPlate, name: str, of: Discs = DISCS) -> Complex:
     """The derivative by central differences."""
     s = near(plate)
 
     lines = lines_along(plate, EDGES.kinds)
 
-    def response(shape: Shape = s, discs: Discs = DISCS, loss: Loss = LOSS, edges: Edges = EDGES) -> Complex:
+    def response(shape: Shape = s, discs: Discs = of, loss: Loss = LOSS, edges: Edges = EDGES) -> Complex:
         return DiscResponse(plate, shape, discs, loss, NU, (lines, edges)).untouched()
 
     def central(at: Callable[[float], Complex], step: float) -> Complex:
@@ -120,16 +124,18 @@ def differences(plate: ReducedPlate, name: str) -> Complex:
     if name in EDGES.values:
         value = EDGES.values[name]
         return central(lambda d: response(edges=EDGES._replace(values=EDGES.values | {name: value + d})), 1e-4)
-    field = {"mass": "mass_kg_m3", "stiffness": "stiffness_m3", "radius": "radius_m", "lever2": "lever2_m2"}.get(name)
+    field = {"mass": "mass_kg_m3", "stiffness": "stiffness_m3", "radius": "radius_m", "gyration2": "gyration2_m2"}.get(
+        name
+    )
     if field:
-        value = getattr(DISCS, field)
-        return central(lambda d: response(discs=DISCS._replace(**{field: value + d})), 1e-4 * value)
+        value = getattr(of, field)
+        return central(lambda d: response(discs=of._replace(**{field: value + d})), 1e-4 * value)
     unit = np.zeros((3, 2))
     unit[int(name[1]), "xy".index(name[0])] = 1.0
     return central(lambda d: response(discs=DISCS._replace(centres_m=DISCS.centres_m + d * unit)), 1e-6)
 
 
-NAMES = (*SHAPE_NAMES, "loss", "slope", "mass", "stiffness", "lever2", "radius", "x0", "y0", "x1", "y1", "x2", "y2",
+NAMES = (*SHAPE_NAMES, "loss", "slope", "mass", "stiffness", "gyration2", "radius", "x0", "y0", "x1", "y1", "x2", "y2",
          *EDGES.values)  # fmt: skip
 
 
@@ -139,6 +145,16 @@ def test_derivatives(plate: ReducedPlate, name: str) -> None:
     held = lines_along(plate, EDGES.kinds), EDGES
     found = DiscResponse(plate, near(plate), DISCS, LOSS, NU, held).slopes({name})[name]
     expected = differences(plate, name)
+    assert np.abs(found - expected).max() < 1e-4 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize("name", ["mass", "gyration2", "radius", "h"])
+def test_derivatives_of_discs_of_little_gyration(plate: ReducedPlate, name: str) -> None:
+    """They hold for masses that are less than evenly spread."""
+    held = lines_along(plate, EDGES.kinds), EDGES
+    of = DISCS._replace(gyration2_m2=0.4 * DISCS.face_m2)
+    found = DiscResponse(plate, near(plate), of, LOSS, NU, held).slopes({name})[name]
+    expected = differences(plate, name, of)
     assert np.abs(found - expected).max() < 1e-4 * np.abs(expected).max()
 
 

@@ -49,8 +49,8 @@ class Layout(BaseModel):
     """Resistance of each to the mean rotation around its rim, N m per rad."""
     lever_mm: float = Field(default=0.0, ge=0)
     """Height of each disc's middle below the plate's: the plate's rotations move it in the plane."""
-    spread: bool = False
-    """Whether each disc's mass is evenly spread, and moves with the slopes of the deflection, or is in its centre."""
+    spread: float = Field(default=0.0, ge=0, le=1)
+    """How far each disc's mass is spread: 0 in its centre, 1 evenly, so that it moves with the deflection's slopes."""
 
     @property
     def centres_mm(self) -> Floats:
@@ -147,7 +147,7 @@ def load(modes: Modes, plate: Plate, layout: Layout, below_hz: float = np.inf) -
     moved = [w @ flat, lever * (psi_x @ flat), lever * (psi_y @ flat)] if lever else [w @ flat]
     if layout.spread:
         moments = legendre.disc_moments(centres, np.full(len(centres), radius), size, (counts[0], counts[1]))
-        moved += [w @ moment.reshape(len(centres), -1).T for moment in moments]
+        moved += [np.sqrt(layout.spread) * (w @ moment.reshape(len(centres), -1).T) for moment in moments]
     B = np.concatenate(moved, axis=1) * np.sqrt(layout.mass_g * 1e-3)
     U, sigma, _ = np.linalg.svd(B, full_matrices=False)
     root = (U * ((1 + sigma**2) ** -0.5 - 1)) @ U.T
