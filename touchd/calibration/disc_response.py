@@ -15,10 +15,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.calibration.discs import LEAST_RATIO, VECTORS, Discs, Loss, disc_vectors
+from touchd.calibration.discs import LEAST_RATIO, Discs, Loss, disc_vectors
 from touchd.calibration.edges import Edges, Lines
 from touchd.calibration.reduced_plate import SHAPE_NAMES, ReducedPlate, Shape
-from touchd.twin.physics.transducer import OTHER_BENDING
+from touchd.twin.physics.transducer import MEANS, OTHER_BENDING
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -60,7 +60,7 @@ class DiscResponse:
         self._H = 1 / (self._bare.omega2[:, None] * stiff - nu_rad_s**2)  # (n, F)
         D = len(discs.centres_m)
         volume = shape.h * shape.width * shape.height
-        # Loads of the discs' vectors per mass of the plate, by what they are proportional to, shape (F, VECTORS D).
+        # Loads of the discs' vectors per mass of the plate, by what they are proportional to, shape (F, MEANS D).
         zero, one = np.zeros((len(nu_rad_s), D)), np.ones((len(nu_rad_s), D))
         spring = shape.speed2 / volume * stiff[:, None] * one
         inert = -(nu_rad_s[:, None] ** 2) / volume * one
@@ -120,7 +120,7 @@ class DiscResponse:
             ) + d.radius_m / 2 * self._weighed(self._by_face)
         loads = {"mass": self._per_mass, "stiffness": self._per_stiffness, "gyration2": self._per_gyration2}
         found |= {name: -self._weighed(loads[name]) for name in loads if name in names}
-        found |= {name: -self._weighed(load, VECTORS * D) for name, load in self._per_edge.items() if name in names}
+        found |= {name: -self._weighed(load, MEANS * D) for name, load in self._per_edge.items() if name in names}
         if names & {"loss", "slope", *SHAPE_NAMES}:
             found.update(self._by_plate(names))
         return found
@@ -131,9 +131,7 @@ class DiscResponse:
         return np.asarray(np.einsum("fk,fk,fkr->rf", load, G[..., 0], G[..., 1:]))
 
     def _turned(self, values: Floats) -> Floats:
-        """Turn values in the reference's modes (n, k) into the plate's, class by class."""
-        split = self._plate.to_classes(values)
-        return np.concatenate([turn.T @ part for turn, part in zip(self._bare.turns, split, strict=True)])
+        return self._plate.turned(values, self._bare)
 
     def _mutual(self, vectors: Floats) -> Complex:
         """Return the free plate's receptance between any two vectors (n, V), shape (F, V, V).
@@ -172,11 +170,11 @@ class DiscResponse:
         return self._turned(change / (2 * step))
 
     def _by_vectors(self, change: Floats) -> Complex:
-        """Return the derivative (R, F) by a change of all discs' vectors, shape (n, VECTORS D)."""
+        """Return the derivative (R, F) by a change of all discs' vectors, shape (n, MEANS D)."""
         D = len(self._discs.centres_m)
         across = self._across(change)
         total = across[:, 0, 1:] + across[:, 1:D, 0]
-        for kind in range(VECTORS * D):
+        for kind in range(MEANS * D):
             load = self._load[:, kind, None]
             e, r = self._G[:, kind, 0, None], self._G[:, kind, 1:]
             total = total - load * (across[:, kind, 0, None] * r + e * across[:, kind, 1:])
@@ -203,7 +201,7 @@ class DiscResponse:
                     total += across[:, 0, 1:]
                 else:
                     total[:, k - 1] += across[:, k, 0]
-                for kind in range(k, VECTORS * D, D):
+                for kind in range(k, MEANS * D, D):
                     load = self._load[:, kind, None]
                     e, r = self._G[:, kind, 0, None], self._G[:, kind, 1:]
                     total -= load * (across[:, kind, 0, None] * r + e * across[:, kind, 1:])
@@ -223,7 +221,7 @@ class DiscResponse:
         if self._held:
             lines, edges = self._held
             elastic = np.broadcast_to(lines.elastic(edges), (len(self._nu), lines.vectors.shape[1]))
-            by_loss -= 1j * self._loss.at(self._nu) * self._weighed(elastic, VECTORS * D)
+            by_loss -= 1j * self._loss.at(self._nu) * self._weighed(elastic, MEANS * D)
         if "loss" in names:
             found["loss"] = by_loss
         if "slope" in names:

@@ -8,16 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.calibration.reduced_plate import ReducedPlate
-from touchd.twin.physics import legendre
+from touchd.twin.physics.transducer import vectors_at
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 LEAST_RATIO = 0.05
 """Of frequency over the band's middle: below it the loss stays as it is."""
-VECTORS = 8
-"""Means over a disc. Without the slopes acrylic left 3.7 % of the untouched energy, where the disc is three quarters of
-a wavelength and twice as heavy as the plate under it, with them 1.4."""
 
 
 class Discs(NamedTuple):
@@ -62,15 +59,6 @@ class Loss(NamedTuple):
 
 
 def disc_vectors(plate: ReducedPlate, size: tuple[float, float], discs: Discs) -> Floats:
-    """Return the discs in the reference's modes, shape (n, VECTORS D), vector by vector."""
-    w, psi_x, psi_y = plate.fields
+    """Return the discs in the reference's modes, shape (n, MEANS D), vector by vector."""
     unit = np.sqrt(size[0] * size[1])
-    rims = legendre.rim_average(discs.centres_m, discs.radius_m, size, plate.counts)
-    normal_x, normal_y = (rim.reshape(len(rim), -1).T for rim in rims)
-    xx, xy, yx, yy = psi_x @ normal_x, psi_x @ normal_y, psi_y @ normal_x, psi_y @ normal_y
-    radii = np.full(len(discs.centres_m), discs.radius_m)
-    under = legendre.disc_average(discs.centres_m, radii, size, plate.counts).reshape(len(radii), -1).T
-    means = (w @ under, psi_x @ under, psi_y @ under)
-    moments = legendre.disc_moments(discs.centres_m, radii, size, plate.counts)
-    slopes = (w @ moment.reshape(len(radii), -1).T for moment in moments)
-    return np.asarray(unit * np.concatenate([xx + yy, xx - yy, xy + yx, *means, *slopes], axis=1))
+    return np.asarray(unit * vectors_at(discs.centres_m, discs.radius_m, size, plate.counts, plate.sums))

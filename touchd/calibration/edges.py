@@ -114,8 +114,7 @@ def lines_along(plate: ReducedPlate, kinds: dict[str, str]) -> Lines:
         (plate.reference.width, plate.reference.height),
         np.sqrt(plate.reference.width * plate.reference.height),
     )
-    w = unit * plate.fields[0].reshape(-1, *plate.counts)
-    vectors, weights, owners = [np.zeros((len(w), 0))], [np.zeros(0)], []
+    vectors, weights, owners = list[Floats](), [np.zeros(0)], []
     for side, kind in kinds.items():
         axis, depths = SIDES.index(side) // 2, depths_mm(kind)
         count = plate.counts[1 - axis] - FEWER
@@ -123,8 +122,10 @@ def lines_along(plate: ReducedPlate, kinds: dict[str, str]) -> Lines:
             at_m = 1e-3 * depth_mm if side in ("left", "top") else size[axis] - 1e-3 * depth_mm
             # The polynomials along the line are orthonormal over its length.
             across = legendre.values(at_m, size[axis], plate.counts[axis])
-            line = np.tensordot(w, across, (1 + axis, 0))[:, :count]
-            vectors.append(line / np.sqrt(size[1 - axis]))
+            line = np.zeros((count, *plate.counts))
+            for k, one in enumerate(line):
+                one.swapaxes(0, axis)[:, k] = across
+            vectors.append(unit / np.sqrt(size[1 - axis]) * plate.sums(0, line))
             weights.append(np.full(count, WIDTH_MM * 1e-3 / size[axis] / len(depths)))
             owners += [side] * count
     every, owner = np.concatenate(weights), np.array(owners)

@@ -25,7 +25,7 @@ from touchd.twin.physics.dispersion import mindlin_wavenumber
 from touchd.twin.physics.material import ElasticPlate, stiffness_of
 from touchd.twin.physics.mounting import attach
 from touchd.twin.physics.response import Response
-from touchd.twin.physics.transducer import Layout, load
+from touchd.twin.physics.transducer import Layout
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -80,7 +80,7 @@ class PlateFit:
 
     def response(self, nu_rad_s: Complex) -> Response:
         """Return the fitted plate's response at complex angular frequencies (F,)."""
-        modes = load(self.basis.modes(self.plate), self.plate, self.layout)
+        modes = self.basis.loaded(self.plate, self.layout)
         chirp = self.acquisition.chirp
         if self.edges.kinds:
             held = attachments(self.edges, self.plate)

@@ -17,7 +17,16 @@ from numpy.typing import NDArray
 
 from touchd.twin.physics import legendre
 from touchd.twin.physics.material import ElasticPlate, material_of, stiffness_of
-from touchd.twin.physics.plate import LEAST_MARGIN, MANY_POLYNOMIALS, Modes, polynomials_for, solve
+from touchd.twin.physics.plate import (
+    LEAST_MARGIN,
+    MANY_POLYNOMIALS,
+    ClassModes,
+    Slices,
+    polynomials_for,
+    size_m,
+    solve_classes,
+)
+from touchd.twin.physics.transducer import Layout, LoadedModes, vectors_of, with_discs
 
 Floats = NDArray[np.float64]
 Forms = list[Floats]
@@ -63,8 +72,10 @@ def _stiff_factors(s: Shape) -> Floats:
 class _Class(NamedTuple):
     """The basis modes of one parity: n modes."""
 
-    rows: NDArray[np.intp]
-    """Which of the modes, shape (n,)."""
+    fields: tuple[Floats, Floats, Floats]
+    """Coefficients of w, psi_x and psi_y in products of polynomials on the unit square, each (n, a b)."""
+    places: tuple[Slices, Slices, Slices]
+    """Where these stand among all, along x and y."""
     stiff: Forms
     """Twelve forms of the strain energy, each (n, n)."""
     rotary: Floats
@@ -95,12 +106,10 @@ class ReducedPlate:
         self.reference = shape_of(plate)
         self.counts = polynomials_for(plate, highest_hz, LEAST_MARGIN)
         basis = BASIS_OF_MANY if max(self.counts) > MANY_POLYNOMIALS - 10 else BASIS
-        modes = solve(plate, self.counts, basis * highest_hz)
-        unit = np.sqrt(stiffness_of(plate).mass)
-        n = len(modes.omega_rad_s)
-        self.fields = tuple(unit * field.reshape(n, -1) for field in modes[1:])
-        """Coefficients of w, psi_x and psi_y in products of polynomials on the unit square, each (n, nx ny)."""
-        self.classes = [_forms(modes, unit, rows) for rows in _parities(modes)]
+        unit = float(np.sqrt(stiffness_of(plate).mass))
+        self.classes = [
+            _class_of(each, unit, self.counts) for each in solve_classes(plate, self.counts, basis * highest_hz)
+        ]
         self._last: tuple[Shape, BareModes] | None = None
 
     def solve(self, shape: Shape) -> BareModes:
@@ -125,16 +134,18 @@ class ReducedPlate:
             turns.append(np.linalg.solve(root.T, vectors))
         return BareModes(np.concatenate(omega2), turns)
 
-    def modes(self, plate: ElasticPlate) -> Modes:
-        """Return another plate's modes with their fields, lowest first."""
+    def loaded(self, plate: ElasticPlate, layout: Layout) -> LoadedModes:
+        """Return another plate's modes with discs: all of them, as with fewer a disc would yield otherwise."""
         bare = self.solve(shape_of(plate))
         unit = np.sqrt(stiffness_of(plate).mass)
-        order = np.argsort(bare.omega2, kind="stable")
-        fields = []
-        for field in self.fields:
-            parts = [turn.T @ part for turn, part in zip(bare.turns, self.to_classes(field), strict=True)]
-            fields.append(np.concatenate(parts)[order].reshape(-1, *self.counts) / unit)
-        return Modes(np.sqrt(bare.omega2[order]), *fields)
+        vectors = self.turned(vectors_of(layout, size_m(plate), self.counts, self.sums), bare) / unit
+        omega, V = with_discs(np.sqrt(bare.omega2), vectors, layout)
+        w = np.empty((len(omega), *self.counts))
+        for turn, part, each in zip(bare.turns, self.to_classes(V.T), self.classes, strict=True):
+            along_x, along_y = each.places[0]
+            values = (turn @ part).T @ (each.fields[0] / unit)
+            w[:, along_x, along_y] = values.reshape(w[:, along_x, along_y].shape)
+        return LoadedModes(omega, w, V @ vectors[:, : len(layout.centres_mm)])
 
     def slopes(self, shape: Shape, name: str) -> list[tuple[Floats, float]]:
         """Return, for each class, the derivative (n, n) of the stiffness, and the factor of `rotary` in the mass's."""
@@ -143,9 +154,22 @@ class ReducedPlate:
         factors = (_stiff_factors(up) - _stiff_factors(down)) / (2 * step)
         return [(_sum(each.stiff, factors), shape.h / 6 if name == "h" else 0.0) for each in self.classes]
 
+    def turned(self, values: Floats, bare: BareModes) -> Floats:
+        """Turn values in the reference's modes (n, k) into another plate's, class by class."""
+        split = self.to_classes(values)
+        return np.concatenate([turn.T @ part for turn, part in zip(bare.turns, split, strict=True)])
+
     def to_classes(self, values: Floats) -> list[Floats]:
         """Split values of the reference's modes, shape (n, ...), by class."""
-        return [values[each.rows] for each in self.classes]
+        return np.split(values, np.cumsum([len(each.rotary) for each in self.classes])[:-1])
+
+    def sums(self, field: int, weights: Floats) -> Floats:
+        """Return sums of a field's coefficients, of w, psi_x or psi_y, times weights (k, nx, ny), shape (n, k)."""
+        found = []
+        for each in self.classes:
+            along_x, along_y = each.places[field]
+            found.append(each.fields[field] @ weights[:, along_x, along_y].reshape(len(weights), -1).T)
+        return np.concatenate(found)
 
 
 def _sum(forms: Forms, factors: Floats) -> Floats:
@@ -155,35 +179,33 @@ def _sum(forms: Forms, factors: Floats) -> Floats:
     return total
 
 
-def _parities(modes: Modes) -> list[NDArray[np.intp]]:
-    """Return which modes' deflections are even or odd along x and y: four groups."""
-    energy = np.array([[(modes.w[:, px::2, py::2] ** 2).sum(axis=(1, 2)) for px in (0, 1)] for py in (0, 1)])
-    # A rocking mode has rotations too, and a mode's deflection is never zero.
-    which = energy.reshape(4, -1).argmax(axis=0)
-    return [np.flatnonzero(which == group) for group in range(4)]
-
-
-def _forms(modes: Modes, unit: float, rows: NDArray[np.intp]) -> _Class:
+def _class_of(modes: ClassModes, unit: float, counts: tuple[int, int]) -> _Class:
     """Return the energies' forms between the modes of one class."""
-    w, px, py = (unit * field[rows] for field in modes[1:])
-    n, nx, ny = w.shape
-    dx, dy = legendre.derivative(1.0, nx), legendre.derivative(1.0, ny)
+    w, px, py = (unit * field for field in modes.fields)
+    d = [legendre.derivative(1.0, count) for count in counts]
 
-    def x(field: Floats) -> Floats:
-        return np.asarray(np.einsum("ij,njk->nik", dx, field, optimize=True)).reshape(n, -1)
+    def x(field: int) -> Floats:
+        own = modes.places[field][0]
+        return np.asarray(np.einsum("ij,njk->nik", d[0][_other(own), own], (w, px, py)[field], optimize=True))
 
-    def y(field: Floats) -> Floats:
-        return np.asarray(field @ dy.T).reshape(n, -1)
+    def y(field: int) -> Floats:
+        own = modes.places[field][1]
+        return np.asarray((w, px, py)[field] @ d[1][_other(own), own].T)
 
     def form(a: Floats, b: Floats) -> Floats:
-        product = a @ b.T
+        product = a.reshape(len(a), -1) @ b.reshape(len(b), -1).T
         return product if a is b else (product + product.T) / 2
 
-    px_x, px_y, py_x, py_y, w_x, w_y = x(px), y(px), x(py), y(py), x(w), y(w)
-    flat_x, flat_y = px.reshape(n, -1), py.reshape(n, -1)
+    px_x, px_y, py_x, py_y, w_x, w_y = x(1), y(1), x(2), y(2), x(0), y(0)
     pairs = [
         (px_x, px_x), (py_y, py_y), (px_x, py_y), (px_y, px_y), (py_x, py_x), (px_y, py_x),
-        (w_x, w_x), (w_x, flat_x), (flat_x, flat_x), (w_y, w_y), (w_y, flat_y), (flat_y, flat_y),
+        (w_x, w_x), (w_x, px), (px, px), (w_y, w_y), (w_y, py), (py, py),
     ]  # fmt: skip
     stiff = [form(a, b) for a, b in pairs]
-    return _Class(rows, stiff, stiff[8] + stiff[11])
+    flat_w, flat_x, flat_y = (field.reshape(len(field), -1) for field in (w, px, py))
+    return _Class((flat_w, flat_x, flat_y), modes.places, stiff, stiff[8] + stiff[11])
+
+
+def _other(own: slice) -> slice:
+    """Return the polynomials of the other parity: a derivative turns even ones into odd ones."""
+    return slice(1 - own.start, own.stop, 2)

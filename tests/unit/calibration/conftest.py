@@ -10,13 +10,12 @@ from touchd.calibration.physical_atlas import make_physical_atlas
 from touchd.calibration.plate_fit import PlateFit
 from touchd.localization.atlas import Atlas
 from touchd.twin.instrument import Instrument
-from touchd.twin.physics.transducer import load
 
 
 @pytest.fixture(scope="module")
 def instrument() -> Instrument:
     """The twin in the modes of the fit, so that both can agree to rounding."""
-    modes = load(basis_of(PLATE).modes(elastic(PLATE)), PLATE, LAYOUT)
+    modes = basis_of(PLATE).loaded(elastic(PLATE), LAYOUT)
     return Instrument(PLATE, layout=LAYOUT, modes=modes)
 
 

@@ -39,6 +39,20 @@ class Modes(NamedTuple):
     """Rotation along y, same shape."""
 
 
+Slices = tuple[slice, slice]
+
+
+class ClassModes(NamedTuple):
+    """Modes of one parity, in ascending frequency: three quarters of their coefficients are zero and left out."""
+
+    omega_rad_s: Floats
+    """Angular frequencies, shape (n,)."""
+    fields: tuple[Floats, Floats, Floats]
+    """Coefficients of w, psi_x and psi_y, each (n, a, b)."""
+    places: tuple[Slices, Slices, Slices]
+    """Where these stand among all, along x and y."""
+
+
 def size_m(plate: Plate) -> tuple[float, float]:
     """Width and height of a plate in metres."""
     return plate.width_mm * 1e-3, plate.height_mm * 1e-3
@@ -77,14 +91,23 @@ def solve(plate: Plate, counts: tuple[int, int], below_hz: float = np.inf) -> Mo
     SimulationError
         The material is unknown.
     """
-    classes = [_solve_class(plate, counts, px, py, below_hz) for px in (0, 1) for py in (0, 1)]
-    omega = np.concatenate([c.omega_rad_s for c in classes])
+    classes = solve_classes(plate, counts, below_hz)
+    omega = np.concatenate([each.omega_rad_s for each in classes])
     order = np.argsort(omega, kind="stable")
-    fields = [np.concatenate(parts)[order] for parts in zip(*(c[1:] for c in classes), strict=True)]
+    rows = np.split(np.argsort(order), np.cumsum([len(each.omega_rad_s) for each in classes])[:-1])
+    fields = [np.zeros((len(omega), *counts)) for _ in range(3)]
+    for each, own in zip(classes, rows, strict=True):
+        for field, values, (along_x, along_y) in zip(fields, each.fields, each.places, strict=True):
+            field[own, along_x, along_y] = values
     return Modes(omega[order], *fields)
 
 
-def _solve_class(plate: Plate, counts: tuple[int, int], px: int, py: int, below_hz: float) -> Modes:
+def solve_classes(plate: Plate, counts: tuple[int, int], below_hz: float = np.inf) -> list[ClassModes]:
+    """Solve for the modes, as `solve` does, parity by parity: of the deflection, even or odd along x and y."""
+    return [_solve_class(plate, counts, px, py, below_hz) for px in (0, 1) for py in (0, 1)]
+
+
+def _solve_class(plate: Plate, counts: tuple[int, int], px: int, py: int, below_hz: float) -> ClassModes:
     """Solve for the modes whose deflection has parity px in x and py in y (0 even, 1 odd)."""
     s = stiffness_of(plate)
     nx, ny = counts
@@ -94,7 +117,8 @@ def _solve_class(plate: Plate, counts: tuple[int, int], px: int, py: int, below_
     wx, wy, rx, ry = slice(px, nx, 2), slice(py, ny, 2), slice(1 - px, nx, 2), slice(1 - py, ny, 2)
     dx_w, dy_w = dx[rx, wx], dy[ry, wy]  # derivative of w, in the space of psi
     dx_r, dy_r = dx[wx, rx], dy[wy, ry]  # derivative of psi, in the space of w
-    shapes = [(len(range(nx)[i]), len(range(ny)[j])) for i, j in ((wx, wy), (rx, wy), (wx, ry))]
+    places = (wx, wy), (rx, wy), (wx, ry)
+    shapes = [(len(range(nx)[i]), len(range(ny)[j])) for i, j in places]
     sizes = [a * b for a, b in shapes]
     b0, b1, b2, b3 = np.cumsum([0, *sizes])
     one = np.eye
@@ -119,10 +143,8 @@ def _solve_class(plate: Plate, counts: tuple[int, int], px: int, py: int, below_
         omega[0] = 0.0  # a rigid motion: up and down, or rocking about an axis; rounding leaves it some millihertz
     kept = omega < 2 * np.pi * below_hz
     vectors = (vectors[:, kept] * scale[:, None]).T
-    n = len(vectors)
-    fields = [np.zeros((n, nx, ny)) for _ in range(3)]
-    for field, (i, j), (start, stop), shape in zip(
-        fields, ((wx, wy), (rx, wy), (wx, ry)), ((b0, b1), (b1, b2), (b2, b3)), shapes, strict=True
-    ):
-        field[:, i, j] = vectors[:, start:stop].reshape(n, *shape)
-    return Modes(omega[kept], *fields)
+    w, psi_x, psi_y = (
+        vectors[:, start:stop].reshape(len(vectors), *shape)
+        for (start, stop), shape in zip(((b0, b1), (b1, b2), (b2, b3)), shapes, strict=True)
+    )
+    return ClassModes(omega[kept], (w, psi_x, psi_y), places)

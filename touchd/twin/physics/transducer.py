@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,6 +25,10 @@ VERSION = 3
 OTHER_BENDING = 0.54
 """A disc's resistance to the other two rotations around its rim over that to the outward one: (1 - nu) / (1 + nu) for
 PZT's nu of 0.3."""
+MEANS = 8
+"""Means over a disc, by which it drives and loads the plate. Without the moments a fit left 3.7 % of the untouched
+energy on acrylic, where the disc is three quarters of a wavelength and twice as heavy as the plate under it; with them
+1.4."""
 BASIS_HZ = 3.0
 """Modes of the bare plate up to this many times the highest frequency carry the discs' masses."""
 KEPT_HZ = 2.0
@@ -131,37 +136,64 @@ def load(modes: Modes, plate: Plate, layout: Layout, below_hz: float = np.inf) -
     In modal coordinates each mass is a rank-one change of the unit mass matrix. The loaded plate's modes are exact
     within the given ones, and no later computation needs the update.
     """
-    size, counts = size_m(plate), modes.w.shape[1:]
-    centres = layout.centres_mm * 1e-3
-    radius = layout.diameter_mm / 2 * 1e-3
-    n = len(modes.omega_rad_s)
-    w = modes.w.reshape(n, -1)
-    under = legendre.disc_average(centres, np.full(len(centres), radius), size, (counts[0], counts[1]))
-    rims = [legendre.rim_average(c, radius, size, (counts[0], counts[1])) for c in centres]
-    discs = np.stack(
-        [modes.psi_x.reshape(n, -1) @ x.ravel() + modes.psi_y.reshape(n, -1) @ y.ravel() for x, y in rims], axis=1
-    )
+    n, *counts = modes.w.shape
+    fields = [field.reshape(n, -1) for field in modes[1:]]
+
+    def sums(field: int, weights: Floats) -> Floats:
+        return np.asarray(fields[field] @ weights.reshape(len(weights), -1).T)
+
+    vectors = vectors_of(layout, size_m(plate), (counts[0], counts[1]), sums)
+    omega, V = with_discs(modes.omega_rad_s, vectors, layout, below_hz)
+    discs = vectors[:, : len(layout.centres_mm)]
+    return LoadedModes(omega, (V @ fields[0]).reshape(len(V), *counts), V @ discs)
+
+
+Sums = Callable[[int, Floats], Floats]
+"""Returns sums of n modes' coefficients, of w, psi_x or psi_y by number, times weights (k, nx, ny), shape (n, k)."""
+
+
+def vectors_of(layout: Layout, size_m: tuple[float, float], counts: tuple[int, int], sums: Sums) -> Floats:
+    """Return the means over a layout's discs, as `vectors_at` does."""
+    return vectors_at(layout.centres_mm * 1e-3, layout.diameter_mm / 2e3, size_m, counts, sums)
+
+
+def vectors_at(
+    centres_m: Floats, radius_m: float, size_m: tuple[float, float], counts: tuple[int, int], sums: Sums
+) -> Floats:
+    """Return means of modes over D discs by which they drive and load the plate, shape (n, MEANS D), mean by mean.
+
+    The outward rotation around the rim, and the two others there; the deflection and the two rotations under the disc;
+    the deflection's two moments.
+    """
+    rims = legendre.rim_average(centres_m, radius_m, size_m, counts)
+    xx, xy, yx, yy = [sums(field, rim) for field in (1, 2) for rim in rims]
+    radii = np.full(len(centres_m), radius_m)
+    under = legendre.disc_average(centres_m, radii, size_m, counts)
+    moments = legendre.disc_moments(centres_m, radii, size_m, counts)
+    means = [sums(field, under) for field in range(3)] + [sums(0, moment) for moment in moments]
+    return np.concatenate([xx + yy, xx - yy, xy + yx, *means], axis=1)
+
+
+def with_discs(omega_rad_s: Floats, vectors: Floats, layout: Layout, below_hz: float = np.inf) -> tuple[Floats, Floats]:
+    """Return angular frequencies (k,) of a plate with discs, and its modes (k, n) in the bare plate's n.
+
+    `vectors` are those of `vectors_at`.
+    """
+    outward, other_1, other_2, mean, *rolls, slope_x, slope_y = np.split(vectors, MEANS, axis=1)
     # M = 1 + B B'; its inverse root differs from 1 only in the span of B.
-    psi_x, psi_y, flat = modes.psi_x.reshape(n, -1), modes.psi_y.reshape(n, -1), under.reshape(len(centres), -1).T
-    lever = layout.lever_mm * 1e-3
-    moved = [w @ flat, lever * (psi_x @ flat), lever * (psi_y @ flat)] if lever else [w @ flat]
-    if layout.spread:
-        moments = legendre.disc_moments(centres, np.full(len(centres), radius), size, (counts[0], counts[1]))
-        moved += [np.sqrt(layout.spread) * (w @ moment.reshape(len(centres), -1).T) for moment in moments]
+    lever, tilt = layout.lever_mm * 1e-3, np.sqrt(layout.spread)
+    moved = [mean, *(lever * roll for roll in rolls if lever), *(tilt * slope for slope in (slope_x, slope_y) if tilt)]
     B = np.concatenate(moved, axis=1) * np.sqrt(layout.mass_g * 1e-3)
     U, sigma, _ = np.linalg.svd(B, full_matrices=False)
     root = (U * ((1 + sigma**2) ** -0.5 - 1)) @ U.T
-    root[np.diag_indices(n)] += 1
-    stiffness = (root * modes.omega_rad_s**2) @ root
+    root[np.diag_indices(len(root))] += 1
+    stiffness = (root * omega_rad_s**2) @ root
     if layout.stiffness_n_m:
-        normal_x, normal_y = (np.stack([rim[i].ravel() for rim in rims], axis=1) for i in (0, 1))
-        other = [psi_x @ normal_x - psi_y @ normal_y, psi_x @ normal_y + psi_y @ normal_x]
-        bent = np.concatenate([discs, *(np.sqrt(OTHER_BENDING) * rotation for rotation in other)], axis=1)
+        bent = np.concatenate([outward, *(np.sqrt(OTHER_BENDING) * other for other in (other_1, other_2))], axis=1)
         stiffened = root @ bent * np.sqrt(layout.stiffness_n_m)
         stiffness += stiffened @ stiffened.T
     squared, V = np.linalg.eigh(stiffness)
     omega = np.sqrt(np.maximum(squared, 0.0))
     omega[:3] = 0.0  # the rigid motions stay
     V = (root @ V[:, omega < 2 * np.pi * below_hz]).T
-    omega = omega[: len(V)]
-    return LoadedModes(omega, (V @ w).reshape(len(V), *counts), V @ discs)
+    return omega[: len(V)], V
