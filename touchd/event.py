@@ -211,7 +211,6 @@ class TruthEvent(Struct, gc=False):
 
 
 Event = TouchEvent | KeyEvent | HealthEvent | SpectrumEvent | PlateEvent | TruthEvent
-TOPICS = ("touch", "key", "health", "spectrum", "plate", "truth")
 
 DECODERS: dict[str, msgspec.json.Decoder[Any]] = {
     "touch": msgspec.json.Decoder(TouchEvent),
@@ -221,6 +220,7 @@ DECODERS: dict[str, msgspec.json.Decoder[Any]] = {
     "plate": msgspec.json.Decoder(PlateEvent),
     "truth": msgspec.json.Decoder(TruthEvent),
 }
+TOPICS = tuple(DECODERS)
 _to_json = msgspec.json.Encoder().encode
 
 
@@ -242,25 +242,3 @@ def encode_at(event: TouchEvent, received_ns: int, clock: Callable[[], int]) -> 
     body = _to_json(event)
     end = body.rindex(b":") + 1  # of the last field, a number
     return b"%b%.1f}" % (body[:end], (clock() - received_ns) * 1e-3)
-
-
-def decode(topic: str, payload: bytes) -> Event:
-    """Return the event of a message.
-
-    Unknown keys are ignored, as the format asks of readers.
-
-    Raises
-    ------
-    KeyError
-        If the topic is not one of `TOPICS`.
-    msgspec.DecodeError
-        If the payload is no such event; its text can quote the payload.
-    """
-    decoder = DECODERS[topic]
-    try:
-        event: Event = decoder.decode(payload)
-    except UnicodeDecodeError:
-        raise msgspec.DecodeError("not UTF-8") from None
-    except RecursionError:
-        raise msgspec.DecodeError("nested too deep") from None
-    return event

@@ -34,6 +34,14 @@ def open_file(path: Path, flags: int = 0) -> IO[bytes]:
     return file
 
 
+def state_folder(name: str) -> Path:
+    """Return the folder of a part's state: in systemd's state directory, else in the user's."""
+    if managed := os.environ.get("STATE_DIRECTORY"):
+        return Path(managed.partition(":")[0]) / name
+    home = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
+    return Path(home) / "touchd" / name
+
+
 def read_text(path: Path) -> str:
     """Return the text of a file in UTF-8.
 

@@ -32,7 +32,6 @@ class State(NamedTuple):
     names: tuple[str, ...]
     """The active unknowns."""
     covariance: Floats
-    objective: float
     steps: int
 
 
@@ -82,7 +81,7 @@ def descend(
         here = _objective(fitted, variance, p[at], start, prior)
         honest = variance_of(fitted.residual, window, noise, COHERENT_SAMPLES)
         if taken >= most or np.all(np.abs(step) <= CONVERGED * np.sqrt(np.diag(covariance))):
-            return State(p, fitted, names, _covariance(fitted, honest, prior), here, taken)
+            return State(p, fitted, names, _covariance(fitted, honest, prior), taken)
         for halving in range(HALVINGS):
             tried = p.copy()
             tried[at] += step * 0.5**halving
@@ -91,7 +90,7 @@ def descend(
             if there <= here:
                 break
         else:
-            return State(p, fitted, names, _covariance(fitted, honest, prior), here, taken)
+            return State(p, fitted, names, _covariance(fitted, honest, prior), taken)
         p, fitted, taken = tried, other, taken + 1
         if here - there < 1e-3:  # of a squared standard deviation
             taken = most

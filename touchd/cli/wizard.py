@@ -36,11 +36,12 @@ def command(
     runs goes on after a restart.
     """
     from touchd.calibration.wizard.crosses import shown
-    from touchd.calibration.wizard.link import HANDED, default_folder, default_socket
+    from touchd.calibration.wizard.link import HANDED, default_socket
     from touchd.calibration.wizard.state import State
     from touchd.calibration.wizard.worker import Worker, serve
     from touchd.cli.main import missing_extra
     from touchd.config.load import DEFAULT_PATH, load
+    from touchd.files import state_folder
     from touchd.service.control import SERVICE_PATH, path_of
     from touchd.service.log import configure
     from touchd.service.models import installed_path
@@ -50,7 +51,7 @@ def command(
     settings = load(config)
     configure(settings.log)
     path = socket_path or default_socket()
-    state = State(folder or default_folder())
+    state = State(folder or state_folder("wizard"))
     control = path_of(settings.control) if settings.control.socket else SERVICE_PATH
     trains = find_spec("torch") is not None
     untrainable = "" if trains else str(missing_extra(ModuleNotFoundError(name="torch")))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from operator import attrgetter
 
 from touchd.detection.detection import Detection
 from touchd.localization.atlas import AtlasDescription
@@ -58,7 +59,7 @@ class Landing:
             fits.append(self._solver.fit_one(bins, estimate.x_mm, estimate.y_mm, FIRST_STEPS))
         if not fits or signal < CRITERIA.faint * self._noise.noise_energy:
             fits += self._fit_candidates(bins)
-        return self._best_along_edge(bins, min(fits, key=_residual_energy, default=no_fit(bins.energy)))
+        return self._best_along_edge(bins, min(fits, key=attrgetter("residual_energy"), default=no_fit(bins.energy)))
 
     def or_one(self, bins: Bins, fit: Fit) -> Fit:
         """Return several fingers with shapes, or one that leaves less than they do where no start has led.
@@ -70,7 +71,7 @@ class Landing:
         if len(fit.shapes) < 2 or fit.residual_energy - noise_energy < CRITERIA.search_above * signal:
             return fit
         ones = self._fit_candidates(bins, MANY_STARTS) + self._fit_along_edge(bins, *fit.positions_mm[0])
-        best = min(ones, key=_residual_energy)
+        best = min(ones, key=attrgetter("residual_energy"))
         if best.residual_energy - noise_energy < CRITERIA.fair * signal:
             best = self._solver.with_shapes(bins, best, noise_energy)
         return best if best.residual_energy < fit.residual_energy else fit
@@ -83,7 +84,7 @@ class Landing:
         others = self._fit_along_edge(bins, *fit.positions_mm[0])
         if not others:
             return fit
-        best = min([*others, *self._fit_candidates(bins)], key=_residual_energy)
+        best = min([*others, *self._fit_candidates(bins)], key=attrgetter("residual_energy"))
         return best if best.residual_energy - self._noise.noise_energy < _BETTER * left else fit
 
     def _fit_along_edge(self, bins: Bins, x_mm: float, y_mm: float) -> list[Fit]:
@@ -137,7 +138,3 @@ class Landing:
             other.residual_energy < ceiling and math.dist(other.positions_mm[0], fit.positions_mm[0]) > AMBIGUOUS_MM
             for other in self._fit_candidates(bins) + self._fit_along_edge(bins, *fit.positions_mm[0])
         )
-
-
-def _residual_energy(fit: Fit) -> float:
-    return fit.residual_energy

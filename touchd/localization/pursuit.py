@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from itertools import combinations
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -125,7 +126,7 @@ class Pursuit:
                         positions_mm = [*one.positions_mm, candidate.position_mm]
                         more.append(solver.fit_several(bins, positions_mm, _FIRST_STEPS, shapes=shapes))
                         yield _cost(positions_mm, _FIRST_STEPS)
-                more.sort(key=_residual_energy)
+                more.sort(key=attrgetter("residual_energy"))
                 if beam[0] is best and best.residual_energy < good and _gain(more, best, noise_energy) < _LEAST_GAIN:
                     return best
                 more = _different([one for one in more if not are_merged(one)])[:width]
@@ -138,7 +139,7 @@ class Pursuit:
                         shaped = replace(shaped, points_energy=one.residual_energy)
                     beam.append(shaped)
                 beam = [one for one in beam if not are_merged(one)]  # some may have since
-                beam.sort(key=_residual_energy)
+                beam.sort(key=attrgetter("residual_energy"))
                 deepest = beam[0] if beam else deepest
                 before = replace(best, residual_energy=shaped_energy) if best is fit else best
                 if beam and (
@@ -183,7 +184,7 @@ class Pursuit:
                     positions_mm, of_all = [*places, candidate.position_mm], [*shapes, TYPICAL] if shapes else ()
                     trials.append(solver.fit_several(bins, positions_mm, _FIRST_STEPS, shapes=of_all))
                     yield _cost(positions_mm, _FIRST_STEPS)
-            trials.sort(key=_residual_energy)
+            trials.sort(key=attrgetter("residual_energy"))
             for trial in trials[:1]:
                 if are_merged(trial) or trial.residual_energy > max(fit.residual_energy, fit.points_energy):
                     continue
@@ -266,17 +267,13 @@ def _may_grow(fit: Fit, enough: float) -> bool:
 
 def _gain(more: list[Fit], fit: Fit, noise_energy: float) -> float:
     """Return the share of what a fit leaves that the best of several others explains."""
-    least = min(map(_residual_energy, more), default=fit.residual_energy)
+    least = min((other.residual_energy for other in more), default=fit.residual_energy)
     return (fit.residual_energy - least) / max(fit.residual_energy - noise_energy, 1e-30)
 
 
 def _cost(positions_mm: list[Position], steps: int) -> float:
     """Return the cost of a fit of several, in look-ups: one a finger and step, and one where they end."""
     return float(len(positions_mm) * (steps + 1))
-
-
-def _residual_energy(fit: Fit) -> float:
-    return fit.residual_energy
 
 
 def _different(fits: list[Fit]) -> list[Fit]:

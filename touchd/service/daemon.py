@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import faulthandler
-import math
 import os
 import sys
 import time
@@ -223,8 +222,7 @@ def run(
         if manager.watchdog_s:
             # The manager kills a daemon that hangs by SIGABRT: the log then has a traceback, of function names alone.
             faulthandler.enable()
-        with realtime.giving_way() if choice.speed == math.inf else nullcontext():
-            parts = open_parts(settings, stack)
+        parts = open_parts(settings, stack)
         bus, model = parts.bus, parts.model
         assert bus is not None
         # Last: the twin computes its plate for many seconds.

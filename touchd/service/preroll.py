@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import re
 import time
 from collections import deque
@@ -16,6 +15,7 @@ import structlog
 
 from touchd.config.schema import PreRollSettings
 from touchd.event import Contact
+from touchd.files import state_folder
 from touchd.frame import Acquisition, Frame
 from touchd.recording.data import Meta
 from touchd.sources.recorder import Block, write_blocks
@@ -80,7 +80,7 @@ class PreRoll:
     def configure(self, settings: PreRollSettings) -> None:
         """Take other settings; with `seconds` 0 drop all frames, and write none that was asked for before."""
         self._settings = settings
-        self._folder = settings.folder or default_folder()
+        self._folder = settings.folder or state_folder("preroll")
         self._span_ns = round(settings.seconds * 1e9)
         self._max_blocks = math.ceil(settings.seconds * self._rate_hz / self._block_frames) + 1
         if not settings.seconds:
@@ -201,11 +201,3 @@ class PreRoll:
             self._written.pop(path, None)
         for path in self._folder.glob(".preroll-*.tmp"):
             path.unlink(missing_ok=True)  # half a file of a daemon that was killed
-
-
-def default_folder() -> Path:
-    """Return the service's state directory, as systemd names it, or else the user's."""
-    if managed := os.environ.get("STATE_DIRECTORY"):
-        return Path(managed.partition(":")[0]) / "preroll"
-    home = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
-    return Path(home) / "touchd" / "preroll"

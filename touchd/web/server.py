@@ -11,7 +11,6 @@ import time
 from collections.abc import AsyncIterator, Callable, Iterable, Sequence
 from types import FrameType, ModuleType
 
-import structlog
 import uvicorn
 from starlette.applications import Starlette
 from starlette.middleware import Middleware
@@ -27,8 +26,6 @@ VIEWS: tuple[ModuleType, ...] = (pages, live, replay, calibrate, check)
 _END_S = 2
 """Open WebSockets may hold up the end for as long."""
 _BEAT_S = 0.25
-
-log = structlog.get_logger()
 
 
 def bind(address: str) -> socket.socket:

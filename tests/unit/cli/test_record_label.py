@@ -145,13 +145,6 @@ def test_existing(tmp_path: Path) -> None:
     assert (tmp_path / "a.npz").read_text() == "mine"
 
 
-@pytest.mark.usefixtures("types")
-def test_private(tmp_path: Path) -> None:
-    """The device's serial number stays out of a file that is made to be shown."""
-    label.walk_through(Scripted({}), tmp_path / "a.npz", META)
-    assert read(tmp_path / "a.npz").meta.device == Device(firmware="2.0")
-
-
 @pytest.mark.parametrize(
     "options", [("-o", "folder"), ("-o", "a.npz", "--frames", "5"), ("-o", "a.npz", "--seconds", "5")]
 )

@@ -69,18 +69,6 @@ def test_never_steady() -> None:
     assert Plate(4).learn([MEAN * (1 + 1e-3 * i) for i in range(2000)]) is not None
 
 
-@pytest.mark.parametrize("every", [1, 2, 7])
-def test_time_constant(every: int) -> None:
-    """The baseline follows with its time constant, at any frame rate."""
-    plate = Plate(5)
-    plate.learn([MEAN] * 32)
-    for _ in range(round(SETTINGS.time_constant_s / (every * PERIOD_NS * 1e-9))):
-        plate.subtract(MEAN + 100, every * PERIOD_NS)
-        plate.baseline.follow()
-    # A step of 56 ms is a coarse one for an implicit filter of 0.5 s.
-    assert float((plate.baseline.mean - MEAN).mean()) == pytest.approx(100 * (1 - np.exp(-1)), rel=0.05)
-
-
 def test_quickly() -> None:
     """Movement of the plate's own is followed 8 times as fast, and what comes after it as before."""
     plate = Plate(5, noise=0.0)

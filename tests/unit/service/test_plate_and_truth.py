@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from touchd.config.schema import Settings
-from touchd.event import PlateEvent, TruthEvent, decode, encode
+from touchd.event import DECODERS, PlateEvent, TruthEvent, encode
 from touchd.frame import Acquisition, Frame, Plate
 from touchd.keypad import PHONE, load_layout
 from touchd.pipeline import Pipeline
@@ -37,7 +37,7 @@ def test_plate(plate: Plate | None) -> None:
         acquisition=RIG, rate_hz=125, source="usb", plate=plate, emitter_mm=(30, 100), receivers_mm=((1, 2), (3, 4))
     )
     said = messages().plate(description, load_layout(PHONE) if plate else None, 5)
-    read = decode("plate", encode(said))
+    read = DECODERS["plate"].decode(encode(said))
     assert isinstance(read, PlateEvent)
     assert read == said
     assert (read.width_mm, len(read.keys)) == ((200.0, 12) if plate else (0.0, 0))
@@ -61,7 +61,7 @@ def test_truth() -> None:
     said = [wanted.truth(frame, source) for _ in range(4)]
     assert [one and one.contacts_mm for one in said] == [None, [(1.0, 2.0)], [], None]
     assert isinstance(said[1], TruthEvent)
-    assert decode("truth", encode(said[1])) == said[1]
+    assert DECODERS["truth"].decode(encode(said[1])) == said[1]
     assert messages("touch").truth(frame, Scripted([(1.0, 2.0)])) is None
 
 

@@ -16,11 +16,12 @@ from structlog.testing import capture_logs
 from tests.processes import PATIENCE_S, wait_until
 from touchd.config.schema import PreRollSettings
 from touchd.event import Contact
+from touchd.files import state_folder
 from touchd.frame import Acquisition, Frame, Plate
 from touchd.recording.data import Recording
 from touchd.recording.format import read
 from touchd.service import preroll
-from touchd.service.preroll import PreRoll, default_folder
+from touchd.service.preroll import PreRoll
 from touchd.sources.recorder import describe, write_blocks
 
 ACQUISITION = Acquisition(channels=2, samples=3, sample_rate_hz=250e3)
@@ -319,7 +320,7 @@ def test_what_is_saved_at_the_end_is_written_before_it_closes(make: Callable[...
 
 def test_the_service_managers_folder_is_used_or_else_the_users(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("STATE_DIRECTORY", "/var/lib/touchd:/var/lib/other")
-    assert default_folder() == Path("/var/lib/touchd/preroll")
+    assert state_folder("preroll") == Path("/var/lib/touchd/preroll")
     monkeypatch.delenv("STATE_DIRECTORY")
     monkeypatch.setenv("XDG_STATE_HOME", "/home/x/state")
-    assert default_folder() == Path("/home/x/state/touchd/preroll")
+    assert state_folder("preroll") == Path("/home/x/state/touchd/preroll")

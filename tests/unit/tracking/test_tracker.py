@@ -156,16 +156,6 @@ def test_missing_frame() -> None:
     assert stroke.phases().count("down") == 1
 
 
-@pytest.mark.parametrize(("period_ns", "most_ns"), [(8_000_000, 96_000_000), (10_000_000, 100_000_000)])
-def test_refresh(period_ns: int, most_ns: int) -> None:
-    """No two reports of a still finger are more than 100 ms apart."""
-    tracker, reported_ns = Tracker(SETTINGS), []
-    for t_ns in range(period_ns, 2_000_000_000, period_ns):
-        if tracker.track(t_ns, (at(50, 60),)):
-            reported_ns.append(t_ns)
-    assert set(np.diff(reported_ns)) == {most_ns}
-
-
 def test_clock_steps_back() -> None:
     """A still finger is reported although the clock steps back."""
     stroke = Stroke()

@@ -17,11 +17,3 @@ def default_socket() -> Path:
     if os.geteuid() == 0 or SERVICE_SOCKET.parent.exists():
         return SERVICE_SOCKET
     return Path(os.environ.get("XDG_RUNTIME_DIR") or "/tmp") / f"touchd-wizard-{os.geteuid()}"  # noqa: S108 - mode 0600
-
-
-def default_folder() -> Path:
-    """Return where the wizard keeps its state: systemd's state folder, else the user's."""
-    if managed := os.environ.get("STATE_DIRECTORY"):
-        return Path(managed.partition(":")[0]) / "wizard"
-    home = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
-    return Path(home) / "touchd" / "wizard"

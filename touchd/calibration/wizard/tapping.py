@@ -18,8 +18,6 @@ from touchd.outcome import Outcome
 from touchd.pipeline import Pipeline
 from touchd.training.field.place import place
 
-Floats = NDArray[np.float64]
-
 LEAST_FRAMES, MOST_FRAMES = 10, 400
 """Refuse a shorter tap; of a longer one the last frames count."""
 QUIET_FRAMES = 6

@@ -18,7 +18,7 @@ import numpy as np
 
 import touchd
 from touchd.errors import JobError
-from touchd.event import TouchEvent, decode
+from touchd.event import DECODERS, TouchEvent
 from touchd.lab.benchmark import steady_child
 from touchd.lab.benchmark.daemon import FOREVER_S, daemon_cpus
 from touchd.lab.benchmark.loop import Loop
@@ -201,7 +201,7 @@ def _listen(address: str, stop: threading.Event, heard: list[tuple[int, float, i
         while not stop.is_set():
             if socket.poll(100):
                 body, now_ns = socket.recv_multipart()[1], time.monotonic_ns()
-                event = decode("touch", body)
+                event = DECODERS["touch"].decode(body)
                 assert isinstance(event, TouchEvent)
                 heard.append((event.frame, event.latency_us, now_ns))
 

@@ -30,7 +30,6 @@ ROUNDS = (20, 8, 6, 6)
 STARTS = 2
 CUT = 1e-3
 """Share of a wave's variance that its basis may miss at a touch."""
-FAINT = 1e-3
 _NODE = 0.01  # rad
 _SEED = 0x3A7E5
 
