@@ -105,13 +105,14 @@ class DiscResponse:
         """Return the derivatives (R, F) by the named parameters.
 
         Names are those of `Shape`, `loss`, `slope` (both by the logarithm, or the exponent), `mass`, `stiffness`,
-        `gyration2`, `radius`, and `x0`, `y0`, `x1` .. of the discs' centres, in SI units; and those of `edges`.
+        `gyration2`, `radius`, `x0`, `y0`, `x1` .. of the discs' centres, `mx0` .. of their masses' offsets, in SI
+        units; and those of `edges`.
         """
         found: dict[str, Complex] = {}
         D = len(self._discs.centres_m)
-        moves = {f"{axis}{k}": (k, i) for k in range(D) for i, axis in enumerate("xy")}
-        wanted = {name: moves[name] for name in moves if name in names}
-        found.update(self._by_place(wanted))
+        for what, prefix in (("centres_m", ""), ("offset_m", "m")):
+            moves = {f"{prefix}{axis}{k}": (k, i) for k in range(D) for i, axis in enumerate("xy")}
+            found.update(self._by_place({name: moves[name] for name in moves if name in names}, what))
         if "radius" in names:
             d = self._discs
             step = 1e-3 * d.radius_m
@@ -180,8 +181,8 @@ class DiscResponse:
             total = total - load * (across[:, kind, 0, None] * r + e * across[:, kind, 1:])
         return np.asarray(total.T)
 
-    def _by_place(self, wanted: dict[str, tuple[int, int]]) -> dict[str, Complex]:
-        """Return the derivatives by the discs' places: only the moved disc's vectors change."""
+    def _by_place(self, wanted: dict[str, tuple[int, int]], what: str) -> dict[str, Complex]:
+        """Return the derivatives by the discs' centres, or their masses' offsets: only one disc's vectors change."""
         if not wanted:
             return {}
         d, D = self._discs, len(self._discs.centres_m)
@@ -189,9 +190,8 @@ class DiscResponse:
         for axis in {axis for _, axis in wanted.values()}:
             step = np.zeros(2)
             step[axis] = _PLACE_STEP_M
-            change = self._difference(
-                d._replace(centres_m=d.centres_m + step), d._replace(centres_m=d.centres_m - step), _PLACE_STEP_M
-            )
+            up, down = (d._replace(**{what: getattr(d, what) + sign * step}) for sign in (1, -1))
+            change = self._difference(up, down, _PLACE_STEP_M)
             across = self._across(change)
             for name, (k, along) in wanted.items():
                 if along != axis:

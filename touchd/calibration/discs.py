@@ -29,6 +29,8 @@ class Discs(NamedTuple):
     """Resistance of each to the rotation around its rim, over the plate's Young's modulus, m^3."""
     gyration2_m2: float
     """Square of its radius of gyration about a line in the plate's middle, m^2: what rolls as the plate tilts."""
+    offset_m: Floats
+    """From each centre to that of its mass, shape (D, 2): solder and wires are on one side."""
 
     @property
     def face_m2(self) -> float:
@@ -61,4 +63,7 @@ class Loss(NamedTuple):
 def disc_vectors(plate: ReducedPlate, size: tuple[float, float], discs: Discs) -> Floats:
     """Return the discs in the reference's modes, shape (n, MEANS D), vector by vector."""
     unit = np.sqrt(size[0] * size[1])
-    return np.asarray(unit * vectors_at(discs.centres_m, discs.radius_m, size, plate.counts, plate.sums))
+    return np.asarray(
+        unit
+        * vectors_at(discs.centres_m, discs.centres_m + discs.offset_m, discs.radius_m, size, plate.counts, plate.sums)
+    )

@@ -65,7 +65,10 @@ def run_stages(
     progress(0.7)
     model = _recentred(model, reader, state.p, untouched)
     progress(0.8)
-    return descend(model, reader, measured, noise, state.p, (*PLATE, *DISCS, *edges, *places), whole, 8), model
+    state = descend(model, reader, measured, noise, state.p, (*PLATE, *DISCS, *edges, *places), whole, 8)
+    return descend(
+        model, reader, measured, noise, state.p, (*PLATE, *DISCS, *edges, *places, *reader.offsets), whole, 4
+    ), model
 
 
 def left_with_edges(state: State, free: Reader, held: Reader, plate: ReducedPlate, untouched: Untouched) -> float:

@@ -110,9 +110,13 @@ def turned(position_mm: Floats, orientation: int, size_mm: tuple[float, float]) 
 def turned_fit(fit: PlateFit, orientation: int) -> PlateFit:
     """Return a fit whose drawing is turned: the untouched plate sounds the same."""
     places = turned(fit.layout.centres_mm, orientation, (fit.plate.width_mm, fit.plate.height_mm)).tolist()
+    offsets = turned(np.array(fit.layout.offsets_mm).reshape(-1, 2), orientation, (0.0, 0.0)).tolist()
     layout = fit.layout.model_copy(
-        update={"emitter_mm": tuple(places[0]), "receivers_mm": tuple(tuple(place) for place in places[1:])}
-    )
+        update={
+            "emitter_mm": tuple(places[0]), "receivers_mm": tuple(map(tuple, places[1:])),
+            "offsets_mm": tuple(map(tuple, offsets)),
+        }
+    )  # fmt: skip
     reasons = fit.reasons
     if orientation:
         reasons = (f"the drawing is {ORIENTATIONS[orientation]}: correct the discs' places in PLATE.toml", *reasons)

@@ -57,10 +57,18 @@ class Layout(BaseModel):
     spread: float = Field(default=0.0, ge=0, le=1)
     """How far each disc's mass is spread: 0 in its centre, 1 evenly, so that it moves with the deflection's slopes."""
 
+    offsets_mm: tuple[tuple[float, float], ...] = ()
+    """From each disc's centre to that of its mass, emitter first; empty for none."""
+
     @property
     def centres_mm(self) -> Floats:
         """Centres of emitter and receivers, shape (1 + receivers, 2)."""
         return np.array([self.emitter_mm, *self.receivers_mm])
+
+    @property
+    def masses_mm(self) -> Floats:
+        """Centres of their masses, same shape."""
+        return np.asarray(self.centres_mm + np.array(self.offsets_mm or 0.0))
 
 
 def default_layout(plate: Plate) -> Layout:
@@ -154,22 +162,34 @@ Sums = Callable[[int, Floats], Floats]
 
 def vectors_of(layout: Layout, size_m: tuple[float, float], counts: tuple[int, int], sums: Sums) -> Floats:
     """Return the means over a layout's discs, as `vectors_at` does."""
-    return vectors_at(layout.centres_mm * 1e-3, layout.diameter_mm / 2e3, size_m, counts, sums)
+    return vectors_at(
+        layout.centres_mm * 1e-3,
+        layout.masses_mm * 1e-3,
+        layout.diameter_mm / 2e3,
+        size_m,
+        counts,
+        sums,
+    )
 
 
 def vectors_at(
-    centres_m: Floats, radius_m: float, size_m: tuple[float, float], counts: tuple[int, int], sums: Sums
+    centres_m: Floats,
+    masses_m: Floats,
+    radius_m: float,
+    size_m: tuple[float, float],
+    counts: tuple[int, int],
+    sums: Sums,
 ) -> Floats:
     """Return means of modes over D discs by which they drive and load the plate, shape (n, MEANS D), mean by mean.
 
-    The outward rotation around the rim, and the two others there; the deflection and the two rotations under the disc;
-    the deflection's two moments.
+    The outward rotation around the rim, and the two others there; under the mass, which is as wide, the deflection, the
+    two rotations, and the deflection's two moments.
     """
     rims = legendre.rim_average(centres_m, radius_m, size_m, counts)
     xx, xy, yx, yy = [sums(field, rim) for field in (1, 2) for rim in rims]
     radii = np.full(len(centres_m), radius_m)
-    under = legendre.disc_average(centres_m, radii, size_m, counts)
-    moments = legendre.disc_moments(centres_m, radii, size_m, counts)
+    under = legendre.disc_average(masses_m, radii, size_m, counts)
+    moments = legendre.disc_moments(masses_m, radii, size_m, counts)
     means = [sums(field, under) for field in range(3)] + [sums(0, moment) for moment in moments]
     return np.concatenate([xx + yy, xx - yy, xy + yx, *means], axis=1)
 
