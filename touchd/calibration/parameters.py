@@ -85,7 +85,7 @@ def unknowns_of(said: PlateFile) -> tuple[Unknown, ...]:
             found.append(Unknown(f"{axis}{k}", f"{disc} {axis}", "mm", float(value), d.uncertainty_mm))
     for k in range(len(places)):
         disc = f"receiver {k}" if k else "emitter"
-        found += [Unknown(f"m{axis}{k}", f"{disc} mass {axis}", "mm", 0.0, OFFSET_PRIOR) for axis in "xy"]
+        found += [Unknown(f"m{axis}{k}", f"disc mass {axis}, {disc}", "mm", 0.0, OFFSET_PRIOR) for axis in "xy"]
     return tuple(found)
 
 

@@ -22,6 +22,8 @@ GLASS, ACRYLIC, ALUMINIUM = (
 )
 ACRYLIC_SAID = (("material", None), ("young_gpa", 3.3), ("poisson", 0.34), ("density_kg_m3", 1190.0))
 GAINS = (1.1, -0.8, 0.95, 0.7)
+_BEADS = 7
+"""Seed of the beads of solder: all plates have the same."""
 """Gain of each channel; the second disc is inverted."""
 
 
@@ -124,8 +126,16 @@ def make(name: str, seed: int = 0) -> Made:
 
 
 def _beads(layout: Layout) -> list[Patch]:
-    """Return a bead of solder and glue, 0.05 g, where each disc's cable leaves: physics that no fit has."""
-    return [Patch(float(x) + 5.0, float(y) + 1.0, 1.5, 1.5, mass_kg_m2=7.0) for x, y in layout.centres_mm]
+    """Return a bead of solder and glue, 0.03 to 0.07 g, where each disc's cable leaves.
+
+    A fit knows where each disc's mass is, and one mass for all: each has another, outside its rim.
+    """
+    rng = np.random.default_rng(_BEADS)
+    angles, kg_m2 = rng.uniform(0, 2 * np.pi, 5), rng.uniform(4.2, 9.9, 5)
+    places = layout.centres_mm + 5.1 * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    return [
+        Patch(float(x), float(y), 1.5, 1.5, mass_kg_m2=float(mass)) for (x, y), mass in zip(places, kg_m2, strict=True)
+    ]
 
 
 def _flaws(case: Case, plate: Plate) -> list[Patch]:
