@@ -84,7 +84,7 @@ class Device:
         except OSError as error:
             raise BridgeError(
                 f"cannot be opened ({error.strerror})", str(NODE),
-                "load the module (modprobe uinput); join the group touchd-input, or run touchd-input.service",
+                "load the module (modprobe uinput), and run as root or as touchd-input.service",
             ) from error  # fmt: skip
         try:
             self._create(name, phys, keys, axes)

@@ -201,6 +201,7 @@ class Reader:
         plate, layout, loss = self.plate(p), self.layout(p), self.read(p).loss
         m = plate.elastic
         first = [np.sqrt(m.E_pa / m.rho_kg_m3), plate.thickness_mm, loss.factor, m.nu, plate.width_mm, plate.height_mm]
-        return np.array([*first, loss.slope, layout.mass_g, layout.diameter_mm, p[self._at["stiffness"]],
-                         p[self._at["gyration"]] * self._gyration2_m2 * 1e6,
+        return np.array([*first, loss.slope, layout.mass_g, layout.diameter_mm,
+                         max(p[self._at["stiffness"]], 0.0),  # as it is read
+                         max(p[self._at["gyration"]] * self._gyration2_m2 * 1e6, 0.0),
                          *p[self._at["gyration"] + 1 :]])  # fmt: skip

@@ -76,6 +76,7 @@ def taps_of(recording: Recording, atlas: Atlas) -> Taps:
     a = atlas.description.acquisition
     if recording.frames.shape[1:] != a.shape:
         raise CalibrationError("other channels or samples than the calibration's", "--taps", "record both alike")
+    check_labels(recording)
     position_mm, touched, untouched = labels(recording, least=1)
     beside = baseline_frames(recording.timestamp_ns, touched, untouched)
     new = np.flatnonzero(np.r_[True, (np.diff(touched) > 1) | (np.diff(position_mm, axis=0) != 0).any(axis=1)])
@@ -85,6 +86,13 @@ def taps_of(recording: Recording, atlas: Atlas) -> Taps:
     counts = np.diff(np.r_[new, len(touched)])[:, None]
     values = complex_bins(np.add.reduceat(features, new, axis=0) / counts, a.channels)
     return Taps(position_mm[new].astype(np.float64), np.asarray(values, np.complex128))
+
+
+def check_labels(recording: Recording) -> None:
+    """Raise CalibrationError unless a recording has a frame with one labelled finger."""
+    truth = recording.contacts_mm
+    if truth is None or not (np.isfinite(truth[:, :, 0]).sum(axis=1) == 1).any():
+        raise CalibrationError("no labelled touch", "--taps", "record some: touchd record --label")
 
 
 def orientation_of(atlas: Atlas, taps: Taps) -> int:

@@ -130,7 +130,7 @@ def _check_geometry(recording: Recording, said: PlateFile) -> None:
         if abs(was - is_said) > MOST_APART * is_said:
             raise PlateMismatch(
                 f"{key} is {was:g}, but {is_said:g} in PLATE.toml", "recording",
-                "correct the wrong one: [plate] of the configuration, or PLATE.toml",
+                "correct the wrong one: PLATE.toml, or record again (--plate WIDTHxHEIGHTxTHICKNESS)",
             )  # fmt: skip
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from touchd.errors import DeviceLost
+from touchd.errors import ConfigError, DeviceLost
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -62,6 +62,8 @@ def command(
 
     audio = load(config or (ctx.obj or {}).get("config")).audio
     said = read_plate_file(plate_file) if plate_file else None
+    if not (device or audio.device):
+        raise ConfigError("is not set", "audio.device", "name a card: hw:CARD=NAME; arecord -L lists them")
     try:
         card = AlsaCard(device or audio.device, audio.sample_rate_hz, inputs or max(*audio.channels, audio.loopback))
         with closing(card):
@@ -70,7 +72,7 @@ def command(
                 progress=lambda what: click.echo(f"{what} ...", err=True),
             )  # fmt: skip
     except (CardAbsent, CardGone, Doubtful) as why:
-        raise DeviceLost(str(why), "audio", "follow this, and repeat the command") from why
+        raise DeviceLost(str(why), "audio", "mend this, and repeat the command") from why
     plan = expect(found, said, audio) if said else None
     if output is not None:
         from touchd.evaluation.plots.session import save

@@ -60,13 +60,15 @@ def command(
 ) -> None:
     """Fit plate and discs to RECORDING, ten seconds of the untouched plate, and write a model.
 
-    Without RECORDING the frames come from the running daemon, or else from the DAQ. No touch is needed. Beside the
-    model lie its field atlas, .atlas.npz, a reference for `touchd doctor`, .untouched.npz, and a folder named .report.
-    A model that was there is kept, as .previous.onnx. A poor fit writes no model, and exits with a status of its own.
+    Without RECORDING the frames come from the daemon that runs with a control socket, or else from the DAQ. No touch is
+    needed. Beside the model lie its field atlas, .atlas.npz, a reference for `touchd doctor`, .untouched.npz, and a
+    folder named .report. A model that was there is kept, as .previous.onnx. A poor fit writes no model, and exits with
+    a status of its own.
     """
     from touchd.calibration.calibrate import fit_recording, make_model
     from touchd.calibration.plate_file import read_plate_file
     from touchd.calibration.report import write_calibration_report
+    from touchd.calibration.taps import check_labels
     from touchd.cli.progress import Bars
     from touchd.config.load import load
     from touchd.recording.format import read
@@ -78,6 +80,8 @@ def command(
         raise click.UsageError("name a RECORDING or a source, not both")
     said = read_plate_file(plate_file)
     taps = read(taps_file) if taps_file else None
+    if taps is not None:
+        check_labels(taps)
     if recording is not None:
         frames = read(recording)
     else:
@@ -160,11 +164,11 @@ def _result(fitted: Fitted, model: Path | None, report: Path | None) -> dict[str
 def _text(found: dict[str, Any], page: str) -> str:
     lines = [f"{found['verdict']}: expected median error of a touch {found['expected_mm']:.2f} mm"]
     lines += [f"  {reason}" for reason in found["reasons"]]
-    lines.append(f"  {'':16} {'said':>10} {'fitted':>10} {'+-':>9}")
+    lines.append(f"  {'':23} {'said, usual':>11} {'fitted':>10} {'+-':>9}")
     for p in found["parameters"]:
-        late = "  further off than PLATE.toml admits" if p["at_prior"] else ""
+        late = "  further off than expected" if p["at_prior"] else ""
         lines.append(
-            f"  {p['name']:16} {p['said']:10.5g} {p['fitted']:10.5g} {p['standard_error']:9.2g} {p['unit']}{late}"
+            f"  {p['name']:23} {p['said']:11.5g} {p['fitted']:10.5g} {p['standard_error']:9.2g} {p['unit']}{late}"
         )
     lines += [f"  undecided: {what}" for what in found["undecided"]]
     if taps := found.get("taps"):

@@ -22,7 +22,7 @@ from touchd.errors import BusError, BusTimeout, RecordingValues
 from touchd.evaluation.metrics import position_scores
 from touchd.evaluation.replay_scores import score_stream
 from touchd.event import Event, HealthEvent, TouchEvent
-from touchd.localization.model import Model
+from touchd.localization.model import Model, default_model_path
 from touchd.recording.format import read
 
 SESSION = Path(__file__).resolve().parent.parent / "demo" / "session.npz"
@@ -54,8 +54,8 @@ def command(recording: Path, as_json: bool, speed: str, model: Path | None) -> N
             "no true contacts to compare with", str(recording),
             "use a recording with contacts_mm, or replay it: touchd --replay FILE --print",
         )  # fmt: skip
-    if model:
-        Model(model).check(truth.acquisition)  # fails here with its own message and exit status
+    model = model or default_model_path()  # not one that `touchd model install` has put in its place
+    Model(model).check(truth.acquisition)  # fails here with its own message and exit status
     events: list[Event] = []
     for event in _received(recording, speed, model):
         events.append(event)
@@ -82,13 +82,13 @@ def command(recording: Path, as_json: bool, speed: str, model: Path | None) -> N
     click.echo(json.dumps(summary) if as_json else _table(summary, recording))
 
 
-def _received(recording: Path, speed: str, model: Path | None) -> Iterator[Event]:
+def _received(recording: Path, speed: str, model: Path) -> Iterator[Event]:
     """Run a daemon that replays `recording`, and yield what it publishes."""
     with ExitStack() as stack:
         folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="touchd-demo-"))
         address = f"ipc://{folder}/bus"
         replay = [sys.executable, "-m", "touchd", "--replay", str(recording), "--speed", speed, "--bind", address]
-        replay += ["--await-subscriber", str(_PATIENCE_S), *(["--model", str(model)] if model else [])]
+        replay += ["--await-subscriber", str(_PATIENCE_S), "--model", str(model)]
         complaints = stack.enter_context(tempfile.TemporaryFile("w+"))
         # It runs this program, with file names as its only input.
         daemon = stack.enter_context(subprocess.Popen(replay, stderr=complaints, stdin=subprocess.DEVNULL))  # noqa: S603

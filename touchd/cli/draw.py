@@ -15,10 +15,11 @@ def command(recording: Path, output: Path, model: Path | None) -> None:
     """Replay RECORDING and plot the published contacts over its true touches."""
     from touchd.config.load import load
     from touchd.evaluation.plots.session import draw_session
+    from touchd.localization.model import default_model_path
     from touchd.recording.format import read
     from touchd.service.replay import replay
 
-    settings = load(None, {"model": {"path": model}} if model else {})
+    settings = load(None, {"model": {"path": model or default_model_path()}})
     outcome = replay(recording, settings)
     draw_session(read(recording), outcome.touches, output)
     click.echo(f"{output}: {len(outcome.touches)} messages drawn")

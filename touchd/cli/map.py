@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import click
@@ -14,10 +16,11 @@ from touchd.cli.bridge import bus_option
 from touchd.client import Subscriber
 from touchd.config.apart import load_apart
 from touchd.config.edit import set_keys
-from touchd.errors import BridgeError
+from touchd.errors import BridgeError, BusTimeout
+from touchd.event import Event, HealthEvent, TouchEvent
 from touchd.files import writing
 
-_PATIENCE_S, _MOST_BYTES = 120.0, 4096
+_PATIENCE_S, _SILENCE_S, _MOST_BYTES = 120.0, 5.0, 4096
 _PAGE = """\
 <!doctype html>
 <html lang="en"><meta charset="utf-8"><title>touchd map</title>
@@ -57,7 +60,8 @@ def command(
     """Take touches at crosses on the screen, fit where it lies on the plate, and write that to the configuration.
 
     Show the crosses in full screen on the screen below the plate: `touchd map --page crosses.html` makes a page for any
-    browser. The file that --config names takes the mapping, or /etc/touchd/touchd.toml. Restart `touchd input` then.
+    browser. The file that `touchd --config FILE map` names takes the mapping, or /etc/touchd/touchd.toml.
+    Restart `touchd input` then.
     """
     if page is not None:
         with writing(page):
@@ -84,15 +88,41 @@ def _default_config() -> Path:
 def _take(address: str | None, touches: int) -> list[Touched]:
     """Have the crosses touched."""
     crosses = Crosses(touches)
-    with Subscriber(address, timeout_s=_PATIENCE_S) as events:
+    events: Subscriber[Event]
+    with Subscriber(address, ("health", "touch")) as events:
+        received = _touches(events)
         while crosses.due:
             across, along = crosses.due
             click.echo(f"touch cross {len(crosses.taken) + 1}: {across:.0%} of the screen's width from the left, "
                        f"{along:.0%} of its height from the top")  # fmt: skip
-            while not crosses.feed(next(events)):
+            while not crosses.feed(next(received)):
                 pass
             click.echo(f"  at {crosses.taken[-1].x_mm:.1f}, {crosses.taken[-1].y_mm:.1f} mm of the plate")
     return crosses.taken
+
+
+def _touches(events: Subscriber[Event]) -> Iterator[TouchEvent]:
+    """Yield touches; tell on the way why there may be none. BusTimeout after two minutes without."""
+    told, touched_s = "", time.monotonic()
+    while (left_s := touched_s + _PATIENCE_S - time.monotonic()) > 0:
+        try:
+            event = events.receive(min(_SILENCE_S, left_s))
+        except BusTimeout as error:
+            said = str(error)
+            if left_s <= _SILENCE_S:
+                raise
+        else:
+            if isinstance(event, TouchEvent):
+                yield event
+                touched_s = time.monotonic()
+                continue
+            if not isinstance(event, HealthEvent) or event.state == "streaming":
+                continue
+            said = f"the daemon is {event.state}: {event.reason or 'see its log'}"
+        if said != told:
+            click.echo(f"touchd: {said}", err=True)
+            told = said
+    raise BusTimeout(f"no touch within {_PATIENCE_S:g} s", events.address, "touch the crosses, and see touchd doctor")
 
 
 def _read(path: Path) -> list[Touched]:

@@ -56,7 +56,8 @@ def command(
 ) -> None:
     """Write the frames of the DAQ, or of another source, to a file.
 
-    While a daemon runs its frames are recorded: run this as the daemon's own user, or as root.
+    While a daemon with a control socket runs, as the service, its frames are recorded: run this as its own user, or
+    as root.
     A recording can reveal a PIN: it is readable by you only. Ctrl-C and SIGTERM save the frames so far. It stores
     frames alone, without true contacts.
 

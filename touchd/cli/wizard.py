@@ -14,7 +14,7 @@ from touchd.cli.bridge import bus_option
 
 @click.command(name="wizard", short_help="Calibrate step by step, as touchd web asks.")
 @click.option("--socket", "socket_path", type=click.Path(path_type=Path), metavar="FILE",
-              help="Where to listen.  [default: /run/touchd-wizard/socket]")  # fmt: skip
+              help="Where to listen.  [default: the service's, or yours]")  # fmt: skip
 @click.option("--folder", type=click.Path(path_type=Path), metavar="DIR",
               help="Where the state is kept.  [default: the service's state, or yours]")  # fmt: skip
 @click.option("--seconds", type=click.FloatRange(0.5), default=10.0, show_default=True, metavar="S",

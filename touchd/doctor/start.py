@@ -65,7 +65,7 @@ def check_start(settings: Settings, listen_s: float = 2.5, *, running: bool = Fa
         error = refused.get(name)
         if error is not None and health and isinstance(error, AddressInUse):
             daemon = f"{error.where}: a daemon publishes there, in state {health.state}"
-            fix = "stop it before the checks: systemctl stop touchd"
+            fix = "stop it before the checks: systemctl stop touchd, or Ctrl-C where it was started"
             findings.append(Finding(name, "ok", daemon) if running else Finding(name, "warning", daemon, fix))
         elif error is not None:
             findings.append(failure(name, error))

@@ -248,7 +248,7 @@ _READERS = {"regression": _read_regression, "grid": _read_grid, "keypad": _read_
 def _load(path: Path) -> Any:
     """Return an inference session on one thread that does not spin."""
     if not os.path.isfile(path):  # unlike Path.is_file it is false also where nobody may look
-        raise ModelMissing("no such model", str(path), "check the path, or leave model.path unset for the shipped one")
+        raise ModelMissing("no such model", str(path), "check the path; touchd calibrate makes a model")
     options = ort.SessionOptions()
     options.intra_op_num_threads = 1
     options.inter_op_num_threads = 1

@@ -17,7 +17,7 @@ from touchd.config.schema import Settings
 from touchd.errors import SourceError
 from touchd.frame import Plate
 from touchd.keypad import Layout
-from touchd.localization.model import Model
+from touchd.localization.model import Model, default_model_path
 from touchd.pipeline import Pipeline
 from touchd.recording.data import Device, Meta
 from touchd.service import realtime
@@ -177,6 +177,18 @@ def describer(
     return description
 
 
+def warn_of_another_plate(source: Source, model: Model | None) -> None:
+    """Log if a recording or a scene is of a plate of another size than the model's."""
+    known = getattr(source, "meta", None)
+    if known is None or model is None:
+        return
+    sizes = [f"{p.width_mm:.0f} x {p.height_mm:.0f} mm" for p in (known.plate, model.description.plate)]
+    if sizes[0] != sizes[1]:
+        shipped = f"; the shipped one is {default_model_path()}"
+        log.warning("the frames are of another plate than the model", frames=sizes[0], model=sizes[1],
+                    path=str(model.path), fix=f"name its model: --model FILE{shipped}")  # fmt: skip
+
+
 def make_preroll(source: Source, settings: Settings, description: Callable[[], FeedDescription]) -> PreRoll:
     """Return the keeper of the last seconds of a source's frames."""
     known = getattr(source, "meta", None)
@@ -225,8 +237,11 @@ def run(
         parts = open_parts(settings, stack)
         bus, model = parts.bus, parts.model
         assert bus is not None
+        if model is None:
+            log.warning("there is no model yet", path=str(settings.model.path))
         # Last: the twin computes its plate for many seconds.
         source = stack.enter_context(closing(open_source(choice, settings, model, late=True)))
+        warn_of_another_plate(source, model)
         sinks: list[Sink] = [bus, JsonlSink(sys.stdout)] if echo else [bus]
 
         service: Service | None = None

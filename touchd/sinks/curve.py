@@ -208,12 +208,12 @@ def _load(path: Path, *, private: bool = False) -> tuple[bytes | None, bytes | N
     try:
         with open_file(path) as file:
             mode = stat.S_IMODE(os.fstat(file.fileno()).st_mode)
-            if private and mode & 0o077:
+            keys = dict(_KEY.findall(file.read(_LONGEST_BYTES)))
+            if private and b"secret" in keys and mode & 0o077:
                 raise BusError(
                     f"the secret key is open to other users (mode {mode:04o})", str(path),
                     f"make it yours: chmod 600 {path}",
                 )  # fmt: skip
-            keys = dict(_KEY.findall(file.read(_LONGEST_BYTES)))
     except OSError as error:
         raise BusError(
             f"the key cannot be read ({error.strerror})", str(path), "check the path and who may read it"

@@ -44,6 +44,18 @@ def test_taps_become_the_mapping(tmp_path: Path) -> None:
         assert config.read_text() == before
 
 
+def test_says_why_no_touch_comes(tmp_path: Path) -> None:
+    """Of a daemon that has lost its device it says so at once, and takes touches when they come."""
+    with daemon(tmp_path) as bus, started("map", "--dry-run", "--bus", bus.address) as mapping:
+        bus.wait()
+        bus.health("lost")
+        for n, at in enumerate(TAPS):
+            tap(bus, n + 1, *at)
+        ended = end(mapping)
+    assert ended.code == 0, ended.err
+    assert "the daemon is lost" in ended.err
+
+
 def test_page(tmp_path: Path) -> None:
     """The page of crosses is a file for any browser."""
     page = tmp_path / "crosses.html"

@@ -134,6 +134,31 @@ CASES: dict[str, tuple[type[TouchdError], Arguments, tuple[str, ...]]] = {
         replay(lambda w: w.broken(timestamp_ns=np.arange(40, 0, -1))),
         ("timestamp_ns",),
     ),
+    "taps without labels": (
+        errors.CalibrationError,
+        lambda w: (
+            "calibrate",
+            w.good,
+            "-o",
+            w.folder / "m.onnx",
+            "--taps",
+            w.good,
+            "--plate",
+            w.file(
+                "PLATE.toml",
+                "[plate]\nwidth_mm = 200\nheight_mm = 200\nthickness_mm = 5\nmaterial = 'glass'\n"
+                "[discs]\ndiameter_mm = 6\nemitter_mm = [30, 100]\n"
+                "receivers_mm = [[15, 15], [185, 20], [180, 185], [20, 170]]\n",
+            ),
+        ),
+        ("no labelled touch", "record --label"),
+    ),
+    "a wizard where no socket can be": (
+        errors.OutputError,
+        lambda w: ("wizard", "--socket", w.folder / "nowhere" / "socket", "--folder", w.folder / "state"),
+        ("nowhere/socket", "--socket"),
+    ),
+    "no card to check": (errors.ConfigError, lambda _: ("audio-check",), ("audio.device", "arecord -L")),
     "a missing model": (errors.ModelMissing, bound("--model", "nowhere.onnx"), ("nowhere.onnx",)),
     "no model": (
         errors.ModelInvalid,

@@ -85,6 +85,8 @@ def test_keygen_makes_a_private_folder_a_private_secret_and_a_public_key(tmp_pat
     modes = {path.name: stat.S_IMODE(path.stat().st_mode) for path in (tmp_path / "new", *(tmp_path / "new").iterdir())}
     assert modes == {"new": 0o700, "kiosk.key": 0o644, "kiosk.key_secret": 0o600}
     assert f'curve_secret_key = "{tmp_path}/new/kiosk.key_secret"' in result.output
+    with pytest.raises(BusError, match="key_secret"):  # the public one, which others may read
+        curve.load_secret(tmp_path / "new/kiosk.key")
     pair = curve.load_secret(tmp_path / "new/kiosk.key_secret")
     assert curve.load_public(tmp_path / "new/kiosk.key") == pair.public
     assert pair.secret.decode() not in result.output + (tmp_path / "new/kiosk.key").read_text()

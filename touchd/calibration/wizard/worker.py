@@ -25,7 +25,7 @@ from touchd.calibration.wizard.state import State
 from touchd.calibration.wizard.trial import Trial
 from touchd.calibration.wizard.untouched import Stopped, open_feed, take_untouched
 from touchd.calibration.wizard.verbs import fit, train
-from touchd.errors import BusError, CalibrationError, RecordingMissing, TouchdError
+from touchd.errors import BusError, CalibrationError, OutputError, RecordingMissing, TouchdError
 from touchd.service.systemd import Notifier
 
 PICTURES = ("response.png", "residual.png", "expected-error.png")
@@ -241,7 +241,13 @@ class Worker:
 
 
 async def serve(worker: Worker, state: State, path: Path, manager: Notifier, ready: Callable[[], object]) -> None:
-    """Listen at `path` until SIGTERM or SIGINT."""
+    """Listen at `path` until SIGTERM or SIGINT.
+
+    Raises
+    ------
+    OutputError
+        No socket can be made there.
+    """
     ended = asyncio.Event()
 
     async def converse(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
@@ -256,10 +262,14 @@ async def serve(worker: Worker, state: State, path: Path, manager: Notifier, rea
                 writer.write(json.dumps(answer).encode() + b"\n")
                 await writer.drain()
 
-    path.unlink(missing_ok=True)
     umask = os.umask(0o177)
     try:
+        path.unlink(missing_ok=True)
         server = await asyncio.start_unix_server(converse, path, limit=MOST_BYTES)
+    except OSError as error:
+        raise OutputError(
+            f"no socket can be made there ({error.strerror})", str(path), "name another place with --socket"
+        ) from error
     finally:
         os.umask(umask)
     loop = asyncio.get_running_loop()
