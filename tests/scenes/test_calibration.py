@@ -159,7 +159,7 @@ def test_swapped_cables(fit: PlateFit) -> None:
     """Two cables swapped are found and named, and the fit is that of the right order."""
     other = fit_plate(said((0, 2, 1, 3, 4)), heard())
     assert other.verdict == "usable"
-    assert any("channel 0 at the place of channel 1" in reason for reason in other.reasons)
+    assert any("receiver 1 at the place of receiver 2" in reason for reason in other.reasons)
     np.testing.assert_allclose(other.layout.centres_mm, fit.layout.centres_mm, atol=0.02)
 
 

@@ -149,7 +149,7 @@ def _try(said: PlateFile, what: str, untouched: Untouched) -> Candidate:
 
 
 def _wiring(order: tuple[int, ...]) -> str:
-    names = ["the emitter", *(f"channel {c}" for c in range(len(order) - 1))]
+    names = ["the emitter", *(f"receiver {c}" for c in range(1, len(order)))]
     wrong = [f"{names[i]} at the place of {names[k]}" for i, k in enumerate(order) if i != k]
     return f"swapped cables fit: {', '.join(wrong)}; swap them, or correct PLATE.toml"
 

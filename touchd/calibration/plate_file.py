@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal, get_args
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from touchd.errors import PlateFileInvalid
+from touchd.files import read_text
 from touchd.twin.physics.material import MATERIALS, ElasticPlate, Material
 from touchd.twin.physics.transducer import Layout
 
@@ -44,9 +45,9 @@ class PlateSaid(_Table):
     thickness_mm: Millimetres
     material: str | None = None
     """A name of `MATERIALS`; else the three constants below."""
-    young_gpa: float | None = Field(default=None, gt=0, le=2000)
+    young_gpa: float | None = Field(default=None, ge=0.1, le=2000)
     poisson: float | None = Field(default=None, ge=0, lt=0.5)
-    density_kg_m3: float | None = Field(default=None, gt=0, le=30_000)
+    density_kg_m3: float | None = Field(default=None, ge=100, le=30_000)
     width_uncertainty_mm: float = Field(default=0.3, gt=0, le=100)
     height_uncertainty_mm: float = Field(default=0.3, gt=0, le=100)
     thickness_uncertainty_mm: float = Field(default=0.03, gt=0, le=10)
@@ -108,7 +109,7 @@ def read_plate_file(path: Path) -> PlateFile:
         not in millimetres, or a disc reaches over the edge.
     """
     try:
-        content = tomllib.loads(path.read_bytes().decode())
+        content = tomllib.loads(read_text(path))
     except OSError as error:
         raise PlateFileInvalid(f"cannot be read ({error.strerror})", str(path), "check the path") from error
     except (ValueError, RecursionError) as error:

@@ -49,7 +49,7 @@ def draw_response(fitted: Fitted) -> Figure:
         axes.plot(time_ms[shown], fit.measured[channel, shown], color="#b0b7bf", lw=3, label="measured")
         axes.plot(time_ms[shown], fit.fitted[channel, shown], color="#0b6e99", lw=1, label="fitted")
         axes.plot(time_ms[shown], (fit.measured - fit.fitted)[channel, shown], color="#d1495b", lw=0.8, label="left")
-        axes.set_ylabel(f"channel {channel + 1}")
+        axes.set_ylabel(f"receiver {channel + 1}")
     axes.set_xlabel("time (ms)")
     figure.legend(*axes.get_legend_handles_labels(), loc="outside upper right", ncols=3, frameon=False)
     return figure
@@ -62,7 +62,7 @@ def draw_residual(fitted: Fitted) -> Figure:
     figure = Figure(figsize=(8.0, 4.0), layout="constrained")
     axes = figure.add_subplot()
     for channel, left in enumerate(share):
-        axes.plot(hz / 1e3, 10 * np.log10(np.maximum(left, 1e-12)), lw=1, label=f"channel {channel + 1}")
+        axes.plot(hz / 1e3, 10 * np.log10(np.maximum(left, 1e-12)), lw=1, label=f"receiver {channel + 1}")
     for edge_hz in (a.chirp.start_hz, a.chirp.stop_hz):
         axes.axvline(edge_hz / 1e3, color="#b0b7bf", lw=1)
     axes.set(xlabel="frequency (kHz)", ylabel="energy left (dB of the channel's energy)")

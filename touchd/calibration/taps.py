@@ -27,6 +27,8 @@ ORIENTATIONS = ("", "mirrored left to right", "mirrored top to bottom", "turned 
 CLEARER = 0.5
 """Another orientation leaves less than this share of what the drawing's leaves. At a right one taps leave 0.01, at a
 wrong one half of their energy and more (twin)."""
+LEAST_FIT = 0.25
+"""Share of the taps that must fit: with fewer their labels, or the plate, are others."""
 FITS = 0.2
 """Refuse a tap that leaves more than this share unexplained: two fingers, or none at that place."""
 MISSED = 3.0
@@ -138,8 +140,10 @@ def refine(atlas: Atlas, taps: Taps, orientation: int = 0, widths: Widths | None
     """
     placed = place(atlas, taps.values, taps.label_mm)
     fits = placed.misfit < FITS
-    if not fits.any():
-        raise CalibrationError("no tap fits the calibrated plate", "--taps", "check the labels' places, in mm")
+    if fits.mean() < LEAST_FIT:
+        raise CalibrationError(
+            f"{fits.sum()} of {len(fits)} taps fit the calibrated plate", "--taps", "check the labels' places, in mm"
+        )
     placed_mm, label_mm = placed.position_mm[fits], taps.label_mm[fits]
     hit = hits(placed_mm, label_mm)
     placed_mm, label_mm = placed_mm[hit], label_mm[hit]

@@ -14,6 +14,10 @@ from touchd.recording.data import Recording
 
 Floats = NDArray[np.float64]
 
+MOST_REPEATED = 0.5
+"""Share of the frames that may equal the one before."""
+LEAST_HZ, LEAST_BINS, MOST_S = 1e3, 8, 0.1
+"""Of a chirp: its lowest frequency, and the least width of its band, in bins; of a frame and a period: the longest."""
 LEAST_FRAMES = 20
 BLOCKS = 8
 """The recording's parts, whose medians tell drift from a finger."""
@@ -72,6 +76,12 @@ def untouched_mean(recording: Recording, said: PlateFile) -> Untouched:
     frames = recording.frames
     if len(frames) < LEAST_FRAMES:
         raise PlateUnsteady(f"{len(frames)} frames", "recording", f"record some ten seconds; {LEAST_FRAMES} at least")
+    if (frames[1:] == frames[:-1]).all(axis=(1, 2)).mean() > MOST_REPEATED:
+        raise PlateUnsteady(
+            "frames repeat each other: noise never does",
+            "recording",
+            "the DAQ hangs: switch it off and on, and record again",
+        )
     _check_range(recording)
     time = np.linspace(-0.5, 0.5, len(frames))
     parts = np.array_split(np.arange(len(frames)), BLOCKS)
@@ -117,7 +127,23 @@ def _energy(frames: NDArray[np.int16], mean: Floats, slope: Floats, time: Floats
     return found
 
 
+def check_chirp(acquisition: Acquisition, where: str) -> None:
+    """Raise PlateMismatch unless a plate can be fitted to what a chirp makes audible."""
+    a, chirp = acquisition, acquisition.chirp
+    low_hz, high_hz = chirp.band_hz
+    bins = (high_hz - low_hz) * a.samples / a.sample_rate_hz
+    sound = low_hz >= LEAST_HZ and high_hz <= a.sample_rate_hz / 2 and chirp.dac_rate_hz >= 2 * high_hz
+    longest_s = max(chirp.period_s or 0.0, a.samples / a.sample_rate_hz)
+    if not (sound and chirp.duration_s * low_hz >= 1 and longest_s <= MOST_S and bins >= LEAST_BINS):
+        raise PlateMismatch(
+            f"no plate can be fitted to a chirp of {low_hz:g} to {high_hz:g} Hz in {chirp.duration_s:g} s, "
+            f"of which {a.samples} samples are taken", where,
+            f"chirp from {LEAST_HZ:g} Hz on, over {LEAST_BINS} bins of the frame or more, below half of both rates",
+        )  # fmt: skip
+
+
 def _check_geometry(recording: Recording, said: PlateFile) -> None:
+    check_chirp(recording.acquisition, "recording")
     channels, receivers = recording.frames.shape[1], len(said.discs.receivers_mm)
     if channels != receivers:
         raise PlateMismatch(
@@ -141,7 +167,9 @@ def _check_range(recording: Recording) -> None:
     clipped = np.flatnonzero(((typical <= low) | (typical >= high)).any(axis=1))
     if clipped.size:
         raise SignalClipped(
-            f"channel {clipped[0]} reaches the end of the ADC's range", "recording", "lower the gain, and record again"
+            f"receiver {clipped[0] + 1} reaches the end of the ADC's range",
+            "recording",
+            "lower the gain, and record again",
         )
 
 

@@ -83,10 +83,10 @@ def judge(evidence: Evidence) -> Judgement:
     expected_mm = float(np.linalg.norm(apart_mm))
     reasons = list(e.found)
     reasons += [f"the {side} edge is clamped: places may be shifted as a whole; free it" for side in e.clamped]
-    reasons += [f"channel {c} is dead: check its disc and cable" for c in dead]
+    reasons += [f"receiver {c + 1} is dead: check its disc and cable" for c in dead]
     usual = float(np.median(live)) if live.size else 1.0
     odd = [c for c, share in enumerate(e.left) if share > ODD_CHANNEL * usual and share > GOOD_LEFT]
-    reasons += [f"channel {c} does not fit as the others do: check its disc and its place" for c in odd]
+    reasons += [f"receiver {c + 1} does not fit as the others do: check its disc and its place" for c in odd]
     pulled = [p for p in e.parameters if p.at_prior and not p.name.startswith(NOT_SAID)]
     reasons += [
         f"{p.name}: {p.said:.4g} {p.unit} was said, {p.fitted:.4g} fits: measure it again".replace("  ", " ")

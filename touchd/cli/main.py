@@ -14,6 +14,7 @@ import click
 from touchd import __version__
 from touchd.cli.source import source_options
 from touchd.errors import ConfigError, MissingExtra, ModelMissing, TouchdError
+from touchd.service.signals import deliver, held, unwound
 
 VERBS = {
     "audio-check": "Measure an audio interface.",
@@ -96,7 +97,6 @@ def touchd(
     the USB DAQ, which may be plugged in later, unless an option names another source.
     """
     ctx.obj = {"debug": debug, "config": config}
-    from touchd.service.signals import deliver, held
 
     if ctx.invoked_subcommand is not None:
         deliver()  # they end a verb
@@ -135,7 +135,8 @@ def main(arguments: list[str] | None = None) -> int:
     arguments = sys.argv[1:] if arguments is None else arguments
     debug = "--debug" in arguments or bool(os.environ.get("TOUCHD_DEBUG"))
     try:
-        result = touchd.main(args=arguments, prog_name="touchd", standalone_mode=False)
+        with unwound():
+            result = touchd.main(args=arguments, prog_name="touchd", standalone_mode=False)
         return result if isinstance(result, int) else 0
     except click.exceptions.Exit as stop:
         return stop.exit_code

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,7 +19,13 @@ if TYPE_CHECKING:
 @click.command()
 @click.argument("plate_file", type=click.Path(path_type=Path), metavar="PLATE.toml")
 @acquisition_option
-@click.option("--noise-db", default=60.0, show_default=True, help="Signal-to-noise ratio of the untouched plate, dB.")
+@click.option(
+    "--noise-db",
+    type=click.FloatRange(-20, 200),
+    default=60.0,
+    show_default=True,
+    help="Signal-to-noise ratio of the untouched plate, dB.",
+)
 @click.option("-o", "--output", type=click.Path(path_type=Path), metavar="FILE.png", help="Draw both maps.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 def command(plate_file: Path, acquisition: Acquisition, noise_db: float, output: Path | None, as_json: bool) -> None:
@@ -29,9 +36,13 @@ def command(plate_file: Path, acquisition: Acquisition, noise_db: float, output:
     """
     from touchd.calibration.plan import PlateMap
     from touchd.calibration.plate_file import read_plate_file
+    from touchd.calibration.untouched import check_chirp
     from touchd.cli.progress import Bars
 
     said = read_plate_file(plate_file)
+    if math.isnan(noise_db):
+        raise click.UsageError("--noise-db is not a number")
+    check_chirp(acquisition, "--acquisition")
     here = PlateMap(said, acquisition.model_copy(update={"channels": len(said.discs.receivers_mm)}), noise_db)
     given = here.plan(said.layout().centres_mm)
     with Bars() as bars:

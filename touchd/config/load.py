@@ -18,6 +18,7 @@ from touchd.config.mistakes import REMOVE, Layer, explain, nearest
 from touchd.config.render import fields, variable
 from touchd.config.schema import RETIRED, Settings
 from touchd.errors import ConfigError
+from touchd.files import read_text
 
 DEFAULT_PATH = Path("/etc/touchd/touchd.toml")
 """Read if it exists and no other file is named."""
@@ -131,7 +132,7 @@ def _file(path: Path | None) -> dict[str, Any]:
     where = path or DEFAULT_PATH
     try:
         # Not by TomlConfigSettingsSource: it ignores a missing file, a folder and a pipe.
-        return tomllib.loads(where.read_bytes().decode())
+        return tomllib.loads(read_text(where))
     except FileNotFoundError as error:
         if path is None:
             return {}

@@ -8,7 +8,7 @@ import tempfile
 from pathlib import Path
 
 from touchd.errors import ModelMissing
-from touchd.files import replacing, writing
+from touchd.files import open_file, replacing, writing
 from touchd.localization.model import Model
 
 BESIDE = (".untouched.npz", ".atlas.npz", ".onnx")
@@ -39,7 +39,7 @@ def digest(model: Path) -> str:
         return ""
     found = hashlib.sha256()
     for file in (model.with_suffix(suffix) for suffix in BESIDE):
-        found.update(file.read_bytes() if file.exists() else b"none")
+        found.update(_content(file) if file.exists() else b"none")
     return found.hexdigest()
 
 
@@ -88,7 +88,12 @@ def _copy(model: Path, to: Path) -> None:
     for suffix in BESIDE:
         if model.with_suffix(suffix).exists():
             with replacing(to.with_suffix(suffix)) as file:
-                file.write(model.with_suffix(suffix).read_bytes())
+                file.write(_content(model.with_suffix(suffix)))
+
+
+def _content(path: Path) -> bytes:
+    with open_file(path) as file:  # a pipe of its name would never end
+        return bytes(file.read())
 
 
 def _move(model: Path, to: Path) -> None:

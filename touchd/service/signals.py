@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
@@ -37,6 +38,32 @@ def held() -> Iterator[None]:
 def deliver() -> None:
     """Let SIGHUP and SIGUSR1 come, those that wait first; call it once they have handlers."""
     signal.pthread_sigmask(signal.SIG_UNBLOCK, _HELD)
+
+
+class Terminated(BaseException):
+    """SIGTERM has come to a verb without a handler of its own."""
+
+
+@contextmanager
+def unwound() -> Iterator[None]:
+    """Let SIGTERM unwind what runs within this context, so that no half of a file stays, and then end the process."""
+
+    def handle(_number: int, _frame: FrameType | None) -> None:
+        raise Terminated
+
+    main = threading.current_thread() is threading.main_thread()
+    if not main or signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL:
+        yield
+        return
+    signal.signal(signal.SIGTERM, handle)
+    try:
+        yield
+    except Terminated:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
+        signal.raise_signal(signal.SIGTERM)
+    finally:
+        if signal.getsignal(signal.SIGTERM) is handle:
+            signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
 def stop_on_signals(service: Service) -> None:

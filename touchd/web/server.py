@@ -5,15 +5,20 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import ipaddress
+import logging
+import os
 import signal
 import socket
+import sys
 import time
 from collections.abc import AsyncIterator, Callable, Iterable, Sequence
 from types import FrameType, ModuleType
+from typing import Any
 
 import uvicorn
 from starlette.applications import Starlette
 from starlette.middleware import Middleware
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from touchd.errors import AddressInUse, ConfigError, InsecureBind
 from touchd.service.systemd import Notifier
@@ -26,6 +31,8 @@ VIEWS: tuple[ModuleType, ...] = (pages, live, replay, calibrate, check)
 _END_S = 2
 """Open WebSockets may hold up the end for as long."""
 _BEAT_S = 0.25
+_REQUEST_NS = 10_000_000_000
+"""A connection without a whole request for so long is closed: a hundred of them would lock everybody out."""
 
 
 def bind(address: str) -> socket.socket:
@@ -87,6 +94,32 @@ def make_app(site: Site, views: Iterable[ModuleType] = VIEWS) -> Starlette:
     return Starlette(routes=routes, middleware=[guard], lifespan=lifespan)
 
 
+class _Silent:
+    """Closes connections that ask for nothing, or for half of something."""
+
+    def __init__(self) -> None:
+        self._since_ns: dict[Any, int] = {}
+
+    def close(self, connections: Iterable[Any], now_ns: int) -> None:
+        idle = [one for one in connections if isinstance(one, H11Protocol) and _asks_nothing(one)]
+        self._since_ns = {one: self._since_ns.get(one, now_ns) for one in idle}
+        for one, since_ns in self._since_ns.items():
+            if now_ns - since_ns > _REQUEST_NS:
+                one.transport.close()
+
+
+def _asks_nothing(connection: H11Protocol) -> bool:
+    return connection.cycle is None or connection.cycle.response_complete
+
+
+def _without_traceback(record: logging.LogRecord) -> bool:
+    """Say in the message what was raised, unless --debug asks for the traceback."""
+    if record.exc_info and not ("--debug" in sys.argv or os.environ.get("TOUCHD_DEBUG")):
+        record.msg, record.args = f"{record.getMessage().strip()} ({record.exc_info[1]!r})", ()
+        record.exc_info = None
+    return True
+
+
 def serve(site: Site, listening: Sequence[socket.socket], ready: Callable[[], object], manager: Notifier) -> None:
     """Serve until SIGTERM or SIGINT; `ready` is called once browsers are answered."""
     config = uvicorn.Config(
@@ -96,6 +129,7 @@ def serve(site: Site, listening: Sequence[socket.socket], ready: Callable[[], ob
         timeout_graceful_shutdown=_END_S,
     )  # fmt: skip
     server = uvicorn.Server(config)
+    logging.getLogger("uvicorn.error").addFilter(_without_traceback)
 
     def stop(_number: int, _frame: FrameType | None) -> None:
         server.should_exit = True
@@ -105,13 +139,14 @@ def serve(site: Site, listening: Sequence[socket.socket], ready: Callable[[], ob
 
     async def run() -> None:
         served = asyncio.create_task(server.serve(list(listening)))
-        told = False
+        told, silent = False, _Silent()
         while not served.done():
             if server.started and not told:
                 told = True
                 ready()
                 manager.ready()
-            manager.beat(time.monotonic_ns())
+            manager.beat(now_ns := time.monotonic_ns())
+            silent.close(server.server_state.connections, now_ns)
             await asyncio.wait([served], timeout=_BEAT_S if told else 0.01)
         await served
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import socket
 import sys
@@ -36,6 +37,11 @@ class World:
         path = self.folder / "broken.npz"
         np.savez(path, **(self._arrays | changes))
         return path
+
+    def pipe(self, name: str) -> Path:
+        """A pipe that nobody writes to."""
+        os.mkfifo(self.folder / name)
+        return self.folder / name
 
     def file(self, name: str, content: str | bytes) -> Path:
         path = self.folder / name
@@ -152,6 +158,16 @@ CASES: dict[str, tuple[type[TouchdError], Arguments, tuple[str, ...]]] = {
             ),
         ),
         ("no labelled touch", "record --label"),
+    ),
+    "a pipe for a configuration": (
+        errors.ConfigError,
+        lambda w: ("--config", w.pipe("touchd.toml"), "config"),
+        ("touchd.toml", "not a regular file"),
+    ),
+    "a pipe for PLATE.toml": (
+        errors.PlateFileInvalid,
+        lambda w: ("plan", w.pipe("PLATE.toml")),
+        ("PLATE.toml", "not a regular file"),
     ),
     "a wizard where no socket can be": (
         errors.OutputError,

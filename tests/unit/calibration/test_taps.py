@@ -61,6 +61,15 @@ def test_turned_drawing(instrument: Instrument) -> None:
     assert turned_fit(fit, 0).reasons == fit.reasons
 
 
+@pytest.mark.parametrize("dead", [True, False])
+def test_taps_that_fit_nowhere(atlas: Atlas, exact: Taps, *, dead: bool) -> None:
+    """Silence, and labels at random, are refused."""
+    label_mm = exact.label_mm if dead else np.random.default_rng(3).uniform((5, 5), np.array(SIZE_MM) - 5, (60, 2))
+    values = np.zeros_like(exact.values) if dead else exact.values
+    with pytest.raises(CalibrationError, match="taps fit"):
+        refine(atlas, Taps(label_mm, values))
+
+
 def test_scatter(atlas: Atlas, exact: Taps) -> None:
     """The scatter is the labels' error per axis."""
     for error_mm in (0.5, 1.5):
@@ -139,5 +148,5 @@ def test_right_places(atlas: Atlas, exact: Taps) -> None:
 def test_no_taps(atlas: Atlas, exact: Taps) -> None:
     """What is no touch of this plate fits nowhere, and is refused."""
     noise = np.random.default_rng(2).standard_normal((2, *exact.values.shape))
-    with pytest.raises(CalibrationError, match="no tap fits"):
+    with pytest.raises(CalibrationError, match="0 of 60 taps fit"):
         refine(atlas, Taps(exact.label_mm, noise[0] + 1j * noise[1]))

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -7,9 +8,9 @@ import pytest
 from numpy.typing import NDArray
 
 from touchd.calibration.plate_file import check_plate_file
-from touchd.calibration.untouched import Untouched, untouched_mean
+from touchd.calibration.untouched import Untouched, check_chirp, untouched_mean
 from touchd.errors import CalibrationError, PlateMismatch, PlateTouched, PlateUnsteady, SignalClipped
-from touchd.frame import Plate
+from touchd.frame import Acquisition, Chirp, Plate
 from touchd.recording.data import Meta, Recording
 
 SAID = check_plate_file({
@@ -27,6 +28,7 @@ def recording(signal: NDArray[np.float64] | None = None, **meta: Any) -> Recordi
     rng = np.random.default_rng(2)
     counts = SIGNAL + NOISE * rng.standard_normal((COUNT, *SIGNAL.shape)) + (0 if signal is None else signal)
     facts = {"sample_rate_hz": 1e5, "bits": 16, "full_scale_v": 10, "frame_rate_hz": 100,
+             "chirp": Chirp(start_hz=10e3, stop_hz=40e3),
              "plate": Plate(width_mm=200, height_mm=150)} | meta  # fmt: skip
     return Recording(
         Meta(**facts), np.clip(np.rint(counts), -32768, 32767).astype(np.int16), np.arange(COUNT),
@@ -85,8 +87,26 @@ def test_clipping() -> None:
     """A channel at the end of the ADC's range is named."""
     loud = np.zeros((COUNT, *SIGNAL.shape))
     loud[:, 1, 50] = 40_000.0
-    with pytest.raises(SignalClipped, match="channel 1"):
+    with pytest.raises(SignalClipped, match="receiver 2"):
         untouched_mean(recording(loud), SAID)
+
+
+def test_a_daq_that_hangs() -> None:
+    """Frames that repeat each other are no measurement, however quiet."""
+    one = recording()
+    frames = np.repeat(one.frames[::50], 50, axis=0)
+    with pytest.raises(PlateUnsteady, match="repeat"):
+        untouched_mean(replace(one, frames=frames), SAID)
+
+
+@pytest.mark.parametrize(
+    "chirp",
+    [{"stop_hz": 50e3}, {"start_hz": 1, "stop_hz": 2}, {"duration_s": 1e-6}, {"dac_rate_hz": 1}, {"period_s": 10}],
+)
+def test_chirps(chirp: dict[str, float]) -> None:
+    """What no plate can be fitted to is refused before the fit."""
+    with pytest.raises(PlateMismatch, match="chirp"):
+        check_chirp(Acquisition(channels=4, samples=250, sample_rate_hz=250e3, chirp=Chirp(**chirp)), "recording")
 
 
 @pytest.mark.parametrize(

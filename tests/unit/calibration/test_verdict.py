@@ -27,9 +27,9 @@ def test_good() -> None:
     [
         ({"left": np.full(4, 0.03)}, "usable", "leave 3.0%"),
         ({"left": np.full(4, 0.4)}, "poor", "rectangular pane"),
-        ({"left": np.array([1e-3, np.nan, 1e-3, 1e-3])}, "usable", "channel 1 is dead"),
-        ({"left": np.array([1e-3, 1e-3, 3e-2, 1e-3])}, "usable", "channel 2 does not fit"),
-        ({"left": np.array([np.nan, np.nan, np.nan, 1e-3])}, "poor", "channel 0 is dead"),
+        ({"left": np.array([1e-3, np.nan, 1e-3, 1e-3])}, "usable", "receiver 2 is dead"),
+        ({"left": np.array([1e-3, 1e-3, 3e-2, 1e-3])}, "usable", "receiver 3 does not fit"),
+        ({"left": np.array([np.nan, np.nan, np.nan, 1e-3])}, "poor", "receiver 1 is dead"),
         ({"parameters": (PLAIN._replace(fitted=5.2, at_prior=True),)}, "usable", "thickness: 5 mm was said, 5.2"),
         ({"scale_mm": 0.5}, "usable", "the scale is known to 0.50 mm"),
         ({"frame_noise": 0.02}, "usable", "noise of -34 dB"),

@@ -122,5 +122,7 @@ def _place(field: FieldMap, values: Complex, position_mm: Floats, steps: int) ->
         move_mm *= np.minimum(1.0, LONGEST_STEP_MM / np.maximum(length_mm, 1e-12))
         position_mm = np.clip(position_mm + move_mm, field.low_mm, field.high_mm)
     amplitude, residual_energy, _, fisher_information = linearise(values, *field.look_up(position_mm))
-    energy = np.maximum(np.square(np.abs(values)).sum(axis=1), 1e-30)
-    return position_mm, amplitude, fisher_information[:, 0], residual_energy / energy
+    energy = np.square(np.abs(values)).sum(axis=1)
+    # Of a frame without a signal nothing is explained.
+    misfit = np.where(energy > 0, residual_energy / np.maximum(energy, 1e-30), 1.0)
+    return position_mm, amplitude, fisher_information[:, 0], misfit
