@@ -14,7 +14,7 @@ from touchd.twin.physics.material import MATERIALS, ElasticPlate, Material
 from touchd.twin.physics.transducer import Layout
 
 Edge = Literal["free", "pads", "tape", "clamped"]
-Millimetres = Annotated[float, Field(gt=0, le=1e5)]
+Millimetres = Annotated[float, Field(gt=0, le=1e5, strict=True)]
 
 LEAST_SIDE_MM = 10.0
 """A shorter side is a length in metres or centimetres."""
@@ -123,7 +123,9 @@ def check_plate_file(content: dict[str, Any], where: str = "PLATE.toml") -> Plat
         said = PlateFile.model_validate(content)
     except ValidationError as error:
         first = error.errors()[0]
-        key = ".".join(str(part) for part in first["loc"])
+        # Of a choice of types pydantic names each; and a key may hold anything.
+        parts = [str(part) for part in first["loc"] if not str(part).startswith(("literal[", "Edges"))]
+        key = "".join(c if c.isprintable() else "?" for c in ".".join(parts))
         raise PlateFileInvalid(
             f"{first['msg'][:1].lower()}{first['msg'][1:]}", f"{where}: {key}", _fix(first["type"], first["loc"])
         ) from error
@@ -134,6 +136,8 @@ def check_plate_file(content: dict[str, Any], where: str = "PLATE.toml") -> Plat
 
 
 def _fix(kind: str, place: tuple[int | str, ...]) -> str:
+    if kind == "missing" and isinstance(place[-1], int):
+        return "give x and y, in mm"
     if kind == "missing":
         return "measure it, in mm, and add the key"
     if kind == "extra_forbidden":
