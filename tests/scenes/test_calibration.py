@@ -145,7 +145,7 @@ def test_a_dead_channel() -> None:
     """A dead channel is named; the others carry the fit."""
     fit = fit_plate(said(), heard(gains=GAINS * [1, 1, 0, 1]))
     assert fit.verdict == "usable"
-    assert any("channel 2 is dead" in reason for reason in fit.reasons)
+    assert any("receiver 3 is dead" in reason for reason in fit.reasons)
     assert places_off_mm(fit) < 0.5
 
 

@@ -6,6 +6,7 @@ import importlib
 import os
 import sys
 import traceback
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -135,7 +136,7 @@ def main(arguments: list[str] | None = None) -> int:
     arguments = sys.argv[1:] if arguments is None else arguments
     debug = "--debug" in arguments or bool(os.environ.get("TOUCHD_DEBUG"))
     try:
-        with unwound():
+        with unwound() if VERBS.keys() & set(arguments) else nullcontext():  # a daemon has a handler of its own
             result = touchd.main(args=arguments, prog_name="touchd", standalone_mode=False)
         return result if isinstance(result, int) else 0
     except click.exceptions.Exit as stop:

@@ -34,7 +34,8 @@ def test_paced(tmp_path: Path, moving: Loop) -> None:
     assert found.to == "subscriber"
     assert found.lost == 0
     assert found.messages > 100
-    assert found.handed_p50_us < found.p50_us <= found.p99_us <= found.p999_us <= found.max_us
+    assert found.handed_p50_us > 0  # of all frames, the others of messages: a busy computer may turn them round
+    assert 0 < found.p50_us <= found.p99_us <= found.p999_us <= found.max_us
     assert sum(found.skipped.values()) + found.inferred == pytest.approx(1.0, abs=0.01)
     assert found.rss_mb > 10
     assert found.cpu_share > 0
