@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import faulthandler
+import math
 import os
 import sys
 import time
@@ -180,13 +181,12 @@ def describer(
 def warn_of_another_plate(source: Source, model: Model | None) -> None:
     """Log if a recording or a scene is of a plate of another size than the model's."""
     known = getattr(source, "meta", None)
-    if known is None or model is None:
+    if not (known and model):
         return
     sizes = [f"{p.width_mm:.0f} x {p.height_mm:.0f} mm" for p in (known.plate, model.description.plate)]
     if sizes[0] != sizes[1]:
-        shipped = f"; the shipped one is {default_model_path()}"
         log.warning("the frames are of another plate than the model", frames=sizes[0], model=sizes[1],
-                    path=str(model.path), fix=f"name its model: --model FILE{shipped}")  # fmt: skip
+                    path=str(model.path), fix=f"--model FILE; the shipped one is {default_model_path()}")  # fmt: skip
 
 
 def make_preroll(source: Source, settings: Settings, description: Callable[[], FeedDescription]) -> PreRoll:
@@ -234,11 +234,12 @@ def run(
         if manager.watchdog_s:
             # The manager kills a daemon that hangs by SIGABRT: the log then has a traceback, of function names alone.
             faulthandler.enable()
-        parts = open_parts(settings, stack)
+        with realtime.giving_way() if choice.speed == math.inf else nullcontext():
+            parts = open_parts(settings, stack)
         bus, model = parts.bus, parts.model
         assert bus is not None
         if model is None:
-            log.warning("there is no model yet", path=str(settings.model.path))
+            log.warning("there is no model", path=str(settings.model.path), fix="touchd calibrate makes one")
         # Last: the twin computes its plate for many seconds.
         source = stack.enter_context(closing(open_source(choice, settings, model, late=True)))
         warn_of_another_plate(source, model)

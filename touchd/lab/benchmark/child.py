@@ -6,6 +6,7 @@ import gc
 import os
 import time
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -123,7 +124,8 @@ def run(task: Task) -> tuple[DaemonResult, dict[int, int]]:
         os.sched_setaffinity(0, task.cpus)
     model = load_model(settings)
     source = LoopSource(task.loop, task.rate_hz or float("inf"), task.seconds, burst, begun)
-    bus = ZeromqSink(settings.bus)
+    with realtime.giving_way() if full_speed else nullcontext():
+        bus = ZeromqSink(settings.bus)
     rate_hz = task.rate_hz or 125.0
     meta = describe(source.acquisition, model.description.plate, rate_hz, source="benchmark", device=None)
     preroll = Clocked(source.acquisition, rate_hz, lambda: meta, settings.preroll)
