@@ -64,7 +64,7 @@ class AlsaCard:
                 raise CardAbsent(
                     f"{name} is there, but may not be opened: join the group audio; a service needs audio.conf"
                 )
-            raise CardAbsent(f"there is no {name}: plug it in; arecord -L lists what is there")
+            raise CardAbsent(_absent(name))
         try:
             self._capture = self._open(alsaaudio.PCM_CAPTURE, inputs, _CAPTURE_S)
             self._playback = self._open(alsaaudio.PCM_PLAYBACK, 2, AHEAD_S)
@@ -189,5 +189,9 @@ def _explain(error: Exception, name: str) -> str:
     if "busy" in text:
         return f"{name} is in use by another program: end it, or take the card away from the sound server"
     if "No such file" in text:
-        return f"there is no {name}: plug it in; arecord -L lists what is there"
+        return _absent(name)
     return text
+
+
+def _absent(name: str) -> str:
+    return f"there is no {name}: plug it in; arecord -L lists what is there"

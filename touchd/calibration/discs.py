@@ -61,9 +61,6 @@ class Loss(NamedTuple):
 
 
 def disc_vectors(plate: ReducedPlate, size: tuple[float, float], discs: Discs) -> Floats:
-    """Return the discs in the reference's modes, shape (n, MEANS D), vector by vector."""
-    unit = np.sqrt(size[0] * size[1])
-    return np.asarray(
-        unit
-        * vectors_at(discs.centres_m, discs.centres_m + discs.offset_m, discs.radius_m, size, plate.counts, plate.sums)
-    )
+    """Return the discs in the reference's modes, shape (n, MEANS D), mean by mean."""
+    masses_m, unit = discs.centres_m + discs.offset_m, np.sqrt(size[0] * size[1])
+    return np.asarray(unit * vectors_at(discs.centres_m, masses_m, discs.radius_m, size, plate.counts, plate.sums))

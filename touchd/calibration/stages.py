@@ -66,9 +66,8 @@ def run_stages(
     model = _recentred(model, reader, state.p, untouched)
     progress(0.8)
     state = descend(model, reader, measured, noise, state.p, (*PLATE, *DISCS, *edges, *places), whole, 8)
-    return descend(
-        model, reader, measured, noise, state.p, (*PLATE, *DISCS, *edges, *places, *reader.offsets), whole, 4
-    ), model
+    every = (*state.names, *reader.offsets)
+    return descend(model, reader, measured, noise, state.p, every, whole, 4), model
 
 
 def left_with_edges(state: State, free: Reader, held: Reader, plate: ReducedPlate, untouched: Untouched) -> float:

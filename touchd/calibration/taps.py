@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from touchd.calibration.place_correction import Widths, correction_of, with_places
 from touchd.calibration.plate_fit import PlateFit
-from touchd.errors import CalibrationError
+from touchd.errors import CalibrationError, TrainingError
 from touchd.evaluation.dataset import baseline_frames, complex_bins, labels
 from touchd.localization.atlas import Atlas
 from touchd.recording.data import Recording
@@ -78,8 +78,7 @@ def taps_of(recording: Recording, atlas: Atlas) -> Taps:
     a = atlas.description.acquisition
     if recording.frames.shape[1:] != a.shape:
         raise CalibrationError("other channels or samples than the calibration's", "--taps", "record both alike")
-    check_labels(recording)
-    position_mm, touched, untouched = labels(recording, least=1)
+    position_mm, touched, untouched = labelled(recording)
     beside = baseline_frames(recording.timestamp_ns, touched, untouched)
     new = np.flatnonzero(np.r_[True, (np.diff(touched) > 1) | (np.diff(position_mm, axis=0) != 0).any(axis=1)])
     to_bins = atlas.description.to_bins
@@ -90,11 +89,18 @@ def taps_of(recording: Recording, atlas: Atlas) -> Taps:
     return Taps(position_mm[new].astype(np.float64), np.asarray(values, np.complex128))
 
 
-def check_labels(recording: Recording) -> None:
-    """Raise CalibrationError unless a recording has a frame with one labelled finger."""
-    truth = recording.contacts_mm
-    if truth is None or not (np.isfinite(truth[:, :, 0]).sum(axis=1) == 1).any():
-        raise CalibrationError("no labelled touch", "--taps", "record some: touchd record --label")
+def labelled(recording: Recording) -> tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.int64]]:
+    """Return the positions (n, 2) of single touches, their frames (n,), and the untouched frames (m,).
+
+    Raises
+    ------
+    CalibrationError
+        The recording has none, or labels beyond the plate.
+    """
+    try:
+        return labels(recording, least=1)
+    except TrainingError as error:
+        raise CalibrationError(error.what, "--taps", "record labelled touches: touchd record --label") from error
 
 
 def orientation_of(atlas: Atlas, taps: Taps) -> int:

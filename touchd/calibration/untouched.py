@@ -138,7 +138,8 @@ def check_chirp(acquisition: Acquisition, where: str) -> None:
         raise PlateMismatch(
             f"no plate can be fitted to a chirp of {low_hz:g} to {high_hz:g} Hz in {chirp.duration_s:g} s, "
             f"of which {a.samples} samples are taken", where,
-            f"chirp from {LEAST_HZ:g} Hz on, over {LEAST_BINS} bins of the frame or more, below half of both rates",
+            f"chirp from {LEAST_HZ:g} Hz on, over {LEAST_BINS} bins of the frame or more, below half of both rates; "
+            f"a frame and a period of at most {MOST_S:g} s",
         )  # fmt: skip
 
 

@@ -62,10 +62,11 @@ def command(
 
     audio = load(config or (ctx.obj or {}).get("config")).audio
     said = read_plate_file(plate_file) if plate_file else None
-    if not (device or audio.device):
+    name = device or audio.device
+    if not name:
         raise ConfigError("is not set", "audio.device", "name a card: hw:CARD=NAME; arecord -L lists them")
     try:
-        card = AlsaCard(device or audio.device, audio.sample_rate_hz, inputs or max(*audio.channels, audio.loopback))
+        card = AlsaCard(name, audio.sample_rate_hz, inputs or max(*audio.channels, audio.loopback))
         with closing(card):
             found = check(
                 card, restarts=restarts, seconds=seconds, level_dbfs=level,

@@ -68,7 +68,7 @@ def command(
     from touchd.calibration.calibrate import fit_recording, make_model
     from touchd.calibration.plate_file import read_plate_file
     from touchd.calibration.report import write_calibration_report
-    from touchd.calibration.taps import check_labels
+    from touchd.calibration.taps import labelled
     from touchd.cli.progress import Bars
     from touchd.config.load import load
     from touchd.recording.format import read
@@ -81,7 +81,7 @@ def command(
     said = read_plate_file(plate_file)
     taps = read(taps_file) if taps_file else None
     if taps is not None:
-        check_labels(taps)
+        labelled(taps)  # refused before the fit
     if recording is not None:
         frames = read(recording)
     else:

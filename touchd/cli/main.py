@@ -6,7 +6,6 @@ import importlib
 import os
 import sys
 import traceback
-from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -97,10 +96,10 @@ def touchd(
     Without a verb this is the daemon: it reads frames, locates touches, and publishes events over ZeroMQ. It reads from
     the USB DAQ, which may be plugged in later, unless an option names another source.
     """
-    ctx.obj = {"debug": debug, "config": config}
-
+    ctx.obj = {"debug": debug or bool(os.environ.get("TOUCHD_DEBUG")), "config": config}
     if ctx.invoked_subcommand is not None:
         deliver()  # they end a verb
+        ctx.with_resource(unwound())  # a daemon has a handler of its own
         return
     ctx.with_resource(held())  # before all that takes its time to import
     from touchd.config.load import Retired, load
@@ -136,8 +135,7 @@ def main(arguments: list[str] | None = None) -> int:
     arguments = sys.argv[1:] if arguments is None else arguments
     debug = "--debug" in arguments or bool(os.environ.get("TOUCHD_DEBUG"))
     try:
-        with unwound() if VERBS.keys() & set(arguments) else nullcontext():  # a daemon has a handler of its own
-            result = touchd.main(args=arguments, prog_name="touchd", standalone_mode=False)
+        result = touchd.main(args=arguments, prog_name="touchd", standalone_mode=False)
         return result if isinstance(result, int) else 0
     except click.exceptions.Exit as stop:
         return stop.exit_code

@@ -63,4 +63,5 @@ def command(
             wizard=wizard or default_socket(),
         )  # fmt: skip
         url = f"http://{shown}:{port}/#token={access.token}"
-        serve(site, [listening], lambda: click.echo(f"touchd: open {url}"), manager)
+        debug = bool((settings or {}).get("debug"))
+        serve(site, [listening], lambda: click.echo(f"touchd: open {url}"), manager, debug=debug)

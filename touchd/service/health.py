@@ -108,7 +108,7 @@ class Health:
 
     def _reason(self) -> str | None:
         if self._pipeline.model is None:
-            return "there is no model of this plate, or not where the log says: touchd calibrate makes one"
+            return "there is no model at the path in the log: touchd calibrate makes one"
         return "the screen is off" if self._pipeline.screen_off else None
 
     def _take_latency(self) -> Latency:

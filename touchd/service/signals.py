@@ -51,8 +51,8 @@ def unwound() -> Iterator[None]:
     def handle(_number: int, _frame: FrameType | None) -> None:
         raise Terminated
 
-    main = threading.current_thread() is threading.main_thread()
-    if not main or signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL:
+    in_main_thread = threading.current_thread() is threading.main_thread()  # others may set no handler
+    if not in_main_thread or signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL:
         yield
         return
     signal.signal(signal.SIGTERM, handle)

@@ -6,10 +6,8 @@ import asyncio
 import contextlib
 import ipaddress
 import logging
-import os
 import signal
 import socket
-import sys
 import time
 from collections.abc import AsyncIterator, Callable, Iterable, Sequence
 from types import FrameType, ModuleType
@@ -94,34 +92,37 @@ def make_app(site: Site, views: Iterable[ModuleType] = VIEWS) -> Starlette:
     return Starlette(routes=routes, middleware=[guard], lifespan=lifespan)
 
 
-class _Silent:
-    """Closes connections that ask for nothing, or for half of something."""
+class _Waiting:
+    """Closes connections on which no whole request arrives."""
 
     def __init__(self) -> None:
         self._since_ns: dict[Any, int] = {}
 
     def close(self, connections: Iterable[Any], now_ns: int) -> None:
-        idle = [one for one in connections if isinstance(one, H11Protocol) and _asks_nothing(one)]
+        """Close those that have waited for too long; WebSockets are others."""
+        idle = [one for one in connections if isinstance(one, H11Protocol) and _is_between_requests(one)]
         self._since_ns = {one: self._since_ns.get(one, now_ns) for one in idle}
         for one, since_ns in self._since_ns.items():
             if now_ns - since_ns > _REQUEST_NS:
                 one.transport.close()
 
 
-def _asks_nothing(connection: H11Protocol) -> bool:
-    return connection.cycle is None or connection.cycle.response_complete
+def _is_between_requests(connection: H11Protocol) -> bool:
+    return connection.cycle is None or connection.cycle.response_complete  # None before the first request
 
 
 def _without_traceback(record: logging.LogRecord) -> bool:
-    """Say in the message what was raised, unless --debug asks for the traceback."""
-    if record.exc_info and not ("--debug" in sys.argv or os.environ.get("TOUCHD_DEBUG")):
+    """Say in the message what was raised."""
+    if record.exc_info:
         record.msg, record.args = f"{record.getMessage().strip()} ({record.exc_info[1]!r})", ()
         record.exc_info = None
     return True
 
 
-def serve(site: Site, listening: Sequence[socket.socket], ready: Callable[[], object], manager: Notifier) -> None:
-    """Serve until SIGTERM or SIGINT; `ready` is called once browsers are answered."""
+def serve(
+    site: Site, listening: Sequence[socket.socket], ready: Callable[[], object], manager: Notifier, *, debug: bool
+) -> None:
+    """Serve until SIGTERM or SIGINT; `ready` is called once browsers are answered; `debug` logs tracebacks."""
     config = uvicorn.Config(
         make_app(site), ws="websockets-sansio", http="h11", loop="asyncio", lifespan="on", log_config=None,
         access_log=False, server_header=False, proxy_headers=False, ws_max_size=4096, ws_max_queue=4,
@@ -129,7 +130,8 @@ def serve(site: Site, listening: Sequence[socket.socket], ready: Callable[[], ob
         timeout_graceful_shutdown=_END_S,
     )  # fmt: skip
     server = uvicorn.Server(config)
-    logging.getLogger("uvicorn.error").addFilter(_without_traceback)
+    if not debug:
+        logging.getLogger("uvicorn.error").addFilter(_without_traceback)
 
     def stop(_number: int, _frame: FrameType | None) -> None:
         server.should_exit = True
@@ -139,14 +141,14 @@ def serve(site: Site, listening: Sequence[socket.socket], ready: Callable[[], ob
 
     async def run() -> None:
         served = asyncio.create_task(server.serve(list(listening)))
-        told, silent = False, _Silent()
+        told, waiting = False, _Waiting()
         while not served.done():
             if server.started and not told:
                 told = True
                 ready()
                 manager.ready()
             manager.beat(now_ns := time.monotonic_ns())
-            silent.close(server.server_state.connections, now_ns)
+            waiting.close(server.server_state.connections, now_ns)
             await asyncio.wait([served], timeout=_BEAT_S if told else 0.01)
         await served
 

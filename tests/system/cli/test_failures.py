@@ -157,7 +157,7 @@ CASES: dict[str, tuple[type[TouchdError], Arguments, tuple[str, ...]]] = {
                 "receivers_mm = [[15, 15], [185, 20], [180, 185], [20, 170]]\n",
             ),
         ),
-        ("no labelled touch", "record --label"),
+        ("contacts_mm", "record --label"),
     ),
     "a pipe for a configuration": (
         errors.ConfigError,

@@ -7,9 +7,11 @@ import io
 import json
 import os
 import signal
+import socket
+import time
 import zipfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import pytest
@@ -191,10 +193,34 @@ def test_slow_reader(tmp_path: Path) -> None:
             assert server.memory_bytes() - before < 5_000_000
 
 
+def test_half_requests(tmp_path: Path) -> None:
+    """Whoever opens connections and says nothing on them locks nobody out for long."""
+    with web(f"ipc://{tmp_path}/bus", module=HURRIED) as server, ExitStack() as held:
+        for _ in range(130):
+            one = held.enter_context(socket.create_connection(("127.0.0.1", server.port), PATIENCE_S))
+            one.sendall(b"G")
+        until_s = time.monotonic() + PATIENCE_S
+        while ask(server, "GET", "/")[0] != 200:
+            assert time.monotonic() < until_s
+            time.sleep(0.1)
+
+
+def test_no_traceback(address: str) -> None:
+    """Text that is no UTF-8 ends the WebSocket with one line in the log."""
+    with web(address) as server:
+        with live(server) as reader:
+            reader.socket.sendall(b"\x81\x82\0\0\0\0\xff\xfe")
+            assert end_of(reader, 10_000) is not None
+        server.process.send_signal(signal.SIGTERM)
+        _, err = server.process.communicate(timeout=PATIENCE_S)
+    assert "UnicodeDecodeError" in err
+    assert "Traceback" not in err
+
+
 def test_end(address: str) -> None:
     """SIGTERM ends it at once, with a page that is connected, and with status 0; its output tells no touch."""
-    with web(address) as server, live(server) as socket:
-        socket.recv(timeout=PATIENCE_S)
+    with web(address) as server, live(server) as reader:
+        reader.recv(timeout=PATIENCE_S)
         server.process.send_signal(signal.SIGTERM)
         out, err = server.process.communicate(timeout=PATIENCE_S)
     assert server.process.returncode == 0

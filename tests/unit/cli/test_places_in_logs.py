@@ -31,7 +31,7 @@ def test_internal_error(
         while state["running"]:
             await asyncio.sleep(0.01)
 
-    def serve_web(*_: object) -> None:
+    def serve_web(*_: object, **_options: object) -> None:
         try:
             job()
         except ZeroDivisionError:

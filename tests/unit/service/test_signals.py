@@ -10,11 +10,11 @@ from pathlib import Path
 from tests.processes import PATIENCE_S, ROOT, environment
 
 VERB = """
-import sys, tempfile, time
+import signal, sys, tempfile
 from touchd.service.signals import unwound
 with unwound(), tempfile.TemporaryDirectory(dir=sys.argv[1]):
     print("ready", flush=True)
-    time.sleep(1000)
+    signal.pause()
 """
 
 

@@ -22,9 +22,9 @@ GLASS, ACRYLIC, ALUMINIUM = (
 )
 ACRYLIC_SAID = (("material", None), ("young_gpa", 3.3), ("poisson", 0.34), ("density_kg_m3", 1190.0))
 GAINS = (1.1, -0.8, 0.95, 0.7)
+"""Gain of each channel; the second disc is inverted."""
 _BEADS = 7
 """Seed of the beads of solder: all plates have the same."""
-"""Gain of each channel; the second disc is inverted."""
 
 
 class Case(NamedTuple):

@@ -56,7 +56,6 @@ class Layout(BaseModel):
     """Height of each disc's middle below the plate's: the plate's rotations move it in the plane."""
     spread: float = Field(default=0.0, ge=0, le=1)
     """How far each disc's mass is spread: 0 in its centre, 1 evenly, so that it moves with the deflection's slopes."""
-
     offsets_mm: tuple[tuple[float, float], ...] = ()
     """From each disc's centre to that of its mass, emitter first; empty for none."""
 
@@ -162,14 +161,8 @@ Sums = Callable[[int, Floats], Floats]
 
 def vectors_of(layout: Layout, size_m: tuple[float, float], counts: tuple[int, int], sums: Sums) -> Floats:
     """Return the means over a layout's discs, as `vectors_at` does."""
-    return vectors_at(
-        layout.centres_mm * 1e-3,
-        layout.masses_mm * 1e-3,
-        layout.diameter_mm / 2e3,
-        size_m,
-        counts,
-        sums,
-    )
+    centres_m, masses_m = layout.centres_mm * 1e-3, layout.masses_mm * 1e-3
+    return vectors_at(centres_m, masses_m, layout.diameter_mm / 2e3, size_m, counts, sums)
 
 
 def vectors_at(
