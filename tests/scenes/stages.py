@@ -17,7 +17,7 @@ from touchd.service.replay import Replayed, run_through
 from touchd.sources.source import EndOfStream
 from touchd.twin.electronics import Electronics
 from touchd.twin.instrument import REFERENCE_C, Instrument
-from touchd.twin.scenes.timeline import Path, Stage
+from touchd.twin.scenes.timeline import Stage
 from touchd.twin.simulate import DEFAULT_PLATE, stream
 
 RATE_HZ = 125.0
@@ -28,11 +28,6 @@ def empty_stage(seconds: float, seed: int = 0, rate_hz: float = RATE_HZ) -> Stag
     sequence = np.arange(round(seconds * rate_hz))
     temperature_c = np.full(len(sequence), REFERENCE_C)
     return Stage(DEFAULT_PLATE, rate_hz, sequence, temperature_c, np.random.default_rng(seed), Electronics())
-
-
-def at(x_mm: float, y_mm: float) -> Path:
-    """A path that stays where it is."""
-    return lambda t: (np.full(len(t), x_mm), np.full(len(t), y_mm))
 
 
 class Player:

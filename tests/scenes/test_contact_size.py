@@ -10,7 +10,8 @@ import pytest
 from tests.scenes.stages import play
 from tests.system.soak.hands import perform
 from touchd.twin.instrument import Instrument
-from touchd.twin.simulate import DEFAULT_PLATE, stage_scene
+from touchd.twin.scenes.catalogue import stage_scene
+from touchd.twin.simulate import DEFAULT_PLATE
 
 
 @pytest.mark.parametrize(("finger", "kind"), [("fingertip", "finger"), ("thumb", "thumb")])
@@ -19,11 +20,10 @@ def test_size(finger: str, kind: str, instrument: Instrument) -> None:
     stage = stage_scene("circle", DEFAULT_PLATE, seed=14, finger=finger, frames=300)
     off, kinds = [], []
     for event in play(stage, instrument, 14).touches:
-        down = [k for k, x_mm in enumerate(stage.x_mm) if np.isfinite(x_mm[event.frame])]
+        down = [one for one in stage.laid if np.isfinite(one.x_mm[event.frame])]
         if not down or len(event.contacts) != 1:
             continue
-        contact, (ratio, angle_rad) = event.contacts[0], (row[event.frame] for row in stage.ovals[down[0]])
-        area_mm2 = stage.area_mm2[down[0]][event.frame]
+        contact, (area_mm2, _, ratio, angle_rad) = event.contacts[0], (row[event.frame] for row in down[0][4:])
         kinds.append(contact.kind)
         if contact.area_mm2 is None or contact.major_mm is None or contact.angle_deg is None:
             continue

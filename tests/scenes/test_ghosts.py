@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from tests.scenes.stages import RATE_HZ, at, empty_stage, play, score
+from tests.scenes.stages import RATE_HZ, empty_stage, play, score
 from tests.system.soak.ghosts import judge, piece, taps
 from tests.system.soak.hands import perform
 from tests.system.soak.interpolated import Interpolated
@@ -15,6 +15,7 @@ from touchd.evaluation.single_frames import find_with, touched_frames
 from touchd.localization.model import Model
 from touchd.twin.electronics import Electronics, Tone
 from touchd.twin.instrument import Instrument
+from touchd.twin.scenes.timeline import Laid, still
 from touchd.twin.simulate import DEFAULT_PLATE, recording_of, stream
 
 
@@ -74,7 +75,7 @@ def test_a_palm_of_six_soft_patches_once_known_brings_no_contact() -> None:
     """Of 8 s with a hand that rolls on and rests; its patches were five fingers once, for most of the time it lay."""
     stage = piece("resting", 5003, 8.0)
     events = play(stage, Interpolated(DEFAULT_PLATE), 5003).touches
-    lies = np.isfinite(stage.x_mm).sum(axis=0) >= 5
+    lies = np.isfinite([one.x_mm for one in stage.laid]).sum(axis=0) >= 5
     placed = sum(len(event.contacts) for event in events if event.frame < len(lies) and lies[event.frame])
     print(f"{placed} contacts in messages of {lies.sum()} frames")
     assert lies.sum() > 100
@@ -123,12 +124,8 @@ def test_a_faint_finger_at_the_edge_is_not_placed_elsewhere(
     stage = empty_stage(2.0)
     stage.electronics = Electronics(noise_db=50.0)
     touched = np.arange(len(stage.sequence)) % 2 == 1
-    stage.kinds, stage.columns = ["silicone"], [[0]]
-    for rows, value in (
-        (stage.x_mm, place_mm[0]), (stage.y_mm, place_mm[1]), (stage.area_mm2, np.linspace(4, 20, len(touched))),
-        (stage.force_n, 1.0),
-    ):  # fmt: skip
-        rows.append(np.where(touched, value, np.nan))
+    rows = (*place_mm, np.linspace(4, 20, len(touched)), 1.0, 1.0, 0.0)
+    stage.laid = [Laid("silicone", 0, *(np.where(touched, row, np.nan) for row in rows))]
     frames = touched_frames(recording_of(stage, instrument, np.concatenate(list(stream(stage, instrument, 1)))))
     find = find_with(atlas_model, atlas_model.atlas, frames)
     found = [find(frames.look(i)) for i in range(len(frames))]
@@ -145,7 +142,7 @@ def test_a_tone_that_ends_during_a_press_lifts_no_finger_and_hides_no_tap(
     stage = empty_stage(8.0, seed=1)
     stage.electronics = Electronics(noise_db=60.0, tones=(Tone(35_049.0, -31.0, 1.0, 4.0),))
     for down_s, up_s in ((3.3, 6.0), (6.2, 6.6)):
-        stage.lay(kind, down_s, up_s, at(65.5, 129.0), force_n=force_n)
+        stage.lay(kind, down_s, up_s, still(65.5, 129.0), force_n=force_n)
     outcome = play(stage, instrument)
     found = score(stage, outcome)
     assert (found.touches, found.missed, found.ghosts, found.split) == (2, 0, 0, 0)
@@ -157,9 +154,9 @@ def test_a_tone_and_a_drop_at_once_hide_no_tap(instrument: Instrument) -> None:
     """Neither a quiet second nor a plate without water tells the tone; 6 taps of 7 were once missed."""
     stage = empty_stage(12.0, seed=1)
     stage.electronics = Electronics(noise_db=60.0, tones=(Tone(82_893.0, -32.0, 1.5), Tone(35_690.0, -36.0, 6.0)))
-    stage.lay("drop", 1.5, 20.0, at(108.0, 61.0), area_mm2=13.0, column=1)
+    stage.lay("drop", 1.5, 20.0, still(108.0, 61.0), area_mm2=13.0, column=1)
     for k in range(7):
-        stage.lay("human", 2.5 + 1.3 * k, 3.0 + 1.3 * k, at(40.0 + 20 * k, 150.0 - 15 * k), force_n=0.5)
+        stage.lay("human", 2.5 + 1.3 * k, 3.0 + 1.3 * k, still(40.0 + 20 * k, 150.0 - 15 * k), force_n=0.5)
     found = score(stage, play(stage, instrument))
     assert (found.touches, found.missed, found.ghosts) == (7, 0, 0)
 
@@ -169,8 +166,8 @@ def test_a_drop_that_is_wiped_off_hides_no_tap(instrument: Instrument) -> None:
     stage = empty_stage(14.0, seed=1)
     stage.electronics = Electronics(noise_db=60.0)
     for k, tap_s in enumerate((5.1, 8.2, 11.15)):
-        stage.lay("drop", tap_s - 2.6, tap_s - 0.1, at(148.0, 40.0 + 40 * k), area_mm2=5.0, column=1)
-        stage.lay("silicone", tap_s, tap_s + 0.2, at(60.0, 60.0 + 30 * k), force_n=2.5)
+        stage.lay("drop", tap_s - 2.6, tap_s - 0.1, still(148.0, 40.0 + 40 * k), area_mm2=5.0, column=1)
+        stage.lay("silicone", tap_s, tap_s + 0.2, still(60.0, 60.0 + 30 * k), force_n=2.5)
     found = score(stage, play(stage, instrument))
     assert (found.touches, found.missed, found.ghosts) == (3, 0, 0)
 
@@ -181,8 +178,8 @@ def test_a_plate_that_cools_at_once_beside_a_drop_hides_no_tap(seed: int, instru
     stage = empty_stage(6.0, seed=seed)
     stage.electronics = Electronics(noise_db=55.0)
     stage.temperature_c = stage.temperature_c - 1.35 * (stage.time_s > 2.0)
-    stage.lay("drop", 1.0, 7.0, at(148.6, 28.0), area_mm2=13.0, column=1)
+    stage.lay("drop", 1.0, 7.0, still(148.6, 28.0), area_mm2=13.0, column=1)
     for k in range(5):
-        stage.lay("silicone", 2.1 + 0.7 * k, 2.35 + 0.7 * k, at(30.0 + 20 * k, 52.5 + 15 * k), force_n=2.5)
+        stage.lay("silicone", 2.1 + 0.7 * k, 2.35 + 0.7 * k, still(30.0 + 20 * k, 52.5 + 15 * k), force_n=2.5)
     found = score(stage, play(stage, instrument))
     assert (found.touches, found.missed, found.ghosts) == (5, 0, 0)

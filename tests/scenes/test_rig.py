@@ -8,7 +8,8 @@ import pytest
 from tests.scenes.stages import empty_stage, play, score
 from touchd.twin.electronics import Electronics, Impulses
 from touchd.twin.instrument import Instrument
-from touchd.twin.simulate import DEFAULT_PLATE, stage_scene
+from touchd.twin.scenes.catalogue import stage_scene
+from touchd.twin.simulate import DEFAULT_PLATE
 
 RIGS = {
     "jitter": Electronics(jitter_s=20e-9),

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from tests.scenes.stages import at, empty_stage, play, score
+from tests.scenes.stages import empty_stage, play, score
 from tests.system.soak.interpolated import Interpolated
 from touchd.cli.demo import SESSION
 from touchd.config.schema import Settings
@@ -22,7 +22,9 @@ from touchd.service.replay import Replayed, replay
 from touchd.twin.electronics import Electronics
 from touchd.twin.instrument import REFERENCE_C, Instrument
 from touchd.twin.physics.finger import Contact
-from touchd.twin.simulate import DEFAULT_PLATE, simulate_touches, stage_scene
+from touchd.twin.scenes.catalogue import stage_scene
+from touchd.twin.scenes.timeline import still
+from touchd.twin.simulate import DEFAULT_PLATE, simulate_touches
 
 
 def scene(name: str, instrument: Instrument, seed: int) -> tuple[StreamScores, Replayed]:
@@ -144,8 +146,8 @@ def test_a_finger_on_the_plate_at_the_start_is_no_touch_when_it_leaves(
 ) -> None:
     """It is taken for a part of the plate; once it has gone, touches are found as ever."""
     stage = empty_stage(8.0)
-    stage.lay("human", -1.0, 3.0, at(*place))
-    stage.lay("human", 5.0, 6.0, at(60.0, 60.0), column=1)
+    stage.lay("human", -1.0, 3.0, still(*place))
+    stage.lay("human", 5.0, 6.0, still(60.0, 60.0), column=1)
     outcome = play(stage, instrument)
     downs = [c for event in outcome.touches for c in event.contacts if c.phase == "down"]
     assert len(downs) == 1, "the touch after it, and nothing else"
@@ -154,8 +156,8 @@ def test_a_finger_on_the_plate_at_the_start_is_no_touch_when_it_leaves(
 
 def test_a_finger_put_down_while_the_baseline_is_learned_brings_no_ghost(instrument: Instrument) -> None:
     stage = empty_stage(6.0)
-    stage.lay("human", 0.1, 1.5, at(80.0, 120.0))
-    stage.lay("human", 3.5, 4.5, at(60.0, 60.0), column=1)
+    stage.lay("human", 0.1, 1.5, still(80.0, 120.0))
+    stage.lay("human", 3.5, 4.5, still(60.0, 60.0), column=1)
     outcome = play(stage, instrument)
     downs = [c for event in outcome.touches for c in event.contacts if c.phase == "down"]
     places = [(round(c.x_mm), round(c.y_mm)) for c in downs]
@@ -166,8 +168,8 @@ def test_a_finger_put_down_while_the_baseline_is_learned_brings_no_ghost(instrum
 def test_what_stays_for_its_time_becomes_part_of_the_plate_and_that_is_reported(instrument: Instrument) -> None:
     settings = Settings.model_validate({"baseline": {"absorb_s": 3.0}})
     stage = empty_stage(12.0)
-    stage.lay("human", 1.0, 8.0, at(70.0, 130.0))
-    stage.lay("human", 10.0, 11.0, at(120.0, 60.0), column=1)
+    stage.lay("human", 1.0, 8.0, still(70.0, 130.0))
+    stage.lay("human", 10.0, 11.0, still(120.0, 60.0), column=1)
     outcome = play(stage, instrument, settings=settings)
     phases = [
         (event.frame, c.id, c.phase) for event in outcome.touches for c in event.contacts if c.phase in ("down", "up")

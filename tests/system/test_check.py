@@ -22,8 +22,7 @@ from touchd.localization.model_file import put_model
 from touchd.recording.format import write
 from touchd.twin.electronics import Electronics
 from touchd.twin.instrument import REFERENCE_C, Instrument
-from touchd.twin.scenes.timeline import Stage
-from touchd.twin.scenes.trajectory import still
+from touchd.twin.scenes.timeline import Stage, still
 from touchd.twin.simulate import simulate_scene, simulate_stage
 
 

@@ -21,9 +21,9 @@ from touchd.twin.physics.finger import TISSUES
 from touchd.twin.physics.material import MATERIALS
 from touchd.twin.rig import IDEAL, load_rig
 from touchd.twin.robot_session import Session, simulate_session
-from touchd.twin.scenes.catalogue import SCENES
+from touchd.twin.scenes.catalogue import SCENES, stage_scene
 from touchd.twin.scenes.robot import COUNT, MOST_FINGERS, TouchSet
-from touchd.twin.simulate import simulate_stage, stage_scene
+from touchd.twin.simulate import simulate_stage
 
 TOUCHES = "touches"
 _SCENE_LINES = "\n".join(f"  {name:13} {scene.what}" for name, scene in SCENES.items())

@@ -12,7 +12,8 @@ from touchd.errors import SimulationError
 from touchd.frame import Counts, Frame
 from touchd.sources.source import EndOfStream, touching
 from touchd.twin.instrument import Instrument
-from touchd.twin.simulate import DEFAULT_PLATE, meta_of, stage_scene, stream
+from touchd.twin.scenes.catalogue import stage_scene
+from touchd.twin.simulate import DEFAULT_PLATE, meta_of, stream
 
 _AHEAD = 2
 """Blocks of frames that are computed ahead."""

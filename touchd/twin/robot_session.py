@@ -17,9 +17,9 @@ from touchd.recording.data import Recording
 from touchd.twin.electronics import noise_states
 from touchd.twin.instrument import Instrument
 from touchd.twin.rig import IDEAL, Rig
-from touchd.twin.scenes.robot import TouchSet
+from touchd.twin.scenes.robot import TouchSet, stage_touches
 from touchd.twin.scenes.timeline import Stage
-from touchd.twin.simulate import BLOCK, no_frames, recording_of, stage_touches, stream
+from touchd.twin.simulate import BLOCK, no_frames, recording_of, stream
 
 CHUNK = 16 * BLOCK
 """Frames per part, some tenths of a second's work; a multiple of `BLOCK`, so that sums round alike."""

@@ -14,9 +14,9 @@ from touchd.frame import Acquisition, Plate
 from touchd.recording.data import Device, Meta, Recording
 from touchd.twin.electronics import Digitiser, Electronics
 from touchd.twin.instrument import REFERENCE_C, Instrument
-from touchd.twin.scenes.catalogue import write_scene
+from touchd.twin.scenes.catalogue import stage_scene
 from touchd.twin.scenes.one_finger import Key
-from touchd.twin.scenes.robot import COUNT, TouchSet, write_touches
+from touchd.twin.scenes.robot import COUNT, TouchSet, stage_touches
 from touchd.twin.scenes.timeline import Stage
 
 Progress = Callable[[int], object]
@@ -61,23 +61,6 @@ def stream(
         if any(touches):
             signal += instrument.change(touches, temperature_c, late_s)
         yield digitiser.counts(signal, time_s[first:last], np.array([bool(touch) for touch in touches]))
-
-
-def stage_scene(
-    name: str,
-    plate: Plate,
-    *,
-    seed: int = 0,
-    frames: int | None = None,
-    rate_hz: float | None = None,
-    electronics: Electronics | None = None,
-    finger: str | None = None,
-    keys: Sequence[Key] | None = None,
-    code: str | None = None,
-) -> Stage:
-    """Write the timeline of a named scene; see `simulate_scene`."""
-    rng = np.random.default_rng(np.random.SeedSequence(seed).spawn(3)[0])
-    return write_scene(name, plate, rng, frames, rate_hz, electronics or Electronics(), finger, keys, code)
 
 
 def simulate_scene(
@@ -182,12 +165,6 @@ def simulate_touches(
     asked = TouchSet(count, finger, margin_mm, stale_k, fingers, apart_mm, edge_gap_mm, warmer_k, label_noise_mm)
     instrument = instrument or Instrument(plate)
     return simulate_stage(stage_touches(asked, instrument.plate, seed, electronics), instrument, seed, progress)
-
-
-def stage_touches(asked: TouchSet, plate: Plate, seed: int, electronics: Electronics | None = None) -> Stage:
-    """Write the timeline of a robot's training set; see `simulate_touches`."""
-    rng = np.random.default_rng(np.random.SeedSequence(seed).spawn(3)[0])
-    return write_touches(asked, plate, rng, electronics or Electronics())
 
 
 def meta_of(instrument: Instrument, rate_hz: float, notes: str) -> Meta:

@@ -17,8 +17,7 @@ from touchd.recording.data import Recording
 from touchd.twin.electronics import Electronics
 from touchd.twin.instrument import REFERENCE_C, Instrument
 from touchd.twin.physics.finger import force_of
-from touchd.twin.scenes.timeline import Stage
-from touchd.twin.scenes.trajectory import still
+from touchd.twin.scenes.timeline import Stage, still
 from touchd.twin.simulate import recording_of, stream
 
 Place = tuple[float, float]

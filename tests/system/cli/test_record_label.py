@@ -24,8 +24,7 @@ from touchd.recording.data import Recording
 from touchd.recording.format import read, write
 from touchd.twin.electronics import Electronics
 from touchd.twin.instrument import REFERENCE_C, Instrument
-from touchd.twin.scenes.timeline import Stage
-from touchd.twin.scenes.trajectory import line, still
+from touchd.twin.scenes.timeline import Stage, line, still
 from touchd.twin.simulate import simulate_stage
 
 RATE_HZ = 125.0

@@ -30,8 +30,7 @@ from touchd.evaluation.replay_scores import found_contacts
 from touchd.twin.electronics import Electronics, Tone
 from touchd.twin.instrument import Instrument
 from touchd.twin.scenes.one_finger import END_S, FORCES_N, IDLE_S, press_warming
-from touchd.twin.scenes.timeline import Stage
-from touchd.twin.scenes.trajectory import anywhere, line, still
+from touchd.twin.scenes.timeline import Stage, anywhere, line, still
 
 PIECE_S = 60.0
 HOURS = {"mixed": 3.0}

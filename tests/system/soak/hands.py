@@ -27,10 +27,10 @@ from touchd.event import Contact, KeyEvent, TouchEvent
 from touchd.keypad import PHONE, load_layout
 from touchd.service.replay import Replayed
 from touchd.twin.instrument import Instrument
+from touchd.twin.scenes.catalogue import stage_scene
 from touchd.twin.scenes.one_finger import END_S, FORCES_N, IDLE_S, KEY_S
-from touchd.twin.scenes.timeline import Path, Stage
-from touchd.twin.scenes.trajectory import anywhere, line, still
-from touchd.twin.simulate import DEFAULT_PLATE, stage_scene
+from touchd.twin.scenes.timeline import Path, Stage, anywhere, line, still
+from touchd.twin.simulate import DEFAULT_PLATE
 
 FINGERS = "fingertip", "thumb"
 STILL = "tap", "hold"
@@ -139,7 +139,7 @@ def perform(act: str, finger: str, seed: int, instrument: Instrument, seconds: f
 
 def _jitter_mm(stage: Stage, events: Iterable[TouchEvent]) -> float | None:
     scatter = []
-    for x_mm, y_mm in zip(stage.x_mm, stage.y_mm, strict=True):
+    for _, _, x_mm, y_mm, *_ in stage.laid:
         resting = set(np.flatnonzero(np.isfinite(x_mm))[LANDED:-LIFTS].tolist())
         errors_mm = np.array([
             (contact.x_mm - x_mm[event.frame], contact.y_mm - y_mm[event.frame])

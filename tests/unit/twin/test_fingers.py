@@ -16,22 +16,23 @@ from touchd.recording.data import Recording
 from touchd.twin.electronics import Electronics
 from touchd.twin.instrument import REFERENCE_C, Instrument
 from touchd.twin.physics.finger import force_of
-from touchd.twin.scenes.robot import AREAS_MM2, MARGIN_MM, TouchSet, write_touches
+from touchd.twin.scenes.catalogue import stage_scene
+from touchd.twin.scenes.robot import AREAS_MM2, MARGIN_MM, TouchSet, stage_touches
 from touchd.twin.scenes.several_fingers import FIVE_APART_MM, PASS_MM, TWO_APART_MM
 from touchd.twin.scenes.timeline import Stage
-from touchd.twin.simulate import DEFAULT_PLATE, simulate_touches, stage_scene
+from touchd.twin.simulate import DEFAULT_PLATE, simulate_touches
 
 Floats = NDArray[np.float64]
 
 
 def written(asked: TouchSet, seed: int = 7, plate: Plate = DEFAULT_PLATE) -> Stage:
-    return write_touches(asked, plate, np.random.default_rng(seed), Electronics())
+    return stage_touches(asked, plate, seed)
 
 
 def centres_and_radii(stage: Stage) -> tuple[Floats, Floats]:
     """Of the touched frames, shapes (count, fingers, 2) and (count, fingers)."""
-    place = np.stack([np.stack(stage.x_mm, axis=1), np.stack(stage.y_mm, axis=1)], axis=2)[1::2]
-    return place, np.sqrt(np.stack(stage.area_mm2, axis=1)[1::2] / np.pi)
+    x_mm, y_mm, area_mm2 = (np.stack(rows, axis=1)[1::2] for rows in list(zip(*stage.laid, strict=True))[2:5])
+    return np.stack([x_mm, y_mm], axis=2), np.sqrt(area_mm2 / np.pi)
 
 
 def distances(place: Floats) -> Floats:
@@ -43,14 +44,14 @@ def distances(place: Floats) -> Floats:
 def test_a_set_of_one_finger_is_drawn_as_it_ever_was() -> None:
     """Walk, areas, places: in this order, so that a seed means the same touches in every release."""
     stage = written(TouchSet(40), seed=3)
-    rng = np.random.default_rng(3)
+    (one,) = stage.laid
+    rng = np.random.default_rng(np.random.SeedSequence(3).spawn(3)[0])
     walk = np.cumsum(rng.standard_normal(80))
     np.testing.assert_array_equal(stage.temperature_c, REFERENCE_C + walk * (1 / np.abs(walk).max()))
-    np.testing.assert_array_equal(stage.area_mm2[0][1::2], rng.uniform(12.0, 28.0, 40))
+    np.testing.assert_array_equal(one.area_mm2[1::2], rng.uniform(12.0, 28.0, 40))
     place = 5.0 + 190.0 * rng.uniform(size=(40, 2))
-    np.testing.assert_array_equal(np.stack([stage.x_mm[0], stage.y_mm[0]], axis=1)[1::2], place)
-    assert np.isnan(stage.x_mm[0][::2]).all()
-    assert len(stage.kinds) == 1
+    np.testing.assert_array_equal(np.stack([one.x_mm, one.y_mm], axis=1)[1::2], place)
+    assert np.isnan(one.x_mm[::2]).all()
 
 
 @given(
@@ -69,7 +70,7 @@ def test_fingers_keep_their_distance_lie_on_the_plate_and_cover_none_other(
     assert (distances(place) >= np.maximum(apart_mm, radius[:, one] + radius[:, other])).all()
     assert ((place >= MARGIN_MM[finger]) & (place <= 200 - MARGIN_MM[finger])).all()
     low, high = AREAS_MM2[finger]
-    area = np.stack(stage.area_mm2, axis=1)[1::2]
+    area = np.stack([one.area_mm2 for one in stage.laid], axis=1)[1::2]
     assert ((area >= low) & (area <= high)).all()
     contacts_mm, force_n = stage.truth()
     assert contacts_mm.shape == (40, fingers, 2)
@@ -160,10 +161,7 @@ def test_two_fingers_sound_like_more_than_either(instrument: Instrument) -> None
     quiet = Electronics(noise_db=np.inf)
     both = simulate_touches(30, seed=5, instrument=instrument, electronics=quiet, fingers=2, apart_mm=60.0)
     assert both.contacts_mm is not None
-    stage = write_touches(
-        TouchSet(30, fingers=2, apart_mm=60.0), instrument.plate,
-        np.random.default_rng(np.random.SeedSequence(5).spawn(3)[0]), quiet,
-    )  # fmt: skip
+    stage = stage_touches(TouchSet(30, fingers=2, apart_mm=60.0), instrument.plate, 5, quiet)
     touches, temperature_c = stage.touches(0, 60)[1::2], stage.temperature_c[1::2]
     together = instrument.change(touches, temperature_c)
     alone = sum(instrument.change([[touch[i]] for touch in touches], temperature_c) for i in (0, 1))
@@ -236,7 +234,7 @@ def test_a_long_hold_lasts_half_a_minute_while_the_plate_warms_by_a_kelvin(seed:
     assert len(held) / stage.rate_hz >= 30
     assert np.ptp(contacts_mm[held], axis=0).max() == 0
     assert stage.temperature_c[held[-1]] - stage.temperature_c[held[0]] == pytest.approx(1, abs=0.45)
-    assert stage.area_mm2[0][held[-20]] > 1.4 * stage.area_mm2[0][held[20]]
+    assert stage.laid[0].area_mm2[held[-20]] > 1.4 * stage.laid[0].area_mm2[held[20]]
 
 
 @pytest.mark.parametrize("name", ["two", "five", "cross", "palm"])
@@ -249,7 +247,7 @@ def test_a_plate_without_room_for_a_scene_is_refused(name: str) -> None:
 @pytest.mark.parametrize("seed", range(5))
 def test_on_the_smallest_plate_every_contact_lies_on_it(name: str, side_mm: float, seed: int) -> None:
     stage = stage_scene(name, Plate(width_mm=side_mm, height_mm=side_mm), seed=seed)
-    for x, y, area in zip(stage.x_mm, stage.y_mm, stage.area_mm2, strict=True):
+    for _, _, x, y, area, *_ in stage.laid:
         on = np.isfinite(x)
         edge = np.minimum(np.minimum(x, side_mm - x), np.minimum(y, side_mm - y))[on]
         assert (edge >= np.sqrt(area[on] / np.pi)).all()
@@ -271,9 +269,8 @@ def test_a_recording_of_several_fingers_has_a_column_each(small: Instrument) -> 
 def test_oval() -> None:
     """A fingertip lands round and small, rolls to its pad, and rests as an oval that turns by a few degrees at most."""
     stage = stage_scene("hold", DEFAULT_PLATE, seed=5, finger="fingertip", rate_hz=250.0)
-    down = np.flatnonzero(~np.isnan(stage.x_mm[0]))
-    ratio, angle = (row[down] for row in stage.ovals[0])
-    area, x, y = (rows[0][down] for rows in (stage.area_mm2, stage.x_mm, stage.y_mm))
+    down = np.flatnonzero(~np.isnan(stage.laid[0].x_mm))
+    x, y, area, _, ratio, angle = (row[down] for row in stage.laid[0][2:])
     assert ratio[0] < 1.05
     assert 1.1 < ratio[len(ratio) // 2] < 1.5
     assert area[0] < 5

@@ -13,9 +13,9 @@ from touchd.recording.data import Recording
 from touchd.recording.format import read, write
 from touchd.twin.electronics import Electronics
 from touchd.twin.instrument import REFERENCE_C, Instrument
-from touchd.twin.scenes.catalogue import default_keys
+from touchd.twin.scenes.catalogue import default_keys, stage_scene
 from touchd.twin.scenes.robot import AREAS_MM2
-from touchd.twin.simulate import simulate_scene, simulate_touches, stage_scene, stream
+from touchd.twin.simulate import simulate_scene, simulate_touches, stream
 
 SQUARE = Plate(width_mm=200, height_mm=200, thickness_mm=5)
 

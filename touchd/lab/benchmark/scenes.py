@@ -15,8 +15,7 @@ from touchd.twin.instrument import REFERENCE_C, Instrument
 from touchd.twin.physics.finger import Contact
 from touchd.twin.scenes.one_finger import FORCES_N
 from touchd.twin.scenes.robot import AREAS_MM2, MARGIN_MM
-from touchd.twin.scenes.timeline import Stage
-from touchd.twin.scenes.trajectory import anywhere, line, still
+from touchd.twin.scenes.timeline import Stage, anywhere, line, still
 from touchd.twin.simulate import DEFAULT_PLATE, simulate_scene, simulate_stage
 
 SEED, SCENE_SEED = 210, 211

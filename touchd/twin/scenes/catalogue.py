@@ -33,18 +33,20 @@ class Scene(NamedTuple):
     """Shorter side of the smallest plate that fits the scene."""
 
 
-def write_scene(
+def stage_scene(
     name: str,
     plate: Plate,
-    rng: np.random.Generator,
-    frames: int | None,
-    rate_hz: float | None,
-    electronics: Electronics,
-    finger: str | None,
-    keys: Sequence[Key] | None,
-    code: str | None,
+    *,
+    seed: int = 0,
+    frames: int | None = None,
+    rate_hz: float | None = None,
+    electronics: Electronics | None = None,
+    finger: str | None = None,
+    keys: Sequence[Key] | None = None,
+    code: str | None = None,
 ) -> Stage:
     """Write the timeline of a named scene; see `touchd.twin.simulate.simulate_scene`."""
+    rng = np.random.default_rng(np.random.SeedSequence(seed).spawn(3)[0])
     scene = SCENES.get(name)
     if scene is None:
         raise SimulationError(f"no scene {name!r}", "scene", f"use one of {', '.join(SCENES)}")
@@ -66,7 +68,8 @@ def write_scene(
     time_s = sequence / rate
     # A room drifts by tenths of a kelvin within minutes: one period of 5 minutes, with a random phase.
     temperature_c = REFERENCE_C + 0.2 * np.sin(2 * np.pi * (time_s / 300 + rng.uniform()))
-    stage = Stage(plate, rate, sequence, temperature_c, rng, electronics, notes=f"simulated scene {name}: {scene.what}")
+    notes = f"simulated scene {name}: {scene.what}"
+    stage = Stage(plate, rate, sequence, temperature_c, rng, electronics or Electronics(), notes)
     scene.play(stage, cast)
     return stage
 

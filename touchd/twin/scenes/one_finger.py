@@ -9,8 +9,7 @@ import numpy as np
 
 from touchd.errors import SimulationError
 from touchd.twin.electronics import Dead, Tone
-from touchd.twin.scenes.timeline import Stage
-from touchd.twin.scenes.trajectory import anywhere, arc, line, still
+from touchd.twin.scenes.timeline import Stage, anywhere, arc, line, still
 
 Key = tuple[str, float, float]
 """A key's name and centre: name, x_mm, y_mm."""
@@ -147,10 +146,9 @@ def drop(stage: Stage, cast: Cast) -> None:
     """Let a drop fall, and tap beside it."""
     # 18.1 mm^2 hold a half sphere of 29 mg.
     stage.lay("drop", IDLE_S, stage.end_s + 1, still(*anywhere(stage, 30.0)), area_mm2=18.1, column=1)
-    before = len(stage.kinds)
     _tap_from(stage, cast.finger, IDLE_S + 1.0, stage.end_s - END_S)
-    if len(stage.kinds) == before:
-        stage.columns = [stage.columns[1]]
+    if len(stage.laid) == 1:
+        stage.laid[0] = stage.laid[0]._replace(column=0)
 
 
 def interference(stage: Stage, cast: Cast) -> None:

@@ -12,7 +12,7 @@ from touchd.frame import Plate
 from touchd.twin.electronics import Electronics
 from touchd.twin.instrument import REFERENCE_C
 from touchd.twin.physics.finger import force_of, is_compliant, tissue_of
-from touchd.twin.scenes.timeline import RATIOS, Stage
+from touchd.twin.scenes.timeline import RATIOS, Laid, Stage
 
 Floats = NDArray[np.float64]
 
@@ -52,7 +52,7 @@ class TouchSet:
     label_noise_mm: float = 0.0
 
 
-def write_touches(asked: TouchSet, plate: Plate, rng: np.random.Generator, electronics: Electronics) -> Stage:
+def stage_touches(asked: TouchSet, plate: Plate, seed: int, electronics: Electronics | None = None) -> Stage:
     """Write the timeline of a session.
 
     Raises
@@ -60,6 +60,7 @@ def write_touches(asked: TouchSet, plate: Plate, rng: np.random.Generator, elect
     SimulationError
         Count, margin, finger or distances are impossible.
     """
+    rng = np.random.default_rng(np.random.SeedSequence(seed).spawn(3)[0])
     count, finger = asked.count, asked.finger
     tissue_of(finger)
     margin_mm = MARGIN_MM[finger] if asked.margin_mm is None else asked.margin_mm
@@ -78,7 +79,7 @@ def write_touches(asked: TouchSet, plate: Plate, rng: np.random.Generator, elect
     walk *= WALK_K / np.abs(walk).max()
     walk[1::2] += asked.stale_k
     temperature_c = REFERENCE_C + walk + asked.warmer_k
-    stage = Stage(plate, TOUCH_RATE_HZ, np.arange(2 * count), temperature_c, rng, electronics)
+    stage = Stage(plate, TOUCH_RATE_HZ, np.arange(2 * count), temperature_c, rng, electronics or Electronics())
     stage.notes = f"{count} simulated touches of {_who(asked)}, each after an untouched frame"
     area = rng.uniform(low, high, (count, asked.fingers))
     ratio = rng.uniform(*ratios, area.shape) if is_compliant(finger) else np.ones(area.shape)
@@ -94,14 +95,8 @@ def write_touches(asked: TouchSet, plate: Plate, rng: np.random.Generator, elect
         return filled
 
     for i in range(asked.fingers):
-        if is_compliant(finger):
-            stage.ovals[i] = row(ratio[:, i]), row(angle[:, i])
-        stage.kinds.append(finger)
-        stage.columns.append([i])
-        stage.x_mm.append(row(place[:, i, 0]))
-        stage.y_mm.append(row(place[:, i, 1]))
-        stage.area_mm2.append(row(area[:, i]))
-        stage.force_n.append(row(force_of(finger, area[:, i])))
+        rows = place[:, i, 0], place[:, i, 1], area[:, i], force_of(finger, area[:, i]), ratio[:, i], angle[:, i]
+        stage.laid.append(Laid(finger, i, *map(row, rows)))
     return stage
 
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from touchd.twin.scenes.one_finger import END_S, FORCES_N, IDLE_S, Cast
-from touchd.twin.scenes.timeline import Path, Stage
-from touchd.twin.scenes.trajectory import anywhere, line, still
+from touchd.twin.scenes.timeline import Path, Stage, anywhere, line, still
 
 TWO_APART_MM, FIVE_APART_MM = 15.0, 25.0
 """Least distance of two fingers' centres, among two and among five."""
@@ -90,7 +89,7 @@ def _free_path(stage: Stage, start_s: float, stop_s: float, apart_mm: float) -> 
     """Return a position or a slide that keeps its distance from every other finger; None after `TRIES` draws."""
     on = (stage.time_s >= start_s) & (stage.time_s < stop_s)
     t = stage.time_s[on] - start_s
-    others = [(x[on], y[on]) for x, y in zip(stage.x_mm, stage.y_mm, strict=True)]
+    others = [(other.x_mm[on], other.y_mm[on]) for other in stage.laid]
     for _ in range(TRIES):
         first = anywhere(stage)
         path = still(*first)

@@ -1,9 +1,10 @@
-"""The timeline of a scene: contacts, temperature and electronics, frame by frame."""
+"""The timeline of a scene: contacts, temperature and electronics, frame by frame; and paths of a finger on it."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,6 +15,7 @@ from touchd.twin.physics.finger import TISSUES, Contact, area_of, force_of, is_c
 
 Floats = NDArray[np.float64]
 Path = Callable[[Floats], tuple[ArrayLike, ArrayLike]]
+"""Maps seconds since landing, shape (m,), to x and y in mm."""
 
 SMALLEST_MM2 = 2.0
 """Contact area at the first moment of a touch."""
@@ -27,9 +29,26 @@ PULSE = 0.01
 """Share of the area that comes and goes with the heart."""
 
 
+class Laid(NamedTuple):
+    """A contact in n frames: rows of shape (n,), NaN while it is up."""
+
+    kind: str
+    column: int
+    """Its column of the labels; contacts of one column never overlap in time."""
+    x_mm: Floats
+    y_mm: Floats
+    area_mm2: Floats
+    force_n: Floats
+    """NaN of what is no finger."""
+    ratio: Floats
+    """Long axis over short axis; 1 unless it is compliant."""
+    angle_rad: Floats
+    """Direction of the long axis."""
+
+
 @dataclass(slots=True)
 class Stage:
-    """Contacts, temperature and electronics in n frames, with at most k contacts at once."""
+    """Contacts, temperature and electronics in n frames, with labels of at most k contacts at once."""
 
     plate: Plate
     rate_hz: float
@@ -41,17 +60,7 @@ class Stage:
     """Generator for the scene's random choices."""
     electronics: Electronics
     notes: str = ""
-    kinds: list[str] = field(default_factory=list)
-    """Kind of each contact."""
-    x_mm: list[Floats] = field(default_factory=list)
-    """x of each contact, shape (n,); NaN while up."""
-    y_mm: list[Floats] = field(default_factory=list)
-    area_mm2: list[Floats] = field(default_factory=list)
-    force_n: list[Floats] = field(default_factory=list)
-    ovals: dict[int, tuple[Floats, Floats]] = field(default_factory=dict)
-    """Ratio of the axes and direction of the long one, rad, of each compliant contact, both of shape (n,)."""
-    columns: list[list[int]] = field(default_factory=list)
-    """Contacts of each label column; contacts of one column never overlap in time."""
+    laid: list[Laid] = field(default_factory=list)
     label_error_mm: Floats | None = None
     """Label error, shape (n, k, 2)."""
 
@@ -87,8 +96,7 @@ class Stage:
         kind : a kind of `touchd.twin.physics.finger.TISSUES`, "palm" or "drop"
             A compliant one lands on its tip, round, rolls to its pad and becomes an oval as it spreads.
         start_s, stop_s : float
-        path : callable
-            Maps seconds since the start, shape (m,), to x and y in mm.
+        path : Path
         force_n : float, optional
             Settled force of a finger; left out for a patch of a palm.
         area_mm2 : float, optional
@@ -110,20 +118,17 @@ class Stage:
         finger = kind in TISSUES and force_n is not None
         settled = float(area_of(kind, force_n or 0.0)) if area_mm2 is None else area_mm2
         pressed = np.maximum(settled * ramp, SMALLEST_MM2)
-        self.kinds.append(kind)
-        self.area_mm2.append(self._row(on, pressed * (1 + creep * (1 - np.exp(-t / 7)))))
-        self.force_n.append(self._row(on, force_of(kind, pressed) if finger else np.full(len(t), np.nan)))
+        area = pressed * (1 + creep * (1 - np.exp(-t / 7)))
         x, y = (np.asarray(value, dtype=float) for value in path(t))
+        ratio, angle = np.ones(len(t)), np.zeros(len(t))
         if is_compliant(kind):
             ratio, angle, (roll_x, roll_y) = self._spread(kind, t, ramp)
-            self.ovals[len(self.kinds) - 1] = self._row(on, ratio), self._row(on, angle)
-            self.area_mm2[-1] *= 1 + PULSE * np.sin(2 * np.pi * self.rng.uniform(0.9, 1.4) * time_s)
+            area = area * (1 + PULSE * np.sin(2 * np.pi * self.rng.uniform(0.9, 1.4) * time_s))[on]
             x, y = x + roll_x, y + roll_y
-        self.x_mm.append(self._row(on, x))
-        self.y_mm.append(self._row(on, y))
-        while len(self.columns) <= column:
-            self.columns.append([])
-        self.columns[column].append(len(self.kinds) - 1)
+        force = force_of(kind, pressed) if finger else np.full(len(t), np.nan)
+        rows = np.full((6, len(on)), np.nan)
+        rows[:, on] = x, y, area, force, ratio, angle
+        self.laid.append(Laid(kind, column, *rows))
 
     def _spread(self, kind: str, t: Floats, ramp: Floats) -> tuple[Floats, Floats, tuple[Floats, Floats]]:
         """Return ratio, direction and way of the middle while a finger lands and rests, each of shape (m,)."""
@@ -133,20 +138,14 @@ class Stage:
         roll = (ramp - 1) * self.rng.uniform(0, min(ROLL_MM, 0.1 * TISSUES[kind].area_mm2 / np.pi))
         return 1 + (settled - 1) * ramp, angle + turn, (roll * np.cos(angle), roll * np.sin(angle))
 
-    def _row(self, on: NDArray[np.bool_], value: ArrayLike) -> Floats:
-        row = np.full(len(self.sequence), np.nan)
-        row[on] = value
-        return row
-
     def touches(self, start: int, stop: int) -> list[list[Contact]]:
         """Return the contacts in each of the frames start .. stop - 1."""
         result: list[list[Contact]] = [[] for _ in range(start, stop)]
-        for k, (kind, *rows) in enumerate(zip(self.kinds, self.x_mm, self.y_mm, self.area_mm2, strict=True)):
-            x, y, area = (row[start:stop] for row in rows)
-            oval = [row[start:stop] for row in self.ovals.get(k, ())]
+        for kind, _, *rows in self.laid:
+            x, y, area, _, ratio, angle = (row[start:stop] for row in rows)
             for i in np.flatnonzero(~np.isnan(x)):
-                shape = [float(row[i]) for row in oval]
-                result[i].append(Contact(float(x[i]), float(y[i]), float(area[i]), kind, *shape))
+                shape = float(area[i]), kind, float(ratio[i]), float(angle[i])
+                result[i].append(Contact(float(x[i]), float(y[i]), *shape))
         return result
 
     def truth(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
@@ -154,15 +153,11 @@ class Stage:
 
         Labels with an error are clamped to the plate.
         """
-        n, k = len(self.sequence), max(len(self.columns), 1)
-        contacts = np.full((n, k, 2), np.nan, dtype=np.float32)
-        force = np.full((n, k), np.nan, dtype=np.float32)
-        for column, members in enumerate(self.columns):
-            for i in members:
-                on = ~np.isnan(self.x_mm[i])
-                contacts[on, column, 0] = self.x_mm[i][on]
-                contacts[on, column, 1] = self.y_mm[i][on]
-                force[on, column] = self.force_n[i][on]
+        contacts, force = self._labels(2), self._labels(1)[..., 0]
+        for one in self.laid:
+            on = ~np.isnan(one.x_mm)
+            contacts[on, one.column] = np.stack([one.x_mm[on], one.y_mm[on]], axis=1)
+            force[on, one.column] = one.force_n[on]
         if self.label_error_mm is not None:
             size_mm = np.array([self.plate.width_mm, self.plate.height_mm])
             contacts = np.clip(contacts + self.label_error_mm, 0, size_mm).astype(np.float32)
@@ -170,11 +165,49 @@ class Stage:
 
     def faces(self) -> NDArray[np.float32]:
         """Return the labels `faces` of shape (n, k, 3): those of fingers."""
-        found = np.full((len(self.sequence), max(len(self.columns), 1), 3), np.nan, dtype=np.float32)
-        for column, members in enumerate(self.columns):
-            for i in members:
-                on = np.isfinite(self.force_n[i])
-                ratio, angle_rad = (row[on] for row in self.ovals.get(i, (np.ones(len(on)), np.zeros(len(on)))))
-                major_mm = 2 * np.sqrt(self.area_mm2[i][on] * ratio / np.pi)
-                found[on, column] = np.stack([major_mm, major_mm / ratio, np.degrees(angle_rad)], axis=1)
+        found = self._labels(3)
+        for one in self.laid:
+            on = np.isfinite(one.force_n)
+            ratio, angle_deg = one.ratio[on], np.degrees(one.angle_rad[on])
+            major_mm = 2 * np.sqrt(one.area_mm2[on] * ratio / np.pi)
+            found[on, one.column] = np.stack([major_mm, major_mm / ratio, angle_deg], axis=1)
         return found
+
+    def _labels(self, values: int) -> NDArray[np.float32]:
+        columns = max((one.column + 1 for one in self.laid), default=1)
+        return np.full((len(self.sequence), columns, values), np.nan, dtype=np.float32)
+
+
+def still(x_mm: float, y_mm: float) -> Path:
+    """Stay at a position."""
+    return lambda t: (np.full(len(t), x_mm), np.full(len(t), y_mm))
+
+
+def line(start: ArrayLike, stop: ArrayLike, seconds: float) -> Path:
+    """Move between two positions, with zero speed at both ends."""
+    a, b = np.asarray(start, dtype=float), np.asarray(stop, dtype=float)
+
+    def path(t: Floats) -> tuple[ArrayLike, ArrayLike]:
+        part = 0.5 - 0.5 * np.cos(np.pi * np.clip(t / seconds, 0, 1))
+        return a[0] + (b[0] - a[0]) * part, a[1] + (b[1] - a[1]) * part
+
+    return path
+
+
+def arc(stage: Stage, seconds: float, turns: float) -> Path:
+    """Draw a circle around the centre, clockwise from the top; radius 60 mm, less on a small plate."""
+    cx, cy = stage.plate.width_mm / 2, stage.plate.height_mm / 2
+    radius = min(60.0, cx - 15, cy - 15)
+
+    def path(t: Floats) -> tuple[ArrayLike, ArrayLike]:
+        angle = 2 * np.pi * turns * np.clip(t / seconds, 0, 1)
+        return cx + radius * np.sin(angle), cy - radius * np.cos(angle)
+
+    return path
+
+
+def anywhere(stage: Stage, margin_mm: float = 12.0) -> tuple[float, float]:
+    """Return a random position, x and y in mm, at least `margin_mm` from the edge."""
+    x, y = stage.rng.uniform(size=2)
+    p = stage.plate
+    return margin_mm + x * (p.width_mm - 2 * margin_mm), margin_mm + y * (p.height_mm - 2 * margin_mm)
