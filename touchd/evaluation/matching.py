@@ -11,11 +11,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.evaluation.faces import UNKNOWN, face_of, face_scores
-from touchd.evaluation.force import force_scores
-from touchd.evaluation.metrics import position_scores
+from touchd.evaluation.metrics import UNKNOWN, face_of, face_scores, force_scores, position_scores
 from touchd.evaluation.model_scores import Judgement
 from touchd.event import Contact
+from touchd.recording.data import Recording
 from touchd.touch import Touch
 from touchd.tracking.assignment import assign
 
@@ -68,6 +67,16 @@ class Seen(NamedTuple):
     """Long axis (mm), short axis (mm) and direction (degrees) of each finger's face, NaN if unknown."""
 
 
+def seen_in(recording: Recording, frame: int, found: Sequence[Touch | Contact]) -> Seen:
+    """Return the true fingers of a frame of a labelled recording, beside the contacts found there."""
+    assert recording.contacts_mm is not None  # checked by the caller
+    down = np.isfinite(recording.contacts_mm[frame, :, 0])
+    places = [(x, y) for x, y in recording.contacts_mm[frame, down].tolist()]
+    force_n = recording.force_n[frame, down].tolist() if recording.force_n is not None else None
+    faces = recording.faces[frame, down].tolist() if recording.faces is not None else None
+    return Seen(places, tuple(found), force_n, faces)
+
+
 @dataclass(frozen=True, slots=True)
 class Matches:
     """n frames and their m matched contacts."""
@@ -87,7 +96,7 @@ class Matches:
     force_n: Floats
     """True force, shape (m,), NaN if unknown."""
     faces: Floats
-    """Estimated and true faces, shape (m, 2, 3), NaN if unknown; see `touchd.evaluation.faces`."""
+    """Estimated and true faces, shape (m, 2, 3), NaN if unknown; see `touchd.evaluation.metrics.face_scores`."""
 
     def of(self, chosen: NDArray[np.bool_]) -> Matches:
         """Select frames by a mask of shape (n,)."""
@@ -165,8 +174,8 @@ def scores_by_fingers(matches: Matches) -> dict[str, dict[str, Any]]:
     `all_within_1_mm`, `_2_mm`          share of frames in which every finger has a contact within 1 or 2 mm
     `told_apart`                        share of frames, see `Matches`
     `within_1_sigma`, `_2_sigma`        share of errors per axis within 1 or 2 predicted standard errors
-    `force_rank`, ...                   see `touchd.evaluation.force.force_scores`
-    `faces_told`, ...                   see `touchd.evaluation.faces.face_scores`
+    `force_rank`, ...                   see `touchd.evaluation.metrics.force_scores`
+    `faces_told`, ...                   see `touchd.evaluation.metrics.face_scores`
     ==================================  =========================================================================
 
     A score without data is None.

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.evaluation.matching import Matches, Position, Seen, join_matches, match, match_frames
+from touchd.evaluation.matching import Matches, Position, Seen, join_matches, match, match_frames, seen_in
 from touchd.evaluation.truth import TrueTouch, fingers_only, rough_frames, true_touches
 from touchd.event import Contact, TouchEvent
 from touchd.recording.data import Recording
@@ -172,10 +172,7 @@ def settled_frames(recording: Recording, events: Iterable[TouchEvent]) -> Iterat
         if not touched[i]:
             yield Seen((), alive) if alive else untouched
         else:
-            places = [(x, y) for x, y in truth[i, down[i]].tolist()]
-            force_n = recording.force_n[i, down[i]].tolist() if recording.force_n is not None else None
-            faces = recording.faces[i, down[i]].tolist() if recording.faces is not None else None
-            yield Seen(places, alive, force_n, faces)
+            yield seen_in(recording, i, alive)
 
 
 Down = dict[int, dict[int, tuple[float, float, bool]]]

@@ -15,9 +15,9 @@ from touchd.detection.detection import Detection
 from touchd.detection.impulses import Impulses
 from touchd.errors import RecordingValues
 from touchd.evaluation.dataset import baseline_frames, beyond, noise_energy, noise_of, residual_of
-from touchd.evaluation.matching import Seen
+from touchd.evaluation.matching import Seen, seen_in
 from touchd.evaluation.truth import fingers_only
-from touchd.frame import Acquisition, Counts
+from touchd.frame import Counts
 from touchd.localization.atlas import Atlas
 from touchd.localization.atlas_localizer import AtlasLocalizer
 from touchd.localization.features import make_features
@@ -47,24 +47,23 @@ Find = Callable[[Look], Sequence[Touch]]
 
 @dataclass(frozen=True, slots=True)
 class TouchedFrames:
-    """n touched frames with at most k fingers; a frame may also hold a palm or water."""
+    """n touched frames of a recording with at most k fingers; a frame may also hold a palm or water."""
 
-    acquisition: Acquisition
-    counts: Counts
-    """All frames of the recording, shape (m, channels, samples)."""
+    recording: Recording
+    """With labels of fingers only."""
     touched: NDArray[np.int64]
     """Indices of the touched frames, shape (n,)."""
     beside: NDArray[np.int64]
     """Indices of the two untouched frames whose mean is the baseline, shape (n, 2)."""
-    true_mm: Array
-    """Positions, shape (n, k, 2), NaN for a finger that is up."""
-    force_n: Array | None
-    """Forces, shape (n, k), NaN if unknown or up."""
-    faces: Array | None = None
-    """Long axis, short axis and direction, shape (n, k, 3), NaN if unknown or up."""
 
     def __len__(self) -> int:
         return len(self.touched)
+
+    @property
+    def true_mm(self) -> Array:
+        """Positions, shape (n, k, 2), NaN for a finger that is up."""
+        assert self.recording.contacts_mm is not None
+        return np.asarray(self.recording.contacts_mm[self.touched])
 
     @property
     def fingers(self) -> NDArray[np.int64]:
@@ -73,15 +72,15 @@ class TouchedFrames:
 
     def baseline(self, i: int) -> Array:
         """Return the baseline of frame i, shape (channels, samples)."""
-        return np.asarray(self.counts[self.beside[i]].mean(axis=0, dtype=np.float32))
+        return np.asarray(self.recording.frames[self.beside[i]].mean(axis=0, dtype=np.float32))
 
     def noise_energy(self) -> float:
         """Return the noise energy of a residual, ADC counts squared."""
-        return noise_energy(noise_of(self.counts[np.unique(self.beside)]), self.acquisition)
+        return noise_energy(noise_of(self.recording.frames[np.unique(self.beside)]), self.recording.acquisition)
 
     def look(self, i: int) -> Look:
         """Return frame i with its baseline and residual."""
-        counts, baseline = self.counts[self.touched[i]], self.baseline(i)
+        counts, baseline = self.recording.frames[self.touched[i]], self.baseline(i)
         return Look(counts, baseline, residual_of(counts, baseline))
 
 
@@ -102,17 +101,7 @@ def touched_frames(recording: Recording) -> TouchedFrames:
     for frames, name in ((touched, "touched"), (untouched, "untouched")):
         if not len(frames):
             raise RecordingValues(f"no {name} frame", "contacts_mm", "record touches, and untouched frames beside them")
-    fingers = fingers_only(recording).contacts_mm
-    assert fingers is not None
-    return TouchedFrames(
-        acquisition=recording.acquisition,
-        counts=recording.frames,
-        touched=touched,
-        beside=baseline_frames(recording.timestamp_ns, touched, untouched),
-        true_mm=fingers[touched],
-        force_n=recording.force_n[touched] if recording.force_n is not None else None,
-        faces=recording.faces[touched] if recording.faces is not None else None,
-    )
+    return TouchedFrames(fingers_only(recording), touched, baseline_frames(recording.timestamp_ns, touched, untouched))
 
 
 def find_with(model: Model, atlas: Atlas | None, frames: TouchedFrames) -> Find:
@@ -128,14 +117,15 @@ def find_with(model: Model, atlas: Atlas | None, frames: TouchedFrames) -> Find:
         localizer = NetworkLocalizer(model, Settings.model_validate({"model": always}), None)
     else:
         localizer = AtlasLocalizer(model, atlas, Settings(), None)
+    acquisition, counts = frames.recording.acquisition, frames.recording.frames
     chosen = np.linspace(0, len(frames) - 1, min(len(frames), MEMORY_FRAMES)).astype(int).tolist()
-    pairs = [frames.counts[frames.beside[i]].astype(np.float32) for i in chosen]
+    pairs = [counts[frames.beside[i]].astype(np.float32) for i in chosen]
     noise = [(one - other) * np.float32(sqrt(3) / 2) for one, other in pairs if (one != other).any()]
-    impulses = Impulses(frames.acquisition, np.float32)
+    impulses = Impulses(acquisition, np.float32)
     if noise:
         hit = impulses.learn(np.array(noise))
         localizer.update(frames.baseline(0), np.array(noise)[~hit])
-    noise_root, live = float(np.cbrt(frames.noise_energy())), np.ones(frames.acquisition.channels, bool)
+    noise_root, live = float(np.cbrt(frames.noise_energy())), np.ones(acquisition.channels, bool)
 
     def find(look: Look) -> Sequence[Touch]:
         hits = impulses.blank(look.residual, float(np.square(look.residual).sum()))
@@ -152,7 +142,7 @@ def find_with(model: Model, atlas: Atlas | None, frames: TouchedFrames) -> Find:
 
 def network_features(model: Model, frames: TouchedFrames) -> Array:
     """Return the network's features of each frame, shape (n, inputs)."""
-    extract = make_features(model.description.domain, frames.acquisition).extract
+    extract = make_features(model.description.domain, frames.recording.acquisition).extract
     features = np.empty((len(frames), model.description.inputs), np.float32)
     of_residual = model.description.input == "residual"
     for i, row in enumerate(features):
@@ -163,11 +153,4 @@ def network_features(model: Model, frames: TouchedFrames) -> Array:
 
 def see(find: Find, frames: TouchedFrames) -> list[Seen]:
     """Find the touches of each frame, one frame at a time as the daemon does."""
-    seen = []
-    for i in range(len(frames)):
-        down = np.isfinite(frames.true_mm[i, :, 0])
-        positions_mm = [(x_mm, y_mm) for x_mm, y_mm in frames.true_mm[i, down].tolist()]
-        force_n = frames.force_n[i, down].tolist() if frames.force_n is not None else None
-        faces = frames.faces[i, down].tolist() if frames.faces is not None else None
-        seen.append(Seen(positions_mm, tuple(find(frames.look(i))), force_n, faces))
-    return seen
+    return [seen_in(frames.recording, at, find(frames.look(i))) for i, at in enumerate(frames.touched)]

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from touchd.evaluation.force import FEWEST, force_scores, monotone
+from touchd.evaluation.metrics import FEWEST, force_scores, monotone
 
 VALUES = arrays(np.float64, st.integers(2, 40), elements=st.integers(0, 12).map(float))
 

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from scipy.optimize import linear_sum_assignment
 
 from touchd.evaluation import matching
-from touchd.evaluation.force import FEWEST
 from touchd.evaluation.matching import REACH_MM, Seen, match, match_frames, scores_by_fingers
+from touchd.evaluation.metrics import FEWEST
 from touchd.touch import Touch
 from touchd.tracking.assignment import assign
 
