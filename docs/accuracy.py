@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from touchd.training.data.one_temperature import at_one_temperature
 
 from docs import measured
 from docs.accuracy_plots import FieldImage, NoiseLevel, draw_field, draw_learning, draw_noise
@@ -39,7 +40,6 @@ from touchd.localization.model import Model
 from touchd.recording.data import Recording
 from touchd.recording.format import read, write
 from touchd.service.replay import replay
-from touchd.training.data.one_temperature import at_one_temperature
 from touchd.training.field.bins import informative
 from touchd.training.field.dispersion import dispersion_of
 from touchd.training.field.learn import learn_thoroughly
@@ -47,8 +47,8 @@ from touchd.training.field.make_atlas import make_atlas, signal_over_noise
 from touchd.training.field.regression import touches_of
 from touchd.twin.electronics import Electronics
 from touchd.twin.instrument import Instrument
-from touchd.twin.physics.dispersion import mindlin_wavenumber
 from touchd.twin.physics.finger import Contact
+from touchd.twin.physics.material import mindlin_wavenumber
 from touchd.twin.simulate import DEFAULT_PLATE, meta_of, simulate_scene, simulate_touches
 
 ROOT = Path(__file__).resolve().parent.parent

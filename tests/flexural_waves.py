@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from touchd.frame import Plate
-from touchd.twin.physics.dispersion import mindlin_wavenumber
-from touchd.twin.physics.material import material_of
+from touchd.twin.physics.material import material_of, mindlin_wavenumber
 
 Floats = NDArray[np.float64]
 Velocity = Callable[[Plate, ArrayLike], Floats]

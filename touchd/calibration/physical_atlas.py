@@ -21,7 +21,7 @@ from touchd.localization.features import band_bins
 from touchd.training.field.bins import informative, weights
 from touchd.training.field.error_scale import LEVELS_DB, Level, calibrate, field_error, level_of
 from touchd.training.field.place import FieldMap, place
-from touchd.twin.physics.dispersion import mindlin_wavenumber
+from touchd.twin.physics.material import mindlin_wavenumber
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]

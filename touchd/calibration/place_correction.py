@@ -20,7 +20,7 @@ from touchd.calibration.plate_fit import PlateFit
 from touchd.calibration.verdict import CLAMPED_MM, GOOD_MM, MODEL
 from touchd.localization.atlas import Atlas
 from touchd.training.field.place import FieldMap
-from touchd.twin.physics.dispersion import mindlin_wavenumber
+from touchd.twin.physics.material import mindlin_wavenumber
 
 Floats = NDArray[np.float64]
 

@@ -23,8 +23,8 @@ from touchd.localization.features import windowed_dft
 from touchd.training.field.place import linearise
 from touchd.twin.instrument import anti_alias
 from touchd.twin.physics import legendre
-from touchd.twin.physics.dispersion import mindlin_wavenumber
 from touchd.twin.physics.finger import impedance
+from touchd.twin.physics.material import mindlin_wavenumber
 from touchd.twin.physics.plate import polynomials_for, size_m, solve
 from touchd.twin.record import Record
 

@@ -21,8 +21,7 @@ from touchd.calibration.untouched_model import UntouchedModel, band
 from touchd.calibration.verdict import GOOD_LEFT, USABLE_LEFT, Evidence, Parameter, Verdict, judge
 from touchd.errors import CalibrationError
 from touchd.frame import Acquisition
-from touchd.twin.physics.dispersion import mindlin_wavenumber
-from touchd.twin.physics.material import ElasticPlate, stiffness_of
+from touchd.twin.physics.material import ElasticPlate, mindlin_wavenumber, stiffness_of
 from touchd.twin.physics.mounting import attach
 from touchd.twin.physics.response import Response
 from touchd.twin.physics.transducer import Layout

@@ -10,9 +10,8 @@ from touchd.errors import SimulationError
 from touchd.frame import Plate
 from touchd.twin.instrument import Instrument
 from touchd.twin.physics import legendre
-from touchd.twin.physics.dispersion import mindlin_wavenumber
 from touchd.twin.physics.finger import Contact, impedance, patches
-from touchd.twin.physics.material import stiffness_of
+from touchd.twin.physics.material import mindlin_wavenumber, stiffness_of
 from touchd.twin.physics.plate import Modes, size_m
 from touchd.twin.physics.response import Response
 from touchd.twin.physics.transducer import LoadedModes, default_layout, load

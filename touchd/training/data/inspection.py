@@ -12,7 +12,7 @@ from touchd.errors import SimulationError, TrainingError
 from touchd.evaluation.dataset import baseline_frames, labels, noise_of
 from touchd.frame import Plate
 from touchd.recording.data import Recording
-from touchd.twin.physics.dispersion import mindlin_wavenumber
+from touchd.twin.physics.material import mindlin_wavenumber
 
 WEAK_DB = 30.0
 """A channel this far below the median is faulty: no position of a disc costs as much."""

@@ -21,8 +21,7 @@ from touchd.frame import Plate
 from touchd.localization.features import band_bins
 from touchd.training.field.leave_one_out import log_errors, region_of
 from touchd.training.field.regression import Floats, Prior, Touches
-from touchd.twin.physics.dispersion import mindlin_wavenumber
-from touchd.twin.physics.material import MATERIALS
+from touchd.twin.physics.material import MATERIALS, mindlin_wavenumber
 
 POWERS = np.linspace(0.4, 1.0, 61)
 FITTED_BINS = 7

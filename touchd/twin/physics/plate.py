@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from touchd.errors import SimulationError
 from touchd.frame import Plate
 from touchd.twin.physics import legendre
-from touchd.twin.physics.dispersion import mindlin_wavenumber
-from touchd.twin.physics.material import material_of, stiffness_of
+from touchd.twin.physics.material import material_of, mindlin_wavenumber, stiffness_of
 
 Floats = NDArray[np.float64]
 

@@ -89,13 +89,7 @@ class Response:
         return shapes
 
     def _disc_average(self, x_mm: Floats, y_mm: Floats, area_mm2: Floats, rule: tuple[int, int] = (3, 8)) -> Floats:
-        """Products of polynomials averaged over discs, shape (n, nx ny).
-
-        Raises
-        ------
-        SimulationError
-            When a disc is not wholly on the plate.
-        """
+        """Products of polynomials averaged over discs, shape (n, nx ny); errors as of `shape_at`."""
         radius = np.sqrt(area_mm2 / np.pi)
         edge = np.minimum(np.minimum(x_mm, self.plate.width_mm - x_mm), np.minimum(y_mm, self.plate.height_mm - y_mm))
         if np.any(edge < radius) or not np.all(np.isfinite(edge)):

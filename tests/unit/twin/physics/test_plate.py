@@ -8,9 +8,8 @@ import pytest
 from touchd.errors import SimulationError
 from touchd.frame import Plate
 from touchd.twin.physics import material
-from touchd.twin.physics.dispersion import mindlin_wavenumber
 from touchd.twin.physics.legendre import derivative, disc_average, disc_moments, values
-from touchd.twin.physics.material import ElasticPlate, Material, stiffness_of
+from touchd.twin.physics.material import ElasticPlate, Material, mindlin_wavenumber, stiffness_of
 from touchd.twin.physics.plate import polynomials_for, solve
 
 THIN = [13.468, 19.596, 24.270, 34.801, 34.801, 61.093, 61.093, 63.686, 69.265, 77.172, 105.46, 105.46]
