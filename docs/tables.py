@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from touchd.training.report.template import read_csv, table
+from touchd.training.report.template import Table, read_csv
 
 DOCS = Path(__file__).resolve().parent
 ACCURACY, ROBUSTNESS = DOCS / "accuracy", DOCS / "robustness"
@@ -28,7 +28,7 @@ def contacts() -> str:
                "faces_told": "size told"}  # fmt: skip
     found = read_csv(ACCURACY / "contacts.csv").pick(columns=list(columns))
     rows = [[*row[:-2], *(f"{float(share):.0%}" for share in row[-2:])] for row in found.rows]
-    return table(list(columns.values()), rows)
+    return Table(list(columns.values()), rows).markdown()
 
 
 def worse() -> str:
@@ -37,7 +37,7 @@ def worse() -> str:
     for name, curve, point in WORSE:
         found = {row[1]: row[2:] for row in read_csv(ROBUSTNESS / f"{curve}.csv").rows if row[0] == point}
         rows.append([name, *(_cell(*found[one]) if one in found else "" for one in ESTIMATORS)])
-    return table(("median / p95, mm", *ESTIMATORS), rows)
+    return Table(("median / p95, mm", *ESTIMATORS), rows).markdown()
 
 
 def _cell(median: str, p95: str, placed: str) -> str:

@@ -27,8 +27,11 @@ class Table(NamedTuple):
         return Table([self.headings[i] for i in at], rows)
 
     def markdown(self) -> str:
-        """Format the table in Markdown."""
-        return table(self.headings, self.rows)
+        """Format the table in Markdown, with columns of numbers aligned right."""
+        text = {i for i in range(len(self.headings)) if not all(_is_number(row[i]) for row in self.rows)}
+        rule = "|" + "|".join("---" if i in text else "---:" for i in range(len(self.headings))) + "|"
+        lines = ["| " + " | ".join(row) + " |" for row in (self.headings, *self.rows)]
+        return "\n".join([lines[0], rule, *lines[1:]])
 
 
 def render(template: Path, **values: object) -> str:
@@ -45,14 +48,6 @@ def render(template: Path, **values: object) -> str:
     )  # fmt: skip
     environment.filters["as"] = format
     return environment.get_template(template.name).render(values)
-
-
-def table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Format a Markdown table, with columns of numbers aligned right."""
-    text = {i for i in range(len(headings)) if not all(_is_number(row[i]) for row in rows)}
-    rule = "|" + "|".join("---" if i in text else "---:" for i in range(len(headings))) + "|"
-    lines = ["| " + " | ".join(headings) + " |", rule]
-    return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows])
 
 
 def write_csv(path: Path, found: Table) -> None:
