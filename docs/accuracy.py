@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from touchd.training.data.one_temperature import at_one_temperature
 
 from docs import measured
 from docs.accuracy_plots import FieldImage, NoiseLevel, draw_field, draw_learning, draw_noise
@@ -40,6 +39,7 @@ from touchd.localization.model import Model
 from touchd.recording.data import Recording
 from touchd.recording.format import read, write
 from touchd.service.replay import replay
+from touchd.training.data.temperature import at_one_temperature
 from touchd.training.field.bins import informative
 from touchd.training.field.dispersion import dispersion_of
 from touchd.training.field.learn import learn_thoroughly

@@ -17,7 +17,7 @@ from touchd.localization.model import Model
 from touchd.localization.model_file import put_model
 from touchd.recording.data import Recording
 from touchd.training.data.inspection import degrees_of_freedom, inspect
-from touchd.training.data.one_temperature import at_one_temperature
+from touchd.training.data.temperature import at_one_temperature
 from touchd.training.field.bins import informative
 from touchd.training.field.dispersion import dispersion_of, fitted_note
 from touchd.training.field.learn import Learned, learn_thoroughly

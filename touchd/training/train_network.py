@@ -20,9 +20,9 @@ from touchd.keypad import Layout
 from touchd.localization.model import Description, Model
 from touchd.recording.data import Recording
 from touchd.training.data.augment import Augmenter
-from touchd.training.data.drift_directions import drift_directions
 from touchd.training.data.inspection import inspect
 from touchd.training.data.synthetic import Synthesiser
+from touchd.training.data.temperature import drift_directions
 from touchd.training.field.dispersion import fitted_note, is_known
 from touchd.training.field.few_touches import learn_field
 from touchd.training.field.learn import Field

@@ -19,7 +19,7 @@ from touchd.localization.features import band_bins
 from touchd.localization.model import Model
 from touchd.recording.data import Recording
 from touchd.recording.format import write
-from touchd.training.data.one_temperature import at_one_temperature
+from touchd.training.data.temperature import at_one_temperature
 from touchd.training.field.place import place
 from touchd.training.field.regression import touches_of
 from touchd.training.network.recipe import RECIPES

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from touchd.evaluation.dataset import Dataset
 from touchd.localization.features import make_features
 from touchd.recording.data import Recording
-from touchd.training.data.drift_directions import MOST, drift_directions
+from touchd.training.data.temperature import MOST, drift_directions
 from touchd.twin.instrument import REFERENCE_C, Instrument
 
 

@@ -1,4 +1,4 @@
-"""Reduce the touches of a recording to its mean temperature."""
+"""Temperature in a recording: the feature directions of baseline drift, and touches reduced to one temperature."""
 
 from __future__ import annotations
 
@@ -12,11 +12,36 @@ from touchd.localization.features import band_bins, windowed_dft
 from touchd.localization.thermal import stretch_matrix
 from touchd.recording.data import Recording
 
+STANDS_OUT = 9.0
+"""A pattern counts as drift if the other half of the frames varies this many times more along it than mean noise. White
+noise under a Hann window reaches 2.7: its bins correlate with their neighbours, 4/6 and 1/6."""
+MOST = 4
 NEIGHBOURS = 7
 """Touches before and after whose untouched frames enter the temperature estimate: one frame's error is 0.1 K."""
 NEAR_S = 60.0
 """Frames farther away are ignored, because the plate drifts meanwhile."""
-_BLOCK = 512
+_ROWS, _BLOCK = 2000, 512
+
+
+def drift_directions(untouched: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the orthonormal drift directions, shape (k, inputs), of untouched features (n, inputs).
+
+    A stale baseline, mostly of another temperature, adds the same few patterns to every residual. A network that
+    projects them out tolerates one at almost no cost.
+
+    Rows are in order of time and share no noise. The directions are principal components of one half of the rows that
+    exceed the noise in the other half: at most `MOST`, possibly none. The noise is estimated from differences of
+    successive rows, because drift is slow.
+    """
+    n, inputs = untouched.shape
+    if n < 2 * MOST:
+        return np.zeros((0, inputs), np.float32)
+    rows = untouched[np.linspace(0, n - 1, min(n, _ROWS)).astype(int)].astype(np.float64)
+    noise = np.mean(np.diff(untouched[: 2 * (n // 2)].reshape(n // 2, 2, inputs), axis=1) ** 2) / 2
+    rows -= rows.mean(axis=0)
+    _, _, patterns = np.linalg.svd(rows[::2], full_matrices=False)
+    along = np.mean((rows[1::2] @ patterns[:MOST].T) ** 2, axis=0)
+    return np.asarray(patterns[:MOST][along > STANDS_OUT * noise], np.float32)
 
 
 def at_one_temperature(recording: Recording, dataset: Dataset) -> tuple[Dataset, Array]:
@@ -25,8 +50,7 @@ def at_one_temperature(recording: Recording, dataset: Dataset) -> tuple[Dataset,
     The untouched frames beside each touch measure the stretch of the plate; the residual is stretched back by it. The
     second value has shape (channels, samples), ADC counts.
     """
-    position_mm, touched, untouched = labels(recording, len(dataset))
-    del position_mm
+    _, touched, untouched = labels(recording, len(dataset))
     pairs = baseline_frames(recording.timestamp_ns, touched, untouched)
     a, frames = recording.acquisition, recording.frames
     bins = band_bins(a)

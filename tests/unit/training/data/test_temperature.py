@@ -12,7 +12,7 @@ from touchd.evaluation.dataset import make_dataset
 from touchd.localization.features import band_bins, windowed_dft
 from touchd.localization.thermal import stretch_matrix
 from touchd.recording.data import Recording
-from touchd.training.data.one_temperature import NEAR_S, at_one_temperature, smooth
+from touchd.training.data.temperature import NEAR_S, at_one_temperature, smooth
 
 
 def test_what_warmth_did_to_the_touches_is_taken_back(touches: Recording) -> None:
