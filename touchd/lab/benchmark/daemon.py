@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import gc
 import multiprocessing
 import os
 import time
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,7 @@ from touchd.event import Event, HealthEvent, TouchEvent
 from touchd.lab.benchmark.child import Task, main
 from touchd.lab.benchmark.loop import Loop
 from touchd.lab.benchmark.results import DaemonResult, Day, percentiles, rounded
-from touchd.lab.benchmark.stopwatch import spread
+from touchd.lab.benchmark.stopwatch import spread, undisturbed
 
 PATIENCE_S = 30.0
 DAY = {"idle": 0.98, "still": 0.01, "moving": 0.01}
@@ -103,21 +102,14 @@ def daemon_cpus() -> tuple[int, ...]:
     return (cpus[-1],) if len(cpus) > 1 else ()
 
 
-@contextmanager
-def subscribing(*, apart: bool) -> Iterator[None]:
+def subscribing(*, apart: bool) -> AbstractContextManager[None]:
     """Pin this thread, and those it starts, to the daemon's processor, or off it if `apart`.
 
     The garbage collector ignores the benchmark's objects meanwhile, since a subscriber would not have them.
     """
-    before = os.sched_getaffinity(0)
-    own = set(daemon_cpus()) or before
-    os.sched_setaffinity(0, (before - own or before) if apart else own)
-    gc.freeze()
-    try:
-        yield
-    finally:
-        gc.unfreeze()
-        os.sched_setaffinity(0, before)
+    every = os.sched_getaffinity(0)
+    own = set(daemon_cpus()) or every
+    return undisturbed((every - own or every) if apart else own)
 
 
 @contextmanager

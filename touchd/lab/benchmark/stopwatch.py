@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
 from typing import NamedTuple, TypeVar
@@ -91,13 +91,16 @@ def ratio(one: Stopwatch, other: Stopwatch) -> float:
 
 
 @contextmanager
-def undisturbed() -> Iterator[None]:
-    """Pin this process to one processor, if allowed, and freeze the garbage collector's objects, as the daemon does."""
+def undisturbed(cpus: Collection[int] = ()) -> Iterator[None]:
+    """Pin this thread, and those it starts, to processors if allowed, by default to the last one.
+
+    The garbage collector's objects are frozen meanwhile, as the daemon's are.
+    """
     gc.collect()
     gc.freeze()
     before = os.sched_getaffinity(0)
     with suppress(OSError):
-        os.sched_setaffinity(0, {max(before)})
+        os.sched_setaffinity(0, cpus or {max(before)})
     try:
         yield
     finally:

@@ -22,6 +22,7 @@ from touchd.lab.benchmark.stopwatch import Stopwatch, spread
 from touchd.lab.dictionary import Correlation, Nearest
 from touchd.localization.features import Domain
 from touchd.localization.model import Model
+from touchd.localization.model_file import put_model
 from touchd.recording.data import Recording
 from touchd.training.field.dispersion import frequencies
 from touchd.training.network.recipe import RECIPES
@@ -120,9 +121,7 @@ def raced(recording: Recording, model: bytes, shares: tuple[float, ...], seed: i
 def loaded(model: bytes) -> Model:
     """Load a model from the bytes of its file."""
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "model.onnx"
-        path.write_bytes(model)
-        return Model(path)
+        return put_model(model, Path(folder) / "model.onnx")
 
 
 def inputs_of(data: Dataset, model: Model) -> Rows:
