@@ -15,7 +15,6 @@ from touchd.recording.data import Device, Meta, Recording
 from touchd.twin.electronics import Digitiser, Electronics
 from touchd.twin.instrument import REFERENCE_C, Instrument
 from touchd.twin.scenes.catalogue import stage_scene
-from touchd.twin.scenes.one_finger import Key
 from touchd.twin.scenes.robot import COUNT, TouchSet, stage_touches
 from touchd.twin.scenes.timeline import Stage
 
@@ -68,55 +67,35 @@ def simulate_scene(
     *,
     seed: int = 0,
     frames: int | None = None,
-    rate_hz: float | None = None,
-    plate: Plate = DEFAULT_PLATE,
     instrument: Instrument | None = None,
     electronics: Electronics | None = None,
     finger: str | None = None,
-    keys: Sequence[Key] | None = None,
-    code: str | None = None,
-    progress: Progress | None = None,
 ) -> Recording:
     """Simulate a named scene.
 
     Parameters
     ----------
-    name : str
-        One of `touchd.twin.scenes.catalogue.SCENES`.
+    name, frames, electronics, finger
+        See `touchd.twin.scenes.catalogue.stage_scene`.
     seed : int
         Equal seeds give equal recordings, bit for bit.
-    frames, finger : optional
-        Number of frames, and a kind of `touchd.twin.physics.finger.TISSUES`; by default the scene's.
-    rate_hz : float, optional
-        Frames per second; by default 125, for the demo 100.
-    plate : Plate
     instrument : Instrument, optional
-        Replaces the default instrument on `plate`; `plate` is then ignored.
-    electronics : Electronics, optional
-    keys : sequence of (name, x_mm, y_mm), optional
-        Keys of the scene `keypad` with their centres; by default 3 x 4 around the plate's centre.
-    code : str, optional
-        Keys to type, one character each.
-    progress : callable, optional
+        By default that of the default plate.
 
     Raises
     ------
     SimulationError
         The scene is unknown, too short, or does not fit the plate.
     """
-    instrument = instrument or Instrument(plate)
-    stage = stage_scene(
-        name, instrument.plate, seed=seed, frames=frames, rate_hz=rate_hz, electronics=electronics,
-        finger=finger, keys=keys, code=code,
-    )  # fmt: skip
-    return simulate_stage(stage, instrument, seed, progress)
+    instrument = instrument or Instrument(DEFAULT_PLATE)
+    stage = stage_scene(name, instrument.plate, seed=seed, frames=frames, electronics=electronics, finger=finger)
+    return simulate_stage(stage, instrument, seed)
 
 
 def simulate_touches(
     count: int = COUNT,
     *,
     seed: int = 0,
-    plate: Plate = DEFAULT_PLATE,
     instrument: Instrument | None = None,
     electronics: Electronics | None = None,
     finger: str = "silicone",
@@ -124,10 +103,8 @@ def simulate_touches(
     stale_k: float = 0.0,
     fingers: int = 1,
     apart_mm: float = 0.0,
-    edge_gap_mm: float | None = None,
     warmer_k: float = 0.0,
     label_noise_mm: float = 0.0,
-    progress: Progress | None = None,
 ) -> Recording:
     """Simulate a robot's training set: untouched frame, touch, untouched frame, touch, ...
 
@@ -137,7 +114,7 @@ def simulate_touches(
         Number of touches; the recording has twice as many frames.
     seed : int
         Equal seeds give equal recordings, bit for bit.
-    plate, instrument, electronics
+    instrument, electronics
         As for `simulate_scene`.
     finger : a kind of `touchd.twin.physics.finger.TISSUES`
         Areas and ratios of the axes are drawn from `touchd.twin.scenes.robot.AREAS_MM2` and `timeline.RATIOS`.
@@ -149,22 +126,19 @@ def simulate_touches(
         Contacts of each touch, 1 .. 5, each with its own area, without overlap.
     apart_mm : float
         Least distance between centres.
-    edge_gap_mm : float, optional
-        Exact gap between two round contacts, edge to edge, in any direction.
     warmer_k : float
         Temperature of the session above the reference, K; may be negative.
     label_noise_mm : float
         Standard deviation of the labels per axis.
-    progress : callable, optional
 
     Raises
     ------
     SimulationError
         Count, margin, finger or distances are impossible.
     """
-    asked = TouchSet(count, finger, margin_mm, stale_k, fingers, apart_mm, edge_gap_mm, warmer_k, label_noise_mm)
-    instrument = instrument or Instrument(plate)
-    return simulate_stage(stage_touches(asked, instrument.plate, seed, electronics), instrument, seed, progress)
+    asked = TouchSet(count, finger, margin_mm, stale_k, fingers, apart_mm, None, warmer_k, label_noise_mm)
+    instrument = instrument or Instrument(DEFAULT_PLATE)
+    return simulate_stage(stage_touches(asked, instrument.plate, seed, electronics), instrument, seed)
 
 
 def meta_of(instrument: Instrument, rate_hz: float, notes: str) -> Meta:

@@ -22,7 +22,8 @@ from touchd.frame import Acquisition
 from touchd.sources.audio import acquisition_of
 from touchd.twin.instrument import REFERENCE_C, Instrument
 from touchd.twin.physics.finger import Contact
-from touchd.twin.simulate import DEFAULT_PLATE, simulate_scene
+from touchd.twin.scenes.catalogue import stage_scene
+from touchd.twin.simulate import DEFAULT_PLATE, simulate_stage
 
 FRAMES_HZ = 25
 SETTINGS = AudioSettings(device="hw:CARD=Loopback,DEV=0", sample_rate_hz=48_000, band_hz=(5e3, 20e3), chirp_s=4e-3)
@@ -45,7 +46,8 @@ def write(folder: Path) -> None:
     """Write the model, and the responses from what is played to what is heard, for `audioplate.py`."""
     os.nice(10)
     acquisition = acquisition_of(SETTINGS)
-    idle = simulate_scene("idle", instrument=Instrument(DEFAULT_PLATE, acquisition=acquisition), rate_hz=25, frames=60)
+    instrument = Instrument(DEFAULT_PLATE, acquisition=acquisition)
+    idle = simulate_stage(stage_scene("idle", DEFAULT_PLATE, rate_hz=25, frames=60), instrument, 0)
     (folder / "PLATE.toml").write_text(SAID)
     make_model(fit_recording(idle, read_plate_file(folder / "PLATE.toml")), folder / "audio.onnx")
     fingers = [[Contact(x, y, 100.0, "fingertip")] for x, y in PLACES_MM]

@@ -14,8 +14,8 @@ from touchd.recording.format import read, write
 from touchd.twin.electronics import Electronics
 from touchd.twin.instrument import REFERENCE_C, Instrument
 from touchd.twin.scenes.catalogue import default_keys, stage_scene
-from touchd.twin.scenes.robot import AREAS_MM2
-from touchd.twin.simulate import simulate_scene, simulate_touches, stream
+from touchd.twin.scenes.robot import AREAS_MM2, TouchSet, stage_touches
+from touchd.twin.simulate import simulate_scene, simulate_stage, simulate_touches, stream
 
 SQUARE = Plate(width_mm=200, height_mm=200, thickness_mm=5)
 
@@ -74,7 +74,7 @@ def test_how_frames_are_cut_into_blocks_makes_no_difference(small: Instrument, b
 
 def test_a_code_is_typed_on_the_given_keys(instrument: Instrument) -> None:
     keys = [("A", 50.0, 60.0), ("B", 150.0, 140.0)]
-    recording = simulate_scene("keypad", instrument=instrument, keys=keys, code="ABA")
+    recording = simulate_stage(stage_scene("keypad", instrument.plate, keys=keys, code="ABA"), instrument, 0)
     on = touching(recording)[:, 0]
     assert recording.contacts_mm is not None
     begins = np.flatnonzero(on & ~np.roll(on, 1))
@@ -84,7 +84,7 @@ def test_a_code_is_typed_on_the_given_keys(instrument: Instrument) -> None:
 
 def test_a_code_with_an_unknown_key_is_refused(small: Instrument) -> None:
     with pytest.raises(SimulationError, match="'C'"):
-        simulate_scene("keypad", instrument=small, code="12C")
+        stage_scene("keypad", small.plate, code="12C")
 
 
 def test_the_default_keys_are_a_telephones() -> None:
@@ -118,7 +118,8 @@ def test_the_demo_is_small_and_survives_being_written(instrument: Instrument, tm
 
 def test_a_training_set_alternates_untouched_frames_and_touches(instrument: Instrument) -> None:
     told: list[int] = []
-    recording = simulate_touches(300, seed=9, instrument=instrument, progress=told.append)
+    stage = stage_touches(TouchSet(300), instrument.plate, 9)
+    recording = simulate_stage(stage, instrument, 9, told.append)
     on = touching(recording)
     assert sum(told) == 600
     assert on.shape == (600, 1)
@@ -155,7 +156,7 @@ def test_training_sets_are_reproducible(small: Instrument) -> None:
 
 def test_other_plates_work_too() -> None:
     plate = Plate(width_mm=120, height_mm=70, thickness_mm=6, material="aluminium")
-    recording = simulate_scene("swipe", plate=plate, frames=250)
+    recording = simulate_scene("swipe", instrument=Instrument(plate), frames=250)
     assert recording.meta.plate == plate
     assert np.nanmax(recording.contacts_mm[..., 1]) < 70  # type: ignore[index]  # it is labelled
 
@@ -166,7 +167,7 @@ def test_impossible_scenes_are_refused(small: Instrument) -> None:
     with pytest.raises(SimulationError, match="too few"):
         simulate_scene("tap", frames=20, instrument=small)
     with pytest.raises(SimulationError, match="rate_hz"):
-        simulate_scene("tap", rate_hz=0, instrument=small)
+        stage_scene("tap", small.plate, rate_hz=0)
     with pytest.raises(SimulationError, match="unknown finger"):
         simulate_scene("tap", finger="toe", instrument=small)
     with pytest.raises(SimulationError, match="margin"):

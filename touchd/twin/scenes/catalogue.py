@@ -45,7 +45,29 @@ def stage_scene(
     keys: Sequence[Key] | None = None,
     code: str | None = None,
 ) -> Stage:
-    """Write the timeline of a named scene; see `touchd.twin.simulate.simulate_scene`."""
+    """Write the timeline of a named scene.
+
+    Parameters
+    ----------
+    name : str
+        One of `SCENES`.
+    plate : Plate
+    seed : int
+    frames, finger : optional
+        Number of frames, and a kind of `touchd.twin.physics.finger.TISSUES`; by default the scene's.
+    rate_hz : float, optional
+        Frames per second; by default 125, for the demo 100.
+    electronics : Electronics, optional
+    keys : sequence of (name, x_mm, y_mm), optional
+        Keys of the scene `keypad` with their centres; by default 3 x 4 around the plate's centre.
+    code : str, optional
+        Keys to type, one character each.
+
+    Raises
+    ------
+    SimulationError
+        The scene is unknown, too short, or does not fit the plate.
+    """
     rng = np.random.default_rng(np.random.SeedSequence(seed).spawn(3)[0])
     scene = SCENES.get(name)
     if scene is None:

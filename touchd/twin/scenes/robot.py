@@ -48,6 +48,7 @@ class TouchSet:
     fingers: int = 1
     apart_mm: float = 0.0
     edge_gap_mm: float | None = None
+    """Exact gap between two round contacts, edge to edge, in any direction."""
     warmer_k: float = 0.0
     label_noise_mm: float = 0.0
 
