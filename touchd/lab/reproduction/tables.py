@@ -132,9 +132,7 @@ def _circle(results: Results) -> Table:
     rows = []
     for name in (*CIRCLE_HEADS, "touchd"):
         scores = position_scores(results.circle[name].error_mm)
-        reported = paper.CIRCLE.get(name)
-        said = "-" if reported is None else _reported(reported)
-        said = "over 10, sd 5.4" if name == "C-5" else said
+        said = "over 10, sd 5.4" if name == "C-5" else _reported(paper.CIRCLE.get(name))
         rows.append([name, *(f"{scores[key]:.1f}" for key in STATISTICS), said])
     return Table(("model", *HEADINGS, "paper: mean ± sd"), rows)
 
