@@ -10,7 +10,6 @@ import click
 from touchd.cli.bridge import bus_option
 from touchd.config.apart import load_apart
 from touchd.errors import RecordingMissing
-from touchd.service.control import SERVICE_PATH
 from touchd.service.systemd import Notifier
 
 
@@ -56,11 +55,9 @@ def command(
         host, port = listening.getsockname()[:2]
         shown = f"[{host}]" if ":" in host else host
         access = Access(port, origins, watched=bool(keypad or origins or replay))
-        control = Path(found.control.socket) if found.control.socket else SERVICE_PATH
         site = Site(
-            access, Hub(address, shows_keys=keypad), config=config, address=address, control=control,
-            screen_mm=tuple(found.input.screen_mm), rotate=found.input.rotate, replay=replay,
-            wizard=wizard or default_socket(),
+            access, Hub(address, shows_keys=keypad), config=config, address=address,
+            screen_mm=tuple(found.input.screen_mm), replay=replay, wizard=wizard or default_socket(),
         )  # fmt: skip
         url = f"http://{shown}:{port}/#token={access.token}"
         debug = bool((settings or {}).get("debug"))

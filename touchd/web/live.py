@@ -61,7 +61,7 @@ def _asked(text: str) -> frozenset[str] | None:
 
 async def _send(site: Site, socket: WebSocket, client: Client) -> None:
     """Send what waits, until the page has gone; a page that reads slowly holds up nothing but this."""
-    await socket.send_text(json.dumps({"messages": [site.hello() | {"acts": site.access.has_session(socket.scope)}]}))
+    await socket.send_text(json.dumps({"messages": [site.hello()]}))
     while True:
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(BEAT_S):  # `wait_for` would make a task each time

@@ -21,13 +21,10 @@ class Site:
     """Configuration file that was named, for verbs that this process starts."""
     address: str | None = None
     """Of the bus, if it was named."""
-    control: Path | None = None
-    """The daemon's control socket."""
     wizard: Path = Path("/run/touchd-wizard/socket")
     """The wizard's."""
     screen_mm: tuple[float, ...] = ()
     """Where the screen lies on the plate: x, y, width, height; empty if unknown."""
-    rotate: int = 0
     replay: Path | None = None
     """Recording to look at."""
     tasks: set[asyncio.Task[Any]] = field(default_factory=set)
@@ -35,9 +32,7 @@ class Site:
 
     def hello(self) -> dict[str, Any]:
         """Return what a page has to know before the first message."""
-        from touchd import __version__
-
         return {
-            "type": "hello", "version": __version__, "screen_mm": list(self.screen_mm), "rotate": self.rotate,
-            "replay": self.replay.name if self.replay else None, "shows_keys": self.hub.shows_keys,
+            "type": "hello", "screen_mm": list(self.screen_mm), "replay": self.replay.name if self.replay else None,
+            "shows_keys": self.hub.shows_keys,
         }  # fmt: skip

@@ -45,18 +45,13 @@ export function mount(root, page) {
     return element('li', { 'data-level': level }, element('span', { class: 'level' }, t.levels[level] ?? level), name, said);
   }
 
-  const ends = [
-    feed.on('check', ({ running, findings, problem }) => {
-      start.disabled = running;
-      say(start, running ? t.running : findings.length ? t.again : t.start);
-      list.replaceChildren(...findings.map(row));
-      const count = level => findings.filter(finding => finding.level === level).length;
-      verdict.dataset.level = count('failure') || problem ? 'failure' : count('warning') ? 'warning' : 'ok';
-      say(verdict, problem || (running ? t.progress(findings.length) : t.verdict(findings.length, count('failure'), count('warning'))));
-    }),
-  ];
-  return () => {
-    for (const end of ends) end();
-    status.close();
-  };
+  const end = feed.on('check', ({ running, findings, problem }) => {
+    start.disabled = running;
+    say(start, running ? t.running : findings.length ? t.again : t.start);
+    list.replaceChildren(...findings.map(row));
+    const count = level => findings.filter(finding => finding.level === level).length;
+    verdict.dataset.level = count('failure') || problem ? 'failure' : count('warning') ? 'warning' : 'ok';
+    say(verdict, problem || (running ? t.progress(findings.length) : t.verdict(findings.length, count('failure'), count('warning'))));
+  });
+  return () => { end(); status.close(); };
 }

@@ -12,7 +12,7 @@ const VIEWS = { live, replay, calibrate, check };
 const TOKEN = '#token=';
 
 const views = document.getElementById('views'), root = document.getElementById('view');
-const page = { texts, feed: null, acts: false, hello: {} };
+const page = { texts, feed: null, hello: {} };
 window.touchd = page; // for tests and the curious
 let unmount = null, shown = null;
 
@@ -28,7 +28,7 @@ async function start() {
   }
   page.feed = new Feed();
   page.feed.on('hello', hello => {
-    Object.assign(page, { hello, acts: hello.acts });
+    page.hello = hello;
     list();
     if (hello.replay && !location.hash) location.hash = '#replay';
   });

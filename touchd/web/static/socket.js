@@ -13,7 +13,7 @@ export class Feed {
   constructor() {
     this.state = 'connecting';
     this.last = {}; // newest message of each type
-    this.stats = { batches: 0, messages: 0, skipped: 0, bytes: 0 };
+    this.stats = { batches: 0, skipped: 0 };
     this.dataAgeMs = null;
     this.handlers = new Map();
     this.topics = new Set();
@@ -88,14 +88,12 @@ export class Feed {
   take(text) {
     const batch = JSON.parse(text);
     this.stats.batches += 1;
-    this.stats.bytes += text.length;
     this.batchAt = performance.now();
     if (batch.skipped !== undefined) {
       this.silentS = batch.silent_s;
       this.stats.skipped += batch.skipped;
     }
     for (const message of batch.messages) {
-      this.stats.messages += 1;
       if (message.type === 'touch') this.dataAgeMs = age(batch, message);
       this.last[message.type] = message;
       this.hand(message.type, message);

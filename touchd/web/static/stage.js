@@ -52,7 +52,7 @@ export function stage(t, stop) {
     close();
     for (const type of ['resize', 'fullscreenchange']) removeEventListener(type, check);
   }
-  return { root, open, close, show, remove, get isOpen() { return !root.hidden; } };
+  return { root, open, close, show, remove };
 }
 
 // Where a place of the plate is on the screen, as shares of its width and height from the top left of its picture.

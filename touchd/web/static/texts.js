@@ -177,5 +177,5 @@ export const texts = {
     },
   },
 
-  units: { ms: 'ms', us: 'µs', s: 's', per_s: '/s', counts: 'counts', kelvin: 'K', ppm: 'ppm', percent: '%', mm: 'mm' },
+  units: { ms: 'ms', s: 's', per_s: '/s', counts: 'counts', kelvin: 'K', ppm: 'ppm', percent: '%', mm: 'mm' },
 };
