@@ -5,10 +5,10 @@ bus -> `hub` (newest message of each topic) -> `live` (WebSocket) -> static/live
 - `server.py`: READ FIRST: opens all parts, builds the application, runs uvicorn, ends in order
 - `guards.py`: **the one place** that admits or refuses: Host, Origin, token, methods, headers. A view has no check of
   its own: every POST needs the session that the token gives
-- `site.py`: what all views share, in one object
+- `site.py`: what all views share, in one object; runs another verb of touchd in a process of its own
 - `hub.py`: newest messages to all browsers, slow ones too; `publish` sends a view's own state the same way
 - a view is a module with `routes(site)`, listed in `server.VIEWS`: `live`, `calibrate`, `check`, `replay`
-- `child.py`: runs another verb of touchd in a process of its own and reads its lines; `replayed.py`: such a process
+- `replayed.py`: the process that `replay` runs
 - `static/`: one page. `texts.js` has **every** text; `main.js` routes `#view` to a module with `mount(root, page)`,
   listed there in `VIEWS`; `socket.js` reconnects and hands out messages by `type`; `page.css` has all colours
 

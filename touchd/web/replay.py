@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import json
 import shutil
-import sys
 import tempfile
 from pathlib import Path
 
@@ -15,8 +14,7 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import BaseRoute, Route
 
-from touchd.web import child
-from touchd.web.site import Site
+from touchd.web.site import Site, running
 
 TOPIC = "replay"
 MOST_FRAMES = 1000
@@ -68,10 +66,9 @@ class Replay:
         """Run the recording through the pipeline in a process of its own, and keep what it writes until the end."""
         self._folder = Path(tempfile.mkdtemp(prefix="touchd-replay-"))
         try:
-            code = f"import sys; sys.path[:] = {sys.path!r}; from touchd.web.replayed import main; main(*sys.argv[1:])"
+            code = "from touchd.web.replayed import main; main(*sys.argv[1:])"
             config = str(self._site.config) if self._site.config else ""
-            command = [sys.executable, "-c", code, str(self._recording), str(self._folder), config]
-            async with child.running(command) as process:
+            async with running(code, str(self._recording), str(self._folder), config) as process:
                 assert process.stdout is not None
                 assert process.stderr is not None
                 async for line in process.stdout:

@@ -1,14 +1,25 @@
-"""What the views share."""
+"""What the views share: one object, and a way to run another verb in a process of its own.
+
+What a verb loads, and where it fails, stays in its process.
+"""
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import os
+import sys
+from collections.abc import AsyncIterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from touchd.web.guards import Access
 from touchd.web.hub import Hub
+
+MOST_LINE_BYTES = 1 << 20
+_QUIET = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+_END_S = 2.0
 
 
 @dataclass(slots=True)
@@ -36,3 +47,43 @@ class Site:
             "type": "hello", "screen_mm": list(self.screen_mm), "replay": self.replay.name if self.replay else None,
             "shows_keys": self.hub.shows_keys,
         }  # fmt: skip
+
+    def started(
+        self, *arguments: str, **variables: str
+    ) -> contextlib.AbstractAsyncContextManager[asyncio.subprocess.Process]:
+        """Run a verb, with this process's configuration; see `running`."""
+        config = ["--config", str(self.config)] if self.config else []
+        return running("from touchd.__main__ import run; run()", *config, *arguments, **variables)
+
+    async def output(self, *arguments: str, patience_s: float) -> str:
+        """Run a verb to its end, and return all that it printed."""
+        async with self.started(*arguments) as process:
+            try:
+                out, err = await asyncio.wait_for(process.communicate(), patience_s)
+            except TimeoutError:
+                return f"not done after {patience_s:g} s"
+            return (out + err).decode(errors="replace")
+
+
+@contextlib.asynccontextmanager
+async def running(code: str, *arguments: str, **variables: str) -> AsyncIterator[asyncio.subprocess.Process]:
+    """Run code with this process's packages, and variables in its environment.
+
+    The end of the block ends the process, by an error too.
+    """
+    # As it was started, from a clone, a virtual environment or the Debian package: the paths say where all lies.
+    line = [sys.executable, "-c", f"import sys; sys.path[:] = {sys.path!r}; {code}", *arguments]
+    process = await asyncio.create_subprocess_exec(
+        *line, stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.PIPE,
+        stderr=asyncio.subprocess.PIPE, env=os.environ | _QUIET | variables, limit=MOST_LINE_BYTES,
+    )  # fmt: skip
+    try:
+        yield process
+    finally:
+        if process.returncode is None:
+            process.terminate()
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(process.wait(), _END_S)
+        if process.returncode is None:
+            process.kill()
+            await process.wait()
