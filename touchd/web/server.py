@@ -92,23 +92,17 @@ def make_app(site: Site, views: Iterable[ModuleType] = VIEWS) -> Starlette:
     return Starlette(routes=routes, middleware=[guard], lifespan=lifespan)
 
 
-class _Waiting:
-    """Closes connections on which no whole request arrives."""
+def _close_waiting(connections: Iterable[Any], since_ns: dict[Any, int], now_ns: int) -> dict[Any, int]:
+    """Close connections on which no whole request has arrived for too long; return since when each waits.
 
-    def __init__(self) -> None:
-        self._since_ns: dict[Any, int] = {}
-
-    def close(self, connections: Iterable[Any], now_ns: int) -> None:
-        """Close those that have waited for too long; WebSockets are others."""
-        idle = [one for one in connections if isinstance(one, H11Protocol) and _is_between_requests(one)]
-        self._since_ns = {one: self._since_ns.get(one, now_ns) for one in idle}
-        for one, since_ns in self._since_ns.items():
-            if now_ns - since_ns > _REQUEST_NS:
-                one.transport.close()
-
-
-def _is_between_requests(connection: H11Protocol) -> bool:
-    return connection.cycle is None or connection.cycle.response_complete  # None before the first request
+    WebSockets are others. A connection has no `cycle` before its first request.
+    """
+    http = [one for one in connections if isinstance(one, H11Protocol)]
+    idle = [one for one in http if one.cycle is None or one.cycle.response_complete]
+    for one in idle:
+        if now_ns - since_ns.get(one, now_ns) > _REQUEST_NS:
+            one.transport.close()
+    return {one: since_ns.get(one, now_ns) for one in idle}
 
 
 def _without_traceback(record: logging.LogRecord) -> bool:
@@ -141,14 +135,14 @@ def serve(
 
     async def run() -> None:
         served = asyncio.create_task(server.serve(list(listening)))
-        told, waiting = False, _Waiting()
+        told, since_ns = False, dict[Any, int]()
         while not served.done():
             if server.started and not told:
                 told = True
                 ready()
                 manager.ready()
             manager.beat(now_ns := time.monotonic_ns())
-            waiting.close(server.server_state.connections, now_ns)
+            since_ns = _close_waiting(server.server_state.connections, since_ns, now_ns)
             await asyncio.wait([served], timeout=_BEAT_S if told else 0.01)
         await served
 
