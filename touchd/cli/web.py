@@ -39,7 +39,7 @@ def command(
     The address holds a token behind its `#`, for views that act; each start draws a new one. The server is reached from
     this computer alone.
     """
-    from touchd.calibration.wizard.link import default_socket
+    from touchd.calibration.wizard import default_socket
     from touchd.service.log import configure
     from touchd.web.guards import Access
     from touchd.web.hub import Hub

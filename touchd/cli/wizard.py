@@ -35,8 +35,8 @@ def command(
     Frames and changes of the model go through the daemon's control socket, the mapping goes to the configuration. What
     runs goes on after a restart.
     """
+    from touchd.calibration.wizard import HANDED, default_socket
     from touchd.calibration.wizard.crosses import shown
-    from touchd.calibration.wizard.link import HANDED, default_socket
     from touchd.calibration.wizard.state import State
     from touchd.calibration.wizard.worker import Worker, serve
     from touchd.cli.main import missing_extra

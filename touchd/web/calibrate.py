@@ -16,12 +16,12 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import BaseRoute, Route
 
+from touchd.calibration.wizard import MOST_BYTES
 from touchd.web.site import Site
 
 TOPIC = "calibrate"
 _PATIENCE_S = 30.0
 _AGAIN_S = 1.0
-_MOST_BYTES = 1 << 22
 
 
 def routes(site: Site) -> list[BaseRoute]:
@@ -37,7 +37,7 @@ async def begin(site: Site) -> None:
     while True:
         with contextlib.suppress(OSError, ValueError):
             async with asyncio.timeout(_PATIENCE_S):
-                reader, writer = await asyncio.open_unix_connection(site.wizard, limit=_MOST_BYTES)
+                reader, writer = await asyncio.open_unix_connection(site.wizard, limit=MOST_BYTES)
             with contextlib.closing(writer):
                 writer.write(b'{"do":"watch"}\n')
                 while line := await reader.readline():
@@ -76,7 +76,7 @@ async def _picture(site: Site, request: Request) -> Response:
 async def _ask(site: Site, asked: dict[str, Any]) -> dict[str, Any]:
     try:
         async with asyncio.timeout(_PATIENCE_S):
-            reader, writer = await asyncio.open_unix_connection(site.wizard, limit=_MOST_BYTES)
+            reader, writer = await asyncio.open_unix_connection(site.wizard, limit=MOST_BYTES)
             with contextlib.closing(writer):
                 writer.write(json.dumps(asked).encode() + b"\n")
                 answer: dict[str, Any] = json.loads(await reader.readline())

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from touchd.calibration.wizard import SERVICE_SOCKET
 from touchd.web.guards import Access
 from touchd.web.hub import Hub
 
@@ -32,7 +33,7 @@ class Site:
     """Configuration file that was named, for verbs that this process starts."""
     address: str | None = None
     """Of the bus, if it was named."""
-    wizard: Path = Path("/run/touchd-wizard/socket")
+    wizard: Path = SERVICE_SOCKET
     """The wizard's."""
     screen_mm: tuple[float, ...] = ()
     """Where the screen lies on the plate: x, y, width, height; empty if unknown."""

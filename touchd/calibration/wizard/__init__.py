@@ -5,9 +5,28 @@ page -> `touchd web` -> socket -> `worker` -> control socket -> daemon
 - `worker.py`: READ FIRST: takes commands, runs one job at a time, says its state to whoever watches
 - `state.py`: what is known so far, on disk after each step: a restart goes on from there
 - `untouched.py`: ten seconds that nobody touches; a finger begins them again
-- `targets.py`, `tapping.py`: where to tap, and what a tap is worth
+- `tapping.py`: what a tap is worth; `touchd.calibration.walk` says where to tap
 - `session.py`, `error_map.py`: what taps tell, kept tap by tap; the expected error over the plate
 - `crosses.py`: where the screen lies, by touches at crosses
 - `verbs.py`: `touchd calibrate` and `touchd train` in a child process
-- `link.py`: the socket, for both ends
+
+The socket takes one JSON object a line, and answers with one.
 """
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+SERVICE_SOCKET = Path("/run/touchd-wizard/socket")
+HANDED = "touched.json"
+"""Beside the socket: touches for touchd-mapping.service."""
+MOST_BYTES = 1 << 22
+"""A line's: pictures are in the answers."""
+
+
+def default_socket() -> Path:
+    """Return where the wizard listens: the service's path, else the user's."""
+    if SERVICE_SOCKET.parent.exists():
+        return SERVICE_SOCKET
+    return Path(os.environ.get("XDG_RUNTIME_DIR") or "/tmp") / f"touchd-wizard-{os.geteuid()}"  # noqa: S108 - mode 0600

@@ -18,8 +18,8 @@ from typing import Any
 
 import structlog
 
+from touchd.calibration.wizard import MOST_BYTES
 from touchd.calibration.wizard.crosses import keep, take_crosses
-from touchd.calibration.wizard.link import MOST_BYTES
 from touchd.calibration.wizard.session import Session, compare
 from touchd.calibration.wizard.state import State
 from touchd.calibration.wizard.trial import Trial
