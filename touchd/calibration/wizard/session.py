@@ -10,10 +10,10 @@ import numpy as np
 
 from touchd.calibration.place_correction import Widths
 from touchd.calibration.taps import FITS, ORIENTATIONS, Taps, orientation_of, refine, scatter_of, taps_of, turned
+from touchd.calibration.walk import AGAIN_AFTER, next_number, target_mm
 from touchd.calibration.wizard.error_map import ErrorMap
 from touchd.calibration.wizard.state import State
 from touchd.calibration.wizard.tapping import Tapped, Tapper
-from touchd.calibration.wizard.targets import AGAIN_AFTER, next_number, target_mm
 from touchd.calibration.wizard.untouched import Stopped, meta_of, refuse_keypad
 from touchd.errors import BusError, TouchdError
 from touchd.localization.atlas import Atlas, atlas_path, load_atlas

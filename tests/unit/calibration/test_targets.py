@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from touchd.calibration.wizard.targets import AGAIN_AFTER, REPEAT_BACK, REPEAT_EVERY, next_number, target_mm
+from touchd.calibration.walk import AGAIN_AFTER, REPEAT_BACK, REPEAT_EVERY, next_number, target_mm
 
 
 def test_cover() -> None:
