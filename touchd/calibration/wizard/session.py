@@ -37,7 +37,6 @@ class Session:
 
     def __init__(self, state: State) -> None:
         self._state = state
-        self._folder = state.taps
         state.tidy()
 
     def collect(self, source: DaemonSource, stop: threading.Event) -> None:
@@ -53,8 +52,8 @@ class Session:
             The plate is a keypad: what is tapped there may be a PIN, and none of it is kept.
         """
         refuse_keypad(source.description.keypad)
-        self._folder.mkdir(mode=0o700, exist_ok=True)
         state = self._state
+        state.taps.mkdir(mode=0o700, exist_ok=True)
         atlas = load_atlas(atlas_path(state.model))
         tapper = Tapper(atlas)
         errors = self._errors(atlas)
@@ -116,7 +115,7 @@ class Session:
 
     def _tell(self, atlas: Atlas, errors: ErrorMap | None) -> None:
         """Tell what the taps do: the expected error, and, of three or more, their scatter and the drawing's turn."""
-        taps = taps_of(read(self._folder), atlas) if self._state["taps"] else None
+        taps = taps_of(read(self._state.taps), atlas) if self._state["taps"] else None
         told, orientation = None, 0
         if taps is not None and len(self._state["taps"]) >= LEAST_TO_TELL:
             orientation = orientation_of(atlas, taps)
@@ -153,14 +152,14 @@ class Session:
         """Write a tap as the recording's next chunk, and return its name."""
         name, sequence, t_ns = "0000.npz", 0, 0
         if taps := self._state["taps"]:
-            before = read(self._folder / taps[-1]["chunk"])
+            before = read(self._state.taps / taps[-1]["chunk"])
             name = f"{int(Path(taps[-1]['chunk']).stem) + 1:04d}.npz"
             sequence, t_ns = int(before.sequence[-1]) + 1, int(before.timestamp_ns[-1]) + 1_000_000_000
         count = len(tapped.frames)
         period_ns = round(1e9 / meta.frame_rate_hz)
         contacts = np.full((count, 1, 2), np.nan, np.float32)
         contacts[count - tapped.touched :, 0] = label_mm
-        write(self._folder / name, Recording(
+        write(self._state.taps / name, Recording(
             meta, tapped.frames, sequence + np.arange(count), t_ns + period_ns * np.arange(count), contacts
         ))  # fmt: skip
         return name

@@ -37,6 +37,16 @@ class State:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
+        self.plate_file = folder / "PLATE.toml"
+        """What a person measured."""
+        self.untouched = folder / "untouched.npz"
+        """The untouched seconds."""
+        self.model = folder / "plate.onnx"
+        """The fitted model."""
+        self.trained = folder / "trained.onnx"
+        """The trained model."""
+        self.taps = folder / "taps"
+        """Folder of the taps: a recording in chunks, one for each tap."""
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         self._lock = threading.Lock()
         self._known = dict(NOTHING)
@@ -93,31 +103,6 @@ class State:
         for file in self.taps.iterdir() if self.taps.is_dir() else ():
             if file.name not in known:
                 file.unlink()
-
-    @property
-    def plate_file(self) -> Path:
-        """What a person measured."""
-        return self.folder / "PLATE.toml"
-
-    @property
-    def untouched(self) -> Path:
-        """The untouched seconds."""
-        return self.folder / "untouched.npz"
-
-    @property
-    def model(self) -> Path:
-        """The fitted model."""
-        return self.folder / "plate.onnx"
-
-    @property
-    def trained(self) -> Path:
-        """The trained model."""
-        return self.folder / "trained.onnx"
-
-    @property
-    def taps(self) -> Path:
-        """Folder of the taps: a recording in chunks, one for each tap."""
-        return self.folder / "taps"
 
 
 def to_toml(tables: dict[str, Any]) -> str:

@@ -193,12 +193,9 @@ class Worker:
             stop, lambda feed: take_untouched(feed, said, self._state.untouched, self._seconds, stop, self._progress)
         )
         self._state.set(untouched=True)
-        self._fit_now(stop)
+        self._fit(stop)
 
     def _fit(self, stop: threading.Event) -> None:
-        self._fit_now(stop)
-
-    def _fit_now(self, stop: threading.Event) -> None:
         self._state.set(running="fit", share=0.0, note="")
         result = fit(self._state, stop, self._progress)
         self._trial.look()
