@@ -13,11 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.calibration.edges import SIDES
-from touchd.calibration.least_squares import State
 from touchd.calibration.parameters import Reader, held_sides
 from touchd.calibration.plate_file import Edge, Edges, PlateFile
 from touchd.calibration.reduced_plate import ReducedPlate
-from touchd.calibration.stages import left_with_edges, window_of
+from touchd.calibration.stages import State, left_with_edges, window_of
 from touchd.calibration.untouched import Untouched
 from touchd.calibration.untouched_model import UntouchedModel
 from touchd.twin.physics.material import MATERIALS

@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 from touchd.calibration.candidates import Candidate, candidates, material_like, soft_edges
 from touchd.calibration.discs import Loss
 from touchd.calibration.edges import FREE, Edges, attachments
-from touchd.calibration.least_squares import State
 from touchd.calibration.parameters import LOGARITHMS, Reader
 from touchd.calibration.plate_file import PlateFile
 from touchd.calibration.reduced_plate import ReducedPlate
-from touchd.calibration.stages import run_stages
+from touchd.calibration.stages import State, run_stages
 from touchd.calibration.untouched import Untouched
 from touchd.calibration.untouched_model import UntouchedModel, band
 from touchd.calibration.verdict import GOOD_LEFT, USABLE_LEFT, Evidence, Parameter, Verdict, judge
