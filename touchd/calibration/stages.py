@@ -19,8 +19,8 @@ from touchd.frame import Acquisition
 
 Floats = NDArray[np.float64]
 
-EARLY, MIDDLE = 0.4, 0.7
-"""Shares of the frame in the first stages. The chirp rises, so that the first part is low in frequency and has few
+EARLY, MIDDLE, WHOLE = 0.4, 0.7, 1.0
+"""Shares of the frame in the stages. The chirp rises, so that the first part is low in frequency and has few
 reflections: a start 3 % off in wave speed still descends to the right minimum."""
 SPEEDS = np.linspace(-0.04, 0.04, 17)
 """Starts of the logarithm of the wave speed."""
@@ -48,7 +48,6 @@ class State(NamedTuple):
     names: tuple[str, ...]
     """The active unknowns."""
     covariance: Floats
-    steps: int
 
 
 def variance_of(residual: Floats, window: Floats, noise: Floats, samples: float = MODEL_ERROR_SAMPLES) -> Floats:
@@ -59,30 +58,13 @@ def variance_of(residual: Floats, window: Floats, noise: Floats, samples: float 
 
 
 def descend(
-    model: UntouchedModel,
-    reader: Reader,
-    measured: Floats,
-    noise: Floats,
-    p: Floats,
-    names: tuple[str, ...],
-    window: Floats,
-    most: int = 8,
+    model: UntouchedModel, untouched: Untouched, p: Floats, names: tuple[str, ...], share: float, most: int
 ) -> State:
-    """Fit the named unknowns, from `p`, by at most `most` Gauss-Newton steps.
-
-    Parameters
-    ----------
-    model, reader
-    measured : array of shape (R, S)
-    noise : array of shape (R,)
-        Standard error of the measured mean.
-    p : array
-    names : names of the unknowns that move
-    window : array of shape (S,)
-    most : int
-    """
-    at = reader.index(names)
-    prior, start = reader.prior[at], reader.start[at]
+    """Fit the named unknowns to the first `share` of the frame, from `p`, by at most `most` Gauss-Newton steps."""
+    measured, noise = _data(untouched)
+    window = window_of(measured.shape[1], share)
+    at = model.reader.index(names)
+    prior, start = model.reader.prior[at], model.reader.start[at]
     fitted = model.fit(p, measured, window, names)
     taken = 0
     while True:
@@ -95,9 +77,8 @@ def descend(
         covariance: Floats = np.asarray(np.linalg.inv(normal), np.float64)
         step = -covariance @ slope
         here = _objective(fitted, variance, p[at], start, prior)
-        honest = variance_of(fitted.residual, window, noise, COHERENT_SAMPLES)
         if taken >= most or np.all(np.abs(step) <= CONVERGED * np.sqrt(np.diag(covariance))):
-            return State(p, fitted, names, _covariance(fitted, honest, prior), taken)
+            break
         for halving in range(HALVINGS):
             tried = p.copy()
             tried[at] += step * 0.5**halving
@@ -106,15 +87,13 @@ def descend(
             if there <= here:
                 break
         else:
-            return State(p, fitted, names, _covariance(fitted, honest, prior), taken)
+            break
         p, fitted, taken = tried, other, taken + 1
         if here - there < 1e-3:  # of a squared standard deviation
             taken = most
-
-
-def _covariance(fitted: Fitted, variance: Floats, prior: Floats) -> Floats:
-    J = (fitted.slopes / np.sqrt(variance)[None, :, None]).reshape(len(prior), -1)
-    return np.asarray(np.linalg.inv(J @ J.T + np.diag(prior**-2.0)), np.float64)
+    honest = variance_of(fitted.residual, window, noise, COHERENT_SAMPLES)
+    J = (fitted.slopes / np.sqrt(honest)[None, :, None]).reshape(len(at), -1)
+    return State(p, fitted, names, np.asarray(np.linalg.inv(J @ J.T + np.diag(prior**-2.0)), np.float64))
 
 
 def _objective(fitted: Fitted, variance: Floats, p: Floats, start: Floats, prior: Floats) -> float:
@@ -131,47 +110,38 @@ def window_of(samples: int, share: float) -> Floats:
 
 
 def run_stages(
-    reader: Reader,
-    untouched: Untouched,
-    progress: Callable[[float], object] = lambda _share: None,
+    reader: Reader, untouched: Untouched, progress: Callable[[float], object]
 ) -> tuple[State, UntouchedModel]:
     """Fit all unknowns, and return the last state with its model; `progress` receives the share that is done."""
-    p = reader.start
-    measured, noise = _data(untouched)
-    samples = measured.shape[1]
-    early, middle, whole = (window_of(samples, share) for share in (EARLY, MIDDLE, 1.0))
     # Soft edges hardly change the first arrivals; a clamped one does.
-    first = _model_near(reader, p, untouched.acquisition, edges="clamped" in reader.held.values())
+    first = _model_near(reader, reader.start, untouched.acquisition, edges="clamped" in reader.held.values())
     progress(0.2)
     places, edges = reader.places, reader.edges
-    best = None
-    for tried in _starts(first, reader, measured, early, p):
-        state = descend(first, reader, measured, noise, tried, ("speed", "loss"), early, 2)
-        state = descend(first, reader, measured, noise, state.p, ("speed", "loss", *places), early, 3)
-        if best is None or _left(state) < _left(best):
-            best = state
-    assert best is not None
+
+    def fit_first(start: Floats) -> State:
+        state = descend(first, untouched, start, ("speed", "loss"), EARLY, 2)
+        return descend(first, untouched, state.p, ("speed", "loss", *places), EARLY, 3)
+
+    best = min(map(fit_first, _starts(first, untouched)), key=_left)
     progress(0.4)
     model = UntouchedModel(first.plate, reader, untouched.acquisition) if reader.held else first
-    state = descend(model, reader, measured, noise, best.p, (*FIRST, *edges, *places), middle, 3)
-    state = descend(model, reader, measured, noise, state.p, (*FIRST, *edges, *places), whole, 3)
+    state = descend(model, untouched, best.p, (*FIRST, *edges, *places), MIDDLE, 3)
+    state = descend(model, untouched, state.p, (*FIRST, *edges, *places), WHOLE, 3)
     progress(0.55)
-    state = descend(model, reader, measured, noise, state.p, (*PLATE, *edges, *places), whole, 4)
+    state = descend(model, untouched, state.p, (*PLATE, *edges, *places), WHOLE, 4)
     progress(0.7)
-    model = _recentred(model, reader, state.p, untouched)
+    model = _recentred(model, state.p, untouched.acquisition)
     progress(0.8)
-    state = descend(model, reader, measured, noise, state.p, (*PLATE, *DISCS, *edges, *places), whole, 8)
-    every = (*state.names, *reader.offsets)
-    return descend(model, reader, measured, noise, state.p, every, whole, 4), model
+    state = descend(model, untouched, state.p, (*PLATE, *DISCS, *edges, *places), WHOLE, 8)
+    return descend(model, untouched, state.p, (*state.names, *reader.offsets), WHOLE, 4), model
 
 
 def left_with_edges(state: State, free: Reader, held: Reader, plate: ReducedPlate, untouched: Untouched) -> float:
     """Return what two steps of the held edges' unknowns leave of what a fit of free edges has left."""
-    measured, noise = _data(untouched)
     p = held.start.copy()
     p[held.index(free.names)] = state.p
     model = UntouchedModel(plate, held, untouched.acquisition)
-    return _left(descend(model, held, measured, noise, p, held.edges, np.ones(measured.shape[1]), 2)) / _left(state)
+    return _left(descend(model, untouched, p, held.edges, WHOLE, 2)) / _left(state)
 
 
 def _data(untouched: Untouched) -> tuple[Floats, Floats]:
@@ -184,10 +154,12 @@ def _left(state: State) -> float:
     return float((state.fitted.residual**2).sum())
 
 
-def _starts(model: UntouchedModel, reader: Reader, measured: Floats, window: Floats, p: Floats) -> list[Floats]:
+def _starts(model: UntouchedModel, untouched: Untouched) -> list[Floats]:
     """Return the vectors, one or two, from whose wave speed the first arrivals fit best."""
-    tried = np.repeat(p[None], len(SPEEDS), axis=0)
-    tried[:, reader.index(("speed",))[0]] += SPEEDS
+    measured = _data(untouched)[0]
+    window = window_of(measured.shape[1], EARLY)
+    tried = np.repeat(model.reader.start[None], len(SPEEDS), axis=0)
+    tried[:, model.reader.index(("speed",))[0]] += SPEEDS
     left = np.array([(model.fit(each, measured, window).residual ** 2).sum() for each in tried])
     padded = np.concatenate([[np.inf], left, [np.inf]])
     minima = np.flatnonzero((left <= padded[:-2]) & (left <= padded[2:]))
@@ -195,12 +167,12 @@ def _starts(model: UntouchedModel, reader: Reader, measured: Floats, window: Flo
     return [tried[i] for i in minima if left[i] < RIVAL * left[minima[0]]]
 
 
-def _recentred(model: UntouchedModel, reader: Reader, p: Floats, untouched: Untouched) -> UntouchedModel:
+def _recentred(model: UntouchedModel, p: Floats, acquisition: Acquisition) -> UntouchedModel:
     """Return the model with a basis of its own, where the fit has left the neighbourhood of the first one."""
-    here, there = model.plate.reference, reader.read(p).shape
+    here, there = model.plate.reference, model.reader.read(p).shape
     if abs(np.log(there.h / here.h)) < MOVED_THICKNESS and abs(there.nu - here.nu) < MOVED_POISSON:
         return model
-    return _model_near(reader, p, untouched.acquisition)
+    return _model_near(model.reader, p, acquisition)
 
 
 def _model_near(reader: Reader, p: Floats, acquisition: Acquisition, *, edges: bool = True) -> UntouchedModel:

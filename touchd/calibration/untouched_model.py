@@ -56,7 +56,7 @@ class UntouchedModel:
 
     def __init__(self, plate: ReducedPlate, reader: Reader, acquisition: Acquisition, *, edges: bool = True) -> None:
         a = acquisition
-        self.plate, self._reader = plate, reader
+        self.plate, self.reader = plate, reader
         self._lines = lines_along(plate, reader.held) if edges and reader.held else None
         record = Record(a)
         self.nu_rad_s, self._to_time = record.nu_rad_s, record.to_time
@@ -75,13 +75,13 @@ class UntouchedModel:
             Weight of each sample.
         active : names of unknowns
         """
-        guess = self._reader.read(p)
+        guess = self.reader.read(p)
         response = self._response(guess)
         heard = response.untouched()
         scale = np.sqrt(np.mean(np.abs(heard) ** 2))
         waves = heard[:, None] * self._emission / scale  # (R, K, F)
         basis = np.concatenate([self._to_time(waves), self._to_time(1j * waves)], axis=1) * window  # (R, 2 K, S)
-        chain = self._reader.chain(guess)
+        chain = self.reader.chain(guess)
         by_name = response.slopes({chain[name][0] for name in active})
         changes = [by_name[chain[name][0]] * (chain[name][1] / scale) for name in active]
         y = measured * window
@@ -102,7 +102,7 @@ class UntouchedModel:
 
     def pair_misfits(self, p: Floats, measured: Floats, window: Floats) -> Floats:
         """Return the share of each channel's energy that the way between any two discs leaves, shape (D, D, R)."""
-        guess = self._reader.read(p)
+        guess = self.reader.read(p)
         between = self._response(guess).between()
         D, y = len(between), measured * window
         found = np.ones((D, D, len(y)))
@@ -125,6 +125,6 @@ class UntouchedModel:
 
     def signals(self, p: Floats, gains: Complex) -> Floats:
         """Return the signals (R, S) of a vector with given gains (R, GAIN_TERMS)."""
-        guess = self._reader.read(p)
+        guess = self.reader.read(p)
         heard = self._response(guess).untouched()
         return self._to_time(heard * (gains @ self._emission))
