@@ -16,7 +16,7 @@ from touchd.calibration.plate_file import PlateFile
 from touchd.calibration.reduced_plate import ReducedPlate
 from touchd.calibration.stages import State, run_stages
 from touchd.calibration.untouched import Untouched
-from touchd.calibration.untouched_model import UntouchedModel, band
+from touchd.calibration.untouched_model import band
 from touchd.calibration.verdict import GOOD_LEFT, USABLE_LEFT, Evidence, Parameter, Verdict, judge
 from touchd.errors import CalibrationError
 from touchd.frame import Acquisition
@@ -128,18 +128,11 @@ def fit_plate(said: PlateFile, recording_mean: Untouched, progress: Progress = l
 
 
 def _fit(
-    said: PlateFile, untouched: Untouched, progress: Callable[[float], object], found: str = ""
+    said: PlateFile, untouched: Untouched, progress: Callable[[float], object], *found: str
 ) -> tuple[PlateFit, State]:
-    """Fit one plate; `found` says what it has other than PLATE.toml."""
+    """Fit one plate, with standard errors and verdict; `found` says what it has other than PLATE.toml."""
     reader = Reader(said, untouched.acquisition)
     state, model = run_stages(reader, untouched, progress)
-    return describe(reader, untouched, state, model, (found,) if found else ()), state
-
-
-def describe(
-    reader: Reader, untouched: Untouched, state: State, model: UntouchedModel, found: tuple[str, ...] = ()
-) -> PlateFit:
-    """Return a finished fit with parameters, standard errors and verdict; `found` is what else was found."""
     measured, p = untouched.mean, state.p
     fitted = model.signals(p, state.fitted.gains)
     parameters = _parameters(reader, state)
@@ -158,16 +151,15 @@ def describe(
         scale_error * np.hypot(plate.width_mm, plate.height_mm) / 2,
         tuple(side for side, kind in reader.held.items() if kind == "clamped"), found,
     )  # fmt: skip
-    judgement = judge(evidence)
     # Those of the fit belong to modes per mass of the plate.
     gains = stiffness_of(plate).mass * plate.width_mm * plate.height_mm * 1e-6 * state.fitted.gains
-    return PlateFit(
+    fit = PlateFit(
         plate=plate, layout=reader.layout(p), acquisition=untouched.acquisition, loss=loss.factor,
-        loss_slope=loss.slope, gains=gains, parameters=parameters, verdict=judgement.verdict,
-        expected_mm=judgement.expected_mm, reasons=judgement.reasons, undecided=judgement.undecided,
+        loss_slope=loss.slope, gains=gains, parameters=parameters, **judge(evidence)._asdict(),
         scale_error=scale_error, unexplained=float(np.nanmean(left)), noise_share=noise_share,
         measured=measured, fitted=fitted, basis=model.plate, edges=reader.read(p).edges,
     )  # fmt: skip
+    return fit, state
 
 
 def _parameters(reader: Reader, state: State) -> tuple[Parameter, ...]:

@@ -29,6 +29,10 @@ NOT_SAID = ("loss", "slope", "disc", "edge")
 """Names of parameters that nobody measures begin so: no reason to doubt a fit."""
 ODD_CHANNEL = 10.0
 """A channel that leaves this many times the share of the median channel is odd."""
+UNDECIDED = (
+    "whether the drawing is mirrored or turned by 180 degrees: a rectangle sounds the same; tap the top left "
+    "corner, and then the top right one",
+)
 
 
 class Parameter(NamedTuple):
@@ -93,7 +97,7 @@ def judge(evidence: Evidence) -> Judgement:
         for p in pulled
     ]
     if left > USABLE_LEFT or expected_mm > USABLE_MM or live.size < 2:
-        return Judgement("poor", expected_mm, (_unexplained(left), *reasons), _undecided())
+        return Judgement("poor", expected_mm, (_unexplained(left), *reasons), UNDECIDED)
     if left > GOOD_LEFT:
         reasons.insert(0, _unexplained(left))
     if NOISE * e.frame_noise * e.wavelength_mm > GOOD_MM / 2:
@@ -111,18 +115,11 @@ def judge(evidence: Evidence) -> Judgement:
         and left <= GOOD_LEFT
         and expected_mm <= GOOD_MM
     )
-    return Judgement("good" if good else "usable", expected_mm, () if good else tuple(reasons), _undecided())
+    return Judgement("good" if good else "usable", expected_mm, () if good else tuple(reasons), UNDECIDED)
 
 
 def _unexplained(left: float) -> str:
     return (
         f"the plate's physics leave {left:.1%} of the response: check that it is one rectangular pane without holes, "
         "what holds its edges, and the order of the channels"
-    )
-
-
-def _undecided() -> tuple[str, ...]:
-    return (
-        "whether the drawing is mirrored or turned by 180 degrees: a rectangle sounds the same; tap the top left "
-        "corner, and then the top right one",
     )
