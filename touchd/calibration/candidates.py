@@ -34,6 +34,8 @@ MOST_PERMUTED = 5
 """Discs up to which any order is tried; of more, any two may be swapped."""
 ALIKE_SPEED, ALIKE_POISSON = 0.02, 0.06
 """Relative difference of wave speed, and difference of Poisson's ratio, within which a fit is a material's."""
+MOST = 2
+"""As many candidates are fitted whole."""
 BETTER = 0.7
 """A candidate leaves less than this share of what was said leaves."""
 
@@ -48,12 +50,14 @@ class Candidate(NamedTuple):
     """Share of the first arrivals' energy that it leaves."""
 
 
-def candidates(said: PlateFile, untouched: Untouched, most: int = 2) -> list[Candidate]:
+def candidates(said: PlateFile, untouched: Untouched) -> list[Candidate]:
     """Return the candidates that fit the first arrivals best, better than what was said, best first."""
-    tried = [_try(plate, what, untouched) for plate, what in [(said, ""), *_other_plates(said)]]
-    usual = _as_said(said, untouched)
-    found = [c for c in tried if c.what and c.left < BETTER * usual]
-    return sorted(found, key=lambda c: c.left)[:most]
+    live = np.flatnonzero(~untouched.dead)
+    as_said = _misfits(said, untouched)
+    tried = [_try(said, "", as_said, live)]
+    tried += [_try(plate, what, _misfits(plate, untouched), live) for plate, what in _other_plates(said)]
+    usual = _left(as_said, _orders(as_said.shape[1])[0], live)
+    return sorted((c for c in tried if c.what and c.left < BETTER * usual), key=lambda c: c.left)[:MOST]
 
 
 def soft_edges(said: PlateFile, untouched: Untouched, state: State, plate: ReducedPlate) -> list[Candidate]:
@@ -118,33 +122,25 @@ def _misfits(said: PlateFile, untouched: Untouched) -> Floats:
     return np.array(found)
 
 
-def _as_said(said: PlateFile, untouched: Untouched) -> float:
-    misfits, live = _misfits(said, untouched), ~untouched.dead
-    channels = np.flatnonzero(live)
-    return float(min(misfit[0, channels + 1, channels].mean() for misfit in misfits))
+def _left(misfits: Floats, order: tuple[int, ...], live: NDArray[np.intp]) -> float:
+    """Return what a wiring leaves of the live channels at the best speed."""
+    return min(float(np.mean([misfit[order[0], order[c + 1], c] for c in live])) for misfit in misfits)
 
 
-def _try(said: PlateFile, what: str, untouched: Untouched) -> Candidate:
+def _try(said: PlateFile, what: str, misfits: Floats, live: NDArray[np.intp]) -> Candidate:
     """Return the best wiring of a plate; a dead channel keeps its place."""
-    misfits, live = _misfits(said, untouched), ~untouched.dead
-    D = misfits.shape[1]
-    best_left, best_order = np.inf, tuple(range(D))
-    for misfit in misfits:
-        for order in _orders(D):
-            left = float(np.mean([misfit[order[0], order[c + 1], c] for c in np.flatnonzero(live)]))
-            # A wiring other than the one said must pay: a symmetric layout has several that are alike.
-            left *= 1.0 if order == tuple(range(D)) else 1.1
-            if left < best_left:
-                best_left, best_order = left, order
-    if best_order == tuple(range(D)):
-        return Candidate(said, what, best_left)
+    as_said, *others = _orders(misfits.shape[1])
+    # A wiring other than the one said must pay: a symmetric layout has several that are alike.
+    left = {as_said: _left(misfits, as_said, live)} | {order: 1.1 * _left(misfits, order, live) for order in others}
+    best_order = min(left, key=left.__getitem__)
+    if best_order == as_said:
+        return Candidate(said, what, left[as_said])
     places = [said.discs.emitter_mm, *said.discs.receivers_mm]
     discs = said.discs.model_copy(
         update={"emitter_mm": places[best_order[0]], "receivers_mm": tuple(places[k] for k in best_order[1:])}
     )
-    return Candidate(
-        said.model_copy(update={"discs": discs}), "; ".join(filter(None, (what, _wiring(best_order)))), best_left
-    )
+    named = "; ".join(filter(None, (what, _wiring(best_order))))
+    return Candidate(said.model_copy(update={"discs": discs}), named, left[best_order])
 
 
 def _wiring(order: tuple[int, ...]) -> str:
@@ -154,14 +150,13 @@ def _wiring(order: tuple[int, ...]) -> str:
 
 
 def _orders(count: int) -> list[tuple[int, ...]]:
-    """Return the wirings tried: which place each of emitter and channels has."""
+    """Return the wirings tried, which place each of emitter and channels has; the one said comes first."""
     if count <= MOST_PERMUTED:
         return list(permutations(range(count)))
-    plain = list(range(count))
-    found = [tuple(plain)]
+    found = [tuple(range(count))]
     for i in range(count):
         for j in range(i):
-            swapped = plain.copy()
-            swapped[i], swapped[j] = swapped[j], swapped[i]
+            swapped = list(range(count))
+            swapped[i], swapped[j] = j, i
             found.append(tuple(swapped))
     return found
