@@ -16,7 +16,7 @@ from touchd.calibration.edges import SIDES
 from touchd.calibration.parameters import Reader, held_sides
 from touchd.calibration.plate_file import Edge, Edges, PlateFile
 from touchd.calibration.reduced_plate import ReducedPlate
-from touchd.calibration.stages import State, left_with_edges, window_of
+from touchd.calibration.stages import WHOLE, State, descend, window_of
 from touchd.calibration.untouched import Untouched
 from touchd.calibration.untouched_model import UntouchedModel
 from touchd.twin.physics.material import MATERIALS
@@ -65,7 +65,10 @@ def soft_edges(said: PlateFile, untouched: Untouched, state: State, plate: Reduc
     if held_sides(said):
         return []
     taped, a = _with_edge(said, "tape"), untouched.acquisition
-    left = left_with_edges(state, Reader(said, a), Reader(taped, a), plate, untouched)
+    held = Reader(taped, a)
+    p = held.start.copy()
+    p[held.index(Reader(said, a).names)] = state.p
+    left = descend(UntouchedModel(plate, held, a), untouched, p, held.edges, WHOLE, 2).left / state.left
     what = "tape or pads along the edges fit: say in PLATE.toml which edge is held"
     return [Candidate(taped, what, left)] if left < BETTER else []
 

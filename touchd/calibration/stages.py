@@ -49,6 +49,11 @@ class State(NamedTuple):
     """The active unknowns."""
     covariance: Floats
 
+    @property
+    def left(self) -> float:
+        """The residual's energy."""
+        return float((self.fitted.residual**2).sum())
+
 
 def variance_of(residual: Floats, window: Floats, noise: Floats, samples: float = MODEL_ERROR_SAMPLES) -> Floats:
     """Return the variance that each channel's samples count with, shape (R,); `samples` of model error are one."""
@@ -122,7 +127,7 @@ def run_stages(
         state = descend(first, untouched, start, ("speed", "loss"), EARLY, 2)
         return descend(first, untouched, state.p, ("speed", "loss", *places), EARLY, 3)
 
-    best = min(map(fit_first, _starts(first, untouched)), key=_left)
+    best = min(map(fit_first, _starts(first, untouched)), key=lambda state: state.left)
     progress(0.4)
     model = UntouchedModel(first.plate, reader, untouched.acquisition) if reader.held else first
     state = descend(model, untouched, best.p, (*FIRST, *edges, *places), MIDDLE, 3)
@@ -136,22 +141,10 @@ def run_stages(
     return descend(model, untouched, state.p, (*state.names, *reader.offsets), WHOLE, 4), model
 
 
-def left_with_edges(state: State, free: Reader, held: Reader, plate: ReducedPlate, untouched: Untouched) -> float:
-    """Return what two steps of the held edges' unknowns leave of what a fit of free edges has left."""
-    p = held.start.copy()
-    p[held.index(free.names)] = state.p
-    model = UntouchedModel(plate, held, untouched.acquisition)
-    return _left(descend(model, untouched, p, held.edges, WHOLE, 2)) / _left(state)
-
-
 def _data(untouched: Untouched) -> tuple[Floats, Floats]:
     """Return the measured frame, zero where a channel is dead, and its standard errors."""
     measured = np.where(untouched.dead[:, None], 0.0, untouched.mean)
     return measured, np.maximum(untouched.noise, 1e-5 * np.sqrt((measured**2).mean()))
-
-
-def _left(state: State) -> float:
-    return float((state.fitted.residual**2).sum())
 
 
 def _starts(model: UntouchedModel, untouched: Untouched) -> list[Floats]:
