@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.calibration.edges import SIDES
+from touchd.calibration.loads import SIDES
 from touchd.calibration.parameters import Reader, held_sides
 from touchd.calibration.plate_file import Edge, Edges, PlateFile
 from touchd.calibration.reduced_plate import ReducedPlate

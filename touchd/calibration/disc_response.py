@@ -5,7 +5,7 @@ rotations around it, which its bending stiffness resists; the deflection and its
 the plate's two rotations, which move it in the plane, as it lies below the plate's middle. With the receptances G
 between these vectors on the free plate, the loaded plate follows from Woodbury's identity with a matrix of eight times
 the number of discs at each frequency, so that no disc needs an eigenproblem of its own. What holds an edge is more such
-vectors: `edges`.
+vectors: `loads`.
 """
 
 from __future__ import annotations
@@ -15,8 +15,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.calibration.discs import LEAST_RATIO, Discs, Loss, disc_vectors
-from touchd.calibration.edges import Edges, Lines
+from touchd.calibration.loads import LEAST_RATIO, Discs, Edges, Lines, Loss, disc_vectors
 from touchd.calibration.reduced_plate import SHAPE_NAMES, ReducedPlate, Shape
 from touchd.twin.physics.transducer import MEANS, OTHER_BENDING
 
@@ -106,7 +105,7 @@ class DiscResponse:
 
         Names are those of `Shape`, `loss`, `slope` (both by the logarithm, or the exponent), `mass`, `stiffness`,
         `gyration2`, `radius`, `x0`, `y0`, `x1` .. of the discs' centres, `mx0` .. of their masses' offsets, in SI
-        units; and those of `edges`.
+        units; and those of `names_of`.
         """
         found: dict[str, Complex] = {}
         D = len(self._discs.centres_m)

@@ -7,8 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.calibration.discs import Discs, Loss
-from touchd.calibration.edges import KINDS, STARTS, Edges, names_of
+from touchd.calibration.loads import KINDS, STARTS, Discs, Edges, Loss, names_of
 from touchd.calibration.plate_file import PlateFile
 from touchd.calibration.reduced_plate import Shape, shape_of
 from touchd.frame import Acquisition

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.calibration.edges import SIDES
+from touchd.calibration.loads import SIDES
 from touchd.calibration.physical_atlas import grid_of
 from touchd.calibration.plate_fit import PlateFit
 from touchd.calibration.verdict import CLAMPED_MM, GOOD_MM, MODEL

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.calibration.candidates import Candidate, candidates, material_like, soft_edges
-from touchd.calibration.discs import Loss
-from touchd.calibration.edges import FREE, Edges, attachments
+from touchd.calibration.loads import FREE, Edges, Loss, attachments
 from touchd.calibration.parameters import LOGARITHMS, Reader
 from touchd.calibration.plate_file import PlateFile
 from touchd.calibration.reduced_plate import ReducedPlate

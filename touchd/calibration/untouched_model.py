@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from touchd import chirp
 from touchd.calibration.disc_response import DiscResponse
-from touchd.calibration.edges import lines_along
+from touchd.calibration.loads import lines_along
 from touchd.calibration.parameters import Guess, Reader
 from touchd.calibration.reduced_plate import ReducedPlate
 from touchd.frame import Acquisition

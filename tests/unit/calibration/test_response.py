@@ -7,8 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from touchd.calibration.disc_response import DiscResponse
-from touchd.calibration.discs import Discs, Loss
-from touchd.calibration.edges import Edges, attachments, lines_along
+from touchd.calibration.loads import Discs, Edges, Loss, attachments, lines_along
 from touchd.calibration.reduced_plate import SHAPE_NAMES, ReducedPlate, Shape, shape_of
 from touchd.twin.physics.material import MATERIALS, ElasticPlate, Material
 from touchd.twin.physics.mounting import attach

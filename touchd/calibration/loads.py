@@ -1,7 +1,8 @@
-"""What holds a plate's sides, in a fit: springs, dashpots and mass along lines near each held edge.
+"""What a plate carries, in a fit: its discs, and springs, dashpots and mass along lines near each held edge.
 
-A tape, a row of pads or a jaw is a strip that answers the deflection above it. Its load per area is counted in the
-plate's own inertia at the band's middle w0, rho h w0^2, and follows a frequency w as
+Discs load the plate, drive it and sense it by means over them. A tape, a row of pads or a jaw is a strip that answers
+the deflection above it. Its load per area is counted in the plate's own inertia at the band's middle w0, rho h w0^2,
+and follows a frequency w as
 
     (stiffness + i damping / 2) (1 + i loss) + (i damping / 2 - mass) (w / w0)^2
 
@@ -20,10 +21,13 @@ from touchd.calibration.reduced_plate import ReducedPlate
 from touchd.twin.physics import legendre
 from touchd.twin.physics.material import ElasticPlate, stiffness_of
 from touchd.twin.physics.mounting import Attachment, Support
+from touchd.twin.physics.transducer import vectors_at
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
+LEAST_RATIO = 0.05
+"""Of frequency over the band's middle: below it the loss stays as it is."""
 SIDES = ("left", "right", "top", "bottom")
 KINDS = ("stiffness", "damping", "mass")
 WIDTH_MM = 6.0
@@ -32,6 +36,55 @@ FEWER = 5
 """Polynomials along an edge, less than the plate's: the others are beyond its waves."""
 _LINE_MM = 0.2
 """Width of a line where the plate's modes take it for an area."""
+
+
+class Discs(NamedTuple):
+    """The discs of a plate: D of them, the emitter first."""
+
+    centres_m: Floats
+    """Shape (D, 2)."""
+    radius_m: float
+    mass_kg_m3: float
+    """Mass of each over the plate's density, m^3."""
+    stiffness_m3: float
+    """Resistance of each to the rotation around its rim, over the plate's Young's modulus, m^3."""
+    gyration2_m2: float
+    """Square of its radius of gyration about a line in the plate's middle, m^2: what rolls as the plate tilts."""
+    offset_m: Floats
+    """From each centre to that of its mass, shape (D, 2): solder and wires are on one side."""
+
+    @property
+    def face_m2(self) -> float:
+        """What of the square is in the face of a disc of evenly spread mass, m^2."""
+        return self.radius_m**2 / 4
+
+    @property
+    def lever2_m2(self) -> float:
+        """What is beyond the face: the square of the disc's height below the plate's middle, m^2."""
+        return max(self.gyration2_m2 - self.face_m2, 0.0)
+
+    @property
+    def spread(self) -> float:
+        """How far the mass is spread: 0 in the centre, 1 evenly."""
+        return min(self.gyration2_m2 / self.face_m2, 1.0)
+
+
+class Loss(NamedTuple):
+    """Loss factor (f / f0)^slope times `factor`."""
+
+    factor: float
+    slope: float
+    middle_rad_s: float
+
+    def at(self, nu_rad_s: Complex) -> Floats:
+        """Return the loss factor at angular frequencies."""
+        return np.asarray(self.factor * np.maximum(nu_rad_s.real / self.middle_rad_s, LEAST_RATIO) ** self.slope)
+
+
+def disc_vectors(plate: ReducedPlate, size: tuple[float, float], discs: Discs) -> Floats:
+    """Return the discs in the reference's modes, shape (n, MEANS D), mean by mean."""
+    masses_m, unit = discs.centres_m + discs.offset_m, np.sqrt(size[0] * size[1])
+    return np.asarray(unit * vectors_at(discs.centres_m, masses_m, discs.radius_m, size, plate.counts, plate.sums))
 
 
 class Start(NamedTuple):
