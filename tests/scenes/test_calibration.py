@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from touchd.calibration.calibrate import Fitted, make_model
-from touchd.calibration.physical_field import PhysicalField
+from touchd.calibration.physical_atlas import TIP, PhysicalField
 from touchd.calibration.plate_file import PlateFile, check_plate_file
 from touchd.calibration.plate_fit import PlateFit, fit_plate
 from touchd.calibration.untouched import Untouched, untouched_mean
@@ -88,7 +88,7 @@ def test_a_touch_has_its_size(fit: PlateFit) -> None:
     touches = [Contact(x, y, 20.0, "silicone") for x, y in at_mm.tolist()]
     peak = Electronics().peak * 2 ** (plate.acquisition.bits - 1)
     exact = SCALE / peak * GAINS[:, None] * twin_values(plate, touches)
-    assert np.vdot(exact, PhysicalField(fit).at(at_mm, 20.0)).real / np.vdot(exact, exact).real == pytest.approx(1, 0.3)
+    assert np.vdot(exact, PhysicalField(fit).at(at_mm, TIP)).real / np.vdot(exact, exact).real == pytest.approx(1, 0.3)
 
 
 @pytest.fixture(scope="module")

@@ -1,5 +1,9 @@
 """Make the field atlas of a fitted plate from physics, without a touch.
 
+The field of a touch is what a small contact at any place adds to each bin. It takes the wave that the emitter sends to
+it, weakens it by its own impedance, and sends it to each receiver. All three receptances are sums over the fitted
+plate's modes, so near fields of edges and discs are in them.
+
 The splines are fitted by least squares to the exact field on the plate: at each node, on the edges, and at half steps
 in the outermost cells, where the nodes beyond the edge have no sample of their own. The field's error and the scales of
 the standard error come from touches drawn on the fitted plate, of other contact areas, in noise.
@@ -12,20 +16,26 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.calibration.physical_field import PhysicalField, Reference
+from touchd import chirp
 from touchd.calibration.plate_fit import PlateFit, Progress
 from touchd.evaluation.dataset import BASELINE_NOISE
 from touchd.frame import Plate
 from touchd.localization.atlas import Atlas, AtlasDescription
-from touchd.localization.features import band_bins
+from touchd.localization.features import band_bins, windowed_dft
 from touchd.training.field.bins import informative, weights
 from touchd.training.field.error_scale import LEVELS_DB, Level, calibrate, field_error, level_of
 from touchd.training.field.place import FieldMap, place
+from touchd.twin.instrument import anti_alias
+from touchd.twin.physics.finger import impedance
 from touchd.twin.physics.material import mindlin_wavenumber
+from touchd.twin.record import Record
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
+AREA_MM2 = 20.0
+"""Contact area of the reference touch: a silicone finger of 5 mm. The amplitude absorbs most of the difference to
+others."""
 STEPS_PER_WAVE = 3.9
 """Nodes per shortest wavelength of the field, which is half the plate's: 2.5 mm on 5 mm glass. There the splines miss
 2e-6 of the field's energy, 3e-5 at the edges; another contact area changes 3e-4 of it (twin)."""
@@ -34,6 +44,71 @@ AREAS = (0.6, 1.4)
 DRAWN = 300
 _DENSE_CELLS = 2
 _SEED = 0xF1E1D
+
+
+class Reference(NamedTuple):
+    """A kind of touch, as an atlas is made for one."""
+
+    tissue: str
+    area_mm2: float
+    """What weighs on the plate."""
+    face_mm2: float
+    """What the wave is averaged over: a fingertip follows it, and has its second derivatives beside it."""
+
+
+TIP = Reference("silicone", AREA_MM2, AREA_MM2)
+LIGHT_FINGER = Reference("human", 40.0, AREA_MM2)
+"""In steady state, where resonances are sharp, what weighs on the plate moves them. Between a silicone finger and a
+fingertip: with the former as reference fingertips are placed to 0.061 mm, with this to 0.046, and silicone to 0.016 and
+0.031 (twin, 192 kHz)."""
+_BLOCK = 512
+
+
+class PhysicalField:
+    """Evaluates the bins of touches on a fitted plate, ADC counts: R receivers, F frequencies.
+
+    Parameters
+    ----------
+    fit : PlateFit
+    """
+
+    def __init__(self, fit: PlateFit) -> None:
+        a = fit.acquisition
+        self.reference = LIGHT_FINGER if a.chirp.period_s is not None else TIP
+        self._size_mm = np.array([fit.plate.width_mm, fit.plate.height_mm])
+        record = Record(a)
+        nu = record.nu_rad_s
+        self._response = fit.response(nu)
+        self._discs = self._response.modes.discs
+        emitted = chirp.spectrum(a.chirp, nu) * anti_alias(nu, a.sample_rate_hz)
+        self._heard = emitted * fit.gain(record.hz)  # (R, F)
+        spectra = np.concatenate([np.eye(len(nu)), 1j * np.eye(len(nu))])
+        parts = record.to_time(spectra) @ windowed_dft(a)
+        self._to_bins = np.asarray(parts[:, : parts.shape[1] // 2] + 1j * parts[:, parts.shape[1] // 2 :])
+
+    def at(self, position_mm: Floats, touch: Reference | None = None) -> Complex:
+        """Return the bins of touches, by default the reference's, at positions (n, 2) on the plate, shape (n, R, bins).
+
+        Near an edge a contact is as wide as the plate admits; on the edge it is a point.
+        """
+        starts, touch = range(0, len(position_mm), _BLOCK), touch or self.reference
+        return np.concatenate([self._block(np.asarray(position_mm[i : i + _BLOCK], float), touch) for i in starts])
+
+    def _block(self, position_mm: Floats, touch: Reference) -> Complex:
+        position_mm = np.clip(position_mm, 0.0, self._size_mm)  # rounded sizes may lie a nanometre beyond
+        edge_mm = np.minimum(position_mm, self._size_mm - position_mm).min(axis=1)
+        # Of a disc as wide as the plate admits rounding must not reach over the edge.
+        area = np.minimum(touch.face_mm2, (1 - 1e-9) * np.pi * np.maximum(edge_mm, 0.0) ** 2)
+        response, nu = self._response, self._response.nu_rad_s
+        shape = response.shape_at(position_mm[:, 0], position_mm[:, 1], area)
+        load = (1j * nu * impedance(touch.tissue, nu, touch.area_mm2))[:, None]
+        taken = -load / (1 + load * response.receptance(shape, shape))  # (F, n)
+        taken *= response.receptance(self._discs[:, :1], shape)
+        bins = []
+        for receiver, heard in enumerate(self._heard, start=1):
+            spectrum = heard[:, None] * taken * response.receptance(self._discs[:, receiver, None], shape)
+            bins.append(np.concatenate([spectrum.real, spectrum.imag]).T @ self._to_bins)
+        return np.stack(bins, axis=1)
 
 
 class Drawn(NamedTuple):
@@ -89,8 +164,12 @@ def make_physical_atlas(
     progress : callable
         Receives "field" and the share that is done.
     """
-    a, plate = fit.acquisition, plate_of(fit)
-    field = PhysicalField(fit)
+    a, p, field = fit.acquisition, fit.plate, PhysicalField(fit)
+    # As models describe it, to a micrometre.
+    plate = Plate(
+        width_mm=round(p.width_mm, 3), height_mm=round(p.height_mm, 3), thickness_mm=round(p.thickness_mm, 3),
+        material=p.material,
+    )  # fmt: skip
     f_hz = band_bins(a) * a.sample_rate_hz / a.samples
     wavenumber_rad_m = mindlin_wavenumber(fit.plate, f_hz)
     step_mm = round(1e3 * np.pi / float(wavenumber_rad_m[-1]) / STEPS_PER_WAVE, 2)
@@ -121,15 +200,6 @@ def make_physical_atlas(
     return calibrated(plain, fit, Drawn(drawn.position_mm, drawn.values[..., kept] * weight), noise_counts)
 
 
-def plate_of(fit: PlateFit) -> Plate:
-    """Return a fitted plate as models describe it, to a micrometre."""
-    p = fit.plate
-    return Plate(
-        width_mm=round(p.width_mm, 3), height_mm=round(p.height_mm, 3), thickness_mm=round(p.thickness_mm, 3),
-        material=p.material,
-    )  # fmt: skip
-
-
 def draw(field: PhysicalField, size_mm: Floats) -> Drawn:
     """Draw touches of other areas than the atlas' all over the plate."""
     rng = np.random.default_rng(_SEED)
@@ -138,7 +208,7 @@ def draw(field: PhysicalField, size_mm: Floats) -> Drawn:
     position_mm = rng.uniform(margin_mm, size_mm - margin_mm, (DRAWN, 2))
     parts = np.array_split(position_mm, len(ratios))
     values = [
-        field.of(part, Reference(touch.tissue, ratio * touch.area_mm2, ratio * touch.face_mm2))
+        field.at(part, Reference(touch.tissue, ratio * touch.area_mm2, ratio * touch.face_mm2))
         for part, ratio in zip(parts, ratios.tolist(), strict=True)
     ]
     return Drawn(position_mm, np.concatenate(values))

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from touchd.calibration.physical_field import AREA_MM2, TISSUE, PhysicalField
+from touchd.calibration.physical_atlas import TIP, PhysicalField
 from touchd.calibration.plate_fit import PlateFit
 from touchd.calibration.reduced_plate import ReducedPlate
 from touchd.evaluation.cramer_rao import twin_values
@@ -44,8 +44,8 @@ def exact_fit(instrument: Instrument) -> PlateFit:
         reasons=(), undecided=(), scale_error=0.0, unexplained=1e-6, noise_share=1e-6, measured=untouched,
         fitted=untouched, basis=basis_of(instrument.plate),
     )  # fmt: skip
-    touch = PhysicalField(unit).at(np.array([[50.0, 40.0]]), AREA_MM2, TISSUE)
-    exact = twin_values(instrument, [Contact(50.0, 40.0, AREA_MM2, TISSUE)])
+    touch = PhysicalField(unit).at(np.array([[50.0, 40.0]]), TIP)
+    exact = twin_values(instrument, [Contact(50.0, 40.0, TIP.area_mm2, TIP.tissue)])
     return replace(unit, gains=unit.gains * (np.vdot(touch, exact) / np.vdot(touch, touch)).real)
 
 

@@ -9,8 +9,7 @@ import onnx
 import pytest
 
 from tests.unit.calibration.plates import PLATE
-from touchd.calibration.physical_atlas import Grid, grid_of, make_physical_atlas
-from touchd.calibration.physical_field import PhysicalField
+from touchd.calibration.physical_atlas import Grid, PhysicalField, Reference, grid_of, make_physical_atlas
 from touchd.calibration.plate_fit import PlateFit
 from touchd.calibration.start_scan import make_graph, make_scan, scan
 from touchd.evaluation.cramer_rao import twin_values
@@ -94,7 +93,8 @@ def test_sigma(atlas: Atlas, field: PhysicalField, fit: PlateFit) -> None:
     noise = 0.01 * np.sqrt(np.square(fit.measured).mean())
     W = windowed_dft(fit.acquisition, kept)
     drawn = np.random.default_rng(1).normal(size=(len(at), *fit.acquisition.shape)) * noise @ W
-    values = field.at(at, 16.0)[..., kept - 51] + drawn[..., : len(kept)] + 1j * drawn[..., len(kept) :]
+    values = field.at(at, Reference("silicone", 16.0, 16.0))[..., kept - 51]
+    values = values + drawn[..., : len(kept)] + 1j * drawn[..., len(kept) :]
     placed = place(atlas, values, at)
     variance = d.noise_scale * noise**2 * np.square(np.hanning(fit.acquisition.samples)).sum() / 2
     variance += d.field_scale * atlas.error.mean() * np.square(np.abs(placed.amplitude)) / 2
@@ -134,7 +134,7 @@ def test_scan_starts_fingers(field: PhysicalField, model: Model) -> None:
     """The scan comes as near to another contact than the atlas' as Gauss-Newton needs, in all but a few wrong valleys;
     noise is no finger."""
     at = places(2.6, 50.0, 80)
-    bins = field.at(at, 60.0, "human")
+    bins = field.at(at, Reference("human", 60.0, 60.0))
     said = model.run(np.concatenate([bins.real, bins.imag], axis=2).reshape(80, -1).astype(np.float32))
     off_mm = np.linalg.norm(said["position_mm"] - at, axis=1)
     assert np.quantile(off_mm, 0.9) < 2.3, "half a diagonal of the grid"
@@ -147,6 +147,6 @@ def test_scan_starts_fingers(field: PhysicalField, model: Model) -> None:
 def test_scan_beside_an_edge(field: PhysicalField, model: Model) -> None:
     """Of rigid tips 2 to 4 mm from an edge the scan starts all but 2 in 100 within reach."""
     at = places(2.0, 4.0, 200)
-    bins = field.at(at, 12.0)
+    bins = field.at(at, Reference("silicone", 12.0, 12.0))
     said = model.run(np.concatenate([bins.real, bins.imag], axis=2).reshape(len(at), -1).astype(np.float32))
     assert (np.linalg.norm(said["position_mm"] - at, axis=1) > 4.0).mean() <= 0.02
