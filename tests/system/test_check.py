@@ -13,7 +13,7 @@ from tests.unit.calibration.plates import LAYOUT, PLATE, exact_fit
 from touchd.calibration.check import check_model
 from touchd.calibration.physical_atlas import make_physical_atlas
 from touchd.calibration.plate_fit import PlateFit
-from touchd.calibration.start_scan import make_graph, make_scan
+from touchd.calibration.start_scan import start_scan
 from touchd.cli.main import main
 from touchd.errors import ModelMismatch, RecordingValues
 from touchd.localization.atlas import atlas_path, save_atlas
@@ -35,7 +35,7 @@ def model_of(fit: PlateFit, path: Path) -> Path:
         plate=d.plate,
     )  # fmt: skip
     save_atlas(atlas, atlas_path(path))
-    put_model(make_graph(make_scan(atlas), description).SerializeToString(), path)
+    put_model(start_scan(atlas, description).SerializeToString(), path)
     return path
 
 

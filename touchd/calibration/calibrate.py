@@ -15,7 +15,7 @@ from touchd.calibration.place_correction import left_mm, widths_of
 from touchd.calibration.plan import bound_mm
 from touchd.calibration.plate_file import PlateFile
 from touchd.calibration.plate_fit import PlateFit, Progress, fit_plate
-from touchd.calibration.start_scan import make_graph, make_scan
+from touchd.calibration.start_scan import start_scan
 from touchd.calibration.taps import Refined, orientation_of, refine, taps_of, turned_fit
 from touchd.calibration.untouched import Untouched, untouched_acts, untouched_mean
 from touchd.errors import OutputError
@@ -115,7 +115,7 @@ def make_model(
         acquisition=atlas.description.acquisition, plate=atlas.description.plate, data_sha256=sha256, command=command,
         scores={"expected_mm": round(fitted.fit.expected_mm, 4)},
     )  # fmt: skip
-    graph = make_graph(make_scan(atlas), description)
+    graph = start_scan(atlas, description)
     try:
         with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as scratch:
             fresh = Path(scratch) / path.name

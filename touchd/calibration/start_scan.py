@@ -7,8 +7,6 @@ a trained regression model.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 import onnx
 from numpy.typing import NDArray
@@ -36,23 +34,12 @@ HALF_CONFIDENCE = 0.6
 OPSET, IR_VERSION = 17, 8
 
 
-class Scan(NamedTuple):
-    """The field on a grid: m nodes of v values, both parts of some bins of all channels."""
+def _constants(atlas: Atlas) -> dict[str, NDArray[np.generic]]:
+    """Return the graph's constants: m nodes of v values, both parts of some bins of all channels.
 
-    position_mm: Floats
-    """Shape (m, 2)."""
-    weight: NDArray[np.float32]
-    """Of each value of a frame, shape (v,)."""
-    unit: NDArray[np.float32]
-    """Field of norm 1, shape (v, m): the real parts, then the imaginary parts."""
-    real: NDArray[np.int64]
-    """Indices of the features that are real parts, shape (v / 2,)."""
-    imaginary: NDArray[np.int64]
-    spacing_mm: float
-
-
-def make_scan(atlas: Atlas) -> Scan:
-    """Take the grid and its field from an atlas."""
+    `real` and `imaginary` are the indices of the features that are these parts, shape (v / 2,), `weight` theirs, `unit`
+    the field of norm 1 at the nodes, shape (v, m), first the real parts, and `position` the nodes, shape (m, 2).
+    """
     d = atlas.description
     width_mm, height_mm = d.plate.width_mm, d.plate.height_mm
     spacing_mm = GRID_STEPS * d.step_mm
@@ -67,38 +54,20 @@ def make_scan(atlas: Atlas) -> Scan:
     band = band_bins(d.acquisition)
     column = np.searchsorted(band, np.array(d.bins)[chosen])
     real = (2 * len(band) * np.arange(channels)[:, None] + column).ravel()
-    weight = np.tile(d.bin_weights[chosen], 2 * channels).astype(np.float32)
-    return Scan(position_mm, weight, unit.astype(np.float32), real, real + len(band), spacing_mm)
-
-
-def scan(scanned: Scan, features: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return positions (n, 2), sigma (n, 1) and confidence (n, 1) for features (n, inputs): the graph's reference."""
-    values = features[:, np.concatenate([scanned.real, scanned.imaginary])] * scanned.weight
-    real, imaginary = np.split(values, 2, axis=1)
-    along = np.concatenate([real, imaginary], axis=1) @ scanned.unit.astype(np.float64)
-    across = np.concatenate([imaginary, -real], axis=1) @ scanned.unit.astype(np.float64)
-    score = along**2 + across**2
-    energy = np.square(real).sum(axis=1) + np.square(imaginary).sum(axis=1)
-    share = 1 - score.max(axis=1) / np.maximum(energy, 1e-20)
-    left = np.clip(share, 0.0, 1.0)[:, None]
-    sigma_mm = scanned.spacing_mm / np.sqrt(12) * (1 + (left / HALF_CONFIDENCE) ** 4)
-    return scanned.position_mm[score.argmax(axis=1)], sigma_mm, 1 / (1 + (left / HALF_CONFIDENCE) ** 4)
-
-
-def make_graph(scanned: Scan, description: Description) -> onnx.ModelProto:
-    """Return the scan as an ONNX graph with touchd's metadata."""
     constants: dict[str, NDArray[np.generic]] = {
-        "real": scanned.real,
-        "imaginary": scanned.imaginary,
-        "unit": scanned.unit,
-        "weight": scanned.weight[: len(scanned.real)],
-        "position": scanned.position_mm.astype(np.float32),
-    }
+        "real": real, "imaginary": real + len(band), "unit": unit.astype(np.float32),
+        "weight": np.tile(d.bin_weights[chosen], channels).astype(np.float32),
+        "position": position_mm.astype(np.float32),
+    }  # fmt: skip
     numbers = {
         "zero": 0.0, "one": 1.0, "least": 1e-20, "half": HALF_CONFIDENCE, "four": 4.0,
-        "spread": scanned.spacing_mm / np.sqrt(12),
+        "spread": spacing_mm / np.sqrt(12),
     }  # fmt: skip
-    constants |= {name: np.array(number, np.float32) for name, number in numbers.items()}
+    return constants | {name: np.array(number, np.float32) for name, number in numbers.items()}
+
+
+def start_scan(atlas: Atlas, description: Description) -> onnx.ModelProto:
+    """Return the scan of an atlas as an ONNX graph with touchd's metadata."""
     make = helper.make_node
     nodes = [
         make("Gather", ["features", "real"], ["plain_re"], axis=1),
@@ -132,7 +101,7 @@ def make_graph(scanned: Scan, description: Description) -> onnx.ModelProto:
     graph = helper.make_graph(
         nodes, "start_scan", [value("features", TensorProto.FLOAT, ["n", description.inputs])],
         [value(name, TensorProto.FLOAT, ["n", size]) for name, size in shapes.items()],
-        [numpy_helper.from_array(array, name) for name, array in constants.items()],
+        [numpy_helper.from_array(array, name) for name, array in _constants(atlas).items()],
     )  # fmt: skip
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)], producer_name="touchd")
     model.ir_version = IR_VERSION

@@ -13,7 +13,7 @@ from tests.unit.calibration.plates import LAYOUT, PLATE, exact_fit
 from touchd.calibration.check import check_model
 from touchd.calibration.physical_atlas import make_physical_atlas
 from touchd.calibration.plate_file import check_plate_file
-from touchd.calibration.start_scan import make_graph, make_scan
+from touchd.calibration.start_scan import start_scan
 from touchd.calibration.taps import orientation_of, refine, taps_of
 from touchd.calibration.untouched import untouched_acts, untouched_mean
 from touchd.calibration.walk import UNTOUCHED_S, plan
@@ -117,7 +117,7 @@ def test_check(walked: tuple[Path, str], atlas: Atlas, tmp_path: Path) -> None:
     )
     path = tmp_path / "right.onnx"
     save_atlas(atlas, atlas_path(path))
-    put_model(make_graph(make_scan(atlas), description).SerializeToString(), path)
+    put_model(start_scan(atlas, description).SerializeToString(), path)
     checked = check_model(path, walked[0])
     assert checked.verdict == "good", checked
     assert checked.touches >= sum(task.name != "palm" for task in plan(PLATE)) - 1

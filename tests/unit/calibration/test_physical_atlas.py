@@ -7,11 +7,12 @@ from pathlib import Path
 import numpy as np
 import onnx
 import pytest
+from onnx import numpy_helper
 
 from tests.unit.calibration.plates import PLATE
 from touchd.calibration.physical_atlas import Grid, PhysicalField, Reference, grid_of, make_physical_atlas
 from touchd.calibration.plate_fit import PlateFit
-from touchd.calibration.start_scan import make_graph, make_scan, scan
+from touchd.calibration.start_scan import HALF_CONFIDENCE, start_scan
 from touchd.evaluation.cramer_rao import twin_values
 from touchd.localization.atlas import Atlas, load_atlas, save_atlas
 from touchd.localization.features import windowed_dft
@@ -109,11 +110,24 @@ def model(atlas: Atlas, tmp_path_factory: pytest.TempPathFactory) -> Model:
         name="calibrated", head="regression", domain="frequency", input="residual", acquisition=d.acquisition,
         plate=d.plate, data_sha256="some",
     )  # fmt: skip
-    graph = make_graph(make_scan(atlas), description)
+    graph = start_scan(atlas, description)
     onnx.checker.check_model(graph, full_check=True)
     path = tmp_path_factory.mktemp("scan") / "plate.onnx"
     path.write_bytes(graph.SerializeToString())
     return Model(path)
+
+
+def scan(path: Path, features: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Positions (n, 2), sigma (n, 1) and confidence (n, 1) for features (n, inputs), with the graph's constants."""
+    c = {each.name: numpy_helper.to_array(each) for each in onnx.load(path).graph.initializer}
+    real, imaginary = (features[:, c[part]] * c["weight"] for part in ("real", "imaginary"))
+    along = np.concatenate([real, imaginary], axis=1) @ c["unit"].astype(np.float64)
+    across = np.concatenate([imaginary, -real], axis=1) @ c["unit"].astype(np.float64)
+    score = along**2 + across**2
+    energy = np.square(real).sum(axis=1) + np.square(imaginary).sum(axis=1)
+    share = 1 - score.max(axis=1) / np.maximum(energy, 1e-20)
+    doubt = 1 + (np.clip(share, 0.0, 1.0)[:, None] / HALF_CONFIDENCE) ** 4
+    return c["position"][score.argmax(axis=1)], float(c["spread"]) * doubt, 1 / doubt
 
 
 def test_graph_is_the_reference(atlas: Atlas, model: Model) -> None:
@@ -124,7 +138,7 @@ def test_graph_is_the_reference(atlas: Atlas, model: Model) -> None:
     features[..., np.array(atlas.description.bins) - 51] = np.concatenate([field.real, field.imag], axis=2)
     frames = np.concatenate([features.reshape(40, -1), rng.normal(size=(40, 3 * 98)), np.zeros((1, 3 * 98))])
     said = model.run(frames.astype(np.float32))
-    position_mm, sigma_mm, confidence = scan(make_scan(atlas), frames)
+    position_mm, sigma_mm, confidence = scan(model.path, frames)
     assert np.abs(said["position_mm"][:-1] - position_mm[:-1]).max() < 1e-3
     assert np.abs(said["sigma_mm"] - sigma_mm).max() < 1e-3
     assert np.abs(said["confidence"] - confidence).max() < 1e-3
