@@ -54,7 +54,8 @@ class DiscResponse:
         self._held = held
         self._bare = plate.solve(shape)
         vectors = disc_vectors(plate, (shape.width, shape.height), discs)
-        self._phi = self._turned(np.concatenate([vectors, held[0].vectors], axis=1) if held else vectors)
+        every = np.concatenate([vectors, held[0].vectors], axis=1) if held else vectors
+        self._phi = plate.turned(every, self._bare)
         stiff: Complex = np.asarray(1 + 1j * loss.at(nu_rad_s), np.complex128)
         self._H = 1 / (self._bare.omega2[:, None] * stiff - nu_rad_s**2)  # (n, F)
         D = len(discs.centres_m)
@@ -115,9 +116,9 @@ class DiscResponse:
         if "radius" in names:
             d = self._discs
             step = 1e-3 * d.radius_m
-            found["radius"] = self._by_vectors(
-                self._difference(d._replace(radius_m=d.radius_m + step), d._replace(radius_m=d.radius_m - step), step)
-            ) + d.radius_m / 2 * self._weighed(self._by_face)
+            up, down = ((self._shape, d._replace(radius_m=d.radius_m + each)) for each in (step, -step))
+            change = self._difference(up, down, step)
+            found["radius"] = self._by_vectors(change) + d.radius_m / 2 * self._weighed(self._by_face)
         loads = {"mass": self._per_mass, "stiffness": self._per_stiffness, "gyration2": self._per_gyration2}
         found |= {name: -self._weighed(loads[name]) for name in loads if name in names}
         found |= {name: -self._weighed(load, MEANS * D) for name, load in self._per_edge.items() if name in names}
@@ -129,9 +130,6 @@ class DiscResponse:
         """Return the emitter's and each receiver's answer times loads (F, k) of the vectors from `first`, (R, F)."""
         G = self._G[:, first : first + load.shape[1]]
         return np.asarray(np.einsum("fk,fk,fkr->rf", load, G[..., 0], G[..., 1:]))
-
-    def _turned(self, values: Floats) -> Floats:
-        return self._plate.turned(values, self._bare)
 
     def _mutual(self, vectors: Floats) -> Complex:
         """Return the free plate's receptance between any two vectors (n, V), shape (F, V, V).
@@ -164,21 +162,25 @@ class DiscResponse:
         """Return what vectors (n, k) find of the loaded plate's answer to each disc, shape (F, k, D)."""
         return np.stack([_product(change.T, answer).T for answer in self._answers], axis=2)
 
-    def _difference(self, up: Discs, down: Discs, step: float) -> Floats:
-        size = (self._shape.width, self._shape.height)
-        change = disc_vectors(self._plate, size, up) - disc_vectors(self._plate, size, down)
-        return self._turned(change / (2 * step))
+    def _difference(self, up: tuple[Shape, Discs], down: tuple[Shape, Discs], step: float) -> Floats:
+        """Return the derivative of the discs' vectors from two plates that differ by two steps."""
+        one, other = (disc_vectors(self._plate, (shape.width, shape.height), discs) for shape, discs in (up, down))
+        return self._plate.turned((one - other) / (2 * step), self._bare)
 
     def _by_vectors(self, change: Floats) -> Complex:
         """Return the derivative (R, F) by a change of all discs' vectors, shape (n, MEANS D)."""
         D = len(self._discs.centres_m)
         across = self._across(change)
         total = across[:, 0, 1:] + across[:, 1:D, 0]
-        for kind in range(MEANS * D):
-            load = self._load[:, kind, None]
-            e, r = self._G[:, kind, 0, None], self._G[:, kind, 1:]
-            total = total - load * (across[:, kind, 0, None] * r + e * across[:, kind, 1:])
+        self._load_changed(total, across, range(MEANS * D))
         return np.asarray(total.T)
+
+    def _load_changed(self, total: Complex, across: Complex, vectors: range) -> None:
+        """Subtract from `total` (F, R) what the loads of changed vectors take, which find `across` of the answers."""
+        for k in vectors:
+            load = self._load[:, k, None]
+            e, r = self._G[:, k, 0, None], self._G[:, k, 1:]
+            total -= load * (across[:, k, 0, None] * r + e * across[:, k, 1:])
 
     def _by_place(self, wanted: dict[str, tuple[int, int]], what: str) -> dict[str, Complex]:
         """Return the derivatives by the discs' centres, or their masses' offsets: only one disc's vectors change."""
@@ -189,7 +191,7 @@ class DiscResponse:
         for axis in {axis for _, axis in wanted.values()}:
             step = np.zeros(2)
             step[axis] = _PLACE_STEP_M
-            up, down = (d._replace(**{what: getattr(d, what) + sign * step}) for sign in (1, -1))
+            up, down = ((self._shape, d._replace(**{what: getattr(d, what) + sign * step})) for sign in (1, -1))
             change = self._difference(up, down, _PLACE_STEP_M)
             across = self._across(change)
             for name, (k, along) in wanted.items():
@@ -200,10 +202,7 @@ class DiscResponse:
                     total += across[:, 0, 1:]
                 else:
                     total[:, k - 1] += across[:, k, 0]
-                for kind in range(k, MEANS * D, D):
-                    load = self._load[:, kind, None]
-                    e, r = self._G[:, kind, 0, None], self._G[:, kind, 1:]
-                    total -= load * (across[:, kind, 0, None] * r + e * across[:, kind, 1:])
+                self._load_changed(total, across, range(k, MEANS * D, D))
                 found[name] = total.T
         return found
 
@@ -243,18 +242,11 @@ class DiscResponse:
             if name in ("h", "width", "height"):
                 total += self._weighed(self._disc_load) / value  # the loads are per mass of the plate
             if name in ("width", "height"):
-                total += self._by_vectors(self._stretched(name))
+                step = 1e-5 * value
+                up, down = ((self._shape._replace(**{name: value + each}), self._discs) for each in (step, -step))
+                total += self._by_vectors(self._difference(up, down, step))
             found[name] = total
         return found
-
-    def _stretched(self, name: str) -> Floats:
-        """Return the derivative of the discs' vectors by the plate's width or height."""
-        step = 1e-5 * getattr(self._shape, name)
-        parts = []
-        for sign in (1, -1):
-            s = self._shape._replace(**{name: getattr(self._shape, name) + sign * step})
-            parts.append(disc_vectors(self._plate, (s.width, s.height), self._discs))
-        return self._turned((parts[0] - parts[1]) / (2 * step))
 
 
 def _product(real: Floats, other: Complex) -> Complex:
