@@ -116,11 +116,13 @@ def make_model(
         scores={"expected_mm": round(fitted.fit.expected_mm, 4)},
     )  # fmt: skip
     graph = start_scan(atlas, description)
+    whole, few = fitted.recording, slice(REFERENCE_FRAMES)
+    reference = Recording(whole.meta, whole.frames[few], whole.sequence[few], whole.timestamp_ns[few])
     try:
         with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as scratch:
             fresh = Path(scratch) / path.name
             save_atlas(atlas, atlas_path(fresh))
-            write(fresh.with_suffix(".untouched.npz"), _reference(fitted))
+            write(fresh.with_suffix(".untouched.npz"), reference)
             put_model(graph.SerializeToString(), fresh)
             model = install(fresh, path)
     except OSError as error:
@@ -148,12 +150,3 @@ def expected_error_mm(made: Calibrated) -> Floats:
     told = (made.refined.placed_mm, made.refined.scatter_mm) if made.refined else (np.empty((0, 2)), 1.0)
     common_mm = left_mm(places, *told, size_mm, widths)
     return np.sqrt(own_mm**2 + common_mm**2 + widths.varying_mm**2).reshape(GRID, GRID)
-
-
-def _reference(fitted: Fitted) -> Recording:
-    """Return the first untouched frames, as a recording of the fitted plate."""
-    whole, few = fitted.recording, slice(REFERENCE_FRAMES)
-    return replace(
-        whole, frames=whole.frames[few], sequence=whole.sequence[few], timestamp_ns=whole.timestamp_ns[few],
-        contacts_mm=None, force_n=None, faces=None, temperature_c=None,
-    )  # fmt: skip

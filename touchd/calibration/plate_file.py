@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from touchd.errors import PlateFileInvalid
 from touchd.files import read_text
+from touchd.frame import Plate
 from touchd.twin.physics.material import MATERIALS, ElasticPlate, Material
 from touchd.twin.physics.transducer import Layout
 
@@ -85,13 +86,16 @@ class PlateFile(_Table):
     plate: PlateSaid
     discs: DiscsSaid
 
+    def described(self) -> Plate:
+        """Return the plate as recordings describe it."""
+        p = self.plate
+        return Plate(
+            width_mm=p.width_mm, height_mm=p.height_mm, thickness_mm=p.thickness_mm, material=p.material or "custom"
+        )
+
     def twin_plate(self) -> ElasticPlate:
         """Return the plate as the twin takes it."""
-        p = self.plate
-        return ElasticPlate(
-            width_mm=p.width_mm, height_mm=p.height_mm, thickness_mm=p.thickness_mm,
-            material=p.material or "custom", elastic=p.elastic,
-        )  # fmt: skip
+        return ElasticPlate(**self.described().model_dump(), elastic=self.plate.elastic)
 
     def layout(self) -> Layout:
         """Return the discs as the twin takes them."""

@@ -130,22 +130,17 @@ def _check_output(output: Path) -> None:
 def _take(settings: Settings, choice: SourceChoice, said: PlateFile, seconds: float) -> Recording:
     """Take frames of a source, as a recording."""
     from touchd.doctor.host import expected_rate_hz, take
-    from touchd.frame import Plate
     from touchd.recording.data import Recording
     from touchd.service.frame_feed import open_running
     from touchd.sources.open import open_source
     from touchd.sources.recorder import describe
 
-    p = said.plate
-    plate = Plate(
-        width_mm=p.width_mm, height_mm=p.height_mm, thickness_mm=p.thickness_mm, material=p.material or "custom"
-    )
     click.echo(f"taking {seconds:g} s of frames: do not touch the plate", err=True)
     running = open_running(choice, settings)
     with closing(running or open_source(choice, settings)) as source:
         sample = take(source, seconds)
         rate_hz = running.description.rate_hz if running else expected_rate_hz(source, settings.device)
-        meta = describe(source.acquisition, plate, rate_hz, source="calibrate")
+        meta = describe(source.acquisition, said.described(), rate_hz, source="calibrate")
     return Recording(meta, sample.counts, sample.sequence, sample.t_ns - sample.t_ns[0])
 
 

@@ -11,7 +11,6 @@ import numpy as np
 from touchd.calibration.plate_file import PlateFile
 from touchd.config.schema import Settings
 from touchd.errors import BusError, CalibrationError
-from touchd.frame import Plate
 from touchd.outcome import Outcome
 from touchd.pipeline import Pipeline
 from touchd.recording.data import Meta, Recording
@@ -51,11 +50,7 @@ def refuse_keypad(keypad: bool) -> None:
 
 def meta_of(source: DaemonSource, said: PlateFile) -> Meta:
     """Return the description of a recording of a daemon's frames."""
-    p = said.plate
-    plate = Plate(
-        width_mm=p.width_mm, height_mm=p.height_mm, thickness_mm=p.thickness_mm, material=p.material or "custom"
-    )
-    return describe(source.acquisition, plate, source.description.rate_hz, source="calibrate")
+    return describe(source.acquisition, said.described(), source.description.rate_hz, source="calibrate")
 
 
 def take_untouched(

@@ -42,8 +42,9 @@ def test_finger(instrument: Instrument, tmp_path: Path) -> None:
         description=SimpleNamespace(rate_hz=float(RATE_HZ)),
     )  # fmt: skip
     path = tmp_path / "untouched.npz"
+    said = SimpleNamespace(described=lambda: PLATE)
     take_untouched(
-        cast("Any", source), cast("Any", SimpleNamespace(plate=PLATE)), path, WANTED / RATE_HZ, threading.Event(),
+        cast("Any", source), cast("Any", said), path, WANTED / RATE_HZ, threading.Event(),
         lambda share, note: told.append((share, note)),
     )  # fmt: skip
     found = read(path)
