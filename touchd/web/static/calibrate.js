@@ -34,15 +34,17 @@ export function mount(root, page) {
   const undo = button(t.taps.undo, 'undo'), refine = button(t.taps.refine, 'fit');
   const learning = training(t.train, act), inUse = trial(t.trial, act);
   const panel = (name, ...parts) => element('section', { class: 'panel', 'data-panel': name }, element('h2', {}, t.steps[name]), ...parts);
+  const busy = element('section', { class: 'panel' }, doing, element('div', { class: 'share' }, bar, share), stop);
+  const tapsPanel = panel('taps', element('p', { class: 'muted' }, t.taps.hint), element('div', { class: 'tapping' }, pane.root,
+    element('div', {}, tapped, told, expected, scale, element('div', { class: 'row' }, tapOn, tap, pause, undo, refine))));
   const panels = [
     panel('measures', element('p', { class: 'muted' }, t.measures.hint), form.root),
     panel('untouched', element('p', { class: 'muted' }, t.untouched.hint), listen),
     panel('fit', element('p', { class: 'muted' }, t.fit.hint), again),
-    element('section', { class: 'panel' }, doing, element('div', { class: 'share' }, bar, share), stop),
+    busy,
     panel('verdict', verdict),
     panel('screen', element('p', { class: 'muted' }, t.screen.hint), mapped, element('div', { class: 'row' }, crosses, uncross)),
-    panel('taps', element('p', { class: 'muted' }, t.taps.hint), element('div', { class: 'tapping' }, pane.root,
-      element('div', {}, tapped, told, expected, scale, element('div', { class: 'row' }, tapOn, tap, pause, undo, refine)))),
+    tapsPanel,
     panel('train', element('p', { class: 'muted' }, t.train.hint), learning.root),
   ];
   root.append(steps, problem, inUse.root, ...panels, overlay.root);
@@ -93,15 +95,9 @@ export function mount(root, page) {
     }
     root.dataset.step = chosen;
     form.show(plate);
-    const [measuring, hearing, refitting, busy, judging, screening, tapping, teaching] = panels;
-    measuring.hidden = chosen !== 'measures';
-    hearing.hidden = chosen !== 'untouched';
-    refitting.hidden = chosen !== 'fit';
+    for (const each of panels) each.hidden = each.dataset.panel !== chosen;
     busy.hidden = !(listening || fitting || taught);
-    judging.hidden = chosen !== 'verdict';
-    screening.hidden = chosen !== 'screen';
-    tapping.hidden = !open.taps || chosen !== 'verdict' && chosen !== 'taps';
-    teaching.hidden = chosen !== 'train';
+    tapsPanel.hidden = !open.taps || chosen !== 'verdict' && chosen !== 'taps';
     listen.hidden = again.hidden = listening || fitting || taught;
     say(listen, state.untouched ? t.untouched.again : t.untouched.start);
     bar.value = state.share;

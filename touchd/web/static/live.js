@@ -6,14 +6,13 @@ import { Fingers, Figures, Budget, LatencyChart, Noise, Spectrum } from './panel
 
 export function mount(root, page) {
   const { texts, feed } = page;
-  const plate = new PlateView(texts), status = new Status(texts, feed);
-  const fingers = new Fingers(texts);
+  const plate = new PlateView(texts), fingers = new Fingers(texts);
   const panels = [fingers, new Figures(texts), new Budget(texts), new Noise(texts), new LatencyChart(texts),
     new Spectrum(texts, feed)];
   const footer = element('span'), age = element('span');
   const side = element('div', { class: 'side', tabindex: 0, role: 'region', 'aria-label': texts.figures.title },
     element('div', { class: 'panels' }, ...panels.map(panel => panel.root)), element('div', { class: 'footer' }, footer, age));
-  root.append(status.root, plate.root, side);
+  root.append(plate.root, side);
   const hidden = () => page.hello.shows_keys === false && (feed.last.plate?.keys.length ?? 0) > 0;
   // The truth is about now, or nobody knows it.
   const forget = () => { delete feed.last.truth; plate.setTruth([]); };
@@ -23,32 +22,26 @@ export function mount(root, page) {
     feed.on('plate', message => {
       plate.setPlate(message);
       say(fingers.none, hidden() ? texts.keypad_hidden : texts.fingers.none);
-      for (const panel of panels) panel.plate?.(message);
     }),
-    feed.on('touch', message => {
-      plate.setContacts(message.contacts);
-      for (const panel of panels) panel.touch?.(message);
-    }),
-    feed.on('truth', message => {
-      plate.setTruth(message.contacts_mm);
-      for (const panel of panels) panel.truth?.(message);
-    }),
+    feed.on('touch', message => plate.setContacts(message.contacts)),
+    feed.on('truth', message => plate.setTruth(message.contacts_mm)),
     feed.on('history', message => { for (const health of message.health) for (const panel of panels) panel.past?.(health); }),
+    ...['plate', 'touch', 'truth', 'health', 'spectrum'].map(type =>
+      feed.on(type, message => { for (const panel of panels) panel[type]?.(message); })),
     feed.on('health', message => {
-      for (const panel of panels) panel.health?.(message);
       say(footer, texts.footer(message.version, message.model, feed.last.plate?.source));
       if (message.state === 'streaming') return;
       plate.setContacts([]);
       forget();
     }),
-    feed.on('spectrum', message => { for (const panel of panels) panel.spectrum?.(message); }),
     feed.on('batch', () => say(age, feed.dataAgeMs !== null ? texts.age(Math.round(feed.dataAgeMs)) : '')),
-    status.onStale(stale => {
-      plate.set('stale', stale);
-      if (stale) { forget(); plate.clear(); } // nobody knows where the fingers are
-      root.classList.toggle('stale', stale);
-    }),
   ];
+  const status = new Status(texts, feed, stale => {
+    plate.set('stale', stale);
+    if (stale) { forget(); plate.clear(); } // nobody knows where the fingers are
+    root.classList.toggle('stale', stale);
+  });
+  root.prepend(status.root);
   return () => {
     for (const end of ends) end();
     plate.close();

@@ -18,9 +18,8 @@ export class Fingers {
     const { columns } = texts.fingers;
     this.body = element('tbody');
     this.none = element('p', { class: 'muted' }, texts.fingers.none);
-    this.table = element('table', { hidden: true },
+    this.table = element('table', { class: 'untrue', hidden: true },
       element('thead', {}, element('tr', {}, ...columns.map((name, n) => element('th', { scope: 'col', class: n === 5 ? 'off' : null }, name)))), this.body);
-    this.table.classList.add('untrue');
     this.root = panel('fingers', texts.fingers.title, this.none, this.table);
     this.drawn = 0;
     this.truths = new Map(); // frame -> places

@@ -8,7 +8,8 @@ const SILENT_S = 3; // health comes each second
 const LEVELS = { streaming: 'ok', starting: 'busy', uncalibrated: 'warning', stalled: 'failure', lost: 'failure', stopping: 'failure' };
 
 export class Status {
-  constructor(texts, feed) {
+  // `onStale` is called with whether what is shown is old, each time that changes.
+  constructor(texts, feed, onStale = () => {}) {
     this.texts = texts;
     this.feed = feed;
     this.word = element('strong', { class: 'state-word' });
@@ -16,17 +17,11 @@ export class Status {
     this.more = element('span', { class: 'more' });
     this.reason = element('span', { class: 'state-reason' }, this.first, this.more);
     this.root = element('div', { class: 'state', role: 'status' }, this.word, this.reason);
-    this.listeners = new Set();
+    this.onStale = onStale;
     this.stale = null;
     this.ends = ['connection', 'health', 'batch'].map(type => feed.on(type, () => this.update()));
     this.timer = setInterval(() => this.update(), 500);
     this.update();
-  }
-
-  onStale(listener) {
-    this.listeners.add(listener);
-    listener(this.stale);
-    return () => this.listeners.delete(listener);
   }
 
   close() {
@@ -43,7 +38,7 @@ export class Status {
     say(this.more, reason.slice(first.length));
     if (stale === this.stale) return;
     this.stale = stale;
-    for (const listener of this.listeners) listener(stale);
+    this.onStale(stale);
   }
 
   now() {
