@@ -123,9 +123,6 @@ class Edges(NamedTuple):
         return self._replace(kinds={other[side]: kind for side, kind in self.kinds.items()}, values=values)
 
 
-FREE = Edges({}, {}, 1.0)
-
-
 class Lines(NamedTuple):
     """The lines along held edges, in E vectors: the deflection along a line in Legendre's polynomials."""
 
@@ -163,10 +160,8 @@ def names_of(kinds: dict[str, str]) -> tuple[str, ...]:
 
 def lines_along(plate: ReducedPlate, kinds: dict[str, str]) -> Lines:
     """Return the lines along held edges of a plate of the reference's size."""
-    size, unit = (
-        (plate.reference.width, plate.reference.height),
-        np.sqrt(plate.reference.width * plate.reference.height),
-    )
+    size = plate.reference.width, plate.reference.height
+    unit = np.sqrt(size[0] * size[1])
     vectors, weights, owners = list[Floats](), [np.zeros(0)], []
     for side, kind in kinds.items():
         axis, depths = SIDES.index(side) // 2, depths_mm(kind)

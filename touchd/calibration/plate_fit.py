@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.calibration.candidates import Candidate, candidates, material_like, soft_edges
-from touchd.calibration.loads import FREE, Edges, Loss, attachments
+from touchd.calibration.loads import Edges, Loss, attachments
 from touchd.calibration.parameters import LOGARITHMS, Reader
 from touchd.calibration.plate_file import PlateFile
 from touchd.calibration.reduced_plate import ReducedPlate
@@ -67,7 +67,7 @@ class PlateFit:
     """The same as the fitted plate gives it."""
     basis: ReducedPlate
     """What the fitted plate's modes are in: with others a disc would yield otherwise, and its fitted load be wrong."""
-    edges: Edges = FREE
+    edges: Edges
     """What holds the sides."""
 
     def gain(self, frequency_hz: Floats) -> Complex:

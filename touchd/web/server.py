@@ -69,13 +69,13 @@ def bind(address: str) -> socket.socket:
     return listening
 
 
-def make_app(site: Site, views: Iterable[ModuleType] = VIEWS) -> Starlette:
+def make_app(site: Site) -> Starlette:
     """Return the application: the views' routes behind the guard."""
 
     @contextlib.asynccontextmanager
     async def lifespan(_app: Starlette) -> AsyncIterator[None]:
         site.hub.start()
-        for view in views:
+        for view in VIEWS:
             begin = getattr(view, "begin", None)
             if begin is not None:
                 site.tasks.add(asyncio.create_task(begin(site)))
@@ -87,7 +87,7 @@ def make_app(site: Site, views: Iterable[ModuleType] = VIEWS) -> Starlette:
             await asyncio.gather(*site.tasks, return_exceptions=True)
             await asyncio.to_thread(site.hub.stop)
 
-    routes = [route for view in views for route in view.routes(site)]
+    routes = [route for view in VIEWS for route in view.routes(site)]
     guard = Middleware(Guard, access=site.access, open_paths=pages.OPEN)
     return Starlette(routes=routes, middleware=[guard], lifespan=lifespan)
 

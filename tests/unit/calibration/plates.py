@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from touchd.calibration.loads import Edges
 from touchd.calibration.physical_atlas import TIP, PhysicalField
 from touchd.calibration.plate_fit import PlateFit
 from touchd.calibration.reduced_plate import ReducedPlate
@@ -42,7 +43,7 @@ def exact_fit(instrument: Instrument) -> PlateFit:
         plate=plate, layout=instrument.layout, acquisition=a, loss=5e-3, loss_slope=0.0,
         gains=np.tile(np.array([1.0, 0, 0], complex), (a.channels, 1)), parameters=(), verdict="good", expected_mm=0.05,
         reasons=(), undecided=(), scale_error=0.0, unexplained=1e-6, noise_share=1e-6, measured=untouched,
-        fitted=untouched, basis=basis_of(instrument.plate),
+        fitted=untouched, basis=basis_of(instrument.plate), edges=Edges({}, {}, 1.0),
     )  # fmt: skip
     touch = PhysicalField(unit).at(np.array([[50.0, 40.0]]), TIP)
     exact = twin_values(instrument, [Contact(50.0, 40.0, TIP.area_mm2, TIP.tissue)])
