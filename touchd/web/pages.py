@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import mimetypes
 from collections.abc import Awaitable, Callable
 from functools import partial
 from pathlib import Path
@@ -38,7 +37,7 @@ def routes(site: Site) -> list[BaseRoute]:
 
 def _file(path: Path) -> Callable[[Request], Awaitable[Response]]:
     content, tag = path.read_bytes(), hashlib.sha256(path.read_bytes()).hexdigest()[:16]
-    kind = _TYPES.get(path.suffix) or mimetypes.guess_type(path.name)[0] or "text/plain"
+    kind = _TYPES.get(path.suffix, "text/plain")
     headers = {"etag": f'"{tag}"', "cache-control": "no-cache"}
 
     async def serve(request: Request) -> Response:

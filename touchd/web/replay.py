@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import json
 import shutil
 import tempfile
 from pathlib import Path
@@ -84,4 +83,4 @@ class Replay:
             shutil.rmtree(self._folder, ignore_errors=True)
 
     def _say(self, **fields: object) -> None:
-        self._site.hub.publish(TOPIC, json.loads(json.dumps({"ready": False, "done": 0, "problem": ""} | fields)))
+        self._site.hub.publish(TOPIC, {"ready": False, "done": 0, "problem": ""} | fields)
