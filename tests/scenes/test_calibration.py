@@ -105,7 +105,7 @@ def calibrated(fit: PlateFit, touched: Instrument, tmp_path_factory: pytest.Temp
     scale = (mean * fit.measured).sum(axis=1, keepdims=True) / np.square(fit.measured).sum(axis=1, keepdims=True)
     scaled = replace(fit, gains=fit.gains * scale, measured=fit.measured * scale, fitted=fit.fitted * scale)
     path = tmp_path_factory.mktemp("calibrated") / "plate.onnx"
-    return make_model(Fitted(idle, said(), untouched_mean(idle, said()), scaled, 0.0), path).model
+    return make_model(Fitted(idle, untouched_mean(idle, said()), scaled, 0.0), path).model
 
 
 @pytest.mark.parametrize(("noise_db", "seed"), [(50.0, 6), (60.0, 6), (60.0, 9)])

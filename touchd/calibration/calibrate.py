@@ -40,7 +40,6 @@ class Fitted:
     """A plate fitted to a recording."""
 
     recording: Recording
-    said: PlateFile
     untouched: Untouched
     fit: PlateFit
     duration_s: float
@@ -73,7 +72,7 @@ def fit_recording(recording: Recording, said: PlateFile, progress: Progress = la
     recording = untouched_acts(recording)
     untouched = untouched_mean(recording, said)
     fit = fit_plate(said, untouched, progress)
-    return Fitted(recording, said, untouched, fit, time.monotonic() - started_s)
+    return Fitted(recording, untouched, fit, time.monotonic() - started_s)
 
 
 def make_model(

@@ -47,7 +47,6 @@ class Tapped(NamedTuple):
     """Untouched frames, then touched ones, shape (n, channels, samples)."""
     touched: int
     """How many are touched."""
-    t_ns: int = 0
     found_mm: tuple[float, float] | None = None
     """Where the fitted plate says it was."""
 
@@ -86,15 +85,13 @@ class Tapper:
             elif self._quiet >= QUIET_FRAMES:
                 touched, before = np.array(self._touched), np.array(self._before)
                 self._touched.clear()
-                return self._judge(before, touched, frame.t_ns, label_mm) if len(before) >= 4 else None
+                return self._judge(before, touched, label_mm) if len(before) >= 4 else None
         return None
 
-    def _judge(
-        self, before: NDArray[np.int16], touched: NDArray[np.int16], t_ns: int, label_mm: tuple[float, float]
-    ) -> Tapped:
+    def _judge(self, before: NDArray[np.int16], touched: NDArray[np.int16], label_mm: tuple[float, float]) -> Tapped:
         middle = touched[len(touched) // 4 : max(3 * len(touched) // 4, len(touched) // 4 + 1)]
         chosen = middle[np.linspace(0, len(middle) - 1, min(KEPT, len(middle))).astype(int)]
-        made = Tapped("", np.concatenate([before, chosen]), len(chosen), t_ns)
+        made = Tapped("", np.concatenate([before, chosen]), len(chosen))
         if len(touched) < LEAST_FRAMES:
             return made._replace(reason="short")
         if (np.abs(chosen.astype(np.int32)) >= 2 ** (self._acquisition.bits - 1) - 2).any():
