@@ -111,15 +111,6 @@ class PhysicalField:
         return np.stack(bins, axis=1)
 
 
-class Drawn(NamedTuple):
-    """Touches drawn on the fitted plate: n of them, R receivers, b bins."""
-
-    position_mm: Floats
-    """Shape (n, 2)."""
-    values: Complex
-    """Exact bins without noise, shape (n, R, b)."""
-
-
 class Grid(NamedTuple):
     """One axis of the splines."""
 
@@ -174,9 +165,9 @@ def make_physical_atlas(
     wavenumber_rad_m = mindlin_wavenumber(fit.plate, f_hz)
     step_mm = round(1e3 * np.pi / float(wavenumber_rad_m[-1]) / STEPS_PER_WAVE, 2)
     x, y = grid_of(plate.width_mm, step_mm), grid_of(plate.height_mm, step_mm)
-    drawn = draw(field, np.array([plate.width_mm, plate.height_mm]))
+    position_mm, values = draw(field, np.array([plate.width_mm, plate.height_mm]))
     variance = BASELINE_NOISE * noise_counts**2 * float(np.square(a.window).sum())
-    snr = np.square(np.abs(drawn.values)).mean(axis=(0, 1)) / max(variance, 1e-12)
+    snr = np.square(np.abs(values)).mean(axis=(0, 1)) / max(variance, 1e-12)
     kept = informative(snr, wavenumber_rad_m, a)
     weight = weights(snr, a)[kept]
     rows = []
@@ -197,11 +188,11 @@ def make_physical_atlas(
         description, np.ascontiguousarray(coefficients, np.float32), fit.measured.astype(np.float32),
         np.zeros((a.channels, len(kept)), np.float32),
     )  # fmt: skip
-    return calibrated(plain, fit, Drawn(drawn.position_mm, drawn.values[..., kept] * weight), noise_counts)
+    return calibrated(plain, fit, position_mm, values[..., kept] * weight, noise_counts)
 
 
-def draw(field: PhysicalField, size_mm: Floats) -> Drawn:
-    """Draw touches of other areas than the atlas' all over the plate."""
+def draw(field: PhysicalField, size_mm: Floats) -> tuple[Floats, Complex]:
+    """Draw touches of other areas than the atlas' all over the plate: places (n, 2) and exact bins (n, R, b)."""
     rng = np.random.default_rng(_SEED)
     ratios, touch = np.linspace(*AREAS, 5), field.reference
     margin_mm = np.sqrt(AREAS[1] * touch.face_mm2 / np.pi)
@@ -211,28 +202,27 @@ def draw(field: PhysicalField, size_mm: Floats) -> Drawn:
         field.at(part, Reference(touch.tissue, ratio * touch.area_mm2, ratio * touch.face_mm2))
         for part, ratio in zip(parts, ratios.tolist(), strict=True)
     ]
-    return Drawn(position_mm, np.concatenate(values))
+    return position_mm, np.concatenate(values)
 
 
-def calibrated(plain: Atlas, fit: PlateFit, drawn: Drawn, noise_counts: float) -> Atlas:
+def calibrated(plain: Atlas, fit: PlateFit, position_mm: Floats, values: Complex, noise_counts: float) -> Atlas:
     """Return the atlas with the field's error, and with scales so that 68 % of the errors are within sigma.
 
     What the fit leaves of the untouched response it leaves of a wave; the field is a product of two.
     """
-    map_of = FieldMap(plain)
-    placed = place(plain, drawn.values, drawn.position_mm)
-    predicted = map_of.look_up(placed.position_mm)[0].reshape(drawn.values.shape)
+    placed = place(plain, values, position_mm)
+    predicted = FieldMap(plain).look_up(placed.position_mm)[0].reshape(values.shape)
     excess = max(fit.unexplained - fit.noise_share, 0.0)
     power = np.square(np.abs(predicted)).mean(axis=0)
-    error = field_error(drawn.values, predicted, placed.amplitude, 0.0) + 2 * excess * power
-    levels, mean = noisy_levels(plain, fit, drawn, noise_counts), float(error.mean())
+    error = field_error(values, predicted, placed.amplitude, 0.0) + 2 * excess * power
+    levels, mean = noisy_levels(plain, fit, position_mm, values, noise_counts), float(error.mean())
     noise_scale, field_scale = calibrate(levels, mean)
     description = plain.description.model_copy(update={"noise_scale": noise_scale, "field_scale": field_scale})
     return Atlas(description, plain.coefficients, plain.baseline, error.astype(np.float32))
 
 
-def noisy_levels(atlas: Atlas, fit: PlateFit, drawn: Drawn, noise_counts: float) -> list[Level]:
-    """Locate drawn touches in the plate's own noise, and in more."""
+def noisy_levels(atlas: Atlas, fit: PlateFit, position_mm: Floats, values: Complex, noise_counts: float) -> list[Level]:
+    """Locate touches in the plate's own noise, and in more."""
     a, bins, to_bins = fit.acquisition, atlas.description.bins, atlas.description.to_bins
     signal = float(np.sqrt(np.square(fit.measured - fit.measured.mean(axis=1, keepdims=True)).mean()))
     own_db = 20 * np.log10(signal / max(noise_counts, 1e-3))
@@ -240,9 +230,9 @@ def noisy_levels(atlas: Atlas, fit: PlateFit, drawn: Drawn, noise_counts: float)
     levels = []
     for db in (own_db, *(level for level in LEVELS_DB if level < own_db - 1)):
         deviation = np.sqrt(BASELINE_NOISE) * signal * 10 ** (-db / 20)
-        noise = deviation * rng.normal(size=(len(drawn.values), *a.shape)) @ to_bins
-        values = drawn.values + noise[..., : len(bins)] + 1j * noise[..., len(bins) :]
-        placed = place(atlas, values, drawn.position_mm)
+        noise = deviation * rng.normal(size=(len(values), *a.shape)) @ to_bins
+        noisy = values + noise[..., : len(bins)] + 1j * noise[..., len(bins) :]
+        placed = place(atlas, noisy, position_mm)
         variance = deviation**2 * float(np.square(to_bins).sum()) / (2 * len(bins))
-        levels.append(level_of(placed, drawn.position_mm, variance))
+        levels.append(level_of(placed, position_mm, variance))
     return levels
