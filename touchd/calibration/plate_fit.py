@@ -41,10 +41,7 @@ class PlateFit:
     plate: ElasticPlate
     layout: Layout
     acquisition: Acquisition
-    loss: float
-    """Loss factor at the middle of the chirp."""
-    loss_slope: float
-    """Exponent of the frequency in the loss factor."""
+    loss: Loss
     gains: Complex
     """Coefficients of each channel's complex gain, shape (R, 3), in powers of `band`; counts per unit of response."""
     parameters: tuple[Parameter, ...]
@@ -78,12 +75,10 @@ class PlateFit:
     def response(self, nu_rad_s: Complex) -> Response:
         """Return the fitted plate's response at complex angular frequencies (F,)."""
         modes = self.basis.loaded(self.plate, self.layout)
-        chirp = self.acquisition.chirp
         if self.edges.kinds:
             held = attachments(self.edges, self.plate)
             modes = attach(modes, self.plate, held, 0.0, self.edges.middle_rad_s / (2 * np.pi))
-        loss = Loss(self.loss, self.loss_slope, np.pi * (chirp.start_hz + chirp.stop_hz))
-        return Response(self.plate, modes, nu_rad_s, loss.at(nu_rad_s))
+        return Response(self.plate, modes, nu_rad_s, self.loss.at(nu_rad_s))
 
     def residual(self) -> tuple[Floats, Floats]:
         """Return frequencies (F,), Hz, and the share of each channel's energy left there, shape (R, F)."""
@@ -135,8 +130,8 @@ def _fit(
     measured, p = untouched.mean, state.p
     fitted = model.signals(p, state.fitted.gains)
     parameters = _parameters(reader, state)
-    plate, loss, dead = reader.plate(p), reader.read(p).loss, untouched.dead
-    energy = np.where(dead, np.nan, (measured**2).sum(axis=1))
+    plate, guess = reader.plate(p), reader.read(p)
+    energy = np.where(untouched.dead, np.nan, (measured**2).sum(axis=1))
     left = ((measured - fitted) ** 2).sum(axis=1) / energy
     noise_share = float(np.nanmean(untouched.noise**2 * measured.shape[1] / energy))
     chirp = untouched.acquisition.chirp
@@ -153,10 +148,10 @@ def _fit(
     # Those of the fit belong to modes per mass of the plate.
     gains = stiffness_of(plate).mass * plate.width_mm * plate.height_mm * 1e-6 * state.fitted.gains
     fit = PlateFit(
-        plate=plate, layout=reader.layout(p), acquisition=untouched.acquisition, loss=loss.factor,
-        loss_slope=loss.slope, gains=gains, parameters=parameters, **judge(evidence)._asdict(),
+        plate=plate, layout=reader.layout(p), acquisition=untouched.acquisition, loss=guess.loss, gains=gains,
+        parameters=parameters, **judge(evidence)._asdict(),
         scale_error=scale_error, unexplained=float(np.nanmean(left)), noise_share=noise_share,
-        measured=measured, fitted=fitted, basis=model.plate, edges=reader.read(p).edges,
+        measured=measured, fitted=fitted, basis=model.plate, edges=guess.edges,
     )  # fmt: skip
     return fit, state
 

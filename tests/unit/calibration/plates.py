@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from touchd.calibration.loads import Edges
+from touchd.calibration.loads import Edges, Loss
 from touchd.calibration.physical_atlas import TIP, PhysicalField
 from touchd.calibration.plate_fit import PlateFit
 from touchd.calibration.reduced_plate import ReducedPlate
@@ -39,8 +39,9 @@ def exact_fit(instrument: Instrument) -> PlateFit:
     a = instrument.acquisition
     plate = elastic(instrument.plate)
     untouched = PEAK_COUNTS * instrument.untouched([REFERENCE_C])[0]
+    loss = Loss(5e-3, 0.0, np.pi * (a.chirp.start_hz + a.chirp.stop_hz))
     unit = PlateFit(
-        plate=plate, layout=instrument.layout, acquisition=a, loss=5e-3, loss_slope=0.0,
+        plate=plate, layout=instrument.layout, acquisition=a, loss=loss,
         gains=np.tile(np.array([1.0, 0, 0], complex), (a.channels, 1)), parameters=(), verdict="good", expected_mm=0.05,
         reasons=(), undecided=(), scale_error=0.0, unexplained=1e-6, noise_share=1e-6, measured=untouched,
         fitted=untouched, basis=basis_of(instrument.plate), edges=Edges({}, {}, 1.0),
