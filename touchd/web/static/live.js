@@ -15,16 +15,16 @@ export function mount(root, page) {
   root.append(plate.root, side);
   const hidden = () => page.hello.shows_keys === false && (feed.last.plate?.keys.length ?? 0) > 0;
   // The truth is about now, or nobody knows it.
-  const forget = () => { delete feed.last.truth; plate.setTruth([]); };
+  const forget = () => { delete feed.last.truth; plate.set('truth', []); };
   const ends = [
     feed.on('hello', hello => plate.set('screen', hello.screen_mm)),
     feed.on('calibrate', ({ mapping }) => mapping && plate.set('screen', mapping.screen_mm)),
     feed.on('plate', message => {
-      plate.setPlate(message);
+      plate.set('plate', message);
       say(fingers.none, hidden() ? texts.keypad_hidden : texts.fingers.none);
     }),
     feed.on('touch', message => plate.setContacts(message.contacts)),
-    feed.on('truth', message => plate.setTruth(message.contacts_mm)),
+    feed.on('truth', message => plate.set('truth', message.contacts_mm)),
     feed.on('history', message => { for (const health of message.health) for (const panel of panels) panel.past?.(health); }),
     ...['plate', 'touch', 'truth', 'health', 'spectrum'].map(type =>
       feed.on(type, message => { for (const panel of panels) panel[type]?.(message); })),

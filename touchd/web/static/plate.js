@@ -16,11 +16,10 @@ export class PlateView {
     this.plate = null;
     this.screen = [];
     this.contacts = [];
-    this.truth = [];
+    this.truth = []; // where the fingers really are: [[x, y], ...], mm
     this.trails = new Map(); // id -> points {x, y, at}
     this.gone = new Map(); // id -> {contact, at}
     this.stale = false;
-    this.drawn = 0;
     this.observer = new ResizeObserver(() => this.resize());
     this.observer.observe(this.root);
     this.endTheme = onTheme(() => this.draw());
@@ -32,16 +31,14 @@ export class PlateView {
     cancelAnimationFrame(this.frame);
   }
 
-  setPlate(plate) { this.plate = plate; this.draw(); }
-
   set(name, value) {
     if (this[name] === value) return;
     this[name] = value;
     this.draw();
   }
 
-  setContacts(contacts, at = performance.now()) {
-    const seen = new Set();
+  setContacts(contacts) {
+    const at = performance.now(), seen = new Set();
     for (const contact of contacts) {
       seen.add(contact.id);
       const trail = this.trails.get(contact.id) ?? [];
@@ -53,12 +50,6 @@ export class PlateView {
     for (const contact of this.contacts) if (!seen.has(contact.id)) this.gone.set(contact.id, { contact, at });
     this.contacts = contacts.filter(contact => contact.phase !== 'up');
     while (this.trails.size > MOST_TRAILS) this.trails.delete(this.trails.keys().next().value);
-    this.draw();
-  }
-
-  // Where the fingers really are: [[x, y], ...], mm.
-  setTruth(places) {
-    this.truth = places;
     this.draw();
   }
 
@@ -88,7 +79,6 @@ export class PlateView {
     const g = this.graphics, ratio = this.ratio;
     if (!ratio) return;
     const wide = this.canvas.width / ratio, high = this.canvas.height / ratio, now = performance.now();
-    this.drawn += 1;
     g.setTransform(ratio, 0, 0, ratio, 0, 0);
     g.clearRect(0, 0, wide, high);
     const px = this.px = Math.max(SMALLEST_PX, Math.min(LARGEST_PX, Math.min(wide, high) / PLATE_LETTERS)), ruler = 2.8 * px;

@@ -34,7 +34,7 @@ export function mount(root, page) {
     if (ended || answer?.status === 202) return;
     if (!answer?.ok) { say(outcome, answer?.status === 401 ? texts.no_session : t.failed); return; }
     summary = await answer.json();
-    plate.setPlate(summary.plate);
+    plate.set('plate', summary.plate);
     line.max = summary.frames - 1;
     paintStrip();
     go(0);
@@ -60,7 +60,7 @@ export function mount(root, page) {
     if (last === null || Math.abs(mine - last) > 20 || mine < last) plate.clear();
     last = mine;
     plate.setContacts(shown.contacts);
-    plate.setTruth(shown.truth);
+    plate.set('truth', shown.truth);
     if (shown.truth.length) fingers.truth({ frame: shown.frame, contacts_mm: shown.truth });
     fingers.touch({ frame: shown.frame, contacts: shown.contacts, now: !playing });
     say(clock, `${number(shown.t_s, 3)} ${texts.units.s}`);
