@@ -4,8 +4,8 @@ page -> `touchd web` -> socket -> `worker` -> control socket -> daemon
 
 - `worker.py`: READ FIRST: takes commands, runs one job at a time, says its state to whoever watches
 - `state.py`: what is known so far, on disk after each step: a restart goes on from there
-- `untouched.py`: ten seconds that nobody touches; a finger begins them again
-- `tapping.py`: what a tap is worth; `touchd.calibration.walk` says where to tap
+- `frames.py`: ten seconds that nobody touches; a finger begins them again. What a tap is worth; where to tap says
+  `touchd.calibration.walk`
 - `session.py`, `error_map.py`: what taps tell, kept tap by tap; the expected error over the plate
 - `crosses.py`: where the screen lies, by touches at crosses
 - `verbs.py`: `touchd calibrate` and `touchd train` in a child process

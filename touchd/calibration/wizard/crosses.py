@@ -13,7 +13,7 @@ from typing import Any
 
 from touchd.bridges.crosses import Crosses, keys_of
 from touchd.bridges.fit import LEAST_TOUCHES, Mapping, Touched, fit
-from touchd.calibration.wizard.untouched import Stopped, refuse_keypad
+from touchd.calibration.wizard.frames import Stopped, refuse_keypad
 from touchd.client import Subscriber
 from touchd.config.bridges import InputSettings
 from touchd.config.edit import set_keys

@@ -12,9 +12,8 @@ from touchd.calibration.place_correction import Widths
 from touchd.calibration.taps import FITS, ORIENTATIONS, Taps, orientation_of, refine, scatter_of, taps_of, turned
 from touchd.calibration.walk import AGAIN_AFTER, next_number, target_mm
 from touchd.calibration.wizard.error_map import ErrorMap
+from touchd.calibration.wizard.frames import Stopped, Tapped, Tapper, meta_of, refuse_keypad
 from touchd.calibration.wizard.state import State
-from touchd.calibration.wizard.tapping import Tapped, Tapper
-from touchd.calibration.wizard.untouched import Stopped, meta_of, refuse_keypad
 from touchd.errors import BusError, TouchdError
 from touchd.localization.atlas import Atlas, atlas_path, load_atlas
 from touchd.recording.data import Meta, Recording

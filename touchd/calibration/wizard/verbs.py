@@ -8,18 +8,15 @@ import subprocess
 import sys
 import threading
 from collections import deque
-from collections.abc import Callable
 from typing import Any
 
+from touchd.calibration.wizard.frames import Progress, Stopped
 from touchd.calibration.wizard.state import State
-from touchd.calibration.wizard.untouched import Stopped
 from touchd.errors import CalibrationError, PlatePoor, TrainingError
 
 LOG_LINES = 40
 """Of a verb's output, kept for the page."""
 _QUIET = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-Progress = Callable[[float, str], object]
-"""Receives the share that is done, and of what."""
 
 
 def fit(state: State, stop: threading.Event, progress: Progress) -> dict[str, Any]:

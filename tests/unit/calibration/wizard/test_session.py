@@ -19,9 +19,9 @@ from tests.unit.calibration.plates import PLATE
 from tests.unit.calibration.wizard.test_tapping import Plate as Tapping
 from touchd.calibration.taps import scatter_of
 from touchd.calibration.walk import target_mm
+from touchd.calibration.wizard.frames import Tapped
 from touchd.calibration.wizard.session import Session
 from touchd.calibration.wizard.state import State
-from touchd.calibration.wizard.tapping import Tapped
 from touchd.errors import CalibrationError
 from touchd.frame import Plate
 from touchd.localization.atlas import Atlas, atlas_path, save_atlas

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from touchd.calibration.wizard.tapping import Tapped, Tapper
+from touchd.calibration.wizard.frames import Tapped, Tapper
 from touchd.frame import Frame
 from touchd.localization.atlas import Atlas
 from touchd.twin.electronics import Digitiser, Electronics

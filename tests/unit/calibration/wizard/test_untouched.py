@@ -11,7 +11,7 @@ from typing import Any, cast
 import numpy as np
 
 from tests.unit.calibration.plates import PLATE
-from touchd.calibration.wizard.untouched import FINGER, take_untouched
+from touchd.calibration.wizard.frames import FINGER, take_untouched
 from touchd.frame import Frame
 from touchd.recording.format import read
 from touchd.twin.electronics import Digitiser, Electronics
