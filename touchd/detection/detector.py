@@ -19,11 +19,12 @@ from touchd.config.schema import Settings
 from touchd.detection.baseline import Baseline, Signal
 from touchd.detection.detection import Detection
 from touchd.detection.gate import Gate
-from touchd.detection.interference import LISTEN_EVERY, RENEW_EVERY, Interference
+from touchd.detection.impulses import Impulses
 from touchd.detection.liveness import Liveness
 from touchd.detection.pace import Pace
 from touchd.detection.relearn import Reason, Relearn
 from touchd.detection.stuck import LONGEST_CYCLE, Stuck
+from touchd.detection.tones import LISTEN_EVERY, RENEW_EVERY, Tones
 from touchd.frame import Acquisition, Frame
 from touchd.outcome import Outcome
 
@@ -58,7 +59,7 @@ class Detector:
         self, acquisition: Acquisition, settings: Settings, notify: Notify, dtype: DTypeLike = np.float32
     ) -> None:
         shape = acquisition.shape
-        self._interference = Interference(acquisition, dtype)
+        self._tones, self._impulses = Tones(acquisition, dtype), Impulses(acquisition, dtype)
         self.gate = Gate(settings.gate)
         self.liveness = Liveness()
         self._baseline = Baseline(shape, settings.baseline, dtype)
@@ -93,15 +94,15 @@ class Detector:
 
     def detect(self, frame: Frame) -> Detection:
         """Return what a frame is."""
-        lost = 0
+        lost, gate, tones = 0, self.gate, self._tones
         if frame.sequence != self.sequence + 1:
             lost = self._number(frame)
             if lost < 0:
                 self.miss(frame.t_ns, "the DAQ's frame number stands still or runs back")
                 return self._without_measurement(Outcome.REPEATED, frame, 0)
-        pace = self._pace
-        if not pace.low_ns < frame.t_ns - self._last_ns < pace.high_ns and not lost:
-            self._follow_pace(frame.t_ns - self._last_ns)
+        pace, step_ns = self._pace, frame.t_ns - self._last_ns
+        if not pace.low_ns < step_ns < pace.high_ns and not lost and pace.update(step_ns):
+            gate.set_period(pace.period_ns)
         self.sequence, self._last_ns = frame.sequence, frame.t_ns
         baseline, stuck = self._baseline, self._stuck
         if stuck.repeats(frame.counts, baseline.signal):
@@ -114,17 +115,17 @@ class Detector:
         if self._learning:
             return self._learning_frame(frame, lost)
         energy = baseline.subtract(frame.counts, frame.t_ns)
-        gate = self.gate
         self._was_open = was_open = gate.is_open
-        if self._interference.tones_hz:
-            renew = not was_open and not frame.sequence % (RENEW_EVERY * pace.slow_every)
+        if tones.known_hz:
             baseline.keep()  # else what a tone has left in the mean while it was learned would stay there for ever
-            self._interference.remove(baseline.residual, gate.noise_energy, renew=renew)
+            if not was_open and not frame.sequence % (RENEW_EVERY * pace.slow_every):
+                tones.renew(baseline.residual, gate.noise_energy)
+            tones.remove(baseline.residual)
             energy = baseline.residual_energy()
         touched = gate.decide(energy)
         if self._alive:
             self._listened = touched and not frame.sequence % LISTEN_EVERY
-            if self._listened and self._interference.finds_tones(baseline.residual, gate.noise_energy):
+            if self._listened and tones.find(baseline.residual, gate.noise_energy):
                 energy = baseline.residual_energy()
                 touched = self._decide_again(energy)
             if not touched and gate.is_too_quiet(energy):
@@ -138,7 +139,7 @@ class Detector:
         outcome, changed = (_TOUCHED, False) if touched else (_UNTOUCHED, gate.update(energy))
         return Detection(
             outcome, frame.t_ns, energy, gate.noise_root, gate.noise_deviation, baseline.signal, baseline.residual,
-            baseline.mean, self._live, changed, None, lost, pace.period_ns, self._interference.tones_hz,
+            baseline.mean, self._live, changed, None, lost, pace.period_ns, tones.known_hz,
         )  # fmt: skip
 
     def clean(self, detection: Detection) -> Detection:
@@ -146,15 +147,15 @@ class Detector:
 
         What is left may be an untouched frame.
         """
-        gate, interference, residual = self.gate, self._interference, detection.residual
+        gate, tones, residual = self.gate, self._tones, detection.residual
         energy, touched, changed = detection.energy, True, False
         hits: tuple[int, ...] = ()
         listens = not (self._alive and self._listened)
-        if found := listens and interference.finds_tones(residual, gate.noise_energy):
+        if found := listens and tones.find(residual, gate.noise_energy):
             energy = self._baseline.residual_energy()
             touched = self._decide_again(energy)
             changed = not touched and gate.update(energy)
-        if touched and (hits := interference.blank(residual, energy)):
+        if touched and (hits := self._impulses.blank(residual, energy)):
             # Without them the plate may be untouched; its noise is not learned from such a frame.
             energy = self._baseline.residual_energy()
             touched = self._decide_again(energy)
@@ -162,7 +163,7 @@ class Detector:
             return detection
         return replace(
             detection, outcome=_TOUCHED if touched else _UNTOUCHED, energy=energy, noise_changed=changed,
-            noise_root=gate.noise_root, noise_deviation=gate.noise_deviation, tones_hz=interference.tones_hz, hits=hits,
+            noise_root=gate.noise_root, noise_deviation=gate.noise_deviation, tones_hz=tones.known_hz, hits=hits,
         )  # fmt: skip
 
     def adapt(self, detection: Detection, found: bool, departure: bool, alive: bool, moved: bool = False) -> None:
@@ -185,11 +186,11 @@ class Detector:
         if detection.outcome is _UNTOUCHED:
             if self._relearn.active:
                 self._relearn.reset()
-                self._interference.end_touch()
+                self._tones.end_touch()
             if not self.sequence % KEEP_EVERY:
                 self._stuck.keep(detection.signal)
             if not self.sequence % self._pace.slow_every:
-                self._interference.follow(detection.residual)
+                self._impulses.update(detection.residual)
             if not alive:
                 self._baseline.follow()
                 self.followed_ns = detection.t_ns
@@ -200,7 +201,7 @@ class Detector:
         else:
             self._stuck.keep(detection.signal)
             if alive and not detection.hits:
-                self._interference.keep(detection.residual)
+                self._tones.keep(detection.residual)
         finger, energy = found or alive, detection.energy
         if not finger and (moved or energy < DRIFT_SHARE * self._signal_energy):
             # The plate has drifted while it was touched.
@@ -241,11 +242,6 @@ class Detector:
             return f"the DAQ repeats what it heard on channels {channels}"
         return "the signal changes and no finger explains it: interference or water" if self._relearn.restless else None
 
-    def _follow_pace(self, step_ns: int) -> None:
-        """Take a step from frame to frame that is not the usual one, or comes after such a one."""
-        if self._pace.update(step_ns):
-            self.gate.set_period(self._pace.period_ns)
-
     def _number(self, frame: Frame) -> int:
         """Return how many frames are missing before a frame; -1 for one whose number is not new."""
         last = self.sequence
@@ -268,7 +264,11 @@ class Detector:
         energies = baseline.learn(frame.counts, frame.t_ns)
         learned = None
         if energies is not None:
-            self.gate.learn(self._interference.learn(baseline, energies))
+            residuals = baseline.learned()
+            if self._tones.learn(residuals):
+                energies = baseline.learn_from(baseline.mean + residuals)
+            hit = self._impulses.learn(baseline.window)
+            self.gate.learn(baseline.leave_out(hit) if hit.any() else energies)
             self._relearn.reset()
             self._signal_energy = baseline.energy()
             self._learning = False

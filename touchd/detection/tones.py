@@ -28,6 +28,11 @@ SAME_BINS = 0.5
 """Lines nearer to each other are one tone."""
 PAIR_SHARE = 0.8
 """Of a line's energy, two neighbouring bins have this much at least, wherever between them it lies."""
+LISTEN_EVERY = 16
+"""Tones are looked for in this part of the frames that fingers explain, and in every other touched frame: one that
+grows slowly makes no frame differ from the last one."""
+RENEW_EVERY = 8
+"""Known tones are looked for again in this part of the untouched frames that tell the noise: once a second."""
 _PADDED = 4
 """Points of the spectrum for each bin: a line between two of them loses 5 % at most."""
 _FIRST_BIN = 3
