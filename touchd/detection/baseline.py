@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from touchd.config.schema import BaselineSettings
-from touchd.detection.jitter import delay_direction
 from touchd.frame import Counts
 
 Signal = NDArray[np.floating]
@@ -21,6 +20,10 @@ _QUICKLY = 8
 _STEADY_RATIO = 0.7
 _PATIENCE_WINDOWS = 20
 """A plate that is never steady is learned as it is after this many windows: a poor baseline is better than none."""
+DELAYED = 16.0
+"""Power along a delay, over a sample's noise, from which the gate leaves it out: 0.5 ns of jitter at 60 dB."""
+_FEWEST_DELAYED = 8
+"""Fewer frames do not tell the jitter."""
 
 
 class Baseline:
@@ -203,3 +206,33 @@ def _steady(residuals: Signal, energies: NDArray[np.float64]) -> bool:
     successive = np.diff(residuals.reshape(len(residuals), -1), axis=0)
     noise = 0.5 * np.einsum("ij,ij->i", successive, successive, dtype=np.float64).mean()
     return bool(noise >= _STEADY_RATIO * energies.mean())
+
+
+def delay_direction(mean: Signal, residuals: Signal) -> Signal | None:
+    """Return the direction of a delay in the residuals of untouched frames, unless noise hides it.
+
+    A trigger that jitters delays all channels alike, which says nothing of fingers. The direction is the derivative of
+    the mean by time, corrected at the frame's ends by what the residuals have in common with it. Slow movement, as of a
+    plate that warms, is no jitter: only differences of successive frames count.
+
+    Parameters
+    ----------
+    mean : array of shape (channels, samples)
+    residuals : array of shape (n, channels, samples)
+
+    Returns
+    -------
+    array of shape (channels * samples,), of length 1, or None
+    """
+    flat = residuals.reshape(len(residuals), -1)
+    spectrum = np.fft.rfft(mean.astype(np.float64), axis=1)
+    slope = np.fft.irfft(2j * np.pi * np.arange(spectrum.shape[1]) * spectrum, mean.shape[1], axis=1).reshape(-1)
+    length = float(np.linalg.norm(slope))
+    if not length > 0 or len(flat) < _FEWEST_DELAYED:
+        return None
+    along = flat @ (slope / length)
+    variance = float(np.square(np.diff(flat, axis=0)).mean()) / 2
+    if not np.square(np.diff(along)).mean() / 2 > DELAYED * variance > 0:
+        return None
+    common = along @ flat
+    return np.asarray(common / np.linalg.norm(common), mean.dtype)
