@@ -12,7 +12,7 @@ Kind = Literal["finger", "thumb", "glove"]
 class Face(Struct, gc=False, frozen=True):
     """The second moments of a contact's face: those of an ellipse of semi-axes a and b, turned by an angle t.
 
-    They are linear in what is measured, so they can be averaged; `touchd.tracking.ellipse` makes axes of them.
+    They are linear in what is measured, so they can be averaged; `touchd.tracking.face` makes axes of them.
     """
 
     mean_mm2: float

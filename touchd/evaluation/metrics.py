@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from touchd.event import Contact
 from touchd.touch import Touch
-from touchd.tracking.ellipse import Ellipse, ellipse_of
+from touchd.tracking.face import Ellipse, ellipse_of
 
 Floats = NDArray[np.float64]
 

@@ -11,9 +11,8 @@ from touchd.config.schema import TrackerSettings
 from touchd.event import Contact
 from touchd.touch import Touch
 from touchd.tracking.assignment import assign
-from touchd.tracking.ellipse import FaceAverage, ellipse_of
+from touchd.tracking.face import FaceAverage, SteadyKind, ellipse_of
 from touchd.tracking.one_euro import OneEuro
-from touchd.tracking.steady_kind import SteadyKind
 
 _NEVER = 1e9  # mm: finite, as the assignment asks
 _RELEASE_FRAMES = 2

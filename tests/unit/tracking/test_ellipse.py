@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from touchd.config.schema import TrackerSettings
 from touchd.event import Contact
 from touchd.touch import Face, Touch
-from touchd.tracking.ellipse import FORGET_S, FaceAverage, ellipse_of
+from touchd.tracking.face import FORGET_S, FaceAverage, ellipse_of
 from touchd.tracking.tracker import Tracker
 
 AXES = st.tuples(st.floats(2, 20), st.floats(1.05, 2.5))

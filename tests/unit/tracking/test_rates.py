@@ -7,9 +7,8 @@ import pytest
 
 from touchd.config.schema import TrackerSettings
 from touchd.touch import Face, Touch
-from touchd.tracking.ellipse import AVERAGE_S, FORGET_S, FaceAverage
+from touchd.tracking.face import AVERAGE_S, FORGET_S, STEADY_S, FaceAverage, SteadyKind
 from touchd.tracking.one_euro import OneEuro
-from touchd.tracking.steady_kind import STEADY_S, SteadyKind
 from touchd.tracking.tracker import Tracker
 
 RATES = pytest.mark.parametrize("rate_hz", [10, 50, 125, 250, 500])

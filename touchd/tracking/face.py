@@ -1,4 +1,4 @@
-"""From second moments to ellipses: a contact's area, axes and direction, averaged over frames."""
+"""A contact over time: area, axes and direction of its face, averaged over frames, and the kind of finger."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from math import atan2, degrees, exp, hypot, pi, sqrt
 
 from msgspec import Struct
 
-from touchd.touch import Face
+from touchd.touch import Face, Kind
 
 AVERAGE_S = 0.05
 """Time constant of the average: a finger lands within 0.03 s, and rolls and spreads over tenths of a second."""
@@ -16,6 +16,8 @@ MOST_OVAL = 0.8
 """Largest (a^2 - b^2) / (a^2 + b^2) of an ellipse: three times as long as wide."""
 TOLD_SIGMAS = 3.0
 """The direction is told if the face is longer than wide by this many standard errors."""
+STEADY_S = 0.06
+"""A finger that lands or lifts has all sizes within 0.03 s."""
 
 
 class Ellipse(Struct, gc=False, frozen=True):
@@ -77,3 +79,25 @@ class FaceAverage:
             face.mean_sigma_mm2,
             face.oval_sigma_mm2,
         )
+
+
+class SteadyKind:
+    """Tells the kind of a finger that was seen last for 0.06 s without another one."""
+
+    __slots__ = ("_candidate", "_for_s", "kind")
+
+    def __init__(self, kind: Kind | None) -> None:
+        self.kind: Kind | None = None
+        """None until it can be told."""
+        self._candidate, self._for_s = kind, 0.0
+
+    def update(self, kind: Kind, elapsed_s: float) -> None:
+        """Take the kind of a frame that tells one, this long after the one before."""
+        if kind == self.kind:
+            self._candidate = None
+        elif kind != self._candidate:
+            self._candidate, self._for_s = kind, 0.0
+        else:
+            self._for_s += elapsed_s
+            if self._for_s >= STEADY_S:
+                self.kind = kind
