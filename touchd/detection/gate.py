@@ -46,7 +46,8 @@ class Gate:
         self._variance = 0.0
         self.noise_deviation = 0.0
         """Its standard deviation, with a margin for what few frames tell of it."""
-        self._open_above = math.inf
+        self.threshold_energy = math.inf
+        """The energy above which a closed gate opens, ADC counts squared."""
         self._close_below = math.inf
         self._quiet_below, self._quiet = 0.0, 0
         self._run, self._below, self._due = 0, False, 0
@@ -80,7 +81,7 @@ class Gate:
 
     def decide(self, energy: float) -> bool:
         """Return whether the gate is open for a frame whose residual holds this energy (counts squared)."""
-        self.is_open = energy > (self._close_below if self.is_open else self._open_above)
+        self.is_open = energy > (self._close_below if self.is_open else self.threshold_energy)
         return self.is_open
 
     def is_too_quiet(self, energy: float) -> bool:
@@ -125,11 +126,6 @@ class Gate:
         """Mean energy of the residual of an untouched frame, ADC counts squared."""
         return self.noise_root**3
 
-    @property
-    def threshold_energy(self) -> float:
-        """The energy above which a closed gate opens, ADC counts squared."""
-        return self._open_above
-
     def _set_parameters(self, settings: GateSettings) -> None:
         self._settings = settings
         self._quantile = -NormalDist().inv_cdf(min(settings.false_alarm_rate * self._periods, _MOST_ALARMS))
@@ -148,6 +144,6 @@ class Gate:
         self.noise_deviation = deviation = math.sqrt(self._variance) * self._margin
         excess = self._quantile * deviation
         opens, closes, quiet = mean + excess, mean + _CLOSE_RATIO * excess, max(mean - excess, 0.0)
-        self._open_above = opens * opens * opens
+        self.threshold_energy = opens * opens * opens
         self._close_below = closes * closes * closes
         self._quiet_below = quiet * quiet * quiet

@@ -47,7 +47,8 @@ class Relearn:
         self._previous = np.zeros(size, dtype)
         self._previous_energy = 0.0
         self._product = np.zeros((), dtype)
-        self._left = np.zeros(shape, dtype)
+        self.left: Signal = np.zeros(shape, dtype)
+        """What a finger leaves that was part of the baseline and has lifted, shape (channels, samples)."""
         self.reset()
 
     def configure(self, settings: BaselineSettings) -> None:
@@ -112,19 +113,14 @@ class Relearn:
             and self._same_since_ns - since_ns >= _UNSTEADY_NS
         )
 
-    @property
-    def left(self) -> Signal:
-        """What a finger leaves that was part of the baseline and has lifted, shape (channels, samples)."""
-        return self._left
-
     def _follow_departure(self, residual: Signal, departure: bool) -> None:
         """Average what a finger has left that was part of the baseline."""
         self._lifted = self._lifted + 1 if departure else 0
         frames = self._lifted - _LIFTING_FRAMES
         if frames == 1:
-            self._left[...] = residual
+            self.left[...] = residual
         elif frames > 1:
-            self._left += (residual - self._left) / frames
+            self.left += (residual - self.left) / frames
 
     def _begin(self, t_ns: int, flat: Signal, energy: float) -> None:
         self._same_since_ns = t_ns

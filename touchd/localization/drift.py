@@ -43,9 +43,11 @@ class Drift:
         self._reference = atlas.baseline.astype(np.float64)
         self._omega_rad_s = 2 * np.pi * bins * a.sample_rate_hz / a.samples
         self._channels, self._size = a.channels, atlas.size
-        self._matrix = self._plain.astype(self._dtype)
+        self.matrix: Array = self._plain.astype(self._dtype)
+        """What takes samples to bins, shape (samples, 2 * bins)."""
         self._scale: Array | None = None
-        self._directions = np.zeros((0, self._size), self._dtype)
+        self.directions: Array = np.zeros((0, self._size), self._dtype)
+        """Orthonormal directions in which the untouched plate can move, shape (up to 2 + channels, size)."""
         self._along = np.zeros(0, self._dtype)
         self._step = np.zeros(0, self._dtype)
         self._drifted = np.zeros(self._size, self._dtype)
@@ -72,7 +74,7 @@ class Drift:
         energy, known = np.square(live).sum(axis=1), np.square(self._reference).sum(axis=1)
         self.dead = energy < DEAD_BELOW * known
         self.stretch, self.gains = self._fit(live)
-        self._matrix = (self._plain - self.stretch * self._stretched).astype(self._dtype)
+        self.matrix = (self._plain - self.stretch * self._stretched).astype(self._dtype)
         self._scale = None
         if np.abs(self.gains - 1).max() > 1e-3:
             self._scale = (1 / self.gains).astype(self._dtype)[:, None]
@@ -82,7 +84,7 @@ class Drift:
     def correct(self, residual: Array, out: Array) -> None:
         """Write the corrected bins of a residual of shape (channels, samples) to `out`, of shape (size,)."""
         table = out.reshape(self._channels, -1)
-        residual.dot(self._matrix, table)
+        residual.dot(self.matrix, table)
         if self._scale is not None:
             np.multiply(table, self._scale, out=table)
         if self._moved:
@@ -106,26 +108,16 @@ class Drift:
     def _add(self, vector: Array, t_ns: int, weight: float) -> None:
         """Add this share of what lies along the directions."""
         self.t_ns = t_ns
-        if not len(self._directions) or weight <= 0:
+        if not len(self.directions) or weight <= 0:
             return
-        np.dot(self._directions, vector, out=self._step)
+        np.dot(self.directions, vector, out=self._step)
         self._weight[...] = weight
         np.multiply(self._step, self._weight, out=self._step)
         np.add(self._along, self._step, out=self._along)
-        np.dot(self._along, self._directions, out=self._drifted)
+        np.dot(self._along, self.directions, out=self._drifted)
         self._along.dot(self._along, self._weight)
         self.energy = self._weight.item()
         self._moved = True
-
-    @property
-    def matrix(self) -> Array:
-        """What takes samples to bins, shape (samples, 2 * bins)."""
-        return self._matrix
-
-    @property
-    def directions(self) -> Array:
-        """Orthonormal directions in which the untouched plate can move, shape (up to 2 + channels, size)."""
-        return self._directions
 
     def reset(self) -> None:
         """Forget the drift under a finger: the baseline follows the plate again."""
@@ -160,13 +152,13 @@ class Drift:
 
     def _set_directions(self, live: NDArray[np.float64]) -> None:
         """Set the directions in which the untouched plate can move."""
-        bins, stretched = live @ self._matrix, live @ self._stretched
+        bins, stretched = live @ self.matrix, live @ self._stretched
         if self._scale is not None:
             bins, stretched = bins * self._scale, stretched * self._scale
         self.signal_energy = max(float(np.square(bins).sum()), 1.0)
         bins[self.dead] = stretched[self.dead] = 0.0
         self.delay = delayed(bins, self._omega_rad_s).ravel()
         directions = plate_directions(bins, stretched, self._omega_rad_s)
-        self._directions = directions.astype(self._dtype)
+        self.directions = directions.astype(self._dtype)
         self._along = np.zeros(len(directions), self._dtype)
         self._step = np.zeros_like(self._along)

@@ -154,11 +154,6 @@ class NoiseModel:
         self._along = np.zeros(len(self._directions), dtype)
 
     @property
-    def power(self) -> Array:
-        """Noise power of each value, shape (size,), counts squared."""
-        return self._bin_power.power
-
-    @property
     def is_alike(self) -> bool:
         """Whether the noise has few shapes, as tones and trigger jitter have, so that a finger's may be among them."""
         return self._alike * self.active_bins > ALIKE
