@@ -23,7 +23,7 @@ from touchd.evaluation.dataset import make_dataset
 from touchd.event import Event, KeyEvent, TouchEvent
 from touchd.frame import Frame
 from touchd.keypad import PHONE, Key, Layout, load_layout
-from touchd.localization.features import FrequencyFeatures
+from touchd.localization.features import Features
 from touchd.localization.model import Model
 from touchd.localization.noise import NoiseModel
 from touchd.pipeline import Pipeline, Result
@@ -359,7 +359,7 @@ def test_closed_gate(scene: Scene, make: Callable[..., Pipeline], monkeypatch: p
         return counted
 
     monkeypatch.setattr(Model, "infer", counting("infer", Model.infer))
-    monkeypatch.setattr(FrequencyFeatures, "extract", counting("extract", FrequencyFeatures.extract))
+    monkeypatch.setattr(Features, "extract", counting("extract", Features.extract))
     pipeline = make()
     closed = opened = 0
     for frame in frames_of(scene("tap")):

@@ -13,7 +13,7 @@ from touchd.config.schema import DeviceSettings
 from touchd.doctor.checks import Finding, Sample
 from touchd.errors import RecordingValues, SourceError
 from touchd.frame import Acquisition, Counts
-from touchd.localization.features import make_features
+from touchd.localization.features import Features
 from touchd.localization.model import Model
 from touchd.recording.data import Meta
 from touchd.recording.format import Reader
@@ -115,7 +115,7 @@ def untouched(path: Path, model: Model) -> NDArray[np.float64]:
 
 def time_frames(sample: Sample, acquisition: Acquisition, model: Model) -> list[float]:
     """Return the computing time from counts to a position for each of 500 frames, us."""
-    features = make_features(model.description.domain, acquisition)
+    features = Features(model.description.domain, acquisition)
     baseline = sample.untouched.astype(np.float32)
     residual = np.zeros_like(baseline)
     spent_us = []

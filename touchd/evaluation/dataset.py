@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from touchd.errors import TrainingError
 from touchd.frame import Acquisition, Plate
-from touchd.localization.features import Domain, make_features
+from touchd.localization.features import Domain, Features
 from touchd.recording.data import Meta, Recording
 
 Array = NDArray[np.float32]
@@ -105,7 +105,7 @@ def make_dataset(recording: Recording, domain: Domain = "frequency", least: int 
     position_mm, touched, untouched = labels(recording, least)
     pairs = baseline_frames(recording.timestamp_ns, touched, untouched)
     acquisition = recording.acquisition
-    features = make_features(domain, acquisition)
+    features = Features(domain, acquisition)
     residual = np.empty((len(touched), features.size), np.float32)
     signal, plain, stretch, delay = (np.empty_like(residual) for _ in range(4))
     seconds = np.arange(acquisition.samples) / acquisition.sample_rate_hz

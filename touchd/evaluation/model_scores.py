@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from touchd.evaluation.metrics import position_scores
 from touchd.keypad import Layout
-from touchd.localization.features import make_features, noise_to_signal
+from touchd.localization.features import Features
 from touchd.localization.model import Description, Model
 
 
@@ -49,13 +49,13 @@ def judge(model: Model, features: NDArray[np.float32], true_mm: NDArray[np.float
     `noise_energy` is the energy of an untouched residual, ADC counts squared.
     """
     d = model.description
-    route = make_features(d.domain, d.acquisition)
+    route = Features(d.domain, d.acquisition)
     rows = np.empty((len(features), 4))
     found = np.zeros(len(features), np.int64)
     for i, row in enumerate(features):
         model.features[0] = row
         estimate = model.estimate()
-        sigma_mm = estimate.error_mm(noise_to_signal(route, noise_energy, float(row @ row)))
+        sigma_mm = estimate.error_mm(route.noise_to_signal(noise_energy, float(row @ row)))
         rows[i] = estimate.x_mm, estimate.y_mm, sigma_mm, estimate.confidence
         if d.head != "regression":
             found[i] = int(model.outputs["probability"][0].argmax())

@@ -20,7 +20,7 @@ from touchd.evaluation.truth import fingers_only
 from touchd.frame import Counts
 from touchd.localization.atlas import Atlas
 from touchd.localization.atlas_localizer import AtlasLocalizer
-from touchd.localization.features import make_features
+from touchd.localization.features import Features
 from touchd.localization.localization import Localizer
 from touchd.localization.model import Model
 from touchd.localization.network_localizer import NetworkLocalizer
@@ -142,7 +142,7 @@ def find_with(model: Model, atlas: Atlas | None, frames: TouchedFrames) -> Find:
 
 def network_features(model: Model, frames: TouchedFrames) -> Array:
     """Return the network's features of each frame, shape (n, inputs)."""
-    extract = make_features(model.description.domain, frames.recording.acquisition).extract
+    extract = Features(model.description.domain, frames.recording.acquisition).extract
     features = np.empty((len(frames), model.description.inputs), np.float32)
     of_residual = model.description.input == "residual"
     for i, row in enumerate(features):

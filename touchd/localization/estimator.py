@@ -10,7 +10,7 @@ from touchd.config.schema import Settings
 from touchd.detection.detection import Detection
 from touchd.keypad import Layout
 from touchd.localization.contact_kind import kind_of
-from touchd.localization.features import make_features, noise_to_signal
+from touchd.localization.features import Features
 from touchd.localization.model import Estimate, Model
 from touchd.localization.spline import Position
 from touchd.touch import Face, Kind, Touch
@@ -30,7 +30,7 @@ class Estimator:
 
     def __init__(self, model: Model) -> None:
         self._model = model
-        self._features = make_features(model.description.domain, model.description.acquisition, model.dtype)
+        self._features = Features(model.description.domain, model.description.acquisition, model.dtype)
         self._input = model.features.reshape(self._features.shape)
         self._flat, self._power = model.features.reshape(-1), np.zeros((), model.dtype)
         self.of_residual = model.description.input == "residual"
@@ -44,7 +44,7 @@ class Estimator:
     def sigma_mm(self, estimate: Estimate, noise_energy: float) -> float:
         """Return the predicted standard error of the last frame's estimate, per axis."""
         self._flat.dot(self._flat, self._power)
-        return estimate.error_mm(noise_to_signal(self._features, noise_energy, self._power.item()))
+        return estimate.error_mm(self._features.noise_to_signal(noise_energy, self._power.item()))
 
     def opposite(self) -> Estimate:
         """Return where the network sees a finger in the negative of the last frame's features."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
@@ -12,20 +12,6 @@ from touchd.frame import Acquisition
 
 Domain = Literal["frequency", "time"]
 Vector = NDArray[np.floating]
-
-
-class Features(Protocol):
-    """A route from samples to the model's input."""
-
-    size: int
-    shape: tuple[int, int]
-    """Of the features with an axis for the channels."""
-    noise_gain: float
-    """Energy of the features of white noise over that of its samples."""
-
-    def extract(self, signal: Vector, out: Vector) -> None:
-        """Write the features of a signal of shape (channels, samples) to `out`, of shape (size,) or `shape`."""
-        ...
 
 
 def band_bins(acquisition: Acquisition) -> NDArray[np.int64]:
@@ -53,49 +39,43 @@ def windowed_dft(acquisition: Acquisition, bins: NDArray[np.int64] | None = None
     return np.concatenate([window * np.cos(phase), -window * np.sin(phase)], axis=1)
 
 
-class FrequencyFeatures:
-    """Real and imaginary parts of the windowed bins, channel by channel: 4 x (49 + 49) = 392 for the paper's rig."""
+class Features:
+    """A route from samples to the model's input.
 
-    def __init__(self, acquisition: Acquisition, dtype: DTypeLike = np.float32) -> None:
-        self._matrix = windowed_dft(acquisition).astype(dtype)
-        self.shape = (acquisition.channels, self._matrix.shape[1])
-        self.size = self.shape[0] * self.shape[1]
-        # Each bin holds the window's energy times the variance of a sample.
-        self.noise_gain = float(np.square(self._matrix, dtype=np.float64).sum()) / acquisition.samples
-
-    def extract(self, signal: Vector, out: Vector) -> None:
-        """Write the bins of a signal of shape (channels, samples) to `out`, of shape (size,) or `shape`."""
-        np.dot(signal, self._matrix, out=out if out.shape == self.shape else out.reshape(self.shape))
-
-
-class TimeFeatures:
-    """The samples of all channels, one after the other: 4 x 250 = 1000 for the paper's rig."""
-
-    def __init__(self, acquisition: Acquisition) -> None:
-        self.shape = acquisition.shape
-        self.size = acquisition.channels * acquisition.samples
-        self.noise_gain = 1.0
-
-    def extract(self, signal: Vector, out: Vector) -> None:
-        """Write the samples of a signal of shape (channels, samples) to `out`, of shape (size,) or `shape`."""
-        out[...] = signal.reshape(out.shape)
-
-
-def noise_to_signal(route: Features, noise_energy: float, energy: float) -> float:
-    """Return the norm that white noise has in features over their own norm.
+    In the frequency domain these are real and imaginary parts of the windowed bins, channel by channel: 4 x (49 + 49) =
+    392 for the paper's rig. In the time domain they are the samples of all channels, one after the other: 4 x 250.
 
     Parameters
     ----------
-    route : Features
-        What the features were taken by.
-    noise_energy : float
-        Energy of the samples of the noise in them, ADC counts squared.
-    energy : float
-        Of the features.
+    domain : Domain
+    acquisition : Acquisition
+    dtype : type
+        Of the matrix.
     """
-    return math.sqrt(route.noise_gain * noise_energy / max(energy, 1e-12))
 
+    def __init__(self, domain: Domain, acquisition: Acquisition, dtype: DTypeLike = np.float32) -> None:
+        self._matrix: Vector | None = None
+        self.shape = acquisition.shape
+        """Of the features with an axis for the channels."""
+        self.noise_gain = 1.0
+        """Energy of the features of white noise over that of its samples."""
+        if domain == "frequency":
+            self._matrix = windowed_dft(acquisition).astype(dtype)
+            self.shape = acquisition.channels, self._matrix.shape[1]
+            # Each bin holds the window's energy times the variance of a sample.
+            self.noise_gain = float(np.square(self._matrix, dtype=np.float64).sum()) / acquisition.samples
+        self.size = self.shape[0] * self.shape[1]
 
-def make_features(domain: Domain, acquisition: Acquisition, dtype: DTypeLike = np.float32) -> Features:
-    """Return the features of a domain for an acquisition; `dtype` is that of the matrix."""
-    return FrequencyFeatures(acquisition, dtype) if domain == "frequency" else TimeFeatures(acquisition)
+    def extract(self, signal: Vector, out: Vector) -> None:
+        """Write the features of a signal of shape (channels, samples) to `out`, of shape (size,) or `shape`."""
+        if self._matrix is None:
+            out[...] = signal.reshape(out.shape)
+        else:
+            np.dot(signal, self._matrix, out=out if out.shape == self.shape else out.reshape(self.shape))
+
+    def noise_to_signal(self, noise_energy: float, energy: float) -> float:
+        """Return the norm that white noise has in the features over their own norm.
+
+        `noise_energy` is that of the noise's samples, `energy` that of the features, ADC counts squared.
+        """
+        return math.sqrt(self.noise_gain * noise_energy / max(energy, 1e-12))

@@ -13,7 +13,7 @@ from touchd.detection.detection import Detection
 from touchd.frame import Acquisition
 from touchd.keypad import Layout
 from touchd.localization.estimator import Estimator, TouchMaker
-from touchd.localization.features import FrequencyFeatures, band_bins, windowed_dft
+from touchd.localization.features import Features, band_bins, windowed_dft
 from touchd.localization.fit_criteria import CRITERIA
 from touchd.localization.localization import UNTOUCHED, Localization
 from touchd.localization.model import Model
@@ -39,7 +39,7 @@ class PlateMovement:
 
     def __init__(self, acquisition: Acquisition, dtype: DTypeLike) -> None:
         bins = band_bins(acquisition)
-        self._features = FrequencyFeatures(acquisition, dtype)
+        self._features = Features("frequency", acquisition, dtype)
         self._plain, self._stretched = windowed_dft(acquisition), stretch_matrix(acquisition, bins)
         self._omega_rad_s = 2 * np.pi * bins * acquisition.sample_rate_hz / acquisition.samples
         self._bins: Signal = np.zeros(self._features.size, dtype)

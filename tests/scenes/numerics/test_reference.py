@@ -17,7 +17,7 @@ from tests.scenes.numerics.double import double_model, narrow_arrays
 from tests.scenes.numerics.watch import frames_of, run
 from touchd.evaluation.dataset import make_dataset
 from touchd.frame import Acquisition
-from touchd.localization.features import FrequencyFeatures
+from touchd.localization.features import Features
 from touchd.localization.model import Model, default_model_path
 from touchd.twin.instrument import Instrument
 from touchd.twin.scenes.catalogue import SCENES
@@ -38,7 +38,7 @@ away at most, of a swipe, with shapes as without."""
 @settings(max_examples=30)
 def test_the_networks_features_are_those_of_rfft_in_float64(seed: int, size: float) -> None:
     residual = (size * np.random.default_rng(seed).uniform(-1, 1, RIG.shape)).astype(np.float32)
-    features = FrequencyFeatures(RIG)
+    features = Features("frequency", RIG)
     found = np.zeros(features.size, np.float32)
     features.extract(residual, found)
     exact = reference.network_features(residual, RIG)

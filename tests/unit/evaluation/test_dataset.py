@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from tests.conftest import TOUCHES
 from touchd.errors import TrainingError
 from touchd.evaluation.dataset import MIN_TOUCHES, Dataset, digest, labels, make_dataset, split, thin
-from touchd.localization.features import make_features
+from touchd.localization.features import Features
 from touchd.recording.data import Act, Recording
 
 
@@ -30,7 +30,7 @@ def test_each_touch_is_taken_with_its_place(dataset: Dataset, touches: Recording
 
 
 def test_a_residual_is_a_touch_less_the_untouched_frames_on_both_sides(dataset: Dataset, touches: Recording) -> None:
-    features = make_features("frequency", touches.acquisition)
+    features = Features("frequency", touches.acquisition)
     row = np.empty(features.size, np.float32)
     for i in (0, 5, 100):
         before, touch, after = touches.frames[2 * i : 2 * i + 3].astype(np.float32)

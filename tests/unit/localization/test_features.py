@@ -7,15 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from touchd.frame import Acquisition, Chirp
-from touchd.localization.features import (
-    Domain,
-    FrequencyFeatures,
-    TimeFeatures,
-    band_bins,
-    make_features,
-    noise_to_signal,
-    windowed_dft,
-)
+from touchd.localization.features import Domain, Features, band_bins, windowed_dft
 
 RIG = Acquisition(channels=4, samples=250, sample_rate_hz=250e3)
 
@@ -29,8 +21,8 @@ def reference(signal: np.ndarray, acquisition: Acquisition) -> np.ndarray:
 
 def test_the_papers_rig_has_49_bins_from_51_to_99() -> None:
     assert band_bins(RIG).tolist() == list(range(51, 100))
-    assert FrequencyFeatures(RIG).size == 4 * 49 * 2 == 392
-    assert TimeFeatures(RIG).size == 1000
+    assert Features("frequency", RIG).size == 4 * 49 * 2 == 392
+    assert Features("time", RIG).size == 1000
 
 
 def test_the_matrix_is_the_windowed_fft_to_the_last_digits_of_float64() -> None:
@@ -46,7 +38,7 @@ def test_the_matrix_is_the_windowed_fft_to_the_last_digits_of_float64() -> None:
 def test_float32_features_are_those_of_float64_to_a_millionth_of_the_signal(counts: np.ndarray, scale: float) -> None:
     signal = (counts * scale).astype(np.float32)
     out = np.empty(392, np.float32)
-    FrequencyFeatures(RIG).extract(signal, out)
+    Features("frequency", RIG).extract(signal, out)
     # The largest bin that a signal of this size can have bounds what rounding may add.
     full = np.abs(signal).max() * np.hanning(250).sum()
     np.testing.assert_allclose(out, reference(signal, RIG), rtol=0, atol=1e-6 * full + 1e-30)
@@ -64,7 +56,7 @@ def test_any_acquisition_has_its_band_strictly_inside_the_chirps(channels: int, 
     f_hz = band_bins(acquisition) * rate_hz / samples
     assert ((f_hz > 50e3) & (f_hz < 100e3)).all()
     signal = np.random.default_rng(samples).standard_normal((channels, samples)).astype(np.float32)
-    features = FrequencyFeatures(acquisition)
+    features = Features("frequency", acquisition)
     out = np.empty(features.size, np.float32)
     features.extract(signal, out)
     np.testing.assert_allclose(out, reference(signal, acquisition), rtol=0, atol=1e-5 * samples)
@@ -73,7 +65,7 @@ def test_any_acquisition_has_its_band_strictly_inside_the_chirps(channels: int, 
 def test_time_features_are_the_samples_channel_by_channel() -> None:
     signal = np.arange(1000, dtype=np.float32).reshape(4, 250)
     out = np.empty(1000, np.float32)
-    make_features("time", RIG).extract(signal, out)
+    Features("time", RIG).extract(signal, out)
     assert out.tolist() == list(range(1000))
 
 
@@ -85,7 +77,7 @@ def test_a_chirp_outside_the_sampled_band_leaves_no_bins() -> None:
 @pytest.mark.parametrize("domain", ["frequency", "time"])
 def test_features_do_not_depend_on_what_was_in_the_buffer(domain: str) -> None:
     signal = np.random.default_rng(2).standard_normal((4, 250)).astype(np.float32)
-    features = make_features(domain, RIG)  # type: ignore[arg-type]  # parametrize knows no literals
+    features = Features(domain, RIG)  # type: ignore[arg-type]  # parametrize knows no literals
     a, b = np.full(features.size, np.nan, np.float32), np.zeros(features.size, np.float32)
     features.extract(signal, a)
     features.extract(signal, b)
@@ -94,7 +86,7 @@ def test_features_do_not_depend_on_what_was_in_the_buffer(domain: str) -> None:
 
 @pytest.mark.parametrize("domain", ["frequency", "time"])
 def test_white_noise_has_the_energy_in_the_features_that_its_gain_says(domain: Domain) -> None:
-    features = make_features(domain, RIG)
+    features = Features(domain, RIG)
     noise = np.random.default_rng(5).standard_normal((4000, *RIG.shape)).astype(np.float32)
     rows = np.empty((len(noise), features.size), np.float32)
     for signal, out in zip(noise, rows, strict=True):
@@ -104,8 +96,8 @@ def test_white_noise_has_the_energy_in_the_features_that_its_gain_says(domain: D
 
 
 def test_the_gain_of_the_bins_is_that_of_the_window() -> None:
-    assert FrequencyFeatures(RIG).noise_gain == pytest.approx(49 * np.square(np.hanning(250)).sum() / 250, rel=1e-6)
-    assert TimeFeatures(RIG).noise_gain == 1
+    assert Features("frequency", RIG).noise_gain == pytest.approx(49 * np.square(np.hanning(250)).sum() / 250, rel=1e-6)
+    assert Features("time", RIG).noise_gain == 1
 
 
 @given(
@@ -113,7 +105,7 @@ def test_the_gain_of_the_bins_is_that_of_the_window() -> None:
     noise_energy=st.floats(0, 1e12),
 )
 def test_noise_to_signal_is_that_of_float64(vector: np.ndarray, noise_energy: float) -> None:
-    route = FrequencyFeatures(RIG)
+    route = Features("frequency", RIG)
     energy = max(np.square(vector, dtype=np.float64).sum(), 1e-12)
     expected = np.sqrt(route.noise_gain * noise_energy / energy)
-    assert noise_to_signal(route, noise_energy, float(vector @ vector)) == pytest.approx(expected, rel=1e-5)
+    assert route.noise_to_signal(noise_energy, float(vector @ vector)) == pytest.approx(expected, rel=1e-5)

@@ -18,7 +18,7 @@ from touchd.lab.benchmark.loop import PERIOD_NS
 from touchd.lab.benchmark.scenes import Block
 from touchd.localization.atlas import Atlas
 from touchd.localization.atlas_localizer import AtlasLocalizer
-from touchd.localization.features import make_features, windowed_dft
+from touchd.localization.features import Features, windowed_dft
 from touchd.localization.following import FOLLOW_STEPS
 from touchd.localization.landing import FIRST_STEPS
 from touchd.localization.model import Model
@@ -62,7 +62,7 @@ def network(model: Model, name: str, group: str = "network") -> Estimator:
     """Return a network with the daemon's features: the windowed DFT as a product, or the samples."""
     d = model.description
     a = d.acquisition
-    features = make_features(d.domain, a)
+    features = Features(d.domain, a)
     into = model.features.reshape(features.shape)
     baseline, signal = np.zeros(a.shape, np.float32), np.zeros(a.shape, np.float32)
 

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from touchd.evaluation.dataset import BASELINE_NOISE, Dataset
-from touchd.localization.features import Features, make_features
+from touchd.localization.features import Features
 from touchd.training.data.synthetic import Synthesiser
 
 # Phases relative to the recorded touches, rad (twin). On the reference plate, human fingers of 25-100 mm^2 lie -0.3 to
@@ -47,7 +47,7 @@ class Augmenter:
         pool: int = 8192,
     ) -> None:
         a, plate = dataset.acquisition, dataset.meta.plate
-        features = make_features(dataset.domain, a)
+        features = Features(dataset.domain, a)
         self.synthesiser = synthesiser
         self._generator = generator
         self._channels, self._bins = a.channels, features.size // a.channels // 2

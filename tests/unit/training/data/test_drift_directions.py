@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from touchd.evaluation.dataset import Dataset
-from touchd.localization.features import make_features
+from touchd.localization.features import Features
 from touchd.recording.data import Recording
 from touchd.training.data.temperature import MOST, drift_directions
 from touchd.twin.instrument import REFERENCE_C, Instrument
@@ -16,7 +16,7 @@ from touchd.twin.instrument import REFERENCE_C, Instrument
 
 def test_temperature_is_found_as_the_plates_own_change_with_it(dataset: Dataset, instrument: Instrument) -> None:
     """The recording's temperature walks within 1 K: what is found is what a kelvin does in the twin."""
-    features = make_features("frequency", dataset.acquisition)
+    features = Features("frequency", dataset.acquisition)
     warm, cold = instrument.untouched([REFERENCE_C + 0.5, REFERENCE_C - 0.5])
     change = np.empty(features.size, np.float32)
     features.extract((warm - cold).astype(np.float32), change)
@@ -29,7 +29,7 @@ def test_temperature_is_found_as_the_plates_own_change_with_it(dataset: Dataset,
 
 def test_a_plate_that_stands_still_has_no_direction(touches: Recording, dataset: Dataset) -> None:
     """Noise alone, with the correlation of neighbouring bins that the window brings."""
-    features = make_features("frequency", dataset.acquisition)
+    features = Features("frequency", dataset.acquisition)
     rng = np.random.default_rng(1)
     rows = np.empty((500, features.size), np.float32)
     for row in rows:
