@@ -9,7 +9,7 @@ import numpy as np
 from touchd.config.schema import Settings
 from touchd.detection.detection import Detection
 from touchd.keypad import Layout
-from touchd.localization.contact_kind import kind_of
+from touchd.localization.contact_size import kind_of
 from touchd.localization.features import Features
 from touchd.localization.model import Estimate, Model
 from touchd.localization.spline import Position

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from touchd.localization.contact_kind import kind_of
+from touchd.localization.contact_size import kind_of
 from touchd.touch import Face, Kind
 
 
