@@ -15,10 +15,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.localization.anytime import SHAPE_COST, Steps, finish
 from touchd.localization.atlas import Array, Atlas
 from touchd.localization.contact_field import TERMS, ContactField, Shape
-from touchd.localization.fit import Bins, Fit
+from touchd.localization.fit import SHAPE_COST, Bins, Fit, Steps
 from touchd.localization.spline import Position
 
 LONGEST_STEP_MM = 2.0
@@ -54,13 +53,6 @@ class ContactModel:
         self._mask: Array | None = None
         self.steps = 0
         """Steps of a contact so far."""
-
-    def fit(
-        self, bins: Bins, positions_mm: Sequence[Position], variance: float, steps: int, unexplained: float = 0.0,
-        whiten: Complex | None = None,
-    ) -> Fit:  # fmt: skip
-        """Fit contacts jointly from positions nearby: all of `pieces` at once."""
-        return finish(self.pieces(bins, positions_mm, variance, steps, unexplained, whiten))
 
     def pieces(
         self, bins: Bins, positions_mm: Sequence[Position], variance: float, steps: int, unexplained: float = 0.0,

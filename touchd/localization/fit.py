@@ -1,9 +1,15 @@
-"""What the solvers take and return: the bins of a frame, and the fingers that explain them."""
+"""What the solvers take and return: the bins of a frame, the fingers that explain them, and work in pieces.
+
+Work that goes on in the next frame is a generator that yields what each piece of it has cost. Cost is counted and never
+timed, so that a recording gives the same contacts at any speed. The unit is one look-up of one finger's field in a fit
+of several: about 0.03 ms.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
+from typing import TypeVar
 
 import numpy as np
 from msgspec import Struct
@@ -14,6 +20,13 @@ from touchd.localization.joint import blocks
 from touchd.localization.spline import Position
 
 Matrix = Sequence[Sequence[float]]
+T = TypeVar("T")
+Steps = Generator[float, None, T]
+"""Yields the cost of each piece, and returns the result."""
+SHAPE_COST = 2.0
+"""Cost of one step of one contact whose shape is fitted too, in look-ups."""
+SCAN_COST, REST_COST = 5.0, 1.0
+"""Cost of a scan of the atlas, whose tables are seldom in a cache, and of a residual."""
 
 
 class Bins(Struct, gc=False, frozen=True):
@@ -52,6 +65,16 @@ class Fit(Struct, gc=False, frozen=True):
     """What as many points leave, of a fit with shapes."""
     shares: Sequence[float] = ()
     """Of the information on each finger's position, what is left when its shape must be found too; none if all is."""
+
+
+def finish(steps: Steps[T]) -> T:
+    """Take all pieces of work at once."""
+    while True:
+        try:
+            next(steps)
+        except StopIteration as end:
+            found: T = end.value
+            return found
 
 
 def no_fit(energy: float) -> Fit:

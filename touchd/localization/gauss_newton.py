@@ -16,11 +16,10 @@ import numpy as np
 from msgspec.structs import replace
 
 from touchd.localization import joint
-from touchd.localization.anytime import SHAPE_COST, Steps, finish
 from touchd.localization.atlas import Array, Atlas
 from touchd.localization.contact_field import ContactField, Shape
 from touchd.localization.contact_model import TYPICAL, ContactModel, size_mm2
-from touchd.localization.fit import Bins, Fit, Matrix, no_fit, shapes_of
+from touchd.localization.fit import SHAPE_COST, Bins, Fit, Matrix, Steps, finish, no_fit, shapes_of
 from touchd.localization.fit_criteria import CRITERIA
 from touchd.localization.spline import Position, Spline
 
@@ -227,7 +226,7 @@ class GaussNewton:
 
     @property
     def spent(self) -> float:
-        """Cost of all fits so far, in the unit of `anytime`."""
+        """Cost of all fits so far, in look-ups."""
         return self._look_ups + SHAPE_COST * self._contacts.steps
 
     def shift(self, bins: Bins, fit: Fit) -> tuple[Array, Matrix]:

@@ -17,10 +17,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from touchd.localization.anytime import REST_COST, SCAN_COST, SHAPE_COST, Steps
 from touchd.localization.contact_field import Shape
 from touchd.localization.contact_model import TYPICAL
-from touchd.localization.fit import Bins, Fit, no_fit, shapes_of
+from touchd.localization.fit import REST_COST, SCAN_COST, SHAPE_COST, Bins, Fit, Steps, no_fit, shapes_of
 from touchd.localization.noise import NoiseModel
 from touchd.localization.pursuit import MOST_FINGERS, Pursuit, are_merged
 from touchd.localization.spline import Position

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 
-from touchd.localization.anytime import Steps, finish
-from touchd.localization.fit import Bins, Fit, no_fit
+from touchd.localization.fit import Bins, Fit, Steps, finish, no_fit
 from touchd.localization.fit_criteria import CRITERIA
 from touchd.localization.gauss_newton import GaussNewton
 from touchd.localization.missing import LARGE, MissingFinger

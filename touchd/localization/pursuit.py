@@ -11,10 +11,9 @@ import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from touchd.localization.anytime import REST_COST, SCAN_COST, SHAPE_COST, Steps, finish
 from touchd.localization.atlas import Array, Atlas
 from touchd.localization.contact_model import TYPICAL, radius_mm
-from touchd.localization.fit import Bins, Fit, shapes_of
+from touchd.localization.fit import REST_COST, SCAN_COST, SHAPE_COST, Bins, Fit, Steps, shapes_of
 from touchd.localization.fit_criteria import CRITERIA
 from touchd.localization.gauss_newton import GaussNewton
 from touchd.localization.spline import Position
@@ -78,10 +77,6 @@ class Pursuit:
     def candidates(self, vector: Array, count: int = _CANDIDATES) -> list[Candidate]:
         """Return the positions at which one finger would explain most of a vector of bins, the best first."""
         return self._best(self._scan(vector), count)
-
-    def add(self, bins: Bins, fit: Fit, noise_energy: float) -> Fit:
-        """Return a fit with as many more fingers as are worth it: all `steps` at once."""
-        return finish(self.steps(bins, fit, noise_energy))
 
     def steps(self, bins: Bins, fit: Fit, noise_energy: float) -> Steps[Fit]:
         """Add fingers to a fit, piece by piece.

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from touchd.localization.atlas import Atlas
 from touchd.localization.contact_field import ContactField
 from touchd.localization.contact_model import Complex, ContactModel, mean_moment_mm2
-from touchd.localization.fit import Bins, Fit, sigmas_mm
+from touchd.localization.fit import Bins, Fit, finish, sigmas_mm
 from touchd.localization.spline import Position, Spline
 
 FIELD = 0.55
@@ -112,7 +112,7 @@ class WeightedFit:
 
     def _fit(self, bins: Bins, fit: Fit, variance: float, steps: int) -> Fit:
         whiten = self._whitener(bins, fit, variance)
-        return self._model.fit(bins, fit.positions_mm, variance, steps, whiten=whiten)
+        return finish(self._model.pieces(bins, fit.positions_mm, variance, steps, whiten=whiten))
 
     def _whitener(self, bins: Bins, fit: Fit, variance: float) -> Complex:
         """Return what makes the errors of each bin white, of the variance of noise, (bins, channels, channels)."""

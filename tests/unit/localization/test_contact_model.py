@@ -15,7 +15,7 @@ from tests.fields import COUNTS, Field, features_of, in_double, look_up, make_at
 from touchd.localization.atlas import Atlas
 from touchd.localization.contact_field import ContactField
 from touchd.localization.contact_model import ContactModel, size_mm2
-from touchd.localization.fit import Bins, Fit, shapes_of, sigmas_mm
+from touchd.localization.fit import Bins, finish, shapes_of, sigmas_mm
 from touchd.localization.gauss_newton import GaussNewton
 
 ATLAS = make_atlas(Field())
@@ -63,7 +63,7 @@ def test_place_and_shape(
     """From 0.5 mm away it finds the middle of a contact to 0.05 mm, and its second moments to a tenth."""
     z = size * np.exp(1j * phase)
     start = at[0] + 0.5 * math.cos(way), at[1] + 0.5 * math.sin(way)
-    fit = DOUBLE.fit(as_bins(contact(*at, z, shape)), [start], VARIANCE, 8)
+    fit = finish(DOUBLE.pieces(as_bins(contact(*at, z, shape)), [start], VARIANCE, 8))
     assert math.dist(fit.positions_mm[0], at) < 0.05
     found = np.array(fit.shapes[0][1:]) / fit.amplitudes[0]
     np.testing.assert_allclose(found, shape, atol=0.4)
@@ -77,7 +77,7 @@ def test_precision(at: tuple[float, float], shape: tuple[float, float, float], s
     values = contact(*at, 1.0, shape)
     values = values + math.sqrt(VARIANCE) * (rng.standard_normal(values.shape) + 1j * rng.standard_normal(values.shape))
     one, other = (
-        model.fit(as_bins(values, dtype), [at], VARIANCE, 6)
+        finish(model.pieces(as_bins(values, dtype), [at], VARIANCE, 6))
         for model, dtype in ((SINGLE, np.float32), (DOUBLE, np.float64))
     )
     assert math.dist(one.positions_mm[0], other.positions_mm[0]) < 2e-3
@@ -88,7 +88,7 @@ def test_two() -> None:
     """Two contacts are fitted jointly: each is placed, and what both leave is what `residual` returns."""
     places = [(35.0, 40.0), (80.0, 50.0)]
     bins = as_bins(contact(*places[0], 1.0, (2.0, 1.0, 0.5)) + contact(*places[1], 0.7j, (1.0, 2.0, -0.5)))
-    fit = DOUBLE.fit(bins, [(35.4, 39.7), (79.7, 50.4)], VARIANCE, 8)
+    fit = finish(DOUBLE.pieces(bins, [(35.4, 39.7), (79.7, 50.4)], VARIANCE, 8))
     for found, place in zip(fit.positions_mm, places, strict=True):
         assert math.dist(found, place) < 0.05
     left = SOLVER.residual(bins, fit)
@@ -120,7 +120,7 @@ def test_coverage() -> None:
         at = (float(rng.uniform(20, 100)), float(rng.uniform(20, 70)))
         values = contact(*at, 1.0, (1.5, 1.0, 0.3))
         noise = rng.standard_normal(values.shape) + 1j * rng.standard_normal(values.shape)
-        fit = DOUBLE.fit(as_bins(values + math.sqrt(VARIANCE) * noise), [at], VARIANCE, 6)
+        fit = finish(DOUBLE.pieces(as_bins(values + math.sqrt(VARIANCE) * noise), [at], VARIANCE, 6))
         sigma_mm = sigmas_mm(fit.fisher_information, VARIANCE)[0]
         ratios += [(found - true) / sigma_mm for found, true in zip(fit.positions_mm[0], at, strict=True)]
     within = [float(np.mean(np.abs(ratios) < k)) for k in (1, 2)]
@@ -137,7 +137,7 @@ def test_faint() -> None:
         values = contact(60.0, 45.0, 1.0, (0.0, 0.0, 0.0))
         noise = rng.standard_normal(values.shape) + 1j * rng.standard_normal(values.shape)
         variance = 0.2 * float(np.mean(np.abs(values) ** 2))
-        fit = DOUBLE.fit(as_bins(values + math.sqrt(variance) * noise), [(60.0, 45.0)], variance, 5)
+        fit = finish(DOUBLE.pieces(as_bins(values + math.sqrt(variance) * noise), [(60.0, 45.0)], variance, 5))
         sizes.append(size_mm2(fit))
     assert np.median(sizes) < 8
 
@@ -146,5 +146,6 @@ def test_faint() -> None:
 def test_no_signal(bad: float) -> None:
     """Bins without a number, or without a signal, raise nothing and end on the plate."""
     with np.errstate(all="ignore"):
-        fit: Fit = SINGLE.fit(as_bins(np.full(ATLAS.size // 2, bad, complex), np.float32), [(60.0, 45.0)], 1.0, 4)
+        bins = as_bins(np.full(ATLAS.size // 2, bad, complex), np.float32)
+        fit = finish(SINGLE.pieces(bins, [(60.0, 45.0)], 1.0, 4))
     assert all(0 <= value <= 120 for value in fit.positions_mm[0])

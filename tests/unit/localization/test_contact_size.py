@@ -17,7 +17,7 @@ from tests.unit.localization.test_contact_model import as_bins, contact, contact
 from touchd.localization import shape_information
 from touchd.localization.atlas import Atlas
 from touchd.localization.contact_size import MOMENTS_MM2, SIZES_MM2, ContactSize
-from touchd.localization.fit import Fit
+from touchd.localization.fit import Fit, finish
 from touchd.localization.noise import NoiseModel
 from touchd.localization.shape_information import PHASE_RAD
 from touchd.localization.spline import Position
@@ -106,7 +106,7 @@ def test_standard_errors() -> None:
         faces: list[Face] = []
         for _ in range(150):
             noise = rng.standard_normal(clean.shape) + 1j * rng.standard_normal(clean.shape)
-            fit = model.fit(as_bins(clean + math.sqrt(variance) * noise), [at], 1e-12, 4)
+            fit = finish(model.pieces(as_bins(clean + math.sqrt(variance) * noise), [at], 1e-12, 4))
             found = size.faces(Fit(fit.positions_mm, fit.amplitudes, fit.energies, (), 0.0, fit.shapes))
             faces += [face for face in found if face]
         table = np.array([(one.mean_mm2, one.along_mm2, one.mean_sigma_mm2, one.oval_sigma_mm2) for one in faces])

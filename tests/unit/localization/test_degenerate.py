@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from tests.fields import in_double
 from tests.unit.localization.test_contact_model import as_bins, contact, contact_model
 from touchd.localization import joint
-from touchd.localization.fit import sigmas_mm
+from touchd.localization.fit import finish, sigmas_mm
 from touchd.localization.gauss_newton import GaussNewton
 from touchd.localization.model import Model, default_model_path
 from touchd.twin.physics.transducer import default_layout
@@ -55,7 +55,8 @@ def test_place(name: str) -> None:
     noise = 1e-3 * math.sqrt(float(np.mean(np.abs(clean) ** 2)))
     values, starts = bins_of(places, shape, noise), [(x + 0.3, y - 0.2) for x, y in places]
     one, other = (
-        model.fit(as_bins(values, kind), starts, noise**2, 8) for model, kind in ((SINGLE, np.float32), (DOUBLE, float))
+        finish(model.pieces(as_bins(values, kind), starts, noise**2, 8))
+        for model, kind in ((SINGLE, np.float32), (DOUBLE, float))
     )
     for mine, its, place, sigma_mm in zip(
         one.positions_mm, other.positions_mm, places, sigmas_mm(other.fisher_information, noise**2), strict=True

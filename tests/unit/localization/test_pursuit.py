@@ -10,8 +10,7 @@ import pytest
 from msgspec.structs import replace
 
 from tests.fields import BINS, Field, Finger, bins_of, in_double, make_atlas
-from touchd.localization.anytime import finish
-from touchd.localization.fit import Fit, no_fit
+from touchd.localization.fit import Fit, finish, no_fit
 from touchd.localization.gauss_newton import GaussNewton
 from touchd.localization.pursuit import Pursuit, apart_mm, is_worth
 
@@ -36,7 +35,7 @@ def fingers_of(count: int, seed: int, apart: float = 25.0) -> list[Finger]:
 def searched(fingers: list[Finger], seed: int, deviation: float = DEVIATION) -> Fit:
     """What a search from nothing finds."""
     bins = bins_of(FIELD.frame(fingers, deviation, seed))
-    return PURSUIT.add(bins, no_fit(bins.energy), ATLAS.size * deviation**2)
+    return finish(PURSUIT.steps(bins, no_fit(bins.energy), ATLAS.size * deviation**2))
 
 
 def all_found(fit: Fit, fingers: list[Finger], within_mm: float) -> bool:
@@ -58,7 +57,7 @@ def test_complete_fit(count: int) -> None:
         fingers = fingers_of(count, seed)
         bins = bins_of(FIELD.frame(fingers, DEVIATION, seed))
         fit = SOLVER.fit_several(bins, [(x, y) for x, y, _ in fingers], 8)
-        assert PURSUIT.add(bins, fit, NOISE).positions_mm == fit.positions_mm
+        assert finish(PURSUIT.steps(bins, fit, NOISE)).positions_mm == fit.positions_mm
 
 
 def test_swap() -> None:
@@ -79,7 +78,8 @@ def test_second_finger() -> None:
     for seed in range(10):
         fingers = fingers_of(2, seed)
         bins = bins_of(FIELD.frame(fingers, DEVIATION, seed))
-        assert all_found(PURSUIT.add(bins, SOLVER.fit_one(bins, *fingers[0][:2], 5), NOISE), fingers, 0.5)
+        known = SOLVER.fit_one(bins, *fingers[0][:2], 5)
+        assert all_found(finish(PURSUIT.steps(bins, known, NOISE)), fingers, 0.5)
 
 
 @pytest.mark.parametrize("distance_mm", [1.0, 2.5, 3.0, 3.5])

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from tests.fields import COUNTS, Field, in_double, look_up, make_atlas
 from tests.unit.localization.test_contact_model import as_bins, contact, contact_model
 from touchd.localization.atlas import Atlas
-from touchd.localization.fit import Bins, Fit
+from touchd.localization.fit import Bins, Fit, finish
 from touchd.localization.weighted_fit import OWN, POWER, TISSUE, Place, WeightedFit
 
 ATLAS = in_double(make_atlas(Field()))
@@ -28,7 +28,7 @@ Complex = NDArray[np.complex128]
 
 
 def fitted(bins: Bins, at: tuple[float, float], variance: float = VARIANCE) -> Fit:
-    return MODEL.fit(bins, [at], variance, 6)
+    return finish(MODEL.pieces(bins, [at], variance, 6))
 
 
 def one_place(model: WeightedFit, bins: Bins, fit: Fit) -> Place:
@@ -103,7 +103,7 @@ def test_dead_channel(channel: int) -> None:
     mask[channel] = 0
     bins = as_bins(values + noise(1, values.size))
     heard = Bins(bins.vector * mask.ravel(), mask.ravel(), bins.energy)
-    fit = MODEL.fit(heard, [at], VARIANCE, 6)
+    fit = fitted(heard, at)
     place = one_place(WEIGHTED, heard, fit)
     assert math.dist(place[:2], at) < 0.5
     field = ATLAS.coefficients.reshape(*ATLAS.coefficients.shape[:2], CHANNELS, -1).copy()
