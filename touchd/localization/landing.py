@@ -98,8 +98,8 @@ class Landing:
 
     def _fit_candidates(self, bins: Bins, count: int = STARTS) -> list[Fit]:
         return [
-            self._solver.fit_one(bins, *candidate.position_mm, FIRST_STEPS)
-            for candidate in self._pursuit.candidates(bins.vector, count)
+            self._solver.fit_one(bins, *candidate_mm, FIRST_STEPS)
+            for candidate_mm in self._pursuit.candidates(bins.vector, count)
         ]
 
     def is_implausible(self, bins: Bins, fit: Fit, signal: float, excess: float) -> bool:

@@ -70,8 +70,8 @@ class MissingFinger:
         candidates = self._pursuit.candidates(solver.residual(bins, fit))
         yield REST_COST + SCAN_COST
         starts = []
-        for candidate in candidates:
-            starts.append(solver.fit_several(bins, [*fit.positions_mm, candidate.position_mm], 1, shapes=shapes))
+        for candidate_mm in candidates:
+            starts.append(solver.fit_several(bins, [*fit.positions_mm, candidate_mm], 1, shapes=shapes))
             yield 2.0 * len(shapes)
         starts.sort(key=lambda one: one.residual_energy)
         if not starts:

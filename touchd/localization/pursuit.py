@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from itertools import combinations
 from operator import attrgetter
-from typing import NamedTuple
 
 import numpy as np
 from msgspec.structs import replace
@@ -37,14 +36,6 @@ _LEAST_GAIN = 0.25
 0.31 or more, none 0.12 to 0.6 (twin)."""
 
 
-class Candidate(NamedTuple):
-    """A position of the scan."""
-
-    position_mm: Position
-    energy: float
-    """Energy that a finger there would explain, counts squared."""
-
-
 class Pursuit:
     """Finds fingers in the bins of a frame.
 
@@ -74,7 +65,7 @@ class Pursuit:
         self._pair = np.zeros((atlas.size, 2), dtype)
         self._products = np.zeros((len(rows), 2), dtype)
 
-    def candidates(self, vector: Array, count: int = _CANDIDATES) -> list[Candidate]:
+    def candidates(self, vector: Array, count: int = _CANDIDATES) -> list[Position]:
         """Return the positions at which one finger would explain most of a vector of bins, the best first."""
         return self._best(self._scan(vector), count)
 
@@ -116,9 +107,9 @@ class Pursuit:
                         return fit
                     if one is best and one is not fit and one.residual_energy < good and not seen > limit.seen_beside:
                         return best
-                    for candidate in self._best(score, _CANDIDATES):
+                    for candidate_mm in self._best(score, _CANDIDATES):
                         shapes = [*shapes_of(one), TYPICAL] if one.shapes else ()
-                        positions_mm = [*one.positions_mm, candidate.position_mm]
+                        positions_mm = [*one.positions_mm, candidate_mm]
                         more.append(solver.fit_several(bins, positions_mm, _FIRST_STEPS, shapes=shapes))
                         yield _cost(positions_mm, _FIRST_STEPS)
                 more.sort(key=attrgetter("residual_energy"))
@@ -174,9 +165,9 @@ class Pursuit:
             score = self._scan(solver.residual(bins, rest))
             yield REST_COST + SCAN_COST
             trials = []
-            for candidate in self._best(score, _CANDIDATES):
-                if math.dist(candidate.position_mm, left_mm) >= _APART_MM:
-                    positions_mm, of_all = [*places, candidate.position_mm], [*shapes, TYPICAL] if shapes else ()
+            for candidate_mm in self._best(score, _CANDIDATES):
+                if math.dist(candidate_mm, left_mm) >= _APART_MM:
+                    positions_mm, of_all = [*places, candidate_mm], [*shapes, TYPICAL] if shapes else ()
                     trials.append(solver.fit_several(bins, positions_mm, _FIRST_STEPS, shapes=of_all))
                     yield _cost(positions_mm, _FIRST_STEPS)
             trials.sort(key=attrgetter("residual_energy"))
@@ -199,9 +190,9 @@ class Pursuit:
         score: Array = np.einsum("ij,ij->i", self._products, self._products)
         return score
 
-    def _best(self, score: Array, count: int) -> list[Candidate]:
+    def _best(self, score: Array, count: int) -> list[Position]:
         """Return the best positions of a scan. Writes over `score`."""
-        found: list[Candidate] = []
+        found: list[Position] = []
         table = score.reshape(len(self._y_mm), -1)
         for _ in range(count):
             best = int(score.argmax())
@@ -209,7 +200,7 @@ class Pursuit:
                 break
             row, column = divmod(best, table.shape[1])
             x_mm, y_mm = float(self._x_mm[column]), float(self._y_mm[row])
-            found.append(Candidate((x_mm, y_mm), float(score[best])))
+            found.append((x_mm, y_mm))
             apart_mm2 = np.square(self._y_mm - y_mm)[:, None] + np.square(self._x_mm - x_mm)
             table[apart_mm2 < _APART_MM**2] = 0
         return found
