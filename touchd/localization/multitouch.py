@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 
+from touchd.localization.finger_count import LARGE, MissingFinger, Pruning
 from touchd.localization.fit import Bins, Fit, Steps, finish, no_fit
 from touchd.localization.fit_criteria import CRITERIA
 from touchd.localization.gauss_newton import GaussNewton
-from touchd.localization.missing import LARGE, MissingFinger
 from touchd.localization.noise import NoiseModel
-from touchd.localization.pruning import Pruning
 from touchd.localization.pursuit import Pursuit, are_merged, is_worth
 from touchd.localization.weighted_fit import WeightedFit
 

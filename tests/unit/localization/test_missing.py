@@ -11,9 +11,9 @@ import pytest
 from tests.fields import COUNTS, Field, make_atlas
 from tests.unit.localization.test_contact_model import as_bins, contact
 from touchd.localization.contact_model import TYPICAL
+from touchd.localization.finger_count import MissingFinger
 from touchd.localization.fit import Bins, Fit, finish, no_fit
 from touchd.localization.gauss_newton import GaussNewton
-from touchd.localization.missing import MissingFinger
 from touchd.localization.noise import NoiseModel
 from touchd.localization.pursuit import Pursuit
 from touchd.localization.spline import Position
