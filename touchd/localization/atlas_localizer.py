@@ -27,9 +27,8 @@ from touchd.localization.multitouch import MultitouchSearch
 from touchd.localization.plate_model import PlateModel
 from touchd.localization.prediction import Prediction
 from touchd.localization.pursuit import Pursuit
-from touchd.localization.refinement import Refinement
 from touchd.localization.stillness import StillFinger
-from touchd.localization.weighted_fit import WeightedFit
+from touchd.localization.weighted_fit import Refinement, WeightedFit
 from touchd.outcome import Outcome
 from touchd.touch import Face, Touch
 

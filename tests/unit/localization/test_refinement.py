@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from touchd.localization.fit import Bins, Fit
-from touchd.localization.refinement import HOLD_MM, SLOW_MM, Refinement
-from touchd.localization.weighted_fit import Place, WeightedFit
+from touchd.localization.weighted_fit import HOLD_MM, SLOW_MM, Place, Refinement, WeightedFit
 
 BY_MM, SIGMA_MM = (0.03, -0.04), 0.02
 BINS = Bins(np.zeros(4, np.float32), None, 1.0)
