@@ -23,7 +23,6 @@ from touchd.localization.estimator import Finger
 from touchd.localization.fit import Bins, Fit
 from touchd.localization.fit_criteria import CRITERIA
 from touchd.localization.gauss_newton import GaussNewton
-from touchd.localization.lag import MassPhase, mean_hz
 from touchd.localization.noise import NoiseModel
 from touchd.localization.position_error import PositionError
 from touchd.localization.prediction import LONGEST_STEP_MM
@@ -38,7 +37,9 @@ from touchd.localization.water import (
     USUAL_HZ,
     Evidence,
     Look,
+    MassPhase,
     State,
+    mean_hz,
 )
 
 LAG_RAD = -1.2
