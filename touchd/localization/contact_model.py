@@ -16,9 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.localization.atlas import Array, Atlas
-from touchd.localization.contact_field import TERMS, ContactField, Shape
 from touchd.localization.fit import SHAPE_COST, Bins, Fit, Steps
-from touchd.localization.spline import Position
+from touchd.localization.spline import TERMS, ContactField, Position, Shape
 
 LONGEST_STEP_MM = 2.0
 STILL_MM = 0.1

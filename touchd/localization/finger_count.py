@@ -20,14 +20,13 @@ from typing import TypeVar
 
 from msgspec.structs import replace
 
-from touchd.localization.contact_field import Shape
 from touchd.localization.contact_model import TYPICAL
 from touchd.localization.fit import REST_COST, SCAN_COST, SHAPE_COST, Bins, Fit, Steps, no_fit, shapes_of
 from touchd.localization.fit_criteria import CRITERIA
 from touchd.localization.gauss_newton import GaussNewton
 from touchd.localization.noise import NoiseModel
 from touchd.localization.pursuit import MOST_FINGERS, Pursuit, are_merged, is_worth
-from touchd.localization.spline import Position
+from touchd.localization.spline import Position, Shape
 from touchd.localization.weighted_fit import WeightedFit
 
 LARGE = 0.25

@@ -15,9 +15,8 @@ import numpy as np
 from msgspec import Struct
 
 from touchd.localization.atlas import Array
-from touchd.localization.contact_field import Shape
 from touchd.localization.joint import blocks
-from touchd.localization.spline import Position
+from touchd.localization.spline import Position, Shape
 
 Matrix = Sequence[Sequence[float]]
 T = TypeVar("T")

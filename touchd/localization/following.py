@@ -6,7 +6,6 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from touchd.localization.contact_field import Shape
 from touchd.localization.fit import Bins, Fit, no_fit, shapes_of, sigmas_mm
 from touchd.localization.fit_criteria import CRITERIA
 from touchd.localization.gauss_newton import STILL_MM, GaussNewton
@@ -14,7 +13,7 @@ from touchd.localization.landing import FIRST_STEPS
 from touchd.localization.multitouch import MultitouchSearch
 from touchd.localization.noise import NoiseModel
 from touchd.localization.prediction import Prediction
-from touchd.localization.spline import Position
+from touchd.localization.spline import Position, Shape
 
 FOLLOW_STEPS, _SHAPE_STEPS = 3, 2
 

@@ -17,11 +17,10 @@ from msgspec.structs import replace
 
 from touchd.localization import joint
 from touchd.localization.atlas import Array, Atlas
-from touchd.localization.contact_field import ContactField, Shape
 from touchd.localization.contact_model import TYPICAL, ContactModel, size_mm2
 from touchd.localization.fit import SHAPE_COST, Bins, Fit, Matrix, Steps, finish, no_fit, shapes_of
 from touchd.localization.fit_criteria import CRITERIA
-from touchd.localization.spline import Position, Spline
+from touchd.localization.spline import ContactField, Position, Shape, Spline
 
 LONGEST_STEP_MM = 3.0
 """About a tenth of the field's wavelength: a longer step would leave the valley that it starts in."""

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.localization.atlas import Atlas
-from touchd.localization.contact_field import place_in_band
+from touchd.localization.spline import place_in_band
 
 PHASE_RAD = 0.4
 """Of a round face's second-order amplitudes over its amplitude, alike for all sizes."""

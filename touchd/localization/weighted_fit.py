@@ -28,11 +28,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.localization.atlas import Atlas
-from touchd.localization.contact_field import ContactField
 from touchd.localization.contact_model import Complex, ContactModel, mean_moment_mm2
 from touchd.localization.estimator import Finger
 from touchd.localization.fit import Bins, Fit, finish, sigmas_mm
-from touchd.localization.spline import Position, Spline
+from touchd.localization.spline import ContactField, Position, Spline
 
 FIELD = 0.55
 """Of half the touches, as a share of its mean: a few badly known places have most of it."""

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from tests.fields import COUNTS, Field, features_of, in_double, look_up, make_atlas
 from touchd.localization.atlas import Atlas
-from touchd.localization.contact_field import ContactField
 from touchd.localization.contact_model import ContactModel, size_mm2
 from touchd.localization.fit import Bins, finish, shapes_of, sigmas_mm
 from touchd.localization.gauss_newton import GaussNewton
+from touchd.localization.spline import ContactField
 
 ATLAS = make_atlas(Field())
 
