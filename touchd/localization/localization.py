@@ -1,8 +1,6 @@
-"""What localization says of one frame, and the contract of what says it."""
+"""What localization says of one frame, and what says it."""
 
 from __future__ import annotations
-
-from typing import Protocol
 
 from msgspec import Struct
 
@@ -26,19 +24,21 @@ class Localization(Struct, gc=False, frozen=True):
     """Whether the residual is the plate's own movement, of temperature, delay or gains, and no finger."""
 
 
-UNTOUCHED = Localization(Outcome.UNTOUCHED)
+UNTOUCHED, UNCALIBRATED = Localization(Outcome.UNTOUCHED), Localization(Outcome.UNCALIBRATED)
 
 
-class Localizer(Protocol):
-    """Places fingers, frame by frame."""
+class Localizer:
+    """Places fingers, frame by frame; this one places none: a daemon that has no model yet goes on with it."""
 
     @property
     def model_fit(self) -> float | None:
         """Share of a touch's energy that the model explains, 0..1; None where it cannot be told."""
+        return None
 
     @property
     def stretch(self) -> float | None:
         """Relative rise of the plate's resonances since training; None where it cannot be told."""
+        return None
 
     def configure(self, settings: Settings, layout: Layout | None) -> None:
         """Take other thresholds and keys; fingers are found again in the next frame."""
@@ -49,13 +49,14 @@ class Localizer(Protocol):
     def update(self, baseline: Signal, residuals: Signal | None = None) -> None:
         """Take another baseline, (channels, samples), and residuals that tell its noise, (n, ...); else that stays."""
 
-    def follow(self, detection: Detection) -> Localization | None:
+    def follow(self, detection: Detection) -> Localization | None:  # noqa: ARG002 - there is no finger
         """Return the fingers of the last frame in a touched one, before anything else is looked for in it.
 
         None unless noise is all that they leave of it, beside what they left of the last one: `localize` it then.
         """
+        return None
 
-    def localize(self, detection: Detection, *, alive: bool, complete: bool = False) -> Localization:
+    def localize(self, detection: Detection, *, alive: bool, complete: bool = False) -> Localization:  # noqa: ARG002
         """Return the fingers of a touched frame.
 
         Parameters
@@ -66,12 +67,12 @@ class Localizer(Protocol):
         complete : bool
             Whether to finish a search for further fingers in this frame, however long it takes.
         """
-        ...
+        return UNCALIBRATED
 
-    def observe(self, detection: Detection) -> Localization:
+    def observe(self, detection: Detection) -> Localization:  # noqa: ARG002 - there is no model to follow it
         """Follow noise and temperature on an untouched frame."""
-        ...
+        return UNTOUCHED
 
-    def spectrum(self, detection: Detection) -> list[float]:
+    def spectrum(self, detection: Detection) -> list[float]:  # noqa: ARG002 - there is no model
         """Return the model's input for a frame."""
-        ...
+        return []
