@@ -204,23 +204,9 @@ class Pipeline:
         return self._tracker.alive
 
     @property
-    def followed_ns(self) -> int:
-        """Time of the last frame that moved the baseline."""
-        return self.detector.followed_ns
-
-    @property
     def model_fit(self) -> float | None:
         """Share of a touch's energy that the model explains, 0..1, median of the last touches; None if unknown."""
         return self._localizer.model_fit
-
-    @property
-    def fault(self) -> str | None:
-        """What is wrong with the frames, for a person; None if nothing is known."""
-        return self.detector.fault
-
-    def noise_counts(self) -> float:
-        """Return the RMS of an untouched frame against the baseline, ADC counts; 0 before it is known."""
-        return self.detector.noise_counts()
 
     def _without_measurement(self, detection: Detection) -> list[Contact]:
         """Lift contacts by liveness if the DAQ measures nothing, and by missing touches while the plate is learned."""

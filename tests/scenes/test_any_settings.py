@@ -76,7 +76,7 @@ class Daemon:
             contacts = self.pipeline.process(frame).contacts
             assert all(map(is_finite, contacts))
             self.preroll.keep(frame, contacts)
-        assert math.isfinite(self.pipeline.noise_counts())
+        assert math.isfinite(self.pipeline.detector.noise_counts())
 
 
 def is_finite(c: Contact) -> bool:

@@ -57,7 +57,7 @@ def test_any_frames(segments: list[tuple[str, int]], seed: int) -> None:
     counters = pipeline.counters
     assert counters.frames == frames == counters.inferred + sum(counters.skipped.values())
     assert counters.lost == sequence - first - (frames - 1)
-    assert np.isfinite(pipeline.noise_counts())
+    assert np.isfinite(pipeline.detector.noise_counts())
 
 
 STREAM = st.lists(

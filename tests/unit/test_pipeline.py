@@ -94,7 +94,7 @@ def ups(result: Result) -> list[int]:
 
 def fault(pipeline: Pipeline) -> str | None:
     """What health says is wrong; a function, since the type checker takes a property for constant."""
-    return pipeline.fault
+    return pipeline.detector.fault
 
 
 def is_touched(pipeline: Pipeline) -> bool:
@@ -184,7 +184,7 @@ def test_hanging_daq(scene: Scene, make: Callable[..., Pipeline]) -> None:
     pipeline = make()
     run(pipeline, frames[:300])
     assert is_touched(pipeline)
-    mean, noise, skipped = baseline_of(pipeline), pipeline.noise_counts(), dict(pipeline.counters.skipped)
+    mean, noise, skipped = baseline_of(pipeline), pipeline.detector.noise_counts(), dict(pipeline.counters.skipped)
     hour = range(1, 3600 * 125 // 1000)
     again = [structs.replace(frames[299], sequence=300 + n, t_ns=frames[299].t_ns + n * 1000 * PERIOD_NS) for n in hour]
     events = run(pipeline, again)
@@ -194,7 +194,7 @@ def test_hanging_daq(scene: Scene, make: Callable[..., Pipeline]) -> None:
     assert fault(pipeline) == "the DAQ repeats one frame"
     assert pipeline.counters.skipped == skipped | {"frozen": len(again)}
     np.testing.assert_array_equal(baseline_of(pipeline), mean)
-    assert pipeline.noise_counts() == noise
+    assert pipeline.detector.noise_counts() == noise
 
     later = [structs.replace(f, sequence=f.sequence + 10_000, t_ns=f.t_ns + 4_000_000_000_000) for f in frames[300:400]]
     touches = [event for event in run(pipeline, later) if isinstance(event, TouchEvent)]
@@ -385,7 +385,7 @@ def test_idle(scene: Scene, make: Callable[..., Pipeline]) -> None:
     pipeline = make()
     assert run(pipeline, frames_of(scene("idle"))) == []
     assert pipeline.counters.inferred == 0
-    assert pipeline.noise_counts() > 0
+    assert pipeline.detector.noise_counts() > 0
 
 
 def test_other_frames(make: Callable[..., Pipeline], model: Model) -> None:
@@ -529,8 +529,8 @@ def test_baseline_and_screen(scene: Scene, make: Callable[..., Pipeline]) -> Non
     for pipeline in (awake, asleep):
         run(pipeline, frames[40:])
     np.testing.assert_array_equal(baseline_of(asleep), baseline_of(awake))
-    assert asleep.noise_counts() == awake.noise_counts()
-    assert asleep.followed_ns == awake.followed_ns == frames[-1].t_ns
+    assert asleep.detector.noise_counts() == awake.detector.noise_counts()
+    assert asleep.detector.followed_ns == awake.detector.followed_ns == frames[-1].t_ns
     assert asleep.counters.skipped["screen-off"] == len(frames) - 40
 
 

@@ -124,7 +124,7 @@ def collect(model: Model, path: Path) -> tuple[list[Frame], int, float | None, f
                 vector = (pipeline.residual.astype(np.float64) @ to_bins).reshape(-1)
                 found.extend(Frame(contact_id, position_mm, vector) for contact_id, position_mm in alive.items())
     pipeline.release(0)
-    return found, touches, pipeline.model_fit, pipeline.noise_counts()
+    return found, touches, pipeline.model_fit, pipeline.detector.noise_counts()
 
 
 def consistency(

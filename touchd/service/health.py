@@ -83,8 +83,8 @@ class Health:
             skipped=counters.skipped | {why: count for why, count in dropped.items() if count},
             inferred=counters.inferred,
             latency_us=self._take_latency(),
-            noise=pipeline.noise_counts(),
-            baseline_age_s=max(0.0, (stream_ns - pipeline.followed_ns) * 1e-9),
+            noise=pipeline.detector.noise_counts(),
+            baseline_age_s=max(0.0, (stream_ns - pipeline.detector.followed_ns) * 1e-9),
             model=self.model_name,
             version=__version__,
             noise_channels=pipeline.noise_channels(),
@@ -94,7 +94,7 @@ class Health:
             clock_ppm=round(tally.clock_ppm, 1),
             unheard={topic: count for topic, count in unheard.items() if count},
             model_fit=msgspec.UNSET if (fit := pipeline.model_fit) is None else round(fit, 4),
-            reason=reason or pipeline.fault or self._reason(),
+            reason=reason or pipeline.detector.fault or self._reason(),
         )
 
     def log_losses(self, health: HealthEvent) -> None:

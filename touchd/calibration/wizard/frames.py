@@ -185,7 +185,7 @@ class Tapper:
         halves = [half.mean(axis=0).ravel() for half in np.array_split(residual, 2)]
         mean = residual.mean(axis=0)
         energy = float(np.square(mean).sum())
-        noise = self._pipeline.noise_counts() ** 2 * mean.size * (1 / len(chosen) + 1 / len(before))
+        noise = self._pipeline.detector.noise_counts() ** 2 * mean.size * (1 / len(chosen) + 1 / len(before))
         usual = float(np.median(self._energies)) if self._energies else 0.0
         if energy < LIGHT * noise or energy < LIGHTER * usual:
             return made._replace(reason="light")
