@@ -109,16 +109,6 @@ class Baseline:
         self.reset()
         return self.learn_from(frames)
 
-    def leave_out(self, hit: NDArray[np.bool_]) -> NDArray[np.float64]:
-        """Learn from the window without the frames that impulses have hit, shape (learn_frames,), unless most are.
-
-        Returns
-        -------
-        ndarray of shape (n,)
-            The residual energies of the frames learned from.
-        """
-        return self.learn_from(self.window[~hit] if 2 * hit.sum() < len(hit) else self.window)
-
     def learn_from(self, frames: Signal) -> NDArray[np.float64]:
         """Take frames of the untouched plate, shape (n, channels, samples), as those to learn from.
 

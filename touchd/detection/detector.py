@@ -268,7 +268,9 @@ class Detector:
             if self._tones.learn(residuals):
                 energies = baseline.learn_from(baseline.mean + residuals)
             hit = self._impulses.learn(baseline.window)
-            self.gate.learn(baseline.leave_out(hit) if hit.any() else energies)
+            if 0 < 2 * hit.sum() < len(hit):  # where impulses have hit most frames, these stay
+                energies = baseline.learn_from(baseline.window[~hit])
+            self.gate.learn(energies)
             self._relearn.reset()
             self._signal_energy = baseline.energy()
             self._learning = False

@@ -55,7 +55,7 @@ class Gate:
         self._last: deque[float] = deque(maxlen=_LEARN_FRAMES)
         self.is_open = False
         self._periods = 1.0
-        self._set_parameters(settings)
+        self.configure(settings)
 
     def set_period(self, period_ns: int) -> None:
         """Take the time from frame to frame: alarms stay as rare per time, and the memory as long."""
@@ -64,7 +64,9 @@ class Gate:
 
     def configure(self, settings: GateSettings) -> None:
         """Take another false-alarm rate and memory; the noise estimate stays."""
-        self._set_parameters(settings)
+        self._settings = settings
+        self._quantile = -NormalDist().inv_cdf(min(settings.false_alarm_rate * self._periods, _MOST_ALARMS))
+        self._memory = max(_FEWEST_FRAMES, round(settings.noise_frames / self._periods))
         if self._count:
             self._set_thresholds()
 
@@ -125,11 +127,6 @@ class Gate:
     def noise_energy(self) -> float:
         """Mean energy of the residual of an untouched frame, ADC counts squared."""
         return self.noise_root**3
-
-    def _set_parameters(self, settings: GateSettings) -> None:
-        self._settings = settings
-        self._quantile = -NormalDist().inv_cdf(min(settings.false_alarm_rate * self._periods, _MOST_ALARMS))
-        self._memory = max(_FEWEST_FRAMES, round(settings.noise_frames / self._periods))
 
     def _know(self, frames: int) -> None:
         """Set the weight and the margin of an estimate from this many frames."""

@@ -79,18 +79,14 @@ class Tones:
         """Frequencies of the tones; another object whenever one changes."""
         self._set(())
 
-    def reset(self) -> None:
-        """Forget all tones."""
-        self._set(())
-        self.end_touch()
-
     def end_touch(self) -> None:
         """Compare the next frame with no earlier one: no finger is on the plate."""
         self._follows = False
 
     def learn(self, residuals: Signal) -> bool:
         """Find the tones in untouched frames, (n, channels, samples), and remove them, in place; return whether any."""
-        self.reset()
+        self._set(())
+        self.end_touch()
         if self._works:
             power = self._power(residuals) / len(residuals)
             # White noise has the same power at each point.
