@@ -91,7 +91,7 @@ class MissingFinger:
         solver = self._pursuit.solver
         start = solver.fit_several(bins, positions_mm, _STEPS, shapes=shapes)
         yield float(len(positions_mm) * (_STEPS + 1))
-        shaped = yield from solver.shape_pieces(bins, start, self._noise.noise_energy, 1.0)
+        shaped = yield from solver.shape_pieces(bins, start, self._noise.noise_energy, lacking=True)
         yield SHAPE_COST * _STEPS * len(positions_mm)  # of the misfit that is asked next
         return shaped
 

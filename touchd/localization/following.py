@@ -16,8 +16,6 @@ from touchd.localization.prediction import Prediction
 from touchd.localization.spline import Position, Shape
 
 FOLLOW_STEPS, _SHAPE_STEPS = 3, 2
-
-
 _LIFTED = 0.8
 """A signal that falls below this share shows a finger that lifts."""
 _STRONGER = 1.5

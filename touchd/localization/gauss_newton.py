@@ -148,30 +148,28 @@ class GaussNewton:
         left = max(bins.energy - found.explained - gained, 0.0)
         return Fit(at, z, found.energies, found.information, left, of_found, turns, 0.0, shares)
 
-    def with_shapes(self, bins: Bins, fit: Fit, noise_energy: float, worth: float | None = None) -> Fit:
+    def with_shapes(self, bins: Bins, fit: Fit, noise_energy: float) -> Fit:
         """Return a fit of contacts with a size and a shape, if they are worth it: all of `shape_pieces` at once."""
-        return finish(self.shape_pieces(bins, fit, noise_energy, worth))
+        return finish(self.shape_pieces(bins, fit, noise_energy))
 
-    def shape_pieces(self, bins: Bins, fit: Fit, noise_energy: float, worth: float | None = None) -> Steps[Fit]:
+    def shape_pieces(self, bins: Bins, fit: Fit, noise_energy: float, *, lacking: bool = False) -> Steps[Fit]:
         """Return a fit of contacts with a size and a shape, where points leave more than the field's own error.
 
-        The fit stays as it is unless its contacts get shapes that fingers have, and these leave less than the share
-        `worth` of what points leave (by default that of the criteria), and explain more than noise. With `worth` 1,
-        while fingers are missing, contacts of typical size do: no shape explains all, but each leaves the next finger
-        clearer.
+        The fit stays as it is unless its contacts get shapes that fingers have, and these leave less than a share of
+        what points leave, and explain more than noise. While fingers are `lacking`, to leave less is enough, and
+        contacts of typical size do: no shape explains all, but each leaves the next finger clearer.
         """
         signal, left, count = bins.energy - noise_energy, fit.residual_energy - noise_energy, len(fit.positions_mm)
         above = CRITERIA.lone_shape_above if count == 1 else CRITERIA.shape_above
         if not count or signal < CRITERIA.faint * noise_energy or left <= above * signal:
             return fit
-        if worth is None:
-            worth = CRITERIA.lone_shape_worth if count == 1 else CRITERIA.shape_worth
+        worth = 1.0 if lacking else CRITERIA.lone_shape_worth if count == 1 else CRITERIA.shape_worth
         sized = self.fit_known(bins, fit.positions_mm, _SHAPE_STEPS, [TYPICAL] * count)
         yield float(count * _SHAPE_STEPS)
         start = min(fit, sized, key=lambda one: one.residual_energy)
-        missing = worth == 1.0 and start.residual_energy - noise_energy > _MISSING * signal
+        missing = lacking and start.residual_energy - noise_energy > _MISSING * signal
         shaped = start if missing else (yield from self._shape_pieces(bins, start, noise_energy, _SHAPE_STEPS))
-        if not shaped.positions_mm and worth == 1.0:
+        if not shaped.positions_mm and lacking:
             shaped = start
         limit = worth * left - CRITERIA.shape_noise * noise_energy / len(bins.vector)
         if not shaped.shapes or not shaped.residual_energy - noise_energy < limit:

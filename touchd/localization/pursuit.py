@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-from itertools import combinations
+from itertools import combinations, starmap
 from operator import attrgetter
 
 import numpy as np
 from msgspec.structs import replace
-from numpy.typing import NDArray
 
 from touchd.localization.atlas import Array, Atlas
 from touchd.localization.contact_model import TYPICAL, radius_mm
@@ -120,7 +119,7 @@ class Pursuit:
                 for one in more:
                     points = solver.fit_several(bins, one.positions_mm, _POINT_STEPS)
                     yield _cost(one.positions_mm, _POINT_STEPS)
-                    shaped = yield from solver.shape_pieces(bins, points, noise_energy, 1.0)
+                    shaped = yield from solver.shape_pieces(bins, points, noise_energy, lacking=True)
                     if shaped.shapes and one.residual_energy < shaped.points_energy:
                         shaped = replace(shaped, points_energy=one.residual_energy)
                     beam.append(shaped)
@@ -176,7 +175,7 @@ class Pursuit:
                     continue
                 points = solver.fit_several(bins, trial.positions_mm, _STEPS)
                 yield _cost(trial.positions_mm, _STEPS)
-                moved = yield from solver.shape_pieces(bins, points, noise_energy, 1.0)
+                moved = yield from solver.shape_pieces(bins, points, noise_energy, lacking=True)
                 if not are_merged(moved) and moved.residual_energy < _MOVED * fit.residual_energy:
                     fit, tried = moved, 0
         return fit
@@ -241,10 +240,7 @@ def are_merged(fit: Fit) -> bool:
 
 def apart_mm(fit: Fit) -> float:
     """Return the least distance between two fingers of a fit, infinite for fewer."""
-    positions: NDArray[np.float64] = np.array(fit.positions_mm).reshape(-1, 2)
-    distance = np.linalg.norm(positions[:, None] - positions[None], axis=2)
-    distance[np.diag_indices(len(positions))] = np.inf
-    return float(distance.min()) if len(positions) > 1 else float("inf")
+    return min(starmap(math.dist, combinations(fit.positions_mm, 2)), default=math.inf)
 
 
 def _may_grow(fit: Fit, enough: float) -> bool:

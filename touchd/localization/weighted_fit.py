@@ -84,10 +84,9 @@ class WeightedFit:
         counts squared.
         """
         variance = _least(variance, bins)
-        try:
-            found = self._fit(bins, fit, variance, STEPS)
-        except np.linalg.LinAlgError:
-            return [], math.inf
+        found, misfit = self._fit(bins, fit, variance, STEPS)
+        if found is None:
+            return [], misfit
         sigmas = sigmas_mm(found.fisher_information, variance)
         places = [Place(x, y, sigma) for (x, y), sigma in zip(found.positions_mm, sigmas, strict=True)]
         # Asked this way round, so that NaN is not taken.
@@ -95,27 +94,25 @@ class WeightedFit:
             abs(place.x_mm - x) < MOST_MM and abs(place.y_mm - y) < MOST_MM and place.sigma_mm < MOST_MM
             for place, (x, y) in zip(places, fit.positions_mm, strict=True)
         )
-        return places if near else [], self._misfit(bins, found, variance)
+        return places if near else [], misfit
 
     def misfit(self, bins: Bins, fit: Fit, variance: float) -> float:
         """Return what contacts with shapes leave of a frame, in variances that it may; infinite if none fit.
 
         They leave less than 1, as what the model misses is alike in many values: fits that lack no finger 0.15 (twin).
         """
-        variance = _least(variance, bins)
+        _, misfit = self._fit(bins, fit, _least(variance, bins), MISFIT_STEPS)
+        return misfit
+
+    def _fit(self, bins: Bins, fit: Fit, variance: float, steps: int) -> tuple[Fit | None, float]:
+        """Return the contacts fitted with weights, and their misfit."""
         try:
-            found = self._fit(bins, fit, variance, MISFIT_STEPS)
+            whiten = self._whitener(bins, fit, variance)
+            found = finish(self._model.pieces(bins, fit.positions_mm, variance, steps, whiten=whiten))
         except np.linalg.LinAlgError:
-            return math.inf
-        return self._misfit(bins, found, variance)
-
-    def _misfit(self, bins: Bins, found: Fit, variance: float) -> float:
+            return None, math.inf
         values = bins.vector.size - UNKNOWN * len(found.positions_mm)
-        return found.residual_energy / (max(values, 1) * variance)
-
-    def _fit(self, bins: Bins, fit: Fit, variance: float, steps: int) -> Fit:
-        whiten = self._whitener(bins, fit, variance)
-        return finish(self._model.pieces(bins, fit.positions_mm, variance, steps, whiten=whiten))
+        return found, found.residual_energy / (max(values, 1) * variance)
 
     def _whitener(self, bins: Bins, fit: Fit, variance: float) -> Complex:
         """Return what makes the errors of each bin white, of the variance of noise, (bins, channels, channels)."""
