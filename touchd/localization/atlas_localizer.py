@@ -17,7 +17,7 @@ from touchd.localization.contact_size import ContactSize
 from touchd.localization.estimator import Estimator, TouchMaker
 from touchd.localization.fit import Bins, Fit, no_fit
 from touchd.localization.fit_criteria import CRITERIA
-from touchd.localization.following import Follower
+from touchd.localization.following import Follower, Prediction
 from touchd.localization.gauss_newton import GaussNewton
 from touchd.localization.landing import FIRST_STEPS, Landing
 from touchd.localization.localization import UNTOUCHED, Localization, Localizer
@@ -25,7 +25,6 @@ from touchd.localization.model import Model
 from touchd.localization.model_fit import ModelFit
 from touchd.localization.multitouch import MultitouchSearch
 from touchd.localization.plate_model import PlateModel
-from touchd.localization.prediction import Prediction
 from touchd.localization.pursuit import Pursuit
 from touchd.localization.stillness import StillFinger
 from touchd.localization.weighted_fit import Refinement, WeightedFit

@@ -22,10 +22,10 @@ from touchd.localization.contact_model import mean_moment_mm2
 from touchd.localization.estimator import Finger
 from touchd.localization.fit import Bins, Fit
 from touchd.localization.fit_criteria import CRITERIA
+from touchd.localization.following import LONGEST_STEP_MM
 from touchd.localization.gauss_newton import GaussNewton
 from touchd.localization.noise import NoiseModel
 from touchd.localization.position_error import PositionError
-from touchd.localization.prediction import LONGEST_STEP_MM
 from touchd.localization.spline import Position
 from touchd.localization.water import (
     MOST,

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from touchd.localization.prediction import LONGEST_S, LONGEST_STEP_MM, Prediction
+from touchd.localization.following import LONGEST_S, LONGEST_STEP_MM, Prediction
 
 FRAME_NS = 4_000_000
 FRAME_S = FRAME_NS * 1e-9
