@@ -118,9 +118,7 @@ class Model:
         try:
             self.estimate()  # the first run allocates: have it done before the first touch
         except Exception as error:  # ONNX Runtime's are of no common class
-            raise ModelInvalid(
-                f"the network does not run ({_first_line(error)})", str(path), "export the model again"
-            ) from error
+            raise _invalid(path, f"the network does not run ({_first_line(error)})") from error
 
     def check(self, acquisition: Acquisition) -> None:
         """Raise ModelMismatch unless frames of this acquisition are what the model was trained on."""
@@ -178,10 +176,8 @@ class Model:
     def _check_input(self) -> None:
         inputs, wanted = self._session.get_inputs(), self.description.inputs
         if [(len(i.shape), i.shape[-1:], i.type in (_FLOAT, _DOUBLE)) for i in inputs] != [(2, [wanted], True)]:
-            raise ModelInvalid(
-                f"the network takes inputs of shape {[i.shape for i in inputs]}, but its description means "
-                f"(n, {wanted})", str(self.path), "export the model again",
-            )  # fmt: skip
+            found = f"the network takes inputs of shape {[i.shape for i in inputs]}"
+            raise _invalid(self.path, f"{found}, but its description means (n, {wanted})")
 
     def _check_outputs(self) -> None:
         d = self.description
@@ -194,11 +190,7 @@ class Model:
         # A network that does not tell the error of noise apart has it in its sigma.
         optional = {"noise_mm": 1} if d.head == "regression" and "noise_mm" in found else {}
         if found != expected | optional or len(found) != len(self._session.get_outputs()):
-            raise ModelInvalid(
-                f"the network's outputs are {found}, but its {d.head} head means {expected}",
-                str(self.path),
-                "export the model again",
-            )
+            raise _invalid(self.path, f"the network's outputs are {found}, but its {d.head} head means {expected}")
 
 
 def _read_regression(model: Model) -> Estimate:
@@ -260,9 +252,11 @@ def _load(path: Path) -> Any:
     try:
         return ort.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
     except Exception as error:
-        raise ModelInvalid(
-            f"not a usable ONNX model ({_first_line(error)})", str(path), "export the model again"
-        ) from error
+        raise _invalid(path, f"not a usable ONNX model ({_first_line(error)})") from error
+
+
+def _invalid(path: Path, what: str) -> ModelInvalid:
+    return ModelInvalid(what, str(path), "export the model again")
 
 
 def _first_line(error: Exception) -> str:
@@ -278,9 +272,7 @@ def _describe(session: Any, path: Path) -> Description:
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"])
-        raise ModelInvalid(
-            f"the model's description is unusable: {key}: {first['msg']}", str(path), "export the model again"
-        ) from error
+        raise _invalid(path, f"the model's description is unusable: {key}: {first['msg']}") from error
 
 
 def default_model_path() -> Path:
