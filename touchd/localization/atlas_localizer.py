@@ -188,8 +188,7 @@ class AtlasLocalizer(Localizer):
                 fit = self._landing.fit(detection, bins, signal)
             bins, fit = self._settle(detection, bins, fit, shaped=not held)
         self._follower.drop()
-        signal = bins.energy - noise.noise_energy
-        excess, confidence = noise.judge(fit, signal)
+        signal, excess, confidence = noise.judge(bins, fit)
         clear = excess <= CRITERIA.search_above and signal >= CRITERIA.faint * noise.noise_energy
         if tracked and clear and confidence >= min_confidence and not search.pending:  # the usual case
             self._model_fit.add(fit.residual_energy - noise.noise_energy, signal, noise.noise_energy)
@@ -206,8 +205,7 @@ class AtlasLocalizer(Localizer):
             else:
                 fit = self._solver.fit_one(bins, *fit.positions_mm[0], FIRST_STEPS)
             bins, fit = self._settle(detection, bins, fit, shaped=not tracked)
-            signal = bins.energy - noise.noise_energy
-            excess, confidence = noise.judge(fit, signal)
+            signal, excess, confidence = noise.judge(bins, fit)
         # From the next frame on a search begins for what may be beside one well explained finger that has just landed.
         waits = not (tracked or complete) and len(fit.positions_mm) == 1 and excess < CRITERIA.fair
         if waits:
@@ -215,7 +213,6 @@ class AtlasLocalizer(Localizer):
         elif search.is_due(excess, signal):
             if not search.pending and self._plate.drop_silent(detection):
                 bins = self._plate.bins(detection.residual, detection.hits)
-                signal = bins.energy - noise.noise_energy
                 fit = self._solver.fit_one(bins, *fit.positions_mm[0], FIRST_STEPS) if fit.positions_mm else fit
             else:
                 found, known = search.search(bins, fit, signal, tracked=tracked, limited=not complete)
@@ -226,10 +223,9 @@ class AtlasLocalizer(Localizer):
                     found = self._follower.follow(bins, t_ns, signal)
                     self._follower.drop()
                 bins, fit = self._settle(detection, bins, found)
-                signal = bins.energy - noise.noise_energy
                 if not known:
                     self._prediction.forget_velocities()
-            excess, confidence = noise.judge(fit, signal)
+            signal, excess, confidence = noise.judge(bins, fit)
         if fit.positions_mm or inferred or not search.pending:
             self._model_fit.add(fit.residual_energy - noise.noise_energy, signal, noise.noise_energy)
         # A silent emitter, or another gain, looks like a finger there; but the plate's directions explain it better.

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from touchd.localization.atlas import Array, Atlas
-from touchd.localization.fit import Fit
+from touchd.localization.fit import Bins, Fit
 from touchd.localization.fit_criteria import CRITERIA
 
 MEMORY_FRAMES = 256
@@ -172,10 +172,11 @@ class NoiseModel:
         """Return what a fit leaves beyond what noise may have, as a share of the signal's energy."""
         return (residual_energy - self.ceiling) / signal
 
-    def judge(self, fit: Fit, signal: float) -> tuple[float, float]:
-        """Return the share of the signal's energy that a fit leaves, and how much it looks like fingers, 0..1."""
+    def judge(self, bins: Bins, fit: Fit) -> tuple[float, float, float]:
+        """Return the signal's energy, the share of it that a fit leaves, and how much that looks like fingers, 0..1."""
+        signal = bins.energy - self.noise_energy
         excess = self.excess(fit.residual_energy, signal)
-        return excess, CRITERIA.confidence(excess) if sum(fit.energies) > self.min_signal_energy else 0.0
+        return signal, excess, CRITERIA.confidence(excess) if sum(fit.energies) > self.min_signal_energy else 0.0
 
     def _compare(self, bins: Array) -> None:
         """Average the squared cosine between successive noise frames: its mean is one over the number of shapes."""
