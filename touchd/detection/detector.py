@@ -65,8 +65,7 @@ class Detector:
         self._baseline = Baseline(shape, settings.baseline, dtype)
         self._relearn = Relearn(shape, settings.baseline, dtype)
         self._stuck = Stuck(shape, dtype)
-        self._live = ~self._stuck.channels
-        self._stuck_channels = self._stuck.channels
+        self._live = self._stuck.live
         self._notify = notify
         self._pace = Pace()
         self._learning = True
@@ -108,9 +107,8 @@ class Detector:
         if stuck.repeats(frame.counts, baseline.signal):
             self.miss(frame.t_ns, stuck.fault)
             return self._without_measurement(Outcome.STUCK, frame, lost)
-        if stuck.channels is not self._stuck_channels:
-            self._stuck_channels = stuck.channels
-            self._live = ~self._stuck_channels
+        if stuck.live is not self._live:
+            self._live = stuck.live
             baseline.set_channels(self._live)
         if self._learning:
             return self._learning_frame(frame, lost)
@@ -237,7 +235,7 @@ class Detector:
         """What is wrong with the frames, for a person; None if nothing is known."""
         if self.liveness.fault:
             return self.liveness.fault
-        channels = np.flatnonzero(self._stuck.channels).tolist()
+        channels = np.flatnonzero(~self._stuck.live).tolist()
         if channels:
             return f"the DAQ repeats what it heard on channels {channels}"
         return "the signal changes and no finger explains it: interference or water" if self._relearn.restless else None

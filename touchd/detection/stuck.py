@@ -16,7 +16,6 @@ samples change from frame to frame."""
 LONGEST_CYCLE = 8
 """Frames that come again in a cycle are found if it is no longer than this."""
 
-Channels = NDArray[np.bool_]
 _Samples = NDArray[np.floating] | Counts
 
 
@@ -56,8 +55,8 @@ class Stuck:
         """Whether a frame has come again lately: it may have been sent late, or begin a cycle."""
         self.period = 0
         """Length of the cycle in which frames come again; 0 without one."""
-        self.channels: Channels = np.zeros(channels, bool)
-        """Channels that are stuck while others are not. Replaced, never written to, when it changes."""
+        self.live: NDArray[np.bool_] = np.ones(channels, bool)
+        """Channels that are not stuck, or all are. Replaced, never written to, when it changes."""
 
     def turn(self, frame: _Samples) -> None:
         """Watch the next channel after this frame: a channel that is stuck alone is found while it is watched."""
@@ -122,7 +121,7 @@ class Stuck:
         if same.all():
             return True
         self._repeats = np.where(same, self._repeats + 1, 0)
-        stuck = self._repeats >= LASTING_FRAMES
-        if (stuck != self.channels).any():
-            self.channels = stuck
+        live = self._repeats < LASTING_FRAMES
+        if (live != self.live).any():
+            self.live = live
         return False

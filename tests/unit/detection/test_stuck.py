@@ -24,7 +24,7 @@ class Bench:
         self.stuck = Stuck(shape)
 
     def see(self, counts: np.ndarray) -> bool:
-        before = self.stuck.channels
+        before = self.stuck.live
         self.number += 1
         if not self.number % (LONGEST_CYCLE if self.touched else KEEP_EVERY):
             self.stuck.keep(self.seen)
@@ -33,8 +33,8 @@ class Bench:
         repeats = self.stuck.repeats(counts.astype(np.int16), self.seen)
         if not repeats:
             self.seen[:] = counts.astype(np.int16)
-        if self.stuck.channels is not before:
-            self.changes.append(np.flatnonzero(self.stuck.channels).tolist())
+        if self.stuck.live is not before:
+            self.changes.append(np.flatnonzero(~self.stuck.live).tolist())
         return repeats
 
 
