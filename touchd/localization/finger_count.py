@@ -38,20 +38,21 @@ _STEPS = 2
 T = TypeVar("T")
 
 
-class MissingFinger:
-    """Looks for a finger that a fit of several with shapes lacks.
+class FingerCount:
+    """Looks for a finger that a fit of several with shapes lacks, and takes out those that explain too little.
 
     Parameters
     ----------
+    solver : GaussNewton
     pursuit : Pursuit
-    weighted : WeightedFit
     noise : NoiseModel
+    weighted : WeightedFit
     """
 
-    def __init__(self, pursuit: Pursuit, weighted: WeightedFit, noise: NoiseModel) -> None:
-        self._pursuit, self._weighted, self._noise = pursuit, weighted, noise
+    def __init__(self, solver: GaussNewton, pursuit: Pursuit, noise: NoiseModel, weighted: WeightedFit) -> None:
+        self._solver, self._pursuit, self._noise, self._weighted = solver, pursuit, noise, weighted
 
-    def steps(self, bins: Bins, fit: Fit) -> Steps[Fit]:
+    def with_missing(self, bins: Bins, fit: Fit) -> Steps[Fit]:
         """Return a fit with the fingers that it lacks, piece by piece; one that is at no finger goes for them."""
         if len(fit.shapes) < 2 or not (misfit := self.misfit(bins, fit)) > LARGE:
             return fit
@@ -102,21 +103,6 @@ class MissingFinger:
     def misfit(self, bins: Bins, fit: Fit) -> float:
         """Return what a fit leaves, in variances that it may; infinite if it has no shapes."""
         return self._weighted.misfit(bins, fit, self._noise.variance) if fit.shapes else math.inf
-
-
-class Pruning:
-    """Fits the fingers of a fit again, without those that explain too little.
-
-    Parameters
-    ----------
-    solver : GaussNewton
-    noise : NoiseModel
-    missing : MissingFinger
-        Says whether fewer lack one.
-    """
-
-    def __init__(self, solver: GaussNewton, noise: NoiseModel, missing: MissingFinger) -> None:
-        self._solver, self._noise, self._missing = solver, noise, missing
 
     def prune(self, bins: Bins, fit: Fit, signal: float) -> tuple[Fit, list[int]]:
         """Return a fit without the fingers that explain next to nothing, and the indices of those, as they go.
@@ -180,7 +166,7 @@ class Pruning:
         amplitudes, energies, shapes = (_without(values, k) for values in (fit.amplitudes, fit.energies, fit.shapes))
         kept = replace(fit, amplitudes=amplitudes, energies=energies, shapes=shapes)
         fewer = self.again(bins, _without(fit.positions_mm, k), kept)
-        worth = is_worth(fit, fewer, self._noise.noise_energy, signal) or self._missing.is_worth(bins, fit, fewer)
+        worth = is_worth(fit, fewer, self._noise.noise_energy, signal) or self.is_worth(bins, fit, fewer)
         return fit if worth else fewer
 
     def _moved_energy(self, bins: Bins, fit: Fit, k: int) -> float:

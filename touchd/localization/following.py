@@ -207,7 +207,7 @@ class Follower:
             fit = self._solver.fit_several(bins, positions, FOLLOW_STEPS - 1, STILL_MM / 4)
         if self._search.explains:
             return fit  # what another finger leaves makes these look weak
-        fit, self._dropped = self._search.pruning.prune(bins, fit, signal)
+        fit, self._dropped = self._search.count.prune(bins, fit, signal)
         return fit
 
     def drop(self) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from touchd.localization.finger_count import LARGE, MissingFinger, Pruning
+from touchd.localization.finger_count import LARGE, FingerCount
 from touchd.localization.fit import Bins, Fit, Steps, finish, no_fit
 from touchd.localization.fit_criteria import CRITERIA
 from touchd.localization.gauss_newton import GaussNewton
@@ -56,9 +56,8 @@ class MultitouchSearch:
 
     def __init__(self, solver: GaussNewton, pursuit: Pursuit, noise: NoiseModel, weighted: WeightedFit) -> None:
         self._solver, self._pursuit, self._noise = solver, pursuit, noise
-        self._missing = MissingFinger(pursuit, weighted, noise)
-        self.pruning = Pruning(solver, noise, self._missing)
-        """Takes fingers out that are none."""
+        self.count = FingerCount(solver, pursuit, noise, weighted)
+        """Tells fingers that a fit lacks, and those that are none."""
         self._t_ns = self._before_ns = 0  # of the last frame and the one before
         self._spent = 0.0  # by the solver before this frame
         self.reset()
@@ -149,7 +148,7 @@ class MultitouchSearch:
             return waiting
         self._running = None
         if not limited:  # else `look` asks, once the fingers rest
-            found = finish(self._missing.steps(bins, found))
+            found = finish(self.count.with_missing(bins, found))
         if known and known != count:
             return fit, 0  # fingers have come or gone meanwhile
         if not fresh:
@@ -175,7 +174,7 @@ class MultitouchSearch:
             self._running, self._looks = self._lacking(self._first, fit), True
 
     def _lacking(self, bins: Bins, fit: Fit) -> Steps[Found]:
-        found = yield from self._missing.steps(bins, fit)
+        found = yield from self.count.with_missing(bins, fit)
         yield _CONFIRM_LOOK_UPS * len(found.positions_mm)
         return found, len(fit.positions_mm) if len(found.positions_mm) > len(fit.positions_mm) or found is fit else 0
 
@@ -224,16 +223,16 @@ class MultitouchSearch:
         if known and len(found.positions_mm) == count:
             return fit, count  # nothing was found
         positions_mm = [*(fit.positions_mm if known else []), *found.positions_mm[known:]]
-        now = self.pruning.again(bins, positions_mm, found)
+        now = self.count.again(bins, positions_mm, found)
         if not are_merged(now) and is_worth(now, fit, self._noise.noise_energy, signal):
             return now, known
         return fit, count
 
     def _settle(self, bins: Bins, found: Fit, known: int, fit: Fit, signal: float) -> Found:
         """Return what was found without false fingers, and decide when to search again."""
-        found, dropped = self.pruning.prune(bins, found, signal)
+        found, dropped = self.count.prune(bins, found, signal)
         known = 0 if dropped else known
-        rest = self.pruning.needed(bins, found, signal)
+        rest = self.count.needed(bins, found, signal)
         found, known = rest, known if rest is found else 0
         excess = self._noise.excess(found.residual_energy, signal)
         worth = excess < CRITERIA.half_confidence / 2 and found.residual_energy < _GAIN * fit.residual_energy

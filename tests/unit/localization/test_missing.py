@@ -11,7 +11,7 @@ import pytest
 from tests.fields import COUNTS, Field, make_atlas
 from tests.unit.localization.test_contact_model import as_bins, contact
 from touchd.localization.contact_model import TYPICAL
-from touchd.localization.finger_count import MissingFinger
+from touchd.localization.finger_count import FingerCount
 from touchd.localization.fit import Bins, Fit, finish, no_fit
 from touchd.localization.gauss_newton import GaussNewton
 from touchd.localization.noise import NoiseModel
@@ -34,13 +34,13 @@ def frame(places_mm: Sequence[Position], seed: int = 1) -> Bins:
 
 
 @pytest.fixture
-def missing() -> MissingFinger:
+def count() -> FingerCount:
     noise = NoiseModel(ATLAS)
     rng = np.random.default_rng(2)
     for _ in range(32):
         noise.update((SIGMA * rng.standard_normal(ATLAS.size)).astype(np.float32))
     noise.set_channels(np.ones(ATLAS.description.acquisition.channels, bool), np.zeros((0, ATLAS.size), np.float32))
-    return MissingFinger(Pursuit(ATLAS, SOLVER), WeightedFit(ATLAS), noise)
+    return FingerCount(SOLVER, Pursuit(ATLAS, SOLVER), noise, WeightedFit(ATLAS))
 
 
 def fitted(bins: Bins, places_mm: Sequence[Position]) -> Fit:
@@ -49,37 +49,37 @@ def fitted(bins: Bins, places_mm: Sequence[Position]) -> Fit:
 
 
 @pytest.mark.parametrize("lost", range(3))
-def test_found(missing: MissingFinger, lost: int) -> None:
+def test_found(count: FingerCount, lost: int) -> None:
     """Of three fingers, the one that two lack."""
     bins = frame(PLACES_MM)
     known = [at for k, at in enumerate(PLACES_MM) if k != lost]
     two = SOLVER.fit_several(bins, known, 2, shapes=[TYPICAL] * 2)
-    fit = finish(missing.steps(bins, two))
+    fit = finish(count.with_missing(bins, two))
     assert len(fit.positions_mm) == 3
     assert math.dist(fit.positions_mm[-1], PLACES_MM[lost]) < 0.5
-    assert missing.is_worth(bins, fit, two)
+    assert count.is_worth(bins, fit, two)
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_none(missing: MissingFinger, seed: int) -> None:
+def test_none(count: FingerCount, seed: int) -> None:
     """Where none is missing, none is found, and the fit stays as it is."""
     bins = frame(PLACES_MM[:2], seed)
     two = fitted(bins, PLACES_MM[:2])
-    assert finish(missing.steps(bins, two)) is two
+    assert finish(count.with_missing(bins, two)) is two
 
 
-def test_elsewhere(missing: MissingFinger) -> None:
+def test_elsewhere(count: FingerCount) -> None:
     """One that was put where no finger is goes, and the one that is missing is found."""
     bins = frame(PLACES_MM)
     wrong = SOLVER.fit_several(bins, [*PLACES_MM[:2], (100.0, 60.0)], 1, shapes=[TYPICAL] * 3)
-    fit = finish(missing.steps(bins, wrong))
+    fit = finish(count.with_missing(bins, wrong))
     assert len(fit.positions_mm) == 3
     assert all(min(math.dist(at, true) for true in PLACES_MM) < 0.5 for at in fit.positions_mm)
 
 
-def test_not_asked(missing: MissingFinger) -> None:
+def test_not_asked(count: FingerCount) -> None:
     """Points, one finger and no finger are left as they are: their energy tells."""
     bins = frame(PLACES_MM)
     for fit in (no_fit(bins.energy), fitted(bins, PLACES_MM[:1]), SOLVER.fit_several(bins, PLACES_MM[:2], 2)):
-        assert finish(missing.steps(bins, fit)) is fit
-        assert not missing.is_worth(bins, fitted(bins, PLACES_MM), SOLVER.fit_several(bins, PLACES_MM[:2], 2))
+        assert finish(count.with_missing(bins, fit)) is fit
+        assert not count.is_worth(bins, fitted(bins, PLACES_MM), SOLVER.fit_several(bins, PLACES_MM[:2], 2))

@@ -170,11 +170,11 @@ def test_prune() -> None:
     bins = bins_of(FIELD.frame(FOUR[:2], DEVIATION, 1))
     signal = bins.energy - rig.noise.noise_energy
     fit = SOLVER.fit_several(bins, [(25.0, 25.0), (60.0, 40.0), (90.0, 30.0)], 3)
-    pruned, dropped = rig.search.pruning.prune(bins, fit, signal)
+    pruned, dropped = rig.search.count.prune(bins, fit, signal)
     assert dropped == [1]
     assert found(pruned, FOUR[:2])
     one = SOLVER.fit_several(bins, [(25.0, 25.0)], 3)
-    assert rig.search.pruning.prune(bins, one, signal) == (one, [])
+    assert rig.search.count.prune(bins, one, signal) == (one, [])
 
 
 def test_cancel() -> None:
