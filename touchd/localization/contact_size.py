@@ -27,7 +27,7 @@ from math import hypot, pi, sqrt
 from touchd.localization.atlas import Atlas
 from touchd.localization.fit import Fit
 from touchd.localization.noise import NoiseModel
-from touchd.localization.shape_information import PHASE_RAD, shape_information
+from touchd.localization.position_error import PHASE_RAD, shape_information
 from touchd.touch import Face, Kind
 
 SIZES_MM2 = (0.0, 8.0, 14.0, 20.0, 27.0, 34.0, 42.0, 52.0, 70.0)

@@ -10,18 +10,25 @@ shape left out       of a point: its bias at this place for `MOMENT_MM2`, square
 ===================  ==========================================================================================
 
 A soft tip that is fitted as a point leaves little of the signal, but its second-order field moves the position: of
-silicone tips by 0.03 mm of the 0.05 that they err by (twin).
+silicone tips by 0.03 mm of the 0.05 that they err by (twin). How far, and what the field tells of a shape at all, are
+tables over the atlas' nodes.
 """
 
 from __future__ import annotations
 
+import cmath
 import math
 from operator import mul
+from typing import NamedTuple
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
 
 from touchd.localization.atlas import Atlas
 from touchd.localization.fit import Fit, sigmas_mm
 from touchd.localization.noise import NoiseModel
-from touchd.localization.shape_information import shape_information
+from touchd.localization.spline import place_in_band
 
 TYPICAL, TYPICAL_SHAPE, TYPICAL_SEVERAL = 0.4, 0.3, 0.5
 """Model error of half the touches, as a share of its mean, which is that of a few badly known places: of one point, of
@@ -34,6 +41,13 @@ HIDDEN = 0.7
 """What half the fingertips leave, in the same unit: a shape's fit in noise that may hide as much leaves no less."""
 MOMENT_MM2 = 0.2
 """Moment that a point may have unseen: 0 of a rigid tip, 0.2 to 0.5 of a soft one of silicone (twin)."""
+PHASE_RAD = 0.4
+"""Of a round face's second-order amplitudes over its amplitude, alike for all sizes."""
+_STENCILS = np.array([[1, 4, 1], [-3, 0, 3], [6, -12, 6]]) / 6
+"""Value and first two derivatives of a cubic B-spline at a node."""
+_DERIVATIVES = ((1, 0), (0, 1), (0, 0), (2, 0), (0, 2), (1, 1))
+"""Orders along x and y of u_x, u_y, u, u_xx, u_yy and u_xy."""
+_TURN = cmath.rect(1.0, PHASE_RAD)
 
 
 class PositionError:
@@ -71,3 +85,112 @@ class PositionError:
             for k, (x_mm, y_mm) in enumerate(fit.positions_mm):
                 sigmas[k] = math.sqrt(sigmas[k] ** 2 + MOMENT_MM2**2 * self._bias2.at(x_mm, y_mm))
         return sigmas
+
+
+class NodeTable:
+    """A number at each node of an atlas, and between them.
+
+    Parameters
+    ----------
+    atlas : Atlas
+    values : array of shape (rows, columns)
+    """
+
+    def __init__(self, atlas: Atlas, values: NDArray[np.float64]) -> None:
+        self._x0_mm, self._y0_mm = map(float, atlas.description.origin_mm)
+        self._per_mm = 1 / float(atlas.description.step_mm)
+        rows, columns = values.shape
+        self._last_x, self._last_y = float(columns) - 1.001, float(rows) - 1.001
+        self._rows: list[list[float]] = values.tolist()
+
+    def at(self, x_mm: float, y_mm: float) -> float:
+        """Return the number at a position."""
+        x = min(max((x_mm - self._x0_mm) * self._per_mm, 0.0), self._last_x)
+        y = min(max((y_mm - self._y0_mm) * self._per_mm, 0.0), self._last_y)
+        column, row = int(x), int(y)
+        x -= column
+        y -= row
+        above, below = self._rows[row], self._rows[row + 1]
+        return (1 - y) * ((1 - x) * above[column] + x * above[column + 1]) + y * (
+            (1 - x) * below[column] + x * below[column + 1]
+        )
+
+
+class ShapeInformation(NamedTuple):
+    """Tables for a contact of amplitude 1."""
+
+    mean: NodeTable
+    """Variance of the mean moment over z by noise of unit variance, mm^4 / counts^2."""
+    oval: NodeTable
+    """The same of half the moments' difference, and of the diagonal one."""
+    bias2: NodeTable
+    """Mean square per axis, mm^2, by which a point's position errs for 1 mm^2 of mean moment."""
+
+
+_known: WeakKeyDictionary[Atlas, ShapeInformation] = WeakKeyDictionary()
+
+
+def shape_information(atlas: Atlas) -> ShapeInformation:
+    """Return the tables of an atlas; the quarter of a second that they take is spent once for each atlas."""
+    if (known := _known.get(atlas)) is None:
+        known = _known[atlas] = ShapeInformation(*(NodeTable(atlas, values) for values in _tables(atlas)))
+    return known
+
+
+def _tables(atlas: Atlas) -> NDArray[np.float64]:
+    """Return the variances of both moments and the squared bias at every node, shape (3, rows, columns).
+
+    The first two invert the Fisher information of x, y and the five amplitudes of one contact. Fingers nearby share
+    their information; that is left out, as what the fit of several leaves is larger. The bias is that of omitted
+    variables: where a fit of x, y and u alone moves to explain u_xx + u_yy.
+    """
+    d, nodes = atlas.description, atlas.coefficients
+    channels, bins = d.acquisition.channels, len(d.bins)
+    stencils = _STENCILS.astype(nodes.dtype)
+    band = place_in_band(atlas).astype(nodes.dtype)
+    # Unknowns: x, y, the parts of u, of u along the band, of a_xx, of a_yy and of a_xy.
+    wanted = np.zeros((3, 12))
+    wanted[0, -6:-2] = np.tile([_TURN.real / 2, _TURN.imag / 2], 2)
+    wanted[1, [-6, -4]], wanted[2, -2] = (0.5, -0.5), 0.5
+    found = np.empty((3, *nodes.shape[:2]))
+    for row in range(len(nodes)):
+        above = np.clip(np.arange(row - 1, row + 2), 0, len(nodes) - 1)
+        along_y = np.tensordot(stencils, nodes[above], 1)  # (orders, columns, size)
+        beside = np.clip(np.arange(nodes.shape[1])[:, None] + (-1, 0, 1), 0, nodes.shape[1] - 1)
+        fields = np.stack(
+            [np.einsum("k,nks->ns", stencils[i], along_y[j][beside]) / d.step_mm ** (i + j) for i, j in _DERIVATIVES],
+            axis=1,
+        )
+        parts = fields.reshape(len(fields), len(_DERIVATIVES), channels, 2, bins)
+        x, y, u, *second = (
+            (parts[..., 0, :] + np.complex64(1j) * parts[..., 1, :]).reshape(*fields.shape[:2], -1).swapaxes(0, 1)
+        )
+        columns = np.stack([x, y, *(turned * one for one in (u, u * band, *second) for turned in (1, 1j))], axis=1)
+        information = (columns.conj() @ columns.swapaxes(1, 2)).real.astype(np.float64)
+        # A field of zeros, as of a plate without channels, tells nothing.
+        empty = ~_regular(information)
+        information[empty] = np.eye(information.shape[-1])
+        spread = np.einsum("ki,nij,kj->nk", wanted, _inverse(information), wanted)
+        spread[empty] = np.inf
+        bias_mm = np.linalg.solve(information[:, :4, :4], 2 * information[:, :4] @ wanted[0, :, None])[:, :2, 0]
+        found[:, row] = spread[:, 0], spread[:, 1:].mean(axis=1), np.square(bias_mm).mean(axis=1)
+    return found
+
+
+def _inverse(matrices: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the inverses; of one that is singular but for rounding, what it cannot tell has a huge variance."""
+    try:
+        return np.asarray(np.linalg.inv(matrices), np.float64)
+    except np.linalg.LinAlgError:
+        values, vectors = np.linalg.eigh(matrices)
+        least = np.finfo(np.float64).eps * values[:, -1:]
+        return np.asarray((vectors / np.maximum(values, least)[:, None]) @ vectors.swapaxes(1, 2))
+
+
+def _regular(matrices: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return which positive semi-definite matrices can be inverted; where all can, it takes a tenth of the time."""
+    try:
+        np.linalg.cholesky(matrices)
+    except np.linalg.LinAlgError:
+        return np.asarray(np.linalg.matrix_rank(matrices) == matrices.shape[-1])
+    return np.ones(len(matrices), dtype=np.bool_)

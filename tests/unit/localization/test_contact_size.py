@@ -14,12 +14,12 @@ from hypothesis import strategies as st
 
 from tests.fields import COUNTS, Field, in_double, make_atlas
 from tests.unit.localization.test_contact_model import as_bins, contact, contact_model
-from touchd.localization import shape_information
+from touchd.localization import position_error
 from touchd.localization.atlas import Atlas
 from touchd.localization.contact_size import MOMENTS_MM2, SIZES_MM2, ContactSize
 from touchd.localization.fit import Fit, finish
 from touchd.localization.noise import NoiseModel
-from touchd.localization.shape_information import PHASE_RAD
+from touchd.localization.position_error import PHASE_RAD
 from touchd.localization.spline import Position
 from touchd.touch import Face
 
@@ -70,13 +70,13 @@ def test_larger(moment: float) -> None:
 def test_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """Its table, a quarter of a second of work, is made once for each atlas, and goes with it."""
     made: list[Atlas] = []
-    tables = shape_information._tables
+    tables = position_error._tables
 
     def counted(atlas: Atlas) -> np.ndarray:
         made.append(atlas)
         return tables(atlas)
 
-    monkeypatch.setattr(shape_information, "_tables", counted)
+    monkeypatch.setattr(position_error, "_tables", counted)
     atlas = in_double(make_atlas(Field()))
     first, second = (ContactSize(atlas, NoiseModel(atlas)) for _ in range(2))
     assert made == [atlas]

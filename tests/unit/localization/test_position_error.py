@@ -12,8 +12,7 @@ from tests.unit.localization.test_contact_model import as_bins, contact
 from touchd.localization.fit import Fit
 from touchd.localization.gauss_newton import GaussNewton
 from touchd.localization.noise import NoiseModel
-from touchd.localization.position_error import MOMENT_MM2, PositionError
-from touchd.localization.shape_information import PHASE_RAD
+from touchd.localization.position_error import MOMENT_MM2, PHASE_RAD, PositionError
 
 ATLAS = in_double(make_atlas(Field()))
 VARIANCE = 1e-10 * COUNTS**2
