@@ -68,7 +68,7 @@ class _Emission:
         self._later = later
 
     def bend(self, signal: Floats) -> Floats:
-        """Return the derivative by a stretch of the plate's response, see `touchd.localization.thermal`."""
+        """Return the derivative by a stretch of the plate's response, see `touchd.localization.drift`."""
         slope = np.fft.rfft(_slope(signal))
         parts = np.fft.irfft(slope[:, None] * self._masks, signal.shape[1])  # (channels, parts, period)
         return np.asarray(np.einsum("ps,cps->cs", self._later, parts))

@@ -4,6 +4,10 @@ The field atlas was learned at one temperature with one set of gains. The baseli
 tells how far it has come from there; a frame's bins are corrected for that. While a finger rests on the plate the
 baseline is frozen and the plate drifts on. `Drift` follows the few directions in which it can, with a time constant of
 0.3 s, and subtracts what lies along them.
+
+A plate that warms gets slower, by the same share at every frequency: what it answered to an impulse at t it now answers
+at t (1 - s). The chirp that it is struck with stays as it was. So the part of the signal about the frequency f, emitted
+at the time tau(f), is stretched about tau(f) and not about the start of the frame.
 """
 
 from __future__ import annotations
@@ -13,8 +17,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from touchd.frame import Acquisition
 from touchd.localization.atlas import Array, Atlas
-from touchd.localization.thermal import delayed, plate_directions, stretch_matrix
+
+Floats = NDArray[np.float64]
 
 DEAD_BELOW = 0.05
 """A channel with less than this share of its energy in training is dead."""
@@ -25,6 +31,8 @@ FOLLOW_EVERY_NS = 40_000_000
 _ROUNDS = 2  # the stretch is fitted to first order
 _LARGEST_STRETCH = 3e-3  # some seventy kelvin: beyond it the first order is wrong, and so is the cause
 _LARGEST_GAIN = 30.0  # or its inverse: an audio interface's knob was turned; another plate's gains are near 0
+_LEAD = 0.1
+"""Share of the period by which a bin's answer, sharp in frequency, begins before its frequency is emitted."""
 
 
 class Drift:
@@ -131,7 +139,7 @@ class Drift:
         energy = np.square(residual + baseline).sum(axis=1)
         return np.asarray(energy < DEAD_BELOW * np.square(self._reference).sum(axis=1))
 
-    def _fit(self, live: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+    def _fit(self, live: Floats) -> tuple[float, Floats]:
         """Return stretch and gains that lead from the untouched plate in training to the one now."""
         gains, stretch = np.ones(self._channels), 0.0
         alive = ~self.dead
@@ -150,7 +158,7 @@ class Drift:
         sound = abs(stretch) < _LARGEST_STRETCH and 1 / _LARGEST_GAIN < gains.min() <= gains.max() < _LARGEST_GAIN
         return (stretch, gains) if sound else (0.0, np.ones(self._channels))
 
-    def _set_directions(self, live: NDArray[np.float64]) -> None:
+    def _set_directions(self, live: Floats) -> None:
         """Set the directions in which the untouched plate can move."""
         bins, stretched = live @ self.matrix, live @ self._stretched
         if self._scale is not None:
@@ -162,3 +170,79 @@ class Drift:
         self.directions = directions.astype(self._dtype)
         self._along = np.zeros(len(directions), self._dtype)
         self._step = np.zeros_like(self._along)
+
+
+def emission_s(acquisition: Acquisition, bins: NDArray[np.int64]) -> Floats:
+    """Return when the linear chirp passes the frequency of each bin, s after the frame's start, shape (bins,)."""
+    chirp = acquisition.chirp
+    f_hz = np.asarray(bins) * acquisition.sample_rate_hz / acquisition.samples
+    return np.asarray((f_hz - chirp.start_hz) / (chirp.stop_hz - chirp.start_hz) * chirp.duration_s)
+
+
+def stretch_matrix(acquisition: Acquisition, bins: NDArray[np.int64]) -> Floats:
+    """Return the matrix from samples to the derivative of the windowed bins by a stretch of the plate's response.
+
+    A signal y of shape (..., samples) whose plate has become slower or faster since has the features
+    y @ windowed_dft + s * (y @ stretch_matrix): s is the relative rise of all its resonances' frequencies, -4.5e-5 a
+    kelvin for the twin's glass.
+
+    Parameters
+    ----------
+    acquisition : Acquisition
+    bins : array of int, shape (b,)
+        Indices of the DFT bins.
+
+    Returns
+    -------
+    array of float64, shape (samples, 2 * b)
+        Columns as `touchd.localization.features.windowed_dft` orders them: real parts, then imaginary parts.
+    """
+    n, rate_hz = acquisition.samples, acquisition.sample_rate_hz
+    bins = np.asarray(bins)
+    # The features are a sum over samples of the derivative y'(t) times t - tau(f), window and phase. The index product
+    # is reduced modulo the length first: cos of a large argument loses digits.
+    phase = (np.outer(np.arange(n), bins) % n) * (2 * np.pi / n)
+    later_s = np.arange(n)[:, None] / rate_hz - emission_s(acquisition, bins)
+    period_s = acquisition.chirp.period_s
+    if period_s is not None:  # what comes before the chirp's own answer is the ringing of the one before
+        later_s = (later_s + _LEAD * period_s) % period_s - _LEAD * period_s
+    weight = acquisition.window[:, None] * later_s
+    # y' is that of the band-limited signal, a product with i omega: the transpose of that step, applied to the weights.
+    slope = 2j * np.pi * np.fft.rfftfreq(n, 1 / rate_hz)
+    if n % 2 == 0:
+        slope[-1] = 0.0  # the alternating signal has no slope at its samples
+
+    def derived(columns: Floats) -> Floats:
+        return np.asarray(np.fft.irfft(-slope[:, None] * np.fft.rfft(columns, axis=0), n, axis=0))
+
+    return np.concatenate([derived(weight * np.cos(phase)), derived(-weight * np.sin(phase))], axis=1)
+
+
+def delayed(bins: Floats, omega_rad_s: Floats) -> Floats:
+    """Return what a delay of a second adds to bins (channels, 2 * bins) in first order: -i omega times them."""
+    count = len(omega_rad_s)
+    return np.concatenate([omega_rad_s * bins[:, count:], -omega_rad_s * bins[:, :count]], axis=1)
+
+
+def plate_directions(bins: Floats, stretched: Floats, omega_rad_s: Floats) -> Floats:
+    """Return the orthonormal directions in which the untouched plate can move: stretch, delay, and each gain.
+
+    Parameters
+    ----------
+    bins : array of shape (channels, 2 * bins)
+        Of the untouched plate; zero in dead channels.
+    stretched : array of the same shape
+        Their derivative by a stretch.
+    omega_rad_s : array of shape (bins,)
+
+    Returns
+    -------
+    array of shape (up to 2 + channels, channels * 2 * bins), without rows on a rig that hears nothing.
+    """
+    rows = [stretched, delayed(bins, omega_rad_s)]
+    rows += [np.where(np.arange(len(bins))[:, None] == r, bins, 0.0) for r in np.flatnonzero(bins.any(axis=1))]
+    table = np.stack([row.ravel() for row in rows])
+    norm = np.linalg.norm(table, axis=1, keepdims=True)
+    if not (norm > 0).all():
+        return np.zeros((0, bins.size))
+    return np.asarray(np.linalg.qr((table / norm).T)[0].T)
