@@ -38,25 +38,18 @@ class Step(NamedTuple):
     """Of the amplitudes by the step, to first order."""
 
 
-class StepOfOne(NamedTuple):
-    """The same of one finger."""
+def step_of_one(products: list[float]) -> tuple[complex, float, Block, tuple[float, float], tuple[complex, complex]]:
+    """Return what one finger's best amplitude leaves to be gained; `products` are those of `sums_of_one`.
 
-    amplitude: complex
-    explained: float
-    information: Block
-    gradient: tuple[float, float]
-    along: tuple[complex, complex]
-    """The parts of u_x and u_y along u: to first order, what a step of 1 mm adds to the field."""
-
-
-def step_of_one(products: list[float]) -> StepOfOne:
-    """Return what one finger's best amplitude leaves to be gained; `products` are those of `sums_of_one`."""
+    These are the amplitude, what it explains, information and gradient, and the parts of u_x and u_y along u: to first
+    order, what a step of 1 mm adds to the field.
+    """
     uu, ud, ud_i, ux, ux_i, uy, uy_i, xx, xy, yy, xd, xd_i, yd, yd_i = products
     if uu <= 0:
-        return StepOfOne(0j, 0.0, (0.0, 0.0, 0.0), (0.0, 0.0), (0j, 0j))
+        return 0j, 0.0, (0.0, 0.0, 0.0), (0.0, 0.0), (0j, 0j)
     z, z_i, x, x_i, y, y_i = ud / uu, ud_i / uu, ux / uu, ux_i / uu, uy / uu, uy_i / uu
     power = z * z + z_i * z_i
-    return StepOfOne(
+    return (
         complex(z, z_i),
         power * uu,
         (power * (xx - ux * x - ux_i * x_i), power * (xy - ux * y - ux_i * y_i), power * (yy - uy * y - uy_i * y_i)),

@@ -155,7 +155,8 @@ class NetworkLocalizer(Localizer):
         else:
             self._still.reset()
         touches = self._look(detection, self._keep_confidence if alive else self._min_confidence)
-        departure = not touches and not alive and self._estimator.of_residual and self._departs()
+        departure = not touches and not alive and self._estimator.of_residual
+        departure = departure and self._estimator.opposite().confidence >= self._min_confidence
         # The next frames that hold are still.
         self._found = Localization(Outcome.STILL, touches)
         return Localization(Outcome.INFERRED, touches, departure)
@@ -184,6 +185,3 @@ class NetworkLocalizer(Localizer):
         return (
             self._touch_maker.touch(x_mm, y_mm, sigma_mm, min(estimate.confidence, 1.0), change, estimate.key),
         )  # fmt: skip
-
-    def _departs(self) -> bool:
-        return self._estimator.opposite().confidence >= self._min_confidence

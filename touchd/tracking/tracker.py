@@ -130,7 +130,7 @@ class Tracker:
             return [None] * len(tracks)
         costs = [[self._cost(track, touch) for touch in touches] for track in tracks]
         nearest = [row.index(min(row)) for row in costs]
-        if len(set(nearest)) == len(nearest) and all(map(_is_within_reach, costs)):
+        if len(set(nearest)) == len(nearest) and all(min(row) < _NEVER for row in costs):
             # Each has one nearest to it, and no two the same: no choice can be cheaper.
             return [touches[j] for j in nearest]
         # A track may also stay without a touch, at the price of the reach: a column of its own for each.
@@ -231,10 +231,6 @@ def _copy(contact: Contact, track: Track) -> Contact:
         e.major_mm, e.minor_mm, e.angle_deg, e.sigma_area_mm2, e.sigma_major_mm, e.sigma_minor_mm, e.sigma_angle_deg,
         kind,
     )  # fmt: skip
-
-
-def _is_within_reach(costs: list[float]) -> bool:
-    return min(costs) < _NEVER
 
 
 def _lives(track: Track) -> bool:
