@@ -6,7 +6,6 @@
 from __future__ import annotations
 
 import json
-import re
 import sys
 from pathlib import Path
 
@@ -131,14 +130,19 @@ def vectors() -> str:
 
 
 def exit_codes() -> str:
-    """Return the exit statuses, a line for each branch of the tree at the top of `touchd.errors`."""
-    lines: list[str] = []
-    for indent, name, status, text in re.findall(r"(?m)^(.*)─ (\w+) +(\d+) +([^:\n]+)", errors.__doc__ or ""):
-        if len(indent) == len("    ├─"):
-            lines.append(f"- {status} `{name}`: {text}")
-        else:
-            lines[-1] += f"{';' if '; ' not in lines[-1] else ','} {status} `{name}`"
+    """Return the exit statuses, a line for each branch of the tree of `touchd.errors`."""
+    lines = []
+    for error in by_status(errors.TouchdError):
+        cause = (error.__doc__ or "").removesuffix(".").partition(":")[0]
+        line = f"- {error.exit_code} `{error.__name__}`: {cause[0].lower()}{cause[1:]}"
+        below = ", ".join(f"{each.exit_code} `{each.__name__}`" for each in by_status(error))
+        lines.append(f"{line}; {below}" if below else line)
     return "\n".join(lines)
+
+
+def by_status(error: type[errors.TouchdError]) -> list[type[errors.TouchdError]]:
+    """Return the classes right below one of the tree."""
+    return sorted(error.__subclasses__(), key=lambda each: each.exit_code)
 
 
 def results() -> str:

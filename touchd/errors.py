@@ -1,44 +1,4 @@
-"""Errors that touchd raises on purpose: one tree, each class with its exit status.
-
-::
-
-    TouchdError                    exit  cause: remedy
-    ├── ConfigError                  10  configuration file, variable or option is invalid: correct the named key
-    ├── RecordingError               20  the recording is unusable
-    │   ├── RecordingMissing         21  no such file or folder: check the path
-    │   ├── RecordingTruncated       22  incomplete .npz: copy the file again, or remove the damaged chunk
-    │   ├── RecordingVersion         23  unknown format, or written by a newer touchd: upgrade
-    │   ├── RecordingShape           24  an array or key is missing, or has the wrong type or shape
-    │   ├── RecordingUnsafe          25  the file contains pickled objects; touchd refuses to load them
-    │   └── RecordingValues          26  NaN, infinity, or values out of order
-    ├── ModelError                   30  the model is unusable
-    │   ├── ModelMissing             31  no such file: check the path
-    │   ├── ModelInvalid             32  not ONNX, or without touchd's metadata: export the model again
-    │   └── ModelMismatch            33  the model expects another acquisition: train a model for this one
-    ├── BusError                     40  publishing or receiving failed
-    │   ├── AddressInUse             41  another process has bound the address: stop it, or bind another
-    │   ├── InsecureBind             42  a bind beyond loopback without keys: configure CURVE keys
-    │   └── BusTimeout               43  no message arrived in time: check that the other side runs
-    ├── SourceError                  50  the source delivers no frames
-    │   ├── DeviceLost               51  the DAQ was unplugged: check its cable
-    │   └── ReaderFailed             52  the DAQ's reader thread died or hangs: restart touchd
-    ├── MissingExtra                 60  an optional package is missing: install the named extra
-    ├── TrainingError                70  the recording cannot train this model
-    ├── SimulationError              80  the twin cannot simulate this scene, plate or count
-    ├── OutputError                  90  the file cannot be written: check folder, space and permissions
-    ├── BridgeError                  92  no touch screen, or a mapping that does not fit: follow the remedy
-    ├── GadgetError                  95  this computer cannot act as a USB device: it needs a device port, and root
-    ├── CheckFailed                  97  touchd doctor found a failure: follow the remedy in its report
-    ├── JobError                    100  a job of a long computation failed: repeat the command, finished jobs are kept
-    │   └── ClusterError            101  the Dask cluster is unusable: check address, workers and versions
-    └── CalibrationError            110  the plate cannot be calibrated
-        ├── PlateFileInvalid        111  PLATE.toml is unusable: correct the named key
-        ├── PlateTouched            112  a finger lies on the plate in the recording: record it again untouched
-        ├── PlateUnsteady           113  the plate drifts during the recording: let it settle, and record again
-        ├── SignalClipped           114  the signal exceeds the ADC's range: lower the gain
-        ├── PlateMismatch           115  the recording has another geometry than PLATE.toml
-        └── PlatePoor               116  the fit is poor: follow its reasons, or accept it with --force
-"""
+"""Errors that touchd raises on purpose: one tree, each class with its cause, its remedy and its exit status."""
 
 from __future__ import annotations
 
@@ -70,7 +30,7 @@ class TouchdError(Exception):
 
 
 class ConfigError(TouchdError):
-    """A configuration file, environment variable or option is invalid."""
+    """Configuration file, variable or option is invalid: correct the named key."""
 
     exit_code = 10
 
@@ -82,19 +42,19 @@ class RecordingError(TouchdError):
 
 
 class RecordingMissing(RecordingError):
-    """The recording does not exist or cannot be opened."""
+    """The recording does not exist or cannot be opened: check the path."""
 
     exit_code = 21
 
 
 class RecordingTruncated(RecordingError):
-    """The .npz archive is incomplete."""
+    """The .npz archive is incomplete: copy the file again, or remove the damaged chunk."""
 
     exit_code = 22
 
 
 class RecordingVersion(RecordingError):
-    """The file has an unknown format or version."""
+    """The file has an unknown format, or was written by a newer touchd: upgrade."""
 
     exit_code = 23
 
@@ -106,7 +66,7 @@ class RecordingShape(RecordingError):
 
 
 class RecordingUnsafe(RecordingError):
-    """The file contains pickled Python objects, which could run code."""
+    """The file contains pickled Python objects, which could run code; touchd refuses to load them."""
 
     exit_code = 25
 
@@ -124,43 +84,43 @@ class ModelError(TouchdError):
 
 
 class ModelMissing(ModelError):
-    """The model file does not exist or cannot be opened."""
+    """The model file does not exist or cannot be opened: check the path."""
 
     exit_code = 31
 
 
 class ModelInvalid(ModelError):
-    """The file is not an ONNX model, or lacks touchd's metadata."""
+    """The file is not an ONNX model, or lacks touchd's metadata: export the model again."""
 
     exit_code = 32
 
 
 class ModelMismatch(ModelError):
-    """The model expects frames of another acquisition."""
+    """The model expects another acquisition: train a model for this one."""
 
     exit_code = 33
 
 
 class BusError(TouchdError):
-    """Publishing or receiving events failed."""
+    """Publishing or receiving failed."""
 
     exit_code = 40
 
 
 class AddressInUse(BusError):
-    """Another process has bound the address."""
+    """Another process has bound the address: stop it, or bind another."""
 
     exit_code = 41
 
 
 class InsecureBind(BusError):
-    """The configuration binds an address beyond loopback without keys."""
+    """The configuration binds an address beyond loopback without keys: configure CURVE keys."""
 
     exit_code = 42
 
 
 class BusTimeout(BusError):
-    """No message arrived in time."""
+    """No message arrived in time: check that the other side runs."""
 
     exit_code = 43
 
@@ -172,19 +132,19 @@ class SourceError(TouchdError):
 
 
 class DeviceLost(SourceError):
-    """The DAQ was unplugged."""
+    """The DAQ was unplugged: check its cable."""
 
     exit_code = 51
 
 
 class ReaderFailed(SourceError):
-    """The DAQ's reader thread died or hangs."""
+    """The DAQ's reader thread died or hangs: restart touchd."""
 
     exit_code = 52
 
 
 class MissingExtra(TouchdError):
-    """The verb needs an optional package."""
+    """An optional package is missing: install the named extra."""
 
     exit_code = 60
 
@@ -202,37 +162,37 @@ class SimulationError(TouchdError):
 
 
 class OutputError(TouchdError):
-    """The file cannot be written."""
+    """The file cannot be written: check folder, space and permissions."""
 
     exit_code = 90
 
 
 class BridgeError(TouchdError):
-    """A bridge cannot make its touch screen, or the mapping of the screen does not fit."""
+    """No touch screen, or a mapping that does not fit: follow the remedy."""
 
     exit_code = 92
 
 
 class GadgetError(TouchdError):
-    """The computer cannot act as a USB device."""
+    """This computer cannot act as a USB device: it needs a device port, and root."""
 
     exit_code = 95
 
 
 class CheckFailed(TouchdError):
-    """`touchd doctor` found a failure."""
+    """Touchd doctor found a failure: follow the remedy in its report."""
 
     exit_code = 97
 
 
 class JobError(TouchdError):
-    """A job of a long computation failed."""
+    """A job of a long computation failed: repeat the command, finished jobs are kept."""
 
     exit_code = 100
 
 
 class ClusterError(JobError):
-    """The Dask cluster is unreachable or unusable."""
+    """The Dask cluster is unreachable or unusable: check address, workers and versions."""
 
     exit_code = 101
 
@@ -244,25 +204,25 @@ class CalibrationError(TouchdError):
 
 
 class PlateFileInvalid(CalibrationError):
-    """PLATE.toml is missing or invalid."""
+    """PLATE.toml is missing or invalid: correct the named key."""
 
     exit_code = 111
 
 
 class PlateTouched(CalibrationError):
-    """A finger lies on the plate in a recording that must be untouched."""
+    """A finger lies on the plate in the recording: record it again untouched."""
 
     exit_code = 112
 
 
 class PlateUnsteady(CalibrationError):
-    """The plate drifts during the recording."""
+    """The plate drifts during the recording: let it settle, and record again."""
 
     exit_code = 113
 
 
 class SignalClipped(CalibrationError):
-    """The signal exceeds the range of the ADC."""
+    """The signal exceeds the ADC's range: lower the gain."""
 
     exit_code = 114
 
@@ -274,6 +234,6 @@ class PlateMismatch(CalibrationError):
 
 
 class PlatePoor(CalibrationError):
-    """The fitted plate explains too little of the response."""
+    """The fitted plate explains too little of the response: follow its reasons, or accept it with --force."""
 
     exit_code = 116

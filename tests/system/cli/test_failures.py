@@ -313,12 +313,6 @@ def test_statuses() -> None:
     assert all(code not in (0, 2) and code < 126 for code in codes)
 
 
-def test_error_tree() -> None:
-    """The tree drawn at the top of `errors` is the tree of its classes."""
-    drawn = dict(re.findall(r"── (\w+) +(\d+) ", errors.__doc__ or ""))
-    assert drawn == {error.__name__: str(error.exit_code) for error in all_errors()}
-
-
 @pytest.mark.parametrize("debug", [False, True])
 def test_internal_error(debug: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     """An error that nobody foresaw is called an internal error."""
