@@ -137,17 +137,11 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         result = touchd.main(args=arguments, prog_name="touchd", standalone_mode=False)
         return result if isinstance(result, int) else 0
-    except click.exceptions.Exit as stop:
-        return stop.exit_code
     except click.ClickException as error:
         error.show()
         return ConfigError.exit_code if isinstance(error, click.FileError) else error.exit_code
     except (click.Abort, KeyboardInterrupt):
         return 130
-    except BrokenPipeError:
-        # The reader closed the pipe. Discard the buffer: flushing it at exit would fail again.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
     except TouchdError as error:
         return _explain(error, debug)
     except ModuleNotFoundError as error:
