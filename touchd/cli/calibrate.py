@@ -97,15 +97,12 @@ def command(
             else:
                 bars.update(part, round(_STEPS * share), _STEPS, note)
 
-        def progress(stage: str, share: float) -> None:
-            update(stage, share)
-
         def fitting(stage: str, share: float) -> None:
             update("plate", share, stage)
 
         fitted = fit_recording(frames, said, fitting)
         poor = fitted.fit.verdict == "poor"
-        made = None if poor and not force else make_model(fitted, output, taps=taps, command=line, progress=progress)
+        made = None if poor and not force else make_model(fitted, output, taps=taps, command=line, progress=update)
         fitted = made.fitted if made else fitted
     folder = None if no_report else write_calibration_report(fitted, made, output)
     found = _result(fitted, output if made else None, folder)

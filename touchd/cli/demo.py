@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import subprocess
 import sys
 import tempfile
@@ -31,18 +32,12 @@ _PATIENCE_S = 30
 _LOOK_S = 0.5
 
 
-def _speed(ctx: click.Context, param: click.Parameter, value: str) -> str:
-    """Check the speed, and return it as text for the daemon's command line."""
-    parse_speed(ctx, param, value)
-    return value
-
-
 @click.command()
 @click.argument("recording", type=click.Path(path_type=Path), default=SESSION)
 @click.option("--json", "as_json", is_flag=True, help="Print only the summary, as one JSON object.")
-@click.option("--speed", default="1", callback=_speed, metavar="N|max", help="Speed of the replay.  [default: 1]")
+@click.option("--speed", default="1", callback=parse_speed, metavar="N|max", help="Speed of the replay.  [default: 1]")
 @click.option("--model", type=click.Path(path_type=Path), help="Model (ONNX).  [default: shipped]")
-def command(recording: Path, as_json: bool, speed: str, model: Path | None) -> None:
+def command(recording: Path, as_json: bool, speed: float, model: Path | None) -> None:
     """Replay RECORDING through the daemon, print the events that a subscriber receives, and summarise them.
 
     RECORDING (default: the shipped one) must be labelled with true contacts. Daemon and subscriber are separate
@@ -82,13 +77,13 @@ def command(recording: Path, as_json: bool, speed: str, model: Path | None) -> N
     click.echo(json.dumps(summary) if as_json else _table(summary, recording))
 
 
-def _received(recording: Path, speed: str, model: Path) -> Iterator[Event]:
+def _received(recording: Path, speed: float, model: Path) -> Iterator[Event]:
     """Run a daemon that replays `recording`, and yield what it publishes."""
     with ExitStack() as stack:
         folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="touchd-demo-"))
         address = f"ipc://{folder}/bus"
-        replay = [sys.executable, "-m", "touchd", "--replay", str(recording), "--speed", speed, "--bind", address]
-        replay += ["--await-subscriber", str(_PATIENCE_S), "--model", str(model)]
+        replay = [sys.executable, "-m", "touchd", "--replay", str(recording), "--bind", address, "--model", str(model)]
+        replay += ["--speed", "max" if speed == math.inf else str(speed), "--await-subscriber", str(_PATIENCE_S)]
         complaints = stack.enter_context(tempfile.TemporaryFile("w+"))
         # It runs this program, with file names as its only input.
         daemon = stack.enter_context(subprocess.Popen(replay, stderr=complaints, stdin=subprocess.DEVNULL))  # noqa: S603

@@ -74,15 +74,11 @@ def command(
     keys = keys_of(mapping)
     click.echo("[input]\n" + "\n".join(f"{key} = {value}" for key, value in keys.items()))
     if not dry_run:
-        path = config or _default_config()
+        from touchd.config.load import DEFAULT_PATH
+
+        path = config or DEFAULT_PATH
         set_keys(path, "input", keys)
         click.echo(f"written to {path}; now: systemctl restart touchd-input touchd-tuio")
-
-
-def _default_config() -> Path:
-    from touchd.config.load import DEFAULT_PATH
-
-    return DEFAULT_PATH
 
 
 def _take(address: str | None, touches: int) -> list[Touched]:
