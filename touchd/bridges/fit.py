@@ -1,4 +1,4 @@
-"""Fits the mapping of the screen to touches at known places of it."""
+"""Takes touches at crosses that the screen shows, and fits to them where the screen lies on the plate."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from touchd.errors import BridgeError
+from touchd.event import Event, TouchEvent
 
 CROSSES = ((0.1, 0.1), (0.9, 0.1), (0.9, 0.9), (0.1, 0.9), (0.5, 0.5), (0.5, 0.1), (0.9, 0.5), (0.5, 0.9), (0.1, 0.5))
 """Where to touch, shares of the screen's width and height from its top left."""
@@ -39,6 +40,45 @@ class Mapping(NamedTuple):
     """Distance of each touch."""
 
 
+class Crosses:
+    """Takes one touch at each cross.
+
+    Parameters
+    ----------
+    count : int
+        How many of `CROSSES`.
+    """
+
+    def __init__(self, count: int = LEAST_TOUCHES) -> None:
+        self.taken: list[Touched] = []
+        self._count = count
+        self._ways: dict[int, list[tuple[float, float]]] = {}  # by contact
+
+    @property
+    def due(self) -> tuple[float, float] | None:
+        """The cross to touch next, shares of the screen's width and height; None once all are touched."""
+        return CROSSES[len(self.taken)] if len(self.taken) < self._count else None
+
+    def feed(self, event: Event) -> bool:
+        """Take an event of the bus; return whether it ended a touch at a cross: its place is its mean place."""
+        if not isinstance(event, TouchEvent):
+            return False
+        before = len(self.taken)
+        for contact in event.contacts:
+            if contact.phase == "down":
+                self._ways[contact.id] = []
+            way = self._ways.get(contact.id)
+            if way is not None and contact.phase != "up":
+                way.append((contact.x_mm, contact.y_mm))
+            elif way is not None and self.due:
+                del self._ways[contact.id]
+                mean_mm = (sum(axis) / len(way) for axis in zip(*way, strict=True))
+                self.taken.append(Touched(*self.due, *mean_mm))
+        if not event.contacts:  # this subscriber stood still
+            self._ways.clear()
+        return len(self.taken) > before
+
+
 def fit(touches: Sequence[Touched]) -> Mapping:
     """Return the rectangle and rotation with the least squares of distances.
 
@@ -65,6 +105,12 @@ def fit(touches: Sequence[Touched]) -> Mapping:
             f"{best.missed_mm[worst]:.1f} mm", "", again,
         )  # fmt: skip
     return best
+
+
+def keys_of(mapping: Mapping) -> dict[str, str]:
+    """Return a mapping as keys of `[input]`, in TOML."""
+    screen = ", ".join(f"{value:g}" for value in mapping.screen_mm)
+    return {"screen_mm": f"[{screen}]", "rotate": str(mapping.rotate), "residual_mm": f"{mapping.residual_mm:g}"}
 
 
 def _fit_rotated(touches: Sequence[Touched], rotate: int) -> Mapping | None:

@@ -10,8 +10,7 @@ from pathlib import Path
 
 import click
 
-from touchd.bridges.crosses import Crosses, keys_of
-from touchd.bridges.fit import CROSSES, LEAST_TOUCHES, Touched, fit
+from touchd.bridges.fit import CROSSES, LEAST_TOUCHES, Crosses, Touched, fit, keys_of
 from touchd.cli.bridge import bus_option
 from touchd.client import Subscriber
 from touchd.config.apart import load_apart

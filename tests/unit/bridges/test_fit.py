@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 
 from tests.unit.bridges.events import contact, touch
 from touchd.bridges.area import Area
-from touchd.bridges.crosses import Crosses
-from touchd.bridges.fit import CROSSES, Touched, fit
+from touchd.bridges.fit import CROSSES, Crosses, Touched, fit
 from touchd.cli.main import main
 from touchd.cli.map import page_of
 from touchd.config.bridges import InputSettings

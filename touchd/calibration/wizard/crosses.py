@@ -11,8 +11,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from touchd.bridges.crosses import Crosses, keys_of
-from touchd.bridges.fit import LEAST_TOUCHES, Mapping, Touched, fit
+from touchd.bridges.fit import LEAST_TOUCHES, Crosses, Mapping, Touched, fit, keys_of
 from touchd.calibration.wizard.frames import Stopped, refuse_keypad
 from touchd.client import Subscriber
 from touchd.config.bridges import InputSettings
