@@ -12,7 +12,7 @@ from touchd.errors import ConfigError
 from touchd.event import Contact
 
 if TYPE_CHECKING:  # a bridge does without pydantic's 20 MB
-    from touchd.config.bridges import InputSettings
+    from touchd.config.schema import InputSettings
 
 
 class Place(Struct, gc=False):

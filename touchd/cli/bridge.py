@@ -13,7 +13,7 @@ from touchd.cli.interrupt import stopping
 from touchd.service.systemd import Notifier
 
 if TYPE_CHECKING:  # a bridge does without pydantic's 20 MB
-    from touchd.config.bridges import InputSettings
+    from touchd.config.schema import InputSettings
 
 bus_option = click.option(
     "--bus", "address", metavar="ADDRESS",

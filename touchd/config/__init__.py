@@ -1,1 +1,1 @@
-"""The configuration: `schema` declares the keys, `kinds` their values; `load`, `render` and `mistakes` (explained)."""
+"""The configuration: `schema` declares the keys, `kinds` and `rigs` parts of it; `load`, `render`, `edit` use them."""

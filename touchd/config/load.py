@@ -1,12 +1,13 @@
-"""Read the configuration: command line over environment over file over defaults."""
+"""Read the configuration: command line over environment over file over defaults; explain what is wrong in it."""
 
 from __future__ import annotations
 
+import difflib
 import json
 import os
 import re
 import tomllib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,8 +15,7 @@ from pydantic import ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_settings import BaseSettings, EnvSettingsSource, InitSettingsSource, SettingsConfigDict
 
-from touchd.config.mistakes import REMOVE, Layer, explain, nearest
-from touchd.config.render import fields, variable
+from touchd.config.render import expected, expected_item, fields, is_secret, section, toml_value, variable
 from touchd.config.schema import RETIRED, Settings
 from touchd.errors import ConfigError
 from touchd.files import read_text
@@ -25,7 +25,34 @@ DEFAULT_PATH = Path("/etc/touchd/touchd.toml")
 NOT_SETTINGS = frozenset({"TOUCHD_DEBUG"})
 """Environment variables with touchd's prefix that set no key."""
 _PREFIX = "TOUCHD_"
+_REMOVE = "remove it; `touchd config --default` prints every key"
 _TOML_ERROR = re.compile(r"(?P<what>.*) \(at (?P<place>line \d+, column \d+|end of document)\)", re.DOTALL)
+_Loc = tuple[int | str, ...]
+"""Pydantic's location of a value: table, key, index in a list."""
+
+
+class _Layer(NamedTuple):
+    """The settings of one place: the command line, the environment or the file."""
+
+    where: str
+    content: dict[str, Any]
+    by_variable: bool = False
+    """A message names the variable `TOUCHD_BUS__BIND`, not the key `bus.bind`."""
+
+    def holds(self, loc: _Loc) -> bool:
+        """Return whether this layer sets the table or key at `loc`."""
+        layer: Any = self.content
+        for part in loc[:2]:
+            if not isinstance(layer, Mapping) or part not in layer:
+                return False
+            layer = layer[part]
+        return True
+
+    def place(self, loc: _Loc) -> str:
+        """Return where the value at `loc` stands, for a message."""
+        key, items = ".".join(map(str, loc[:2])), "".join(f"[{part}]" for part in loc[2:])
+        name = variable(*map(str, loc[:2])) if self.by_variable and len(loc) > 1 else key + items
+        return f"{self.where}: {name}"
 
 
 class Retired(NamedTuple):
@@ -59,9 +86,9 @@ def load(
     """
     problems: list[ConfigError] = []
     layers = [
-        Layer("command line", dict(overrides or {})),
-        Layer("environment", _environment(problems), by_variable=True),
-        Layer(str(path or DEFAULT_PATH), _file(path)),
+        _Layer("command line", dict(overrides or {})),
+        _Layer("environment", _environment(problems), by_variable=True),
+        _Layer(str(path or DEFAULT_PATH), _file(path)),
     ]
     for report in _drop_retired(layers):
         retired(report)
@@ -70,7 +97,7 @@ def load(
         sources = [InitSettingsSource(_Layered, layer.content) for layer in layers]
         settings = Settings(**dict(_Layered(sources=sources)))  # type: ignore[call-arg]  # not a field: see there
     except ValidationError as error:
-        problems += explain(error, layers)
+        problems += _explained(error, layers)
     if len(problems) > 1:
         every = "; ".join(map(str, problems))
         raise ConfigError(f"{len(problems)} problems: {every}", "configuration", "correct them all")
@@ -119,8 +146,8 @@ def _environment(problems: list[ConfigError]) -> dict[str, Any]:
         if upper in tables:
             problems.append(ConfigError("names a whole table", where, f"name one of its keys: {upper}__KEY"))
         elif upper not in (*known, *gone):
-            near = nearest(upper, [*known, *NOT_SETTINGS])
-            problems.append(ConfigError("unknown variable", where, f"did you mean {near}?" if near else REMOVE))
+            near = _nearest(upper, [*known, *NOT_SETTINGS])
+            problems.append(ConfigError("unknown variable", where, f"did you mean {near}?" if near else _REMOVE))
         elif any("\ud800" <= character <= "\udfff" for character in value):
             problems.append(ConfigError("is not UTF-8", where, "set it again"))
         else:
@@ -151,7 +178,7 @@ def _file(path: Path | None) -> dict[str, Any]:
         raise ConfigError(f"is not valid TOML: {what[:1].lower()}{what[1:]}", place, "correct this line") from error
 
 
-def _drop_retired(layers: list[Layer]) -> Iterator[Retired]:
+def _drop_retired(layers: list[_Layer]) -> Iterator[Retired]:
     """Remove the keys of earlier versions from the layers, and yield where each stood."""
     for name, instead in RETIRED.items():
         table, key = name.split(".")
@@ -159,3 +186,58 @@ def _drop_retired(layers: list[Layer]) -> Iterator[Retired]:
             if layer.holds((table, key)):
                 layer.content[table] = {k: v for k, v in layer.content[table].items() if k != key}
                 yield Retired(layer.place((table, key)), instead)
+
+
+def _explained(error: ValidationError, layers: Sequence[_Layer]) -> list[ConfigError]:
+    """Explain each of pydantic's findings once, in plain words. `layers` are in order of precedence."""
+    found = error.errors(include_url=False, include_context=False)
+    # A bad item makes the whole list bad: the item is enough.
+    return [
+        _explain(e["type"], e["loc"], e["input"], e["msg"], layers)
+        for e in found
+        if not any(len(other["loc"]) > len(e["loc"]) and other["loc"][: len(e["loc"])] == e["loc"] for other in found)
+    ]
+
+
+def _explain(kind: str, loc: _Loc, value: Any, message: str, layers: Sequence[_Layer]) -> ConfigError:
+    key = ".".join(map(str, loc[:2]))
+    where = next((layer.place(loc) for layer in layers if layer.holds(loc)), key)
+    if kind == "extra_forbidden":
+        return ConfigError("unknown key" if len(loc) > 1 else "unknown table or key", where, _suggest(loc) or _REMOVE)
+    if len(loc) < 2:
+        return ConfigError(f"is {_shown(key, value)}, must be a table", where, f"write [{key}], and its keys below it")
+    field = section(str(loc[0])).model_fields[str(loc[1])]
+    fix = f"correct it, or leave it out for the default, {toml_value(field.default)}"
+    if kind == "value_error":
+        return ConfigError(message.removeprefix("Value error, "), where, fix)
+    wanted = expected(field) if len(loc) == 2 else expected_item(field)
+    return ConfigError(f"is {_shown(key, value)}, must be {wanted}", where, fix)
+
+
+def _shown(key: str, value: Any) -> str:
+    if is_secret(key):
+        return "something else (not shown)"
+    try:
+        text = "empty" if value in ("", [], ()) else repr(value)
+    except ValueError:  # a whole number of thousands of digits
+        text = "far too large"
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def _suggest(loc: _Loc) -> str:
+    """Suggest the key of this name in any table, or one of a similar name in this table."""
+    name = str(loc[-1])
+    same = [f"{table}.{key}" for table, key, _ in fields() if key == name]
+    if len(loc) == 1:
+        near = _nearest(name, Settings.model_fields)
+        near = near and f"[{near}]"
+    else:
+        near = _nearest(name, [key for table, key, _ in fields() if table == loc[0]])
+        near = near and f"{loc[0]}.{near}"
+    found = next(iter(same), near)
+    return f"did you mean {found}?" if found else ""
+
+
+def _nearest(name: str, names: Iterable[str]) -> str | None:
+    """Return the name that was probably meant, if one is similar."""
+    return next(iter(difflib.get_close_matches(name, names, n=1)), None)

@@ -29,7 +29,7 @@ from touchd.bridges.area import Area
 from touchd.bridges.following import Following
 from touchd.bridges.screen import Screen
 from touchd.bridges.slots import SLOTS
-from touchd.config.bridges import InputSettings
+from touchd.config.schema import InputSettings
 from touchd.event import Contact, Phase
 
 SETTINGS = InputSettings(screen_mm=(0, 0, 200, 100))

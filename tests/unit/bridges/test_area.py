@@ -11,7 +11,7 @@ from msgspec.structs import replace
 
 from tests.unit.bridges.events import MS, contact
 from touchd.bridges.area import Area
-from touchd.config.bridges import InputSettings
+from touchd.config.schema import InputSettings
 from touchd.errors import ConfigError
 
 

@@ -12,7 +12,7 @@ from touchd.bridges import dark
 from touchd.bridges.area import Area
 from touchd.bridges.dark import HoldOff
 from touchd.bridges.screen import Keypad, Screen
-from touchd.config.bridges import InputSettings
+from touchd.config.schema import InputSettings
 from touchd.event import KeyEvent
 
 

@@ -15,7 +15,7 @@ from touchd.bridges.area import Area
 from touchd.bridges.fit import CROSSES, Crosses, Touched, fit
 from touchd.cli.main import main
 from touchd.cli.map import page_of
-from touchd.config.bridges import InputSettings
+from touchd.config.schema import InputSettings
 from touchd.errors import BridgeError, ConfigError
 
 SCREENS = st.builds(

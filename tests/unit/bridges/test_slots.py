@@ -12,7 +12,7 @@ from touchd.bridges import slots
 from touchd.bridges.area import Area, Place
 from touchd.bridges.screen import Screen
 from touchd.bridges.slots import Finger, Slots, encode, fingers_at, lift_all
-from touchd.config.bridges import InputSettings
+from touchd.config.schema import InputSettings
 
 FINGER = st.builds(
     Finger, st.integers(0, 20000), st.integers(0, 20000), st.integers(1, 1000),

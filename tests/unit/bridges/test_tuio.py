@@ -16,7 +16,7 @@ from tests.unit.bridges.tuioclient import Client
 from touchd.bridges.area import Area, Place
 from touchd.bridges.tuio import BLOB, CURSOR, Frames, Tuio
 from touchd.cli.tuio import destination
-from touchd.config.bridges import InputSettings
+from touchd.config.schema import InputSettings
 from touchd.errors import ConfigError, InsecureBind
 
 SIZE_MM = (200.0, 100.0)
