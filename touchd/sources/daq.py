@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from typing import Protocol
 
 from msgspec import Struct
@@ -74,3 +75,20 @@ class Daq(Protocol):
 
 Candidates = Callable[[], Iterator[Callable[[], Daq]]]
 """Lists the devices that may be used at present, as calls that open one; opening raises DaqAbsent or DaqGone."""
+
+
+@dataclass(frozen=True, slots=True)
+class Waits:
+    """How long the thread that reads the device waits, seconds."""
+
+    read_s: float = 0.1
+    """Timeout of a read: while no frame comes, the thread notices `close` this late."""
+    retry_s: float = 0.1
+    """Shortest interval between two looks for a device."""
+    max_retry_s: float = 0.5
+    """Longest interval; the intervals grow from look to look."""
+    hang_s: float = 10.0
+    """A thread that is silent this long hangs in the kernel, and only a new process helps."""
+
+
+WAITS = Waits()

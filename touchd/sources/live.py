@@ -25,13 +25,12 @@ from touchd.errors import ReaderFailed, SourceError, TouchdError
 from touchd.event import State
 from touchd.frame import Acquisition, Frame
 from touchd.recording.data import Device
-from touchd.sources.daq import Candidates, Daq, DaqAbsent, DaqFrame, DaqGone
+from touchd.sources.daq import WAITS, Candidates, Daq, DaqAbsent, DaqFrame, DaqGone, Waits
 from touchd.sources.device_search import DeviceSearch, check_rate, open_first
 from touchd.sources.frame_ring import FrameRing
 from touchd.sources.intake import Intake
 from touchd.sources.lending import Lending
 from touchd.sources.source import Change, EndOfStream
-from touchd.sources.waits import WAITS, Waits
 
 _JOIN_S = 0.5
 """`close` waits this long for a thread that a wedged device holds: the service must end within 1 s of SIGTERM."""

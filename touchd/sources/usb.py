@@ -17,11 +17,10 @@ import usb.util
 from touchd.config.schema import DeviceSettings
 from touchd.errors import SourceError
 from touchd.frame import Acquisition
-from touchd.sources.daq import Candidates, Daq, DaqAbsent, DaqGone, DaqUnfit
+from touchd.sources.daq import WAITS, Candidates, Daq, DaqAbsent, DaqGone, DaqUnfit, Waits
 from touchd.sources.live import DaqSource, open_live
 from touchd.sources.usb_protocol import INFO_BYTES, INTERFACE_CLASS, Info, ProtocolFault, Request, parse_info
 from touchd.sources.usb_stream import EndpointHalted, RequestRefused, TransferOverflow, UsbDaq, acquisition_of
-from touchd.sources.waits import WAITS, Waits
 
 CONTROL_TIMEOUT_MS = 500
 _VENDOR_IN, _VENDOR_OUT = 0xC0, 0x40  # recipient device

@@ -15,7 +15,7 @@ from touchd.frame import Acquisition
 from touchd.sources.live import DaqSource
 from touchd.sources.usb import open_usb
 from touchd.sources.usb_stream import acquisition_of
-from touchd.sources.waits import Waits
+from touchd.sources.daq import Waits
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ import pytest
 
 from touchd.gadget import device as gadget
 from touchd.sources import usb, usb_protocol
-from touchd.sources.waits import WAITS
+from touchd.sources.daq import WAITS
 
 PAGE = (Path(__file__).resolve().parents[3] / "docs" / "usb-protocol.md").read_text()
 DENSE = "".join(PAGE.split())

@@ -13,7 +13,7 @@ from tests.system.usb.reader import Read, wait
 from touchd.errors import ReaderFailed
 from touchd.sources.source import EndOfStream
 from touchd.sources.usb_protocol import Request
-from touchd.sources.waits import Waits
+from touchd.sources.daq import Waits
 
 GONE = (errno.EIO, errno.ENODEV, errno.EPROTO, errno.ESHUTDOWN)
 

@@ -25,7 +25,7 @@ from touchd.recording.format import read
 from touchd.sources.audio import AudioDaq, acquisition_of, open_audio, rate_of
 from touchd.sources.daq import DaqAbsent, DaqFrame, DaqGone
 from touchd.sources.live import DaqSource
-from touchd.sources.waits import Waits
+from touchd.sources.daq import Waits
 from touchd.twin.instrument import REFERENCE_C, Instrument
 from touchd.twin.simulate import DEFAULT_PLATE
 

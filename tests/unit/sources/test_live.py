@@ -19,7 +19,7 @@ from touchd.recording.data import Device
 from touchd.sources.daq import DaqFrame, DaqGone
 from touchd.sources.live import DaqSource
 from touchd.sources.source import Change
-from touchd.sources.waits import Waits
+from touchd.sources.daq import Waits
 
 ACQUISITION = Acquisition(channels=2, samples=30, sample_rate_hz=250e3)
 UNHEARD_HZ = 11

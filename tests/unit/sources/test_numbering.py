@@ -5,7 +5,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from touchd.sources.numbering import Numbering
+from touchd.sources.intake import Numbering
 
 steps = st.tuples(st.integers(0, 5), st.integers(0, 5), st.booleans())
 
