@@ -25,7 +25,7 @@ from touchd.pipeline import Pipeline
 from touchd.service.health import Health
 from touchd.service.messages import Messages, all_but_spectra
 from touchd.service.preroll import PreRoll
-from touchd.service.reload import compare, make_reloader
+from touchd.service.reload import Reloader, compare
 from touchd.sources.replay import ReplaySource
 
 PERIOD_NS = 8_000_000
@@ -50,7 +50,7 @@ class Daemon:
             PreRollSettings(folder=self._folder), lambda: self._number * PERIOD_NS, interval_s=0,
         )  # fmt: skip
         parts = self.pipeline, messages, health, self.preroll
-        self._reloader = make_reloader(Settings(), lambda: self._read, model, *parts)
+        self._reloader = Reloader(Settings(), lambda: self._read, model, *parts)
 
     def reload(self, read: Settings) -> None:
         """Reload; all that a running daemon can change is then in use."""

@@ -32,7 +32,7 @@ from touchd.service.models import layout_of, settings_for
 from touchd.service.models import load_model as load_model
 from touchd.service.preroll import PreRoll
 from touchd.service.rate import ScanRate
-from touchd.service.reload import make_reloader
+from touchd.service.reload import Reloader
 from touchd.service.signals import deliver, reload_on_hangup, save_on_signal, stop_on_signals
 from touchd.service.systemd import Notifier
 from touchd.sinks.sink import Sink
@@ -148,7 +148,7 @@ def make_service(
     reloader = None
     if read_settings is not None:
         kept = preroll if isinstance(preroll, PreRoll) else None
-        reloader = make_reloader(settings, read_settings, model, pipeline, messages, health, kept)
+        reloader = Reloader(settings, read_settings, model, pipeline, messages, health, kept)
     return Service(
         source, pipeline, messages, sinks, health, clock=clock, manager=manager,
         awake=Awake(settings.realtime.awake_from_hz), preroll=preroll, control=control, reloader=reloader,

@@ -1,14 +1,11 @@
-"""Which model the daemon uses, with which keys, and whether its files have changed since."""
+"""Which model the daemon uses, with which keys, and what tells that its files have changed since."""
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
 
-import numpy as np
-
 from touchd.config.schema import Settings
-from touchd.errors import ModelMismatch
 from touchd.keypad import Layout, load_layout
 from touchd.localization.atlas import atlas_path
 from touchd.localization.model import Model, default_model_path
@@ -63,42 +60,7 @@ def layout_of(settings: Settings, model: Model | None) -> Layout | None:
     return load_layout(settings.keypad.layout, model.description.plate)
 
 
-class ModelInUse:
-    """The model of a daemon, loaded again once its files have changed.
-
-    Parameters
-    ----------
-    settings : Settings
-    model : Model, optional
-        The one in use; None while the daemon is uncalibrated.
-    """
-
-    def __init__(self, settings: Settings, model: Model | None) -> None:
-        self.model = model
-        self._signature = self._fresh = _signature(settings)
-
-    def load(self, settings: Settings) -> Model | None:
-        """Return the model for these settings: the one in use unless its path or its files have changed.
-
-        Raises
-        ------
-        ModelError
-            The files are unusable, compute with other numbers, or those of a model in use have vanished.
-        """
-        self._fresh = _signature(settings)
-        if self._fresh == self._signature or (self.model is None and not os.path.isfile(model_path(settings))):
-            return self.model
-        model = load_model(settings)
-        if model.dtype != (self.model.dtype if self.model else np.float32):
-            raise ModelMismatch("it computes with other numbers", str(model.path), "restart the daemon")
-        return model
-
-    def take(self, model: Model | None) -> None:
-        """Note that a model that `load` returned is in use."""
-        self.model, self._signature = model, self._fresh
-
-
-def _signature(settings: Settings) -> Signature:
+def signature_of(settings: Settings) -> Signature:
     """Return what tells the files of a model from others at the same path."""
     path = model_path(settings)
     found: list[object] = [path, settings.model.atlas]

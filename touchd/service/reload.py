@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
 import structlog
 
 from touchd.config.render import fields
 from touchd.config.schema import Settings
-from touchd.errors import TouchdError
+from touchd.errors import ModelMismatch, TouchdError
 from touchd.keypad import Layout
 from touchd.localization.model import Model
 from touchd.pipeline import Pipeline
 from touchd.service import log as logging
 from touchd.service.health import Health
 from touchd.service.messages import Messages
-from touchd.service.models import ModelInUse, layout_of
+from touchd.service.models import layout_of, load_model, model_path, signature_of
 from touchd.service.preroll import PreRoll
 
 RESTART_ONLY = frozenset({"device", "ni", "audio", "bus", "control", "realtime", "baseline.learn_frames"})
@@ -57,32 +59,36 @@ def compare(running: Settings, read: Settings) -> Changes:
 
 
 class Reloader:
-    """Reloads the configuration of a running daemon.
+    """Reloads the configuration of a running daemon, and the model once its files have changed.
 
     Parameters
     ----------
-    settings, layout
+    settings : Settings
         Those in use.
     read : callable
         Returns the settings as they now are; raises ConfigError if they are wrong.
-    layout_of : callable
-        Returns the keys that settings name; raises ConfigError if there is a mistake in them.
-    apply : callable
-        Configures every part of the daemon with settings and keys.
+    model : Model, optional
+        The one in use; None while the daemon is uncalibrated.
+    pipeline, messages, health, preroll
+        The parts that take them.
     """
 
     def __init__(
         self,
         settings: Settings,
-        layout: Layout | None,
         read: Callable[[], Settings],
-        layout_of: Callable[[Settings], Layout | None],
-        apply: Callable[[Settings, Layout | None], None],
+        model: Model | None,
+        pipeline: Pipeline,
+        messages: Messages,
+        health: Health,
+        preroll: PreRoll | None = None,
     ) -> None:
         self.settings = settings
         """Those in use."""
-        self._layout = layout
-        self._read, self._layout_of, self._apply = read, layout_of, apply
+        self._read = read
+        self._model, self._layout = model, layout_of(settings, model)
+        self._signature = signature_of(settings)
+        self._pipeline, self._messages, self._health, self._preroll = pipeline, messages, health, preroll
 
     def reload(self) -> None:
         """Read the configuration and apply what can change while the daemon runs; a wrong one changes nothing.
@@ -91,7 +97,7 @@ class Reloader:
         """
         try:
             changes = compare(self.settings, self._read())
-            self._take(changes.settings, self._layout_of(changes.settings))
+            self._take(changes.settings)
         except Exception as error:
             expected = isinstance(error, TouchdError)
             log.error(
@@ -103,51 +109,42 @@ class Reloader:
         if changes.waiting:
             log.warning("settings that wait for a restart", waiting=changes.waiting)
 
-    def _take(self, settings: Settings, layout: Layout | None) -> None:
+    def _take(self, new: Settings) -> None:
+        signature = signature_of(new)
+        model = self._model if signature == self._signature else self._load(new)
+        layout = layout_of(new, model)
         try:
-            self._apply(settings, layout)
+            if model is not None:
+                self._pipeline.check(model)
+            self._configure(new, layout)
+            if model is not None and model is not self._model:
+                self._pipeline.set_model(model, new, layout)
+                log.info("model", name=model.description.name, path=model.path)
         except Exception:
-            self._apply(self.settings, self._layout)  # no part keeps what another one refused
+            self._configure(self.settings, self._layout)  # no part keeps what another one refused
             raise
-        self.settings, self._layout = settings, layout
+        self.settings, self._layout, self._model, self._signature = new, layout, model, signature
 
+    def _load(self, new: Settings) -> Model | None:
+        """Return another model than the one in use; None while none has ever been there.
 
-def make_reloader(
-    settings: Settings,
-    read: Callable[[], Settings],
-    model: Model | None,
-    pipeline: Pipeline,
-    messages: Messages,
-    health: Health,
-    preroll: PreRoll | None = None,
-) -> Reloader:
-    """Return what reloads the configuration of these parts, and the model once its files have changed."""
-    in_use = ModelInUse(settings, model)
-    loaded: Model | None = None
+        Raises
+        ------
+        ModelError
+            The files are unusable, compute with other numbers, or those of a model in use have vanished.
+        """
+        if self._model is None and not os.path.isfile(model_path(new)):
+            return None
+        model = load_model(new)
+        if model.dtype != (self._model.dtype if self._model else np.float32):
+            raise ModelMismatch("it computes with other numbers", str(model.path), "restart the daemon")
+        return model
 
-    def layout_with(new: Settings) -> Layout | None:
-        nonlocal loaded
-        loaded = in_use.load(new)
-        return layout_of(new, loaded)
-
-    def apply(new: Settings, layout: Layout | None) -> None:
-        nonlocal loaded
-        # Once: when the old settings are applied again, because a part refused the new ones, no model comes with them.
-        fresh, loaded = loaded, None
-        if fresh is not None:
-            pipeline.check(fresh)
-        pipeline.configure(new, layout)
-        messages.configure(new)
-        health.configure(new.health)
+    def _configure(self, new: Settings, layout: Layout | None) -> None:
+        self._pipeline.configure(new, layout)
+        self._messages.configure(new)
+        self._health.configure(new.health)
         logging.configure(new.log)
-        # What cannot be taken back comes last: frames that are forgotten, and contacts that end.
-        if preroll is not None:
-            preroll.configure(new.preroll)
-        if fresh is None:
-            return
-        if fresh is not in_use.model:
-            pipeline.set_model(fresh, new, layout)
-            log.info("model", name=fresh.description.name, path=fresh.path)
-        in_use.take(fresh)
-
-    return Reloader(settings, layout_of(settings, model), read, layout_with, apply)
+        # What cannot be taken back comes last: frames that are forgotten, and, above, contacts that end.
+        if self._preroll is not None:
+            self._preroll.configure(new.preroll)

@@ -6,7 +6,7 @@ import math
 import shutil
 from collections.abc import Callable
 from pathlib import Path
-from unittest.mock import Mock
+from unittest.mock import Mock, call
 
 import pytest
 from structlog.testing import capture_logs
@@ -17,13 +17,13 @@ from touchd.config.render import fields
 from touchd.config.schema import HealthSettings, Settings
 from touchd.event import Contact
 from touchd.frame import Frame
-from touchd.keypad import Layout
 from touchd.localization.model import Model
 from touchd.pipeline import Pipeline
+from touchd.service import log
 from touchd.service.health import Health
 from touchd.service.messages import Messages, all_but_spectra
 from touchd.service.preroll import PreRoll
-from touchd.service.reload import RESTART_ONLY, Reloader, compare, make_reloader
+from touchd.service.reload import RESTART_ONLY, Reloader, compare
 from touchd.sources.replay import ReplaySource
 
 PERIOD_NS = 8_000_000
@@ -161,7 +161,7 @@ def test_wrong_file(run: Callable[[str], Run], model: Model, scene_file: Callabl
     messages = Messages(Settings(), all_but_spectra)
     source = ReplaySource(scene_file("idle"))
     health = Health(source, pipeline, messages, HealthSettings())
-    reloader = make_reloader(Settings(), lambda: load(path), model, pipeline, messages, health)
+    reloader = Reloader(Settings(), lambda: load(path), model, pipeline, messages, health)
     reloader.reload()
     assert health.period_ns == 500_000_000
     good = reloader.settings
@@ -178,22 +178,19 @@ def test_wrong_file(run: Callable[[str], Run], model: Model, scene_file: Callabl
     assert health.period_ns == 250_000_000
 
 
-def test_part_that_fails() -> None:
+def test_part_that_fails(monkeypatch: pytest.MonkeyPatch) -> None:
     """A part that cannot take a value ends nothing: every part gets the old settings again, and the log says so."""
-    applied: list[tuple[str, Settings]] = []
-
-    def apply(new: Settings, _layout: Layout | None) -> None:
-        applied.append(("first", new))
-        if new != Settings():
-            raise OverflowError("too large")
-        applied.append(("second", new))
-
-    new = settings({"tracker": {"reach_mm": 5.0}})
-    reloader = Reloader(Settings(), None, lambda: new, lambda _: None, apply)
+    pipeline, messages, health = Mock(Pipeline), Mock(Messages), Mock(Health)
+    health.configure.side_effect = [OverflowError("too large"), None]
+    monkeypatch.setattr(log, "configure", configured := Mock())
+    old, new = Settings(), settings({"tracker": {"reach_mm": 5.0}, "log": {"level": "error"}})
+    reloader = Reloader(old, lambda: new, None, pipeline, messages, health)
     with capture_logs() as entries:
         reloader.reload()
-    assert applied == [("first", new), ("first", Settings()), ("second", Settings())]
-    assert reloader.settings == Settings()
+    assert pipeline.configure.mock_calls == [call(new, None), call(old, None)]
+    assert messages.configure.mock_calls == [call(new), call(old)]
+    assert configured.mock_calls == [call(old.log)]
+    assert reloader.settings == old
     assert [(entry["log_level"], entry["error"]) for entry in entries] == [("error", "OverflowError('too large')")]
 
 
@@ -210,7 +207,7 @@ def test_model_with_a_part_that_fails(
     health = Health(ReplaySource(scene_file("idle")), pipeline, messages, HealthSettings())
     first = settings({"model": {"path": model.path, "atlas": False}})
     preroll = Mock(PreRoll)
-    reloader = make_reloader(first, lambda: new, model, pipeline, messages, health, preroll)
+    reloader = Reloader(first, lambda: new, model, pipeline, messages, health, preroll)
     with monkeypatch.context() as broken:
         broken.setattr(health, "configure", Mock(side_effect=[OverflowError("too large"), None]))
         reloader.reload()

@@ -22,7 +22,7 @@ from touchd.service.health import Health
 from touchd.service.loop import Service
 from touchd.service.messages import Messages
 from touchd.service.preroll import PreRoll
-from touchd.service.reload import BRIDGES, RESTART_ONLY, make_reloader
+from touchd.service.reload import BRIDGES, RESTART_ONLY, Reloader
 
 Values = dict[str, dict[str, object]]
 
@@ -134,7 +134,7 @@ def seen(scene: Scene, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Se
         for at in case.saves:
             calls.setdefault(at, []).append(lambda: wait_and_ask(preroll))
         read = Settings.model_validate(merged(first.model_dump(exclude_unset=True), case.beside or {}, new))
-        reloader = make_reloader(first, lambda: read, model, pipeline, messages, health, preroll)
+        reloader = Reloader(first, lambda: read, model, pipeline, messages, health, preroll)
         service = Service(
             source, pipeline, messages, [sink], health,
             clock=clock, control=control, reloader=reloader, preroll=preroll,
