@@ -26,7 +26,7 @@ from touchd.service.control import Control, path_of
 from touchd.service.cpu_latency import Awake
 from touchd.service.frame_feed import FeedDescription, FrameFeed
 from touchd.service.health import Health
-from touchd.service.loop import FrameKeeper, Service
+from touchd.service.loop import Service
 from touchd.service.messages import Messages, wants_of
 from touchd.service.models import layout_of, settings_for
 from touchd.service.models import load_model as load_model
@@ -121,7 +121,7 @@ def make_service(
     *,
     clock: Callable[[], int] = time.monotonic_ns,
     manager: Notifier | None = None,
-    preroll: FrameKeeper | None = None,
+    preroll: PreRoll | None = None,
     control: Control | None = None,
     read_settings: Callable[[], Settings] | None = None,
     feed: FrameFeed | None = None,
@@ -147,8 +147,7 @@ def make_service(
     health = Health(source, pipeline, messages, settings.health)
     reloader = None
     if read_settings is not None:
-        kept = preroll if isinstance(preroll, PreRoll) else None
-        reloader = Reloader(settings, read_settings, model, pipeline, messages, health, kept)
+        reloader = Reloader(settings, read_settings, model, pipeline, messages, health, preroll)
     return Service(
         source, pipeline, messages, sinks, health, clock=clock, manager=manager,
         awake=Awake(settings.realtime.awake_from_hz), preroll=preroll, control=control, reloader=reloader,

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from typing import Protocol
 
 import structlog
 
 from touchd import __version__
-from touchd.event import Contact, Event, State
+from touchd.event import Event, State
 from touchd.frame import Frame
 from touchd.outcome import Outcome
 from touchd.pipeline import Pipeline
@@ -18,6 +17,7 @@ from touchd.service.cpu_latency import Awake
 from touchd.service.frame_feed import FeedDescription, FrameFeed
 from touchd.service.health import Health
 from touchd.service.messages import Messages
+from touchd.service.preroll import PreRoll
 from touchd.service.rate import ScanRate
 from touchd.service.reload import Reloader
 from touchd.service.runner import frames_of
@@ -40,18 +40,6 @@ _CONTROL_NS = 50_000_000
 log = structlog.get_logger()
 
 
-class FrameKeeper(Protocol):
-    """Keeps a copy of each frame: the pre-roll."""
-
-    def keep(self, frame: Frame, contacts: Sequence[Contact]) -> None:
-        """Copy a frame, once its messages are published."""
-        ...
-
-    def poll(self) -> None:
-        """Do what is due while no frame comes."""
-        ...
-
-
 class Service:
     """The loop from the source's `read` to the sinks' `publish`.
 
@@ -65,7 +53,7 @@ class Service:
         The service manager: gets readiness, state and heartbeats.
     awake : Awake, optional
         Keeps the processors awake while the plate is touched.
-    preroll : FrameKeeper, optional
+    preroll : PreRoll, optional
     control : Control, optional
         Where commands come from.
     reloader : Reloader, optional
@@ -88,7 +76,7 @@ class Service:
         clock: Callable[[], int] = time.monotonic_ns,
         manager: Notifier | None = None,
         awake: Awake | None = None,
-        preroll: FrameKeeper | None = None,
+        preroll: PreRoll | None = None,
         control: Control | None = None,
         reloader: Reloader | None = None,
         feed: FrameFeed | None = None,

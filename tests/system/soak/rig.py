@@ -9,6 +9,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,7 @@ from touchd.localization.model import Model
 from touchd.pipeline import Pipeline
 from touchd.service.daemon import make_service
 from touchd.service.loop import Service
+from touchd.service.preroll import PreRoll
 from touchd.sinks.sink import Sink
 from touchd.sinks.zeromq import ZeromqSink
 from touchd.sources.live import DaqSource
@@ -224,7 +226,7 @@ def run(frames: int, rate_hz: float, folder: Path, model: Model, seed: int = 0) 
     watch = Watch(device)
     watch.found.expect(frames)
     sinks: list[Sink] = [watch, ZeromqSink(settings.bus)]
-    service = watch.service = make_service(source, sinks, settings, model, preroll=watch)
+    service = watch.service = make_service(source, sinks, settings, model, preroll=cast(PreRoll, watch))
     gc.collect()
     begun_s = time.monotonic()
     service.run()
