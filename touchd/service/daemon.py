@@ -16,7 +16,6 @@ import structlog
 
 from touchd.config.schema import Settings
 from touchd.errors import SourceError
-from touchd.frame import Plate
 from touchd.keypad import Layout
 from touchd.localization.model import Model, default_model_path
 from touchd.pipeline import Pipeline
@@ -125,7 +124,7 @@ def make_service(
     control: Control | None = None,
     read_settings: Callable[[], Settings] | None = None,
     feed: FrameFeed | None = None,
-    describe: Callable[[], FeedDescription] | None = None,
+    pipeline: Pipeline | None = None,
 ) -> Service:
     """Return the service between a source and sinks, which it closes at the end of `run`.
 
@@ -139,10 +138,10 @@ def make_service(
         Optional parts of the service.
     read_settings : callable, optional
         Reads the configuration, for `Service.reload`.
-    describe : callable, optional
-        Returns what is measured, for messages about the plate.
+    pipeline : Pipeline, optional
+        Of this source, these settings and this model; made if it is not there yet.
     """
-    pipeline = Pipeline(source.acquisition, model, settings, layout_of(settings, model), log_notice)
+    pipeline = pipeline or Pipeline(source.acquisition, model, settings, layout_of(settings, model), log_notice)
     messages = Messages(settings, wants_of(sinks))
     health = Health(source, pipeline, messages, settings.health)
     reloader = None
@@ -151,22 +150,21 @@ def make_service(
     return Service(
         source, pipeline, messages, sinks, health, clock=clock, manager=manager,
         awake=Awake(settings.realtime.awake_from_hz), preroll=preroll, control=control, reloader=reloader,
-        feed=feed, rate=ScanRate(source, settings.device), describe=describe,
+        feed=feed, rate=ScanRate(source, settings.device),
     )  # fmt: skip
 
 
 def describer(
-    source: Source, settings: Settings, choice: SourceChoice, in_use: Callable[[], tuple[Plate | None, bool]]
+    source: Source, settings: Settings, choice: SourceChoice, pipeline: Pipeline
 ) -> Callable[[], FeedDescription]:
-    """Return what describes a source's frames to those who record them.
-
-    `in_use` returns the model's plate, and whether it is a keypad.
-    """
+    """Return what describes a source's frames to those who record them."""
     known = getattr(source, "meta", None)
     rate_hz = known.frame_rate_hz if known else float(getattr(source, "rate_hz", settings.device.rate_hz))
 
     def description() -> FeedDescription:
-        plate, keypad = in_use()
+        model = pipeline.model
+        plate = model.description.plate if model else None
+        keypad = pipeline.layout is not None or (model is None and settings.keypad.layout is not None)
         return FeedDescription(
             acquisition=source.acquisition, rate_hz=rate_hz, source=known.source if known else choice.kind,
             plate=known.plate if known else plate, device=getattr(source, "device", None) or Device(),
@@ -244,19 +242,12 @@ def run(
         warn_of_another_plate(source, model)
         sinks: list[Sink] = [bus, JsonlSink(sys.stdout)] if echo else [bus]
 
-        service: Service | None = None
-
-        def in_use() -> tuple[Plate | None, bool]:
-            used = service.pipeline.model if service else model
-            layout = service.pipeline.layout if service else parts.layout
-            keypad = layout is not None or (used is None and settings.keypad.layout is not None)
-            return used.description.plate if used else None, keypad
-
-        description = describer(source, settings, choice, in_use)
+        pipeline = Pipeline(source.acquisition, model, settings, parts.layout, log_notice)
+        description = describer(source, settings, choice, pipeline)
         preroll = stack.enter_context(closing(make_preroll(source, settings, description)))
         service = make_service(
             source, sinks, settings, model, manager=manager, preroll=preroll, control=parts.control,
-            read_settings=reread, feed=FrameFeed(description), describe=description,
+            read_settings=reread, feed=FrameFeed(description), pipeline=pipeline,
         )  # fmt: skip
         stop_on_signals(service)
         if read_settings is not None:

@@ -62,7 +62,7 @@ class FrameFeed:
     """
 
     def __init__(self, describe: Callable[[], FeedDescription]) -> None:
-        self._describe = describe
+        self.describe = describe
         self._keypad = False
         self.listeners: list[socket.socket] = []
         """Programs that get each frame."""
@@ -74,7 +74,7 @@ class FrameFeed:
                 raise OSError(f"{MOST_LISTENERS} programs read already")
             listener.setblocking(False)
             listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER_BYTES)
-            description = self._describe()
+            description = self.describe()
             self._keypad = description.keypad
             listener.send(description.model_dump_json().encode())
         except OSError as error:
@@ -100,7 +100,7 @@ class FrameFeed:
 
     def configured(self) -> None:
         """End all programs' streams if the plate has become a keypad: they may ask again, and are told so."""
-        if self.listeners and self._describe().keypad and not self._keypad:
+        if self.listeners and self.describe().keypad and not self._keypad:
             self.close()
 
     def close(self) -> None:

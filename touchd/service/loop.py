@@ -14,7 +14,7 @@ from touchd.outcome import Outcome
 from touchd.pipeline import Pipeline
 from touchd.service.control import Control
 from touchd.service.cpu_latency import Awake
-from touchd.service.frame_feed import FeedDescription, FrameFeed
+from touchd.service.frame_feed import FrameFeed
 from touchd.service.health import Health
 from touchd.service.messages import Messages
 from touchd.service.preroll import PreRoll
@@ -59,10 +59,8 @@ class Service:
     reloader : Reloader, optional
         Reloads the configuration.
     feed : FrameFeed, optional
-        Hands frames to programs that ask for them through `control`.
+        Hands frames to programs that ask for them through `control`, and describes the plate for its messages.
     rate : ScanRate, optional
-    describe : callable, optional
-        Returns what is measured, for messages about the plate; without it there are none.
     """
 
     def __init__(
@@ -81,7 +79,6 @@ class Service:
         reloader: Reloader | None = None,
         feed: FrameFeed | None = None,
         rate: ScanRate | None = None,
-        describe: Callable[[], FeedDescription] | None = None,
     ) -> None:
         self.pipeline = pipeline
         self._source, self._messages, self._sinks, self._health = source, messages, sinks, health
@@ -92,7 +89,7 @@ class Service:
         # A device reports its states; of any other source only the silence is known.
         self._live = source if isinstance(source, LiveSource) else None
         self._withheld: dict[str, int] = {}
-        self._feed, self._rate, self._describe = feed, rate, describe
+        self._feed, self._rate = feed, rate
         self._state: State = "starting"
         self._flowing: State = "streaming" if pipeline.model else "uncalibrated"
         self._reason: str | None = None
@@ -283,6 +280,6 @@ class Service:
         self._health.log_losses(event)
 
     def _publish_plate(self) -> None:
-        if self._describe is not None:
+        if self._feed is not None:
             now_ns = self._clock()
-            self._hand(self._messages.plate(self._describe(), self.pipeline.layout, now_ns), now_ns)
+            self._hand(self._messages.plate(self._feed.describe(), self.pipeline.layout, now_ns), now_ns)

@@ -16,13 +16,13 @@ from tests.unit.service.bench import PERIOD_NS, START_NS, TIMEOUT_NS, Clock, Kee
 from touchd.config.schema import DeviceSettings, HealthSettings, Settings
 from touchd.errors import DeviceLost
 from touchd.event import Event, HealthEvent, Latency, TouchEvent
-from touchd.frame import Frame
+from touchd.frame import Acquisition, Frame
 from touchd.localization.model import Model
 from touchd.pipeline import Pipeline
 from touchd.recording.data import Recording
 from touchd.service.control import Control
 from touchd.service.cpu_latency import Awake
-from touchd.service.frame_feed import FrameFeed
+from touchd.service.frame_feed import FeedDescription, FrameFeed
 from touchd.service.health import Health
 from touchd.service.loop import STALL_NS, Service
 from touchd.service.messages import Messages, wants_of
@@ -369,7 +369,8 @@ class Commands(Control):
 class Reading(FrameFeed):
     """A program that takes frames from a time on."""
 
-    def __init__(self, clock: Clock, since_ns: int) -> None:
+    def __init__(self, clock: Clock, since_ns: int, acquisition: Acquisition) -> None:
+        self.describe = lambda: FeedDescription(acquisition=acquisition, rate_hz=125, source="usb")
         self._clock, self._since_ns = clock, since_ns
 
     @property
@@ -397,7 +398,8 @@ class Scanned:
         self.control = Commands(self.clock, commands or {})
         self.service = Service(
             self.source, self.pipeline, messages, [self.sink], health, clock=self.clock, control=self.control,
-            feed=Reading(self.clock, round(read_from_s * 1e9)), rate=ScanRate(self.source, DeviceSettings()),
+            feed=Reading(self.clock, round(read_from_s * 1e9), recording.acquisition),
+            rate=ScanRate(self.source, DeviceSettings()),
         )  # fmt: skip
 
 
@@ -444,4 +446,4 @@ def test_idle_bus(scene: Scene, model: Model) -> None:
     assert 180 <= bench.control.polls <= 202
     states = [event.state for event in bench.sink.health]
     assert states == ["starting", "streaming", "streaming", "stopping"], "one of them in between"
-    assert len(bench.sink.events) == len(states)
+    assert len(bench.sink.events) == len(states) + 1, "and the plate, at the start"
