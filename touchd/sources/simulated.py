@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-import queue
-import threading
 import time
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 
 from touchd.errors import SimulationError
 from touchd.frame import Counts, Frame
@@ -15,7 +15,7 @@ from touchd.twin.instrument import Instrument
 from touchd.twin.scenes.catalogue import stage_scene
 from touchd.twin.simulate import DEFAULT_PLATE, meta_of, stream
 
-_AHEAD = 2
+_AHEAD = 3
 """Blocks of frames that are computed ahead."""
 _MAX_WAIT_S = 1e6
 
@@ -80,10 +80,10 @@ class SimulatedSource:
         self._period_ns, self._wanted_ns = 0.0, -math.inf  # of the rate asked for, and time of the next frame
         self._truth, _ = self._stage.truth()
         self._sequence: list[int] = self._stage.sequence.tolist()
-        self._blocks: queue.Queue[Counts | Exception] = queue.Queue(_AHEAD)
-        self._closed = threading.Event()
-        self._thread = threading.Thread(target=self._compute, name="twin", daemon=True)
-        self._thread.start()
+        self._ended = False
+        self._computed = self._compute()
+        self._worker = ThreadPoolExecutor(1, "twin")
+        self._blocks = deque(self._request() for _ in range(_AHEAD))
 
     def read(self, timeout_s: float) -> Frame | None:
         """Return the next frame once it is due and computed; None if that takes longer than `timeout_s`.
@@ -95,7 +95,7 @@ class SimulatedSource:
         SimulationError
             The twin has failed.
         """
-        if self._closed.is_set():
+        if self._ended:
             raise EndOfStream
         now_ns = self._clock()
         deadline_ns = now_ns + round(min(max(timeout_s, 0.0), _MAX_WAIT_S) * 1e9)
@@ -141,13 +141,8 @@ class SimulatedSource:
 
     def close(self) -> None:
         """Stop computing; further calls do nothing."""
-        self._closed.set()
-        while True:  # so that a thread that waits to put a block finds room, and then the flag
-            try:
-                self._blocks.get_nowait()
-            except queue.Empty:
-                break
-        self._thread.join()
+        self._ended = True
+        self._worker.shutdown(cancel_futures=True)
 
     def _advance(self) -> None:
         self._next += 1
@@ -160,40 +155,33 @@ class SimulatedSource:
         if self._block is not None and self._next < len(self._block):
             return True
         try:
-            block = self._blocks.get(timeout=timeout_s) if timeout_s > 0 else self._blocks.get_nowait()
-        except queue.Empty:
+            block = self._blocks[0].result(max(timeout_s, 0.0))
+        except TimeoutError:
             return False
-        if isinstance(block, Exception):
-            self._closed.set()
-            if isinstance(block, EndOfStream | SimulationError):
-                raise block
-            raise SimulationError(f"the twin failed: {block!r}", "source") from block
+        except Exception as error:
+            self._ended = True
+            if isinstance(error, SimulationError):
+                raise
+            raise SimulationError(f"the twin failed: {error!r}", "source") from error
+        if block is None:
+            self._ended = True
+            raise EndOfStream
         self._block, self._next = block, 0
+        self._blocks.popleft()
+        self._blocks.append(self._request())
         return True
 
-    def _compute(self) -> None:
-        """Compute all blocks; a failure travels through the queue to the reader."""
-        last: Exception = EndOfStream()
-        try:
-            lap = 0
-            while lap == 0 or self._loop:
-                seed = self._seed if lap == 0 else (self._seed, lap)
-                for block in stream(self._stage, self._instrument, seed):
-                    # Read-only, like the frames of every other source.
-                    block.flags.writeable = False
-                    if not self._put(block):
-                        return
-                lap += 1
-        except Exception as error:
-            last = error
-        self._put(last)
+    def _request(self) -> Future[Counts | None]:
+        """Have the thread compute the next block; None after the last one."""
+        return self._worker.submit(lambda: next(self._computed, None))
 
-    def _put(self, item: Counts | Exception) -> bool:
-        """Queue a block or an error; return False once the source is closed."""
-        while not self._closed.is_set():
-            try:
-                self._blocks.put(item, timeout=0.1)
-                return True
-            except queue.Full:
-                continue
-        return False
+    def _compute(self) -> Iterator[Counts]:
+        """Compute the blocks of all laps."""
+        lap = 0
+        while lap == 0 or self._loop:
+            seed = self._seed if lap == 0 else (self._seed, lap)
+            for block in stream(self._stage, self._instrument, seed):
+                # Read-only, like the frames of every other source.
+                block.flags.writeable = False
+                yield block
+            lap += 1
