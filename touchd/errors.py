@@ -18,6 +18,9 @@ class TouchdError(Exception):
 
     exit_code = 1
 
+    def __init_subclass__(cls, *, exit_code: int) -> None:
+        cls.exit_code = exit_code
+
     def __init__(self, what: str, where: str = "", fix: str = "") -> None:
         self.what = what
         self.where = where
@@ -29,211 +32,141 @@ class TouchdError(Exception):
         return f"{line} -> {self.fix}" if self.fix else line
 
 
-class ConfigError(TouchdError):
+class ConfigError(TouchdError, exit_code=10):
     """Configuration file, variable or option is invalid: correct the named key."""
 
-    exit_code = 10
 
-
-class RecordingError(TouchdError):
+class RecordingError(TouchdError, exit_code=20):
     """The recording is unusable."""
 
-    exit_code = 20
 
-
-class RecordingMissing(RecordingError):
+class RecordingMissing(RecordingError, exit_code=21):
     """The recording does not exist or cannot be opened: check the path."""
 
-    exit_code = 21
 
-
-class RecordingTruncated(RecordingError):
+class RecordingTruncated(RecordingError, exit_code=22):
     """The .npz archive is incomplete: copy the file again, or remove the damaged chunk."""
 
-    exit_code = 22
 
-
-class RecordingVersion(RecordingError):
+class RecordingVersion(RecordingError, exit_code=23):
     """The file has an unknown format, or was written by a newer touchd: upgrade."""
 
-    exit_code = 23
 
-
-class RecordingShape(RecordingError):
+class RecordingShape(RecordingError, exit_code=24):
     """An array or key is missing, or has the wrong type or shape."""
 
-    exit_code = 24
 
-
-class RecordingUnsafe(RecordingError):
+class RecordingUnsafe(RecordingError, exit_code=25):
     """The file contains pickled Python objects, which could run code; touchd refuses to load them."""
 
-    exit_code = 25
 
-
-class RecordingValues(RecordingError):
+class RecordingValues(RecordingError, exit_code=26):
     """A value is NaN, infinite or out of order."""
 
-    exit_code = 26
 
-
-class ModelError(TouchdError):
+class ModelError(TouchdError, exit_code=30):
     """The model is unusable."""
 
-    exit_code = 30
 
-
-class ModelMissing(ModelError):
+class ModelMissing(ModelError, exit_code=31):
     """The model file does not exist or cannot be opened: check the path."""
 
-    exit_code = 31
 
-
-class ModelInvalid(ModelError):
+class ModelInvalid(ModelError, exit_code=32):
     """The file is not an ONNX model, or lacks touchd's metadata: export the model again."""
 
-    exit_code = 32
 
-
-class ModelMismatch(ModelError):
+class ModelMismatch(ModelError, exit_code=33):
     """The model expects another acquisition: train a model for this one."""
 
-    exit_code = 33
 
-
-class BusError(TouchdError):
+class BusError(TouchdError, exit_code=40):
     """Publishing or receiving failed."""
 
-    exit_code = 40
 
-
-class AddressInUse(BusError):
+class AddressInUse(BusError, exit_code=41):
     """Another process has bound the address: stop it, or bind another."""
 
-    exit_code = 41
 
-
-class InsecureBind(BusError):
+class InsecureBind(BusError, exit_code=42):
     """The configuration binds an address beyond loopback without keys: configure CURVE keys."""
 
-    exit_code = 42
 
-
-class BusTimeout(BusError):
+class BusTimeout(BusError, exit_code=43):
     """No message arrived in time: check that the other side runs."""
 
-    exit_code = 43
 
-
-class SourceError(TouchdError):
+class SourceError(TouchdError, exit_code=50):
     """The source delivers no frames."""
 
-    exit_code = 50
 
-
-class DeviceLost(SourceError):
+class DeviceLost(SourceError, exit_code=51):
     """The DAQ was unplugged: check its cable."""
 
-    exit_code = 51
 
-
-class ReaderFailed(SourceError):
+class ReaderFailed(SourceError, exit_code=52):
     """The DAQ's reader thread died or hangs: restart touchd."""
 
-    exit_code = 52
 
-
-class MissingExtra(TouchdError):
+class MissingExtra(TouchdError, exit_code=60):
     """An optional package is missing: install the named extra."""
 
-    exit_code = 60
 
-
-class TrainingError(TouchdError):
+class TrainingError(TouchdError, exit_code=70):
     """The recording cannot train this model."""
 
-    exit_code = 70
 
-
-class SimulationError(TouchdError):
+class SimulationError(TouchdError, exit_code=80):
     """The twin cannot simulate this scene, plate or count."""
 
-    exit_code = 80
 
-
-class OutputError(TouchdError):
+class OutputError(TouchdError, exit_code=90):
     """The file cannot be written: check folder, space and permissions."""
 
-    exit_code = 90
 
-
-class BridgeError(TouchdError):
+class BridgeError(TouchdError, exit_code=92):
     """No touch screen, or a mapping that does not fit: follow the remedy."""
 
-    exit_code = 92
 
-
-class GadgetError(TouchdError):
+class GadgetError(TouchdError, exit_code=95):
     """This computer cannot act as a USB device: it needs a device port, and root."""
 
-    exit_code = 95
 
-
-class CheckFailed(TouchdError):
+class CheckFailed(TouchdError, exit_code=97):
     """Touchd doctor found a failure: follow the remedy in its report."""
 
-    exit_code = 97
 
-
-class JobError(TouchdError):
+class JobError(TouchdError, exit_code=100):
     """A job of a long computation failed: repeat the command, finished jobs are kept."""
 
-    exit_code = 100
 
-
-class ClusterError(JobError):
+class ClusterError(JobError, exit_code=101):
     """The Dask cluster is unreachable or unusable: check address, workers and versions."""
 
-    exit_code = 101
 
-
-class CalibrationError(TouchdError):
+class CalibrationError(TouchdError, exit_code=110):
     """The plate cannot be calibrated."""
 
-    exit_code = 110
 
-
-class PlateFileInvalid(CalibrationError):
+class PlateFileInvalid(CalibrationError, exit_code=111):
     """PLATE.toml is missing or invalid: correct the named key."""
 
-    exit_code = 111
 
-
-class PlateTouched(CalibrationError):
+class PlateTouched(CalibrationError, exit_code=112):
     """A finger lies on the plate in the recording: record it again untouched."""
 
-    exit_code = 112
 
-
-class PlateUnsteady(CalibrationError):
+class PlateUnsteady(CalibrationError, exit_code=113):
     """The plate drifts during the recording: let it settle, and record again."""
 
-    exit_code = 113
 
-
-class SignalClipped(CalibrationError):
+class SignalClipped(CalibrationError, exit_code=114):
     """The signal exceeds the ADC's range: lower the gain."""
 
-    exit_code = 114
 
-
-class PlateMismatch(CalibrationError):
+class PlateMismatch(CalibrationError, exit_code=115):
     """The recording has another geometry than PLATE.toml."""
 
-    exit_code = 115
 
-
-class PlatePoor(CalibrationError):
+class PlatePoor(CalibrationError, exit_code=116):
     """The fitted plate explains too little of the response: follow its reasons, or accept it with --force."""
-
-    exit_code = 116
