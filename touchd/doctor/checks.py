@@ -79,8 +79,8 @@ def check_rate(sample: Sample, wanted_hz: float) -> Finding:
     rate_hz = 1.0 / max(float(np.median(steps_s)), 1e-9)
     off = abs(rate_hz / wanted_hz - 1.0)
     text = f"{rate_hz:.2f} frames per second, {wanted_hz:g} expected"
-    return Finding("frame rate", grade(off, RATE_OFF), text, _unless_ok(off, RATE_OFF, "set device.rate_hz to a rate "
-                   "that the device supports, and check its trigger"))  # fmt: skip
+    fix = "set device.rate_hz to a rate that the device supports, and check its trigger"
+    return _found("frame rate", grade(off, RATE_OFF), text, fix)
 
 
 def check_lost(sample: Sample) -> Finding:
@@ -89,8 +89,8 @@ def check_lost(sample: Sample) -> Finding:
     lost = span - len(sample.sequence)
     share = (lost + sample.corrupt) / max(span, 1)
     text = f"{lost} of {span} frames lost, {sample.corrupt} corrupt"
-    return Finding("lost frames", grade(share, LOST), text, _unless_ok(share, LOST, "use a shorter cable and a port of "
-                   "the computer without a hub; reduce the computer's load"))  # fmt: skip
+    fix = "use a shorter cable and a port of the computer without a hub; reduce the computer's load"
+    return _found("lost frames", grade(share, LOST), text, fix)
 
 
 def noise_counts(sample: Sample) -> Floats:
@@ -113,16 +113,14 @@ def check_noise(sample: Sample) -> Finding:
         return Finding("noise", "failure", "no channel has a signal", "follow the remedy for dead channels")
     # check_dead reports dead channels.
     worst_db = float(snr_db[alive].min())
-    levels = [grade(-worst_db, (-SNR_DB[0], -SNR_DB[1]))]
+    level = grade(-worst_db, (-SNR_DB[0], -SNR_DB[1]))
     unlike = np.flatnonzero(alive & (20 * np.log10(noise / np.median(noise[alive])) > NOISE_UNLIKE_DB))
-    if len(unlike):
-        levels.append("warning")
-    level = _worst(levels)
     text = f"{_list(noise, 1)} counts RMS, {_list(snr_db)} dB below the signal"
     if len(unlike):
+        level = "warning" if level == "ok" else level
         text += f"; channel {_names(unlike)} far above the others"
     fix = "move chargers, motors and switching supplies away; check shielding and ground of the receivers"
-    return Finding("noise", level, text, "" if level == "ok" else fix)
+    return _found("noise", level, text, fix)
 
 
 def check_clipping(sample: Sample, acquisition: Acquisition) -> Finding:
@@ -134,8 +132,7 @@ def check_clipping(sample: Sample, acquisition: Acquisition) -> Finding:
     text = f"{used:.0%} of the range used"
     if clipped.any():
         text += f", {share.max():.2%} of the samples at its limit in channel {_names(np.flatnonzero(share))}"
-    level = grade(float(share.max()), CLIPPED)
-    return Finding("clipping", level, text, "" if level == "ok" else "lower the gain, or the emitter's amplitude")
+    return _found("clipping", grade(float(share.max()), CLIPPED), text, "lower the gain, or the emitter's amplitude")
 
 
 def check_dead(sample: Sample) -> Finding:
@@ -182,7 +179,7 @@ def check_time(spent_us: Sequence[float], period_s: float) -> Finding:
     )
     level: Level = "failure" if p50 > period_us else "warning" if p99 > BUSY * period_us else "ok"
     fix = "lower device.rate_hz, or reduce the computer's load; [realtime] in the configuration may help"
-    return Finding("latency", level, text, "" if level == "ok" else fix)
+    return _found("latency", level, text, fix)
 
 
 def _rms(signal: Floats) -> Floats:
@@ -209,12 +206,9 @@ def _changed_db(now: Floats, reference: Floats) -> Floats:
     return changed_db
 
 
-def _unless_ok(value: float, limits: tuple[float, float], fix: str) -> str:
-    return "" if grade(value, limits) == "ok" else fix
-
-
-def _worst(levels: Sequence[Level]) -> Level:
-    return max(levels, key=("ok", "warning", "failure").index)
+def _found(check: str, level: Level, text: str, fix: str) -> Finding:
+    """Return a finding; one that is ok needs no remedy."""
+    return Finding(check, level, text, "" if level == "ok" else fix)
 
 
 def _list(values: Floats, digits: int = 0) -> str:

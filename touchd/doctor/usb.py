@@ -6,6 +6,7 @@ import grp
 import os
 from pathlib import Path
 
+from touchd.bridges.dark import read
 from touchd.config.schema import DeviceSettings
 from touchd.doctor.checks import Finding
 from touchd.sources.usb_protocol import INTERFACE_CLASS
@@ -33,14 +34,14 @@ def examine(settings: DeviceSettings, system: Path = SYSTEM) -> list[Finding]:
                         "plug it in; check its cable and power; compare device.vendor_id and device.product_id with "
                         "lsusb")]  # fmt: skip
     if settings.serial:
-        serials = [_attribute(device, "serial") for device in found]
-        found = [device for device in found if _attribute(device, "serial") == settings.serial]
+        serials = [read(device / "serial") for device in found]
+        found = [device for device in found if read(device / "serial") == settings.serial]
         if not found:
             return [Finding("device", "failure", f"{ids} has serial number {', '.join(map(repr, serials))}, "
                             f"not {settings.serial!r}", "correct device.serial")]  # fmt: skip
     device = found[0]
-    bus, address = int(_attribute(device, "busnum") or 0), int(_attribute(device, "devnum") or 0)
-    name = " ".join(filter(None, (_attribute(device, "product"), _attribute(device, "serial"))))
+    bus, address = int(read(device / "busnum") or 0), int(read(device / "devnum") or 0)
+    name = " ".join(filter(None, (read(device / "product"), read(device / "serial"))))
     text = f"{ids} {name} on bus {bus:03d} address {address:03d}"
     several = f"; {len(found)} such devices, touchd uses the first" if len(found) > 1 else ""
     findings = [
@@ -48,7 +49,7 @@ def examine(settings: DeviceSettings, system: Path = SYSTEM) -> list[Finding]:
         check_permissions(system / f"dev/bus/usb/{bus:03d}/{address:03d}"),
     ]
     try:
-        findings.append(check_descriptors((device / "descriptors").read_bytes(), _attribute(device, "speed")))
+        findings.append(check_descriptors((device / "descriptors").read_bytes(), read(device / "speed")))
     except OSError as error:
         findings.append(Finding("descriptors", "failure", f"cannot be read ({error.strerror})", "plug it in again"))
     return findings
@@ -104,11 +105,4 @@ def _devices(system: Path) -> list[Path]:
 
 
 def _ids(device: Path) -> str:
-    return f"{_attribute(device, 'idVendor')}:{_attribute(device, 'idProduct')}"
-
-
-def _attribute(device: Path, name: str) -> str:
-    try:
-        return (device / name).read_text().strip()
-    except OSError:
-        return ""
+    return f"{read(device / 'idVendor')}:{read(device / 'idProduct')}"
