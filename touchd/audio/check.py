@@ -81,33 +81,27 @@ class Checked:
         return float(np.abs(np.angle(fractions / fractions.mean())).max() / np.pi) if self.delays else 0.0
 
 
-class Bench:
-    """Plays loops on a card, and returns what each input hears of them."""
-
-    def __init__(self, card: Card) -> None:
-        self.card = card
-        self.period = round(PERIOD_S * card.rate_hz)
-
-    def hear(self, loop: Floats) -> Floats:
-        """Return the captured periods of a loop, shape (n, inputs, period), relative to full scale."""
-        card, wanted = self.card, (MEASURED * self.period)
-        for _ in range(3):
-            card.start(loop)
-            skip = card.ahead + round(_SETTLE_S * card.rate_hz)
-            blocks: list[NDArray[np.int16]] = []
-            taken = 0
-            try:
-                while taken < skip + wanted:
-                    block = card.exchange(1.0)
-                    if block is None:
-                        raise Doubtful("the card plays, but captures nothing")
-                    blocks.append(block.copy())
-                    taken += len(block)
-            except CardXrun:
-                continue
-            heard = np.concatenate(blocks)[skip : skip + wanted].T / _FULL_SCALE
-            return np.asarray(heard.reshape(len(heard), MEASURED, self.period).swapaxes(0, 1))
-        raise Doubtful("samples are lost again and again: end other programs")
+def hear(card: Card, loop: Floats) -> Floats:
+    """Play a loop, and return the captured periods of it, shape (n, inputs, period), relative to full scale."""
+    period = len(loop)
+    wanted = MEASURED * period
+    for _ in range(3):
+        card.start(loop)
+        skip = card.ahead + round(_SETTLE_S * card.rate_hz)
+        blocks: list[NDArray[np.int16]] = []
+        taken = 0
+        try:
+            while taken < skip + wanted:
+                block = card.exchange(1.0)
+                if block is None:
+                    raise Doubtful("the card plays, but captures nothing")
+                blocks.append(block.copy())
+                taken += len(block)
+        except CardXrun:
+            continue
+        heard = np.concatenate(blocks)[skip : skip + wanted].T / _FULL_SCALE
+        return np.asarray(heard.reshape(len(heard), MEASURED, period).swapaxes(0, 1))
+    raise Doubtful("samples are lost again and again: end other programs")
 
 
 def check(card: Card, *, restarts: int, seconds: float, level_dbfs: float, progress: Progress = str) -> Checked:
@@ -131,12 +125,12 @@ def check(card: Card, *, restarts: int, seconds: float, level_dbfs: float, progr
         No input hears the output, or samples are lost again and again.
     CardGone
     """
-    bench = Bench(card)
+    period = round(PERIOD_S * card.rate_hz)
     progress("noise")
-    noise = bench.hear(np.zeros(bench.period))
+    noise = hear(card, np.zeros(period))
     progress("response")
-    sweep = _sweep(bench.period, card.rate_hz) * 10 ** (level_dbfs / 20)
-    heard = bench.hear(sweep).mean(axis=0)
+    sweep = _sweep(period, card.rate_hz) * 10 ** (level_dbfs / 20)
+    heard = hear(card, sweep).mean(axis=0)
     power = np.square(heard).sum(axis=1)
     cable = int(np.argmax(power))
     noise -= noise.mean(axis=2, keepdims=True)
@@ -151,12 +145,12 @@ def check(card: Card, *, restarts: int, seconds: float, level_dbfs: float, progr
         found.resamples = str(doubt)
     progress("distortion")
     for dbfs in LEVELS_DBFS:
-        found.distortion_db[f"{dbfs:g}"] = _distortion(bench, cable, dbfs)
+        found.distortion_db[f"{dbfs:g}"] = _distortion(card, period, cable, dbfs)
     clean = [at for at, db in found.distortion_db.items() if db is not None and db < LOW_DISTORTION_DB]
     found.level_dbfs = max(map(float, clean), default=LEVELS_DBFS[-1])
     for number in range(restarts):
         progress(f"start {number + 1} of {restarts}")
-        captured = bench.hear(sweep).mean(axis=0)[cable]
+        captured = hear(card, sweep).mean(axis=0)[cable]
         found.delays.append(by_loopback(captured * _FULL_SCALE, sweep).samples)
     progress(f"xruns in {seconds:g} s")
     _take_time(found, card, sweep, seconds)
@@ -201,11 +195,11 @@ def _band(frequency_hz: Floats, response_db: Floats, rate_hz: int) -> tuple[floa
     return round(low_hz, -2), round(max(float(frequency_hz[end - 1]), 1.1 * low_hz), -2)
 
 
-def _distortion(bench: Bench, cable: int, dbfs: float) -> float | None:
+def _distortion(card: Card, period: int, cable: int, dbfs: float) -> float | None:
     """Return the power of a tone's harmonics relative to it, dB; None where the input clips."""
-    turns = bench.period // 16 // 2 * 2 + 1  # a sixteenth of the sample rate: seven harmonics are heard
-    tone = np.sin(2 * np.pi * turns * np.arange(bench.period) / bench.period) * 10 ** (dbfs / 20)
-    heard = bench.hear(tone)[:, cable]
+    turns = period // 16 // 2 * 2 + 1  # a sixteenth of the sample rate: seven harmonics are heard
+    tone = np.sin(2 * np.pi * turns * np.arange(period) / period) * 10 ** (dbfs / 20)
+    heard = hear(card, tone)[:, cable]
     if np.abs(heard).max() * _FULL_SCALE >= _LIMIT:
         return None
     spectrum = np.abs(np.fft.rfft(heard.mean(axis=0))) ** 2
