@@ -229,13 +229,11 @@ class FrameReader:
         self._pending += data
         yield from self._search()
         if ended:
-            self._skip(len(self._pending))
-            self._pending.clear()
-            self._close_gap()
+            self.reset()
 
     def reset(self) -> None:
         """Discard a frame that has begun: no later byte belongs to it."""
-        self._skip(len(self._pending))
+        self._skipped += len(self._pending)
         self._pending.clear()
         self._close_gap()
 
@@ -247,7 +245,7 @@ class FrameReader:
             if found < 0:
                 # The last bytes may begin a magic number.
                 found = max(at, len(pending) - len(_FRAME_MAGIC) + 1)
-            self._skip(found - at)
+            self._skipped += found - at
             at = found
             if len(pending) - at < HEADER_BYTES:
                 break
@@ -259,7 +257,7 @@ class FrameReader:
                 at += size
                 yield header, candidate[HEADER_BYTES:]
             else:
-                self._skip(1)
+                self._skipped += 1
                 at += 1
         del pending[:at]
 
@@ -277,9 +275,6 @@ class FrameReader:
     def _intact(frame: memoryview) -> bool:
         crc = zlib.crc32(frame[HEADER_BYTES:], zlib.crc32(_NO_CRC, zlib.crc32(frame[:_CRC_OFFSET])))
         return bool(crc == int.from_bytes(frame[_CRC_OFFSET:HEADER_BYTES], "little"))
-
-    def _skip(self, size: int) -> None:
-        self._skipped += size
 
     def _close_gap(self) -> None:
         self.corrupt += -(-self._skipped // self._frame_bytes)
