@@ -212,12 +212,18 @@ class ConfigFs:
 
     def plug(self, udc: str) -> None:
         """Connect the device to a port, a name in /sys/class/udc; `FunctionFs` must serve its endpoints by then."""
-        self._write_udc(udc)
+        try:
+            (self._gadget / "UDC").write_text(udc)
+        except OSError as error:
+            raise GadgetError(
+                f"the port {udc.strip()!r} cannot be used ({error.strerror})", "--udc",
+                "name one of /sys/class/udc that no other gadget uses",
+            ) from error  # fmt: skip
 
     def unplug(self) -> None:
         """Disconnect the device, as a pulled cable does."""
         with contextlib.suppress(GadgetError):  # it was not connected
-            self._write_udc("\n")
+            self.plug("\n")
 
     def remove(self) -> None:
         """Remove what `create` made, as far as it exists."""
@@ -234,15 +240,6 @@ class ConfigFs:
         ):  # fmt: skip
             with contextlib.suppress(OSError):
                 folder.rmdir()
-
-    def _write_udc(self, udc: str) -> None:
-        try:
-            (self._gadget / "UDC").write_text(udc)
-        except OSError as error:
-            raise GadgetError(
-                f"the port {udc.strip()!r} cannot be used ({error.strerror})", "--udc",
-                "name one of /sys/class/udc that no other gadget uses",
-            ) from error  # fmt: skip
 
 
 def first_udc(ports: Path = Path("/sys/class/udc")) -> str:
