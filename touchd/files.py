@@ -35,7 +35,7 @@ def open_file(path: Path, flags: int = 0) -> IO[bytes]:
 
 
 def state_folder(name: str) -> Path:
-    """Return the folder of a part's state: in systemd's state directory, else in the user's."""
+    """Return where a part keeps its state, a folder or a file: in systemd's state directory, else in the user's."""
     if managed := os.environ.get("STATE_DIRECTORY"):
         return Path(managed.partition(":")[0]) / name
     home = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"

@@ -6,6 +6,7 @@ import os
 from pathlib import Path
 
 from touchd.config.schema import Settings
+from touchd.files import state_folder
 from touchd.keypad import Layout, load_layout
 from touchd.localization.atlas import atlas_path
 from touchd.localization.model import Model, default_model_path
@@ -20,12 +21,9 @@ def installed_path() -> Path:
 
     Root, who manages the service, has the service's.
     """
-    if managed := os.environ.get("STATE_DIRECTORY"):
-        return Path(managed.partition(":")[0]) / "model.onnx"
-    if os.geteuid() == 0 and _SERVICE_STATE.is_dir():
+    if not os.environ.get("STATE_DIRECTORY") and os.geteuid() == 0 and _SERVICE_STATE.is_dir():
         return _SERVICE_STATE / "model.onnx"
-    home = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
-    return Path(home) / "touchd" / "model.onnx"
+    return state_folder("model.onnx")
 
 
 def settings_for(settings: Settings, choice: SourceChoice) -> Settings:
