@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from typing import TextIO
 
 import structlog
@@ -16,27 +16,21 @@ log = structlog.get_logger()
 class JsonlSink:
     """Writes one line of JSON per event, and flushes it.
 
-    Unlike the bus it waits for a terminal or a pipe that is not read: it is for looking, not for production. When the
-    reader is gone or the disk is full, the sink stops writing and the daemon runs on.
+    It writes touches, keys and health. Key presses are secret: the stream must not end in a log. Unlike the bus it
+    waits for a terminal or a pipe that is not read: it is for looking, not for production. When the reader is gone or
+    the disk is full, the sink stops writing and the daemon runs on.
 
     Parameters
     ----------
     stream : TextIO
         Where the lines go. It stays open.
-    topics : Collection[str]
-        The topics to write. Key presses are secret: leave out `key` if the stream ends in a log.
     clock : Callable
         CLOCK_MONOTONIC in ns, for the latency.
     """
 
-    def __init__(
-        self,
-        stream: TextIO,
-        topics: Collection[str] = ("touch", "key", "health"),
-        clock: Callable[[], int] = time.monotonic_ns,
-    ) -> None:
+    def __init__(self, stream: TextIO, clock: Callable[[], int] = time.monotonic_ns) -> None:
         self._stream = stream
-        self._topics = frozenset(topics)
+        self._topics = frozenset({"touch", "key", "health"})
         self._clock = clock
 
     def wants(self, topic: str) -> bool:
