@@ -46,7 +46,7 @@ class Messages:
 
     def configure(self, settings: Settings) -> None:
         """Start or stop skipping the messages that nobody wants."""
-        self.wants = self._asked if settings.skip.unheard else _everybody
+        self.wants = self._asked if settings.skip.unheard else lambda _topic: True
         """Returns whether messages of a topic are made."""
 
     def make(self, result: Result, spectrum: Callable[[], list[float]]) -> list[Event]:
@@ -122,7 +122,3 @@ def is_change(contacts: Sequence[Contact]) -> bool:
         if contact.phase == "down" or contact.phase == "up":
             return True
     return False
-
-
-def _everybody(_topic: str) -> bool:
-    return True

@@ -11,12 +11,8 @@ READ_TIMEOUT_S = 0.05
 """How long the daemon waits for a frame: so late, at most, it answers a signal or a new subscriber."""
 
 
-def _ignore(_change: Change) -> None:
-    pass
-
-
 def frames_of(
-    source: Source, timeout_s: float = READ_TIMEOUT_S, *, on_change: Callable[[Change], object] = _ignore
+    source: Source, timeout_s: float = READ_TIMEOUT_S, *, on_change: Callable[[Change], object] = lambda _: None
 ) -> Iterator[Frame | None]:
     """Yield each frame of a source until the source ends, and None whenever no frame came within `timeout_s`.
 

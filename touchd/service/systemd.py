@@ -65,7 +65,7 @@ class Notifier:
 
     def status(self, text: str) -> None:
         """Show one line on what the daemon does."""
-        if text != self._status and self._send(f"STATUS={_one_line(text)}"):
+        if text != self._status and self._send(f"STATUS={' '.join(text.split())}"):
             self._status = text
 
     def ready(self) -> None:
@@ -114,7 +114,3 @@ def _log() -> Any:
     import structlog  # 18 MB, which a bridge does without
 
     return structlog.get_logger()
-
-
-def _one_line(text: str) -> str:
-    return " ".join(text.split())
