@@ -126,18 +126,16 @@ def _check_output(output: Path) -> None:
 
 def _take(settings: Settings, choice: SourceChoice, said: PlateFile, seconds: float) -> Recording:
     """Take frames of a source, as a recording."""
-    from touchd.doctor.host import expected_rate_hz, take
+    from touchd.doctor.host import take
     from touchd.recording.data import Recording
-    from touchd.service.frame_feed import open_running
+    from touchd.service.frame_feed import open_running, rate_of
     from touchd.sources.open import open_source
     from touchd.sources.recorder import describe
 
     click.echo(f"taking {seconds:g} s of frames: do not touch the plate", err=True)
-    running = open_running(choice, settings)
-    with closing(running or open_source(choice, settings)) as source:
+    with closing(open_running(choice, settings) or open_source(choice, settings)) as source:
         sample = take(source, seconds)
-        rate_hz = running.description.rate_hz if running else expected_rate_hz(source, settings.device)
-        meta = describe(source.acquisition, said.described(), rate_hz, source="calibrate")
+        meta = describe(source.acquisition, said.described(), rate_of(source, settings.device), source="calibrate")
     return Recording(meta, sample.counts, sample.sequence, sample.t_ns - sample.t_ns[0])
 
 

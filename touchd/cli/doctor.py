@@ -131,11 +131,12 @@ def _examine_frames(
     from touchd.doctor import checks as doctor
     from touchd.doctor import host as doctorhost
     from touchd.service.daemon import make_pipeline
+    from touchd.service.frame_feed import rate_of
     from touchd.sources.open import open_source
 
     source = running or open_source(choice, settings, model)
     with closing(source):
-        rate_hz = doctorhost.expected_rate_hz(source, settings.device)
+        rate_hz = rate_of(source, settings.device)
         if model is not None:
             make_pipeline(source, settings, model)  # refuses what the daemon would refuse
         sample = doctorhost.take(source, seconds)

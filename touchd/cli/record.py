@@ -65,7 +65,7 @@ def command(
     what `touchd calibrate`, `calibrate --taps` and `check` take.
     """
     from touchd.config.load import load
-    from touchd.service.frame_feed import open_running
+    from touchd.service.frame_feed import open_running, rate_of
     from touchd.sources.open import SourceChoice, open_source
     from touchd.sources.recorder import MAX_FILE_FRAMES, Recorder
 
@@ -81,7 +81,7 @@ def command(
     source = open_running(choice, settings) or open_source(choice, settings)
     with ExitStack() as stack:
         stack.callback(source.close)
-        meta = _meta(source, plate, getattr(source, "rate_hz", settings.device.rate_hz), choice.kind, notes)
+        meta = _meta(source, plate, rate_of(source, settings.device), choice.kind, notes)
         if label:
             from touchd.cli.label import walk_through
 
@@ -128,14 +128,15 @@ def _meta(source: Source, plate: Plate | None, rate_hz: float, kind: str, notes:
 
     known = getattr(source, "meta", None)
     if isinstance(source, DaemonSource):
-        d = source.description
-        plate, rate_hz, kind = plate or d.plate, d.rate_hz, d.source
+        plate, kind = plate or source.description.plate, source.description.source
+    if isinstance(known, Meta):
+        plate, kind = plate or known.plate, known.source or kind
+    if plate is None:
+        raise ConfigError("the plate's size is not known", "--plate", "add --plate WIDTHxHEIGHT, in mm")
+    device = getattr(source, "device", None)
+    fresh = describe(source.acquisition, plate, rate_hz, source=kind, device=device, notes=notes)
     if not isinstance(known, Meta):
-        if plate is None:
-            raise ConfigError("the plate's size is not known", "--plate", "add --plate WIDTHxHEIGHT, in mm")
-        device = getattr(source, "device", None)
-        return describe(source.acquisition, plate, rate_hz, source=kind, device=device, notes=notes)
-    fresh = describe(source.acquisition, plate or known.plate, known.frame_rate_hz, source=known.source or kind)
+        return fresh
     changes = {"plate": fresh.plate, "source": fresh.source, "created": fresh.created, "notes": notes or known.notes,
                "acts": ()}  # fmt: skip
     return known.model_copy(update=changes)

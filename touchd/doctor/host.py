@@ -9,15 +9,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.config.schema import DeviceSettings
 from touchd.doctor.checks import Finding, Sample
 from touchd.errors import RecordingValues, SourceError
 from touchd.frame import Acquisition, Counts
 from touchd.localization.features import Features
 from touchd.localization.model import Model
-from touchd.recording.data import Meta
 from touchd.recording.format import Reader
-from touchd.service.frame_feed import DaemonSource
 from touchd.service.runner import frames_of
 from touchd.sources.source import Change, LiveSource, Source
 
@@ -44,14 +41,6 @@ def judge_clock(state: int, now_s: float) -> Finding:
         text = "this computer's clock follows no time server: `wall` in messages may be off"
         return Finding("clock", "warning", text, "timedatectl set-ntp true; touches do not depend on it")
     return Finding("clock", "ok", "this computer's clock follows a time server")
-
-
-def expected_rate_hz(source: Source, settings: DeviceSettings) -> float:
-    """Return the recording's or the running daemon's frame rate, or the configured one of a device."""
-    if isinstance(source, DaemonSource):
-        return source.description.rate_hz
-    meta = getattr(source, "meta", None)
-    return meta.frame_rate_hz if isinstance(meta, Meta) else float(getattr(source, "rate_hz", settings.rate_hz))
 
 
 def take(source: Source, seconds: float) -> Sample:

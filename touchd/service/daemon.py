@@ -23,7 +23,7 @@ from touchd.recording.data import Device, Meta
 from touchd.service import realtime
 from touchd.service.control import Control, path_of
 from touchd.service.cpu_latency import Awake
-from touchd.service.frame_feed import FeedDescription, FrameFeed
+from touchd.service.frame_feed import FeedDescription, FrameFeed, rate_of
 from touchd.service.health import Health
 from touchd.service.loop import Service
 from touchd.service.messages import Messages, wants_of
@@ -159,7 +159,7 @@ def describer(
 ) -> Callable[[], FeedDescription]:
     """Return what describes a source's frames to those who record them."""
     known = getattr(source, "meta", None)
-    rate_hz = known.frame_rate_hz if known else float(getattr(source, "rate_hz", settings.device.rate_hz))
+    rate_hz = rate_of(source, settings.device)
 
     def description() -> FeedDescription:
         model = pipeline.model

@@ -16,13 +16,13 @@ import numpy as np
 import structlog
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from touchd.config.schema import Settings
+from touchd.config.schema import DeviceSettings, Settings
 from touchd.errors import BusError
 from touchd.frame import Acquisition, Frame, Plate
-from touchd.recording.data import Device
+from touchd.recording.data import Device, Meta
 from touchd.service.control import SERVICE_PATH, path_of
 from touchd.sources.open import SourceChoice
-from touchd.sources.source import EndOfStream
+from touchd.sources.source import EndOfStream, Source
 
 COMMAND = b"frames"
 MOST_LISTENERS = 4
@@ -156,6 +156,14 @@ class DaemonSource:
     def close(self) -> None:
         """Leave the daemon."""
         self._feed.close()
+
+
+def rate_of(source: Source, settings: DeviceSettings) -> float:
+    """Return the frame rate of a recording, a scene or the running daemon, or the configured one of a device, Hz."""
+    if isinstance(source, DaemonSource):
+        return source.description.rate_hz
+    meta = getattr(source, "meta", None)
+    return meta.frame_rate_hz if isinstance(meta, Meta) else float(getattr(source, "rate_hz", settings.rate_hz))
 
 
 def open_running(choice: SourceChoice, settings: Settings) -> DaemonSource | None:
