@@ -22,7 +22,6 @@ from touchd.pipeline import Pipeline
 from touchd.recording.data import Device, Meta
 from touchd.service import realtime
 from touchd.service.control import Control, path_of
-from touchd.service.cpu_latency import Awake
 from touchd.service.frame_feed import FeedDescription, FrameFeed, rate_of
 from touchd.service.health import Health
 from touchd.service.loop import Service
@@ -149,7 +148,7 @@ def make_service(
         reloader = Reloader(settings, read_settings, model, pipeline, messages, health, preroll)
     return Service(
         source, pipeline, messages, sinks, health, clock=clock, manager=manager,
-        awake=Awake(settings.realtime.awake_from_hz), preroll=preroll, control=control, reloader=reloader,
+        awake=realtime.Awake(settings.realtime.awake_from_hz), preroll=preroll, control=control, reloader=reloader,
         feed=feed, rate=ScanRate(source, settings.device),
     )  # fmt: skip
 

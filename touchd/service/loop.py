@@ -13,7 +13,7 @@ from touchd.frame import Frame
 from touchd.outcome import Outcome
 from touchd.pipeline import Pipeline
 from touchd.service.control import Control
-from touchd.service.cpu_latency import Awake
+from touchd.service.realtime import Awake
 from touchd.service.frame_feed import FrameFeed
 from touchd.service.health import Health
 from touchd.service.messages import Messages

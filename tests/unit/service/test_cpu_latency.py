@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from structlog.testing import capture_logs
 
-from touchd.service.cpu_latency import DEVICE, Awake, permitted
+from touchd.service.realtime import CPU_LATENCY, Awake, permitted
 
 MS_NS = 1_000_000
 
@@ -35,7 +35,7 @@ def holders(path: Path) -> int:
 
 def latency_us() -> int:
     """The least latency that anybody asks of the system now."""
-    return int.from_bytes(DEVICE.read_bytes()[:4], "little", signed=True)
+    return int.from_bytes(CPU_LATENCY.read_bytes()[:4], "little", signed=True)
 
 
 def test_a_finger_at_1000_frames_a_second_keeps_them_awake_until_it_lifts(device: Path) -> None:

@@ -21,7 +21,7 @@ from touchd.localization.model import Model
 from touchd.pipeline import Pipeline
 from touchd.recording.data import Recording
 from touchd.service.control import Control
-from touchd.service.cpu_latency import Awake
+from touchd.service.realtime import Awake
 from touchd.service.frame_feed import FeedDescription, FrameFeed
 from touchd.service.health import Health
 from touchd.service.loop import STALL_NS, Service

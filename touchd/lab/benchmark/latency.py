@@ -15,7 +15,7 @@ from touchd.lab.benchmark.child import BURN_IN_S
 from touchd.lab.benchmark.daemon import SPAWN, daemon_cpus, subscribing
 from touchd.lab.benchmark.results import BUS_RATE_HZ, BareTimes, DaemonResult, Otherwise
 from touchd.lab.benchmark.stopwatch import Spread, held_up, middle, spread
-from touchd.service.cpu_latency import Awake, permitted
+from touchd.service.realtime import Awake, permitted
 
 TAIL = "moving", BUS_RATE_HZ
 """Scene and rate whose tail is measured."""
