@@ -27,9 +27,8 @@ from touchd.frame import Acquisition, Frame
 from touchd.recording.data import Device
 from touchd.sources.daq import WAITS, Candidates, Daq, DaqAbsent, DaqFrame, DaqGone, Waits
 from touchd.sources.device_search import DeviceSearch, check_rate, open_first
-from touchd.sources.frame_ring import FrameRing
+from touchd.sources.frame_ring import FrameRing, Lending
 from touchd.sources.intake import Intake
-from touchd.sources.lending import Lending
 from touchd.sources.source import Change, EndOfStream
 
 _JOIN_S = 0.5
