@@ -14,8 +14,7 @@ from pydantic import ValidationError
 from touchd.errors import RecordingMissing, RecordingShape, RecordingValues, RecordingVersion
 from touchd.files import replacing
 from touchd.recording import npz
-from touchd.recording.data import Device, Meta, Recording
-from touchd.recording.validate import ARRAYS, REQUIRED, check, check_continues
+from touchd.recording.data import ARRAYS, REQUIRED, Meta, Recording, check, check_continues
 
 FORMAT = "touchd-recording"
 VERSION = 1
@@ -172,6 +171,3 @@ def _parse_meta(text: str, where: str) -> Meta:
         raise RecordingValues("; ".join(problems), f"{where}: meta", "correct these keys of the JSON object") from error
     except ValueError as error:  # lone surrogates cannot be encoded for the JSON parser
         raise RecordingValues("is not valid text", f"{where}: meta", "write the recording again") from error
-
-
-__all__ = ["FORMAT", "VERSION", "Device", "Meta", "Reader", "Recording", "check", "read", "write"]

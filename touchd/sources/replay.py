@@ -11,7 +11,7 @@ from touchd.errors import ConfigError
 from touchd.frame import Counts, Frame
 from touchd.recording.data import Recording
 from touchd.recording.format import Reader
-from touchd.recording.validate import MAX_COUNT
+from touchd.recording.data import MAX_COUNT
 from touchd.sources.source import EndOfStream, touching
 
 MIN_SPEED = 0.001

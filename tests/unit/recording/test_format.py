@@ -31,8 +31,8 @@ from touchd.errors import (
 )
 from touchd.frame import Plate
 from touchd.recording import npz
-from touchd.recording.data import Device, Meta, Recording
-from touchd.recording.format import Reader, check, read, write
+from touchd.recording.data import Device, Meta, Recording, check
+from touchd.recording.format import Reader, read, write
 
 META = Meta(
     sample_rate_hz=250e3, bits=16, full_scale_v=10.0, frame_rate_hz=125.0, plate=Plate(width_mm=400.0, height_mm=300.0)
