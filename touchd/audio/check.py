@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from touchd.audio.card import Card, CardXrun
 from touchd.audio.delay import Doubtful, by_loopback
-from touchd.audio.spectrum import PASSED, check_band
+from touchd.audio.response import PASSED, check_band
 
 Floats = NDArray[np.float64]
 

@@ -19,8 +19,7 @@ from touchd.audio.capture import Capture
 from touchd.audio.card import Card, CardAbsent, CardGone, CardXrun, Samples
 from touchd.audio.delay import Delay, Doubtful, by_loopback, by_onset, by_reference, check_discs
 from touchd.audio.highpass import HighPass
-from touchd.audio.spectrum import check_band
-from touchd.audio.watch import Watch
+from touchd.audio.response import Watch, check_band
 from touchd.audio.waveform import loop_of, moved, periods_of, rates_of
 from touchd.config.rigs import AudioSettings
 from touchd.config.schema import DeviceSettings, Settings
