@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
+from touchd.client import Subscriber
 from touchd.config.schema import Settings
 from touchd.doctor.checks import Finding
 from touchd.errors import AddressInUse, BusTimeout, TouchdError
@@ -90,8 +91,6 @@ def check_model_fit(explained: float) -> Finding:
 
 def _health_at(error: TouchdError | None, settings: Settings, listen_s: float) -> HealthEvent | None:
     """Return what the daemon that has bound the address says of itself; None if no daemon is heard there."""
-    from touchd.client import Subscriber
-
     if not isinstance(error, AddressInUse) or settings.bus.curve_secret_key is not None:
         return None
     try:

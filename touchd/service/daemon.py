@@ -10,7 +10,6 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, ExitStack, closing, nullcontext
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import structlog
 
@@ -33,13 +32,12 @@ from touchd.service.rate import ScanRate
 from touchd.service.reload import Reloader
 from touchd.service.signals import deliver, reload_on_hangup, save_on_signal, stop_on_signals
 from touchd.service.systemd import Notifier
+from touchd.sinks.jsonl import JsonlSink
 from touchd.sinks.sink import Sink
+from touchd.sinks.zeromq import ZeromqSink
 from touchd.sources.open import SourceChoice, open_source
 from touchd.sources.recorder import describe
 from touchd.sources.source import Source
-
-if TYPE_CHECKING:
-    from touchd.sinks.zeromq import ZeromqSink
 
 Step = Callable[[str], AbstractContextManager[object]]
 
@@ -84,8 +82,6 @@ def open_parts(settings: Settings, stack: ExitStack, step: Step = nullcontext) -
     TouchdError
         A part cannot be opened.
     """
-    from touchd.sinks.zeromq import ZeromqSink
-
     parts = Parts()
     with step("bus"):
         parts.bus = stack.enter_context(closing(ZeromqSink(settings.bus)))
@@ -220,8 +216,6 @@ def run(
     read_settings : callable, optional
         Reads the configuration again on SIGHUP.
     """
-    from touchd.sinks.jsonl import JsonlSink
-
     settings = settings_for(settings, choice)
     reread = None if read_settings is None else lambda: settings_for(read_settings(), choice)
     realtime.raise_file_limit()
