@@ -26,10 +26,12 @@ class Output(Protocol):
         """Show the fingers that are down now."""
 
     def press(self, event: KeyEvent) -> None:
-        """Show a key's press or release."""
+        """Show a key's press or release; most outputs have none."""
+        return
 
     def idle(self, now_ns: int) -> None:
-        """Do what is due with time; called every 0.35 s or sooner."""
+        """Do what is due with time, if anything is; called every 0.35 s or sooner."""
+        return
 
     def close(self) -> None:
         """Lift all and end."""

@@ -6,6 +6,7 @@ from typing import Protocol
 
 from touchd.bridges import slots
 from touchd.bridges.area import Area
+from touchd.bridges.bridge import Output
 from touchd.bridges.following import Down
 from touchd.event import KeyEvent
 
@@ -20,8 +21,8 @@ class Writer(Protocol):
         """Take no more."""
 
 
-class Screen:
-    """A touch screen.
+class Screen(Output):
+    """A touch screen: to the program below it a key is a touch, and the kernel keeps what was shown.
 
     Parameters
     ----------
@@ -46,12 +47,6 @@ class Screen:
         frame, self._slots = slots.encode(self._slots, fingers)
         self._device.write(frame)
 
-    def press(self, event: KeyEvent) -> None:
-        """Ignore a key: the program below the finger gets a touch."""
-
-    def idle(self, now_ns: int) -> None:
-        """Do nothing: the kernel keeps the state."""
-
     def close(self) -> None:
         """Lift all fingers and remove the device."""
         try:
@@ -69,7 +64,7 @@ KEY_CODES = {
 """Key codes of linux/input-event-codes.h by the name of a layout's key, in small letters."""
 
 
-class Keypad:
+class Keypad(Output):
     """A keypad: the keys of `keypad.layout` as key codes. A key without a code is left out."""
 
     topics = ("touch", "key", "health")
@@ -92,9 +87,6 @@ class Keypad:
             return
         self._held ^= {code}
         self._write(code, int(event.phase == "press"))
-
-    def idle(self, now_ns: int) -> None:
-        """Do nothing: the kernel keeps the state."""
 
     def close(self) -> None:
         """Release all keys and remove the device."""

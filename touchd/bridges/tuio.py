@@ -11,8 +11,8 @@ import struct
 from collections.abc import Mapping
 
 from touchd.bridges.area import Area, Place
+from touchd.bridges.bridge import Output
 from touchd.bridges.following import Down
-from touchd.event import KeyEvent
 
 CURSOR, BLOB = "/tuio/2Dcur", "/tuio/2Dblb"
 _FSEQ_MAX = 0x7FFFFFFF
@@ -107,8 +107,8 @@ class Frames:
         )
 
 
-class Tuio:
-    """Sends the fingers on the screen to one address, which need not listen.
+class Tuio(Output):
+    """Sends the fingers on the screen to one address, which need not listen; TUIO has no keys.
 
     Parameters
     ----------
@@ -136,9 +136,6 @@ class Tuio:
         self._last = self._frames.frame(self._area.places(down, t_ns), t_ns)
         self._send(self._last)
         self._shown = True
-
-    def press(self, event: KeyEvent) -> None:
-        """Send no key: TUIO has none."""
 
     def idle(self, now_ns: int) -> None:
         """Repeat the last frame, for a client that lost it or came later."""
