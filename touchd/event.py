@@ -53,8 +53,8 @@ class Contact(Struct, gc=False, omit_defaults=True):
     """`finger`, `thumb` or `glove`; a later release may know more."""
 
 
-class TouchEvent(Struct, gc=False):
-    """A frame in which a contact went down, moved or went up; and every 100 ms while one is down."""
+class Message(Struct, gc=False):
+    """What every message begins with."""
 
     device: str
     seq: int
@@ -63,6 +63,11 @@ class TouchEvent(Struct, gc=False):
     """CLOCK_MONOTONIC at the chirp, ns."""
     wall: str
     """ISO 8601, UTC, at the chirp."""
+
+
+class TouchEvent(Message, gc=False):
+    """A frame in which a contact went down, moved or went up; and every 100 ms while one is down."""
+
     frame: int
     """The frame's sequence number."""
     contacts: list[Contact]
@@ -73,13 +78,9 @@ class TouchEvent(Struct, gc=False):
     """Until encoded: from the frame complete on the host to the message about to be sent; last, see `encode_at`."""
 
 
-class KeyEvent(Struct, gc=False):
+class KeyEvent(Message, gc=False):
     """Keypad mode: a press or a release. Secret: never written to a log."""
 
-    device: str
-    seq: int
-    t_ns: int
-    wall: str
     key: str
     phase: Literal["press", "release"]
     confidence: float
@@ -98,13 +99,9 @@ class Latency(Struct, gc=False):
     max: float = 0.0
 
 
-class HealthEvent(Struct, gc=False):
+class HealthEvent(Message, gc=False):
     """Every second and on a change of state."""
 
-    device: str
-    seq: int
-    t_ns: int
-    wall: str
     state: State
     frames: int
     """Frames taken in since the start."""
@@ -145,13 +142,9 @@ class HealthEvent(Struct, gc=False):
     """Why the device is in this state, or what is wrong with its frames, for a person; last, see `encode`."""
 
 
-class SpectrumEvent(Struct, gc=False):
+class SpectrumEvent(Message, gc=False):
     """The feature vector of a frame, for installers; only while somebody subscribes."""
 
-    device: str
-    seq: int
-    t_ns: int
-    wall: str
     frame: int
     features: list[float] = []
     """The model's input, ADC counts."""
@@ -169,13 +162,9 @@ class PlateKey(Struct, gc=False):
     height_mm: float
 
 
-class PlateEvent(Struct, gc=False):
+class PlateEvent(Message, gc=False):
     """What is measured and with what, to draw it: at the start, and whenever model or keys change."""
 
-    device: str
-    seq: int
-    t_ns: int
-    wall: str
     width_mm: float
     """0, as the height, while the plate's size is unknown: uncalibrated."""
     height_mm: float
@@ -197,13 +186,9 @@ class PlateEvent(Struct, gc=False):
     type: Literal["plate"] = "plate"
 
 
-class TruthEvent(Struct, gc=False):
+class TruthEvent(Message, gc=False):
     """Where the fingers really are: of a scene or a labelled recording; only while somebody subscribes."""
 
-    device: str
-    seq: int
-    t_ns: int
-    wall: str
     frame: int
     contacts_mm: list[tuple[float, float]] = []
     v: int = VERSION
