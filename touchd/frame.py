@@ -30,13 +30,13 @@ class Frame(Struct, gc=False, frozen=True):
     """CLOCK_MONOTONIC when the frame was complete on this host, ns."""
 
 
-class _Description(BaseModel):
+class Description(BaseModel):
     """Part of a JSON object on disk: unknown keys are ignored, as the formats ask."""
 
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
 
-class Chirp(_Description):
+class Chirp(Description):
     """The emitted linear chirp."""
 
     start_hz: float = Field(default=50e3, ge=1, le=1e9)
@@ -53,7 +53,7 @@ class Chirp(_Description):
         return min(self.start_hz, self.stop_hz), max(self.start_hz, self.stop_hz)
 
 
-class Plate(_Description):
+class Plate(Description):
     """The touched plate."""
 
     width_mm: float = Field(ge=1, le=1e5)
@@ -71,7 +71,7 @@ def parse_plate(text: str) -> Plate:
     return Plate.model_validate(dict(zip(names[: max(2, len(sizes_mm))], sizes_mm, strict=True)))
 
 
-class Acquisition(_Description):
+class Acquisition(Description):
     """How frames were acquired: everything a model must agree with."""
 
     channels: int = Field(gt=0, le=MAX_CHANNELS)

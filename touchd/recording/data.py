@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from touchd.errors import RecordingShape, RecordingValues
-from touchd.frame import MAX_CHANNELS, MAX_RATE_HZ, MAX_SAMPLES, Acquisition, Chirp, Plate
+from touchd.frame import MAX_CHANNELS, MAX_RATE_HZ, MAX_SAMPLES, Acquisition, Chirp, Description, Plate
 
 ARRAYS: dict[str, tuple[type[np.generic], str]] = {
     "frames": (np.int16, "(n, channels, samples)"),
@@ -33,18 +33,16 @@ MAX_VALUE = 1e6
 _SEE = "see docs/formats.md"
 
 
-class Device(BaseModel):
+class Device(Description):
     """The DAQ that took a recording."""
 
-    model_config = ConfigDict(frozen=True, extra="ignore")
     serial: str = ""
     firmware: str = ""
 
 
-class Act(BaseModel):
+class Act(Description):
     """What a person was asked to do, and the frames in which it was done."""
 
-    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
     name: str
     """`untouched`, `tap`, `stroke`, `palm` or `thumb`."""
     begin: int = Field(ge=0)
@@ -57,10 +55,8 @@ class Act(BaseModel):
     """Standard deviation per axis of where the person really was; of a stroke, across it."""
 
 
-class Meta(BaseModel):
+class Meta(Description):
     """The JSON object of a recording's `meta` key."""
-
-    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
     sample_rate_hz: float = Field(ge=1, le=MAX_RATE_HZ)
     bits: int = Field(ge=2, le=16)

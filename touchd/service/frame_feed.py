@@ -14,11 +14,11 @@ from pathlib import Path
 
 import numpy as np
 import structlog
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import ValidationError
 
 from touchd.config.schema import DeviceSettings, Settings
 from touchd.errors import BusError
-from touchd.frame import Acquisition, Frame, Plate
+from touchd.frame import Acquisition, Description, Frame, Plate
 from touchd.recording.data import Device, Meta
 from touchd.service.control import SERVICE_PATH, path_of
 from touchd.sources.open import SourceChoice
@@ -34,10 +34,8 @@ _HEAD = struct.Struct("<qqq")
 log = structlog.get_logger()
 
 
-class FeedDescription(BaseModel):
+class FeedDescription(Description):
     """What frames a daemon hands out."""
-
-    model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
     acquisition: Acquisition
     rate_hz: float
