@@ -129,7 +129,7 @@ class BridgeError(TouchdError, exit_code=92):
 
 
 class GadgetError(TouchdError, exit_code=95):
-    """This computer cannot act as a USB device: it needs a device port, and root."""
+    """The computer cannot act as a USB device: it needs a device port, and root."""
 
 
 class CheckFailed(TouchdError, exit_code=97):

@@ -23,9 +23,8 @@ from touchd.recording.format import read
 from touchd.service.daemon import make_service
 from touchd.sinks.zeromq import ZeromqSink
 from touchd.sources.audio import AudioDaq
-from touchd.sources.daq import DaqAbsent
+from touchd.sources.daq import DaqAbsent, Waits
 from touchd.sources.live import DaqSource
-from touchd.sources.daq import Waits
 
 PERIOD = 2000
 SETTINGS = AudioSettings(sample_rate_hz=250_000, band_hz=(50e3, 100e3), chirp_s=1e-3)

@@ -25,11 +25,11 @@ class Output(Protocol):
     def show(self, down: Down, t_ns: int) -> None:
         """Show the fingers that are down now."""
 
-    def press(self, event: KeyEvent) -> None:
+    def press(self, event: KeyEvent) -> None:  # noqa: ARG002 - for those that have keys
         """Show a key's press or release; most outputs have none."""
         return
 
-    def idle(self, now_ns: int) -> None:
+    def idle(self, now_ns: int) -> None:  # noqa: ARG002 - for those that look at the clock
         """Do what is due with time, if anything is; called every 0.35 s or sooner."""
         return
 

@@ -24,9 +24,8 @@ from touchd.frame import Acquisition, Frame
 from touchd.jobs import Job, run
 from touchd.localization.atlas import atlas_path
 from touchd.recording import npz
-from touchd.recording.data import Recording
+from touchd.recording.data import ARRAYS, Recording
 from touchd.recording.format import Reader, chunk_paths, join
-from touchd.recording.data import ARRAYS
 from touchd.service.models import model_path
 from touchd.service.replay import run_through
 from touchd.sources.source import EndOfStream

@@ -13,12 +13,12 @@ from touchd.frame import Frame
 from touchd.outcome import Outcome
 from touchd.pipeline import Pipeline
 from touchd.service.control import Control
-from touchd.service.realtime import Awake
 from touchd.service.frame_feed import FrameFeed
 from touchd.service.health import Health
 from touchd.service.messages import Messages
 from touchd.service.preroll import PreRoll
 from touchd.service.rate import ScanRate
+from touchd.service.realtime import Awake
 from touchd.service.reload import Reloader
 from touchd.service.runner import frames_of
 from touchd.service.systemd import Notifier

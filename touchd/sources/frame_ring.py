@@ -1,4 +1,4 @@
-"""How two threads share a DAQ: a queue of its frames, which drops the oldest, and a loan, which wakes one thread less."""
+"""How two threads share a DAQ: a queue of frames, which drops the oldest, and a loan, which wakes one thread less."""
 
 from __future__ import annotations
 

@@ -9,9 +9,8 @@ from pathlib import Path
 
 from touchd.errors import ConfigError
 from touchd.frame import Counts, Frame
-from touchd.recording.data import Recording
+from touchd.recording.data import MAX_COUNT, Recording
 from touchd.recording.format import Reader
-from touchd.recording.data import MAX_COUNT
 from touchd.sources.source import EndOfStream, touching
 
 MIN_SPEED = 0.001

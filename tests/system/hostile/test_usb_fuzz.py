@@ -19,12 +19,11 @@ from touchd.errors import DeviceLost
 from touchd.frame import Acquisition
 from touchd.localization.model import Model
 from touchd.sources import usb_stream
-from touchd.sources.daq import Daq, DaqAbsent
+from touchd.sources.daq import Daq, DaqAbsent, Waits
 from touchd.sources.device_search import DeviceSearch, open_first
 from touchd.sources.usb import candidates, open_usb
 from touchd.sources.usb_protocol import Info, Request, build_info
 from touchd.sources.usb_stream import acquisition_of
-from touchd.sources.daq import Waits
 
 INFO = Info(channels=4, samples=250, sample_rate_hz=250_000, min_frame_rate_hz=10)
 MOST_GROWTH_KB = 16_000

@@ -26,9 +26,8 @@ from touchd.localization.model import Model, default_model_path  # noqa: E402 - 
 from touchd.recording.format import read  # noqa: E402 - as above
 from touchd.service.log import configure  # noqa: E402 - as above
 from touchd.sources.audio import AudioDaq  # noqa: E402 - as above
-from touchd.sources.daq import DaqAbsent  # noqa: E402 - as above
+from touchd.sources.daq import DaqAbsent, Waits  # noqa: E402 - as above
 from touchd.sources.live import DaqSource  # noqa: E402 - as above
-from touchd.sources.daq import Waits  # noqa: E402 - as above
 
 PERIOD, BANK = 2000, 61
 SETTINGS = AudioSettings(sample_rate_hz=250_000, band_hz=(50e3, 100e3), chirp_s=1e-3)

@@ -12,10 +12,10 @@ from tests.system.usb.backend import FakeBus, FakeDaq
 from tests.system.usb.reader import INFO, QUICK, Reader
 from touchd.config.schema import DeviceSettings
 from touchd.frame import Acquisition
+from touchd.sources.daq import Waits
 from touchd.sources.live import DaqSource
 from touchd.sources.usb import open_usb
 from touchd.sources.usb_stream import acquisition_of
-from touchd.sources.daq import Waits
 
 
 @pytest.fixture

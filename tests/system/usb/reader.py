@@ -11,10 +11,10 @@ from msgspec.structs import replace
 from tests.processes import PATIENCE_S
 from touchd.event import State
 from touchd.frame import Frame
+from touchd.sources.daq import Waits
 from touchd.sources.live import DaqSource
 from touchd.sources.source import Change
 from touchd.sources.usb_protocol import Info
-from touchd.sources.daq import Waits
 
 INFO = Info(channels=4, samples=250, sample_rate_hz=250_000, min_frame_rate_hz=10, firmware=(1, 2, 3))
 """What the shipped model was trained with."""

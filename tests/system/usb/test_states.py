@@ -11,9 +11,9 @@ from tests.processes import PATIENCE_S
 from tests.system.usb.backend import FakeBus, FakeDaq, steady
 from tests.system.usb.reader import Read, wait
 from touchd.errors import ReaderFailed
+from touchd.sources.daq import Waits
 from touchd.sources.source import EndOfStream
 from touchd.sources.usb_protocol import Request
-from touchd.sources.daq import Waits
 
 GONE = (errno.EIO, errno.ENODEV, errno.EPROTO, errno.ESHUTDOWN)
 

@@ -10,8 +10,7 @@ import pytest
 
 from touchd.calibration.walk import BEFORE_S, Task, Walk, plan
 from touchd.frame import Acquisition, Frame, Plate
-from touchd.recording.data import Recording
-from touchd.recording.data import check
+from touchd.recording.data import Recording, check
 from touchd.sources.recorder import describe
 
 ACQUISITION = Acquisition(channels=2, samples=50, sample_rate_hz=250e3)

@@ -21,12 +21,12 @@ from touchd.localization.model import Model
 from touchd.pipeline import Pipeline
 from touchd.recording.data import Recording
 from touchd.service.control import Control
-from touchd.service.realtime import Awake
 from touchd.service.frame_feed import FeedDescription, FrameFeed
 from touchd.service.health import Health
 from touchd.service.loop import STALL_NS, Service
 from touchd.service.messages import Messages, wants_of
 from touchd.service.rate import QUIET_NS, ScanRate
+from touchd.service.realtime import Awake
 from touchd.sources.source import Change, Tally
 
 

@@ -23,9 +23,8 @@ from touchd.localization.model import Model, default_model_path
 from touchd.pipeline import Pipeline
 from touchd.recording.format import read
 from touchd.sources.audio import AudioDaq, acquisition_of, open_audio, rate_of
-from touchd.sources.daq import DaqAbsent, DaqFrame, DaqGone
+from touchd.sources.daq import DaqAbsent, DaqFrame, DaqGone, Waits
 from touchd.sources.live import DaqSource
-from touchd.sources.daq import Waits
 from touchd.twin.instrument import REFERENCE_C, Instrument
 from touchd.twin.simulate import DEFAULT_PLATE
 

@@ -16,10 +16,9 @@ from touchd.config.schema import DeviceSettings
 from touchd.errors import ReaderFailed
 from touchd.frame import Acquisition
 from touchd.recording.data import Device
-from touchd.sources.daq import DaqFrame, DaqGone
+from touchd.sources.daq import DaqFrame, DaqGone, Waits
 from touchd.sources.live import DaqSource
 from touchd.sources.source import Change
-from touchd.sources.daq import Waits
 
 ACQUISITION = Acquisition(channels=2, samples=30, sample_rate_hz=250e3)
 UNHEARD_HZ = 11

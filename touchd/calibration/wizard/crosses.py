@@ -14,9 +14,9 @@ from typing import Any
 from touchd.bridges.fit import LEAST_TOUCHES, Crosses, Mapping, Touched, fit, keys_of
 from touchd.calibration.wizard.frames import Stopped, refuse_keypad
 from touchd.client import Subscriber
-from touchd.config.schema import InputSettings
 from touchd.config.edit import set_keys
 from touchd.config.load import load
+from touchd.config.schema import InputSettings
 from touchd.errors import BusTimeout, OutputError
 from touchd.event import PlateEvent
 from touchd.files import replacing
