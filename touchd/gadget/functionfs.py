@@ -30,6 +30,7 @@ _EVENT = struct.Struct("<BBHHHB3x")  # a setup packet, and the type of the event
 _DISABLE, _SETUP = 3, 4
 _BULK, _ENGLISH = 2, 0x0409
 _IDLE_S = 0.02
+_NAME = "touchd"  # of the gadget and of its function
 # No host is connected, or a transfer is cut off: try again.
 _AWAY = (errno.ESHUTDOWN, errno.ECONNRESET, errno.EAGAIN, errno.EINTR, errno.ENODEV, errno.EIO, errno.EBADFD)
 
@@ -153,8 +154,6 @@ class ConfigFs:
     ----------
     serial : str
     vendor_id, product_id : int
-    name : str
-        Name of the gadget and of its function.
     root, mounts : Path
         Folders in which to make the gadget, and to mount its FunctionFS.
     """
@@ -165,16 +164,14 @@ class ConfigFs:
         vendor_id: int,
         product_id: int,
         *,
-        name: str = "touchd",
         root: Path = Path("/sys/kernel/config/usb_gadget"),
         mounts: Path = Path("/dev"),
     ) -> None:
-        self.folder = mounts / f"ffs-{name}"
+        self.folder = mounts / f"ffs-{_NAME}"
         """Holds the endpoints after `create`."""
-        self._gadget = root / name
-        self._function = self._gadget / "functions" / f"ffs.{name}"
+        self._gadget = root / _NAME
+        self._function = self._gadget / "functions" / f"ffs.{_NAME}"
         self._link = self._gadget / "configs" / "c.1" / self._function.name
-        self._name = name
         self._files = {
             "idVendor": f"{vendor_id:#06x}", "idProduct": f"{product_id:#06x}", "bcdDevice": "0x0100",
             "strings/0x409/serialnumber": serial, "strings/0x409/manufacturer": "touchd",
@@ -208,7 +205,7 @@ class ConfigFs:
                 str(error.filename or self._gadget),
                 "run it as root, on a kernel with CONFIG_USB_CONFIGFS_F_FS and /sys/kernel/config mounted",
             ) from error
-        _run("mount", "-t", "functionfs", self._name, str(self.folder))
+        _run("mount", "-t", "functionfs", _NAME, str(self.folder))
 
     def plug(self, udc: str) -> None:
         """Connect the device to a port, a name in /sys/class/udc; `FunctionFs` must serve its endpoints by then."""
