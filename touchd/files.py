@@ -104,8 +104,13 @@ def replacing(path: Path, *, mode: int = 0o644, fix: str = CHECK) -> Iterator[IO
                 os.unlink(temporary)
     # The new name is safe once the folder is on disk too. Some file systems cannot sync one.
     with suppress(OSError):
-        handle = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
-        try:
-            os.fsync(handle)
-        finally:
-            os.close(handle)
+        flush(path.parent)
+
+
+def flush(path: str | Path) -> None:
+    """Have a file, or a folder's names, on disk."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)

@@ -17,7 +17,7 @@ import zmq
 from zmq.auth import create_certificates
 
 from touchd.errors import BusError, ConfigError, OutputError
-from touchd.files import open_file
+from touchd.files import flush, open_file
 
 _NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9._-]*")
 _KEY = re.compile(rb"""^\s*(public|secret)-key\s*=\s*"([0-9a-zA-Z.\-:+=^!/*?&<>()\[\]{}@%$#]{40})"\s*$""", re.MULTILINE)
@@ -68,11 +68,11 @@ def make_files(folder: Path, name: str) -> tuple[Path, Path]:
             files = ((secret, secret_path, 0o600), (public, public_path, 0o644))
             for source, _, mode in files:
                 os.chmod(source, mode)
-                _flush(source)  # a full disk may refuse only now what it has accepted
+                flush(source)  # a full disk may refuse only now what it has accepted
             for source, path, _ in files:
                 os.link(source, path)  # unlike a rename it replaces nothing
                 made.append(path)
-        _flush(folder)
+        flush(folder)
     except OSError as error:
         for path in made:  # half a pair would block the next attempt
             path.unlink(missing_ok=True)
@@ -193,14 +193,6 @@ def _signature(entry: os.DirEntry[str]) -> tuple[int, ...]:
     except OSError:
         return ()
     return status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns
-
-
-def _flush(path: str | Path) -> None:
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
 
 
 def _load(path: Path, *, private: bool = False) -> tuple[bytes | None, bytes | None]:
