@@ -94,23 +94,19 @@ class Service:
         self._flowing: State = "streaming" if pipeline.model else "uncalibrated"
         self._reason: str | None = None
         self._away = False
-        self._stop = False
+        self.stopped = False
+        """Whether `stop` was called."""
         self._reload_asked = False
         self._seen_ns = self._stream_ns = 0
         self._health_ns = self._control_ns = self._tick_ns = 0
 
     def stop(self) -> None:
         """End `run` after the current frame; safe to call from a signal handler."""
-        self._stop = True
+        self.stopped = True
 
     def reload(self) -> None:
         """Reload the configuration after the current frame; safe to call from a signal handler."""
         self._reload_asked = True
-
-    @property
-    def stopped(self) -> bool:
-        """Whether `stop` was called."""
-        return self._stop
 
     def run(self) -> None:
         """Process frames until the source ends or `stop` is called; then lift the contacts and close the sinks."""
@@ -119,7 +115,7 @@ class Service:
         self._publish_health()
         self._publish_plate()
         try:
-            if not self._stop:
+            if not self.stopped:
                 self._run_frames()
         finally:
             self._manager.stopping()
@@ -155,7 +151,7 @@ class Service:
                 if result.outcome is not Outcome.UNTOUCHED and rate is not None:
                     rate.touched(frame.t_ns, result.outcome)
                 self._finish(frame)
-            if self._stop:
+            if self.stopped:
                 return
         log.info("end of stream", frames=pipeline.counters.frames)
 
