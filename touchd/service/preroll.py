@@ -64,8 +64,7 @@ class PreRoll:
         self._clock = clock
         self._interval_ns = round(interval_s * 1e9)
         self._block_frames = max(1, min(round(rate_hz), _MAX_BLOCK_FRAMES))
-        self._blocks: deque[Block] = deque()
-        self._current: Block | None = None
+        self._blocks: deque[Block] = deque()  # of which the last one is being filled
         self._free: list[Block] = []
         self._lent: list[Block] = []
         self._last: Frame | None = None
@@ -86,7 +85,7 @@ class PreRoll:
         if not settings.seconds:
             self._blocks.clear()
             self._free.clear()
-            self._current = self._due_ns = self._last = None
+            self._due_ns = self._last = None
             if self._writing is not None:
                 self._writing.cancel()
 
@@ -101,13 +100,14 @@ class PreRoll:
                 return  # seen already
             self._reset()  # the device counts from its start again: no recording holds both
         self._last = frame
-        current = self._current = self._current or self._new_block()
+        if not self._blocks:
+            self._blocks.append(self._new_block())
+        current = self._blocks[-1]
         current.append(frame, frame.t_ns)
         if current.size == self._block_frames:
-            self._blocks.append(current)
             while len(self._blocks) > 1 and self._is_old(frame.t_ns):
                 self._recycle(self._blocks.popleft())
-            self._current = self._new_block()
+            self._blocks.append(self._new_block())
         if contacts and self._due_ns is None and self._is_doubtful(contacts):
             self._due_ns = self._clock() + AFTER_NS
         if self._asked or self._due_ns is not None:
@@ -146,7 +146,7 @@ class PreRoll:
 
     def _save(self, reason: str) -> None:
         now_ns = self._clock()
-        blocks = [block for block in (*self._blocks, self._current) if block is not None and block.size]
+        blocks = [block for block in self._blocks if block.size]
         too_soon = self._saved_ns is not None and now_ns - self._saved_ns < self._interval_ns
         if not blocks or too_soon or (self._writing is not None and not self._writing.done()):
             empty = "no frames yet" if self._span_ns else "preroll.seconds is 0"
@@ -154,9 +154,9 @@ class PreRoll:
             log.warning("pre-roll not saved", reason=reason, why=why)
             return
         self._saved_ns = now_ns
-        # The writer borrows full blocks, and gets a copy of the current one, which is being filled.
-        self._lent = [block for block in blocks if block is not self._current]
-        handed = [block if block is not self._current else block.copy() for block in blocks]
+        # The writer borrows full blocks, and gets a copy of the one that is being filled.
+        self._lent = [block for block in blocks if block is not self._blocks[-1]]
+        handed = [block if block is not self._blocks[-1] else block.copy() for block in blocks]
         self._writing = self._writer.submit(self._write, reason, handed)
 
     def _recycle(self, block: Block) -> None:
@@ -168,8 +168,6 @@ class PreRoll:
     def _reset(self) -> None:
         while self._blocks:
             self._recycle(self._blocks.popleft())
-        if self._current is not None:
-            self._current.size = 0
 
     def _write(self, reason: str, blocks: list[Block]) -> None:
         try:
