@@ -56,11 +56,6 @@ class Bars:
             self._tasks[what] = self._bar.add_task(what, note="")
         self._bar.update(self._tasks[what], completed=done, total=steps, note=note)
 
-    def left_s(self, what: str) -> float | None:
-        """Return the time left of a part that its bar shows, s; None while nobody knows."""
-        task = self._tasks.get(what)
-        return None if task is None else self._bar.tasks[self._bar.task_ids.index(task)].time_remaining
-
     def warn(self, note: str) -> None:
         """Print a warning, clear of the bars."""
         self._bar.console.print(

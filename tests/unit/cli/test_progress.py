@@ -7,20 +7,25 @@ import pytest
 from touchd.cli.progress import Bars
 
 
+def left_s(bars: Bars, what: str) -> float | None:
+    """The time left that the bar of a part shows; None before its first step."""
+    return next((task.time_remaining for task in bars._bar.tasks if task.description == what), None)
+
+
 @pytest.mark.parametrize(("before_s", "step_s", "steps"), [(40.0, 1.0, 100), (0.0, 0.02, 5000), (5.0, 60.0, 200)])
 def test_time_left(before_s: float, step_s: float, steps: int) -> None:
     """From the third step on it is right within a tenth, whatever passed before the first, and at the end it is 0."""
     now_s = 1000.0
     bars = Bars(clock=lambda: now_s)
-    assert bars.left_s("network") is None
+    assert left_s(bars, "network") is None
     with bars:
         now_s += before_s
         for done in range(1, steps + 1):
             now_s += step_s
             bars.update("network", done, steps)
             if done >= 3:
-                assert bars.left_s("network") == pytest.approx((steps - done) * step_s, rel=0.1, abs=1.0)
-        assert bars.left_s("network") == 0
+                assert left_s(bars, "network") == pytest.approx((steps - done) * step_s, rel=0.1, abs=1.0)
+        assert left_s(bars, "network") == 0
 
 
 def test_parts_have_their_own_times() -> None:
@@ -32,5 +37,5 @@ def test_parts_have_their_own_times() -> None:
             for done in range(1, 11):
                 now_s += step_s
                 bars.update(what, done, 20)
-        assert bars.left_s("network") == pytest.approx(1.0, rel=0.1, abs=1.0)
-        assert bars.left_s("field") == pytest.approx(200.0, rel=0.1)
+        assert left_s(bars, "network") == pytest.approx(1.0, rel=0.1, abs=1.0)
+        assert left_s(bars, "field") == pytest.approx(200.0, rel=0.1)
