@@ -21,7 +21,6 @@ from touchd.errors import BusError, CalibrationError
 from touchd.evaluation.dataset import complex_bins
 from touchd.frame import Frame
 from touchd.localization.atlas import Atlas
-from touchd.localization.features import windowed_dft
 from touchd.outcome import Outcome
 from touchd.pipeline import Pipeline
 from touchd.recording.data import Meta, Recording
@@ -148,7 +147,7 @@ class Tapper:
         d = atlas.description
         self._atlas, self._acquisition = atlas, d.acquisition
         self._size_mm = d.plate.width_mm, d.plate.height_mm
-        self._to_bins = windowed_dft(d.acquisition, np.array(d.bins))
+        self._to_bins = d.to_bins
         self._pipeline = Pipeline(d.acquisition, None, Settings())
         self._before: deque[NDArray[np.int16]] = deque(maxlen=BASELINE_FRAMES)
         self._touched: deque[NDArray[np.int16]] = deque(maxlen=MOST_FRAMES)

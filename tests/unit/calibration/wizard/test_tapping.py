@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -65,6 +66,17 @@ def test_good(plate: Plate) -> None:
     assert tapped.reason == ""
     assert tapped.found_mm == pytest.approx((41.2, 29.1), abs=0.1)
     assert 0 < tapped.touched < len(tapped.frames)
+
+
+def test_weighted_bins(instrument: Instrument, atlas: Atlas) -> None:
+    """An atlas that weighs its bins, as one of steady state does, finds the same tap."""
+    weights = np.linspace(0.3, 1.0, len(atlas.description.bins))
+    description = atlas.description.model_copy(update={"weights": tuple(weights)})
+    every = np.tile(weights, atlas.size // len(weights)).astype(atlas.coefficients.dtype)
+    plate = Plate(instrument, replace(atlas, description=description, coefficients=atlas.coefficients * every))
+    tapped = plate.tap((41.2, 29.1))
+    assert tapped.reason == ""
+    assert tapped.found_mm == pytest.approx((41.2, 29.1), abs=0.1)
 
 
 def test_short(plate: Plate) -> None:
