@@ -9,6 +9,7 @@ import gc
 import os
 import signal
 import sys
+import tempfile
 
 # A shell makes what it runs in the background ignore Ctrl-C, and nohup SIGHUP: every process that a test starts would
 # inherit that. A handler is not inherited; this one ignores the signal for this process as before.
@@ -24,6 +25,10 @@ for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
 # as long as all its imports.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
+
+# A model that is installed on this computer is none of the tests', nor are its pre-rolls theirs.
+_state = tempfile.TemporaryDirectory(prefix="touchd-state-")
+os.environ["STATE_DIRECTORY"] = _state.name
 
 # To import all that tests use makes no garbage to speak of, but millions of objects to look through again and again.
 gc.disable()
