@@ -43,7 +43,7 @@ def state_folder(name: str) -> Path:
 
 
 def read_text(path: Path) -> str:
-    """Return the text of a file in UTF-8.
+    """Return the text of a file in UTF-8, without the byte order mark that some editors begin with.
 
     Raises
     ------
@@ -56,7 +56,7 @@ def read_text(path: Path) -> str:
         content = file.read(MOST_TEXT_BYTES + 1)
     if len(content) > MOST_TEXT_BYTES:
         raise OSError(errno.EFBIG, "more than 1 MiB", str(path))
-    return content.decode()
+    return content.decode("utf-8-sig")
 
 
 @contextmanager

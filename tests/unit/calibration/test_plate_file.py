@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 from copy import deepcopy
 from pathlib import Path
 from typing import Any
@@ -71,6 +72,14 @@ def test_mistakes(table: str, keys: dict[str, Any], said: str) -> None:
     """A mistake is refused with its key and what to do."""
     with pytest.raises(PlateFileInvalid, match=said):
         read(table, **keys)
+
+
+def test_byte_order_mark(tmp_path: Path) -> None:
+    """A file that begins as Windows' editors begin one is read."""
+    path = tmp_path / "PLATE.toml"
+    lines = [f"{name}.{key} = {json.dumps(value)}" for name, keys in CONTENT.items() for key, value in keys.items()]
+    path.write_text("\ufeff" + "\n".join(lines), "utf-8")
+    assert read_plate_file(path) == check_plate_file(CONTENT)
 
 
 def test_files(tmp_path: Path) -> None:
