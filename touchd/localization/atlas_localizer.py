@@ -20,7 +20,7 @@ from touchd.localization.fit_criteria import CRITERIA
 from touchd.localization.following import Follower, Prediction
 from touchd.localization.gauss_newton import GaussNewton
 from touchd.localization.landing import FIRST_STEPS, Landing
-from touchd.localization.localization import UNTOUCHED, Localization, Localizer
+from touchd.localization.localization import UNTOUCHED, Localization
 from touchd.localization.model import Model
 from touchd.localization.model_fit import ModelFit
 from touchd.localization.multitouch import MultitouchSearch
@@ -34,7 +34,7 @@ from touchd.touch import Face, Touch
 Fitted = tuple[Bins, Fit]
 
 
-class AtlasLocalizer(Localizer):
+class AtlasLocalizer:
     """Places the fingers of one frame after the other.
 
     Parameters

@@ -1,6 +1,8 @@
-"""What localization says of one frame, and what says it."""
+"""What localization says of one frame, and the contract of what says it."""
 
 from __future__ import annotations
+
+from typing import Protocol
 
 from msgspec import Struct
 
@@ -24,21 +26,19 @@ class Localization(Struct, gc=False, frozen=True):
     """Whether the residual is the plate's own movement, of temperature, delay or gains, and no finger."""
 
 
-UNTOUCHED, UNCALIBRATED = Localization(Outcome.UNTOUCHED), Localization(Outcome.UNCALIBRATED)
+UNTOUCHED = Localization(Outcome.UNTOUCHED)
 
 
-class Localizer:
-    """Places fingers, frame by frame; this one places none: a daemon that has no model yet goes on with it."""
+class Localizer(Protocol):
+    """Places fingers, frame by frame."""
 
     @property
     def model_fit(self) -> float | None:
         """Share of a touch's energy that the model explains, 0..1; None where it cannot be told."""
-        return None
 
     @property
     def stretch(self) -> float | None:
         """Relative rise of the plate's resonances since training; None where it cannot be told."""
-        return None
 
     def configure(self, settings: Settings, layout: Layout | None) -> None:
         """Take other thresholds and keys; fingers are found again in the next frame."""
@@ -49,14 +49,13 @@ class Localizer:
     def update(self, baseline: Signal, residuals: Signal | None = None) -> None:
         """Take another baseline, (channels, samples), and residuals that tell its noise, (n, ...); else that stays."""
 
-    def follow(self, detection: Detection) -> Localization | None:  # noqa: ARG002 - there is no finger
+    def follow(self, detection: Detection) -> Localization | None:
         """Return the fingers of the last frame in a touched one, before anything else is looked for in it.
 
         None unless noise is all that they leave of it, beside what they left of the last one: `localize` it then.
         """
-        return None
 
-    def localize(self, detection: Detection, *, alive: bool, complete: bool = False) -> Localization:  # noqa: ARG002
+    def localize(self, detection: Detection, *, alive: bool, complete: bool = False) -> Localization:
         """Return the fingers of a touched frame.
 
         Parameters
@@ -67,12 +66,12 @@ class Localizer:
         complete : bool
             Whether to finish a search for further fingers in this frame, however long it takes.
         """
-        return UNCALIBRATED
+        ...
 
-    def observe(self, detection: Detection) -> Localization:  # noqa: ARG002 - there is no model to follow it
+    def observe(self, detection: Detection) -> Localization:
         """Follow noise and temperature on an untouched frame."""
-        return UNTOUCHED
+        ...
 
-    def spectrum(self, detection: Detection) -> list[float]:  # noqa: ARG002 - there is no model
+    def spectrum(self, detection: Detection) -> list[float]:
         """Return the model's input for a frame."""
-        return []
+        ...

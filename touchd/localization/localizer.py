@@ -8,6 +8,7 @@ from touchd.localization.atlas_localizer import AtlasLocalizer
 from touchd.localization.localization import Localizer
 from touchd.localization.model import Model
 from touchd.localization.network_localizer import NetworkLocalizer
+from touchd.localization.uncalibrated import Uncalibrated
 
 
 def make_localizer(model: Model | None, settings: Settings, layout: Layout | None) -> Localizer:
@@ -16,7 +17,7 @@ def make_localizer(model: Model | None, settings: Settings, layout: Layout | Non
     Without a model nothing is placed.
     """
     if model is None:
-        return Localizer()
+        return Uncalibrated()
     if model.atlas is None:
         return NetworkLocalizer(model, settings, layout)
     return AtlasLocalizer(model, model.atlas, settings, layout)

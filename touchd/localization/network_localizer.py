@@ -16,7 +16,7 @@ from touchd.localization.drift import plate_directions, stretch_matrix
 from touchd.localization.estimator import Estimator, TouchMaker
 from touchd.localization.features import Features, band_bins, windowed_dft
 from touchd.localization.fit_criteria import CRITERIA
-from touchd.localization.localization import UNTOUCHED, Localization, Localizer
+from touchd.localization.localization import UNTOUCHED, Localization
 from touchd.localization.model import Model
 from touchd.localization.stillness import StillFrame
 from touchd.outcome import Outcome
@@ -79,7 +79,7 @@ class PlateMovement:
         return moved < self._most and left <= min(CRITERIA.noise_margin * noise + CRITERIA.plate * moved, moved)
 
 
-class NetworkLocalizer(Localizer):
+class NetworkLocalizer:
     """Runs the network on every touched frame that differs from the last one by more than noise.
 
     Parameters
@@ -89,6 +89,8 @@ class NetworkLocalizer(Localizer):
     layout : Layout, optional
         The keys, in keypad mode.
     """
+
+    stretch: float | None = None
 
     def __init__(self, model: Model, settings: Settings, layout: Layout | None) -> None:
         self._estimator = Estimator(model)
@@ -100,6 +102,9 @@ class NetworkLocalizer(Localizer):
         # The other heads' sigma is the size of a zone or a key, in any frame.
         self._has_sigma = model.description.head == "regression"
         self.configure(settings, layout)
+
+    model_fit: float | None = None
+    """A network cannot tell how well it fits."""
 
     def configure(self, settings: Settings, layout: Layout | None) -> None:
         """Take other thresholds and keys; fingers are found again in the next frame."""
