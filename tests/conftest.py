@@ -26,7 +26,7 @@ for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 
-# A model that is installed on this computer is none of the tests', nor are its pre-rolls theirs.
+# So that no test takes a model that is installed on this computer, or leaves pre-rolls where a person's are.
 _state = tempfile.TemporaryDirectory(prefix="touchd-state-")
 os.environ["STATE_DIRECTORY"] = _state.name
 

@@ -1,6 +1,6 @@
 """`python -m tests.system.bench.audio_cost`: how long a frame takes from an audio interface, beside a USB DAQ's.
 
-Two plates of another simulator are calibrated untouched, one with each device's acquisition, and a fingertip circles on
+Plates of another simulator are calibrated untouched, one with each device's acquisition, and a fingertip circles on
 each. Cards and transfers are fakes at the seams of their libraries, which hand over samples when they are due; from
 there on all is the daemon's. What is counted is the time from the last sample's hand-over until a touch message is
 sent. The daemons take turns; the median of the turns' ratios comes last.
@@ -8,7 +8,6 @@ sent. The daemons take turns; the median of the turns' ratios comes last.
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 import tempfile
@@ -18,29 +17,26 @@ from collections.abc import Callable
 from pathlib import Path
 from statistics import median
 
-for _name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
-    os.environ[_name] = "1"
+import numpy as np
+import zmq
 
-import numpy as np  # noqa: E402 - after its threads are limited
-import zmq  # noqa: E402 - as above
-
-from tests.processes import ROOT, environment  # noqa: E402 - as above
-from touchd.audio.card import Floats, Samples  # noqa: E402 - as above
-from touchd.calibration.calibrate import make_model  # noqa: E402 - as above
-from touchd.config.rigs import AudioSettings  # noqa: E402 - as above
-from touchd.config.schema import LogSettings, Settings  # noqa: E402 - as above
-from touchd.event import Event  # noqa: E402 - as above
-from touchd.lab.benchmark.steady_child import Device  # noqa: E402 - as above
-from touchd.lab.plates import table  # noqa: E402 - as above
-from touchd.lab.plates.cases import make  # noqa: E402 - as above
-from touchd.recording.data import Recording  # noqa: E402 - as above
-from touchd.recording.format import read, write  # noqa: E402 - as above
-from touchd.service.daemon import load_model, make_service  # noqa: E402 - as above
-from touchd.service.log import configure  # noqa: E402 - as above
-from touchd.sinks.zeromq import ZeromqSink  # noqa: E402 - as above
-from touchd.sources.audio import AudioDaq, acquisition_of  # noqa: E402 - as above
-from touchd.sources.live import DaqSource  # noqa: E402 - as above
-from touchd.sources.usb_stream import UsbDaq  # noqa: E402 - as above
+from tests.processes import ROOT, environment
+from touchd.audio.card import Floats, Samples
+from touchd.calibration.calibrate import make_model
+from touchd.config.rigs import AudioSettings
+from touchd.config.schema import LogSettings, Settings
+from touchd.event import Event
+from touchd.lab.benchmark.steady_child import Device
+from touchd.lab.plates import table
+from touchd.lab.plates.cases import make
+from touchd.recording.data import Recording
+from touchd.recording.format import read, write
+from touchd.service.daemon import load_model, make_service
+from touchd.service.log import configure
+from touchd.sinks.zeromq import ZeromqSink
+from touchd.sources.audio import AudioDaq, acquisition_of
+from touchd.sources.live import DaqSource
+from touchd.sources.usb_stream import UsbDaq
 
 CASES = {"usb": "glass-200x200x5", "audio-192": "audio-192", "audio-96": "audio-96"}
 RATE_HZ, LEAD, TURNS = 125, 40, 5
