@@ -61,6 +61,10 @@ FOLLOW = """([left, top, wide, high]) => {
   document.addEventListener('pointerdown', event => event.target.closest('svg, .stage') && finger(event));
   document.addEventListener('pointerup', () => window.finger(''));
 }"""
+LATE = """window.WebSocket = class extends WebSocket {
+  set onmessage(handle) { super.onmessage = event => setTimeout(() => handle(event), 500); }
+};"""
+"""A server whose messages come late: what is clicked before them counts, too."""
 """Has the twin's finger go where the pointer is on the plate's drawing, or on the screen."""
 expect.set_options(timeout=PATIENCE_MS)
 
@@ -257,6 +261,7 @@ def edges(rig: Rig, opened: Page) -> None:
         other.connect(str(rig.folder / "wizard"))
         other.sendall(json.dumps(asked).encode() + b"\n")
         assert json.loads(other.recv(1000))["ok"]
+    opened.add_init_script(LATE)
     opened.reload()
     opened.get_by_role("button", name="1 Measures").click()
     expect(opened.locator('[name="edge.left"]')).to_have_value("tape")

@@ -191,7 +191,7 @@ export function mount(root, page) {
     if (state.tapping) timer = setTimeout(() => { unseen = true; update(feed.last.calibrate); }, UNSEEN_MS);
   }
 
-  for (const each of panels) each.hidden = true;
+  for (const each of [steps, ...panels]) each.hidden = true; // a step chosen before the first state came would be forgotten
   const end = feed.on('calibrate', update);
   return () => { clearTimeout(timer); overlay.remove(); end(); };
 }
