@@ -22,26 +22,27 @@ import zmq
 
 from tests.processes import ROOT, environment
 from touchd.audio.card import Floats, Samples
+from touchd.audio.waveform import periods_of
 from touchd.calibration.calibrate import make_model
 from touchd.config.rigs import AudioSettings
 from touchd.config.schema import LogSettings, Settings
-from touchd.event import Event
+from touchd.event import Event, TouchEvent
+from touchd.frame import Acquisition
 from touchd.lab.benchmark.steady_child import Device
 from touchd.lab.plates import table
 from touchd.lab.plates.cases import make
-from touchd.recording.data import Recording
-from touchd.recording.format import read, write
 from touchd.service.daemon import load_model, make_service
 from touchd.service.log import configure
 from touchd.sinks.zeromq import ZeromqSink
-from touchd.sources.audio import AudioDaq, acquisition_of
+from touchd.sources.audio import AWAY_S, AudioDaq, acquisition_of
 from touchd.sources.live import DaqSource
 from touchd.sources.usb_stream import UsbDaq
 
 CASES = {"usb": "glass-200x200x5", "audio-192": "audio-192", "audio-96": "audio-96"}
-RATE_HZ, LEAD, TURNS = 125, 40, 5
-WARM_S, SECONDS = 3.0, 6.0
+RATE_HZ, LEAD, TURNS = 125, 250, 5
+WARM_S, SECONDS = 4.0, 6.0
 BLOCK_S = 1e-3
+NOISE_COUNTS = 6.0
 AUDIO = {
     "audio-192": AudioSettings(sample_rate_hz=192_000, band_hz=(20e3, 85e3), chirp_s=4e-3),
     "audio-96": AudioSettings(sample_rate_hz=96_000, band_hz=(15e3, 44e3), chirp_s=1e-3),
@@ -53,10 +54,14 @@ class PacedCard:
 
     name, due_ns = "hw:CARD=Paced", 0
 
-    def __init__(self, recording: Recording) -> None:
-        frames, a = recording.frames, recording.acquisition
+    def __init__(self, frames: Samples, a: Acquisition) -> None:
+        _, chirps = periods_of(a, RATE_HZ)
         there = frames[LEAD:]
-        played = np.concatenate([frames[:LEAD], *[there, there[-2:0:-1]] * 40])
+        played = np.concatenate([frames[:LEAD], *[there, there[-2:0:-1]] * 10])
+        # A frame is the mean of its chirps, whichever is its first: each has noise of its own.
+        played = np.repeat(played, chirps, axis=0)
+        noise = np.random.default_rng(0).normal(0, NOISE_COUNTS, (50, *a.shape)).astype(np.int16)
+        played += np.resize(noise, played.shape)
         delayed = np.zeros((137, a.channels), np.int16)
         self._captured: Samples = np.concatenate([delayed, played.transpose(0, 2, 1).reshape(-1, a.channels)])
         self.rate_hz, self.inputs = round(a.sample_rate_hz), a.channels
@@ -84,21 +89,19 @@ class PacedCard:
         """Do nothing."""
 
 
-def source_of(
-    kind: str, recording: Recording, settings: Settings, reference: Floats
-) -> tuple[DaqSource, Callable[[], int]]:
+def source_of(kind: str, frames: Samples, settings: Settings, reference: Floats) -> tuple[DaqSource, Callable[[], int]]:
     """Return a device as a source, and what tells when its last samples were due, ns."""
     if kind == "usb":
-        device = Device(recording.frames, LEAD)
+        device = Device(frames, LEAD)
         device.go.set()
         usb = UsbDaq(device)
         source = DaqSource(lambda: iter([lambda: usb]), settings.device, usb.acquisition, lambda _: None)
         return source, lambda: device.due_ns[-1]
-    card, a = PacedCard(recording), acquisition_of(AUDIO[kind])
+    a = acquisition_of(AUDIO[kind])
+    card = PacedCard(frames, a)
     audio = AudioDaq(card, AUDIO[kind], a, reference)
-    return DaqSource(
-        lambda: iter([lambda: audio]), settings.device, a, lambda _: None, direct=False
-    ), lambda: card.due_ns  # fmt: skip
+    source = DaqSource(lambda: iter([lambda: audio]), settings.device, a, lambda _: None, away_s=AWAY_S)
+    return source, lambda: card.due_ns
 
 
 def run(kind: str, folder: Path) -> float:
@@ -112,8 +115,8 @@ def run(kind: str, folder: Path) -> float:
     model = load_model(settings)
     assert model is not None
     assert model.atlas is not None
-    recording = read(folder / kind / "circle.npz")
-    source, due_ns = source_of(kind, recording, settings, model.atlas.baseline.astype(np.float64))
+    frames: Samples = np.load(folder / kind / "circle.npy")
+    source, due_ns = source_of(kind, frames, settings, model.atlas.baseline.astype(np.float64))
     bus = ZeromqSink(settings.bus)
     service = make_service(source, [bus], settings, model)
     threading.Thread(target=_listen, args=(address,), daemon=True).start()
@@ -123,7 +126,7 @@ def run(kind: str, folder: Path) -> float:
     def noted(event: Event, received_ns: int) -> None:
         publish(event, received_ns)
         gone_s = time.monotonic() - began_s
-        if gone_s > WARM_S:
+        if gone_s > WARM_S and isinstance(event, TouchEvent):
             took_us.append((time.monotonic_ns() - due_ns()) * 1e-3)
         if gone_s > WARM_S + SECONDS:
             service.stop()
@@ -136,20 +139,24 @@ def run(kind: str, folder: Path) -> float:
 def _listen(address: str) -> None:
     with zmq.Context() as context, context.socket(zmq.SUB) as socket:
         socket.connect(address)
-        socket.subscribe(b"")
+        socket.subscribe(b"touch")
         while True:
             socket.recv_multipart()
 
 
 def prepare(kind: str, folder: Path) -> None:
-    """Calibrate the plate of a device, and let a fingertip circle on it."""
+    """Calibrate the plate of a device, and let a fingertip circle on it, once a start has learned the untouched."""
     from touchd.twin.simulate import simulate_scene
 
     (folder / kind).mkdir()
     made = make(CASES[kind], 0)
     make_model(table.calibrate(made, 0), folder / kind / "plate.onnx")
     circle = simulate_scene("circle", instrument=made.instrument, electronics=made.electronics, seed=11)
-    write(folder / kind / "circle.npz", circle)
+    assert circle.contacts_mm is not None
+    down = np.flatnonzero(np.isfinite(circle.contacts_mm[:, 0, 0]))
+    untouched = np.tile(circle.frames[: down[0]].mean(axis=0).astype(np.int16), (LEAD, 1, 1))
+    untouched += np.random.default_rng(1).normal(0, NOISE_COUNTS, untouched.shape).astype(np.int16)
+    np.save(folder / kind / "circle.npy", np.concatenate([untouched, circle.frames[down[0] : down[-1]]]))
 
 
 def main() -> None:
