@@ -33,7 +33,10 @@ WIDTH, STEADY_WIDTH = 150, 225
 @click.option(
     "--from", "given", type=click.Path(path_type=Path), metavar="FILE", help="Show a stored run instead of measuring."
 )
-@click.option("--models", type=click.Path(path_type=Path), help="Folder of the models.  [default: shipped]")
+@click.option(
+    "--models", type=click.Path(path_type=Path), metavar="PATH",
+    help="Folder of the models, or one model of the example plate, by its own acquisition.  [default: shipped]",
+)  # fmt: skip
 @click.option(
     "--also", type=click.Path(path_type=Path), multiple=True, metavar="FILE",
     help="Benchmark this model for the example rig too; repeatable.",

@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
 from tests.processes import PATIENCE_S, touchd
+from touchd.calibration.calibrate import fit_recording, make_model
+from touchd.calibration.plate_file import check_plate_file
+from touchd.frame import ACQUISITIONS
 from touchd.lab.benchmark import results
 from touchd.lab.benchmark.estimators import NETWORKS
 from touchd.lab.benchmark.results import EstimatorResult, Run
 from touchd.lab.benchmark.scenes import WANTED
 from touchd.lab.benchmark.tables import BUDGETS, Budget
 from touchd.localization.model import default_model_path
+from touchd.twin.instrument import Instrument
+from touchd.twin.simulate import DEFAULT_PLATE, simulate_scene
 
 MARGIN = 2.0
 
@@ -81,6 +88,26 @@ def test_full_speed(quick: Run) -> None:
     for cell in quick.daemon:
         assert cell.lost == 0, cell.scene
         assert (cell.messages > 0) == (cell.scene != "idle"), cell.scene
+
+
+def test_a_model_of_another_device(tmp_path: Path) -> None:
+    """One model alone is measured by its own acquisition, here an audio interface's."""
+    instrument = Instrument(DEFAULT_PLATE, acquisition=ACQUISITIONS["audio-96"])
+    centres_mm = instrument.layout.centres_mm.tolist()
+    said = check_plate_file({
+        "plate": {"width_mm": 200.0, "height_mm": 200.0, "thickness_mm": 5.0, "material": "glass"},
+        "discs": {"diameter_mm": 10.0, "emitter_mm": centres_mm[0], "receivers_mm": centres_mm[1:]},
+    })  # fmt: skip
+    path = tmp_path / "audio.onnx"
+    make_model(fit_recording(simulate_scene("idle", frames=200, instrument=instrument, seed=1), said), path)
+    done = touchd("benchmark", "--quick", "--models", path, "--json", tmp_path / "run.json", patience_s=5 * PATIENCE_S)
+    assert done.code == 0, done.err
+    run = results.load(tmp_path / "run.json")
+    found = {one.name: one for one in run.estimators}
+    assert found.keys() == {"audio", "atlas, touch-down", "atlas, tracking"}
+    assert found["atlas, tracking"].median_mm < 0.3
+    assert found["atlas, tracking"].missed == 0
+    assert [cell.scene for cell in run.daemon if cell.messages] == ["still", "moving", "two fingers"]
 
 
 def test_floor(found: dict[str, EstimatorResult]) -> None:

@@ -62,7 +62,8 @@ def benchmark(models: Path, *, quick: bool, progress: Progress, also: Sequence[P
     Parameters
     ----------
     models : Path
-        Folder of the networks; the default one may have an atlas beside it.
+        Folder of the networks, of which the default one may have an atlas beside it; or one model of the example plate,
+        by its own acquisition.
     quick : bool
         Measure in about 20 s: fewer touches, the daemon at full speed only.
     progress : callable
@@ -74,7 +75,7 @@ def benchmark(models: Path, *, quick: bool, progress: Progress, also: Sequence[P
     ModelMissing
         A network's file does not exist.
     ModelMismatch
-        A network expects another acquisition.
+        A network of `also` expects another acquisition.
     JobError
         The daemon fails.
     """
@@ -82,12 +83,19 @@ def benchmark(models: Path, *, quick: bool, progress: Progress, also: Sequence[P
     begun_s = time.monotonic()
     machine = this_machine()
     progress("simulating touches", 0.0)
-    instrument = Instrument(DEFAULT_PLATE)
+    alone = models.is_file()
+    networks = [models] if alone else [_path(models, name) for name in NETWORKS]
+    runs = dict.fromkeys(WANTED, networks[0])
+    if alone:
+        del runs[KEYPAD]
+    else:
+        runs[KEYPAD] = _path(models, KEYPAD)
+    instrument = Instrument(DEFAULT_PLATE, acquisition=Model(networks[0]).description.acquisition)
     blocks = held_out(scale.touches, instrument)
     with tempfile.TemporaryDirectory(prefix="touchd-benchmark-") as name:
         folder = Path(name)
         bare = write_bare(folder / "bare.onnx")
-        estimators = _estimators(models, also, instrument)
+        estimators = _estimators(networks, also, instrument)
         progress("estimators", 0.1)
         with undisturbed():
             bare_us, found = race(
@@ -95,11 +103,11 @@ def benchmark(models: Path, *, quick: bool, progress: Progress, also: Sequence[P
                 lambda: progress("estimators", 0.2),
             )  # fmt: skip
         progress("simulating scenes", 0.4)
-        loops = {scene: make_loop(scene, instrument) for scene in WANTED}
-        cells, tails = _cells(models, bare, scale, loops, progress)
+        loops = {scene: make_loop(scene, instrument) for scene in runs}
+        cells, tails = _cells(runs, bare, scale, loops, progress)
     progress("skips", 0.9)
     with undisturbed():
-        saved = skips.measure(loops, _path(models, NETWORKS[0]), scale.skip_rounds, lambda: progress("skips", 0.95))
+        saved = skips.measure(loops, networks[0], scale.skip_rounds, lambda: progress("skips", 0.95))
     left_out = ("the daemon at steady rates, in a quick run",) if quick else ()
     tracking = skips.tracking({one.name: one for one in found})
     return Run(
@@ -115,12 +123,12 @@ def benchmark(models: Path, *, quick: bool, progress: Progress, also: Sequence[P
     )  # fmt: skip
 
 
-def _estimators(models: Path, also: Sequence[Path], instrument: Instrument) -> list[Estimator]:
-    """Return the shipped networks, the default one with its atlas, and those of `also` by their file names."""
+def _estimators(networks: Sequence[Path], also: Sequence[Path], instrument: Instrument) -> list[Estimator]:
+    """Return the networks, those with an atlas with it, and those of `also`, by their file names."""
     made: list[Estimator] = []
-    for name in NETWORKS:
-        model = Model(_path(models, name))
-        made.append(network(model, name))
+    for path in networks:
+        model = Model(path)
+        made.append(network(model, path.stem))
         if model.atlas is not None:
             made += atlases(model, model.atlas)
     for path in also:
@@ -133,9 +141,9 @@ def _estimators(models: Path, also: Sequence[Path], instrument: Instrument) -> l
 
 
 def _cells(
-    models: Path, bare: Path, scale: Scale, loops: dict[str, Loop], progress: Progress
+    models: dict[str, Path], bare: Path, scale: Scale, loops: dict[str, Loop], progress: Progress
 ) -> tuple[list[DaemonResult], latency.Tails | None]:
-    """Run the daemon through every scene at every rate, and the bus alone."""
+    """Run the daemon through every scene at every rate, with the scene's model, and the bus alone."""
     wanted = [
         (scene, rate_hz)
         for scene in loops for rate_hz in scale.rates_hz if scene != KEYPAD or rate_hz in KEYPAD_RATES_HZ
@@ -147,7 +155,7 @@ def _cells(
         progress(f"daemon: {scene}, {rate}", 0.4 + 0.5 * number / len(wanted))
         cell = partial(
             daemon.measure, scene, loops[scene], rate_hz, scale.full_speed_s if rate_hz is None else scale.cell_s,
-            model=_path(models, KEYPAD if scene == KEYPAD else NETWORKS[0]), bare=bare, folder=bare.parent,
+            model=models[scene], bare=bare, folder=bare.parent,
         )  # fmt: skip
         if (scene, rate_hz) == latency.TAIL:
             tails = latency.measure(cell, scale.cell_s, bare.parent)

@@ -71,7 +71,7 @@ class _Played:
         """Return the messages of a frame, as the service makes them."""
         result = self._pipeline.process(frame)
         if result.contacts or result.touches:
-            return self._messages.make(result, self._pipeline.spectrum)
+            return list(self._messages.make(result, self._pipeline.spectrum))
         return []
 
 
