@@ -150,6 +150,6 @@ def played(path: Path, model: Model, *, still: bool, count: Counter) -> tuple[in
         with count.counting():
             frame = next(coming)
             assert frame is not None
-            events += len(messages.make(pipeline.process(frame), pipeline.spectrum))
+            events += sum(1 for _ in messages.make(pipeline.process(frame), pipeline.spectrum))
         frames += bool(count.sizes)
     return frames, counters.inferred + counters.skipped["tracking"] - before, events

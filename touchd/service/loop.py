@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 import structlog
 
@@ -140,8 +140,8 @@ class Service:
                 if self._state != self._flowing:
                     self._enter(self._flowing)
                 result = pipeline.process(frame)
-                if (result.contacts or result.touches) and (events := self._messages.make(result, pipeline.spectrum)):
-                    self._publish(events, frame.received_ns)
+                if result.contacts or result.touches:
+                    self._publish(self._messages.make(result, pipeline.spectrum), frame.received_ns)
                 if labelled is not None and (true := self._messages.truth(frame, labelled)) is not None:
                     self._hand(true, frame.received_ns)
                 if preroll is not None:
@@ -242,10 +242,11 @@ class Service:
         result = self.pipeline.release(self._stream_ns)
         self._publish(self._messages.make(result, self.pipeline.spectrum), now_ns)
 
-    def _publish(self, events: Sequence[Event], received_ns: int) -> None:
+    def _publish(self, events: Iterable[Event], received_ns: int) -> None:
+        event = None
         for event in events:
             self._hand(event, received_ns)
-        if events:
+        if event is not None:
             self._health.add_latency((self._clock() - received_ns) * 1e-3)
 
     def _hand(self, event: Event, received_ns: int) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from datetime import UTC, datetime
 from itertools import count
 
@@ -15,8 +15,6 @@ from touchd.pipeline import Result
 from touchd.service.frame_feed import FeedDescription
 from touchd.sinks.sink import Sink
 from touchd.sources.source import Labelled
-
-_NOTHING: list[Event] = []
 
 
 class Messages:
@@ -49,29 +47,29 @@ class Messages:
         self.wants = self._asked if settings.skip.unheard else lambda _topic: True
         """Returns whether messages of a topic are made."""
 
-    def make(self, result: Result, spectrum: Callable[[], list[float]]) -> list[Event]:
-        """Return the messages that are due for a result; `spectrum` returns the frame's features.
+    def make(self, result: Result, spectrum: Callable[[], list[float]]) -> Iterator[Event]:
+        """Yield the messages that are due for a result; `spectrum` returns the frame's features.
+
+        The spectrum comes last, and is taken once the others are sent: it may take as long as all else of a frame.
 
         A contact that goes down or comes up always has its message: subscribers to come, keys and the pre-roll rely on
         it. A movement that nobody wants is skipped and counted; the next message has the contact's position.
         """
         t_ns, frame, contacts = result.t_ns, result.sequence, result.contacts
-        events = _NOTHING
         if contacts:
             if self.wants("touch") or is_change(contacts):
                 wall = self._wall(t_ns)
-                events = [TouchEvent(self._device, next(self._seq["touch"]), t_ns, wall, frame, contacts)]
+                yield TouchEvent(self._device, next(self._seq["touch"]), t_ns, wall, frame, contacts)
                 for key in result.keys:
                     seq = next(self._seq["key"])
-                    events.append(KeyEvent(self._device, seq, t_ns, wall, key.key, key.phase, key.confidence))
+                    yield KeyEvent(self._device, seq, t_ns, wall, key.key, key.phase, key.confidence)
             else:
                 self.unheard["touch"] += 1
         if result.touches:
             if self.wants("spectrum"):
-                events = [*events, SpectrumEvent(*self.stamp("spectrum", t_ns), frame, spectrum())]
+                yield SpectrumEvent(*self.stamp("spectrum", t_ns), frame, spectrum())
             else:
                 self.unheard["spectrum"] += 1
-        return events
 
     def plate(self, d: FeedDescription, layout: Layout | None, t_ns: int) -> PlateEvent:
         """Return the message that says what is measured, by its description and the keys."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from datetime import UTC, datetime
 
 import pytest
@@ -31,8 +31,14 @@ class Run:
 
     def events(self, messages: Messages, part: slice = slice(None)) -> list[Event]:
         """The messages of some frames."""
-        pipeline = self._pipeline
-        return [e for frame in self.frames[part] for e in messages.make(pipeline.process(frame), pipeline.spectrum)]
+        return list(self.each(messages, part))
+
+    def each(
+        self, messages: Messages, part: slice = slice(None), spectrum: Callable[[], list[float]] | None = None
+    ) -> Iterator[Event]:
+        """The messages of some frames, each as soon as it is made."""
+        for frame in self.frames[part]:
+            yield from messages.make(self._pipeline.process(frame), spectrum or self._pipeline.spectrum)
 
 
 @pytest.fixture
@@ -82,6 +88,16 @@ def test_spectrum(play: Callable[[str], Run], model: Model) -> None:
     assert spectra
     assert {len(event.features) for event in spectra} == {model.description.inputs}
     assert spectra[0].seq == 1
+
+
+def test_a_touch_does_not_wait_for_the_spectrum(play: Callable[[str], Run]) -> None:
+    """The spectrum is taken once the frame's other messages are out."""
+    run, out = play("tap"), [""]
+    for event in run.each(make(), spectrum=lambda: [float(out[-1] == "touch")]):
+        if isinstance(event, SpectrumEvent) and event.features == [1.0]:
+            return
+        out.append(event.type)
+    raise AssertionError("no spectrum after a touch")
 
 
 def test_unheard(play: Callable[[str], Run]) -> None:
