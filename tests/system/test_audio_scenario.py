@@ -22,7 +22,7 @@ from touchd.localization.model import Model
 from touchd.recording.format import read
 from touchd.service.daemon import make_service
 from touchd.sinks.zeromq import ZeromqSink
-from touchd.sources.audio import AWAY_S, AudioDaq
+from touchd.sources.audio import AudioDaq
 from touchd.sources.daq import DaqAbsent, Waits
 from touchd.sources.live import DaqSource
 
@@ -97,7 +97,7 @@ def test_scenario(tmp_path: Path, atlas_model: Model) -> None:
 
     source = DaqSource(
         lambda: iter([connect]), device, atlas_model.description.acquisition, lambda _: None,
-        waits=Waits(0.01, 1e-3, 2e-3), clock=card.clock, away_s=AWAY_S,
+        waits=Waits(0.01, 1e-3, 2e-3), clock=card.clock, direct=False,
     )  # fmt: skip
     service = make_service(source, [ZeromqSink(settings.bus)], settings, atlas_model, clock=card.clock)
     thread = threading.Thread(target=service.run)

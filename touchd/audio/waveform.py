@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.chirp import waveform
-from touchd.config.schema import DeviceSettings
 from touchd.errors import ConfigError
 from touchd.frame import Acquisition, Chirp
 
@@ -42,14 +41,6 @@ def _period(acquisition: Acquisition) -> int | None:
     """Return the samples from chirp to chirp in steady state."""
     period_s = acquisition.chirp.period_s
     return None if period_s is None else round(period_s * acquisition.sample_rate_hz)
-
-
-def rate_of(acquisition: Acquisition, settings: DeviceSettings) -> int:
-    """Return the frame rate that is set; if none is, the one nearest to the default that whole chirps fill, Hz."""
-    default_hz = settings.rate_hz
-    if "rate_hz" in settings.model_fields_set:
-        return default_hz
-    return min(rates_of(acquisition), key=lambda rate_hz: abs(rate_hz - default_hz), default=default_hz)
 
 
 def loop_of(chirp: Chirp, rate_hz: float, period: int, level_dbfs: float) -> Floats:

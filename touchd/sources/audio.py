@@ -20,9 +20,9 @@ from touchd.audio.card import Card, CardAbsent, CardGone, CardXrun, Samples
 from touchd.audio.delay import Delay, Doubtful, by_loopback, by_onset, by_reference, check_discs
 from touchd.audio.highpass import HighPass
 from touchd.audio.response import Watch, check_band
-from touchd.audio.waveform import loop_of, moved, periods_of, rate_of
+from touchd.audio.waveform import loop_of, moved, periods_of, rates_of
 from touchd.config.rigs import AudioSettings
-from touchd.config.schema import Settings
+from touchd.config.schema import DeviceSettings, Settings
 from touchd.errors import ConfigError
 from touchd.frame import Acquisition, Chirp
 from touchd.localization.model import Model
@@ -40,8 +40,6 @@ START_S = 1.0
 """A card that brings no frame for this long after its start will bring none: the delay is found by then."""
 STILL_SAMPLES = 5e-4
 """A smaller fraction is left as it is."""
-AWAY_S = 0.03
-"""The playback, `AHEAD_S` ahead, would run dry if nobody read for three times as long."""
 _MOST_MOVES = 3
 _ALIVE = 0.5
 """Correlation with the reference above which a channel is watched."""
@@ -61,6 +59,14 @@ def acquisition_of(settings: AudioSettings) -> Acquisition:
         channels=len(settings.channels), samples=round(settings.chirp_s * rate_hz), sample_rate_hz=rate_hz,
         full_scale_v=1.0, chirp=chirp,
     )  # fmt: skip
+
+
+def rate_of(acquisition: Acquisition, settings: DeviceSettings) -> int:
+    """Return the frame rate that is set; if none is, the one nearest to the default that whole chirps fill, Hz."""
+    default_hz = settings.rate_hz
+    if "rate_hz" in settings.model_fields_set:
+        return default_hz
+    return min(rates_of(acquisition), key=lambda rate_hz: abs(rate_hz - default_hz), default=default_hz)
 
 
 class AudioDaq:
@@ -116,13 +122,6 @@ class AudioDaq:
 
     def read(self, timeout_s: float) -> DaqFrame | None:
         """Return the next frame, or one that is withheld; None if none is complete in time."""
-        until_ns = self._clock() + round(1e9 * timeout_s)
-        while (frame := self._advance(timeout_s)) is None and (left_ns := until_ns - self._clock()) > 0:
-            timeout_s = left_ns * 1e-9
-        return frame
-
-    def _advance(self, timeout_s: float) -> DaqFrame | None:
-        """Take a block of samples, unless those of a frame wait; return what that completes."""
         if not self._capture.has(self._needed):
             try:
                 block = self._card.exchange(timeout_s)
@@ -297,4 +296,4 @@ def open_audio(
             raise DaqAbsent(str(absent)) from absent
         return AudioDaq(card, audio, acquisition, reference, clock)
 
-    return DaqSource(lambda: iter([connect]), device, acquisition, lambda _: None, clock=clock, away_s=AWAY_S)
+    return DaqSource(lambda: iter([connect]), device, acquisition, lambda _: None, clock=clock, direct=False)

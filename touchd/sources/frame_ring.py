@@ -13,7 +13,6 @@ from touchd.frame import Counts, Frame
 from touchd.sources.daq import Daq, DaqFrame
 
 Mark = TypeVar("Mark")
-Taken = TypeVar("Taken")
 
 
 class _Waiting(NamedTuple):
@@ -106,18 +105,11 @@ class Lending:
 
     So a frame wakes one thread instead of two. A read that returns no frame in time ends the loan, and the keeper
     handles the cause.
-
-    Parameters
-    ----------
-    away_s : float, optional
-        A borrower that does not read for this long, or twice as long at most, has the DAQ no more.
     """
 
-    def __init__(self, away_s: float | None = None) -> None:
+    def __init__(self) -> None:
         self.lent: Daq | None = None
         """The DAQ while it is lent."""
-        self._away_s = away_s
-        self._reads = 0
         self._back = threading.Event()
         self._reading = threading.Lock()
         self._error: BaseException | None = None
@@ -129,20 +121,17 @@ class Lending:
         if not self._closed:
             self.lent = daq
             announce()
-            reads = -1
-            while not self._back.wait(self._away_s) and (self._reading.locked() or self._reads != reads):
-                reads = self._reads
+            self._back.wait()
         self.lent = None
         with self._reading:  # the last read has ended
             error, self._error = self._error, None
         if error is not None:
             raise error
 
-    def read(self, timeout_s: float, take: Callable[[DaqFrame | None], Taken]) -> Taken | None:
-        """Return what `take` makes of the next frame, or of None, which ends the loan; None if that has ended."""
+    def read(self, timeout_s: float) -> DaqFrame | None:
+        """Return the next frame; None ends the loan."""
         frame = None
         with self._reading:
-            self._reads += 1
             daq = self.lent
             if daq is None:
                 return None
@@ -153,7 +142,7 @@ class Lending:
             if frame is None:
                 self.lent = None
                 self._back.set()
-            return take(frame)
+        return frame
 
     def close(self) -> None:
         """Give the DAQ back; it is lent no more."""

@@ -57,8 +57,8 @@ class DaqSource:
         Serial number and firmware, if the device was open before.
     clock : callable
         Monotonic time, ns.
-    away_s : float, optional
-        A device that cannot wait is taken back from a caller of `read` that stays away for this long.
+    direct : bool
+        The caller of `read` may read the device, which can wait for it.
     """
 
     def __init__(
@@ -71,7 +71,7 @@ class DaqSource:
         *,
         waits: Waits = WAITS,
         clock: Callable[[], int] = time.monotonic_ns,
-        away_s: float | None = None,
+        direct: bool = True,
     ) -> None:
         self.acquisition, self.rate_hz = acquisition, settings.rate_hz
         self._intake = Intake(settings.rate_hz)
@@ -82,12 +82,12 @@ class DaqSource:
         self._search = DeviceSearch(candidates, settings, check)
         self._stall_ns = round(settings.stall_s * 1e9)
         self._rate_hz = settings.rate_hz
-        self._lending = Lending(away_s)
+        self._lending = Lending()
         self._streaming: Daq | None = None
         self._commanding = threading.Lock()  # of `_streaming`: no device is closed while it is commanded
         self._ring: FrameRing[Change] = FrameRing(settings.queue_frames, acquisition.shape)
         self._state: State = "starting"
-        self._reason, self._wanted = "", False
+        self._reason, self._direct, self._wanted = "", direct, False
         self._alive_ns = self._seen_ns = clock()
         self._fruitless = 0  # connections in a row that brought no frame
         self._clock_fault: str | None = None
@@ -117,16 +117,13 @@ class DaqSource:
                 return frame if lent is not None else self._checked(frame)
         wait_s = max(timeout_s, _STALL_FRAMES / self._rate_hz)  # a loan does not end between two frames
         away_ns = self._clock() - self._alive_ns
-
-        def take(found: DaqFrame | None) -> Frame | None:
-            self._alive_ns = self._clock()  # the thread sleeps meanwhile
-            self._intake.count_corrupt(lent)
-            if found is None:
-                return None
-            self._seen_ns = self._alive_ns
-            return self._take(found, self._seen_ns, away_ns=away_ns, direct=True)
-
-        return self._lending.read(wait_s, take)
+        found = self._lending.read(wait_s)
+        self._alive_ns = self._clock()  # the thread sleeps meanwhile
+        self._intake.count_corrupt(lent)
+        if found is None:
+            return None
+        self._seen_ns = self._alive_ns
+        return self._take(found, self._seen_ns, away_ns=away_ns, direct=True)
 
     def _checked(self, frame: Frame | None) -> Frame | None:
         """Return what came from the thread, unless it can bring no more."""
@@ -220,7 +217,7 @@ class DaqSource:
                     self._fruitless = 0
                     self._search.keep()
                 # Not to a caller that is busy: the device would keep a few frames for it, the ring keeps many.
-                if self._wanted and frames >= _STEADY_FRAMES and self._settings.rate_hz <= _DIRECT_HZ:
+                if self._direct and self._wanted and frames >= _STEADY_FRAMES and self._settings.rate_hz <= _DIRECT_HZ:
                     frames, self._wanted = 0, False
                     self._lending.lend(daq, self._ring.wake)
             elif now_ns - self._seen_ns > max(self._stall_ns, _STALL_FRAMES * 1e9 / self._rate_hz):

@@ -34,7 +34,7 @@ from touchd.lab.plates.cases import make
 from touchd.service.daemon import load_model, make_service
 from touchd.service.log import configure
 from touchd.sinks.zeromq import ZeromqSink
-from touchd.sources.audio import AWAY_S, AudioDaq, acquisition_of
+from touchd.sources.audio import AudioDaq, acquisition_of
 from touchd.sources.live import DaqSource
 from touchd.sources.usb_stream import UsbDaq
 
@@ -100,7 +100,7 @@ def source_of(kind: str, frames: Samples, settings: Settings, reference: Floats)
     a = acquisition_of(AUDIO[kind])
     card = PacedCard(frames, a)
     audio = AudioDaq(card, AUDIO[kind], a, reference)
-    source = DaqSource(lambda: iter([lambda: audio]), settings.device, a, lambda _: None, away_s=AWAY_S)
+    source = DaqSource(lambda: iter([lambda: audio]), settings.device, a, lambda _: None, direct=False)
     return source, lambda: card.due_ns
 
 

@@ -25,7 +25,7 @@ from touchd.config.schema import DeviceSettings, LogSettings  # noqa: E402 - as 
 from touchd.localization.model import Model, default_model_path  # noqa: E402 - as above
 from touchd.recording.format import read  # noqa: E402 - as above
 from touchd.service.log import configure  # noqa: E402 - as above
-from touchd.sources.audio import AWAY_S, AudioDaq  # noqa: E402 - as above
+from touchd.sources.audio import AudioDaq  # noqa: E402 - as above
 from touchd.sources.daq import DaqAbsent, Waits  # noqa: E402 - as above
 from touchd.sources.live import DaqSource  # noqa: E402 - as above
 
@@ -111,7 +111,7 @@ def run(count: int, xrun_every: int = 5003, unplug_every: int = 20_011) -> Resul
     source = DaqSource(
         lambda: iter([lambda: AudioDaq(card.open(), SETTINGS, session.acquisition, reference, card.clock)]),
         DeviceSettings(queue_frames=200), session.acquisition, lambda _: None,
-        waits=Waits(0.01, 1e-3, 2e-3), clock=card.clock, away_s=AWAY_S,
+        waits=Waits(0.01, 1e-3, 2e-3), clock=card.clock, direct=False,
     )  # fmt: skip
     # What each period looks like once it is cut: the nearest says which one a frame is.
     whole = np.zeros((BANK, len(mean), PERIOD))

@@ -13,7 +13,7 @@ from tests.audiocard import FakeCard, answers
 from tests.processes import PATIENCE_S
 from touchd.audio.card import Card, CardAbsent
 from touchd.audio.highpass import HighPass
-from touchd.audio.waveform import loop_of, periods_of, rate_of, rates_of
+from touchd.audio.waveform import loop_of, periods_of, rates_of
 from touchd.cli.demo import SESSION
 from touchd.config.rigs import AudioSettings
 from touchd.config.schema import DeviceSettings, Settings
@@ -22,7 +22,7 @@ from touchd.frame import ACQUISITIONS, Frame
 from touchd.localization.model import Model, default_model_path
 from touchd.pipeline import Pipeline
 from touchd.recording.format import read
-from touchd.sources.audio import AWAY_S, AudioDaq, acquisition_of, open_audio
+from touchd.sources.audio import AudioDaq, acquisition_of, open_audio, rate_of
 from touchd.sources.daq import DaqAbsent, DaqFrame, DaqGone, Waits
 from touchd.sources.live import DaqSource
 from touchd.twin.instrument import REFERENCE_C, Instrument
@@ -106,7 +106,7 @@ def source_of(card: FakeCard, reference: np.ndarray | None, settings: AudioSetti
 
     source = DaqSource(
         lambda: iter([connect]), DeviceSettings(queue_frames=10_000), ACQUISITION, lambda _: None,
-        waits=Waits(0.01, 1e-3, 2e-3), clock=card.clock, away_s=AWAY_S,
+        waits=Waits(0.01, 1e-3, 2e-3), clock=card.clock, direct=False,
     )  # fmt: skip
     try:
         yield source
@@ -200,7 +200,7 @@ def test_lower_rate(reference: np.ndarray) -> None:
     found += frames(daq, 1)
     passed_ns = card.clock()
     for _ in range(60):
-        assert daq.read(0.0) is None
+        assert daq.read(0.1) is None
     card.xrun = True
     lost = frames(daq, 60)
     while lost[-1].withheld:

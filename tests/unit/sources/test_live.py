@@ -148,15 +148,12 @@ class Steady(Stubborn):
 class Reading:
     """A source on a steady device, read until something is so."""
 
-    def __init__(
-        self, waits: Waits = AT_ONCE, clock: Callable[[], int] = time.monotonic_ns, away_s: float | None = None,
-        **settings: float,
-    ) -> None:  # fmt: skip
+    def __init__(self, waits: Waits = AT_ONCE, clock: Callable[[], int] = time.monotonic_ns, **settings: float) -> None:
         self.daq = Steady()
         chosen = DeviceSettings.model_validate({"stall_s": 0.05, **settings})
         self.opened = 0
         self.source = DaqSource(
-            lambda: iter([self.open]), chosen, ACQUISITION, lambda _: None, waits=waits, clock=clock, away_s=away_s
+            lambda: iter([self.open]), chosen, ACQUISITION, lambda _: None, waits=waits, clock=clock
         )
         self.numbers: list[int] = []
         self.states: list[str] = []
@@ -260,19 +257,6 @@ def test_no_answer(reading: Callable[..., Reading]) -> None:
     count = len(one.numbers)
     one.until(lambda: len(one.numbers) > count + 5)
     assert one.states == ["streaming"]
-
-
-def test_a_device_that_cannot_wait(reading: Callable[..., Reading]) -> None:
-    """From a caller that stays away the thread takes the device back; no frame is lost, and the caller has it again."""
-    one = reading(away_s=0.01, queue_frames=10_000)
-    one.until_direct()
-    count, end_s = len(one.daq.readers), time.monotonic() + PATIENCE_S
-    while len(one.daq.readers) < count + 20:
-        assert time.monotonic() < end_s, "nobody reads the device while the caller is away"
-        time.sleep(0.01)
-    assert set(one.daq.readers[count:]) == {"touchd-daq"}
-    one.until_direct()
-    assert one.numbers == list(range(1, len(one.numbers) + 1))
 
 
 def test_high_rate(reading: Callable[..., Reading]) -> None:
