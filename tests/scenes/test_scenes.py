@@ -50,6 +50,24 @@ def test_every_touch_is_found_once_and_nothing_else(name: str, seed: int, instru
     assert np.median(np.linalg.norm(result.error_mm, axis=1)) < 3.0
 
 
+@pytest.mark.parametrize("speed_mm_s", [1000, 1500, 2000])
+def test_a_finger_that_lands_as_it_flicks_is_one_contact(speed_mm_s: float, instrument: Instrument) -> None:
+    """It goes farther from frame to frame than a fit follows, before its velocity is known."""
+    stage = empty_stage(4.0, seed=3)
+    for k, angle in enumerate((0.1, 1.7, 2.9, 4.2, 5.3)):
+        seconds = 120 / speed_mm_s
+        way = np.array([math.cos(angle), math.sin(angle)])
+        start_s = 1.0 + 0.5 * k
+
+        def path(t: np.ndarray, way: np.ndarray = way) -> tuple[np.ndarray, np.ndarray]:
+            along_mm = speed_mm_s * t - 60
+            return 100 + along_mm * way[0], 100 + along_mm * way[1]
+
+        stage.lay("fingertip", start_s, start_s + seconds, path, land_s=1e-3)
+    result = score(stage, play(stage, instrument, seed=3))
+    assert (result.found, result.missed, result.ghosts, result.split) == (5, 0, 0, 0)
+
+
 @pytest.mark.parametrize("name", ["two", "cross", "five"])
 @pytest.mark.parametrize("seed", [11, 12])
 def test_several_fingers_are_found_and_none_is_lost_while_others_come(

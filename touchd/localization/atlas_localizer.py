@@ -189,6 +189,12 @@ class AtlasLocalizer:
             bins, fit = self._settle(detection, bins, fit, shaped=not held)
         self._follower.drop()
         signal, excess, confidence = noise.judge(bins, fit)
+        if tracked and excess > CRITERIA.fair and (gone := self._landing.elsewhere(
+            detection, bins, signal, self._prediction.positions_mm
+        )):  # fmt: skip
+            search.cancel()
+            held, inferred, fit = False, True, gone
+            signal, excess, confidence = noise.judge(bins, fit)
         clear = excess <= CRITERIA.search_above and signal >= CRITERIA.faint * noise.noise_energy
         if tracked and clear and confidence >= min_confidence and not search.pending:  # the usual case
             self._model_fit.add(fit.residual_energy - noise.noise_energy, signal, noise.noise_energy)

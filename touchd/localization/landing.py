@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from operator import attrgetter
 
 from touchd.detection.detection import Detection
@@ -14,6 +15,7 @@ from touchd.localization.fit_criteria import CRITERIA
 from touchd.localization.gauss_newton import GaussNewton
 from touchd.localization.noise import NoiseModel
 from touchd.localization.pursuit import Pursuit
+from touchd.localization.spline import Position
 
 AMBIGUOUS_MM = 7.0
 """A finger is not placed if a position farther away than this explains the frame nearly as well."""
@@ -60,6 +62,18 @@ class Landing:
         if not fits or signal < CRITERIA.faint * self._noise.noise_energy:
             fits += self._fit_candidates(bins)
         return self._best_along_edge(bins, min(fits, key=attrgetter("residual_energy"), default=no_fit(bins.energy)))
+
+    def elsewhere(self, detection: Detection, bins: Bins, signal: float, before_mm: Sequence[Position]) -> Fit | None:
+        """Return the fit of the one finger that was followed where it has gone, if too quickly for that; else None.
+
+        Another one beside it would leave more: then this finds nothing.
+        """
+        noise_energy = self._noise.noise_energy
+        if len(before_mm) != 1 or signal < CRITERIA.faint * noise_energy:
+            return None
+        fit = self._solver.with_shapes(bins, self.fit(detection, bins, signal), noise_energy)
+        explains = self._noise.excess(fit.residual_energy, signal) < CRITERIA.fair
+        return fit if explains and math.dist(fit.positions_mm[0], before_mm[0]) > CRITERIA.merged_mm else None
 
     def or_one(self, bins: Bins, fit: Fit) -> Fit:
         """Return several fingers with shapes, or one that leaves less than they do where no start has led.
