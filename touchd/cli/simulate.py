@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from contextlib import ExitStack
 from dataclasses import replace
@@ -75,7 +76,10 @@ acquisition_option = click.option(
     metavar="FILE.toml",
     help="Mounting, tilts and electronics of a real rig (TOML).",
 )
-@click.option("--noise-db", type=float, help="Signal-to-noise ratio of the untouched plate, dB.  [default: 60]")
+@click.option(
+    "--noise-db", type=click.FloatRange(-20, 200), metavar="DB",
+    help="Signal-to-noise ratio of the untouched plate, dB.  [default: 60]",
+)  # fmt: skip
 @click.option("--jitter-ns", type=float, help="Standard deviation of the trigger's jitter, ns.  [default: 0]")
 @click.option(
     "--stale-k", default=0.0, show_default=True,
@@ -144,6 +148,8 @@ def command(
         raise click.UsageError("--jobs and --dask apply to touches; a scene is simulated in one process")
     if jobs is not None and dask is not None:
         raise click.UsageError("--jobs counts processes of this computer; --dask uses the cluster's workers")
+    if noise_db is not None and math.isnan(noise_db):
+        raise click.UsageError("--noise-db is not a number")
     if output.exists() and not force:
         raise OutputError("already there", str(output), "choose another name, or add --force")
     keys = [(key.name, *key.centre_mm) for key in load_layout(keypad).key] if keypad else None

@@ -120,3 +120,10 @@ def test_one_tilt_a_receiver() -> None:
     """Two tilts for four receivers are refused."""
     with pytest.raises(SimulationError, match="2 tilts for 4 receivers"):
         Instrument(Plate(width_mm=90, height_mm=80, thickness_mm=5, material="glass"), tilts=[(1.0, 1.0)] * 2)
+
+
+@pytest.mark.parametrize("noise_db", ["nan", "5000", "-5000"])
+def test_impossible_noise(tmp_path: Path, noise_db: str) -> None:
+    """Noise that no rig has is refused, and nothing is written."""
+    assert main(["simulate", "tap", "-o", str(tmp_path / "tap.npz"), "--noise-db", noise_db]) == 2
+    assert not list(tmp_path.iterdir())

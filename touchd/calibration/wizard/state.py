@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from touchd.calibration.plate_file import PlateFile, check_plate_file
+from touchd.errors import OutputError
 from touchd.files import replacing
 
 NOTHING: dict[str, Any] = {
@@ -33,6 +34,11 @@ class State:
     ----------
     folder : Path
         Made if it is not there.
+
+    Raises
+    ------
+    OutputError
+        It cannot be made.
     """
 
     def __init__(self, folder: Path) -> None:
@@ -47,7 +53,12 @@ class State:
         """The trained model."""
         self.taps = folder / "taps"
         """Folder of the taps: a recording in chunks, one for each tap."""
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        try:
+            folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        except OSError as error:
+            raise OutputError(
+                f"the folder cannot be made ({error.strerror})", str(folder), "name another one with --folder"
+            ) from error
         self._lock = threading.Lock()
         self._known = dict(NOTHING)
         self.version = 0

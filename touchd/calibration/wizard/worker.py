@@ -11,6 +11,7 @@ import contextlib
 import json
 import os
 import signal
+import socket
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -25,7 +26,7 @@ from touchd.calibration.wizard.session import Session, compare
 from touchd.calibration.wizard.state import State
 from touchd.calibration.wizard.trial import Trial
 from touchd.calibration.wizard.verbs import fit, train
-from touchd.errors import BusError, CalibrationError, OutputError, RecordingMissing, TouchdError
+from touchd.errors import AddressInUse, BusError, CalibrationError, OutputError, RecordingMissing, TouchdError
 from touchd.service.systemd import Notifier
 
 PICTURES = ("response.png", "residual.png", "expected-error.png")
@@ -242,6 +243,8 @@ async def serve(worker: Worker, state: State, path: Path, manager: Notifier, rea
 
     Raises
     ------
+    AddressInUse
+        Another wizard listens there.
     OutputError
         No socket can be made there.
     """
@@ -259,6 +262,9 @@ async def serve(worker: Worker, state: State, path: Path, manager: Notifier, rea
                 writer.write(json.dumps(answer).encode() + b"\n")
                 await writer.drain()
 
+    with contextlib.suppress(OSError), socket.socket(socket.AF_UNIX) as probe:
+        probe.connect(str(path))
+        raise AddressInUse("another wizard listens there", str(path), "stop it, or name another place with --socket")
     umask = os.umask(0o177)
     try:
         path.unlink(missing_ok=True)

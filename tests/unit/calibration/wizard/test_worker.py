@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import socket
 import threading
 import time
 import tomllib
@@ -439,3 +440,20 @@ def test_begin_again(tmp_path: Path) -> None:
     assert state["plate"]["plate"]["width_mm"] == 110.0
     (state.folder / "state.json").write_text("{")
     assert State(state.folder)["plate"] is None
+
+
+def test_two_at_one_socket(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A wizard takes no other's place, and keeps its hands off the other's socket."""
+    path = tmp_path / "socket"
+    with socket.socket(socket.AF_UNIX) as other:
+        other.bind(str(path))
+        other.listen()
+        assert main(["wizard", "--socket", str(path), "--folder", str(tmp_path / "state")]) == 41
+        assert "another wizard listens there" in capsys.readouterr().err
+        assert path.exists()
+
+
+def test_folder_is_a_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "file").touch()
+    assert main(["wizard", "--socket", str(tmp_path / "socket"), "--folder", str(tmp_path / "file")]) == 90
+    assert str(tmp_path / "file") in capsys.readouterr().err
