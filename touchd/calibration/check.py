@@ -93,7 +93,9 @@ def check_model(path: Path, recording: Path) -> Checked:
     frames, touches, fit, noise_counts = collect(model, recording)
     if fit is None:
         raise RecordingValues(
-            f"{touches} touches", str(recording), f"record a minute of touches and strokes, {LEAST} touches at least"
+            f"too few touches of one finger alone, of {touches} touches",
+            str(recording),
+            f"record a minute of touches and strokes of one finger, {LEAST} touches at least",
         )
     return judge(1 - fit, touches, *consistency(model.atlas, frames, noise_counts))
 

@@ -177,8 +177,9 @@ def warn_of_another_plate(source: Source, model: Model | None) -> None:
         return
     sizes = [f"{p.width_mm:.0f} x {p.height_mm:.0f} mm" for p in (known.plate, model.description.plate)]
     if sizes[0] != sizes[1]:
+        shipped = "" if model.path == default_model_path() else f"; the shipped one is {default_model_path()}"
         log.warning("the frames are of another plate than the model", frames=sizes[0], model=sizes[1],
-                    path=str(model.path), fix=f"--model FILE; the shipped one is {default_model_path()}")  # fmt: skip
+                    path=str(model.path), fix=f"--model FILE{shipped}")  # fmt: skip
 
 
 def make_preroll(source: Source, settings: Settings, description: Callable[[], FeedDescription]) -> PreRoll:
