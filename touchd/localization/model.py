@@ -127,7 +127,7 @@ class Model:
             raise ModelMismatch(
                 f"the model takes frames of shape {mine.shape} (channels, samples), these are {acquisition.shape}",
                 str(self.path),
-                "use a model made for this acquisition: touchd calibrate, or train",
+                "use a model made for this acquisition: touchd calibrate, or touchd train",
             )
         for name in ("sample_rate_hz", "chirp"):
             if getattr(mine, name) != getattr(acquisition, name):
@@ -135,7 +135,7 @@ class Model:
                     f"the model was trained with {name} = {getattr(mine, name)}, "
                     f"the frames have {getattr(acquisition, name)}",
                     str(self.path),
-                    "use a model made for this acquisition: touchd calibrate, or train",
+                    "use a model made for this acquisition: touchd calibrate, or touchd train",
                 )
 
     def run(self, features: NDArray[np.float32]) -> Outputs:
