@@ -43,6 +43,7 @@ RATE_HZ, LEAD, TURNS = 125, 250, 5
 WARM_S, SECONDS = 4.0, 6.0
 BLOCK_S = 1e-3
 NOISE_COUNTS = 6.0
+"""About 60 dB below the plate's response. Chirps without noise of their own would be no steady plate: never learned."""
 AUDIO = {
     "audio-192": AudioSettings(sample_rate_hz=192_000, band_hz=(20e3, 85e3), chirp_s=4e-3),
     "audio-96": AudioSettings(sample_rate_hz=96_000, band_hz=(15e3, 44e3), chirp_s=1e-3),
