@@ -83,6 +83,8 @@ class FakeCard:
         self.starts = self.period_number = 0
         self.xrun = self.unplugged = self.busy = self.silent = False
         self.slip = 0
+        self.behind_ns = 0
+        """Captured already, and lost by an xrun: who reads it does not wait."""
         self.disturbance = 0.0
         self.lowpass_hz: float | None = None
         self.clock = clock or Clock()
@@ -119,12 +121,14 @@ class FakeCard:
         if self.unplugged:
             raise CardGone("No such device")
         if self.xrun:
-            self.xrun = False
+            self.xrun, self.behind_ns = False, 0
             raise CardXrun("samples were lost")
         if self.silent:
             self.clock.ns += round(timeout_s * 1e9)
             return None
-        self.clock.ns += round(1e9 * self._block / self.rate_hz)
+        block_ns = round(1e9 * self._block / self.rate_hz)
+        self.clock.ns += max(block_ns - self.behind_ns, 0)
+        self.behind_ns = max(self.behind_ns - block_ns, 0)
         while len(self._captured) < self._block + self.slip:
             self._captured = np.concatenate([self._captured, self._one_period().T])
         self._captured = self._captured[self.slip :]

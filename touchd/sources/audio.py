@@ -16,7 +16,7 @@ import structlog
 from numpy.typing import NDArray
 
 from touchd.audio.capture import Capture
-from touchd.audio.card import Card, CardAbsent, CardGone, CardXrun, Samples
+from touchd.audio.card import Card, CardAbsent, CardGone, CardXrun, Floats, Samples
 from touchd.audio.delay import Delay, Doubtful, by_loopback, by_onset, by_reference, check_discs
 from touchd.audio.highpass import HighPass
 from touchd.audio.response import Watch, check_band
@@ -28,9 +28,8 @@ from touchd.frame import Acquisition, Chirp
 from touchd.localization.model import Model
 from touchd.recording.data import Device
 from touchd.sources.daq import Daq, DaqAbsent, DaqFrame, DaqGone
+from touchd.sources.device_clock import MAX_SKEW
 from touchd.sources.live import DaqSource
-
-Floats = NDArray[np.float64]
 
 MEASURED, MEASURED_S = 8, 0.06
 """Periods whose mean tells the delay, at least, and how long they last, at least."""
@@ -116,7 +115,7 @@ class AudioDaq:
         self._fraction = 0.0
         self._own: Floats | None = None
         self._sequence, self._time_us = 0, 0.0  # of the next frame
-        self._last_ns = 0  # when the last frame, or one that is withheld, was complete
+        self._last_ns = 0  # when the last frame, or one that is withheld, was complete; 0: unknown
         self._xrun, self._cuts, self._every = False, 0, 1
         self._restart()
 
@@ -141,8 +140,7 @@ class AudioDaq:
             if self._xrun or not self._cuts % self._every:
                 return self._cut()
             self._capture.skip_frame()
-            self._time_us += self._period_us
-            self._last_ns = self._clock()
+            self._count()
             return None
         self._measure()
         return self._withhold()
@@ -232,10 +230,9 @@ class AudioDaq:
 
     def _cut(self) -> DaqFrame:
         """Return the next frame."""
-        now_ns = self._clock()
         if self._xrun:  # periods have gone by, whose number only the clock knows
-            self._xrun = False
-            gone = (now_ns - self._last_ns) / 1e3
+            gone = (self._clock() - self._last_ns) / 1e3
+            self._xrun, self._last_ns = False, 0
             self._sequence += max(round(gone / self._period_us), 1) - 1
             self._time_us += max(gone - self._period_us, 0.0)
         counts = self._high_pass.apply(self._capture.frame(self.acquisition.samples)[: self._discs])
@@ -243,23 +240,26 @@ class AudioDaq:
         if lost := self._watch.lost(self._high_pass.filtered):
             which = ", ".join(str(self._settings.channels[i]) for i in lost)
             raise DaqGone(f"input {which} no longer hears the chirp as before: lost samples, a cable, a knob or a mute")
-        sequence, time_us = self._sequence, round(self._time_us)
+        frame = DaqFrame(counts, self._sequence, round(self._time_us), clipped)
         self._sequence += 1
+        self._count()
+        return frame
+
+    def _count(self) -> None:
+        """Count a period: read late, it was complete a period after the last one, and the card's clock may be slow."""
         self._time_us += self._period_us
-        self._last_ns = now_ns
-        return DaqFrame(counts, sequence, time_us, clipped)
+        now_ns, next_ns = self._clock(), self._last_ns + round(1e3 * self._period_us * (1 + MAX_SKEW))
+        self._last_ns = min(now_ns, next_ns) if self._last_ns else now_ns
 
     def _withhold(self) -> DaqFrame | None:
         """Return one frame for each period that goes by after an xrun; before the first frame none is missing."""
-        if not self._xrun or not self._last_ns:
+        if not self._xrun or not self._last_ns or self._clock() - self._last_ns < 1e3 * self._period_us:
             return None
-        if (self._clock() - self._last_ns) / 1e3 < self._period_us:
-            return None
+        frame = DaqFrame(self._no_counts, self._sequence, round(self._time_us), withheld="xrun")
         self._last_ns += round(1e3 * self._period_us)
-        sequence, time_us = self._sequence, round(self._time_us)
         self._sequence += 1
         self._time_us += self._period_us
-        return DaqFrame(self._no_counts, sequence, time_us, withheld="xrun")
+        return frame
 
 
 Opener = Callable[[str, int, int], Card]

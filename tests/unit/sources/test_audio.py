@@ -189,6 +189,24 @@ def test_a_process_that_stood_still_knows_for_how_long(reference: np.ndarray) ->
     assert abs(after.sequence - before.sequence - gone_us / 8000) < 2
 
 
+@pytest.mark.parametrize("rate_hz", [125, 25])
+def test_frames_read_late_hide_no_loss(reference: np.ndarray, rate_hz: int) -> None:
+    """What an xrun loses begins behind the last frame's samples, not when they were read."""
+    card = plate()
+    daq = started(card, reference)
+    daq.set_rate(rate_hz)
+    before = frames(daq, 50 * rate_hz // 125)
+    began_ns = card.clock.ns
+    card.clock.ns += 80_000_000
+    card.behind_ns = 80_000_000
+    before += frames(daq, 5 * rate_hz // 125)
+    card.xrun = True
+    after = next(frame for frame in iter(lambda: frames(daq, 1)[0], None) if not frame.withheld)
+    gone_us = (card.clock.ns - began_ns) / 1e3 - 40_000
+    assert abs(after.timestamp_us - before[-1].timestamp_us - gone_us) < 16_000
+    assert abs(after.sequence - before[-1].sequence - gone_us / 8000) < 2
+
+
 def test_lower_rate(reference: np.ndarray) -> None:
     """At a lower rate chirps go on and frames are left out: numbers have no gaps, times tell, an xrun is withheld."""
     card = plate(seed=3)
