@@ -82,6 +82,7 @@ class FakeCard:
         self.delay = 0.0
         self.starts = self.period_number = 0
         self.xrun = self.unplugged = self.busy = self.silent = False
+        self.silent_at_xrun = self.xruns_only = False
         self.slip = 0
         self.behind_ns = 0
         """Captured already, and lost by an xrun: who reads it does not wait."""
@@ -111,7 +112,7 @@ class FakeCard:
         self.delay = float(self._rng.uniform(0, self._period))
         self._loop, self._next_loop, self._until = loop, loop, 0
         self._captured = np.zeros((int(self.delay), self.inputs), np.int16)
-        self.xrun = False
+        self.xrun = self.xruns_only
 
     def play(self, loop: Floats) -> None:
         self._next_loop = loop
@@ -121,7 +122,8 @@ class FakeCard:
         if self.unplugged:
             raise CardGone("No such device")
         if self.xrun:
-            self.xrun, self.behind_ns = False, 0
+            self.xrun, self.behind_ns, self.silent = self.xruns_only, 0, self.silent_at_xrun
+            self.clock.ns += 1_000_000
             raise CardXrun("samples were lost")
         if self.silent:
             self.clock.ns += round(timeout_s * 1e9)

@@ -128,11 +128,12 @@ class AudioDaq:
                 log.warning("xrun", why=str(xrun))
                 self._xrun = True
                 self._restart()
-                return self._withhold()
+                return None
             except CardGone as gone:
                 raise DaqGone(str(gone)) from gone
-            if block is not None:
-                self._capture.append(block)
+            if block is None:  # a card that is silent sends no periods, not even lost ones: it stalls
+                return None
+            self._capture.append(block)
             if not self._capture.has(self._needed):
                 return self._withhold()
         if self._aligned:

@@ -313,6 +313,18 @@ def test_a_busy_card_and_a_silent_one_are_awaited() -> None:
         change_to(source, "streaming")
 
 
+@pytest.mark.parametrize("again", [False, True])
+def test_a_card_that_falls_silent_at_an_xrun_has_stalled(reference: np.ndarray, again: bool) -> None:
+    """Periods withheld by the clock alone hide neither a card that brings nothing, nor one that brings xruns only."""
+    card = plate()
+    with source_of(card, reference) as source:
+        change_to(source, "streaming")
+        card.silent_at_xrun, card.xruns_only, card.xrun = not again, again, True
+        change_to(source, "stalled")
+        card.silent = card.silent_at_xrun = card.xruns_only = False
+        change_to(source, "streaming")
+
+
 def test_another_plate_is_told(reference: np.ndarray) -> None:
     """A delay that nothing confirms is no delay."""
     other = np.roll(reference[:, ::-1], 40, axis=1)
