@@ -63,10 +63,13 @@ class FrameRing(Generic[Mark]):
             self.waiting.append(mark)
             self._changed.notify()
 
-    def take(self, timeout_s: float) -> Frame | None:
-        """Return the next frame, valid until the next call; None if none comes in time, or a mark comes first."""
+    def take(self, timeout_s: float, until: Callable[[], object] = lambda: None) -> Frame | None:
+        """Return the next frame, valid until the next call.
+
+        None if none comes in time, a mark comes first, or `until` holds: whoever makes it hold calls `wake` after.
+        """
         with self._changed:
-            if not self.waiting:
+            if not self.waiting and not until():
                 self._changed.wait(timeout_s)
             if not self.waiting or not isinstance(first := self.waiting[0], _Waiting):
                 return None
@@ -77,7 +80,7 @@ class FrameRing(Generic[Mark]):
         return Frame(self._views[first.slot], first.sequence, first.t_ns, first.received_ns)
 
     def wake(self) -> None:
-        """Let `take` return at once if it waits."""
+        """Let `take` return at once if it waits; one that begins to wait looks at its `until`."""
         with self._changed:
             self._changed.notify()
 

@@ -111,7 +111,7 @@ class DaqSource:
         self._wanted = True
         lent, ring = self._lending.lent, self._ring
         if lent is None or ring.waiting:
-            frame = ring.take(timeout_s)
+            frame = ring.take(timeout_s, lambda: self._lending.lent)
             lent = self._lending.lent
             if frame is not None or lent is None or ring.waiting:
                 return frame if lent is not None else self._checked(frame)

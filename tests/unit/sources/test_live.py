@@ -14,9 +14,10 @@ import pytest
 from tests.processes import PATIENCE_S
 from touchd.config.schema import DeviceSettings
 from touchd.errors import ReaderFailed
-from touchd.frame import Acquisition
+from touchd.frame import Acquisition, Frame
 from touchd.recording.data import Device
 from touchd.sources.daq import DaqFrame, DaqGone, Waits
+from touchd.sources.frame_ring import FrameRing, Lending
 from touchd.sources.live import DaqSource
 from touchd.sources.source import Change
 
@@ -257,6 +258,39 @@ def test_no_answer(reading: Callable[..., Reading]) -> None:
     count = len(one.numbers)
     one.until(lambda: len(one.numbers) > count + 5)
     assert one.states == ["streaming"]
+
+
+def test_a_loan_that_begins_just_before_a_wait(
+    reading: Callable[..., Reading], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The caller that has seen no loan, and is about to wait for frames, reads the device that is lent by then."""
+    pending, waits, woken = (threading.Event() for _ in range(3))
+    lend, wake, take = Lending.lend, FrameRing.wake, FrameRing.take
+
+    def lend_late(*call: Any) -> None:
+        pending.set()
+        waits.wait(PATIENCE_S)
+        lend(*call)
+
+    def wake_early(*call: Any) -> None:
+        wake(*call)
+        woken.set()
+
+    def take_late(ring: FrameRing[Change], *call: Any) -> Frame | None:
+        if pending.is_set() and not ring.waiting:
+            waits.set()
+            woken.wait(PATIENCE_S)
+        return take(ring, *call)
+
+    monkeypatch.setattr(Lending, "lend", lend_late)
+    monkeypatch.setattr(FrameRing, "wake", wake_early)
+    monkeypatch.setattr(FrameRing, "take", take_late)
+    one = reading()
+    since_s = time.monotonic()
+    while not woken.is_set():
+        one.source.read(PATIENCE_S)
+        one.source.changes()
+    assert time.monotonic() - since_s < PATIENCE_S
 
 
 def test_high_rate(reading: Callable[..., Reading]) -> None:
