@@ -10,6 +10,7 @@ link playback and capture: their delay differs from start to start, and has to b
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import re
 import select
 from pathlib import Path
@@ -34,6 +35,10 @@ _BYTES = {
     alsaaudio.PCM_FORMAT_S16_LE: 2,
 }
 """Formats with the most significant bits first in order of preference, and bytes of a sample."""
+# ALSA's library prints lines of its own each time that it opens no card. `labs` prints none, and is no code of Python,
+# which a thread may outlive.
+_LIBRARY = ctypes.CDLL(alsaaudio.__file__)
+_LIBRARY.snd_lib_error_set_handler(_LIBRARY.labs)
 
 
 class AlsaCard:
@@ -57,14 +62,6 @@ class AlsaCard:
         self.name, self.rate_hz = name, rate_hz
         self._capture: Any = None
         self._playback: Any = None
-        # ALSA's library prints a line each time that a card is not there.
-        named = re.search(r"CARD=([^,]+)", name)
-        if named and named[1] not in alsaaudio.cards():
-            if (CARDS / named[1]).exists():
-                raise CardAbsent(
-                    f"{name} is there, but may not be opened: join the group audio; a service needs audio.conf"
-                )
-            raise CardAbsent(_absent(name))
         try:
             self._capture = self._open(alsaaudio.PCM_CAPTURE, inputs, _CAPTURE_S)
             self._playback = self._open(alsaaudio.PCM_PLAYBACK, 2, AHEAD_S)
@@ -188,10 +185,15 @@ def _explain(error: Exception, name: str) -> str:
     text = str(error)
     if "busy" in text:
         return f"{name} is in use by another program: end it, or take the card away from the sound server"
-    if "No such file" in text:
-        return _absent(name)
+    hidden = "No such" in text and _is_hidden(name)
+    if hidden or "Permission denied" in text:
+        return f"{name} is there, but may not be opened: join the group audio; a service needs audio.conf"
+    if "No such" in text:  # file, or device
+        return f"there is no {name}: plug it in; arecord -L lists what is there"
     return text
 
 
-def _absent(name: str) -> str:
-    return f"there is no {name}: plug it in; arecord -L lists what is there"
+def _is_hidden(name: str) -> bool:
+    """Return whether a card is there, but not for this user."""
+    named = re.search(r"CARD=([^,]+)", name)
+    return named is not None and named[1] not in alsaaudio.cards() and (CARDS / named[1]).exists()
