@@ -150,15 +150,22 @@ def driver(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, object]]:
 @pytest.mark.parametrize(
     ("said", "told"),
     [
-        ({"open": alsaaudio.ALSAAudioError("Device or resource busy [bench]")}, "bench is in use by another program"),
-        ({"open": alsaaudio.ALSAAudioError("Permission denied [bench]")}, "bench is there, but may not be opened"),
-        ({"rate": 44_100}, "bench takes 44100 samples a second, not 48000"),
+        ({"open": alsaaudio.ALSAAudioError("Device or resource busy [null]")}, "null is in use by another program"),
+        ({"open": alsaaudio.ALSAAudioError("Permission denied [null]")}, "null is there, but may not be opened"),
+        ({"rate": 44_100}, "null takes 44100 samples a second, not 48000"),
     ],
 )
 def test_a_card_that_cannot_be_used_says_why(driver: dict[str, object], said: dict[str, object], told: str) -> None:
     driver |= said
     with pytest.raises(CardAbsent, match=told):
-        AlsaCard("bench", 48_000, 4)
+        AlsaCard("null", 48_000, 4)
+
+
+def test_a_card_that_is_away_is_looked_for_without_pyalsaaudio(driver: dict[str, object]) -> None:
+    """It loses memory with each stream that does not open."""
+    driver["open"] = AssertionError("opened")
+    with pytest.raises(CardAbsent, match="there is no hw:CARD=Nowhere: plug it in"):
+        AlsaCard("hw:CARD=Nowhere", 48_000, 4)
 
 
 @pytest.mark.parametrize(
@@ -166,14 +173,14 @@ def test_a_card_that_cannot_be_used_says_why(driver: dict[str, object], said: di
     [
         ({"read": (-32, b"")}, CardXrun, "too late to read"),
         ({"read": (48, bytes(768)), "write": -32}, CardXrun, "too late to write"),
-        ({"read": alsaaudio.ALSAAudioError("No such device [bench]")}, CardGone, "there is no bench: plug it in"),
+        ({"read": alsaaudio.ALSAAudioError("No such device [null]")}, CardGone, "there is no null: plug it in"),
     ],
 )
 def test_what_happens_to_a_stream_is_told(
     driver: dict[str, object], said: dict[str, object], kind: type[Exception], told: str
 ) -> None:
     """Samples lost on either side are an xrun, after which the card is started again; a card that is pulled is gone."""
-    card = AlsaCard("bench", 48_000, 4)
+    card = AlsaCard("null", 48_000, 4)
     card.start(np.zeros(480))
     driver |= said
     with pytest.raises(kind, match=told):

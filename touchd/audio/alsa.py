@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import os
 import re
 import select
 from pathlib import Path
@@ -67,7 +68,7 @@ class AlsaCard:
             self._playback = self._open(alsaaudio.PCM_PLAYBACK, 2, AHEAD_S)
         except alsaaudio.ALSAAudioError as error:
             self.close()
-            raise CardAbsent(_explain(error, name)) from error
+            raise CardAbsent(_explain(str(error), name)) from error
         except CardAbsent:
             self.close()
             raise
@@ -91,7 +92,7 @@ class AlsaCard:
             self._top_up()
             self._capture.read()  # nothing yet: this starts it
         except alsaaudio.ALSAAudioError as error:
-            raise CardGone(_explain(error, self.name)) from error
+            raise CardGone(_explain(str(error), self.name)) from error
 
     def play(self, loop: Floats) -> None:
         """Write another loop from now on."""
@@ -110,7 +111,7 @@ class AlsaCard:
             self._owed += length
             self._top_up()
         except alsaaudio.ALSAAudioError as error:
-            raise CardGone(_explain(error, self.name)) from error
+            raise CardGone(_explain(str(error), self.name)) from error
         return _upper(data, length, self.inputs, self._bytes) if length else None
 
     def close(self) -> None:
@@ -140,6 +141,7 @@ class AlsaCard:
 
     def _open(self, kind: int, channels: int, buffer_s: float) -> Any:
         """Return an open stream with at least so many channels, in the first format that the card has."""
+        _check_opens(self.name, kind)
         block = round(BLOCK_S * self.rate_hz)
         for sample in _BYTES:
             # What it cannot set it leaves as it is; `getchannels` would count up to 2^32 on some plugins.
@@ -157,6 +159,15 @@ class AlsaCard:
             stream.close()
             raise CardAbsent(f"{self.name} {wrong}")
         return stream
+
+
+def _check_opens(name: str, kind: int) -> None:
+    """Raise CardAbsent unless a stream opens: where none does, pyalsaaudio leaks, and a card may be away for weeks."""
+    stream = ctypes.c_void_p()
+    error = _LIBRARY.snd_pcm_open(ctypes.byref(stream), os.fsencode(name), kind, alsaaudio.PCM_NONBLOCK)
+    if error < 0:
+        raise CardAbsent(_explain(os.strerror(-error), name))
+    _LIBRARY.snd_pcm_close(stream)
 
 
 def _misfit(info: dict[str, Any], rate_hz: int, channels: int) -> str | None:
@@ -180,9 +191,8 @@ def _pack(loop: Floats, channels: int, width: int) -> bytes:
     return np.repeat(octets[:, None, :], channels, axis=1).tobytes()
 
 
-def _explain(error: Exception, name: str) -> str:
+def _explain(text: str, name: str) -> str:
     """Return what ALSA says, with what it means."""
-    text = str(error)
     if "busy" in text:
         return f"{name} is in use by another program: end it, or take the card away from the sound server"
     hidden = "No such" in text and _is_hidden(name)
