@@ -117,6 +117,8 @@ class Driver:
         }  # fmt: skip
 
     def polldescriptors(self) -> list[tuple[int, int]]:
+        if isinstance(refusal := self.said.get("poll"), Exception):
+            raise refusal
         return [(self._ready, select.POLLIN)]
 
     def drop(self) -> None:
@@ -136,6 +138,7 @@ class Driver:
 
     def close(self) -> None:
         os.close(self._ready)
+        self.said["closed"] = int(str(self.said.get("closed", 0))) + 1
 
 
 @pytest.fixture
@@ -159,6 +162,23 @@ def test_a_card_that_cannot_be_used_says_why(driver: dict[str, object], said: di
     driver |= said
     with pytest.raises(CardAbsent, match=told):
         AlsaCard("null", 48_000, 4)
+
+
+def test_a_card_that_is_pulled_while_it_is_opened_is_absent(driver: dict[str, object]) -> None:
+    """Both streams are closed, and the card is looked for again."""
+    driver["poll"] = alsaaudio.ALSAAudioError("Can't get poll descriptors [null]")
+    with pytest.raises(CardAbsent, match="poll descriptors"):
+        AlsaCard("null", 48_000, 4)
+    assert driver["closed"] == 2
+
+
+def test_a_playback_that_runs_dry_while_it_starts_ends_the_connection(driver: dict[str, object]) -> None:
+    """A start that fails is tried again like a card that is gone."""
+    card = AlsaCard("null", 48_000, 4)
+    driver["write"] = -32
+    with pytest.raises(CardGone, match="too late to write"):
+        card.start(np.zeros(480))
+    card.close()
 
 
 def test_a_card_that_is_away_is_looked_for_without_pyalsaaudio(driver: dict[str, object]) -> None:

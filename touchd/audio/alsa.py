@@ -66,6 +66,9 @@ class AlsaCard:
         try:
             self._capture = self._open(alsaaudio.PCM_CAPTURE, inputs, _CAPTURE_S)
             self._playback = self._open(alsaaudio.PCM_PLAYBACK, 2, AHEAD_S)
+            self._poll = select.poll()
+            for descriptor, events in self._capture.polldescriptors():
+                self._poll.register(descriptor, events)
         except alsaaudio.ALSAAudioError as error:
             self.close()
             raise CardAbsent(_explain(str(error), name)) from error
@@ -78,9 +81,6 @@ class AlsaCard:
         self._bytes = _BYTES[captured["format"]]
         self._outputs, self._out_bytes = played["channels"], _BYTES[played["format"]]
         self._frame_bytes = self._outputs * self._out_bytes
-        self._poll = select.poll()
-        for descriptor, events in self._capture.polldescriptors():
-            self._poll.register(descriptor, events)
 
     def start(self, loop: Floats) -> None:
         """Fill the playback's buffer, which starts it, then capture."""
@@ -91,7 +91,7 @@ class AlsaCard:
             self.play(loop)
             self._top_up()
             self._capture.read()  # nothing yet: this starts it
-        except alsaaudio.ALSAAudioError as error:
+        except (alsaaudio.ALSAAudioError, CardXrun) as error:
             raise CardGone(_explain(str(error), self.name)) from error
 
     def play(self, loop: Floats) -> None:
