@@ -53,6 +53,8 @@ class Capture:
         if self._end - self._first + count > self._held.shape[1]:
             first = max(min(self._next - self._margin, self._end), self._first)
             left = self._held[:, first - self._first : self._end - self._first].copy()
+            if left.shape[1] + count > self._held.shape[1]:  # a longer block than was asked for
+                self._held = np.zeros((len(left), left.shape[1] + count), np.int16)
             self._held[:, : left.shape[1]] = left
             self._first = first
         at = self._end - self._first

@@ -94,6 +94,14 @@ def test_any_delay_is_found(reference: np.ndarray, seed: int) -> None:
     assert off_db(counts, EXPECTED) < -50
 
 
+@pytest.mark.parametrize("block", [300, 2500, 30_000])
+def test_any_block(reference: np.ndarray, block: int) -> None:
+    """A card, or a sound server, that hands over many periods at a time loses none of them."""
+    found = frames(started(plate(block=block), reference), 40)
+    assert [frame.sequence for frame in found] == list(range(40))
+    assert off_db(np.mean([frame.counts for frame in found], axis=0), EXPECTED) < -50
+
+
 @contextmanager
 def source_of(card: FakeCard, reference: np.ndarray | None, settings: AudioSettings = SETTINGS) -> Iterator[DaqSource]:
     """The source that a daemon would have, on the card's clock."""
