@@ -82,7 +82,7 @@ class FakeCard:
         self.delay = 0.0
         self.starts = self.period_number = 0
         self.xrun = self.unplugged = self.busy = self.silent = False
-        self.silent_at_xrun = self.xruns_only = False
+        self.silent_at_xrun = self.xruns_only = self.unplugged_at_play = False
         self.slip = 0
         self.behind_ns = 0
         """Captured already, and lost by an xrun: who reads it does not wait."""
@@ -115,6 +115,8 @@ class FakeCard:
         self.xrun = self.xruns_only
 
     def play(self, loop: Floats) -> None:
+        if self.unplugged_at_play:
+            raise CardGone("No such device")
         self._next_loop = loop
         self._until = self.ahead // self._period + 1  # periods of the old one, written already
 

@@ -182,16 +182,16 @@ class AudioDaq:
         self._sum += self._capture.take()
         self._measured += 1
         if self._measured == self._measures:
-            self._align(self._sum / self._measures)
+            try:
+                self._align(self._sum / self._measures)
+            except (CardGone, Doubtful) as why:
+                raise DaqGone(str(why)) from why
 
     def _align(self, mean: Floats) -> None:
         """Cut where the response to a chirp begins, and play the chirp so that it begins with a sample."""
-        try:
-            check_band(mean[: self._discs], self._nominal, self._card.rate_hz)
-            mean = self._high_pass.around(mean)
-            found = self._find(mean)
-        except Doubtful as doubt:
-            raise DaqGone(str(doubt)) from doubt
+        check_band(mean[: self._discs], self._nominal, self._card.rate_hz)
+        mean = self._high_pass.around(mean)
+        found = self._find(mean)
         whole = round(found.samples)
         if abs(fraction := found.samples - whole) > STILL_SAMPLES and self._moves < _MOST_MOVES:
             self._moves += 1

@@ -244,6 +244,10 @@ def test_lower_rate(reference: np.ndarray) -> None:
 
 def test_an_unplugged_card_is_gone(reference: np.ndarray) -> None:
     card = plate()
+    card.unplugged_at_play = True
+    with pytest.raises(DaqGone, match="No such device"):
+        frames(started(card, reference), 3)
+    card.unplugged_at_play = False
     daq = started(card, reference)
     frames(daq, 3)
     card.unplugged = True
