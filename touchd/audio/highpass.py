@@ -68,5 +68,5 @@ class HighPass:
     def around(self, period: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return filtered periodic signals, shape (..., period)."""
         kernel = np.zeros(period.shape[-1])
-        kernel[np.arange(-self.margin, self.margin + 1)] = self._kernel
+        np.add.at(kernel, np.arange(-self.margin, self.margin + 1) % len(kernel), self._kernel)
         return np.asarray(np.fft.irfft(np.fft.rfft(period) * np.fft.rfft(kernel).real, period.shape[-1]))
