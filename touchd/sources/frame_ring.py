@@ -140,11 +140,12 @@ class Lending:
                 return None
             try:
                 frame = daq.read(timeout_s)
-            except BaseException as error:  # the keeper's to judge
+            except Exception as error:  # the keeper's to judge; an interrupt is the reader's
                 self._error = error
-            if frame is None:
-                self.lent = None
-                self._back.set()
+            finally:
+                if frame is None:
+                    self.lent = None
+                    self._back.set()
         return frame
 
     def close(self) -> None:

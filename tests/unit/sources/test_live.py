@@ -123,6 +123,8 @@ class Steady(Stubborn):
         self.fails: Exception | None = None
         self.silent = False
         """Until it is started again."""
+        self.interrupted = False
+        """Its next read in the main thread meets Ctrl-C."""
 
     def start(self, rate_hz: int) -> None:
         super().start(rate_hz)
@@ -140,6 +142,9 @@ class Steady(Stubborn):
             return None
         if self.fails is not None:
             raise self.fails
+        if self.interrupted and threading.current_thread() is threading.main_thread():
+            self.interrupted = False
+            raise KeyboardInterrupt
         time.sleep(0.001)
         self._sequence += 1
         counts = np.full(ACQUISITION.shape, self._sequence, np.int16)
@@ -330,3 +335,15 @@ def test_failure_while_lent(reading: Callable[..., Reading]) -> None:
     one.daq.fails = ZeroDivisionError("as never expected")
     with pytest.raises(ReaderFailed, match="as never expected"):
         one.until(lambda: False)
+
+
+def test_interrupt_while_lent(reading: Callable[..., Reading]) -> None:
+    """Ctrl-C is the caller's own: the device goes back, and can be read again."""
+    one = reading()
+    one.until_direct()
+    one.daq.interrupted = True
+    with pytest.raises(KeyboardInterrupt):
+        one.until(lambda: False)
+    one.until_direct()
+    assert one.states == ["streaming"]
+    assert one.numbers == list(range(1, len(one.numbers) + 1))
