@@ -119,9 +119,9 @@ class DaqSource:
         away_ns = self._clock() - self._alive_ns
         found = self._lending.read(wait_s)
         self._alive_ns = self._clock()  # the thread sleeps meanwhile
-        self._intake.count_corrupt(lent)
-        if found is None:
+        if found is None:  # the thread has the device again, or another one already
             return None
+        self._intake.count_corrupt(lent)
         self._seen_ns = self._alive_ns
         return self._take(found, self._seen_ns, away_ns=away_ns, direct=True)
 
@@ -219,7 +219,10 @@ class DaqSource:
                 # Not to a caller that is busy: the device would keep a few frames for it, the ring keeps many.
                 if self._direct and self._wanted and frames >= _STEADY_FRAMES and self._settings.rate_hz <= _DIRECT_HZ:
                     frames, self._wanted = 0, False
-                    self._lending.lend(daq, self._ring.wake)
+                    try:
+                        self._lending.lend(daq, self._ring.wake)
+                    finally:
+                        self._intake.count_corrupt(daq)
             elif now_ns - self._seen_ns > max(self._stall_ns, _STALL_FRAMES * 1e9 / self._rate_hz):
                 self._enter("stalled", f"no frame for {self._settings.stall_s:g} s")
                 if restarted:

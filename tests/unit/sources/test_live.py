@@ -18,6 +18,7 @@ from touchd.frame import Acquisition, Frame
 from touchd.recording.data import Device
 from touchd.sources.daq import DaqFrame, DaqGone, Waits
 from touchd.sources.frame_ring import FrameRing, Lending
+from touchd.sources.intake import Intake
 from touchd.sources.live import DaqSource
 from touchd.sources.source import Change
 
@@ -347,3 +348,39 @@ def test_interrupt_while_lent(reading: Callable[..., Reading]) -> None:
     one.until_direct()
     assert one.states == ["streaming"]
     assert one.numbers == list(range(1, len(one.numbers) + 1))
+
+
+def test_corrupt_frames_count_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A caller that is slow to notice the end of a loan does not count a device again on its next connection."""
+    daqs: list[Steady] = []
+    counts: list[int] = []
+    read, count = Lending.read, Intake.count_corrupt
+
+    def connect() -> Steady:
+        daqs.append(Steady())
+        daqs[-1].corrupt = 3 if len(daqs) == 1 else 0
+        return daqs[-1]
+
+    def read_slowly(lending: Lending, timeout_s: float) -> DaqFrame | None:
+        found = read(lending, timeout_s)
+        until = time.monotonic() + PATIENCE_S
+        while found is None and (len(daqs) == 1 or not daqs[1].readers) and time.monotonic() < until:
+            time.sleep(0.001)
+        return found
+
+    def count_seen(intake: Intake, daq: Steady) -> None:
+        count(intake, daq)
+        counts.append(intake.tally.corrupt)
+
+    monkeypatch.setattr(Lending, "read", read_slowly)
+    monkeypatch.setattr(Intake, "count_corrupt", count_seen)
+    source = DaqSource(lambda: iter([connect]), DeviceSettings(), ACQUISITION, lambda _: None, waits=AT_ONCE)
+    mine, until = threading.current_thread().name, time.monotonic() + PATIENCE_S
+    while not (len(daqs) > 1 and daqs[1].readers) and time.monotonic() < until:
+        source.read(0.05)
+        source.changes()
+        if mine in daqs[0].readers:
+            daqs[0].fails = DaqGone("it is gone")
+    source.close()
+    assert len(daqs) == 2
+    assert set(counts) == {3}
