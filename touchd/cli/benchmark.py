@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from touchd.cli.beforehand import check_output
+
 if TYPE_CHECKING:
     from rich.console import Console
 
@@ -65,6 +67,8 @@ def command(
     each skip saves. Times are also relative to the source paper's network, so that runs on different computers compare.
     Leave the computer idle for three minutes.
     """
+    if stored:
+        check_output(stored)
     # Set before numpy is imported; child processes inherit it. Thread pools would add waiting times to the results.
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ[name] = "1"

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import json
-import os
 from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from touchd.errors import OutputError, PlatePoor
+from touchd.cli.beforehand import check_model_output
+from touchd.errors import PlatePoor
 
 if TYPE_CHECKING:
     from touchd.calibration.calibrate import Fitted
@@ -75,7 +75,7 @@ def command(
     from touchd.sources.open import SourceChoice
     from touchd.training.report.report import PAGE
 
-    _check_output(output)
+    check_model_output(output)
     if recording is not None and (ni or simulate or audio is not None):
         raise click.UsageError("name a RECORDING or a source, not both")
     said = read_plate_file(plate_file)
@@ -115,13 +115,6 @@ def command(
     if poor:
         what = "the fit is poor" if made else "the fit is poor, no model is written"
         raise PlatePoor(what, str(output), "; ".join(fitted.fit.reasons) or "see the report")
-
-
-def _check_output(output: Path) -> None:
-    if output.suffix != ".onnx":
-        raise OutputError("not the name of a model", str(output), "choose a name that ends in .onnx")
-    if not os.access(output.parent, os.W_OK | os.X_OK):
-        raise OutputError("not a writable folder", str(output.parent), "create it, or choose another name")
 
 
 def _take(settings: Settings, choice: SourceChoice, said: PlateFile, seconds: float) -> Recording:

@@ -13,12 +13,14 @@ import click
 @click.option("--model", type=click.Path(path_type=Path), help="Model (ONNX).  [default: shipped]")
 def command(recording: Path, output: Path, model: Path | None) -> None:
     """Replay RECORDING and plot the published contacts over its true touches."""
+    from touchd.cli.beforehand import check_picture
     from touchd.config.load import load
     from touchd.evaluation.plots.session import draw_session
     from touchd.localization.model import default_model_path
     from touchd.recording.format import read
     from touchd.service.replay import replay
 
+    check_picture(output)
     settings = load(None, {"model": {"path": model or default_model_path()}})
     outcome = replay(recording, settings)
     draw_session(read(recording), outcome.touches, output)

@@ -11,6 +11,7 @@ from typing import Any
 import click
 import numpy as np
 
+from touchd.cli.beforehand import check_picture
 from touchd.cli.progress import Bars
 from touchd.config.load import load
 from touchd.config.schema import Settings
@@ -47,6 +48,8 @@ def command(model: Path, recording: Path, as_json: bool, plot: Path | None, jobs
     touched frame is compared with the untouched frames beside it. The field atlas beside the model is used if there is
     one. docs/plate-maker.md explains each score.
     """
+    if plot is not None:
+        check_picture(plot)
     if Reader(recording).meta.frame_rate_hz >= STREAM_HZ:
         if plot is not None:
             raise click.UsageError("--plot needs a recording below 20 frames/s; touchd draw plots a stream")

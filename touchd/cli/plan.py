@@ -37,8 +37,11 @@ def command(plate_file: Path, acquisition: Acquisition, noise_db: float, output:
     from touchd.calibration.plan import PlateMap
     from touchd.calibration.plate_file import read_plate_file
     from touchd.calibration.untouched import check_chirp
+    from touchd.cli.beforehand import check_picture
     from touchd.cli.progress import Bars
 
+    if output is not None:
+        check_picture(output)
     said = read_plate_file(plate_file)
     if math.isnan(noise_db):
         raise click.UsageError("--noise-db is not a number")

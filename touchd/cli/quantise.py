@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from touchd.errors import OutputError
+from touchd.cli.beforehand import check_model_output
 
 
 @click.command()
@@ -23,8 +23,7 @@ def command(model: Path, recording: Path, output: Path, force: bool) -> None:
     from touchd.recording.format import read
     from touchd.training.network.quantise import quantise
 
-    if output.exists() and not force:
-        raise OutputError("already there", str(output), "choose another name, or add --force")
+    check_model_output(output, replace=force)
     original = Model(model)
     made = quantise(original, read(recording), output)
     click.echo(f"{output}: {output.stat().st_size / 1e3:.0f} kB, {model.stat().st_size / 1e3:.0f} kB before")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from touchd.errors import OutputError, RecordingValues
+from touchd.errors import RecordingValues
 
 
 @click.command()
@@ -41,6 +41,7 @@ def command(
 
     It takes about an hour on two cores. A repeated command resumes a stopped run.
     """
+    from touchd.cli.beforehand import check_output
     from touchd.cli.progress import Bars
     from touchd.files import replacing, writing
     from touchd.keypad import PHONE, load_layout
@@ -51,8 +52,7 @@ def command(
     from touchd.recording.format import read
     from touchd.twin import cache as kept
 
-    if output.exists() and not force:
-        raise OutputError("already there", str(output), "choose another name, or add --force")
+    check_output(output, replace=force)
     given = read(recording) if recording else None
     if given is not None and given.contacts_mm is None:
         raise RecordingValues("no true contacts to train on", str(recording), "use a recording with contacts_mm")

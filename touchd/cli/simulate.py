@@ -11,8 +11,9 @@ from pathlib import Path
 
 import click
 
+from touchd.cli.beforehand import check_output
 from touchd.config.schema import LogSettings
-from touchd.errors import OutputError, SimulationError
+from touchd.errors import SimulationError
 from touchd.frame import ACQUISITIONS, Acquisition, Plate, parse_acquisition, parse_plate
 from touchd.keypad import load_layout
 from touchd.recording import format as recording
@@ -150,8 +151,7 @@ def command(
         raise click.UsageError("--jobs counts processes of this computer; --dask uses the cluster's workers")
     if noise_db is not None and math.isnan(noise_db):
         raise click.UsageError("--noise-db is not a number")
-    if output.exists() and not force:
-        raise OutputError("already there", str(output), "choose another name, or add --force")
+    check_output(output, replace=force)
     keys = [(key.name, *key.centre_mm) for key in load_layout(keypad).key] if keypad else None
     described = plate.model_copy(update={"material": material})
     held = load_rig(rig) if rig else IDEAL

@@ -288,6 +288,28 @@ def test_output_kept(world: World) -> None:
         assert there.read_bytes() == b"precious"
 
 
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("draw", "nowhere.npz"),
+        ("plan", "nowhere.toml"),
+        ("evaluate", "nowhere.onnx", "nowhere.npz"),
+        ("simulate", "idle", "--rig", "nowhere.toml"),
+        ("reproduce", "nowhere.npz"),
+        ("benchmark", "--from", "nowhere.json"),
+    ],
+)
+def test_output_first(arguments: tuple[str, ...], world: World) -> None:
+    """An output that cannot be written is refused before anything is read."""
+    option = {"evaluate": "--plot", "benchmark": "--json"}.get(arguments[0], "-o")
+    explained(touchd(*arguments, option, world.folder / "no" / "x.png"), errors.OutputError, "/no: ", "folder")
+
+
+def test_plot_format(world: World) -> None:
+    """A plot in a format that nothing writes is refused at once."""
+    explained(touchd("draw", "nowhere.npz", "-o", world.folder / "x.npz"), errors.OutputError, "x.npz", ".png")
+
+
 @pytest.mark.parametrize("how", ["--debug", "TOUCHD_DEBUG"])
 def test_debug(how: str, world: World) -> None:
     """With debugging the traceback comes before the line."""
