@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import json
 import math
-import os
 from pathlib import Path
 
 import click
 
+from touchd.cli.beforehand import check_model_output
 from touchd.errors import OutputError
 from touchd.localization.atlas import atlas_path
 from touchd.training.network.recipe import RECIPES
@@ -139,9 +139,8 @@ def _check_free(output: Path, network: Path | None, *, force: bool) -> None:
 
     An atlas beside another model would be used with it, so it counts as existing output.
     """
+    check_model_output(output)
     for file in (output, atlas_path(output)):
         given = network is not None and file.exists() and file.samefile(network)
         if file.exists() and not force and not given:
             raise OutputError("already there", str(file), "choose another name, or add --force")
-    if not os.access(output.parent, os.W_OK | os.X_OK):
-        raise OutputError("not a writable folder", str(output.parent), "create it, or choose another name")

@@ -238,6 +238,11 @@ CASES: dict[str, tuple[type[TouchdError], Arguments, tuple[str, ...]]] = {
         lambda w: ("train", w.good, "-o", w.folder / "new.onnx"),
         ("contacts_mm",),
     ),
+    "a model's file by another name": (
+        errors.OutputError,
+        lambda w: ("train", w.good, "-o", w.folder / "model.txt"),
+        ("model.txt", ".onnx"),
+    ),
     "a demo without truth": (errors.RecordingValues, lambda w: ("demo", w.good), ("contacts_mm", "--replay")),
     "a speed for a live scene": (
         errors.SourceError,
@@ -278,13 +283,13 @@ def test_all_problems(world: World) -> None:
 
 def test_output_kept(world: World) -> None:
     """An existing output stays as it was."""
-    there = world.file("there.npz", "precious")
-    for arguments in (
-        ("record", "--replay", world.good, "-o", there),
-        ("train", world.good, "-o", there),
-        ("simulate", "idle", "-o", there),
+    for *verb, name in (
+        ("record", "--replay", world.good, "there.npz"),
+        ("train", world.good, "there.onnx"),
+        ("simulate", "idle", "there.npz"),
     ):
-        assert touchd(*arguments).code == errors.OutputError.exit_code
+        there = world.file(str(name), "precious")
+        assert touchd(*verb, "-o", there).code == errors.OutputError.exit_code
         assert there.read_bytes() == b"precious"
 
 
