@@ -4,9 +4,16 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
 
 from touchd.errors import OutputError
 from touchd.files import writing
+
+if TYPE_CHECKING:
+    from touchd.localization.model import Description
+    from touchd.recording.data import Meta
 
 
 def check_output(output: Path, *, replace: bool = True) -> None:
@@ -35,3 +42,12 @@ def check_picture(output: Path) -> None:
     kind = output.suffix.removeprefix(".").lower() or "png"
     if kind not in FigureCanvasBase.filetypes:
         raise OutputError(f"{kind!r} is no format of a plot", str(output), "choose a name that ends in .png")
+
+
+def warn_of_other_plate(model: Description, recording: Meta) -> None:
+    """Warn if a recording is of another plate than the model's."""
+    if model.plate != recording.plate:
+        click.echo(
+            f"touchd: warning: the model is for the plate {model.plate}, the recording is of the plate "
+            f"{recording.plate}", err=True,
+        )  # fmt: skip

@@ -13,15 +13,19 @@ import click
 @click.option("--model", type=click.Path(path_type=Path), help="Model (ONNX).  [default: shipped]")
 def command(recording: Path, output: Path, model: Path | None) -> None:
     """Replay RECORDING and plot the published contacts over its true touches."""
-    from touchd.cli.beforehand import check_picture
+    from touchd.cli.beforehand import check_picture, warn_of_other_plate
     from touchd.config.load import load
     from touchd.evaluation.plots.session import draw_session
     from touchd.localization.model import default_model_path
     from touchd.recording.format import read
-    from touchd.service.replay import replay
+    from touchd.service.models import load_model
+    from touchd.service.replay import run_through
+    from touchd.sources.replay import ReplaySource
 
     check_picture(output)
     settings = load(None, {"model": {"path": model or default_model_path()}})
-    outcome = replay(recording, settings)
-    draw_session(read(recording), outcome.touches, output)
+    truth, loaded = read(recording), load_model(settings)
+    warn_of_other_plate(loaded.description, truth.meta)
+    outcome = run_through(ReplaySource(recording, speed=float("inf")), settings, loaded)
+    draw_session(truth, outcome.touches, output)
     click.echo(f"{output}: {len(outcome.touches)} messages drawn")

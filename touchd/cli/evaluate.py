@@ -11,7 +11,7 @@ from typing import Any
 import click
 import numpy as np
 
-from touchd.cli.beforehand import check_picture
+from touchd.cli.beforehand import check_picture, warn_of_other_plate
 from touchd.cli.progress import Bars
 from touchd.config.load import load
 from touchd.config.schema import Settings
@@ -50,7 +50,10 @@ def command(model: Path, recording: Path, as_json: bool, plot: Path | None, jobs
     """
     if plot is not None:
         check_picture(plot)
-    if Reader(recording).meta.frame_rate_hz >= STREAM_HZ:
+    meta = Reader(recording).meta
+    loaded = Model(model)
+    warn_of_other_plate(loaded.description, meta)
+    if meta.frame_rate_hz >= STREAM_HZ:
         if plot is not None:
             raise click.UsageError("--plot needs a recording below 20 frames/s; touchd draw plots a stream")
         found = _score_replay(recording, load(None, {"model": {"path": model}}), jobs)
@@ -60,7 +63,6 @@ def command(model: Path, recording: Path, as_json: bool, plot: Path | None, jobs
             raise RecordingValues(
                 "no true contacts to compare with", str(recording), "use a recording with contacts_mm"
             )
-        loaded = Model(model)
         loaded.check(truth.acquisition)
         found = _score_frames(truth, loaded, plot)
     click.echo(json.dumps(found) if as_json else _table(found))
@@ -78,11 +80,6 @@ def _score_replay(path: Path, settings: Settings, jobs: int | None) -> dict[str,
 
 def _score_frames(truth: Recording, model: Model, plot: Path | None) -> dict[str, Any]:
     d = model.description
-    if d.plate != truth.meta.plate:
-        click.echo(
-            f"touchd: warning: the model is for the plate {d.plate}, the recording is of the plate {truth.meta.plate}",
-            err=True,
-        )
     frames = touched_frames(truth)
     seen = see(find_with(model, model.atlas, frames), frames)
     matches = match_frames(seen)

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from tests.command_line import touchd
 from touchd.cli.evaluate import command
 from touchd.errors import RecordingValues
 from touchd.localization.model import default_model_path
@@ -123,6 +124,19 @@ def test_stream(folder: Path) -> None:
     assert (found["missed"], found["ghosts"], found["split"], found["switches"]) == (0, 0, 0, 0)
     assert set(found["by_fingers"]) == {"0", "1"}
     assert found["by_fingers"]["0"]["ghosts"] == found["by_fingers"]["1"]["missed"] == 0
+
+
+def test_other_plate(folder: Path, tmp_path: Path) -> None:
+    """Of a stream of another plate than the model's, `evaluate` and `draw` warn, and go on."""
+    tap = read(folder / "tap.npz")
+    plate = tap.meta.plate.model_copy(update={"width_mm": 210.0})
+    write(tmp_path / "other.npz", replace(tap, meta=tap.meta.model_copy(update={"plate": plate})))
+    for arguments in (("evaluate", NETWORK), ("draw", "-o", tmp_path / "drawn.png", "--model", NETWORK)):
+        ended = touchd(*arguments, tmp_path / "other.npz")
+        assert ended.code == 0, ended.err
+        assert "warning: the model is for the plate" in ended.err
+        assert "width_mm=210.0" in ended.err
+        assert "warning" not in touchd(*arguments, folder / "tap.npz").err
 
 
 def test_stream_of_two(folder: Path) -> None:
