@@ -133,6 +133,8 @@ def touchd(
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line and return its exit status; `touchd.errors` lists the status of each error."""
     arguments = sys.argv[1:] if arguments is None else arguments
+    if "--debug" in arguments:  # it may stand behind the verb, too
+        arguments = ["--debug", *(argument for argument in arguments if argument != "--debug")]
     debug = "--debug" in arguments or bool(os.environ.get("TOUCHD_DEBUG"))
     try:
         result = touchd.main(args=arguments, prog_name="touchd", standalone_mode=False)

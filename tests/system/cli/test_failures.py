@@ -315,12 +315,17 @@ def test_plot_format(world: World) -> None:
     explained(touchd("draw", "nowhere.npz", "-o", world.folder / "x.npz"), errors.OutputError, "x.npz", ".png")
 
 
-@pytest.mark.parametrize("how", ["--debug", "TOUCHD_DEBUG"])
+@pytest.mark.parametrize("how", ["--debug", "behind the verb", "TOUCHD_DEBUG"])
 def test_debug(how: str, world: World) -> None:
     """With debugging the traceback comes before the line."""
-    options = ["--debug"] if how == "--debug" else []
-    variables: dict[str, Any] = {} if options else {how: "1"}
-    ended = touchd("--replay", world.folder / "nowhere.npz", *options, **variables)
+    recording = world.folder / "nowhere.npz"
+    cases: dict[str, tuple[tuple[object, ...], dict[str, Any]]] = {
+        "--debug": (("--debug", "--replay", recording), {}),
+        "behind the verb": (("demo", recording, "--debug"), {}),
+        "TOUCHD_DEBUG": (("--replay", recording), {"TOUCHD_DEBUG": "1"}),
+    }
+    arguments, variables = cases[how]
+    ended = touchd(*arguments, **variables)
     assert ended.code == errors.RecordingMissing.exit_code
     assert "Traceback (most recent call last)" in ended.err
     assert ended.err.splitlines()[-1].startswith(f"touchd: {world.folder}/nowhere.npz: ")
