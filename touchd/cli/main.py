@@ -152,7 +152,14 @@ def main(arguments: list[str] | None = None) -> int:
         except ModuleNotFoundError:
             return _explain(error, debug)
     except Exception as error:
-        return _explain(error, debug)
+        return 130 if _interrupted(error) else _explain(error, debug)
+
+
+def _interrupted(error: BaseException | None) -> bool:
+    """Return whether an error comes of Ctrl-C: a library in C that it met at its import says ImportError."""
+    return error is not None and (
+        isinstance(error, KeyboardInterrupt) or _interrupted(error.__cause__ or error.__context__)
+    )
 
 
 def missing_extra(error: ModuleNotFoundError) -> MissingExtra:

@@ -362,6 +362,17 @@ def test_internal_error(debug: bool, monkeypatch: pytest.MonkeyPatch, capsys: py
     assert debug or len(lines) == 1
 
 
+def test_interrupted_import(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """Ctrl-C while a library in C is imported is no internal error."""
+
+    def imported(**_options: Any) -> None:
+        raise ImportError("initialization failed") from KeyboardInterrupt()
+
+    monkeypatch.setattr(cli.touchd, "invoke", lambda _context: imported())
+    assert main([]) == 130
+    assert capsys.readouterr().err == ""
+
+
 def test_wrong_use() -> None:
     """Wrong use has status 2 and shows the right one."""
     ended = touchd("--sped", "max")
