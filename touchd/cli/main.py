@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import click
+from click.core import ParameterSource
 
 from touchd import __version__
-from touchd.cli.source import source_options
+from touchd.cli.source import chosen, source_options
 from touchd.errors import ConfigError, MissingExtra, ModelMissing, TouchdError
 from touchd.service.signals import deliver, held, unwound
 
@@ -98,6 +99,10 @@ def touchd(
     """
     ctx.obj = {"debug": debug or bool(os.environ.get("TOUCHD_DEBUG")), "config": config}
     if ctx.invoked_subcommand is not None:
+        given = [name for name in ctx.params if ctx.get_parameter_source(name) is ParameterSource.COMMANDLINE]
+        if unused := [p.opts[0] for p in ctx.command.params if p.name in given and p.name not in ctx.obj]:
+            before = f"before {ctx.invoked_subcommand}"
+            raise click.UsageError(f"no effect {before}: {', '.join(unused)}; put it behind, or leave it out")
         deliver()  # they end a verb
         ctx.with_resource(unwound())  # a daemon has a handler of its own
         return
@@ -105,8 +110,8 @@ def touchd(
     from touchd.config.load import Retired, load
     from touchd.service.daemon import run
     from touchd.service.log import configure, warn_retired
-    from touchd.sources.open import SourceChoice
 
+    choice = chosen(source)
     overrides: dict[str, Any] = {}
     if bind:
         overrides["bus"] = {"bind": bind}
@@ -123,7 +128,7 @@ def touchd(
         warn_retired(key)
     run(
         settings,
-        SourceChoice(**source),
+        choice,
         echo=echo,
         await_subscriber_s=await_subscriber,
         read_settings=lambda: load(config, overrides, warn_retired),

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from touchd.cli.interrupt import stopping, until
-from touchd.cli.source import source_options
+from touchd.cli.source import chosen, source_options
 from touchd.errors import ConfigError, SourceError
 from touchd.frame import Plate, parse_plate
 
@@ -66,7 +66,7 @@ def command(
     """
     from touchd.config.load import load
     from touchd.service.frame_feed import open_running, rate_of
-    from touchd.sources.open import SourceChoice, open_source
+    from touchd.sources.open import open_source
     from touchd.sources.recorder import MAX_FILE_FRAMES, Recorder
 
     if output.suffix == ".npz" and frames is not None and frames > MAX_FILE_FRAMES:
@@ -76,8 +76,8 @@ def command(
         )  # fmt: skip
     if label and (output.suffix != ".npz" or frames is not None or seconds is not None):
         raise click.UsageError("--label writes one file, -o NAME.npz, and ends with its last touch or with Ctrl-C")
+    choice = chosen(named)
     settings = load(config or (ctx.obj or {}).get("config"))
-    choice = SourceChoice(**named)
     source = open_running(choice, settings) or open_source(choice, settings)
     with ExitStack() as stack:
         stack.callback(source.close)

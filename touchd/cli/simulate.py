@@ -135,8 +135,10 @@ def command(
     force: bool,
 ) -> None:
     """Simulate SCENE on a plate and write a recording, labelled with true contacts."""
-    if scene == TOUCHES and not (frames is None and rate_hz is None and keypad is None and code is None):
-        raise click.UsageError("--frames, --rate-hz, --keypad and --code apply to scenes; use --count")
+    if scene == TOUCHES and not (frames is None and rate_hz is None):
+        raise click.UsageError("--frames and --rate-hz apply to scenes; use --count")
+    if scene != "keypad" and not (keypad is None and code is None):
+        raise click.UsageError("--keypad and --code apply to the scene keypad")
     touches = TouchSet(
         count or COUNT, finger or "silicone", None, stale_k, fingers, apart_mm, edge_gap_mm, warmer_k, label_noise_mm
     )

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
+
+if TYPE_CHECKING:
+    from touchd.sources.open import SourceChoice
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -46,3 +49,13 @@ def source_options(command: Command) -> Command:
     for add in reversed(OPTIONS):
         command = add(command)
     return command
+
+
+def chosen(options: dict[str, Any]) -> SourceChoice:
+    """Return the source that the options name; raise UsageError if one of them has no effect on it."""
+    from touchd.sources.open import SourceChoice
+
+    choice = SourceChoice(**options)
+    if choice.is_device and (choice.speed != 1 or choice.loop or choice.seed):
+        raise click.UsageError("--speed, --loop and --seed apply to a recording or scene: --replay, --simulate")
+    return choice

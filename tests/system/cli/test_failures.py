@@ -382,6 +382,24 @@ def test_wrong_use() -> None:
     assert "Traceback" not in ended.err
 
 
+@pytest.mark.parametrize(
+    ("arguments", "option"),
+    [
+        (("--speed", "2"), "--speed"),
+        (("record", "-o", "a.npz", "--loop"), "--loop"),
+        (("--replay", "a.npz", "record", "-o", "b.npz"), "--replay"),
+        (("simulate", "tap", "-o", "a.npz", "--code", "12"), "--code"),
+        (("simulate", "touches", "-o", "a.npz", "--keypad", "keys.toml"), "--keypad"),
+    ],
+)
+def test_no_effect(arguments: tuple[str, ...], option: str, tmp_path: Path) -> None:
+    """An option that has no effect is wrong use, and nothing is written."""
+    ended = touchd(*arguments, cwd=tmp_path)
+    assert ended.code == 2
+    assert option in ended.err.splitlines()[-1]
+    assert list(tmp_path.iterdir()) == []
+
+
 @pytest.mark.parametrize("speed", ["0", "-1", "nan", "inf", "fast"])
 def test_impossible_speed(speed: str, capsys: pytest.CaptureFixture[str]) -> None:
     """An impossible speed is wrong use."""
