@@ -115,7 +115,7 @@ def _touches(events: Subscriber[Event]) -> Iterator[TouchEvent]:
                 continue
             said = f"the daemon is {event.state}: {event.reason or 'see its log'}"
         if said != told:
-            click.echo(f"touchd: {said}", err=True)
+            click.echo(f"waiting: {said}", err=True)
             told = said
     raise BusTimeout(f"no touch within {_PATIENCE_S:g} s", events.address, "touch the crosses, and see touchd doctor")
 
