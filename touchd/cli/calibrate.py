@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from touchd.cli.beforehand import check_model_output
-from touchd.errors import PlatePoor
+from touchd.errors import DeviceLost, PlatePoor
 
 if TYPE_CHECKING:
     from touchd.calibration.calibrate import Fitted
@@ -125,8 +125,12 @@ def _take(settings: Settings, choice: SourceChoice, said: PlateFile, seconds: fl
     from touchd.sources.open import open_source
     from touchd.sources.recorder import describe
 
+    try:
+        source = open_running(choice, settings) or open_source(choice, settings)
+    except DeviceLost as error:  # whose remedy is of the verbs that have --replay
+        raise DeviceLost(error.what, error.where, "plug it in, or name a RECORDING or --simulate SCENE") from error
     click.echo(f"taking {seconds:g} s of frames: do not touch the plate", err=True)
-    with closing(open_running(choice, settings) or open_source(choice, settings)) as source:
+    with closing(source):
         sample = take(source, seconds)
         meta = describe(source.acquisition, said.described(), rate_of(source, settings.device), source="calibrate")
     return Recording(meta, sample.counts, sample.sequence, sample.t_ns - sample.t_ns[0])

@@ -38,6 +38,15 @@ class World:
         np.savez(path, **(self._arrays | changes))
         return path
 
+    def plate(self) -> Path:
+        """A PLATE.toml with nothing wrong."""
+        return self.file(
+            "PLATE.toml",
+            "[plate]\nwidth_mm = 200\nheight_mm = 200\nthickness_mm = 5\nmaterial = 'glass'\n"
+            "[discs]\ndiameter_mm = 6\nemitter_mm = [30, 100]\n"
+            "receivers_mm = [[15, 15], [185, 20], [180, 185], [20, 170]]\n",
+        )
+
     def pipe(self, name: str) -> Path:
         """A pipe that nobody writes to."""
         os.mkfifo(self.folder / name)
@@ -150,12 +159,7 @@ CASES: dict[str, tuple[type[TouchdError], Arguments, tuple[str, ...]]] = {
             "--taps",
             w.good,
             "--plate",
-            w.file(
-                "PLATE.toml",
-                "[plate]\nwidth_mm = 200\nheight_mm = 200\nthickness_mm = 5\nmaterial = 'glass'\n"
-                "[discs]\ndiameter_mm = 6\nemitter_mm = [30, 100]\n"
-                "receivers_mm = [[15, 15], [185, 20], [180, 185], [20, 170]]\n",
-            ),
+            w.plate(),
         ),
         ("contacts_mm", "record --label"),
     ),
@@ -220,6 +224,15 @@ CASES: dict[str, tuple[type[TouchdError], Arguments, tuple[str, ...]]] = {
         errors.DeviceLost,
         lambda w: ("record", "-o", w.folder / "a.npz", "--config", w.file("none.toml", '[device]\nserial = "none"')),
         ("plug it in", "--replay"),
+    ),
+    "no DAQ to calibrate": (
+        errors.DeviceLost,
+        lambda w: (
+            "calibrate",
+            *("-o", w.folder / "m.onnx", "--plate", w.plate()),
+            *("--config", w.file("none.toml", '[device]\nserial = "none"\n[control]\nsocket = "none"')),
+        ),
+        ("plug it in, or name a RECORDING",),
     ),
     "two sources": (errors.SourceError, bound("--simulate", "tap"), ("--simulate",)),
     "an unknown scene": (errors.SimulationError, lambda _w: ("--simulate", "dance"), ("'dance'", "swipe")),
