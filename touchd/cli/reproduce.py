@@ -48,6 +48,7 @@ def command(
     from touchd.lab.reproduction.figures import draw
     from touchd.lab.reproduction.report import page, store
     from touchd.lab.reproduction.run import Scale, reproduce
+    from touchd.lab.reproduction.sets import check_touches
     from touchd.lab.reproduction.tables import figures
     from touchd.recording.format import read
     from touchd.twin import cache as kept
@@ -56,6 +57,8 @@ def command(
     given = read(recording) if recording else None
     if given is not None and given.contacts_mm is None:
         raise RecordingValues("no true contacts to train on", str(recording), "use a recording with contacts_mm")
+    if given is not None:
+        check_touches(given, str(recording))
     scale = Scale(touches=touches, epochs=epochs)
     if touches < scale.touches:
         part = touches / scale.touches

@@ -9,6 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 from touchd.cli.reproduce import command
+from touchd.errors import TrainingError
 from touchd.evaluation.dataset import MIN_TOUCHES
 from touchd.lab.reproduction import plan, run
 from touchd.lab.reproduction.sets import simulated
@@ -79,6 +80,15 @@ def test_given_recording(touches: Recording, tmp_path: Path, monkeypatch: pytest
     reproduce(path, "-o", page, *FEW, *keep, "--force")
     untimed = re.compile(r"^.*\b(us|times as long)\b.*$|^\|.*\|.*\d+ \| \d+ \|$", re.M)
     assert untimed.sub("", check(page)) == untimed.sub("", text)
+
+
+@pytest.mark.parametrize(("count", "named"), [(7, "7 touches"), (140, "on the central 110 mm")])
+def test_too_few(count: int, named: str, instrument: Instrument, tmp_path: Path) -> None:
+    """A recording of too few touches, on its plate or on the middle of it, is refused before all work."""
+    recording.write(tmp_path / "few.npz", simulate_touches(count, seed=5, instrument=instrument))
+    with pytest.raises(TrainingError, match=rf"few\.npz: .*{named}"):
+        reproduce(tmp_path / "few.npz", "-o", tmp_path / "report.md", "--cache", tmp_path / "cache", *FEW)
+    assert not (tmp_path / "cache").exists()
 
 
 def test_twin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,6 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from touchd.errors import TrainingError
+from touchd.evaluation.dataset import labels
 from touchd.frame import Plate
 from touchd.lab.reproduction.paper import CENTRAL_MM
 from touchd.recording.data import Recording
@@ -47,6 +49,15 @@ def simulated(kind: str, count: int, seed: int) -> Recording:
     electronics = Electronics(noise_db=NOISY_DB) if kind == "noise" else None
     stale_k = STALE_K if kind == "stale" else 0.0
     return simulate_touches(count, seed=seed, finger=finger, electronics=electronics, stale_k=stale_k)
+
+
+def check_touches(recording: Recording, where: str) -> None:
+    """Raise TrainingError if a recording has too few touches, on its whole plate or on the central square."""
+    for part, place in ((recording, ""), (central(recording, CENTRAL_MM), f" on the central {CENTRAL_MM:g} mm")):
+        try:
+            labels(part)
+        except TrainingError as error:
+            raise TrainingError(f"{error.what}{place}", where, error.fix) from error
 
 
 def central(recording: Recording, side_mm: float) -> Recording:
