@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import signal
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import AbstractContextManager, contextmanager
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
@@ -112,12 +115,22 @@ def subscribing(*, apart: bool) -> AbstractContextManager[None]:
     return undisturbed((every - own or every) if apart else own)
 
 
+def start(process: BaseProcess) -> None:
+    """Start a process that Ctrl-C does not reach, which is for its parent: it would end with a traceback."""
+    resource_tracker.ensure_running()  # on its first start it unblocks the signal
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, (signal.SIGINT,))
+    try:
+        process.start()
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 @contextmanager
 def _running(task: Task) -> Iterator[Connection]:
     """Run the daemon's process; it is gone afterwards."""
     ours, theirs = SPAWN.Pipe()
     process = SPAWN.Process(target=main, args=(task, theirs), daemon=True)
-    process.start()
+    start(process)
     theirs.close()  # so that the end of the process ends the pipe
     try:
         yield ours

@@ -12,7 +12,7 @@ import zmq
 
 from touchd.errors import JobError
 from touchd.lab.benchmark.child import BURN_IN_S
-from touchd.lab.benchmark.daemon import SPAWN, daemon_cpus, subscribing
+from touchd.lab.benchmark.daemon import SPAWN, daemon_cpus, start, subscribing
 from touchd.lab.benchmark.results import BUS_RATE_HZ, BareTimes, DaemonResult, Otherwise
 from touchd.lab.benchmark.stopwatch import Spread, held_up, middle, spread
 from touchd.service.realtime import Awake, permitted
@@ -85,7 +85,7 @@ def measure_bus(rate_hz: float, seconds: float, folder: Path, *, apart: bool = F
         socket.connect(address)
         socket.subscribe(b"touch")
         process = SPAWN.Process(target=_send, args=(address, rate_hz, seconds, cpus), daemon=True)
-        process.start()
+        start(process)
         try:
             while body := socket.recv_multipart()[1]:
                 took_us.append((time.monotonic_ns() - int.from_bytes(body[:8], "little")) * 1e-3)

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import signal
+import time
+from pathlib import Path
+
 import pytest
 
 from tests.system.lab.benchmark.conftest import cell
@@ -16,3 +20,17 @@ def test_day() -> None:
     assert found is not None
     assert found.cpu_s_per_hour == pytest.approx(3600 * (0.98 * 0.01 + 0.01 * 0.1 + 0.01 * 0.2), rel=1e-2)
     assert daemon.day(cells[:2]) is None
+
+
+def test_interrupt() -> None:
+    """Ctrl-C does not reach the daemon's process, not even while it imports: its parent ends it."""
+    process = daemon.SPAWN.Process(target=time.sleep, args=(60,), daemon=True)
+    daemon.start(process)
+    try:
+        status = Path(f"/proc/{process.pid}/status").read_text()
+    finally:
+        process.kill()
+        process.join()
+    (blocked,) = (line.split()[1] for line in status.splitlines() if line.startswith("SigBlk"))
+    assert int(blocked, 16) >> (signal.SIGINT - 1) & 1
+    assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ())
