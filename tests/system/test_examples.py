@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
 import threading
@@ -92,6 +93,25 @@ def test_the_page_has_the_examples() -> None:
 
 def test_the_python_example_runs(sink: ZeromqSink) -> None:
     check(sink, [sys.executable, str(EXAMPLES / "listen.py")], contact_line)
+
+
+@pytest.mark.parametrize("how", ["Ctrl-C", "its reader leaves"])
+def test_the_python_example_ends_quietly(how: str, sink: ZeromqSink) -> None:
+    command = [sys.executable, str(EXAMPLES / "listen.py"), sink.addresses[0]]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as example:
+        assert example.stdout is not None
+        assert example.stderr is not None
+        try:
+            sink.wait_for_subscriber(PATIENCE_S)
+            if how == "Ctrl-C":
+                example.send_signal(signal.SIGINT)
+            else:
+                example.stdout.close()
+                sink.publish(touch(1), 0)
+            example.wait(PATIENCE_S)
+        finally:
+            example.kill()
+        assert example.stderr.read() == ""
 
 
 def test_the_c_example_compiles_without_a_warning_and_runs(sink: ZeromqSink, tmp_path: Path) -> None:
