@@ -20,6 +20,8 @@ from touchd.localization.features import Domain, band_bins
 
 METADATA_KEY = "touchd"
 _FLOAT, _DOUBLE = "tensor(float)", "tensor(double)"
+_NO_ONNX = "INVALID_PROTOBUF", "No graph was found"
+"""What ONNX Runtime says of a file that is none."""
 Head = Literal["regression", "grid", "keypad"]
 Outputs = dict[str, NDArray[np.floating]]
 
@@ -252,6 +254,9 @@ def _load(path: Path) -> Any:
     try:
         return ort.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
     except Exception as error:
+        if any(said in str(error) for said in _NO_ONNX):
+            fix = "name a model, a .onnx file: touchd calibrate, or touchd train, makes one"
+            raise ModelInvalid("is no ONNX model", str(path), fix) from error
         raise _invalid(path, f"not a usable ONNX model ({_first_line(error)})") from error
 
 

@@ -117,7 +117,11 @@ CASES: dict[str, tuple[type[TouchdError], Arguments, tuple[str, ...]]] = {
         replay(lambda w: w.file("cut.npz", w.good.read_bytes()[:-5000])),
         ("cut.npz",),
     ),
-    "a file that is no recording": (errors.RecordingTruncated, replay(lambda w: w.file("a.npz", "hello")), ("a.npz",)),
+    "a file that is no recording": (
+        errors.RecordingTruncated,
+        replay(lambda w: w.file("a.npz", "hello")),
+        ("a.npz: is no .npz archive",),
+    ),
     "a newer version": (
         errors.RecordingVersion,
         replay(lambda w: w.broken(version=2)),

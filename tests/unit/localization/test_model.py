@@ -197,7 +197,7 @@ def test_a_missing_file_is_told_from_a_wrong_one(tmp_path: Path) -> None:
         Model(tmp_path / "none.onnx")
     wrong = tmp_path / "wrong.onnx"
     wrong.write_bytes(b"no model at all")
-    with pytest.raises(ModelInvalid, match="not a usable ONNX model"):
+    with pytest.raises(ModelInvalid, match="is no ONNX model -> name a model"):
         Model(wrong)
 
 
