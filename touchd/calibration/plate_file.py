@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
@@ -126,17 +127,30 @@ def check_plate_file(content: dict[str, Any], where: str = "PLATE.toml") -> Plat
     try:
         said = PlateFile.model_validate(content)
     except ValidationError as error:
-        first = error.errors()[0]
-        # Of a choice of types pydantic names each; and a key may hold anything.
-        parts = [str(part) for part in first["loc"] if not str(part).startswith(("literal[", "Edges"))]
-        key = "".join(c if c.isprintable() else "?" for c in ".".join(parts))
-        raise PlateFileInvalid(
-            f"{first['msg'][:1].lower()}{first['msg'][1:]}", f"{where}: {key}", _fix(first["type"], first["loc"])
-        ) from error
-    _check_material(said.plate, where)
-    _check_lengths(said, where)
-    _check_places(said, where)
+        raise _joined([*_explained(error, where)], where) from error
+    # Lengths in metres put every disc in the wrong place: places are checked once the lengths are right.
+    if wrong := [*_check_material(said.plate, where), *_check_lengths(said, where)] or [*_check_places(said, where)]:
+        raise _joined(wrong, where)
     return said
+
+
+def _joined(wrong: list[PlateFileInvalid], where: str) -> PlateFileInvalid:
+    if len(wrong) == 1:
+        return wrong[0]
+    return PlateFileInvalid(f"{len(wrong)} mistakes: {'; '.join(map(str, wrong))}", where, "correct them all")
+
+
+def _explained(error: ValidationError, where: str) -> Iterator[PlateFileInvalid]:
+    """Explain each key that pydantic refuses once."""
+    named = set()
+    for found in error.errors():
+        # Of a choice of types pydantic names each; and a key may hold anything.
+        parts = [str(part) for part in found["loc"] if not str(part).startswith(("literal[", "Edges"))]
+        key = "".join(c if c.isprintable() else "?" for c in ".".join(parts))
+        if key not in named:
+            named.add(key)
+            what = f"{found['msg'][:1].lower()}{found['msg'][1:]}"
+            yield PlateFileInvalid(what, f"{where}: {key}", _fix(found["type"], found["loc"]))
 
 
 def _fix(kind: str, place: tuple[int | str, ...]) -> str:
@@ -153,58 +167,58 @@ def _fix(kind: str, place: tuple[int | str, ...]) -> str:
     return "correct this key"
 
 
-def _check_material(plate: PlateSaid, where: str) -> None:
+def _check_material(plate: PlateSaid, where: str) -> Iterator[PlateFileInvalid]:
     constants = (plate.young_gpa, plate.poisson, plate.density_kg_m3)
     names = ", ".join(MATERIALS)
     if plate.material is None and None in constants:
-        raise PlateFileInvalid(
+        yield PlateFileInvalid(
             "the material is missing", f"{where}: plate.material",
             f"name one of {names}, or give young_gpa, poisson and density_kg_m3",
         )  # fmt: skip
     if plate.material is not None and any(constant is not None for constant in constants):
-        raise PlateFileInvalid(
+        yield PlateFileInvalid(
             "has a name and constants", f"{where}: plate.material", "keep either the name or the three constants"
         )
     if plate.material is not None and plate.material.lower() not in MATERIALS:
-        raise PlateFileInvalid(
+        yield PlateFileInvalid(
             f"unknown material {plate.material!r}", f"{where}: plate.material",
             f"use one of {names}, or give young_gpa, poisson and density_kg_m3",
         )  # fmt: skip
 
 
-def _check_lengths(said: PlateFile, where: str) -> None:
+def _check_lengths(said: PlateFile, where: str) -> Iterator[PlateFileInvalid]:
     """Refuse lengths that can only be metres or centimetres."""
     plate, discs = said.plate, said.discs
     fix = "write every length in millimetres"
     for key, length_mm in (("width_mm", plate.width_mm), ("height_mm", plate.height_mm)):
         if length_mm < LEAST_SIDE_MM:
-            raise PlateFileInvalid(f"{length_mm:g} mm is no plate: metres?", f"{where}: plate.{key}", fix)
+            yield PlateFileInvalid(f"{length_mm:g} mm is no plate: metres?", f"{where}: plate.{key}", fix)
     if plate.thickness_mm < LEAST_THICKNESS_MM or plate.thickness_mm > min(plate.width_mm, plate.height_mm) / 4:
-        raise PlateFileInvalid(
+        yield PlateFileInvalid(
             f"{plate.thickness_mm:g} mm is no thickness of a {plate.width_mm:g} x {plate.height_mm:g} mm plate",
             f"{where}: plate.thickness_mm", fix,
         )  # fmt: skip
     if discs.diameter_mm < LEAST_THICKNESS_MM:
-        raise PlateFileInvalid(f"{discs.diameter_mm:g} mm is no disc: metres?", f"{where}: discs.diameter_mm", fix)
+        yield PlateFileInvalid(f"{discs.diameter_mm:g} mm is no disc: metres?", f"{where}: discs.diameter_mm", fix)
     for key, place in _places(discs):
         if 0 < max(place) < 1 and min(place) >= 0:
-            raise PlateFileInvalid(f"({place[0]:g}, {place[1]:g}) looks like metres", f"{where}: discs.{key}", fix)
+            yield PlateFileInvalid(f"({place[0]:g}, {place[1]:g}) looks like metres", f"{where}: discs.{key}", fix)
 
 
-def _check_places(said: PlateFile, where: str) -> None:
+def _check_places(said: PlateFile, where: str) -> Iterator[PlateFileInvalid]:
     """Refuse discs that reach over the edge or into each other."""
     plate, radius = said.plate, said.discs.diameter_mm / 2
     places = _places(said.discs)
     for number, (key, (x, y)) in enumerate(places):
         if not (radius <= x <= plate.width_mm - radius and radius <= y <= plate.height_mm - radius):
-            raise PlateFileInvalid(
+            yield PlateFileInvalid(
                 f"a disc of {2 * radius:g} mm at ({x:g}, {y:g}) reaches over the edge of the "
                 f"{plate.width_mm:g} x {plate.height_mm:g} mm plate",
                 f"{where}: discs.{key}", "measure from the top left corner, x to the right and y down",
             )  # fmt: skip
         for other, (x2, y2) in places[:number]:
             if (x - x2) ** 2 + (y - y2) ** 2 < (2 * radius) ** 2:
-                raise PlateFileInvalid(f"lies on {other}", f"{where}: discs.{key}", "measure both again")
+                yield PlateFileInvalid(f"lies on {other}", f"{where}: discs.{key}", "measure both again")
 
 
 def _places(discs: DiscsSaid) -> list[tuple[str, tuple[float, float]]]:

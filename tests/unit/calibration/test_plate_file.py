@@ -74,6 +74,18 @@ def test_mistakes(table: str, keys: dict[str, Any], said: str) -> None:
         read(table, **keys)
 
 
+def test_all_mistakes() -> None:
+    """All mistakes are reported at once, each with its remedy, and a choice of types once."""
+    content = changed("plate", height_mm=..., edge="glued", colour="red")
+    with pytest.raises(PlateFileInvalid, match=r"^PLATE\.toml: 3 mistakes: .*height_mm.*edge.*colour") as caught:
+        check_plate_file(content)
+    assert str(caught.value).count("->") == 4
+    with pytest.raises(PlateFileInvalid, match=r"2 mistakes: .*cheese.*plate\.thickness_mm"):
+        read("plate", material="cheese", thickness_mm=60)
+    with pytest.raises(PlateFileInvalid, match=r"2 mistakes: .*receivers_mm\.0.*receivers_mm\.1"):
+        read("discs", receivers_mm=[[1, 15], [199, 20]])
+
+
 def test_byte_order_mark(tmp_path: Path) -> None:
     """A file that begins as Windows' editors begin one is read."""
     path = tmp_path / "PLATE.toml"
