@@ -8,7 +8,10 @@ from touchd.service.signals import hold
 def run() -> None:
     """Run the command line and exit with its status."""
     hold()  # before the imports, which take a tenth of a second
-    from touchd.cli.main import main
+    try:
+        from touchd.cli.main import main
+    except KeyboardInterrupt:
+        sys.exit(130)
 
     sys.exit(main())
 
