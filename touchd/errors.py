@@ -108,6 +108,10 @@ class ReaderFailed(SourceError, exit_code=52):
     """The DAQ's reader thread died or hangs: restart touchd."""
 
 
+class DeviceBusy(SourceError, exit_code=53):
+    """Another program uses the DAQ: stop that."""
+
+
 class MissingExtra(TouchdError, exit_code=60):
     """An optional package is missing: install the named extra."""
 

@@ -16,6 +16,10 @@ class DaqAbsent(Exception):
     """No device can be used at present; the text says why."""
 
 
+class DaqBusy(DaqAbsent):
+    """A device that another program uses."""
+
+
 class DaqUnfit(DaqAbsent):
     """A device of the protocol that cannot be used, and why."""
 

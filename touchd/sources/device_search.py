@@ -7,9 +7,9 @@ from collections.abc import Callable
 import structlog
 
 from touchd.config.schema import DeviceSettings
-from touchd.errors import ConfigError, DeviceLost, TouchdError
+from touchd.errors import ConfigError, DeviceBusy, DeviceLost, TouchdError
 from touchd.frame import Acquisition
-from touchd.sources.daq import Candidates, Daq, DaqAbsent, DaqGone, DaqUnfit
+from touchd.sources.daq import Candidates, Daq, DaqAbsent, DaqBusy, DaqGone, DaqUnfit
 
 log = structlog.get_logger()
 
@@ -73,17 +73,21 @@ class DeviceSearch:
 
 
 def open_first(candidates: Candidates) -> Daq:
-    """Return the first device that can be opened; raises DeviceLost."""
-    absent = []
+    """Return the first device that can be opened; raises DeviceLost or DeviceBusy."""
+    absent: list[DaqAbsent | DaqGone] = []
     try:
         for opener in candidates():
             try:
                 return opener()
             except (DaqAbsent, DaqGone) as why:
-                absent.append(str(why))
+                absent.append(why)
     except DaqAbsent as why:  # devices cannot be listed
-        absent.append(str(why))
-    raise DeviceLost("; ".join(absent), "device", "plug it in, or add --replay FILE or --simulate SCENE")
+        absent.append(why)
+    what = "; ".join(map(str, absent))
+    if any(isinstance(why, DaqBusy) for why in absent):
+        fix = "stop the daemon, or set control.socket, for it and this command alike: it then hands out its frames"
+        raise DeviceBusy(what, "device", fix)
+    raise DeviceLost(what, "device", "plug it in, or add --replay FILE or --simulate SCENE")
 
 
 def check_rate(daq: Daq, settings: DeviceSettings) -> None:

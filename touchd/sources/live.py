@@ -274,8 +274,8 @@ def open_live(candidates: Candidates, settings: DeviceSettings, waits: Waits = W
 
     Raises
     ------
-    DeviceLost
-        No device is there.
+    DeviceLost, DeviceBusy
+        No device is there, or another program uses it.
     ConfigError
         It does not have the frame rate.
     """

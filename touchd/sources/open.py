@@ -7,7 +7,7 @@ from math import inf
 from pathlib import Path
 
 from touchd.config.schema import Settings
-from touchd.errors import DeviceLost, SourceError
+from touchd.errors import DeviceBusy, DeviceLost, SourceError
 from touchd.frame import ACQUISITIONS, Acquisition
 from touchd.localization.model import Model
 from touchd.sources.source import Source
@@ -119,7 +119,7 @@ def _open_usb(settings: Settings, model: Model | None, *, late: bool) -> Source:
         return open_usb(settings.device, model.description.acquisition, model.check)
     try:
         return open_usb(settings.device)
-    except DeviceLost:
+    except (DeviceLost, DeviceBusy):
         if not late:
             raise
     return open_usb(settings.device, PAPER, _check_usual)

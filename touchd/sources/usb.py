@@ -17,7 +17,7 @@ import usb.util
 from touchd.config.schema import DeviceSettings
 from touchd.errors import SourceError
 from touchd.frame import Acquisition
-from touchd.sources.daq import WAITS, Candidates, Daq, DaqAbsent, DaqGone, DaqUnfit, Waits
+from touchd.sources.daq import WAITS, Candidates, Daq, DaqAbsent, DaqBusy, DaqGone, DaqUnfit, Waits
 from touchd.sources.live import DaqSource, open_live
 from touchd.sources.usb_protocol import INFO_BYTES, INTERFACE_CLASS, Info, ProtocolFault, Request, parse_info
 from touchd.sources.usb_stream import EndpointHalted, RequestRefused, TransferOverflow, UsbDaq, acquisition_of
@@ -114,7 +114,7 @@ class UsbDevice:
             if error.errno == errno.EACCES:
                 why = f"no permission to open it ({self._where}): install the udev rules of touchd"
             elif error.errno == errno.EBUSY:
-                why = f"another program uses it ({self._where})"
+                raise DaqBusy(f"another program uses it ({self._where})") from error
             else:
                 why = f"it cannot be opened ({self._where}: {_name(error)})"
             raise DaqAbsent(why) from error
@@ -198,8 +198,8 @@ def open_usb(
 
     Raises
     ------
-    DeviceLost
-        No acquisition is given, and no device is plugged in.
+    DeviceLost, DeviceBusy
+        No acquisition is given, and no device is plugged in, or another program uses it.
     SourceError
         libusb is not installed.
     """

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import re
 import socket
@@ -16,6 +17,8 @@ import pytest
 from tests.command_line import touchd
 from tests.conftest import Scene
 from tests.processes import ROOT, Ended
+from tests.system.usb.backend import FakeBus, FakeDaq
+from tests.system.usb.reader import INFO
 from touchd import errors
 from touchd.cli import main as cli
 from touchd.cli.main import VERBS, main, missing_extra
@@ -284,6 +287,18 @@ def test_failure(case: str, world: World) -> None:
 def test_address_in_use(world: World, taken: str) -> None:
     """An address in use is named."""
     explained(touchd("--replay", world.good, "--bind", taken), errors.AddressInUse, taken)
+
+
+@pytest.mark.parametrize("verb", ["record", "calibrate"])
+def test_busy_daq(verb: str, world: World, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a DAQ that a daemon without a control socket uses, the remedy is the daemon's, not to plug it in."""
+    (daq := FakeDaq(INFO)).claim_error = errno.EBUSY
+    monkeypatch.setattr("touchd.sources.usb.libusb", lambda: FakeBus(daq))
+    output = ("-o", world.folder / "m.onnx", "--plate", world.plate()) if verb == "calibrate" else (
+        "-o", world.folder / "a.npz")  # fmt: skip
+    config = world.file("touchd.toml", '[control]\nsocket = "none"')
+    ended = touchd(verb, *output, "--config", config)
+    explained(ended, errors.DeviceBusy, "another program uses it", "-> stop the daemon, or set control.socket")
 
 
 def test_wrong_variable(world: World) -> None:

@@ -12,7 +12,7 @@ from structlog.testing import capture_logs
 from tests.system.usb.backend import FakeBus, FakeDaq, steady
 from tests.system.usb.reader import INFO, Read, Reader
 from touchd.config.schema import DeviceSettings
-from touchd.errors import ConfigError, DeviceLost
+from touchd.errors import ConfigError, DeviceBusy, DeviceLost
 from touchd.frame import Acquisition, Chirp
 from touchd.localization.model import Model
 from touchd.sources.usb import libusb, open_usb
@@ -165,6 +165,15 @@ def test_no_model_no_device(daq: FakeDaq, bus: FakeBus) -> None:
     """Without a model a device must be plugged in."""
     daq.unplug()
     with pytest.raises(DeviceLost, match="plug it in"):
+        open_usb(DeviceSettings(), backend=bus)
+
+
+def test_no_model_busy(daq: FakeDaq, bus: FakeBus) -> None:
+    """Without a model a device that another program uses is not to be plugged in: its daemon can hand out frames."""
+    bus.daqs.append(FakeDaq(INFO, serial="SN0002"))
+    bus.daqs[1].open_error = errno.EACCES
+    daq.claim_error = errno.EBUSY
+    with pytest.raises(DeviceBusy, match=r"another program uses it .+ -> stop the daemon, or set control\.socket"):
         open_usb(DeviceSettings(), backend=bus)
 
 
