@@ -103,21 +103,18 @@ class UsbDevice:
     def _open(self, configuration: int) -> None:
         device, number = self._device, self._interface
         try:
+            active = _active_configuration(device)
             with contextlib.suppress(NotImplementedError):
                 if device.is_kernel_driver_active(number):
                     device.detach_kernel_driver(number)
             # Setting it again would abort the frame in flight.
-            if _active_configuration(device) != configuration:
+            if active != configuration:
                 device.set_configuration(configuration)
             usb.util.claim_interface(device, number)
         except usb.core.USBError as error:
-            if error.errno == errno.EACCES:
-                why = f"no permission to open it ({self._where}): install the udev rules of touchd"
-            elif error.errno == errno.EBUSY:
+            if error.errno == errno.EBUSY:
                 raise DaqBusy(f"another program uses it ({self._where})") from error
-            else:
-                why = f"it cannot be opened ({self._where}: {_name(error)})"
-            raise DaqAbsent(why) from error
+            raise DaqAbsent(f"it cannot be opened ({self._where}: {_name(error)})") from error
 
     def _ask_info(self) -> Info:
         try:
@@ -168,7 +165,10 @@ def _open_daq(device: Any, settings: DeviceSettings) -> Daq:
     if found is None:
         _refuse(f"{_where(device)} has the ids {_ids(settings)}, but no interface of touchd's protocol")
     elif settings.serial and (serial := serial_of(device)) != settings.serial:
-        usb.util.dispose_resources(device)
+        try:
+            _active_configuration(device)  # without permission no serial number can be read
+        finally:
+            usb.util.dispose_resources(device)
         _refuse(f"{_where(device)} has the serial number {serial!r}, not {settings.serial!r}")
     return UsbDaq(UsbDevice(device, *found))
 
@@ -274,11 +274,12 @@ def _is_bulk_in(endpoint: Any) -> bool:
 
 
 def _active_configuration(device: Any) -> int | None:
+    """Return the value of the configuration that is set, None if none is; raises DaqAbsent without permission."""
     try:
         return int(device.get_active_configuration().bConfigurationValue)
     except usb.core.USBError as error:
-        if error.errno in (errno.EACCES, errno.ENODEV):
-            raise
+        if error.errno == errno.EACCES:
+            raise DaqAbsent(f"no permission to open it ({_where(device)}): install touchd's udev rules") from error
         return None
 
 

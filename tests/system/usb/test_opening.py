@@ -38,6 +38,14 @@ def test_wrong_serial_number(read: Read) -> None:
     assert "'SN0001', not 'SN9'" in reader.changes[-1].reason
 
 
+def test_serial_number_not_permitted(daq: FakeDaq, read: Read) -> None:
+    """Without permission no serial number can be read: the reason names the permission."""
+    daq.open_error = errno.EACCES
+    reader = read(serial="SN0001")
+    reader.until_state("lost")
+    assert "no permission" in reader.changes[-1].reason
+
+
 def test_foreign_device(bus: FakeBus, daq: FakeDaq, read: Read) -> None:
     """A device with the same ids but without the interface is not opened, and named as the reason."""
     foreign = FakeDaq(INFO)
