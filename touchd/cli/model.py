@@ -34,16 +34,11 @@ def command(ctx: click.Context, config: Path | None, socket_path: Path | None) -
 @click.pass_obj
 def install_command(found: tuple[Settings, Path], file: Path) -> None:
     """Copy FILE and the field atlas beside it in the place of the model in use, which is kept as the previous one."""
-    from touchd.files import writing
-    from touchd.localization.model import Model
-    from touchd.localization.model_file import digest, install
+    from touchd.localization.model_file import install
 
     settings, socket_path = found
     target = _target(settings)
-    Model(file)  # refused before it is compared
-    with writing(target):
-        another = digest(file) != digest(target)  # else the previous model would become a copy of it
-    name = install(file, target, keep=another).description.name
+    name = install(file, target).description.name
     click.echo(f"{target}: {name}; {_tell(socket_path)}")
 
 

@@ -46,7 +46,8 @@ def digest(model: Path) -> str:
 def install(source: Path, target: Path, *, keep: bool = True) -> Model:
     """Put a model with what lies beside it in the place of another, which is kept as the previous one.
 
-    A source that is no usable model changes nothing. Without `keep` the previous model stays what it was.
+    A source that is no usable model changes nothing. Without `keep`, and where the model in use is installed again, the
+    previous model stays what it was.
 
     Raises
     ------
@@ -61,7 +62,8 @@ def install(source: Path, target: Path, *, keep: bool = True) -> Model:
         with tempfile.TemporaryDirectory(dir=target.parent, prefix=f".{target.name}.") as scratch:
             fresh = Path(scratch) / target.name
             _copy(source, fresh)
-            if keep and target.exists():
+            # The model in use must not become its own predecessor: nothing would be left to go back to.
+            if keep and target.exists() and digest(fresh) != digest(target):
                 _copy(target, kept := Path(scratch) / previous_path(target).name)
                 _move(kept, previous_path(target))
             _move(fresh, target)

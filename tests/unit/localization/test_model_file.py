@@ -40,6 +40,13 @@ def test_rollback(target: Path) -> None:
     assert rollback(target).description.name == "small"
 
 
+def test_installed_again(target: Path) -> None:
+    """The model in use, installed again, leaves the previous one what it was."""
+    for model in (SMALL, SHIPPED, SHIPPED):
+        install(model, target)
+    assert rollback(target).description.name == "small"
+
+
 def test_nothing_to_go_back_to(target: Path) -> None:
     """Without a previous model the one in use stays."""
     install(SMALL, target)
