@@ -7,9 +7,10 @@ import os
 import tempfile
 from pathlib import Path
 
-from touchd.errors import ModelMissing
+from touchd.errors import ModelInvalid, ModelMissing, RecordingError
 from touchd.files import open_file, replacing, writing
 from touchd.localization.model import Model
+from touchd.recording.format import Reader
 
 BESIDE = (".untouched.npz", ".atlas.npz", ".onnx")
 """Suffixes of a model's files: reference of the untouched plate, field atlas, and the model, which is replaced last."""
@@ -52,11 +53,19 @@ def install(source: Path, target: Path, *, keep: bool = True) -> Model:
     Raises
     ------
     ModelError
-        The source is no usable model.
+        The source is no usable model, or what lies beside it is no atlas, or no recording of the untouched plate.
     OutputError
         The files cannot be written.
     """
     Model(source)
+    if (reference := source.with_suffix(".untouched.npz")).exists():
+        try:
+            Reader(reference)
+        except RecordingError as error:
+            raise ModelInvalid(
+                f"not a usable reference of the untouched plate ({error.what})", str(reference),
+                "remove it, or calibrate again: touchd calibrate",
+            ) from error  # fmt: skip
     with writing(target):
         target.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=target.parent, prefix=f".{target.name}.") as scratch:

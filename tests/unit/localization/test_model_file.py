@@ -56,7 +56,7 @@ def test_nothing_to_go_back_to(target: Path) -> None:
 
 
 def test_unusable(target: Path, tmp_path: Path) -> None:
-    """What is no model, or has another model's atlas, replaces nothing."""
+    """What is no model, or has an atlas or a reference that cannot be used, replaces nothing."""
     install(SMALL, target)
     (wrong := tmp_path / "wrong.onnx").write_bytes(b"not a model")
     with pytest.raises(ModelInvalid):
@@ -65,5 +65,8 @@ def test_unusable(target: Path, tmp_path: Path) -> None:
     atlas_path(other).write_bytes(b"PK half an atlas")
     with pytest.raises(ModelInvalid):
         install(other, target)
-    assert Model(target).description.name == "small"
+    shutil.copy(SMALL, fine := tmp_path / "fine.onnx")
+    fine.with_suffix(".untouched.npz").write_bytes(b"PK half a reference")
+    with pytest.raises(ModelInvalid, match="not a usable reference"):
+        install(fine, target)
     assert [path.name for path in target.parent.iterdir()] == ["model.onnx"]
