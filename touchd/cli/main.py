@@ -7,7 +7,7 @@ import os
 import sys
 import traceback
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 from click.core import ParameterSource
@@ -16,6 +16,9 @@ from touchd import __version__
 from touchd.cli.source import chosen, source_options
 from touchd.errors import ConfigError, MissingExtra, ModelMissing, TouchdError
 from touchd.service.signals import deliver, held, unwound
+
+if TYPE_CHECKING:
+    from touchd.config.schema import Settings
 
 VERBS = {
     "audio-check": "Measure an audio interface.",
@@ -107,9 +110,9 @@ def touchd(
         ctx.with_resource(unwound())  # a daemon has a handler of its own
         return
     ctx.with_resource(held())  # before all that takes its time to import
-    from touchd.config.load import Retired, load
+    from touchd.config.load import Retired, empty_file, load
     from touchd.service.daemon import run
-    from touchd.service.log import configure, warn_retired
+    from touchd.service.log import configure, warn_reset, warn_retired
 
     choice = chosen(source)
     overrides: dict[str, Any] = {}
@@ -126,12 +129,20 @@ def touchd(
     configure(settings.log)
     for key in retired:
         warn_retired(key)
+
+    def reread() -> Settings:
+        nonlocal settings
+        before, settings = settings, load(config, overrides, warn_retired)
+        if settings != before and (empty := empty_file(config)):
+            warn_reset(empty)
+        return settings
+
     run(
         settings,
         choice,
         echo=echo,
         await_subscriber_s=await_subscriber,
-        read_settings=lambda: load(config, overrides, warn_retired),
+        read_settings=reread,
     )
 
 

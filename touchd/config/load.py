@@ -106,6 +106,11 @@ def load(
     return settings
 
 
+def empty_file(path: Path | None = None) -> Path | None:
+    """Return the file that `load` reads if it has no setting, or is not there; else None."""
+    return None if _file(path) else path or DEFAULT_PATH
+
+
 class _Layered(Settings, BaseSettings):
     """The settings as pydantic-settings merges them: the first of `sources` that has a key wins."""
 

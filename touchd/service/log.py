@@ -93,6 +93,14 @@ def configure(settings: LogSettings, stream: TextIO | None = None) -> None:
     )
 
 
+def warn_reset(path: Path) -> None:
+    """Warn of a configuration file that had settings, and has none now."""
+    structlog.get_logger().warning(
+        "the configuration file is empty or gone, its settings are reset", file=str(path),
+        fix="put it back, and reload",
+    )  # fmt: skip
+
+
 def warn_retired(key: Retired) -> None:
     """Warn of a key that an earlier version had."""
     structlog.get_logger().warning("a setting that is gone is ignored", where=key.where, instead=key.instead)
