@@ -137,17 +137,18 @@ def _examine_frames(
     source = running or open_source(choice, settings, model)
     with closing(source):
         rate_hz = rate_of(source, settings.device)
-        if model is not None:
-            make_pipeline(source, settings, model)  # refuses what the daemon would refuse
+        # Made before frames are taken: it refuses what the daemon would refuse.
+        pipeline = make_pipeline(source, settings, model) if model is not None else None
         sample = doctorhost.take(source, seconds)
     yield doctor.check_rate(sample, rate_hz)
     yield doctor.check_lost(sample)
     yield doctor.check_dead(sample)
     yield doctor.check_noise(sample)
     yield doctor.check_clipping(sample, source.acquisition)
-    if model is not None:
+    if model is not None and pipeline is not None:
         yield _examine_baseline(sample, reference, model)
-        yield doctor.check_time(doctorhost.time_frames(sample, source.acquisition, model), 1 / rate_hz)
+        spent_us = doctorhost.time_frames(sample, pipeline, settings.baseline.learn_frames, rate_hz)
+        yield doctor.check_time(spent_us, 1 / rate_hz)
 
 
 def _examine_baseline(sample: Sample, reference: Path | None, model: Model) -> Finding:

@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 import ctypes
+import math
 import time
+from collections.abc import Iterator
+from itertools import count
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.doctor.checks import Finding, Sample
+from touchd.doctor.checks import Finding, Sample, noise_counts
 from touchd.errors import RecordingValues, SourceError
-from touchd.frame import Acquisition, Counts
-from touchd.localization.features import Features
+from touchd.frame import Counts, Frame
+from touchd.localization.atlas import Atlas
 from touchd.localization.model import Model
+from touchd.localization.spline import Spline
+from touchd.pipeline import Pipeline
 from touchd.recording.format import Reader
 from touchd.service.runner import frames_of
 from touchd.sources.source import Change, LiveSource, Source
@@ -21,7 +26,10 @@ from touchd.sources.source import Change, LiveSource, Source
 _SILENCE_S = 5.0
 """Longest wait for a device's next frame."""
 _REFERENCE_FRAMES = 256
-_TIMED_FRAMES = 500
+_TAPS, _UNTOUCHED, _TOUCHED = 10, 10, 50
+"""Taps to time, and their frames."""
+_FIRM = 0.05
+"""A firm finger's share of the signal."""
 _UNSYNCHRONISED = 5  # adjtimex(2): TIME_ERROR
 _EARLIEST_S = 1735689600  # 2025: without a clock battery a computer starts in 1970
 
@@ -102,16 +110,37 @@ def untouched(path: Path, model: Model) -> NDArray[np.float64]:
     return total / count
 
 
-def time_frames(sample: Sample, acquisition: Acquisition, model: Model) -> list[float]:
-    """Return the computing time from counts to a position for each of 500 frames, us."""
-    features = Features(model.description.domain, acquisition)
-    baseline = sample.untouched.astype(np.float32)
-    residual = np.zeros_like(baseline)
-    spent_us = []
-    for i in range(_TIMED_FRAMES):
+def time_frames(sample: Sample, pipeline: Pipeline, learn_frames: int, rate_hz: float) -> list[float]:
+    """Return the computing time of each of 500 frames of a finger that taps and moves, through all stages, us.
+
+    The sample gives the untouched plate and its noise, the pipeline's model the finger.
+    """
+    model, plain, rng, spent_us = pipeline.model, sample.untouched, np.random.default_rng(0), []
+    noise = np.maximum(noise_counts(sample), 0.5)[:, None]
+    finger = _finger(plain, model.atlas if model else None)
+    for i in range(-learn_frames, _TAPS * (_UNTOUCHED + _TOUCHED)):
+        touched = i >= 0 and i % (_UNTOUCHED + _TOUCHED) >= _UNTOUCHED
+        counts = plain + noise * rng.standard_normal(plain.shape)
+        counts = np.rint(counts + next(finger) if touched else counts).clip(-(2**15), 2**15 - 1)
+        frame = Frame(counts.astype(np.int16), i, t_ns := round((learn_frames + i) / rate_hz * 1e9), t_ns)
         begin_ns = time.perf_counter_ns()
-        np.subtract(sample.counts[i % len(sample.counts)], baseline, out=residual)
-        features.extract(residual, model.features[0])
-        model.estimate()
-        spent_us.append((time.perf_counter_ns() - begin_ns) * 1e-3)
+        pipeline.process(frame)
+        if touched:
+            spent_us.append((time.perf_counter_ns() - begin_ns) * 1e-3)
     return spent_us
+
+
+def _finger(untouched: NDArray[np.float64], atlas: Atlas | None) -> Iterator[NDArray[np.float64]]:
+    """Yield what a finger adds to frame after frame as it moves; to a network alone any change is as dear."""
+    heard = untouched - untouched.mean(axis=1, keepdims=True)
+    if atlas is not None:
+        d, field = atlas.description, np.zeros((3, atlas.size), atlas.coefficients.dtype)
+        spline, to_samples = Spline(atlas, field), np.linalg.pinv(d.to_bins)
+    for i in count():
+        change = np.roll(heard, 2 + i % 3, axis=1)
+        if atlas is not None:
+            x_mm, y_mm = (low + (high - low) * (0.5 + 0.4 * math.sin(rate * i))
+                          for low, high, rate in zip(d.low_mm, d.high_mm, (0.02, 0.03), strict=True))  # fmt: skip
+            spline.at(x_mm, y_mm)
+            change = field[0].reshape(2, len(heard), -1).swapaxes(0, 1).reshape(len(heard), -1) @ to_samples
+        yield _FIRM * np.linalg.norm(heard) / max(float(np.linalg.norm(change)), 1e-9) * change

@@ -5,9 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from touchd.doctor.host import judge_clock, take
+from tests.conftest import Scene
+from touchd.config.schema import Settings
+from touchd.doctor.checks import Sample
+from touchd.doctor.host import judge_clock, take, time_frames
 from touchd.errors import SourceError
 from touchd.frame import Acquisition, Frame
+from touchd.localization.model import Model
+from touchd.outcome import Outcome
+from touchd.pipeline import Pipeline
 from touchd.sources.source import EndOfStream
 
 
@@ -40,3 +46,16 @@ def test_too_few_frames() -> None:
     assert len(take(Few(2), 1.0).counts) == 2
     with pytest.raises(SourceError):
         take(Few(1), 1.0)
+
+
+@pytest.mark.parametrize("name", ["atlas_model", "model"])
+def test_time_frames(name: str, scene: Scene, request: pytest.FixtureRequest) -> None:
+    """What is timed is what the daemon runs: frames of a finger, whose position the atlas finds where there is one."""
+    model: Model = request.getfixturevalue(name)
+    recording = scene("idle")
+    counts, numbers = recording.frames[:50], np.arange(50)
+    pipeline = Pipeline(recording.acquisition, model, Settings())
+    spent_us = time_frames(Sample(counts, numbers, numbers * 8_000_000), pipeline, 32, 125.0)
+    by_outcome = pipeline.counters.by_outcome
+    assert len(spent_us) == by_outcome[Outcome.TRACKED] + by_outcome[Outcome.INFERRED] == 500
+    assert (by_outcome[Outcome.TRACKED] > 400) == (model.atlas is not None)
