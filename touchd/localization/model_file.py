@@ -22,7 +22,7 @@ def previous_path(model: Path) -> Path:
 
 
 def put_model(content: bytes, path: Path) -> Model:
-    """Write an ONNX file's bytes to `path` atomically, and load it.
+    """Write an ONNX file's bytes to `path` atomically, and load it, without an atlas: the one there may be older.
 
     Raises
     ------
@@ -31,7 +31,7 @@ def put_model(content: bytes, path: Path) -> Model:
     """
     with replacing(path) as file:
         file.write(content)
-    return Model(path)
+    return Model(path, atlas=False)
 
 
 def digest(model: Path) -> str:

@@ -10,7 +10,7 @@ import pytest
 from touchd.errors import ModelInvalid, ModelMissing
 from touchd.localization.atlas import atlas_path
 from touchd.localization.model import Model, default_model_path
-from touchd.localization.model_file import install, previous_path, rollback
+from touchd.localization.model_file import install, previous_path, put_model, rollback
 
 SHIPPED = default_model_path()
 SMALL = SHIPPED.with_name("small.onnx")
@@ -70,3 +70,10 @@ def test_unusable(target: Path, tmp_path: Path) -> None:
     with pytest.raises(ModelInvalid, match="not a usable reference"):
         install(fine, target)
     assert [path.name for path in target.parent.iterdir()] == ["model.onnx"]
+
+
+def test_a_network_is_written_over_one_with_an_atlas(tmp_path: Path) -> None:
+    """What lies there was learned with the one that goes: it once ended a training, after all its work."""
+    path = tmp_path / "plate.onnx"
+    atlas_path(path).write_bytes(b"of another network")
+    assert put_model(SMALL.read_bytes(), path).atlas is None
