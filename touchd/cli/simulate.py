@@ -86,6 +86,7 @@ acquisition_option = click.option(
     "--stale-k", default=0.0, show_default=True,
     help="Touches: warming since the untouched frame, K.",
 )  # fmt: skip
+@click.option("--even", is_flag=True, help="Touches: without gaps and up to the edges, not at random.")
 @click.option(
     "--temperature-k",
     "warmer_k",
@@ -123,6 +124,7 @@ def command(
     noise_db: float | None,
     jitter_ns: float | None,
     stale_k: float,
+    even: bool,
     warmer_k: float,
     fingers: int,
     apart_mm: float,
@@ -140,12 +142,21 @@ def command(
     if scene != "keypad" and not (keypad is None and code is None):
         raise click.UsageError("--keypad and --code apply to the scene keypad")
     touches = TouchSet(
-        count or COUNT, finger or "silicone", None, stale_k, fingers, apart_mm, edge_gap_mm, warmer_k, label_noise_mm
+        count or COUNT,
+        finger or "silicone",
+        None,
+        stale_k,
+        fingers,
+        apart_mm,
+        edge_gap_mm,
+        warmer_k,
+        label_noise_mm,
+        even,
     )
     if scene != TOUCHES and (count is not None or replace(touches, finger="silicone") != TouchSet()):
         raise click.UsageError(
-            "--count, --stale-k, --temperature-k, --fingers, --apart-mm, --edge-gap-mm and --label-noise-mm apply to "
-            "touches; use --frames"
+            "--count, --even, --stale-k, --temperature-k, --fingers, --apart-mm, --edge-gap-mm and --label-noise-mm "
+            "apply to touches; use --frames"
         )
     if scene != TOUCHES and not (jobs is None and dask is None):
         raise click.UsageError("--jobs and --dask apply to touches; a scene is simulated in one process")

@@ -105,6 +105,7 @@ def simulate_touches(
     apart_mm: float = 0.0,
     warmer_k: float = 0.0,
     label_noise_mm: float = 0.0,
+    even: bool = False,
 ) -> Recording:
     """Simulate a robot's training set: untouched frame, touch, untouched frame, touch, ...
 
@@ -130,13 +131,15 @@ def simulate_touches(
         Temperature of the session above the reference, K; may be negative.
     label_noise_mm : float
         Standard deviation of the labels per axis.
+    even : bool
+        Leave no gaps, and touch up to the edges; else places are drawn at random.
 
     Raises
     ------
     SimulationError
         Count, margin, finger or distances are impossible.
     """
-    asked = TouchSet(count, finger, margin_mm, stale_k, fingers, apart_mm, None, warmer_k, label_noise_mm)
+    asked = TouchSet(count, finger, margin_mm, stale_k, fingers, apart_mm, None, warmer_k, label_noise_mm, even)
     instrument = instrument or Instrument(DEFAULT_PLATE)
     return simulate_stage(stage_touches(asked, instrument.plate, seed, electronics), instrument, seed)
 

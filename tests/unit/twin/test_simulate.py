@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -174,6 +175,24 @@ def test_impossible_scenes_are_refused(small: Instrument) -> None:
         simulate_touches(10, instrument=small, margin_mm=1.0)
     with pytest.raises(SimulationError, match="0 touches"):
         simulate_touches(0, instrument=small)
+
+
+def test_even_touches_leave_no_gaps(instrument: Instrument) -> None:
+    """Nowhere is the next of 500 touches farther than 1.2 mean distances, up to a corner; at random 2 and more."""
+    apart_mm = 194 / math.sqrt(500)
+    farthest = []
+    for even in (True, False):
+        recording = simulate_touches(500, seed=3, instrument=instrument, even=even)
+        assert recording.contacts_mm is not None
+        places = recording.contacts_mm[1::2, 0]
+        assert places.min() >= 3.0
+        assert places.max() <= 197.0
+        anywhere = np.stack(np.meshgrid(*2 * [np.linspace(8, 192, 93)]), axis=-1).reshape(-1, 1, 2)
+        farthest.append(np.linalg.norm(anywhere - places, axis=2).min(axis=1).max() / apart_mm)
+    assert farthest[0] < 1.2
+    assert farthest[1] > 1.5
+    with pytest.raises(SimulationError, match="even"):
+        simulate_touches(10, instrument=instrument, even=True, fingers=2)
 
 
 @pytest.mark.parametrize("finger", ["silicone", "human"])

@@ -33,6 +33,11 @@ WALK_K = 1.0
 """Largest deviation of the random temperature walk."""
 MOST_FINGERS = 5
 """Fingers of one hand."""
+PLASTIC = 1.32471795724474602596
+"""The root of x^3 = x + 1, whose powers place points evenly in the plane, however many there are (M. Roberts, The
+unreasonable effectiveness of quasirandom sequences, 2018)."""
+TO_EDGES = 0.3
+"""How much closer than in the middle even touches lie near the edges, where the plate's near fields are."""
 TRIES = 2000
 """Draws for a touch of several fingers before it is refused."""
 
@@ -51,6 +56,8 @@ class TouchSet:
     """Exact gap between two round contacts, edge to edge, in any direction."""
     warmer_k: float = 0.0
     label_noise_mm: float = 0.0
+    even: bool = False
+    """Whether single touches leave no gaps, lie closer near the edges, and reach up to them; else they are random."""
 
 
 def stage_touches(asked: TouchSet, plate: Plate, seed: int, electronics: Electronics | None = None) -> Stage:
@@ -64,17 +71,18 @@ def stage_touches(asked: TouchSet, plate: Plate, seed: int, electronics: Electro
     rng = np.random.default_rng(np.random.SeedSequence(seed).spawn(3)[0])
     count, finger = asked.count, asked.finger
     tissue_of(finger)
-    margin_mm = MARGIN_MM[finger] if asked.margin_mm is None else asked.margin_mm
     low, high = AREAS_MM2[finger]
-    span = np.array([plate.width_mm, plate.height_mm]) - 2 * margin_mm
     _check(asked)
     ratios = RATIOS.get(finger, (1.0, 1.0))
-    least_mm = np.sqrt(high * ratios[1] / np.pi)
-    if margin_mm < least_mm or span.min() <= 0:
+    least_mm = float(np.ceil(10 * np.sqrt(high * ratios[1] / np.pi)) / 10)
+    usual_mm = least_mm if asked.even else MARGIN_MM[finger]
+    margin_mm = usual_mm if asked.margin_mm is None else asked.margin_mm
+    span = np.array([plate.width_mm, plate.height_mm]) - 2 * margin_mm
+    if not (margin_mm >= least_mm and span.min() > 0):
         raise SimulationError(
             f"a margin of {margin_mm:g} mm on a {plate.width_mm:g} x {plate.height_mm:g} mm plate",
             "margin",
-            f"use {np.ceil(10 * least_mm) / 10:.1f} mm or more, and less than half of the plate",
+            f"use {least_mm:.1f} mm or more, and less than half of the plate",
         )
     walk = np.cumsum(rng.standard_normal(2 * count))
     walk *= WALK_K / np.abs(walk).max()
@@ -85,7 +93,10 @@ def stage_touches(asked: TouchSet, plate: Plate, seed: int, electronics: Electro
     area = rng.uniform(low, high, (count, asked.fingers))
     ratio = rng.uniform(*ratios, area.shape) if is_compliant(finger) else np.ones(area.shape)
     angle = rng.uniform(0, np.pi, area.shape) if is_compliant(finger) else np.zeros(area.shape)
-    place = margin_mm + _places(asked, span, np.sqrt(area * ratio / np.pi), rng)
+    if asked.even:
+        place = margin_mm + _even_places(count, span, rng)
+    else:
+        place = margin_mm + _places(asked, span, np.sqrt(area * ratio / np.pi), rng)
     if asked.label_noise_mm:  # drawn last, so that label noise does not change the frames
         stage.label_error_mm = np.zeros((2 * count, asked.fingers, 2))
         stage.label_error_mm[1::2] = asked.label_noise_mm * rng.standard_normal(place.shape)
@@ -101,6 +112,13 @@ def stage_touches(asked: TouchSet, plate: Plate, seed: int, electronics: Electro
     return stage
 
 
+def _even_places(count: int, span: Floats, rng: np.random.Generator) -> Floats:
+    """Return centres on a span (2,) that leave no gaps, shape (count, 1, 2), mm."""
+    share = (rng.uniform(size=2) + np.arange(count)[:, None] / [PLASTIC, PLASTIC**2]) % 1
+    share += TO_EDGES * (np.square(np.sin(np.pi / 2 * share)) - share)
+    return np.asarray(span * share)[:, None]
+
+
 def _check(asked: TouchSet) -> None:
     if asked.count < 1:
         raise SimulationError(f"{asked.count} touches", "count", "use 1 or more")
@@ -108,6 +126,8 @@ def _check(asked: TouchSet) -> None:
         raise SimulationError(f"{asked.fingers} fingers", "fingers", f"use 1 .. {MOST_FINGERS}")
     if asked.edge_gap_mm is not None and asked.fingers != 2:
         raise SimulationError(f"a gap between {asked.fingers} fingers", "edge_gap", "use 2 fingers")
+    if asked.even and asked.fingers != 1:
+        raise SimulationError(f"even touches of {asked.fingers} fingers", "even", "use 1 finger, or touches at random")
     lengths = {"apart": asked.apart_mm, "edge_gap": asked.edge_gap_mm or 0.0, "label_noise": asked.label_noise_mm}
     for name, length_mm in lengths.items():
         if not 0 <= length_mm < np.inf:
