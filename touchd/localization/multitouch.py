@@ -159,10 +159,12 @@ class MultitouchSearch:
                 self._grown = len(found.positions_mm)
                 self._running = self._all(bins.copy(), found, signal, known, grow=True)
                 return waiting
-            fitted = found is fit and bool(fit.fisher_information)  # fingers that wait are not
-            if tracked and limited and fitted and fit.residual_energy > _OUTDATED * self._sought:
-                self._begin(bins, fit, signal, tracked=True)
-                return waiting
+            if found is fit:
+                if not fit.fisher_information:  # fingers that wait are not fitted
+                    found = fit = self.count.again(bins, list(fit.positions_mm), fit)
+                if tracked and limited and fit.residual_energy > _OUTDATED * self._sought:
+                    self._begin(bins, fit, signal, tracked=True)
+                    return waiting
         return self._settle(bins, found, known, fit, signal)
 
     def look(self, bins: Bins, fit: Fit, misfit: float) -> None:
