@@ -164,9 +164,8 @@ def session(bench: Bench) -> None:
 def learning(bench: Bench) -> None:
     """Measure the error by the number of training touches; `touchd train` learned the shipped atlas from the most."""
     recording = bench.touches(6404, 60.0, 1)
-    plain = make_dataset(recording)
-    parts = split(len(plain), 0)
-    steady, reference = at_one_temperature(recording, plain)
+    steady, reference = at_one_temperature(recording, make_dataset(recording, taper=bench.atlas.description.taper))
+    parts = split(len(steady), 0)
     wavenumber = dispersion_of(steady, touches_of(steady, parts.train)).wavenumber_per_mm
     snr = signal_over_noise(touches_of(steady, parts.validation))
     kept = informative(snr, wavenumber, bench.atlas.description.acquisition)

@@ -12,6 +12,8 @@ Counts = NDArray[np.int16]
 # Beyond these a number is a mistake, and would take memory or overflow somewhere else.
 MAX_CHANNELS, MAX_SAMPLES = 1024, 65_536
 MAX_RATE_HZ = 1e10
+HANN = 1.0
+"""Taper of Hann's window, which falls from the middle on."""
 
 
 class Frame(Struct, gc=False, frozen=True):
@@ -91,10 +93,18 @@ class Acquisition(Description):
         """Frequency up to which the plate is heard: the chirp's end, and what its edges leak beyond it."""
         return 1.25 * self.chirp.band_hz[1]
 
-    @property
-    def window(self) -> NDArray[np.float64]:
-        """Weights of the samples in the spectrum: Hann's, or 1 where the frame is a whole period."""
-        return np.ones(self.samples) if self.is_whole_period else np.hanning(self.samples)
+    def window(self, taper: float = HANN) -> NDArray[np.float64]:
+        """Return the weights of the samples in a spectrum, shape (samples,): 1 where the frame is a whole period.
+
+        Else Tukey's, which rise and fall over `taper` of the frame, half at each end (Harris, Proc. IEEE 66:51, 1978,
+        eq. 38).
+        """
+        if self.is_whole_period or taper == 0:
+            return np.ones(self.samples)
+        if taper == HANN:
+            return np.hanning(self.samples)
+        from_end = np.minimum(np.arange(self.samples), np.arange(self.samples)[::-1])
+        return np.asarray(0.5 - 0.5 * np.cos(np.pi * np.minimum(2 * from_end / (taper * (self.samples - 1)), 1.0)))
 
     @property
     def is_whole_period(self) -> bool:

@@ -18,6 +18,7 @@ from touchd.evaluation.cramer_rao import twin_values
 from touchd.evaluation.single_frames import find_with, see, touched_frames
 from touchd.lab.plates.other_plate import Patch, missing, other_modes
 from touchd.localization.model import Model
+from touchd.training.field.bins import TAPER
 from touchd.twin.electronics import Electronics
 from touchd.twin.instrument import Instrument
 from touchd.twin.physics.finger import Contact
@@ -87,7 +88,7 @@ def test_a_touch_has_its_size(fit: PlateFit) -> None:
     at_mm, plate = np.array([[30.0, 25.0], [45.0, 50.0], [60.0, 35.0]]), other()
     touches = [Contact(x, y, 20.0, "silicone") for x, y in at_mm.tolist()]
     peak = Electronics().peak * 2 ** (plate.acquisition.bits - 1)
-    exact = SCALE / peak * GAINS[:, None] * twin_values(plate, touches)
+    exact = SCALE / peak * GAINS[:, None] * twin_values(plate, touches, TAPER)
     assert np.vdot(exact, PhysicalField(fit).at(at_mm, TIP)).real / np.vdot(exact, exact).real == pytest.approx(1, 0.3)
 
 

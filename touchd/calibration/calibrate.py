@@ -111,7 +111,8 @@ def make_model(
         atlas = refined.atlas
     description = Description(
         name="calibrated", head="regression", domain="frequency", input="residual",
-        acquisition=atlas.description.acquisition, plate=atlas.description.plate, data_sha256=sha256, command=command,
+        acquisition=atlas.description.acquisition, plate=atlas.description.plate, taper=atlas.description.taper,
+        data_sha256=sha256, command=command,
         scores={"expected_mm": round(fitted.fit.expected_mm, 4)},
     )  # fmt: skip
     graph = start_scan(atlas, description)

@@ -22,7 +22,7 @@ from touchd.evaluation.dataset import BASELINE_NOISE
 from touchd.frame import Plate
 from touchd.localization.atlas import Atlas, AtlasDescription
 from touchd.localization.features import band_bins, windowed_dft
-from touchd.training.field.bins import informative, weights
+from touchd.training.field.bins import TAPER, informative, weights
 from touchd.training.field.error_scale import LEVELS_DB, Level, calibrate, field_error, level_of
 from touchd.training.field.place import FieldMap, place
 from touchd.twin.instrument import anti_alias
@@ -83,7 +83,7 @@ class PhysicalField:
         emitted = chirp.spectrum(a.chirp, nu) * anti_alias(nu, a.sample_rate_hz)
         self._heard = emitted * fit.gain(record.hz)  # (R, F)
         spectra = np.concatenate([np.eye(len(nu)), 1j * np.eye(len(nu))])
-        parts = record.to_time(spectra) @ windowed_dft(a)
+        parts = record.to_time(spectra) @ windowed_dft(a, taper=TAPER)
         self._to_bins = np.asarray(parts[:, : parts.shape[1] // 2] + 1j * parts[:, parts.shape[1] // 2 :])
 
     def at(self, position_mm: Floats, touch: Reference | None = None) -> Complex:
@@ -166,7 +166,7 @@ def make_physical_atlas(
     step_mm = round(1e3 * np.pi / float(wavenumber_rad_m[-1]) / STEPS_PER_WAVE, 2)
     x, y = grid_of(plate.width_mm, step_mm), grid_of(plate.height_mm, step_mm)
     position_mm, values = draw(field, np.array([plate.width_mm, plate.height_mm]))
-    variance = BASELINE_NOISE * noise_counts**2 * float(np.square(a.window).sum())
+    variance = BASELINE_NOISE * noise_counts**2 * float(np.square(a.window(TAPER)).sum())
     snr = np.square(np.abs(values)).mean(axis=(0, 1)) / max(variance, 1e-12)
     kept = informative(snr, wavenumber_rad_m, a)
     weight = weights(snr, a)[kept]
@@ -178,7 +178,7 @@ def make_physical_atlas(
     nodes = np.tensordot(y.solve.astype(np.float32), np.stack(rows), 1)  # (rows, columns, R, bins)
     coefficients = np.stack([nodes.real, nodes.imag], axis=3).reshape(*nodes.shape[:2], -1)
     description = AtlasDescription(
-        acquisition=a, plate=plate, bins=tuple(map(int, band_bins(a)[kept])), step_mm=step_mm,
+        acquisition=a, plate=plate, taper=TAPER, bins=tuple(map(int, band_bins(a)[kept])), step_mm=step_mm,
         origin_mm=(float(x.nodes_mm[0]), float(y.nodes_mm[0])), low_mm=(0.0, 0.0),
         high_mm=(plate.width_mm, plate.height_mm), data_sha256=data_sha256, command=command,
         wavenumber_rad_m=tuple(wavenumber_rad_m.round(3).tolist()),

@@ -20,6 +20,7 @@ from touchd.calibration.verdict import EXACT
 from touchd.evaluation.dataset import BASELINE_NOISE
 from touchd.frame import Acquisition
 from touchd.localization.features import windowed_dft
+from touchd.training.field.bins import TAPER
 from touchd.training.field.place import linearise
 from touchd.twin.instrument import anti_alias
 from touchd.twin.physics import legendre
@@ -114,7 +115,7 @@ class PlateMap:
         self._emission = chirp.spectrum(acquisition.chirp, nu) * anti_alias(nu, acquisition.sample_rate_hz)
         # A response's bins are those of its frequencies: one matrix for both.
         spectra = np.concatenate([np.eye(len(nu)), 1j * np.eye(len(nu))])
-        parts = record.to_time(spectra) @ windowed_dft(acquisition)
+        parts = record.to_time(spectra) @ windowed_dft(acquisition, taper=TAPER)
         self._to_bins = parts[:, : parts.shape[1] // 2] + 1j * parts[:, parts.shape[1] // 2 :]
         self._to_time = record.to_time
         wave_mm = 2e3 * np.pi / float(mindlin_wavenumber(self._plate, np.mean(acquisition.chirp.band_hz)))
@@ -176,7 +177,7 @@ class PlateMap:
             parts.append(np.concatenate([products.real, products.imag], axis=1).swapaxes(1, 2) @ self._to_bins)
             heard.append(self._to_time(self._emission * way))
         u, by_x, by_y = np.concatenate(parts, axis=2)
-        white = float(np.square(self._a.window).sum()) / 2
+        white = float(np.square(self._a.window(TAPER)).sum()) / 2
         variance = BASELINE_NOISE * self._noise**2 * float(np.square(heard).mean()) * white
         error_mm = bound_mm(u, by_x, by_y, variance).reshape(self.rows, self.columns)
         return Plan(np.asarray(discs_mm, float), error_mm, self._exact_mm)

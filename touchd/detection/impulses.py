@@ -21,8 +21,10 @@ MOST = 3
 LOUD = 2.0
 """A frame is hit if it has this multiple of the noise's energy outside the band: six standard deviations."""
 LEAK = 0.12
-"""Energy outside the band, over that of the samples, that a finger may have: fingertips have up to 0.03, since the
-chirp starts at full amplitude (twin). An impulse with a thousandth of the finger's energy has more."""
+"""Energy outside the band, over that of the samples, that a finger may have: thumbs have up to 0.07, since the chirp
+starts at full amplitude (twin). An impulse with a thousandth of the finger's energy has more."""
+_TAPER = 0.5
+"""Of the window: Hann's is deaf to impulses near the frame's ends, which an atlas' flatter window hears."""
 _FIRST_BIN = 3
 """Offsets and mains lie below."""
 _BELOW, _ABOVE = 0.5, 0.2
@@ -51,7 +53,7 @@ class Impulses:
         n = acquisition.samples
         bins = _bins_outside(acquisition)
         phase = (np.outer(np.arange(n), bins) % n) * (2 * np.pi / n)
-        matrix = acquisition.window[:, None] * np.concatenate([np.cos(phase), -np.sin(phase)], axis=1)
+        matrix = acquisition.window(_TAPER)[:, None] * np.concatenate([np.cos(phase), -np.sin(phase)], axis=1)
         self._works = len(bins) >= _FEWEST_BINS and n > 2 * WIDTH
         self._matrix: Signal = matrix.astype(dtype)
         self._outside: Signal = np.zeros((acquisition.channels, 2 * len(bins)), dtype)

@@ -23,7 +23,7 @@ from scipy.ndimage import map_coordinates
 from scipy.optimize import brentq
 
 from touchd.evaluation.dataset import baseline_frames, complex_bins, labels, noise_of, residual_of
-from touchd.frame import Acquisition
+from touchd.frame import HANN, Acquisition
 from touchd.localization.atlas import Atlas
 from touchd.localization.features import band_bins, windowed_dft
 from touchd.recording.data import Recording
@@ -54,14 +54,16 @@ class TouchField:
     by_y: Complex
     bins: NDArray[np.int64]
     """Indices of the DFT bins, shape (bins,)."""
+    taper: float = HANN
+    """Of their window."""
 
     def times(self, amplitude: Complex) -> TouchField:
         """Scale the field to touches of these complex amplitudes, shape (n,)."""
         z = amplitude[:, None, None]
-        return TouchField(z * self.value, z * self.by_x, z * self.by_y, self.bins)
+        return TouchField(z * self.value, z * self.by_x, z * self.by_y, self.bins, self.taper)
 
 
-def twin_field(instrument: Instrument, contacts: Sequence[Contact]) -> TouchField:
+def twin_field(instrument: Instrument, contacts: Sequence[Contact], taper: float = HANN) -> TouchField:
     """Simulate the true field of single contacts, without noise, at the twin's reference temperature.
 
     Raises
@@ -70,15 +72,15 @@ def twin_field(instrument: Instrument, contacts: Sequence[Contact]) -> TouchFiel
         A contact, moved by `STEP_MM`, reaches over the edge.
     """
     moved = [c._replace(x_mm=c.x_mm + dx, y_mm=c.y_mm + dy) for dx, dy in _MOVES_MM.tolist() for c in contacts]
-    return _with_slopes(twin_values(instrument, moved), band_bins(instrument.acquisition))
+    return _with_slopes(twin_values(instrument, moved, taper), band_bins(instrument.acquisition), taper)
 
 
-def twin_values(instrument: Instrument, contacts: Sequence[Contact]) -> Complex:
+def twin_values(instrument: Instrument, contacts: Sequence[Contact], taper: float = HANN) -> Complex:
     """Simulate the bins of single contacts, shape (n, channels, bins), ADC counts; see `twin_field`."""
     a = instrument.acquisition
     peak_counts = Electronics().peak * 2 ** (a.bits - 1)
     signal = instrument.change([[contact] for contact in contacts], np.full(len(contacts), REFERENCE_C))
-    return complex_bins(peak_counts * signal @ windowed_dft(a), a.channels)
+    return complex_bins(peak_counts * signal @ windowed_dft(a, taper=taper), a.channels)
 
 
 def atlas_field(atlas: Atlas, position_mm: Floats) -> TouchField:
@@ -89,22 +91,22 @@ def atlas_field(atlas: Atlas, position_mm: Floats) -> TouchField:
     nodes = atlas.coefficients.astype(np.float64)
     values = [map_coordinates(nodes[..., i], at, order=3, prefilter=False, mode="mirror") for i in range(atlas.size)]
     bins = complex_bins(np.stack(values, axis=-1), d.acquisition.channels) / d.bin_weights
-    return _with_slopes(np.asarray(bins, np.complex128), np.array(d.bins))
+    return _with_slopes(np.asarray(bins, np.complex128), np.array(d.bins), d.taper)
 
 
-def _with_slopes(values: Complex, bins: NDArray[np.int64]) -> TouchField:
+def _with_slopes(values: Complex, bins: NDArray[np.int64], taper: float = HANN) -> TouchField:
     """Compute central differences of values at positions moved by each of `_MOVES_MM` in turn, (5 * n, ...)."""
     value, right, left, below, above = values.reshape(5, -1, *values.shape[1:])
-    return TouchField(value, (right - left) / (2 * STEP_MM), (below - above) / (2 * STEP_MM), bins)
+    return TouchField(value, (right - left) / (2 * STEP_MM), (below - above) / (2 * STEP_MM), bins, taper)
 
 
-def whitener(acquisition: Acquisition, bins: NDArray[np.int64]) -> Floats:
+def whitener(acquisition: Acquisition, bins: NDArray[np.int64], taper: float = HANN) -> Floats:
     """Return the matrix T that whitens the bins' noise to the deviation of a sample, shape (2 * bins, 2 * bins).
 
     The features of a channel are samples @ W, so white samples give them the covariance W^T W. T is the inverse of the
     transposed Cholesky factor of W^T W.
     """
-    W = windowed_dft(acquisition, bins)
+    W = windowed_dft(acquisition, bins, taper)
     return np.asarray(np.linalg.inv(np.linalg.cholesky(W.T @ W)).T)
 
 
@@ -119,7 +121,7 @@ def position_covariance(field: TouchField, acquisition: Acquisition, noise: floa
     noise : float
         Standard deviation of a residual's sample, ADC counts; white and independent.
     """
-    features = _features(field) @ whitener(acquisition, field.bins)
+    features = _features(field) @ whitener(acquisition, field.bins, field.taper)
     rows = features.reshape(len(features), 4, -1) / noise
     fisher_information = rows @ rows.transpose(0, 2, 1)
     own, both, other = fisher_information[:, :2, :2], fisher_information[:, :2, 2:], fisher_information[:, 2:, 2:]
@@ -133,7 +135,7 @@ def plain_covariance(field: TouchField, acquisition: Acquisition, noise: float) 
     it stays above `position_covariance`: (J^T J)^-1 J^T C J (J^T J)^-1. The parameters are the same.
     """
     features = _features(field)
-    W = windowed_dft(acquisition, field.bins)
+    W = windowed_dft(acquisition, field.bins, field.taper)
     rows, noisy = (part.reshape(len(part), 4, -1) for part in (features, noise**2 * features @ (W.T @ W)))
     inverse = np.linalg.inv(rows @ rows.transpose(0, 2, 1))
     return np.asarray((inverse @ (noisy @ rows.transpose(0, 2, 1)) @ inverse)[:, :2, :2])
@@ -192,7 +194,8 @@ def recorded_field(recording: Recording, field: Atlas | Instrument) -> TouchFiel
     pairs = baseline_frames(recording.timestamp_ns, touched, untouched)
     baseline = recording.frames[pairs].mean(axis=1, dtype=np.float32)
     residual = residual_of(recording.frames[touched], baseline)
-    values = complex_bins(residual @ windowed_dft(recording.acquisition, u.bins), recording.acquisition.channels)
+    a = recording.acquisition
+    values = complex_bins(residual @ windowed_dft(a, u.bins, u.taper), a.channels)
     return u.times((u.value.conj() * values).sum(axis=(1, 2)) / np.square(np.abs(u.value)).sum(axis=(1, 2)))
 
 

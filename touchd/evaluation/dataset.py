@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.errors import TrainingError
-from touchd.frame import Acquisition, Plate
+from touchd.frame import HANN, Acquisition, Plate
 from touchd.localization.features import Domain, Features
 from touchd.recording.data import Meta, Recording
 
@@ -31,6 +31,8 @@ class Dataset:
     meta: Meta
     acquisition: Acquisition
     domain: Domain
+    taper: float
+    """Of the features' window."""
     residual: Array
     """Features of touched less untouched frame, shape (n, inputs); bit for bit the daemon's."""
     signal: Array
@@ -94,7 +96,9 @@ def residual_of(counts: NDArray[np.int16], baseline: Array) -> Array:
     return np.subtract(counts, baseline, dtype=np.float32)
 
 
-def make_dataset(recording: Recording, domain: Domain = "frequency", least: int = MIN_TOUCHES) -> Dataset:
+def make_dataset(
+    recording: Recording, domain: Domain = "frequency", least: int = MIN_TOUCHES, taper: float = HANN
+) -> Dataset:
     """Compute the features of all single touches of a labelled recording.
 
     Raises
@@ -105,7 +109,7 @@ def make_dataset(recording: Recording, domain: Domain = "frequency", least: int 
     position_mm, touched, untouched = labels(recording, least)
     pairs = baseline_frames(recording.timestamp_ns, touched, untouched)
     acquisition = recording.acquisition
-    features = Features(domain, acquisition)
+    features = Features(domain, acquisition, taper=taper)
     residual = np.empty((len(touched), features.size), np.float32)
     signal, plain, stretch, delay = (np.empty_like(residual) for _ in range(4))
     seconds = np.arange(acquisition.samples) / acquisition.sample_rate_hz
@@ -121,6 +125,7 @@ def make_dataset(recording: Recording, domain: Domain = "frequency", least: int 
         meta=recording.meta,
         acquisition=acquisition,
         domain=domain,
+        taper=taper,
         residual=residual,
         signal=signal,
         untouched=plain,

@@ -49,7 +49,7 @@ def judge(model: Model, features: NDArray[np.float32], true_mm: NDArray[np.float
     `noise_energy` is the energy of an untouched residual, ADC counts squared.
     """
     d = model.description
-    route = Features(d.domain, d.acquisition)
+    route = Features(d.domain, d.acquisition, taper=d.taper)
     rows = np.empty((len(features), 4))
     found = np.zeros(len(features), np.int64)
     for i, row in enumerate(features):

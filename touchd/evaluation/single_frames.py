@@ -142,7 +142,8 @@ def find_with(model: Model, atlas: Atlas | None, frames: TouchedFrames) -> Find:
 
 def network_features(model: Model, frames: TouchedFrames) -> Array:
     """Return the network's features of each frame, shape (n, inputs)."""
-    extract = Features(model.description.domain, frames.recording.acquisition).extract
+    d = model.description
+    extract = Features(d.domain, frames.recording.acquisition, taper=d.taper).extract
     features = np.empty((len(frames), model.description.inputs), np.float32)
     of_residual = model.description.input == "residual"
     for i, row in enumerate(features):

@@ -17,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from touchd.errors import ModelInvalid, OutputError, RecordingError
 from touchd.files import replacing
-from touchd.frame import Acquisition, Plate
+from touchd.frame import HANN, Acquisition, Plate
 from touchd.localization.features import windowed_dft
 from touchd.recording import npz
 
@@ -45,6 +45,8 @@ class AtlasDescription(BaseModel):
     plate: Plate
     bins: tuple[int, ...] = Field(min_length=1)
     """Indices of the DFT bins it holds: those that tell something of a finger."""
+    taper: float = Field(default=HANN, ge=0, le=1)
+    """Of the bins' window: the share of the frame over which it rises and falls; 1 is Hann's."""
     weights: tuple[float, ...] = ()
     """Of each bin, in coefficients and frames alike; empty for 1. Resonances count for less where the field's error
     limits what they tell."""
@@ -78,7 +80,7 @@ class AtlasDescription(BaseModel):
     @property
     def to_bins(self) -> NDArray[np.float64]:
         """Matrix from samples to weighted bins, real and then imaginary parts, shape (samples, 2 * bins)."""
-        return windowed_dft(self.acquisition, np.array(self.bins)) * np.tile(self.bin_weights, 2)
+        return windowed_dft(self.acquisition, np.array(self.bins), self.taper) * np.tile(self.bin_weights, 2)
 
 
 @dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)

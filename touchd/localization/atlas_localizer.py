@@ -155,8 +155,7 @@ class AtlasLocalizer:
         self, detection: Detection, begun: Fitted | None, *, alive: bool = True, complete: bool = False
     ) -> Localization:
         """Place the fingers of a frame; `begun` is what `follow` fitted in it."""
-        tracked = bool(self._prediction.positions_mm)
-        least = self._keep_confidence if alive else self._min_confidence
+        least, tracked = self._keep_confidence if alive else self._min_confidence, bool(self._prediction.positions_mm)
         self._touches, inferred = self._place(detection, least, complete, begun)
         outcome = Outcome.INFERRED if inferred else Outcome.TRACKED if tracked else Outcome.FAINT
         return Localization(outcome, self._touches, self._departure, self._plate_moved)
@@ -271,6 +270,7 @@ class AtlasLocalizer:
         sure = [finger for finger in fingers if finger[1] <= self._max_sigma_mm]
         at, sure = self._refinement.place(bins, fit, sure, self._noise.variance, new=new, alone=alone)
         self._search.look(bins, fit, self._refinement.misfit)
+        confidence = min(confidence, self._classifier.likelihood)
         return self._touch_maker.touches(at, sure, None if doubt else self._faces, confidence, change)
 
     def _rests(self, detection: Detection) -> bool:

@@ -129,6 +129,8 @@ class Classifier:
         """Whether the last fit shows the negative of fingers alone."""
         self.sure = True
         """Whether no finger of the last fit has evidence against it, which further frames may make enough."""
+        self.likelihood = 1.0
+        """Of a frame that is judged alone, how likely the least likely of its fingers is one, and no water."""
         self.reset()
 
     def reset(self) -> None:
@@ -155,7 +157,7 @@ class Classifier:
         self.departure = min(map(abs, leads)) > DEPARTURE_RAD
         variance = self._errors.variance(fit, sizes)
         errors_mm = self._errors.sigmas_mm(fit, variance)
-        self.sure = True
+        self.sure, self.likelihood = True, 1.0
         of_palm = self._palm.contacts(fit, t_ns)
         doubtful = of_palm | self._cornered(fit.positions_mm) | self._edged(fit) if several else of_palm
         fingers: list[Finger] = []
@@ -178,8 +180,10 @@ class Classifier:
                     # What the fit leaves may be of a drop that it lacks, which turns the phases of the others.
                     by_error = max(by_error, LACKING * math.sqrt(max(fit.residual_energy - noise_energy, 0.0) / energy))
                 look = Look(lag_rad, by_noise, by_error, size, self._frequency_ratio)
-                if alone and look.log_odds() <= SURE_ALONE:
-                    continue
+                if alone:
+                    if (odds := look.log_odds()) <= SURE_ALONE:
+                        continue
+                    self.likelihood = min(self.likelihood, 1 / (1 + math.exp(-odds)))
                 if not (alone or self._is_finger(position, look, known, t_ns, several=several)):
                     continue
                 self.sure = self.sure and (known is None or known.least >= 0)

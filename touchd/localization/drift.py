@@ -17,7 +17,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.frame import Acquisition
+from touchd.frame import HANN, Acquisition
 from touchd.localization.atlas import Array, Atlas
 
 Floats = NDArray[np.float64]
@@ -47,7 +47,7 @@ class Drift:
         a, bins = atlas.description.acquisition, np.array(atlas.description.bins)
         self._dtype = atlas.coefficients.dtype
         self._plain = atlas.description.to_bins
-        self._stretched = stretch_matrix(a, bins) * np.tile(atlas.description.bin_weights, 2)
+        self._stretched = stretch_matrix(a, bins, atlas.description.taper) * np.tile(atlas.description.bin_weights, 2)
         self._reference = atlas.baseline.astype(np.float64)
         self._omega_rad_s = 2 * np.pi * bins * a.sample_rate_hz / a.samples
         self._channels, self._size = a.channels, atlas.size
@@ -179,7 +179,7 @@ def emission_s(acquisition: Acquisition, bins: NDArray[np.int64]) -> Floats:
     return np.asarray((f_hz - chirp.start_hz) / (chirp.stop_hz - chirp.start_hz) * chirp.duration_s)
 
 
-def stretch_matrix(acquisition: Acquisition, bins: NDArray[np.int64]) -> Floats:
+def stretch_matrix(acquisition: Acquisition, bins: NDArray[np.int64], taper: float = HANN) -> Floats:
     """Return the matrix from samples to the derivative of the windowed bins by a stretch of the plate's response.
 
     A signal y of shape (..., samples) whose plate has become slower or faster since has the features
@@ -191,6 +191,8 @@ def stretch_matrix(acquisition: Acquisition, bins: NDArray[np.int64]) -> Floats:
     acquisition : Acquisition
     bins : array of int, shape (b,)
         Indices of the DFT bins.
+    taper : float
+        Of their window.
 
     Returns
     -------
@@ -206,7 +208,7 @@ def stretch_matrix(acquisition: Acquisition, bins: NDArray[np.int64]) -> Floats:
     period_s = acquisition.chirp.period_s
     if period_s is not None:  # what comes before the chirp's own answer is the ringing of the one before
         later_s = (later_s + _LEAD * period_s) % period_s - _LEAD * period_s
-    weight = acquisition.window[:, None] * later_s
+    weight = acquisition.window(taper)[:, None] * later_s
     # y' is that of the band-limited signal, a product with i omega: the transpose of that step, applied to the weights.
     slope = 2j * np.pi * np.fft.rfftfreq(n, 1 / rate_hz)
     if n % 2 == 0:

@@ -30,7 +30,8 @@ class Estimator:
 
     def __init__(self, model: Model) -> None:
         self._model = model
-        self._features = Features(model.description.domain, model.description.acquisition, model.dtype)
+        d = model.description
+        self._features = Features(d.domain, d.acquisition, model.dtype, d.taper)
         self._input = model.features.reshape(self._features.shape)
         self._flat, self._power = model.features.reshape(-1), np.zeros((), model.dtype)
         self.of_residual = model.description.input == "residual"

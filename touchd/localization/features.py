@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from touchd.frame import Acquisition
+from touchd.frame import HANN, Acquisition
 
 Domain = Literal["frequency", "time"]
 Vector = NDArray[np.floating]
@@ -25,17 +25,19 @@ def band_bins(acquisition: Acquisition) -> NDArray[np.int64]:
     return k[(f_hz > acquisition.chirp.start_hz) & (f_hz < acquisition.chirp.stop_hz)]
 
 
-def windowed_dft(acquisition: Acquisition, bins: NDArray[np.int64] | None = None) -> NDArray[np.float64]:
+def windowed_dft(
+    acquisition: Acquisition, bins: NDArray[np.int64] | None = None, taper: float = HANN
+) -> NDArray[np.float64]:
     """Return the matrix that takes samples to windowed bins, those of the band or the given ones: (samples, 2 * bins).
 
     Column b is the real part and column bins + b the imaginary part of bin b of
-    `numpy.fft.rfft(numpy.hanning(samples) * signal)`.
+    `numpy.fft.rfft(acquisition.window(taper) * signal)`.
     """
     n = np.arange(acquisition.samples)
     # The index product is reduced modulo the length first: cos of a large argument loses digits.
     bins = band_bins(acquisition) if bins is None else bins
     phase = (np.outer(n, bins) % acquisition.samples) * (2 * np.pi / acquisition.samples)
-    window = acquisition.window[:, None]
+    window = acquisition.window(taper)[:, None]
     return np.concatenate([window * np.cos(phase), -window * np.sin(phase)], axis=1)
 
 
@@ -51,16 +53,20 @@ class Features:
     acquisition : Acquisition
     dtype : type
         Of the matrix.
+    taper : float
+        Of the bins' window.
     """
 
-    def __init__(self, domain: Domain, acquisition: Acquisition, dtype: DTypeLike = np.float32) -> None:
+    def __init__(
+        self, domain: Domain, acquisition: Acquisition, dtype: DTypeLike = np.float32, taper: float = HANN
+    ) -> None:
         self._matrix: Vector | None = None
         self.shape = acquisition.shape
         """Of the features with an axis for the channels."""
         self.noise_gain = 1.0
         """Energy of the features of white noise over that of its samples."""
         if domain == "frequency":
-            self._matrix = windowed_dft(acquisition).astype(dtype)
+            self._matrix = windowed_dft(acquisition, taper=taper).astype(dtype)
             self.shape = acquisition.channels, self._matrix.shape[1]
             # Each bin holds the window's energy times the variance of a sample.
             self.noise_gain = float(np.square(self._matrix, dtype=np.float64).sum()) / acquisition.samples

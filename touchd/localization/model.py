@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from touchd.errors import ModelInvalid, ModelMismatch, ModelMissing
-from touchd.frame import Acquisition, Plate
+from touchd.frame import HANN, Acquisition, Plate
 from touchd.keypad import Layout
 from touchd.localization.atlas import Atlas, atlas_path, load_atlas
 from touchd.localization.features import Domain, band_bins
@@ -35,7 +35,9 @@ class Description(BaseModel):
     name: str
     head: Head
     domain: Domain
-    """Frequency (Hann-windowed bins of the chirp's band) or time (samples)."""
+    """Frequency (windowed bins of the chirp's band) or time (samples)."""
+    taper: float = Field(default=HANN, ge=0, le=1)
+    """Of the bins' window: the share of the frame over which it rises and falls; 1 is Hann's."""
     input: Literal["residual", "signal"]
     """Whether the baseline is subtracted before the features are taken."""
     acquisition: Acquisition

@@ -45,8 +45,9 @@ ERROR_SIGMAS = 1.5
 SURE = 8.0
 """Log likelihood ratio: at most 1 drop in 3000 is ever taken for a finger (Wald's bound), with the field's error in its
 favour. The sum goes no farther: more evidence would make a contact slow to change."""
-SURE_ALONE = 2.5
-"""The same of a frame that is judged alone: one look takes 1 drop in 400 for a finger (twin, 60 dB)."""
+SURE_ALONE = 0.5
+"""The same of a frame that is judged alone: one look takes 1 drop in 500 for a finger, and 1 glove in 40 for water
+(twin, 60 dB)."""
 MOST_LAG = 2.0
 """A contact that lags by more than this, over a finger's least lag, tells no more."""
 LOOK_NS, LOOK_SHARE = 200_000_000, 0.1

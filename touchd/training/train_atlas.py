@@ -18,7 +18,7 @@ from touchd.localization.model_file import put_model
 from touchd.recording.data import Recording
 from touchd.training.data.inspection import degrees_of_freedom, inspect
 from touchd.training.data.temperature import at_one_temperature
-from touchd.training.field.bins import informative
+from touchd.training.field.bins import TAPER, informative
 from touchd.training.field.dispersion import dispersion_of, fitted_note
 from touchd.training.field.learn import Learned, learn_thoroughly
 from touchd.training.field.make_atlas import Calibration, make_atlas, signal_over_noise, try_atlas
@@ -100,7 +100,7 @@ def train_atlas(
         seed = _check_network(network, recording)
     plain = make_dataset(recording)
     parts = split(len(plain), seed)
-    steady, reference = at_one_temperature(recording, plain)
+    steady, reference = at_one_temperature(recording, make_dataset(recording, taper=TAPER))
     touches = touches_of(steady, parts.train)
     dispersion = dispersion_of(steady, touches)
     snr = signal_over_noise(touches_of(steady, parts.validation))
@@ -114,9 +114,8 @@ def train_atlas(
     trained: Result | None = None
     if network is None:
         trained = train(
-            recording, path, RECIPES["atlas"], seed=seed, epochs=epochs, command=command, progress=progress, warn=note,
-            field=learned.field,
-        )  # fmt: skip
+            recording, path, RECIPES["atlas"], seed=seed, epochs=epochs, command=command, progress=progress, warn=note
+        )
         model = trained.model
     else:
         if dispersion.fitted:
@@ -167,7 +166,7 @@ def check_density(position_mm: Floats, wavenumber_per_mm: float) -> Iterator[str
 
 def _check_network(path: Path, recording: Recording) -> int:
     """Return the seed of a network's split; raise ModelMismatch if it cannot start an atlas of this recording."""
-    d = Model(path).description
+    d = Model(path, atlas=False).description
     if d.head != "regression" or d.domain != "frequency" or d.input != "residual":
         raise ModelMismatch(
             f"the recipe {d.name} cannot start an atlas", str(path), "use a network of the recipe best or small"

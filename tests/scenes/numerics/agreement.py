@@ -101,6 +101,9 @@ def _against_reference(result: Agreement, looks: list[Look], atlas: Atlas) -> No
         if size > 0:
             off = float(np.linalg.norm(look.features + look.drifted - features)) / size
             result.features = max(result.features, off)
+        if look.hits:  # the samples that a converter's limit has cut are unknowns of the fit, too
+            result.contacts += len(look.fitted)
+            continue
         for distance_mm, sigma_mm in truncations(look, features, atlas):
             result.contacts += 1
             result.truncation_mm.append(distance_mm)

@@ -17,6 +17,7 @@ import numpy as np
 import onnx
 from numpy.typing import NDArray
 from onnx.reference import ReferenceEvaluator
+from scipy.signal.windows import tukey
 
 from tests.scenes.numerics.double import in_double
 from touchd.frame import Acquisition
@@ -46,13 +47,15 @@ def band(acquisition: Acquisition) -> NDArray[np.int64]:
     return np.flatnonzero((f_hz > low * (1 + 1e-12)) & (f_hz < high * (1 - 1e-12)))
 
 
-def bins_of(signal: NDArray[np.floating], bins: NDArray[np.int64]) -> Complex:
+def bins_of(signal: NDArray[np.floating], bins: NDArray[np.int64], taper: float = 1.0) -> Complex:
     """Windowed bins of a signal (..., samples), shape (..., bins)."""
     wide = np.asarray(signal, np.float64)
-    return np.asarray(np.fft.rfft(np.hanning(wide.shape[-1]) * wide)[..., bins])
+    return np.asarray(np.fft.rfft(tukey(wide.shape[-1], taper) * wide)[..., bins])
 
 
-def stretched_bins(signal: NDArray[np.floating], bins: NDArray[np.int64], acquisition: Acquisition) -> Complex:
+def stretched_bins(
+    signal: NDArray[np.floating], bins: NDArray[np.int64], acquisition: Acquisition, taper: float
+) -> Complex:
     """How those bins change when the plate's resonances rise, for a relative rise of 1, in first order.
 
     What a linear chirp sends out at f leaves at tau(f), and from there on the answer is stretched: the change is
@@ -66,7 +69,7 @@ def stretched_bins(signal: NDArray[np.floating], bins: NDArray[np.int64], acquis
     slope = np.fft.irfft(spectrum, n)
     chirp = acquisition.chirp
     tau_s = (f_hz[bins] - chirp.start_hz) * chirp.duration_s / (chirp.stop_hz - chirp.start_hz)
-    return np.asarray(bins_of(slope * t_s, bins) - tau_s * bins_of(slope, bins))
+    return np.asarray(bins_of(slope * t_s, bins, taper) - tau_s * bins_of(slope, bins, taper))
 
 
 def flat(bins: Complex) -> Floats:
@@ -100,7 +103,8 @@ def plate_of(baseline: NDArray[np.floating], atlas: Atlas) -> Plate:
     alive = np.flatnonzero(~dead)
     if not len(alive):
         return Plate(stretch, gains, dead)
-    value, rise, found = bins_of(known, bins), stretched_bins(known, bins, a), bins_of(live, bins)
+    value, rise = bins_of(known, bins, d.taper), stretched_bins(known, bins, a, d.taper)
+    found = bins_of(live, bins, d.taper)
     omega = 2 * np.pi * bins * a.sample_rate_hz / a.samples
     for _ in range(2):  # as often as the fast path, which has to be quick
         expected = value + stretch * rise
@@ -118,7 +122,8 @@ def atlas_features(residual: NDArray[np.floating], plate: Plate, atlas: Atlas) -
     """The bins of a residual as they would be on the plate that the atlas was learned on, shape (size,)."""
     d = atlas.description
     bins = np.array(d.bins)
-    found = bins_of(residual, bins) - plate.stretch * stretched_bins(residual, bins, d.acquisition)
+    found = bins_of(residual, bins, d.taper)
+    found = found - plate.stretch * stretched_bins(residual, bins, d.acquisition, d.taper)
     if np.abs(plate.gains - 1).max() > 1e-3:  # the fast path leaves smaller differences be
         found = found / plate.gains[:, None]
     return flat(found)

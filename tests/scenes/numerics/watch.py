@@ -62,6 +62,8 @@ class Look:
     """Where the weighted fit has all that was fitted; empty unless it was asked in this frame."""
     fit: Fit | None
     """What it was asked about."""
+    hits: tuple[int, ...]
+    """Where the samples begin that an impulse has hit."""
 
 
 @dataclass(slots=True)
@@ -157,7 +159,7 @@ def _watch(localizer: AtlasLocalizer) -> _Watch:
                 None if mask is None else mask > 0, at,
                 watch.shapes, watch.known, plate.noise.noise_energy / len(features), plate.noise.variance,
                 touches if watch.fitted else (), watch.places if watch.fitted else [],
-                watch.weighed if watch.fitted else [], watch.fit,
+                watch.weighed if watch.fitted else [], watch.fit, detection.hits,
             )
         )  # fmt: skip
         return touches, inferred

@@ -13,6 +13,7 @@ from touchd.calibration.reduced_plate import ReducedPlate
 from touchd.evaluation.cramer_rao import twin_values
 from touchd.frame import Plate
 from touchd.localization.atlas import Atlas
+from touchd.training.field.bins import TAPER
 from touchd.training.field.place import complex_nodes
 from touchd.twin.instrument import REFERENCE_C, Instrument
 from touchd.twin.physics.finger import Contact
@@ -47,7 +48,7 @@ def exact_fit(instrument: Instrument) -> PlateFit:
         fitted=untouched, basis=basis_of(instrument.plate), edges=Edges({}, {}, 1.0),
     )  # fmt: skip
     touch = PhysicalField(unit).at(np.array([[50.0, 40.0]]), TIP)
-    exact = twin_values(instrument, [Contact(50.0, 40.0, TIP.area_mm2, TIP.tissue)])
+    exact = twin_values(instrument, [Contact(50.0, 40.0, TIP.area_mm2, TIP.tissue)], TAPER)
     return replace(unit, gains=unit.gains * (np.vdot(touch, exact) / np.vdot(touch, touch)).real)
 
 

@@ -17,6 +17,7 @@ from touchd.evaluation.cramer_rao import twin_values
 from touchd.localization.atlas import Atlas, load_atlas, save_atlas
 from touchd.localization.features import windowed_dft
 from touchd.localization.model import Description, Model
+from touchd.training.field.bins import TAPER
 from touchd.training.field.place import FieldMap, place
 from touchd.twin.instrument import Instrument
 from touchd.twin.physics.finger import Contact
@@ -54,7 +55,7 @@ def missed(atlas: Atlas, field: PhysicalField, position_mm: np.ndarray) -> np.nd
 def test_field_is_the_twins(instrument: Instrument, field: PhysicalField) -> None:
     """With the twin's parameters the field is what the twin computes, near fields included."""
     at = places(2.6, 30.0, 20)
-    exact = twin_values(instrument, [Contact(x, y, 20.0, "silicone") for x, y in at.tolist()])
+    exact = twin_values(instrument, [Contact(x, y, 20.0, "silicone") for x, y in at.tolist()], TAPER)
     assert np.linalg.norm(field.at(at) - exact) < 1e-6 * np.linalg.norm(exact)
 
 
@@ -92,12 +93,12 @@ def test_sigma(atlas: Atlas, field: PhysicalField, fit: PlateFit) -> None:
     at, d = places(3.0, 45.0, 200), atlas.description
     kept = np.array(d.bins)
     noise = 0.01 * np.sqrt(np.square(fit.measured).mean())
-    W = windowed_dft(fit.acquisition, kept)
+    W = windowed_dft(fit.acquisition, kept, d.taper)
     drawn = np.random.default_rng(1).normal(size=(len(at), *fit.acquisition.shape)) * noise @ W
     values = field.at(at, Reference("silicone", 16.0, 16.0))[..., kept - 51]
     values = values + drawn[..., : len(kept)] + 1j * drawn[..., len(kept) :]
     placed = place(atlas, values, at)
-    variance = d.noise_scale * noise**2 * np.square(np.hanning(fit.acquisition.samples)).sum() / 2
+    variance = d.noise_scale * noise**2 * np.square(fit.acquisition.window(d.taper)).sum() / 2
     variance += d.field_scale * atlas.error.mean() * np.square(np.abs(placed.amplitude)) / 2
     sigma = np.sqrt(variance[:, None] * np.diagonal(np.linalg.inv(placed.fisher_information), axis1=1, axis2=2))
     assert 0.5 < (np.abs(placed.position_mm - at) < sigma).mean() < 0.85
@@ -108,7 +109,7 @@ def model(atlas: Atlas, tmp_path_factory: pytest.TempPathFactory) -> Model:
     d = atlas.description
     description = Description(
         name="calibrated", head="regression", domain="frequency", input="residual", acquisition=d.acquisition,
-        plate=d.plate, data_sha256="some",
+        plate=d.plate, taper=d.taper, data_sha256="some",
     )  # fmt: skip
     graph = start_scan(atlas, description)
     onnx.checker.check_model(graph, full_check=True)

@@ -29,7 +29,7 @@ NO_SKIP = Settings.model_validate({"skip": {"still": False}})
 class Network:
     """Stands in for a network: it sees a finger at `near_mm`, and counts its runs."""
 
-    description = SimpleNamespace(acquisition=RIG, domain="time", input="residual")
+    description = SimpleNamespace(acquisition=RIG, domain="time", taper=1.0, input="residual")
     dtype = np.dtype(np.float32)
 
     def __init__(self) -> None:

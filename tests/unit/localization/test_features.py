@@ -5,6 +5,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from scipy.signal.windows import tukey
 
 from touchd.frame import Acquisition, Chirp
 from touchd.localization.features import Domain, Features, band_bins, windowed_dft
@@ -29,6 +30,14 @@ def test_the_matrix_is_the_windowed_fft_to_the_last_digits_of_float64() -> None:
     signal = np.random.default_rng(1).standard_normal((4, 250))
     product = (signal @ windowed_dft(RIG)).reshape(-1)
     np.testing.assert_allclose(product, reference(signal, RIG), rtol=0, atol=1e-12)
+
+
+@given(samples=st.integers(8, 400), taper=st.just(0.0) | st.floats(1e-3, 1))
+@example(samples=250, taper=1.0)
+def test_window_is_tukeys(samples: int, taper: float) -> None:
+    """Any taper from none to Hann's gives SciPy's window."""
+    a = Acquisition(channels=1, samples=samples, sample_rate_hz=250e3)
+    np.testing.assert_allclose(a.window(taper), tukey(samples, taper), atol=1e-12)
 
 
 @given(

@@ -62,7 +62,7 @@ def network(model: Model, name: str, group: str = "network") -> Estimator:
     """Return a network with the daemon's features: the windowed DFT as a product, or the samples."""
     d = model.description
     a = d.acquisition
-    features = Features(d.domain, a)
+    features = Features(d.domain, a, taper=d.taper)
     into = model.features.reshape(features.shape)
     baseline, signal = np.zeros(a.shape, np.float32), np.zeros(a.shape, np.float32)
 

@@ -57,7 +57,7 @@ def trained(
             command=f"touchd reproduce: {recipe}",
         ).model  # fmt: skip
         content = path.read_bytes()
-    data = make_dataset(recording, model.description.domain)
+    data = make_dataset(recording, model.description.domain, taper=model.description.taper)
     test = split(len(data), seed).test
     return Trial(judge(model, inputs_of(data, model)[test], data.position_mm[test], noise_energy=0.0), content)
 

@@ -47,7 +47,7 @@ class Augmenter:
         pool: int = 8192,
     ) -> None:
         a, plate = dataset.acquisition, dataset.meta.plate
-        features = Features(dataset.domain, a)
+        features = Features(dataset.domain, a, taper=dataset.taper)
         self.synthesiser = synthesiser
         self._generator = generator
         self._channels, self._bins = a.channels, features.size // a.channels // 2

@@ -57,7 +57,7 @@ def at_one_temperature(recording: Recording, dataset: Dataset) -> tuple[Dataset,
     reference = np.zeros(a.shape)
     for some in np.array_split(untouched, -(-len(untouched) // _BLOCK)):
         reference += frames[some].sum(axis=0, dtype=np.float64) / len(untouched)
-    plain, stretched = windowed_dft(a, bins), stretch_matrix(a, bins)
+    plain, stretched = windowed_dft(a, bins, dataset.taper), stretch_matrix(a, bins, dataset.taper)
     slope = reference @ stretched
     share = plain @ slope.T / max(float(np.square(slope).sum()), 1e-30)  # (samples, channels)
     residual = np.empty_like(dataset.residual)

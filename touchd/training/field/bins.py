@@ -23,6 +23,8 @@ from touchd.frame import Acquisition
 
 Floats = NDArray[np.float64]
 
+TAPER = 0.25
+"""Of an atlas' window. What a finger's late echoes tell of its place, Hann's window hears too faintly."""
 SPARED = 0.01
 """Share of the signal that the weakest, omitted bins contain together."""
 MOST_FEATURES = 400

@@ -69,7 +69,9 @@ def noisy_levels(
 ) -> list[tuple[float, Level]]:
     """Locate touches at their own noise and at added noise; return each level with its signal-to-noise ratio in dB."""
     a, bins, plain = dataset.acquisition, atlas.description.bins, atlas.description.to_bins
-    window = float(np.square(a.window).sum()) * float(np.square(atlas.description.bin_weights).mean())
+    window = float(np.square(a.window(atlas.description.taper)).sum()) * float(
+        np.square(atlas.description.bin_weights).mean()
+    )
     untouched = atlas.baseline - atlas.baseline.mean(axis=1, keepdims=True)
     plate = float(np.sqrt(np.square(untouched, dtype=np.float64).mean()))
     own_db = 20 * np.log10(plate / max(dataset.noise, 1e-6))

@@ -81,7 +81,7 @@ def atlas_of(
     a = dataset.acquisition
     nodes = field.coefficients[..., kept]
     description = said | {
-        "acquisition": a, "bins": tuple(map(int, band_bins(a)[kept])), "step_mm": STEP_MM,
+        "acquisition": a, "taper": dataset.taper, "bins": tuple(map(int, band_bins(a)[kept])), "step_mm": STEP_MM,
         "origin_mm": field.origin_mm, "low_mm": field.low_mm, "high_mm": field.high_mm,
     }  # fmt: skip
     return Atlas(

@@ -59,7 +59,7 @@ def touches_of(dataset: Dataset, indices: NDArray[np.int64]) -> Touches:
     """Return the touches of a dataset with these indices, in the frequency domain."""
     a = dataset.acquisition
     values = complex_bins(dataset.residual[indices], a.channels).astype(np.complex64)
-    noise = BASELINE_NOISE * dataset.noise**2 * float(np.square(a.window).sum())
+    noise = BASELINE_NOISE * dataset.noise**2 * float(np.square(a.window(dataset.taper)).sum())
     return Touches(dataset.position_mm[indices].astype(np.float64), values, noise)
 
 

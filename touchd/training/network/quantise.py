@@ -36,7 +36,7 @@ def quantise(model: Model, recording: Recording, path: Path) -> Model:
         The model was trained on another recording, so its test part is unknown; or it is quantised already.
     """
     description = model.description
-    data = make_dataset(recording, description.domain)
+    data = make_dataset(recording, description.domain, taper=description.taper)
     if data.sha256 != description.data_sha256:
         raise TrainingError(
             "the model was trained on another recording, so its test part is unknown",
