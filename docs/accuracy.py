@@ -135,7 +135,8 @@ def noise(bench: Bench) -> None:
     for noise_db in LEVELS_DB:
         recording = bench.touches(TOUCHES, noise_db)
         judged = bench.judge(recording)
-        u, deviation, a = recorded_field(recording, bench.instrument), residual_noise(recording), recording.acquisition
+        u = recorded_field(recording, bench.instrument, bench.atlas.description.taper)
+        deviation, a = residual_noise(recording), recording.acquisition
         bound, plain = (median_distance_mm(part(u, a, deviation)) for part in (position_covariance, plain_covariance))
         levels.append(NoiseLevel(noise_db, judged, bound, plain))
         scores = position_scores(judged.error_mm)
@@ -163,7 +164,7 @@ def session(bench: Bench) -> None:
 
 def learning(bench: Bench) -> None:
     """Measure the error by the number of training touches; `touchd train` learned the shipped atlas from the most."""
-    recording = bench.touches(6404, 60.0, 1)
+    recording = simulate_touches(6404, seed=1, even=True, instrument=bench.instrument)
     steady, reference = at_one_temperature(recording, make_dataset(recording, taper=bench.atlas.description.taper))
     parts = split(len(steady), 0)
     wavenumber = dispersion_of(steady, touches_of(steady, parts.train)).wavenumber_per_mm

@@ -69,7 +69,7 @@ class Bench:
         """The recording that the shipped network and atlas were trained on."""
         path = self.folder / "training.npz"
         if not path.exists():
-            write(path, simulate_touches(TRAINING_TOUCHES, seed=TRAINING_SEED, instrument=self.instrument))
+            write(path, simulate_touches(TRAINING_TOUCHES, seed=TRAINING_SEED, even=True, instrument=self.instrument))
         recording = read(path)
         if digest(recording) != self.model.description.data_sha256:
             raise SystemExit(f"{path} is not what the shipped network was trained on")

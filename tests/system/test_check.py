@@ -32,7 +32,7 @@ def model_of(fit: PlateFit, path: Path) -> Path:
     d = atlas.description
     description = Description(
         name="calibrated", head="regression", domain="frequency", input="residual", acquisition=d.acquisition,
-        plate=d.plate,
+        plate=d.plate, taper=d.taper,
     )  # fmt: skip
     save_atlas(atlas, atlas_path(path))
     put_model(start_scan(atlas, description).SerializeToString(), path)

@@ -166,7 +166,7 @@ def median_distance_mm(covariance: Floats) -> float:
     return float(brentq(lambda mm: (weight * -np.expm1(-q * mm**2 / 2)).mean() - 0.5, 0, 2 * rms_mm(covariance).max()))
 
 
-def recorded_field(recording: Recording, field: Atlas | Instrument) -> TouchField:
+def recorded_field(recording: Recording, field: Atlas | Instrument, taper: float = HANN) -> TouchField:
     """Return the field of up to `MOST_TOUCHES` touches, spread evenly over a labelled recording.
 
     Each touch gets the amplitude that fits its frame best.
@@ -176,6 +176,8 @@ def recorded_field(recording: Recording, field: Atlas | Instrument) -> TouchFiel
     recording : Recording
     field : Atlas or Instrument
         Source of the field.
+    taper : float
+        Of the bins' window; an atlas has its own.
 
     Raises
     ------
@@ -190,7 +192,7 @@ def recorded_field(recording: Recording, field: Atlas | Instrument) -> TouchFiel
     if isinstance(field, Atlas):
         u = atlas_field(field, position_mm)
     else:
-        u = twin_field(field, [Contact(x, y, USUAL_AREA_MM2, "silicone") for x, y in position_mm.tolist()])
+        u = twin_field(field, [Contact(x, y, USUAL_AREA_MM2, "silicone") for x, y in position_mm.tolist()], taper)
     pairs = baseline_frames(recording.timestamp_ns, touched, untouched)
     baseline = recording.frames[pairs].mean(axis=1, dtype=np.float32)
     residual = residual_of(recording.frames[touched], baseline)

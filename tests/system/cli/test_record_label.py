@@ -113,8 +113,9 @@ def test_check(walked: tuple[Path, str], atlas: Atlas, tmp_path: Path) -> None:
     """`check` finds all of its touches but the palms, and a right model is good."""
     d = atlas.description
     description = Description(
-        name="right", head="regression", domain="frequency", input="residual", acquisition=d.acquisition, plate=d.plate
-    )
+        name="right", head="regression", domain="frequency", input="residual", acquisition=d.acquisition,
+        plate=d.plate, taper=d.taper,
+    )  # fmt: skip
     path = tmp_path / "right.onnx"
     save_atlas(atlas, atlas_path(path))
     put_model(start_scan(atlas, description).SerializeToString(), path)

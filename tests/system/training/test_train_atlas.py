@@ -58,7 +58,7 @@ def test_accuracy(result: AtlasResult, touches: Recording) -> None:
     From a millimetre beside them; with 280 touches for 98 degrees of freedom. A network of these is 2 mm off.
     """
     atlas, parts = load_atlas(result.path), result.parts
-    steady, _ = at_one_temperature(touches, make_dataset(touches))
+    steady, _ = at_one_temperature(touches, make_dataset(touches, taper=atlas.description.taper))
     at = np.concatenate([parts.validation, parts.test])
     kept = np.flatnonzero(np.isin(band_bins(atlas.description.acquisition), atlas.description.bins))
     true_mm = steady.position_mm[at].astype(float)
@@ -139,7 +139,7 @@ def test_label_noise(touches: Recording, tmp_path: Path) -> None:
     assert result.learned.label_noise_mm == pytest.approx(0.3, abs=0.05)
     for _, within, _ in result.calibration:
         assert within == pytest.approx(0.683, abs=0.1)
-    steady, _ = at_one_temperature(touches, make_dataset(touches))
+    steady, _ = at_one_temperature(touches, make_dataset(touches, taper=result.atlas.description.taper))
     at = np.concatenate([result.parts.validation, result.parts.test])
     kept = np.flatnonzero(np.isin(band_bins(steady.acquisition), result.atlas.description.bins))
     true_mm = steady.position_mm[at].astype(float)
