@@ -24,7 +24,8 @@ LEAK = 0.12
 """Energy outside the band, over that of the samples, that a finger may have: thumbs have up to 0.07, since the chirp
 starts at full amplitude (twin). An impulse with a thousandth of the finger's energy has more."""
 _TAPER = 0.5
-"""Of the window: Hann's is deaf to impulses near the frame's ends, which an atlas' flatter window hears."""
+"""Of the window: Hann's attenuates impulses near the frame's ends, to which an atlas with its flatter window is
+sensitive."""
 _FIRST_BIN = 3
 """Offsets and mains lie below."""
 _BELOW, _ABOVE = 0.5, 0.2

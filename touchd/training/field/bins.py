@@ -24,7 +24,8 @@ from touchd.frame import Acquisition
 Floats = NDArray[np.float64]
 
 TAPER = 0.25
-"""Of an atlas' window. What a finger's late echoes tell of its place, Hann's window hears too faintly."""
+"""Taper of an atlas' window. Hann's window attenuates both ends of a frame: unweighted least squares then have 1.5
+times the Cramer-Rao bound, with this taper 1.1 times. A smaller one leaks more of tones outside the band."""
 SPARED = 0.01
 """Share of the signal that the weakest, omitted bins contain together."""
 MOST_FEATURES = 400
