@@ -1,4 +1,4 @@
-"""From a residual to the model's input: the Hann-windowed bins of the chirp's band, or the samples."""
+"""From a residual to the model's input: the windowed bins of the chirp's band, or the samples."""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ MOST_FEATURES = 400
 FIELD_ERROR = 0.01
 """Error of the field as a share of a silicone finger's power in a bin: a finger weighs on the plate, the more as a bin
 is near a resonance, and other fingers weigh more. With it fingertips are placed to 0.15 mm instead of 0.21 (twin, 96
-kHz). Hann's window of a single chirp blurs the resonances."""
+kHz). The window of a single chirp blurs the resonances."""
 
 
 def weights(snr: Floats, acquisition: Acquisition) -> Floats:
