@@ -26,8 +26,8 @@ SPLIT_CELLS = 3
 """Outermost cells along each side with two nodes across it: beside a free edge the field turns within 1.5 mm, and a
 grid of one spacing started 1 in 14 rigid tips 2 to 4 mm from the edge more than 4 mm off (twin)."""
 EVERY_BIN = 3
-"""Where each chirp meets a silent plate every third bin is enough: of 1,000 starts at 40 dB 2 are more than 4 mm off, of
-all bins none, at 60 dB none of either (twin). In steady state no two are alike."""
+"""Where each chirp meets a silent plate every third bin is enough: of 1,000 starts at 40 dB 2 are more than 4 mm off,
+with all bins none; at 60 dB none either way (twin). In steady state no two bins are alike."""
 MOST_BINS = 17
 """Of those that are not alike."""
 HALF_CONFIDENCE = 0.6

@@ -18,8 +18,8 @@ SIGNIFICANT = 80.0
 """Energy, in variances of a bin's part, that a fit must explain: at the best of a thousand positions white noise
 explains some 15, and up to twice that where the window correlates neighbouring bins."""
 ALIKE, COMPARED_FRAMES = 50.0, 32
-"""White noise in n values has n shapes, or n / 3 where the window correlates neighbouring bins. Noise with fewer than n / 50 shapes
-over 32 frames is coloured: tones and jitter have two to four (twin)."""
+"""White noise in n values has n shapes, or n / 3 where the window correlates neighbouring bins. Noise with fewer than
+n / 50 shapes over 32 frames is coloured: tones and jitter have two to four (twin)."""
 
 
 class BinPower:
