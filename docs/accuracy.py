@@ -109,9 +109,8 @@ def field(bench: Bench) -> None:
     band = Model(MODEL, atlas=False).description.acquisition
     at = wanted - int(np.ceil(band.chirp.start_hz * band.samples / band.sample_rate_hz + 1e-9))
     contacts = [Contact(x, y, 20.0, "silicone") for x, y in places.tolist()]
-    true = np.concatenate([
-        twin_values(bench.instrument, contacts[i : i + 500])[:, FIELD_CHANNEL, at] for i in range(0, len(contacts), 500)
-    ])  # fmt: skip
+    blocks = [contacts[i : i + 500] for i in range(0, len(contacts), 500)]
+    true = np.concatenate([twin_values(bench.instrument, some, d.taper)[:, FIELD_CHANNEL, at] for some in blocks])
     learned = learned * (learned.conj() @ true) / np.square(np.abs(learned)).sum()
     frequency_hz = wanted * d.acquisition.sample_rate_hz / d.acquisition.samples
     shape = len(y_mm), len(x_mm)
