@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from touchd.errors import ModelMismatch, TrainingError
 from touchd.evaluation.dataset import Split, digest, make_dataset, split
@@ -21,7 +22,7 @@ from touchd.training.data.temperature import at_one_temperature
 from touchd.training.field.bins import TAPER, informative
 from touchd.training.field.dispersion import dispersion_of, fitted_note
 from touchd.training.field.learn import Learned, learn_thoroughly
-from touchd.training.field.make_atlas import Calibration, make_atlas, signal_over_noise, try_atlas
+from touchd.training.field.make_atlas import Calibration, make_atlas, signal_over_noise, try_atlas, with_field
 from touchd.training.field.regression import Floats, touches_of
 from touchd.training.network.loop import Progress
 from touchd.training.network.recipe import RECIPES
@@ -107,9 +108,15 @@ def train_atlas(
     kept = informative(snr, dispersion.wavenumber_per_mm, plain.acquisition)
     for text in check_density(touches.position_mm, float(dispersion.wavenumber_per_mm[kept[-1]])):
         note(text)
-    learned = learn_thoroughly(
-        touches, dispersion.wavenumber_per_mm, lambda done, steps: progress("field", done, steps, float("nan"))
-    )
+
+    def learn(what: str, part: NDArray[np.int64]) -> Learned:
+        return learn_thoroughly(
+            touches_of(steady, part), dispersion.wavenumber_per_mm,
+            lambda done, steps: progress(what, done, steps, float("nan")),
+        )  # fmt: skip
+
+    learned = learn("field", parts.train)
+    again = learn("whole field", np.concatenate([parts.train, parts.validation]))
 
     trained: Result | None = None
     if network is None:
@@ -130,7 +137,8 @@ def train_atlas(
         "fitted": dispersion.fitted,
         "wavenumber_rad_m": tuple((dispersion.wavenumber_per_mm * 1e3).round(3).tolist()),
     }
-    atlas, calibration = make_atlas(steady, reference, parts, learned, kept, said)
+    calibrated, calibration = make_atlas(steady, reference, parts, learned, kept, said)
+    atlas = with_field(calibrated, steady, parts, learned, again)
     start_mm = np.asarray(model.run(plain.residual[parts.test])["position_mm"], np.float64)
     judged = try_atlas(atlas, steady, parts, start_mm)
     rounded = {name: round(value, 4) for name, value in scores(judged).items()}

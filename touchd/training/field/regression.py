@@ -10,7 +10,7 @@ from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import blas, cho_factor, cho_solve, lapack
+from scipy.linalg import blas, cho_factor, cho_solve, lapack, solve_triangular
 from threadpoolctl import threadpool_limits
 
 from touchd.evaluation.dataset import BASELINE_NOISE, Dataset, complex_bins
@@ -25,6 +25,8 @@ RIDGE = 1e-4
 """Share of a bin's signal added to its noise, for what no field of this band explains."""
 LEAST_SIGNAL = 1e-3
 """Least signal of a bin, relative to its noise."""
+LEAST_VARIANCE = 1e-6
+"""Least expected error, as a share of the prior's variance: single precision tells no less."""
 FAINT = 0.1
 """Least amplitude in a touch's weight, relative to the average."""
 MOST_THREADS = 8
@@ -117,6 +119,17 @@ class Regression:
             field[start : start + rows] = kernel(apart_mm) @ weights
         found: Complex = field.view(np.complex64) * np.float32(self.scale[b])
         return found
+
+    def variance(self, b: int, amplitude: Complex, positions_mm: Floats) -> Floats:
+        """Return the expected square error of the field at positions (m, 2), as a share of the prior's variance.
+
+        Of noise and assumptions as the ridge has them (Rasmussen and Williams, Gaussian Processes for Machine Learning,
+        eq. 2.26).
+        """
+        factor, _ = lapack.spotrf(self._system(b, amplitude).T, lower=1, overwrite_a=1)
+        near = self.kernel(b)(distances(self.touches.position_mm, positions_mm))
+        explained = solve_triangular(factor, near, lower=True, overwrite_b=True, check_finite=False)
+        return np.asarray(np.maximum(1 - np.square(explained).sum(axis=0, dtype=np.float64), LEAST_VARIANCE))
 
     def _system(self, b: int, amplitude: Complex) -> Array:
         system = self.kernel(b)(self.distance_mm)
