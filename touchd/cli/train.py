@@ -58,7 +58,8 @@ def command(
 
     Several recordings of one plate and one acquisition train one model. Warnings, such as a dead channel or too few
     touches, appear first. 70 % of the touches train, 20 % validate, 10 % test; the test scores are printed and stored
-    in the model. Beside it lies a folder named .report, and with the recipe atlas the field atlas, .atlas.npz.
+    in the model. Beside it lies a folder named .report, and with the recipe atlas the field atlas, .atlas.npz, which
+    learns from the validating touches too once they have calibrated it.
     """
     from touchd.recording.format import read
     from touchd.training.data.join import join
