@@ -138,15 +138,28 @@ class Stage:
         roll = (ramp - 1) * self.rng.uniform(0, min(ROLL_MM, 0.1 * TISSUES[kind].area_mm2 / np.pi))
         return 1 + (settled - 1) * ramp, angle + turn, (roll * np.cos(angle), roll * np.sin(angle))
 
-    def touches(self, start: int, stop: int) -> list[list[Contact]]:
-        """Return the contacts in each of the frames start .. stop - 1."""
+    def touches(self, start: int, stop: int, off_s: float = 0.0) -> list[list[Contact]]:
+        """Return the contacts `off_s` from the middle of each of the frames start .. stop - 1."""
         result: list[list[Contact]] = [[] for _ in range(start, stop)]
-        for kind, _, *rows in self.laid:
-            x, y, area, _, ratio, angle = (row[start:stop] for row in rows)
+        for kind, _, *columns in self.laid:
+            rows = np.stack([column[start:stop] for column in columns])
+            if off_s:
+                rows += off_s * self._per_s(np.stack(columns), start, stop)
+            x, y, area, _, ratio, angle = rows
+            area, ratio = np.maximum(area, SMALLEST_MM2), np.maximum(ratio, 1.0)
             for i in np.flatnonzero(~np.isnan(x)):
                 shape = float(area[i]), kind, float(ratio[i]), float(angle[i])
                 result[i].append(Contact(float(x[i]), float(y[i]), *shape))
         return result
+
+    def _per_s(self, rows: Floats, start: int, stop: int) -> Floats:
+        """Return the rate of change of rows (k, n) in frames start .. stop - 1, by the frames beside each: 0 alone."""
+        beside = np.clip(np.arange(start - 1, stop + 1), 0, rows.shape[1] - 1)
+        spent_s = np.diff(self.time_s[beside])
+        steps = np.diff(rows[:, beside], axis=1) / np.where(spent_s > 0, spent_s, np.inf)
+        known = np.isfinite(steps) & (spent_s > 0)
+        steps[~known] = 0.0
+        return np.asarray((steps[:, :-1] + steps[:, 1:]) / np.maximum(known[:, :-1] + 1 * known[:, 1:], 1))
 
     def truth(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return the labels `contacts_mm` of shape (n, k, 2) and `force_n` of shape (n, k).
