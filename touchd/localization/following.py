@@ -205,10 +205,15 @@ class Follower:
             return fit if fit.positions_mm else self._follow_point(bins, positions[0], signal)
         if not fit.positions_mm:
             fit = self._solver.fit_several(bins, positions, FOLLOW_STEPS - 1, STILL_MM / 4)
-        if self._search.explains:
+        if self._search.explains or self._more_has_come(fit, signal):
             return fit  # what another finger leaves makes these look weak
         fit, self._dropped = self._search.count.prune(bins, fit, signal)
         return fit
+
+    def _more_has_come(self, fit: Fit, signal: float) -> bool:
+        """Return whether a fit, unlike the last, leaves much of a signal that has not fallen as by a finger's lifting."""
+        excess = self._noise.excess(fit.residual_energy, signal)
+        return self._excess <= CRITERIA.search_above < excess and signal > _LIFTED * self._signal
 
     def drop(self) -> None:
         """Forget the fingers that have lifted, as the last `follow` found."""

@@ -153,7 +153,7 @@ class MultitouchSearch:
             return fit, 0  # fingers have come or gone meanwhile
         if not fresh:
             found, known = self._as_of_now(bins, found, known, fit, signal)
-            missing = self._noise.excess(found.residual_energy, signal) > CRITERIA.fair
+            missing = self._noise.excess(found.residual_energy, signal) > CRITERIA.search_above
             if missing and limited and len(found.positions_mm) > max(known, self._grown):
                 # Others have landed meanwhile: from here on they are searched in this frame.
                 self._grown = len(found.positions_mm)
