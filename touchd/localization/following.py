@@ -211,7 +211,7 @@ class Follower:
         return fit
 
     def _more_has_come(self, fit: Fit, signal: float) -> bool:
-        """Return whether a fit, unlike the last, leaves much of a signal that has not fallen as by a finger's lifting."""
+        """Return whether a fit, unlike the last, leaves much of a signal, which has not fallen as if a finger lifts."""
         excess = self._noise.excess(fit.residual_energy, signal)
         return self._excess <= CRITERIA.search_above < excess and signal > _LIFTED * self._signal
 

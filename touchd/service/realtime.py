@@ -5,6 +5,7 @@ Processors, scheduling and niceness are the unit's: deploy/realtime.conf. docs/i
 
 from __future__ import annotations
 
+import ctypes
 import gc
 import os
 import resource
@@ -23,9 +24,14 @@ log = structlog.get_logger()
 
 
 def freeze() -> None:
-    """Exempt all objects made so far from garbage collection. Call it once everything is loaded."""
+    """Exempt all objects made so far from garbage collection, and return what loading freed to the system.
+
+    Call it once everything is loaded. glibc keeps a tenth of the memory for what comes; other C libraries do not.
+    """
     gc.collect()
     gc.freeze()
+    if trim := getattr(ctypes.CDLL(None), "malloc_trim", None):
+        trim(0)
 
 
 def raise_file_limit() -> None:
