@@ -65,12 +65,7 @@ _BLOCK = 512
 
 
 class PhysicalField:
-    """Evaluates the bins of touches on a fitted plate, ADC counts: R receivers, F frequencies.
-
-    Parameters
-    ----------
-    fit : PlateFit
-    """
+    """Evaluates the bins of touches on a fitted plate, ADC counts: R receivers, F frequencies."""
 
     def __init__(self, fit: PlateFit) -> None:
         a = fit.acquisition
@@ -147,7 +142,6 @@ def make_physical_atlas(
 
     Parameters
     ----------
-    fit : PlateFit
     noise_counts : float
         Standard deviation of a sample's noise, ADC counts.
     data_sha256, command : str

@@ -92,7 +92,6 @@ class PlateMap:
 
     Parameters
     ----------
-    said : PlateFile
     acquisition : Acquisition
         Its channels are as many as there are receivers.
     noise_db : float

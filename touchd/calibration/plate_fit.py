@@ -91,13 +91,6 @@ class PlateFit:
 def fit_plate(said: PlateFile, recording_mean: Untouched, progress: Progress = lambda _stage, _share: None) -> PlateFit:
     """Fit plate, discs and gains to the untouched response.
 
-    Parameters
-    ----------
-    said : PlateFile
-    recording_mean : Untouched
-        The mean untouched frame, of `touchd.calibration.untouched`.
-    progress : callable, optional
-
     Raises
     ------
     CalibrationError

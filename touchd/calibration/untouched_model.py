@@ -47,9 +47,6 @@ class UntouchedModel:
 
     Parameters
     ----------
-    plate : ReducedPlate
-    reader : Reader
-    acquisition : Acquisition
     edges : bool
         Whether held edges are in the model; without them it costs a third.
     """
@@ -67,13 +64,7 @@ class UntouchedModel:
     def fit(self, p: Floats, measured: Floats, window: Floats, active: tuple[str, ...] = ()) -> Fitted:
         """Return the misfit of a vector, and its derivatives by the `active` unknowns.
 
-        Parameters
-        ----------
-        p : array
-        measured : array of shape (R, S)
-        window : array of shape (S,)
-            Weight of each sample.
-        active : names of unknowns
+        `measured` has shape (R, S); `window`, of shape (S,), weighs the samples.
         """
         guess = self.reader.read(p)
         response = self._response(guess)

@@ -122,13 +122,7 @@ class _Done(NamedTuple):
 
 
 class Walk:
-    """Takes frames, act by act.
-
-    Parameters
-    ----------
-    acquisition : Acquisition
-    tasks : sequence of Task
-    """
+    """Takes frames, act by act."""
 
     def __init__(self, acquisition: Acquisition, tasks: Sequence[Task]) -> None:
         self.tasks = tasks

@@ -117,7 +117,6 @@ def position_covariance(field: TouchField, acquisition: Acquisition, noise: floa
     ----------
     field : TouchField
         Field of the touches at their own amplitudes.
-    acquisition : Acquisition
     noise : float
         Standard deviation of a residual's sample, ADC counts; white and independent.
     """
@@ -173,7 +172,6 @@ def recorded_field(recording: Recording, field: Atlas | Instrument, taper: float
 
     Parameters
     ----------
-    recording : Recording
     field : Atlas or Instrument
         Source of the field.
     taper : float

@@ -42,8 +42,6 @@ class Correlation:
     ----------
     features : array of shape (n, inputs)
         Frequency-domain features: real and imaginary parts of the bins, channel by channel.
-    position_mm : array of shape (n, 2)
-    channels : int
     f_hz : array of shape (bins,)
         Frequencies of the bins.
     """

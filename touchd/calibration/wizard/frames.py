@@ -136,12 +136,7 @@ class Tapped(NamedTuple):
 
 
 class Tapper:
-    """Finds taps in a daemon's frames, and judges them by a fitted plate.
-
-    Parameters
-    ----------
-    atlas : Atlas
-    """
+    """Finds taps in a daemon's frames, and judges them by a fitted plate."""
 
     def __init__(self, atlas: Atlas) -> None:
         d = atlas.description

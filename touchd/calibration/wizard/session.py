@@ -27,12 +27,7 @@ LEAST_TO_TELL = 3
 
 
 class Session:
-    """Collects taps at targets.
-
-    Parameters
-    ----------
-    state : State
-    """
+    """Collects taps at targets."""
 
     def __init__(self, state: State) -> None:
         self._state = state

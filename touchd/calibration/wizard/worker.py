@@ -47,7 +47,6 @@ class Worker:
 
     Parameters
     ----------
-    state : State
     control : Path
         The daemon's control socket.
     target : Path

@@ -38,11 +38,8 @@ def measure(
 
     Parameters
     ----------
-    scene : str
-    loop : Loop
     rate_hz : float or None
         None for full speed.
-    seconds : float
     model : Path
         The network, with or without an atlas beside it.
     bare : Path

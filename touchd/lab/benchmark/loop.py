@@ -40,7 +40,6 @@ class LoopSource:
 
     Parameters
     ----------
-    loop : Loop
     rate_hz : float
         Frames per second; infinite for full speed.
     seconds : float

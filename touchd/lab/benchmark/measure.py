@@ -66,7 +66,6 @@ def benchmark(models: Path, *, quick: bool, progress: Progress, also: Sequence[P
         by its own acquisition.
     quick : bool
         Measure in about 20 s: fewer touches, the daemon at full speed only.
-    progress : callable
     also : sequence of Path
         Further networks for the example rig.
 

@@ -38,10 +38,8 @@ def race(
 
     Parameters
     ----------
-    estimators : sequence of Estimator
     bare : callable
         Runs the bare network once.
-    blocks : sequence of Block
     passes : int
         Number of passes over the blocks.
     limit_s : float

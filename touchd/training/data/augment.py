@@ -32,8 +32,6 @@ class Augmenter:
         In the frequency domain.
     indices : tensor of shape (n,)
         Its touches to draw from.
-    synthesiser : Synthesiser
-    generator : torch.Generator
     pool : int
         Rows of noise and of tones to draw from.
     """

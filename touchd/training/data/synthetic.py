@@ -19,10 +19,8 @@ class Synthesiser:
 
     Parameters
     ----------
-    field : Field
     size_mm : tuple of two floats
         Width and height of the plate.
-    generator : torch.Generator
     layout : Layout, optional
         Keys whose borders receive `BORDER_SHARE` of the touches.
     """

@@ -41,15 +41,7 @@ def covariance(
 
 
 class Kernel:
-    """A tabulated kernel, for matrices of distances in float32.
-
-    Parameters
-    ----------
-    wavenumber_per_mm : float
-    reach_mm : float
-        Longest distance to evaluate.
-    white_share : float
-    """
+    """A tabulated kernel, for matrices of distances up to `reach_mm`, in float32."""
 
     def __init__(self, wavenumber_per_mm: float, reach_mm: float, white_share: float = WHITE_SHARE) -> None:
         self._per_mm = 2 * wavenumber_per_mm * _NODES
