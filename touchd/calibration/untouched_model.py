@@ -70,8 +70,7 @@ class UntouchedModel:
         response = self._response(guess)
         heard = response.untouched()
         scale = np.sqrt(np.mean(np.abs(heard) ** 2))
-        waves = heard[:, None] * self._emission / scale  # (R, K, F)
-        basis = np.concatenate([self._to_time(waves), self._to_time(1j * waves)], axis=1) * window  # (R, 2 K, S)
+        basis = self._basis(heard[:, None] * self._emission / scale) * window  # (R, 2 K, S)
         chain = self.reader.chain(guess)
         by_name = response.slopes({chain[name][0] for name in active})
         changes = [by_name[chain[name][0]] * (chain[name][1] / scale) for name in active]
@@ -93,14 +92,13 @@ class UntouchedModel:
 
     def pair_misfits(self, p: Floats, measured: Floats, window: Floats) -> Floats:
         """Return the share of each channel's energy that the way between any two discs leaves, shape (D, D, R)."""
-        guess = self.reader.read(p)
-        between = self._response(guess).between()
+        between = self._response(self.reader.read(p)).between()
         D, y = len(between), measured * window
         found = np.ones((D, D, len(y)))
         energy = np.maximum((y**2).sum(axis=1), np.finfo(float).tiny)
         for one in range(D):
             for other in range(one):
-                B = self._basis(between[one, other]) * window
+                B = self._basis(between[one, other] * self._emission) * window
                 Q = np.linalg.qr(B.T)[0]
                 found[one, other] = found[other, one] = 1 - ((y @ Q) ** 2).sum(axis=1) / energy
         return found
@@ -109,13 +107,11 @@ class UntouchedModel:
         held = (self._lines, guess.edges) if self._lines else None
         return DiscResponse(self.plate, guess.shape, guess.discs, guess.loss, self.nu_rad_s, held)
 
-    def _basis(self, heard: Complex) -> Floats:
-        """Return the signals of one response times each power of the band, real and imaginary, shape (2 K, S)."""
-        waves = heard * self._emission
-        return np.concatenate([self._to_time(waves), self._to_time(1j * waves)])
+    def _basis(self, waves: Complex) -> Floats:
+        """Return the signals of waves (..., K, F) and of i times these, shape (..., 2 K, S)."""
+        return np.concatenate([self._to_time(waves), self._to_time(1j * waves)], axis=-2)
 
     def signals(self, p: Floats, gains: Complex) -> Floats:
         """Return the signals (R, S) of a vector with given gains (R, GAIN_TERMS)."""
-        guess = self.reader.read(p)
-        heard = self._response(guess).untouched()
+        heard = self._response(self.reader.read(p)).untouched()
         return self._to_time(heard * (gains @ self._emission))

@@ -94,7 +94,7 @@ def atlas_field(atlas: Atlas, position_mm: Floats) -> TouchField:
     return _with_slopes(np.asarray(bins, np.complex128), np.array(d.bins), d.taper)
 
 
-def _with_slopes(values: Complex, bins: NDArray[np.int64], taper: float = HANN) -> TouchField:
+def _with_slopes(values: Complex, bins: NDArray[np.int64], taper: float) -> TouchField:
     """Compute central differences of values at positions moved by each of `_MOVES_MM` in turn, (5 * n, ...)."""
     value, right, left, below, above = values.reshape(5, -1, *values.shape[1:])
     return TouchField(value, (right - left) / (2 * STEP_MM), (below - above) / (2 * STEP_MM), bins, taper)

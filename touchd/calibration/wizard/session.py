@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from touchd.calibration.error_map import ErrorMap
 from touchd.calibration.place_correction import Widths
 from touchd.calibration.taps import FITS, ORIENTATIONS, Taps, orientation_of, refine, scatter_of, taps_of, turned
 from touchd.calibration.walk import AGAIN_AFTER, next_number, target_mm
-from touchd.calibration.wizard.error_map import ErrorMap
 from touchd.calibration.wizard.frames import Stopped, Tapped, Tapper, meta_of, refuse_keypad
 from touchd.calibration.wizard.state import State
 from touchd.errors import BusError, TouchdError
@@ -105,7 +105,10 @@ class Session:
     def _errors(self, atlas: Atlas) -> ErrorMap | None:
         """Return the map of a fit; None of one by a version that did not say how far its places may be off."""
         widths = self._state["result"].get("places")
-        return ErrorMap(atlas, self._state.model.with_suffix(".untouched.npz"), Widths(**widths)) if widths else None
+        if not widths:
+            return None
+        frames = read(self._state.model.with_suffix(".untouched.npz")).frames
+        return ErrorMap(atlas, np.sqrt(frames.var(axis=0, ddof=1, dtype=np.float64).mean()), Widths(**widths))
 
     def _tell(self, atlas: Atlas, errors: ErrorMap | None) -> None:
         """Tell what the taps do: the expected error, and, of three or more, their scatter and the drawing's turn."""

@@ -98,7 +98,7 @@ def _shares(results: Results) -> Table:
     for share in plan.SHARES:
         network, knn = (
             [keypad_scores(results.full[name(share, seed)].judged, layout)["accuracy"] for seed in plan.KEYPAD_SEEDS]
-            for name in (plan.keypad_name, lambda share, seed: plan.lookup_name("kNN", share, seed))
+            for name in (plan.keypad_name, plan.lookup_name)
         )
         reported = paper.KEYPAD_LEARNING.get(share)
         rows.append([

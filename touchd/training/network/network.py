@@ -249,10 +249,8 @@ class PaperNetwork(Network):
     size_mm: Tensor
     sigma_mm: Tensor
 
-    def __init__(
-        self, inputs: int, size_mm: tuple[float, float], widths: tuple[int, ...] = TRUNK, dropout: float = DROPOUT
-    ) -> None:
-        super().__init__(inputs, widths, dropout)
+    def __init__(self, inputs: int, size_mm: tuple[float, float], widths: tuple[int, ...] = TRUNK) -> None:
+        super().__init__(inputs, widths, DROPOUT)
         self.head = nn.Linear(widths[-1], 2)
         self.register_buffer("size_mm", torch.tensor(size_mm))
         self.register_buffer("sigma_mm", torch.ones(1, 1))

@@ -27,10 +27,8 @@ class Classifier(Network):
     ----------
     description : Description
         Its grid or layout has the classes: zones row by row, or the keys and the zone beside them.
-    normalised : bool
-        Whether to normalise features to their direction; the paper uses them as measured.
     drift : tensor of shape (k, inputs), optional
-        See `Normalise`.
+        See `Normalise`; without it features count as measured, as in the paper.
     """
 
     outputs = ("probability",)
@@ -41,7 +39,6 @@ class Classifier(Network):
         description: Description,
         widths: tuple[int, ...] = TRUNK,
         dropout: float = 0.0,
-        normalised: bool = True,
         drift: Tensor | None = None,
     ) -> None:
         d = description
@@ -54,7 +51,7 @@ class Classifier(Network):
         else:
             centres_mm = np.array([*(key.centre_mm for key in d.layout.key), size_mm / 2])
         self.register_buffer("centres_mm", torch.from_numpy(centres_mm).float())
-        self.normalise = Normalise(drift) if normalised else None
+        self.normalise = None if drift is None else Normalise(drift)
         self.head = nn.Linear(widths[-1], len(centres_mm))
 
     def raw(self, features: Tensor) -> Tensor:
@@ -127,11 +124,13 @@ class KeypadNetwork(PositionNetwork):
 def make_network(recipe: Recipe, d: Description, drift: Tensor) -> Network:
     """Return the untrained network of a recipe for a model's description; it projects out `drift` (k, inputs)."""
     size_mm = (d.plate.width_mm, d.plate.height_mm)
+    if d.head == "regression" and recipe.paper:
+        return PaperNetwork(d.inputs, size_mm, recipe.widths)
     if d.head == "regression":
-        if recipe.paper:
-            return PaperNetwork(d.inputs, size_mm, recipe.widths)
         return PositionNetwork(d.inputs, size_mm, recipe.widths, drift)
-    if d.layout is not None and not recipe.paper:
+    if recipe.paper:
+        return Classifier(d, recipe.widths, DROPOUT)
+    if d.layout is not None:
         keys_mm = torch.tensor([[k.x_mm, k.y_mm, k.x_mm + k.width_mm, k.y_mm + k.height_mm] for k in d.layout.key])
         return KeypadNetwork(d.inputs, size_mm, keys_mm, recipe.widths, drift)
-    return Classifier(d, recipe.widths, DROPOUT if recipe.paper else 0.0, not recipe.paper, drift)
+    return Classifier(d, recipe.widths, drift=drift)
