@@ -16,16 +16,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd import chirp
 from touchd.calibration.plate_fit import PlateFit, Progress
-from touchd.evaluation.dataset import BASELINE_NOISE
-from touchd.frame import Plate
+from touchd.calibration.untouched_model import emission
+from touchd.evaluation.dataset import BASELINE_NOISE, complex_bins
+from touchd.frame import Acquisition, Plate
 from touchd.localization.atlas import Atlas, AtlasDescription
 from touchd.localization.features import band_bins, windowed_dft
 from touchd.training.field.bins import TAPER, informative, weights
 from touchd.training.field.error_scale import LEVELS_DB, Level, calibrate, field_error, level_of
 from touchd.training.field.place import FieldMap, place
-from touchd.twin.instrument import anti_alias
 from touchd.twin.physics.finger import impedance
 from touchd.twin.physics.material import mindlin_wavenumber
 from touchd.twin.record import Record
@@ -64,6 +63,13 @@ fingertip: with the former as reference fingertips are placed to 0.061 mm, with 
 _BLOCK = 512
 
 
+def spectra_to_bins(record: Record, acquisition: Acquisition) -> Complex:
+    """Return the matrix that takes real and then imaginary parts of a spectrum to an atlas' bins, (2 F, bins)."""
+    unit = np.eye(len(record.hz))
+    signals = record.to_time(np.concatenate([unit, 1j * unit]))
+    return complex_bins(signals @ windowed_dft(acquisition, taper=TAPER), 1)[:, 0]
+
+
 class PhysicalField:
     """Evaluates the bins of touches on a fitted plate, ADC counts: R receivers, F frequencies."""
 
@@ -75,11 +81,8 @@ class PhysicalField:
         nu = record.nu_rad_s
         self._response = fit.response(nu)
         self._discs = self._response.modes.discs
-        emitted = chirp.spectrum(a.chirp, nu) * anti_alias(nu, a.sample_rate_hz)
-        self._heard = emitted * fit.gain(record.hz)  # (R, F)
-        spectra = np.concatenate([np.eye(len(nu)), 1j * np.eye(len(nu))])
-        parts = record.to_time(spectra) @ windowed_dft(a, taper=TAPER)
-        self._to_bins = np.asarray(parts[:, : parts.shape[1] // 2] + 1j * parts[:, parts.shape[1] // 2 :])
+        self._heard = emission(a, nu) * fit.gain(record.hz)  # (R, F)
+        self._to_bins = spectra_to_bins(record, a)
 
     def at(self, position_mm: Floats, touch: Reference | None = None) -> Complex:
         """Return the bins of touches, by default the reference's, at positions (n, 2) on the plate, shape (n, R, bins).

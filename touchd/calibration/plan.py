@@ -13,16 +13,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd import chirp
 from touchd.calibration.parameters import usual_loss
+from touchd.calibration.physical_atlas import spectra_to_bins
 from touchd.calibration.plate_file import PlateFile
+from touchd.calibration.untouched_model import emission
 from touchd.calibration.verdict import EXACT
 from touchd.evaluation.dataset import BASELINE_NOISE
 from touchd.frame import Acquisition
-from touchd.localization.features import windowed_dft
 from touchd.training.field.bins import TAPER
 from touchd.training.field.place import linearise
-from touchd.twin.instrument import anti_alias
 from touchd.twin.physics import legendre
 from touchd.twin.physics.finger import impedance
 from touchd.twin.physics.material import mindlin_wavenumber
@@ -111,11 +110,8 @@ class PlateMap:
         nu = record.nu_rad_s
         loss = usual_loss(said)
         self._kernel = 1 / (modes.omega_rad_s[:, None] ** 2 * (1 + 1j * loss) - nu**2)  # (n, F)
-        self._emission = chirp.spectrum(acquisition.chirp, nu) * anti_alias(nu, acquisition.sample_rate_hz)
-        # A response's bins are those of its frequencies: one matrix for both.
-        spectra = np.concatenate([np.eye(len(nu)), 1j * np.eye(len(nu))])
-        parts = record.to_time(spectra) @ windowed_dft(acquisition, taper=TAPER)
-        self._to_bins = parts[:, : parts.shape[1] // 2] + 1j * parts[:, parts.shape[1] // 2 :]
+        self._emission = emission(acquisition, nu)
+        self._to_bins = spectra_to_bins(record, acquisition)
         self._to_time = record.to_time
         wave_mm = 2e3 * np.pi / float(mindlin_wavenumber(self._plate, np.mean(acquisition.chirp.band_hz)))
         self._exact_mm = EXACT * wave_mm

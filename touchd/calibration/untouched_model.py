@@ -42,6 +42,11 @@ def band(acquisition: Acquisition, frequency_hz: Floats) -> Floats:
     return np.asarray(np.clip((frequency_hz - (low + high) / 2) / ((high - low) / 2), -1.3, 1.3))
 
 
+def emission(acquisition: Acquisition, nu_rad_s: Complex) -> Complex:
+    """Return the spectrum of the chirp behind the anti-alias filter, shape (F,)."""
+    return chirp.spectrum(acquisition.chirp, nu_rad_s) * anti_alias(nu_rad_s, acquisition.sample_rate_hz)
+
+
 class UntouchedModel:
     """Maps vectors of unknowns to the untouched signals.
 
@@ -57,9 +62,8 @@ class UntouchedModel:
         self._lines = lines_along(plate, reader.held) if edges and reader.held else None
         record = Record(a)
         self.nu_rad_s, self._to_time = record.nu_rad_s, record.to_time
-        emission = chirp.spectrum(a.chirp, self.nu_rad_s) * anti_alias(self.nu_rad_s, a.sample_rate_hz)
-        x = band(a, record.hz)
-        self._emission = np.stack([emission * x**k for k in range(GAIN_TERMS)])  # (K, F)
+        x, emitted = band(a, record.hz), emission(a, self.nu_rad_s)
+        self._emission = np.stack([emitted * x**k for k in range(GAIN_TERMS)])  # (K, F)
 
     def fit(self, p: Floats, measured: Floats, window: Floats, active: tuple[str, ...] = ()) -> Fitted:
         """Return the misfit of a vector, and its derivatives by the `active` unknowns.
