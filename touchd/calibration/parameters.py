@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from touchd.calibration.loads import KINDS, STARTS, Discs, Edges, Loss, names_of
 from touchd.calibration.plate_file import PlateFile
 from touchd.calibration.reduced_plate import Shape, shape_of
-from touchd.frame import Acquisition
-from touchd.twin.physics.material import ElasticPlate, Material, material_of
+from touchd.frame import Acquisition, Chirp, Plate
+from touchd.twin.physics.material import ElasticPlate, Material, material_of, mindlin_wavenumber
 from touchd.twin.physics.transducer import Layout
 
 Floats = NDArray[np.float64]
@@ -46,6 +46,11 @@ class Unknown(NamedTuple):
     start: float
     prior: float
     """Standard deviation of what was said, in the vector's unit."""
+
+
+def wavelength_mm(plate: Plate, chirp: Chirp) -> float:
+    """Return the length of the plate's wave in the middle of a chirp's band."""
+    return 2e3 * np.pi / float(mindlin_wavenumber(plate, np.mean(chirp.band_hz)))
 
 
 def usual_loss(said: PlateFile) -> float:

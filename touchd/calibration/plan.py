@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.calibration.parameters import usual_loss
+from touchd.calibration.parameters import usual_loss, wavelength_mm
 from touchd.calibration.physical_atlas import spectra_to_bins
 from touchd.calibration.plate_file import PlateFile
 from touchd.calibration.untouched_model import emission
@@ -24,7 +24,6 @@ from touchd.training.field.bins import TAPER
 from touchd.training.field.place import linearise
 from touchd.twin.physics import legendre
 from touchd.twin.physics.finger import impedance
-from touchd.twin.physics.material import mindlin_wavenumber
 from touchd.twin.physics.plate import polynomials_for, size_m, solve
 from touchd.twin.record import Record
 
@@ -113,8 +112,7 @@ class PlateMap:
         self._emission = emission(acquisition, nu)
         self._to_bins = spectra_to_bins(record, acquisition)
         self._to_time = record.to_time
-        wave_mm = 2e3 * np.pi / float(mindlin_wavenumber(self._plate, np.mean(acquisition.chirp.band_hz)))
-        self._exact_mm = EXACT * wave_mm
+        self._exact_mm = EXACT * wavelength_mm(self._plate, acquisition.chirp)
         self._place()
         shapes = self._shapes(self._places_mm)
         self._finger = (1j * nu * impedance(FINGER, nu, AREA_MM2))[:, None]

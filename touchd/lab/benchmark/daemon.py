@@ -17,12 +17,11 @@ from typing import Any
 from touchd.client import Subscriber
 from touchd.errors import BusError, JobError
 from touchd.event import Event, HealthEvent, TouchEvent
-from touchd.lab.benchmark.child import Task, main
+from touchd.lab.benchmark.child import PATIENCE_S, Task, main
 from touchd.lab.benchmark.loop import Loop
 from touchd.lab.benchmark.results import DaemonResult, Day, percentiles, rounded
 from touchd.lab.benchmark.stopwatch import spread, undisturbed
 
-PATIENCE_S = 30.0
 DAY = {"idle": 0.98, "still": 0.01, "moving": 0.01}
 """Share of each scene in a typical day."""
 FOREVER_S = 86_400.0
@@ -63,7 +62,7 @@ def measure(
         "bus": bus, "model": {"path": str(model)}, "baseline": {"absorb_s": FOREVER_S},
         "preroll": {"folder": str(folder)}, "realtime": {} if awake else {"awake_from_hz": 0},
     }  # fmt: skip
-    task = Task(scene, loop, rate_hz, seconds, bare, settings, daemon_cpus(), PATIENCE_S, time.monotonic_ns())
+    task = Task(scene, loop, rate_hz, seconds, bare, settings, daemon_cpus(), time.monotonic_ns())
     with (
         subscribing(apart=apart or rate_hz is None),
         Subscriber(address, ("touch", "health"), PATIENCE_S, max_age_s=None) as events,

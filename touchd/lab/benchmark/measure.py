@@ -20,7 +20,7 @@ from touchd.lab.benchmark.loop import Loop
 from touchd.lab.benchmark.machine import this_machine
 from touchd.lab.benchmark.race import race
 from touchd.lab.benchmark.results import DaemonResult, Run, Touches, rounded
-from touchd.lab.benchmark.scenes import FINGER, SEED, UNTOUCHED, WANTED, Block, held_out, make_loop
+from touchd.lab.benchmark.scenes import FINGER, SEED, WANTED, Block, held_out, make_loop
 from touchd.lab.benchmark.stopwatch import middle, undisturbed
 from touchd.localization.model import Model
 from touchd.twin.instrument import Instrument
@@ -167,9 +167,7 @@ def _cells(
 
 def _bound_mm(blocks: Sequence[Block], instrument: Instrument) -> float:
     """Return the Cramer-Rao bound of the median error, with the noise of these residuals."""
-    # The mean of n frames contains a share of their noise; another frame differs from it by more.
-    deviation = float(np.concatenate([block.untouched for block in blocks]).std())
-    noise = deviation * ((UNTOUCHED + 1) / (UNTOUCHED - 1)) ** 0.5
+    noise = float(np.concatenate([block.noise for block in blocks]).std())
     some = [contact for block in blocks for contact in block.contacts][:MOST_TOUCHES]
     return median_distance_mm(position_covariance(twin_field(instrument, some), instrument.acquisition, noise))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -70,6 +71,12 @@ class Block(NamedTuple):
     """Residuals of the touches, shape (BLOCK, channels, samples)."""
     contacts: list[Contact]
     """The touches."""
+
+    @property
+    def noise(self) -> Array:
+        """Untouched residuals, scaled to the noise of frames that the baseline is not made of."""
+        n = len(self.untouched)
+        return self.untouched * np.float32(math.sqrt((n + 1) / (n - 1)))
 
     @property
     def true_mm(self) -> NDArray[np.float64]:
