@@ -57,10 +57,10 @@ class ErrorMap:
     def __init__(self, atlas: Atlas, noise_counts: float, widths: Widths, grid: int = GRID) -> None:
         d = atlas.description
         self._atlas, self._widths = atlas, widths
-        self._size_mm = sides = d.plate.width_mm, d.plate.height_mm
-        x_mm, y_mm = ((np.arange(grid) + 0.5) / grid * side for side in sides)
+        self._size_mm = d.plate.size_mm
+        x_mm, y_mm = ((np.arange(grid) + 0.5) / grid * side for side in self._size_mm)
         self._places_mm = np.stack(np.meshgrid(x_mm, y_mm), axis=-1).reshape(-1, 2)
-        self._reach_mm = REACH * max(sides)
+        self._reach_mm = REACH * max(self._size_mm)
         self._bound_mm = bound_mm(*FieldMap(atlas).look_up(self._places_mm), 1.0)
         window = float(np.square(d.to_bins).sum()) / (2 * len(d.bins))
         self._noise = d.noise_scale * BASELINE_NOISE * noise_counts**2 * window

@@ -76,7 +76,7 @@ class PhysicalField:
     def __init__(self, fit: PlateFit) -> None:
         a = fit.acquisition
         self.reference = LIGHT_FINGER if a.chirp.period_s is not None else TIP
-        self._size_mm = np.array([fit.plate.width_mm, fit.plate.height_mm])
+        self._size_mm = np.array(fit.plate.size_mm)
         record = Record(a)
         nu = record.nu_rad_s
         self._response = fit.response(nu)
@@ -161,8 +161,8 @@ def make_physical_atlas(
     f_hz = band_bins(a) * a.sample_rate_hz / a.samples
     wavenumber_rad_m = mindlin_wavenumber(fit.plate, f_hz)
     step_mm = round(1e3 * np.pi / float(wavenumber_rad_m[-1]) / STEPS_PER_WAVE, 2)
-    x, y = grid_of(plate.width_mm, step_mm), grid_of(plate.height_mm, step_mm)
-    position_mm, values = draw(field, np.array([plate.width_mm, plate.height_mm]))
+    x, y = (grid_of(side_mm, step_mm) for side_mm in plate.size_mm)
+    position_mm, values = draw(field, np.array(plate.size_mm))
     variance = BASELINE_NOISE * noise_counts**2 * float(np.square(a.window(TAPER)).sum())
     snr = np.square(np.abs(values)).mean(axis=(0, 1)) / max(variance, 1e-12)
     kept = informative(snr, wavenumber_rad_m, a)
@@ -177,7 +177,7 @@ def make_physical_atlas(
     description = AtlasDescription(
         acquisition=a, plate=plate, taper=TAPER, bins=tuple(map(int, band_bins(a)[kept])), step_mm=step_mm,
         origin_mm=(float(x.nodes_mm[0]), float(y.nodes_mm[0])), low_mm=(0.0, 0.0),
-        high_mm=(plate.width_mm, plate.height_mm), data_sha256=data_sha256, command=command,
+        high_mm=plate.size_mm, data_sha256=data_sha256, command=command,
         wavenumber_rad_m=tuple(wavenumber_rad_m.round(3).tolist()),
         weights=tuple(weight.round(6).tolist()) if weight.min() < 1 else (),
     )  # fmt: skip

@@ -123,7 +123,7 @@ class PlateMap:
         ]
 
     def _place(self) -> None:
-        size = np.array([self._plate.width_mm, self._plate.height_mm])
+        size = np.array(self._plate.size_mm)
         self.columns, self.rows = (max(round(PLACES * side / size.max()), 3) for side in size)
         x, y = (
             SPARED_MM + (side - 2 * SPARED_MM) * (np.arange(count) + 0.5) / count
@@ -180,7 +180,7 @@ class PlateMap:
         rng = np.random.default_rng(0)
         discs, best = plan.discs_mm.copy(), plan
         known = [self.way(place) for place in discs]
-        size = np.array([self._plate.width_mm, self._plate.height_mm])
+        size = np.array(self._plate.size_mm)
         margin, apart = (each * self._said.discs.diameter_mm for each in (EDGE_DIAMETERS, APART_DIAMETERS))
         for move in range(moves):
             for k in range(len(discs)):

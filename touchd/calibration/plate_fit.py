@@ -134,7 +134,7 @@ def _fit(
     evidence = Evidence(
         left, noise_share, np.sqrt(noise_share * untouched.frames),
         wavelength_mm(plate, untouched.acquisition.chirp), parameters,
-        scale_error * np.hypot(plate.width_mm, plate.height_mm) / 2,
+        scale_error * np.hypot(*plate.size_mm) / 2,
         tuple(side for side, kind in reader.held.items() if kind == "clamped"), found,
     )  # fmt: skip
     # Those of the fit belong to modes per mass of the plate.

@@ -93,7 +93,7 @@ class Task(NamedTuple):
 
 def plan(plate: Plate, untouched_s: float = UNTOUCHED_S) -> tuple[Task, ...]:
     """Return the acts for a plate, in an order in which one may stop early."""
-    w, h = plate.width_mm, plate.height_mm
+    w, h = plate.size_mm
     acts = [Task("untouched", (), None, untouched_s)]
     acts += [Task("tap", (target_mm(k, w, h),), CROSS_MM, TAP_S) for k in range(TAPS)]
     for name, shares, uncertainty_mm, least_s in (

@@ -144,7 +144,7 @@ def train(
             note(fitted_note(plate))
         if field is None:
             field = learn_field(data, parts.train, lambda done, all_: progress("field", done, all_, float("nan")))
-        synthesiser = Synthesiser(field, (plate.width_mm, plate.height_mm), generator, description.layout)
+        synthesiser = Synthesiser(field, plate.size_mm, generator, description.layout)
         augmenter = Augmenter(data, torch.from_numpy(parts.train), synthesiser, generator)
         batches = _augmented_batches(augmenter, generator, others=network.wants_others)
         optimiser = torch.optim.AdamW(network.parameters(), lr=LEARNING_RATE, weight_decay=WEIGHT_DECAY)
@@ -190,8 +190,7 @@ def _guess_mm(known_mm: Positions, test_mm: Positions) -> float:
 
 def _positions(data: Dataset, indices: NDArray[np.int64]) -> Tensor:
     """Return positions relative to the plate's centre, in units of its size, shape (n, 2)."""
-    plate = data.meta.plate
-    return torch.from_numpy(data.position_mm[indices]) / torch.tensor([plate.width_mm, plate.height_mm]) - 0.5
+    return torch.from_numpy(data.position_mm[indices]) / torch.tensor(data.meta.plate.size_mm) - 0.5
 
 
 def _augmented_batches(augmenter: Augmenter, generator: torch.Generator, *, others: bool) -> Batches:

@@ -116,8 +116,7 @@ class Session:
         told, orientation = None, 0
         if taps is not None and len(self._state["taps"]) >= LEAST_TO_TELL:
             orientation = orientation_of(atlas, taps)
-            p = atlas.description.plate
-            label_mm = turned(taps.label_mm, orientation, (p.width_mm, p.height_mm))
+            label_mm = turned(taps.label_mm, orientation, atlas.description.plate.size_mm)
             placed = place(atlas, taps.values, label_mm)
             fits = placed.misfit < FITS
             scatter_mm, repeats = scatter_of(label_mm[fits], placed.position_mm[fits])

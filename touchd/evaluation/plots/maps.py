@@ -35,10 +35,8 @@ def cells_of(position_mm: NDArray[np.float32], plate: Plate, touches: int) -> tu
     Cells are about square and hold `touches` touches on average.
     """
     side_mm = sqrt(plate.width_mm * plate.height_mm * touches / len(position_mm))
-    columns, rows = (
-        int(np.clip(round(length / side_mm), 3, MOST_CELLS)) for length in (plate.width_mm, plate.height_mm)
-    )
-    column, row = np.clip(position_mm / [plate.width_mm, plate.height_mm], 0, 1 - 1e-9).T * [[columns], [rows]]
+    columns, rows = (int(np.clip(round(length / side_mm), 3, MOST_CELLS)) for length in plate.size_mm)
+    column, row = np.clip(position_mm / np.array(plate.size_mm), 0, 1 - 1e-9).T * [[columns], [rows]]
     return row.astype(int) * columns + column.astype(int), (rows, columns)
 
 

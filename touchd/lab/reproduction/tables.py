@@ -42,7 +42,7 @@ def figures(results: Results, command: str) -> Figures:
     }  # fmt: skip
     plate = results.recording.meta.plate
     tables = {
-        "full-plate": _heads(results.full, (plate.width_mm, plate.height_mm)),
+        "full-plate": _heads(results.full, plate.size_mm),
         "central": _heads(results.central, (paper.CENTRAL_MM, paper.CENTRAL_MM)),
         "shares": _shares(results),
         "dictionaries": _dictionaries(results),

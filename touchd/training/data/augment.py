@@ -44,7 +44,7 @@ class Augmenter:
         generator: torch.Generator,
         pool: int = 8192,
     ) -> None:
-        a, plate = dataset.acquisition, dataset.meta.plate
+        a = dataset.acquisition
         features = Features(dataset.domain, a, taper=dataset.taper)
         self.synthesiser = synthesiser
         self._generator = generator
@@ -54,7 +54,7 @@ class Augmenter:
         self._stretch = torch.from_numpy(dataset.stretch)[indices]
         self._delay = torch.from_numpy(dataset.delay)[indices]
         position_mm = torch.from_numpy(dataset.position_mm)[indices]
-        self.position = position_mm / torch.tensor([plate.width_mm, plate.height_mm]) - 0.5
+        self.position = position_mm / torch.tensor(dataset.meta.plate.size_mm) - 0.5
         """Relative to the plate's centre, in units of its size, shape (n, 2)."""
         nearest = torch.cdist(position_mm, position_mm).topk(min(24, len(indices)), largest=False)
         self.neighbours = nearest.indices

@@ -44,7 +44,7 @@ class Classifier(Network):
         d = description
         super().__init__(d.inputs, widths, dropout)
         self._description = d
-        size_mm = np.array([d.plate.width_mm, d.plate.height_mm])
+        size_mm = np.array(d.plate.size_mm)
         if d.layout is None:
             rows, columns = np.divmod(np.arange(d.grid**2), d.grid)
             centres_mm = (np.stack([columns, rows], axis=1) + 0.5) * size_mm / d.grid
@@ -71,8 +71,7 @@ class Classifier(Network):
 
     def loss(self, batch: Batch) -> Tensor:
         """Return the cross-entropy of zone or key."""
-        plate = self._description.plate
-        position_mm = (batch.position.numpy() + 0.5) * np.array([plate.width_mm, plate.height_mm])
+        position_mm = (batch.position.numpy() + 0.5) * np.array(self._description.plate.size_mm)
         labels = torch.from_numpy(classes(position_mm, self._description))
         return nn.functional.cross_entropy(self.raw(batch.features), labels)
 
@@ -123,7 +122,7 @@ class KeypadNetwork(PositionNetwork):
 
 def make_network(recipe: Recipe, d: Description, drift: Tensor) -> Network:
     """Return the untrained network of a recipe for a model's description; it projects out `drift` (k, inputs)."""
-    size_mm = (d.plate.width_mm, d.plate.height_mm)
+    size_mm = d.plate.size_mm
     if d.head == "regression" and recipe.paper:
         return PaperNetwork(d.inputs, size_mm, recipe.widths)
     if d.head == "regression":
