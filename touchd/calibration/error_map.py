@@ -40,18 +40,9 @@ _TOP = 98
 
 
 class ErrorMap:
-    """Maps the expected error of a light touch.
+    """Maps the expected error of a light touch at `grid` places along each side of a fitted plate.
 
-    Parameters
-    ----------
-    atlas : Atlas
-        The fitted field.
-    noise_counts : float
-        Standard deviation of a sample's noise, ADC counts.
-    widths : Widths
-        How far the places of the fit may be off.
-    grid : int
-        Places along each side of the map.
+    `noise_counts` is the standard deviation of a sample's noise, ADC counts.
     """
 
     def __init__(self, atlas: Atlas, noise_counts: float, widths: Widths, grid: int = GRID) -> None:

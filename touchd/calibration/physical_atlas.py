@@ -143,14 +143,8 @@ def make_physical_atlas(
 ) -> Atlas:
     """Return the atlas of a fitted plate.
 
-    Parameters
-    ----------
-    noise_counts : float
-        Standard deviation of a sample's noise, ADC counts.
-    data_sha256, command : str
-        For the description.
-    progress : callable
-        Receives "field" and the share that is done.
+    `noise_counts` is the standard deviation of a sample's noise, ADC counts. `progress` receives "field" and the share
+    that is done.
     """
     a, p, field = fit.acquisition, fit.plate, PhysicalField(fit)
     # As models describe it, to a micrometre.

@@ -88,12 +88,7 @@ def bound_mm(u: Complex, by_x: Complex, by_y: Complex, variance: float) -> Float
 class PlateMap:
     """Computes the map of the expected error for any layout on one plate.
 
-    Parameters
-    ----------
-    acquisition : Acquisition
-        Its channels are as many as there are receivers.
-    noise_db : float
-        Signal-to-noise ratio of the untouched plate.
+    `acquisition` has a channel for each receiver; `noise_db` is the signal-to-noise ratio of the untouched plate.
     """
 
     def __init__(self, said: PlateFile, acquisition: Acquisition, noise_db: float = NOISE_DB) -> None:

@@ -48,13 +48,7 @@ def emission(acquisition: Acquisition, nu_rad_s: Complex) -> Complex:
 
 
 class UntouchedModel:
-    """Maps vectors of unknowns to the untouched signals.
-
-    Parameters
-    ----------
-    edges : bool
-        Whether held edges are in the model; without them it costs a third.
-    """
+    """Maps vectors of unknowns to the untouched signals; without `edges` none is held, at a third of the cost."""
 
     def __init__(self, plate: ReducedPlate, reader: Reader, acquisition: Acquisition, *, edges: bool = True) -> None:
         a = acquisition

@@ -113,12 +113,8 @@ def whitener(acquisition: Acquisition, bins: NDArray[np.int64], taper: float = H
 def position_covariance(field: TouchField, acquisition: Acquisition, noise: float) -> Floats:
     """Return the Cramer-Rao bound of x and y as a covariance, mm^2, shape (n, 2, 2).
 
-    Parameters
-    ----------
-    field : TouchField
-        Field of the touches at their own amplitudes.
-    noise : float
-        Standard deviation of a residual's sample, ADC counts; white and independent.
+    `field` is that of the touches at their own amplitudes, `noise` the standard deviation of a residual's sample, white
+    and independent, ADC counts.
     """
     features = _features(field) @ whitener(acquisition, field.bins, field.taper)
     rows = features.reshape(len(features), 4, -1) / noise
@@ -168,14 +164,7 @@ def median_distance_mm(covariance: Floats) -> float:
 def recorded_field(recording: Recording, field: Atlas | Instrument, taper: float = HANN) -> TouchField:
     """Return the field of up to `MOST_TOUCHES` touches, spread evenly over a labelled recording.
 
-    Each touch gets the amplitude that fits its frame best.
-
-    Parameters
-    ----------
-    field : Atlas or Instrument
-        Source of the field.
-    taper : float
-        Of the bins' window; an atlas has its own.
+    Each touch gets the amplitude that fits its frame best. `taper` is that of the bins' window; an atlas has its own.
 
     Raises
     ------

@@ -83,18 +83,9 @@ def train(
     """Train a model by a recipe and write it as an ONNX file.
 
     Equal recording, seed and number of threads give an equal network. The file is written only after a complete
-    training.
-
-    Parameters
-    ----------
-    share : float
-        Share of the training part to use, for a learning curve; validation and test stay unchanged.
-    field : Field, optional
-        Field to draw touches from, learned from the training part; by default it is learned here.
-    patience : int, optional
-        See `fit`.
-    warn : callable
-        Receives each warning as soon as it arises.
+    training. It uses this `share` of the training part, for a learning curve; validation and test stay unchanged. It
+    draws touches from `field`, by default learned here from the training part. For `patience` see `fit`. `warn`
+    receives each warning as soon as it arises.
 
     Raises
     ------

@@ -33,22 +33,11 @@ def measure(
     scene: str, loop: Loop, rate_hz: float | None, seconds: float, *, model: Path, bare: Path, folder: Path,
     apart: bool = False, awake: bool = True,
 ) -> DaemonResult:  # fmt: skip
-    """Run the daemon through one scene at one rate.
+    """Run the daemon through one scene at one rate, None for full speed; `bare` is the bare network.
 
-    Parameters
-    ----------
-    rate_hz : float or None
-        None for full speed.
-    model : Path
-        The network, with or without an atlas beside it.
-    bare : Path
-        The bare network.
-    folder : Path
-        Folder for the sockets.
-    apart : bool
-        Whether the subscriber has its own processor at a steady rate too; at full speed it always has.
-    awake : bool
-        Whether the processors are kept awake while the plate is touched, as is the default at high rates.
+    With `apart` the subscriber has its own processor at a steady rate too; at full speed it always has. With `awake`
+    the processors are kept awake while the plate is touched, as is the default at high rates. The sockets are in
+    `folder`.
 
     Raises
     ------

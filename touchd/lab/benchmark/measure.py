@@ -57,17 +57,10 @@ QUICK = Scale(
 
 
 def benchmark(models: Path, *, quick: bool, progress: Progress, also: Sequence[Path] = ()) -> Run:
-    """Measure estimators, daemon and skips.
+    """Measure estimators, daemon and skips; `quick` in about 20 s: fewer touches, the daemon at full speed only.
 
-    Parameters
-    ----------
-    models : Path
-        Folder of the networks, of which the default one may have an atlas beside it; or one model of the example plate,
-        by its own acquisition.
-    quick : bool
-        Measure in about 20 s: fewer touches, the daemon at full speed only.
-    also : sequence of Path
-        Further networks for the example rig.
+    `models` is the folder of the networks, of which the default one may have an atlas beside it; or one model of the
+    example plate, by its own acquisition. `also` are further networks for the example rig.
 
     Raises
     ------

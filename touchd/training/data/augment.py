@@ -26,14 +26,8 @@ OTHER_TURN = 0.6
 class Augmenter:
     """Draws batches of fingers and non-fingers from recorded touches, a synthesiser, noise and tones.
 
-    Parameters
-    ----------
-    dataset : Dataset
-        In the frequency domain.
-    indices : tensor of shape (n,)
-        Its touches to draw from.
-    pool : int
-        Rows of noise and of tones to draw from.
+    It draws from the touches `indices` (n,) of a dataset in the frequency domain, and from `pool` rows of noise and of
+    tones.
     """
 
     def __init__(

@@ -21,14 +21,9 @@ key."""
 class Classifier(Network):
     """Estimates probabilities of zones or keys: the paper's grid and keypad heads.
 
-    The position estimate is the centre of the most probable zone or key; beside the keys, the plate's centre.
-
-    Parameters
-    ----------
-    description : Description
-        Its grid or layout has the classes: zones row by row, or the keys and the zone beside them.
-    drift : tensor of shape (k, inputs), optional
-        See `Normalise`; without it features count as measured, as in the paper.
+    Classes are the zones of the description's grid, row by row, or the keys of its layout and the zone beside them. The
+    position estimate is the centre of the most probable zone or key; beside the keys, the plate's centre. Without
+    `drift`, see `Normalise`, features count as measured, as in the paper.
     """
 
     outputs = ("probability",)
@@ -81,12 +76,7 @@ class KeypadNetwork(PositionNetwork):
 
     A key's probability is that of a Gaussian about the position to lie on the key. So any layout fits a network trained
     on the whole plate, and a touch near a key's border gets a low probability. The probabilities, including that of no
-    key, add up to the finger confidence.
-
-    Parameters
-    ----------
-    keys_mm : tensor of shape (keys, 4)
-        Left, upper, right and lower edges.
+    key, add up to the finger confidence. `keys_mm`, of shape (keys, 4), are left, upper, right and lower edges.
     """
 
     outputs = ("probability",)
