@@ -108,7 +108,14 @@ class PlateMap:
         self._to_bins = spectra_to_bins(record, acquisition)
         self._to_time = record.to_time
         self._exact_mm = EXACT * wavelength_mm(self._plate, acquisition.chirp)
-        self._place()
+        self._size_mm = size = np.array(self._plate.size_mm)
+        columns, rows = (max(round(PLACES * side / size.max()), 3) for side in size)
+        self._shape = rows, columns
+        x, y = (
+            SPARED_MM + (side - 2 * SPARED_MM) * (np.arange(count) + 0.5) / count
+            for side, count in zip(size, (columns, rows), strict=True)
+        )
+        self._places_mm = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
         shapes = self._shapes(self._places_mm)
         self._finger = (1j * nu * impedance(FINGER, nu, AREA_MM2))[:, None]
         self._alone = self._kernel.T @ shapes**2  # (F, places)
@@ -116,15 +123,6 @@ class PlateMap:
             (self._shapes(self._places_mm + step) - self._shapes(self._places_mm - step)) / (2 * STEP_MM)
             for step in STEP_MM * np.eye(2)
         ]
-
-    def _place(self) -> None:
-        size = np.array(self._plate.size_mm)
-        self.columns, self.rows = (max(round(PLACES * side / size.max()), 3) for side in size)
-        x, y = (
-            SPARED_MM + (side - 2 * SPARED_MM) * (np.arange(count) + 0.5) / count
-            for side, count in zip(size, (self.columns, self.rows), strict=True)
-        )
-        self._places_mm = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
 
     def _shapes(self, places_mm: Floats) -> Floats:
         """Return the modes' deflections at places (m, 2), shape (n, m)."""
@@ -167,7 +165,7 @@ class PlateMap:
         u, by_x, by_y = np.concatenate(parts, axis=2)
         white = float(np.square(self._a.window(TAPER)).sum()) / 2
         variance = BASELINE_NOISE * self._noise**2 * float(np.square(heard).mean()) * white
-        error_mm = bound_mm(u, by_x, by_y, variance).reshape(self.rows, self.columns)
+        error_mm = bound_mm(u, by_x, by_y, variance).reshape(self._shape)
         return Plan(np.asarray(discs_mm, float), error_mm, self._exact_mm)
 
     def suggest(self, plan: Plan, moves: int = MOVES, progress: Progress = lambda _share: None) -> Plan:
@@ -175,7 +173,7 @@ class PlateMap:
         rng = np.random.default_rng(0)
         discs, best = plan.discs_mm.copy(), plan
         known = [self.way(place) for place in discs]
-        size = np.array(self._plate.size_mm)
+        size = self._size_mm
         margin, apart = (each * self._said.discs.diameter_mm for each in (EDGE_DIAMETERS, APART_DIAMETERS))
         for move in range(moves):
             for k in range(len(discs)):
