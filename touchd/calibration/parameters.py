@@ -82,15 +82,13 @@ def unknowns_of(said: PlateFile) -> tuple[Unknown, ...]:
             Unknown(f"{side} {each}", f"edge {each}, {side}", "", value, prior)
             for each, value, prior in zip(KINDS, start.values, start.priors, strict=True)
         ]
-    places = said.layout().centres_mm
-    for k, place in enumerate(places):
+    places, offsets = list[Unknown](), list[Unknown]()
+    for k, place in enumerate(said.layout().centres_mm):
         disc = f"receiver {k}" if k else "emitter"
         for axis, value in zip("xy", place, strict=True):
-            found.append(Unknown(f"{axis}{k}", f"{disc} {axis}", "mm", float(value), d.uncertainty_mm))
-    for k in range(len(places)):
-        disc = f"receiver {k}" if k else "emitter"
-        found += [Unknown(f"m{axis}{k}", f"disc mass {axis}, {disc}", "mm", 0.0, OFFSET_PRIOR) for axis in "xy"]
-    return tuple(found)
+            places.append(Unknown(f"{axis}{k}", f"{disc} {axis}", "mm", float(value), d.uncertainty_mm))
+            offsets.append(Unknown(f"m{axis}{k}", f"disc mass {axis}, {disc}", "mm", 0.0, OFFSET_PRIOR))
+    return (*found, *places, *offsets)
 
 
 def held_sides(said: PlateFile) -> dict[str, str]:
