@@ -65,6 +65,11 @@ class Plate(Description):
     thickness_mm: float = Field(default=5.0, ge=1e-3, le=1e4)
     material: str = "glass"
 
+    @property
+    def size_mm(self) -> tuple[float, float]:
+        """Width and height."""
+        return self.width_mm, self.height_mm
+
 
 def parse_plate(text: str) -> Plate:
     """Return the plate of `400x300` or `400x300x5`, mm; raises ValueError."""

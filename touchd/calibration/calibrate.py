@@ -8,31 +8,24 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchd.calibration.physical_atlas import make_physical_atlas
-from touchd.calibration.place_correction import left_mm, widths_of
-from touchd.calibration.plan import bound_mm
+from touchd.calibration.place_correction import widths_of
 from touchd.calibration.plate_file import PlateFile
 from touchd.calibration.plate_fit import PlateFit, Progress, fit_plate
 from touchd.calibration.start_scan import start_scan
 from touchd.calibration.taps import Refined, orientation_of, refine, taps_of, turned_fit
 from touchd.calibration.untouched import Untouched, untouched_acts, untouched_mean
 from touchd.errors import OutputError
-from touchd.evaluation.dataset import BASELINE_NOISE, digest
+from touchd.evaluation.dataset import digest
 from touchd.localization.atlas import Atlas, atlas_path, save_atlas
 from touchd.localization.model import Description, Model
 from touchd.localization.model_file import install, put_model
 from touchd.recording.data import Recording
 from touchd.recording.format import write
-from touchd.training.field.place import FieldMap
-
-Floats = NDArray[np.float64]
 
 REFERENCE_FRAMES = 100
 """Frames kept beside the model, with which `touchd doctor` compares the plate."""
-GRID = 48
-"""Places along each side of the map of the expected error."""
 
 
 @dataclass(frozen=True)
@@ -130,23 +123,3 @@ def make_model(
             f"cannot be written ({error.strerror})", str(path), "check the folder and its space"
         ) from error
     return Calibrated(model, atlas, time.monotonic() - started_s, fitted, refined)
-
-
-def expected_error_mm(made: Calibrated) -> Floats:
-    """Return the expected error of a light touch over the plate, shape (rows, columns), mm.
-
-    The root mean square distance of the Cramer-Rao bound in the plate's noise, with the field's own error, and of what
-    ruler, clamp and wrong physics leave uncertain after the taps.
-    """
-    d, fitted = made.atlas.description, made.fitted
-    size_mm = d.plate.width_mm, d.plate.height_mm
-    x_mm, y_mm = ((np.arange(GRID) + 0.5) / GRID * side for side in size_mm)
-    places = np.stack(np.meshgrid(x_mm, y_mm), axis=-1).reshape(-1, 2)
-    u, by_x, by_y = FieldMap(made.atlas).look_up(places)
-    window = float(np.square(d.to_bins).sum()) / (2 * len(d.bins))
-    noise = BASELINE_NOISE * fitted.noise_counts**2 * window
-    variance = d.noise_scale * noise + d.field_scale * float(made.atlas.error.mean()) / 2
-    own_mm, widths = bound_mm(u, by_x, by_y, variance), widths_of(fitted.fit)
-    told = (made.refined.placed_mm, made.refined.scatter_mm) if made.refined else (np.empty((0, 2)), 1.0)
-    common_mm = left_mm(places, *told, size_mm, widths)
-    return np.sqrt(own_mm**2 + common_mm**2 + widths.varying_mm**2).reshape(GRID, GRID)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from touchd.calibration.loads import SIDES
 from touchd.calibration.parameters import Reader, held_sides
-from touchd.calibration.plate_file import Edge, Edges, PlateFile
+from touchd.calibration.plate_file import Edges, PlateFile
 from touchd.calibration.reduced_plate import ReducedPlate
 from touchd.calibration.stages import WHOLE, State, descend, window_of
 from touchd.calibration.untouched import Untouched
@@ -64,7 +64,7 @@ def soft_edges(said: PlateFile, untouched: Untouched, state: State, plate: Reduc
     """Return the plate with all its edges on tape, if they are said to be free and tape leaves less than the fit."""
     if held_sides(said):
         return []
-    taped, a = _with_edge(said, "tape"), untouched.acquisition
+    taped, a = _with(said, edge="tape"), untouched.acquisition
     held = Reader(taped, a)
     p = held.start.copy()
     p[held.index(Reader(said, a).names)] = state.p
@@ -73,8 +73,8 @@ def soft_edges(said: PlateFile, untouched: Untouched, state: State, plate: Reduc
     return [Candidate(taped, what, left)] if left < BETTER else []
 
 
-def _with_edge(said: PlateFile, edge: Edge | Edges) -> PlateFile:
-    return said.model_copy(update={"plate": said.plate.model_copy(update={"edge": edge})})
+def _with(said: PlateFile, **changed: object) -> PlateFile:
+    return said.model_copy(update={"plate": said.plate.model_copy(update=changed)})
 
 
 def material_like(speed_m_s: float, poisson: float) -> str | None:
@@ -93,19 +93,16 @@ def _other_plates(said: PlateFile) -> list[tuple[PlateFile, str]]:
     for thickness_mm in THICKNESSES_MM:
         ratio = thickness_mm / plate.thickness_mm
         if 1.05 < max(ratio, 1 / ratio) <= MOST_FACTOR:
-            changed = plate.model_copy(update={"thickness_mm": thickness_mm})
             what = f"a thickness of {thickness_mm:g} mm fits, not {plate.thickness_mm:g} mm: measure it again"
-            found.append((said.model_copy(update={"plate": changed}), what))
+            found.append((_with(said, thickness_mm=thickness_mm), what))
     for name in MATERIALS:
         if name != (plate.material or "").lower():
-            constants = {"young_gpa": None, "poisson": None, "density_kg_m3": None}
-            changed = plate.model_copy(update={"material": name} | constants)
             what = f"{name} fits, not {plate.material or 'the constants given'}: correct the material"
-            found.append((said.model_copy(update={"plate": changed}), what))
+            found.append((_with(said, material=name, young_gpa=None, poisson=None, density_kg_m3=None), what))
     if not held_sides(said):
         for side in SIDES:
             edges = Edges.model_validate({side: "clamped"})
-            found.append((_with_edge(said, edges), f"a clamped {side} edge fits: say so in PLATE.toml, or free it"))
+            found.append((_with(said, edge=edges), f"a clamped {side} edge fits: say so in PLATE.toml, or free it"))
     return found
 
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from touchd.config.schema import Settings
 from touchd.errors import ModelMismatch, RecordingValues
+from touchd.evaluation.dataset import complex_bins
 from touchd.localization.atlas import Array, Atlas
 from touchd.localization.fit import Bins, Fit, shapes_of
 from touchd.localization.gauss_newton import GaussNewton
@@ -173,13 +174,11 @@ def consistency(
 
 def as_calibrated(atlas: Atlas, solver: GaussNewton, vectors: Array, fits: list[Fit]) -> Array:
     """Return the frames' bins, (n, size), with each channel's gain as it was at the calibration, as the daemon does."""
-    shape = len(vectors), atlas.description.acquisition.channels, 2, len(atlas.description.bins)
     predicted = vectors - np.stack([
         solver.residual(Bins(vector, None, 0.0), fit).copy() for vector, fit in zip(vectors, fits, strict=True)
     ])  # fmt: skip
-    found, expected = (
-        each[:, :, 0] + 1j * each[:, :, 1] for each in (vectors.reshape(shape), predicted.reshape(shape))
-    )
+    channels = atlas.description.acquisition.channels
+    found, expected = (complex_bins(each, channels) for each in (vectors, predicted))
     gains = (expected.conj() * found).sum(axis=(0, 2)) / np.square(np.abs(expected)).sum(axis=(0, 2))
     found = found / np.where(np.abs(gains) > DEAD, gains, 1)[:, None]
     return np.stack([found.real, found.imag], axis=2).reshape(len(vectors), -1).astype(vectors.dtype)

@@ -30,15 +30,7 @@ ABSENT = 1e-9
 class DiscResponse:
     """Response of a plate with D discs at complex angular frequencies: F frequencies, R receivers, V vectors.
 
-    Parameters
-    ----------
-    plate : ReducedPlate
-    shape : Shape
-    discs : Discs
-    loss : Loss
-    nu_rad_s : complex array of shape (F,)
-    held : (Lines, Edges), optional
-        What holds the sides.
+    `nu_rad_s` has shape (F,); `held` is what holds the sides.
     """
 
     def __init__(

@@ -189,7 +189,7 @@ def depths_mm(kind: str) -> list[float]:
 def attachments(edges: Edges, plate: ElasticPlate) -> tuple[Attachment, ...]:
     """Return held edges as the twin attaches them to a plate."""
     unit = stiffness_of(plate).mass * edges.middle_rad_s**2
-    sizes, found = (plate.width_mm, plate.height_mm), []
+    sizes, found = plate.size_mm, []
     for side, kind in edges.kinds.items():
         axis, rows = SIDES.index(side) // 2, STARTS[kind].rows
         stiffness, damping, mass = (

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from touchd.calibration.loads import KINDS, STARTS, Discs, Edges, Loss, names_of
 from touchd.calibration.plate_file import PlateFile
 from touchd.calibration.reduced_plate import Shape, shape_of
-from touchd.frame import Acquisition
-from touchd.twin.physics.material import ElasticPlate, Material, material_of
+from touchd.frame import Acquisition, Chirp, Plate
+from touchd.twin.physics.material import ElasticPlate, Material, material_of, mindlin_wavenumber
 from touchd.twin.physics.transducer import Layout
 
 Floats = NDArray[np.float64]
@@ -48,6 +48,11 @@ class Unknown(NamedTuple):
     """Standard deviation of what was said, in the vector's unit."""
 
 
+def wavelength_mm(plate: Plate, chirp: Chirp) -> float:
+    """Return the length of the plate's wave in the middle of a chirp's band."""
+    return 2e3 * np.pi / float(mindlin_wavenumber(plate, np.mean(chirp.band_hz)))
+
+
 def usual_loss(said: PlateFile) -> float:
     """Return the loss factor that a plate of this material has as a rule."""
     m = said.plate.elastic
@@ -77,15 +82,13 @@ def unknowns_of(said: PlateFile) -> tuple[Unknown, ...]:
             Unknown(f"{side} {each}", f"edge {each}, {side}", "", value, prior)
             for each, value, prior in zip(KINDS, start.values, start.priors, strict=True)
         ]
-    places = said.layout().centres_mm
-    for k, place in enumerate(places):
+    places, offsets = list[Unknown](), list[Unknown]()
+    for k, place in enumerate(said.layout().centres_mm):
         disc = f"receiver {k}" if k else "emitter"
         for axis, value in zip("xy", place, strict=True):
-            found.append(Unknown(f"{axis}{k}", f"{disc} {axis}", "mm", float(value), d.uncertainty_mm))
-    for k in range(len(places)):
-        disc = f"receiver {k}" if k else "emitter"
-        found += [Unknown(f"m{axis}{k}", f"disc mass {axis}, {disc}", "mm", 0.0, OFFSET_PRIOR) for axis in "xy"]
-    return tuple(found)
+            places.append(Unknown(f"{axis}{k}", f"{disc} {axis}", "mm", float(value), d.uncertainty_mm))
+            offsets.append(Unknown(f"m{axis}{k}", f"disc mass {axis}, {disc}", "mm", 0.0, OFFSET_PRIOR))
+    return (*found, *places, *offsets)
 
 
 def held_sides(said: PlateFile) -> dict[str, str]:

@@ -16,16 +16,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd import chirp
 from touchd.calibration.plate_fit import PlateFit, Progress
-from touchd.evaluation.dataset import BASELINE_NOISE
-from touchd.frame import Plate
+from touchd.calibration.untouched_model import emission
+from touchd.evaluation.dataset import BASELINE_NOISE, complex_bins
+from touchd.frame import Acquisition, Plate
 from touchd.localization.atlas import Atlas, AtlasDescription
 from touchd.localization.features import band_bins, windowed_dft
 from touchd.training.field.bins import TAPER, informative, weights
 from touchd.training.field.error_scale import LEVELS_DB, Level, calibrate, field_error, level_of
 from touchd.training.field.place import FieldMap, place
-from touchd.twin.instrument import anti_alias
 from touchd.twin.physics.finger import impedance
 from touchd.twin.physics.material import mindlin_wavenumber
 from touchd.twin.record import Record
@@ -64,27 +63,26 @@ fingertip: with the former as reference fingertips are placed to 0.061 mm, with 
 _BLOCK = 512
 
 
-class PhysicalField:
-    """Evaluates the bins of touches on a fitted plate, ADC counts: R receivers, F frequencies.
+def spectra_to_bins(record: Record, acquisition: Acquisition) -> Complex:
+    """Return the matrix that takes real and then imaginary parts of a spectrum to an atlas' bins, (2 F, bins)."""
+    unit = np.eye(len(record.hz))
+    signals = record.to_time(np.concatenate([unit, 1j * unit]))
+    return complex_bins(signals @ windowed_dft(acquisition, taper=TAPER), 1)[:, 0]
 
-    Parameters
-    ----------
-    fit : PlateFit
-    """
+
+class PhysicalField:
+    """Evaluates the bins of touches on a fitted plate, ADC counts: R receivers, F frequencies."""
 
     def __init__(self, fit: PlateFit) -> None:
         a = fit.acquisition
         self.reference = LIGHT_FINGER if a.chirp.period_s is not None else TIP
-        self._size_mm = np.array([fit.plate.width_mm, fit.plate.height_mm])
+        self._size_mm = np.array(fit.plate.size_mm)
         record = Record(a)
         nu = record.nu_rad_s
         self._response = fit.response(nu)
         self._discs = self._response.modes.discs
-        emitted = chirp.spectrum(a.chirp, nu) * anti_alias(nu, a.sample_rate_hz)
-        self._heard = emitted * fit.gain(record.hz)  # (R, F)
-        spectra = np.concatenate([np.eye(len(nu)), 1j * np.eye(len(nu))])
-        parts = record.to_time(spectra) @ windowed_dft(a, taper=TAPER)
-        self._to_bins = np.asarray(parts[:, : parts.shape[1] // 2] + 1j * parts[:, parts.shape[1] // 2 :])
+        self._heard = emission(a, nu) * fit.gain(record.hz)  # (R, F)
+        self._to_bins = spectra_to_bins(record, a)
 
     def at(self, position_mm: Floats, touch: Reference | None = None) -> Complex:
         """Return the bins of touches, by default the reference's, at positions (n, 2) on the plate, shape (n, R, bins).
@@ -145,15 +143,8 @@ def make_physical_atlas(
 ) -> Atlas:
     """Return the atlas of a fitted plate.
 
-    Parameters
-    ----------
-    fit : PlateFit
-    noise_counts : float
-        Standard deviation of a sample's noise, ADC counts.
-    data_sha256, command : str
-        For the description.
-    progress : callable
-        Receives "field" and the share that is done.
+    `noise_counts` is the standard deviation of a sample's noise, ADC counts. `progress` receives "field" and the share
+    that is done.
     """
     a, p, field = fit.acquisition, fit.plate, PhysicalField(fit)
     # As models describe it, to a micrometre.
@@ -164,8 +155,8 @@ def make_physical_atlas(
     f_hz = band_bins(a) * a.sample_rate_hz / a.samples
     wavenumber_rad_m = mindlin_wavenumber(fit.plate, f_hz)
     step_mm = round(1e3 * np.pi / float(wavenumber_rad_m[-1]) / STEPS_PER_WAVE, 2)
-    x, y = grid_of(plate.width_mm, step_mm), grid_of(plate.height_mm, step_mm)
-    position_mm, values = draw(field, np.array([plate.width_mm, plate.height_mm]))
+    x, y = (grid_of(side_mm, step_mm) for side_mm in plate.size_mm)
+    position_mm, values = draw(field, np.array(plate.size_mm))
     variance = BASELINE_NOISE * noise_counts**2 * float(np.square(a.window(TAPER)).sum())
     snr = np.square(np.abs(values)).mean(axis=(0, 1)) / max(variance, 1e-12)
     kept = informative(snr, wavenumber_rad_m, a)
@@ -180,7 +171,7 @@ def make_physical_atlas(
     description = AtlasDescription(
         acquisition=a, plate=plate, taper=TAPER, bins=tuple(map(int, band_bins(a)[kept])), step_mm=step_mm,
         origin_mm=(float(x.nodes_mm[0]), float(y.nodes_mm[0])), low_mm=(0.0, 0.0),
-        high_mm=(plate.width_mm, plate.height_mm), data_sha256=data_sha256, command=command,
+        high_mm=plate.size_mm, data_sha256=data_sha256, command=command,
         wavenumber_rad_m=tuple(wavenumber_rad_m.round(3).tolist()),
         weights=tuple(weight.round(6).tolist()) if weight.min() < 1 else (),
     )  # fmt: skip

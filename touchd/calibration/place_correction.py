@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.calibration.loads import SIDES
+from touchd.calibration.parameters import wavelength_mm
 from touchd.calibration.physical_atlas import grid_of
 from touchd.calibration.plate_fit import PlateFit
 from touchd.calibration.verdict import CLAMPED_MM, GOOD_MM, MODEL
 from touchd.localization.atlas import Atlas
 from touchd.training.field.place import FieldMap
-from touchd.twin.physics.material import mindlin_wavenumber
 
 Floats = NDArray[np.float64]
 
@@ -69,8 +69,7 @@ class PlaceCorrection(NamedTuple):
 def widths_of(fit: PlateFit) -> Widths:
     """Return how far the places of a fit may be off."""
     left = max(fit.unexplained - fit.noise_share, 0.0)
-    wavelength_mm = 2e3 * np.pi / float(mindlin_wavenumber(fit.plate, np.mean(fit.acquisition.chirp.band_hz)))
-    varying_mm = MODEL * wavelength_mm * float(np.sqrt(left))
+    varying_mm = MODEL * wavelength_mm(fit.plate, fit.acquisition.chirp) * float(np.sqrt(left))
     common_mm = COMMON * varying_mm
     clamped = [side for side, kind in fit.edges.kinds.items() if kind == "clamped"]
     if clamped:

@@ -13,19 +13,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd import chirp
-from touchd.calibration.parameters import usual_loss
+from touchd.calibration.parameters import usual_loss, wavelength_mm
+from touchd.calibration.physical_atlas import spectra_to_bins
 from touchd.calibration.plate_file import PlateFile
+from touchd.calibration.untouched_model import emission
 from touchd.calibration.verdict import EXACT
 from touchd.evaluation.dataset import BASELINE_NOISE
 from touchd.frame import Acquisition
-from touchd.localization.features import windowed_dft
 from touchd.training.field.bins import TAPER
 from touchd.training.field.place import linearise
-from touchd.twin.instrument import anti_alias
 from touchd.twin.physics import legendre
 from touchd.twin.physics.finger import impedance
-from touchd.twin.physics.material import mindlin_wavenumber
 from touchd.twin.physics.plate import polynomials_for, size_m, solve
 from touchd.twin.record import Record
 
@@ -90,13 +88,7 @@ def bound_mm(u: Complex, by_x: Complex, by_y: Complex, variance: float) -> Float
 class PlateMap:
     """Computes the map of the expected error for any layout on one plate.
 
-    Parameters
-    ----------
-    said : PlateFile
-    acquisition : Acquisition
-        Its channels are as many as there are receivers.
-    noise_db : float
-        Signal-to-noise ratio of the untouched plate.
+    `acquisition` has a channel for each receiver; `noise_db` is the signal-to-noise ratio of the untouched plate.
     """
 
     def __init__(self, said: PlateFile, acquisition: Acquisition, noise_db: float = NOISE_DB) -> None:
@@ -112,15 +104,18 @@ class PlateMap:
         nu = record.nu_rad_s
         loss = usual_loss(said)
         self._kernel = 1 / (modes.omega_rad_s[:, None] ** 2 * (1 + 1j * loss) - nu**2)  # (n, F)
-        self._emission = chirp.spectrum(acquisition.chirp, nu) * anti_alias(nu, acquisition.sample_rate_hz)
-        # A response's bins are those of its frequencies: one matrix for both.
-        spectra = np.concatenate([np.eye(len(nu)), 1j * np.eye(len(nu))])
-        parts = record.to_time(spectra) @ windowed_dft(acquisition, taper=TAPER)
-        self._to_bins = parts[:, : parts.shape[1] // 2] + 1j * parts[:, parts.shape[1] // 2 :]
+        self._emission = emission(acquisition, nu)
+        self._to_bins = spectra_to_bins(record, acquisition)
         self._to_time = record.to_time
-        wave_mm = 2e3 * np.pi / float(mindlin_wavenumber(self._plate, np.mean(acquisition.chirp.band_hz)))
-        self._exact_mm = EXACT * wave_mm
-        self._place()
+        self._exact_mm = EXACT * wavelength_mm(self._plate, acquisition.chirp)
+        self._size_mm = size = np.array(self._plate.size_mm)
+        columns, rows = (max(round(PLACES * side / size.max()), 3) for side in size)
+        self._shape = rows, columns
+        x, y = (
+            SPARED_MM + (side - 2 * SPARED_MM) * (np.arange(count) + 0.5) / count
+            for side, count in zip(size, (columns, rows), strict=True)
+        )
+        self._places_mm = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
         shapes = self._shapes(self._places_mm)
         self._finger = (1j * nu * impedance(FINGER, nu, AREA_MM2))[:, None]
         self._alone = self._kernel.T @ shapes**2  # (F, places)
@@ -128,15 +123,6 @@ class PlateMap:
             (self._shapes(self._places_mm + step) - self._shapes(self._places_mm - step)) / (2 * STEP_MM)
             for step in STEP_MM * np.eye(2)
         ]
-
-    def _place(self) -> None:
-        size = np.array([self._plate.width_mm, self._plate.height_mm])
-        self.columns, self.rows = (max(round(PLACES * side / size.max()), 3) for side in size)
-        x, y = (
-            SPARED_MM + (side - 2 * SPARED_MM) * (np.arange(count) + 0.5) / count
-            for side, count in zip(size, (self.columns, self.rows), strict=True)
-        )
-        self._places_mm = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
 
     def _shapes(self, places_mm: Floats) -> Floats:
         """Return the modes' deflections at places (m, 2), shape (n, m)."""
@@ -179,7 +165,7 @@ class PlateMap:
         u, by_x, by_y = np.concatenate(parts, axis=2)
         white = float(np.square(self._a.window(TAPER)).sum()) / 2
         variance = BASELINE_NOISE * self._noise**2 * float(np.square(heard).mean()) * white
-        error_mm = bound_mm(u, by_x, by_y, variance).reshape(self.rows, self.columns)
+        error_mm = bound_mm(u, by_x, by_y, variance).reshape(self._shape)
         return Plan(np.asarray(discs_mm, float), error_mm, self._exact_mm)
 
     def suggest(self, plan: Plan, moves: int = MOVES, progress: Progress = lambda _share: None) -> Plan:
@@ -187,7 +173,7 @@ class PlateMap:
         rng = np.random.default_rng(0)
         discs, best = plan.discs_mm.copy(), plan
         known = [self.way(place) for place in discs]
-        size = np.array([self._plate.width_mm, self._plate.height_mm])
+        size = self._size_mm
         margin, apart = (each * self._said.discs.diameter_mm for each in (EDGE_DIAMETERS, APART_DIAMETERS))
         for move in range(moves):
             for k in range(len(discs)):

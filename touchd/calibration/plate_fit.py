@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from touchd.calibration.candidates import Candidate, candidates, material_like, soft_edges
 from touchd.calibration.loads import Edges, Loss, attachments
-from touchd.calibration.parameters import LOGARITHMS, Reader
+from touchd.calibration.parameters import LOGARITHMS, Reader, wavelength_mm
 from touchd.calibration.plate_file import PlateFile
 from touchd.calibration.reduced_plate import ReducedPlate
 from touchd.calibration.stages import State, run_stages
@@ -19,7 +19,7 @@ from touchd.calibration.untouched_model import band
 from touchd.calibration.verdict import GOOD_LEFT, USABLE_LEFT, Evidence, Parameter, Verdict, judge
 from touchd.errors import CalibrationError
 from touchd.frame import Acquisition
-from touchd.twin.physics.material import ElasticPlate, mindlin_wavenumber, stiffness_of
+from touchd.twin.physics.material import ElasticPlate, stiffness_of
 from touchd.twin.physics.mounting import attach
 from touchd.twin.physics.response import Response
 from touchd.twin.physics.transducer import Layout
@@ -91,13 +91,6 @@ class PlateFit:
 def fit_plate(said: PlateFile, recording_mean: Untouched, progress: Progress = lambda _stage, _share: None) -> PlateFit:
     """Fit plate, discs and gains to the untouched response.
 
-    Parameters
-    ----------
-    said : PlateFile
-    recording_mean : Untouched
-        The mean untouched frame, of `touchd.calibration.untouched`.
-    progress : callable, optional
-
     Raises
     ------
     CalibrationError
@@ -134,15 +127,14 @@ def _fit(
     energy = np.where(untouched.dead, np.nan, (measured**2).sum(axis=1))
     left = ((measured - fitted) ** 2).sum(axis=1) / energy
     noise_share = float(np.nanmean(untouched.noise**2 * measured.shape[1] / energy))
-    chirp = untouched.acquisition.chirp
-    k = float(mindlin_wavenumber(plate, (chirp.start_hz + chirp.stop_hz) / 2))
     scale_error = _scale_error(reader, state)
     named = material_like(np.sqrt(plate.elastic.E_pa / plate.elastic.rho_kg_m3), plate.elastic.nu)
     if named and named != plate.material.lower() and any(q.at_prior for q in parameters[:4]):
         found = (*found, f"{named} fits, not {plate.material}: correct the material")
     evidence = Evidence(
-        left, noise_share, np.sqrt(noise_share * untouched.frames), 2e3 * np.pi / k, parameters,
-        scale_error * np.hypot(plate.width_mm, plate.height_mm) / 2,
+        left, noise_share, np.sqrt(noise_share * untouched.frames),
+        wavelength_mm(plate, untouched.acquisition.chirp), parameters,
+        scale_error * np.hypot(*plate.size_mm) / 2,
         tuple(side for side, kind in reader.held.items() if kind == "clamped"), found,
     )  # fmt: skip
     # Those of the fit belong to modes per mass of the plate.

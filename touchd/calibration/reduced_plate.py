@@ -92,15 +92,7 @@ class BareModes(NamedTuple):
 
 
 class ReducedPlate:
-    """Free plates of constants near a reference plate's.
-
-    Parameters
-    ----------
-    plate : ElasticPlate
-        The reference.
-    highest_hz : float
-        End of the band that is to be exact.
-    """
+    """Free plates of constants near those of the reference `plate`, exact up to `highest_hz`."""
 
     def __init__(self, plate: ElasticPlate, highest_hz: float) -> None:
         self.reference = shape_of(plate)

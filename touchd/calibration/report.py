@@ -8,7 +8,9 @@ import numpy as np
 from matplotlib.figure import Figure, FigureBase
 
 from touchd import __version__
-from touchd.calibration.calibrate import Calibrated, Fitted, expected_error_mm
+from touchd.calibration.calibrate import Calibrated, Fitted
+from touchd.calibration.error_map import ErrorMap
+from touchd.calibration.place_correction import widths_of
 from touchd.evaluation.plots.maps import MAP
 from touchd.frame import Plate
 from touchd.training.report.report import duration, write_folder
@@ -17,6 +19,8 @@ from touchd.training.report.template import render
 TEMPLATE = Path(__file__).with_name("report.md.j2")
 SHOWN_S = 1e-3
 """Length of the plotted response."""
+GRID = 48
+"""Places along each side of the map of the expected error."""
 Maps = dict[str, tuple[np.ndarray, np.ndarray]]
 """By title the expected error (mm), and the discs, the emitter first."""
 
@@ -29,7 +33,8 @@ def write_calibration_report(fitted: Fitted, made: Calibrated | None, path: Path
     pictures = {"response.png": draw_response(fitted), "residual.png": draw_residual(fitted)}
     error_mm = None
     if made is not None:
-        error_mm = expected_error_mm(made)
+        told = (made.refined.placed_mm, made.refined.scatter_mm) if made.refined else ()
+        error_mm = ErrorMap(made.atlas, made.fitted.noise_counts, widths_of(made.fitted.fit), GRID).after(*told)
         pictures["expected-error.png"] = draw_expected(fitted.fit.plate, {"": (error_mm, fitted.fit.layout.centres_mm)})
     text = render(
         TEMPLATE, name=path.name, fitted=fitted, fit=fitted.fit, made=made, pictures=list(pictures),

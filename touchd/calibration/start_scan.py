@@ -42,9 +42,8 @@ def _constants(atlas: Atlas) -> dict[str, NDArray[np.generic]]:
     the field of norm 1 at the nodes, shape (v, m), first the real parts, and `position` the nodes, shape (m, 2).
     """
     d = atlas.description
-    width_mm, height_mm = d.plate.width_mm, d.plate.height_mm
     spacing_mm = GRID_STEPS * d.step_mm
-    x_mm, y_mm = (_cell_centres(length, spacing_mm) for length in (width_mm, height_mm))
+    x_mm, y_mm = (_cell_centres(length, spacing_mm) for length in d.plate.size_mm)
     position_mm = np.stack(np.meshgrid(x_mm, y_mm), axis=-1).reshape(-1, 2)
     every = -(-len(d.bins) // MOST_BINS) if d.acquisition.is_whole_period else EVERY_BIN
     channels, chosen = d.acquisition.channels, np.arange(0, len(d.bins), every)

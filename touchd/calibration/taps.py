@@ -105,11 +105,8 @@ def labelled(recording: Recording) -> tuple[NDArray[np.float32], NDArray[np.int6
 
 def orientation_of(atlas: Atlas, taps: Taps) -> int:
     """Return which of `ORIENTATIONS` explains the taps."""
-    p = atlas.description.plate
-    left = [
-        float(np.median(place(atlas, taps.values, turned(taps.label_mm, k, (p.width_mm, p.height_mm))).misfit))
-        for k in range(4)
-    ]
+    size_mm = atlas.description.plate.size_mm
+    left = [float(np.median(place(atlas, taps.values, turned(taps.label_mm, k, size_mm)).misfit)) for k in range(4)]
     best = int(np.argmin(left))
     return best if left[best] < CLEARER * left[0] else 0
 
@@ -125,7 +122,7 @@ def turned(position_mm: Floats, orientation: int, size_mm: tuple[float, float]) 
 
 def turned_fit(fit: PlateFit, orientation: int) -> PlateFit:
     """Return a fit whose drawing is turned: the untouched plate sounds the same."""
-    places = turned(fit.layout.centres_mm, orientation, (fit.plate.width_mm, fit.plate.height_mm)).tolist()
+    places = turned(fit.layout.centres_mm, orientation, fit.plate.size_mm).tolist()
     offsets = turned(np.array(fit.layout.offsets_mm).reshape(-1, 2), orientation, (0.0, 0.0)).tolist()
     layout = fit.layout.model_copy(
         update={
@@ -155,8 +152,7 @@ def refine(atlas: Atlas, taps: Taps, orientation: int = 0, widths: Widths | None
     placed_mm, label_mm = placed_mm[hit], label_mm[hit]
     scatter_mm, moved_mm = float(np.sqrt(np.square(placed_mm - label_mm).mean())), 0.0
     if widths is not None:
-        plate = atlas.description.plate
-        correction = correction_of(placed_mm, label_mm, (plate.width_mm, plate.height_mm), widths)
+        correction = correction_of(placed_mm, label_mm, atlas.description.plate.size_mm, widths)
         added_mm = float(np.sqrt(np.square(correction.at(placed_mm)).sum(axis=1).mean()))
         if added_mm > LEAST_MOVED_MM:
             atlas, scatter_mm, moved_mm = with_places(atlas, correction), correction.label_mm, added_mm

@@ -42,17 +42,13 @@ def band(acquisition: Acquisition, frequency_hz: Floats) -> Floats:
     return np.asarray(np.clip((frequency_hz - (low + high) / 2) / ((high - low) / 2), -1.3, 1.3))
 
 
-class UntouchedModel:
-    """Maps vectors of unknowns to the untouched signals.
+def emission(acquisition: Acquisition, nu_rad_s: Complex) -> Complex:
+    """Return the spectrum of the chirp behind the anti-alias filter, shape (F,)."""
+    return chirp.spectrum(acquisition.chirp, nu_rad_s) * anti_alias(nu_rad_s, acquisition.sample_rate_hz)
 
-    Parameters
-    ----------
-    plate : ReducedPlate
-    reader : Reader
-    acquisition : Acquisition
-    edges : bool
-        Whether held edges are in the model; without them it costs a third.
-    """
+
+class UntouchedModel:
+    """Maps vectors of unknowns to the untouched signals; without `edges` none is held, at a third of the cost."""
 
     def __init__(self, plate: ReducedPlate, reader: Reader, acquisition: Acquisition, *, edges: bool = True) -> None:
         a = acquisition
@@ -60,27 +56,19 @@ class UntouchedModel:
         self._lines = lines_along(plate, reader.held) if edges and reader.held else None
         record = Record(a)
         self.nu_rad_s, self._to_time = record.nu_rad_s, record.to_time
-        emission = chirp.spectrum(a.chirp, self.nu_rad_s) * anti_alias(self.nu_rad_s, a.sample_rate_hz)
-        x = band(a, record.hz)
-        self._emission = np.stack([emission * x**k for k in range(GAIN_TERMS)])  # (K, F)
+        x, emitted = band(a, record.hz), emission(a, self.nu_rad_s)
+        self._emission = np.stack([emitted * x**k for k in range(GAIN_TERMS)])  # (K, F)
 
     def fit(self, p: Floats, measured: Floats, window: Floats, active: tuple[str, ...] = ()) -> Fitted:
         """Return the misfit of a vector, and its derivatives by the `active` unknowns.
 
-        Parameters
-        ----------
-        p : array
-        measured : array of shape (R, S)
-        window : array of shape (S,)
-            Weight of each sample.
-        active : names of unknowns
+        `measured` has shape (R, S); `window`, of shape (S,), weighs the samples.
         """
         guess = self.reader.read(p)
         response = self._response(guess)
         heard = response.untouched()
         scale = np.sqrt(np.mean(np.abs(heard) ** 2))
-        waves = heard[:, None] * self._emission / scale  # (R, K, F)
-        basis = np.concatenate([self._to_time(waves), self._to_time(1j * waves)], axis=1) * window  # (R, 2 K, S)
+        basis = self._basis(heard[:, None] * self._emission / scale) * window  # (R, 2 K, S)
         chain = self.reader.chain(guess)
         by_name = response.slopes({chain[name][0] for name in active})
         changes = [by_name[chain[name][0]] * (chain[name][1] / scale) for name in active]
@@ -102,14 +90,13 @@ class UntouchedModel:
 
     def pair_misfits(self, p: Floats, measured: Floats, window: Floats) -> Floats:
         """Return the share of each channel's energy that the way between any two discs leaves, shape (D, D, R)."""
-        guess = self.reader.read(p)
-        between = self._response(guess).between()
+        between = self._response(self.reader.read(p)).between()
         D, y = len(between), measured * window
         found = np.ones((D, D, len(y)))
         energy = np.maximum((y**2).sum(axis=1), np.finfo(float).tiny)
         for one in range(D):
             for other in range(one):
-                B = self._basis(between[one, other]) * window
+                B = self._basis(between[one, other] * self._emission) * window
                 Q = np.linalg.qr(B.T)[0]
                 found[one, other] = found[other, one] = 1 - ((y @ Q) ** 2).sum(axis=1) / energy
         return found
@@ -118,13 +105,11 @@ class UntouchedModel:
         held = (self._lines, guess.edges) if self._lines else None
         return DiscResponse(self.plate, guess.shape, guess.discs, guess.loss, self.nu_rad_s, held)
 
-    def _basis(self, heard: Complex) -> Floats:
-        """Return the signals of one response times each power of the band, real and imaginary, shape (2 K, S)."""
-        waves = heard * self._emission
-        return np.concatenate([self._to_time(waves), self._to_time(1j * waves)])
+    def _basis(self, waves: Complex) -> Floats:
+        """Return the signals of waves (..., K, F) and of i times these, shape (..., 2 K, S)."""
+        return np.concatenate([self._to_time(waves), self._to_time(1j * waves)], axis=-2)
 
     def signals(self, p: Floats, gains: Complex) -> Floats:
         """Return the signals (R, S) of a vector with given gains (R, GAIN_TERMS)."""
-        guess = self.reader.read(p)
-        heard = self._response(guess).untouched()
+        heard = self._response(self.reader.read(p)).untouched()
         return self._to_time(heard * (gains @ self._emission))

@@ -93,7 +93,7 @@ class Task(NamedTuple):
 
 def plan(plate: Plate, untouched_s: float = UNTOUCHED_S) -> tuple[Task, ...]:
     """Return the acts for a plate, in an order in which one may stop early."""
-    w, h = plate.width_mm, plate.height_mm
+    w, h = plate.size_mm
     acts = [Task("untouched", (), None, untouched_s)]
     acts += [Task("tap", (target_mm(k, w, h),), CROSS_MM, TAP_S) for k in range(TAPS)]
     for name, shares, uncertainty_mm, least_s in (
@@ -122,13 +122,7 @@ class _Done(NamedTuple):
 
 
 class Walk:
-    """Takes frames, act by act.
-
-    Parameters
-    ----------
-    acquisition : Acquisition
-    tasks : sequence of Task
-    """
+    """Takes frames, act by act."""
 
     def __init__(self, acquisition: Acquisition, tasks: Sequence[Task]) -> None:
         self.tasks = tasks

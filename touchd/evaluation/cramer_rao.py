@@ -94,7 +94,7 @@ def atlas_field(atlas: Atlas, position_mm: Floats) -> TouchField:
     return _with_slopes(np.asarray(bins, np.complex128), np.array(d.bins), d.taper)
 
 
-def _with_slopes(values: Complex, bins: NDArray[np.int64], taper: float = HANN) -> TouchField:
+def _with_slopes(values: Complex, bins: NDArray[np.int64], taper: float) -> TouchField:
     """Compute central differences of values at positions moved by each of `_MOVES_MM` in turn, (5 * n, ...)."""
     value, right, left, below, above = values.reshape(5, -1, *values.shape[1:])
     return TouchField(value, (right - left) / (2 * STEP_MM), (below - above) / (2 * STEP_MM), bins, taper)
@@ -113,13 +113,8 @@ def whitener(acquisition: Acquisition, bins: NDArray[np.int64], taper: float = H
 def position_covariance(field: TouchField, acquisition: Acquisition, noise: float) -> Floats:
     """Return the Cramer-Rao bound of x and y as a covariance, mm^2, shape (n, 2, 2).
 
-    Parameters
-    ----------
-    field : TouchField
-        Field of the touches at their own amplitudes.
-    acquisition : Acquisition
-    noise : float
-        Standard deviation of a residual's sample, ADC counts; white and independent.
+    `field` is that of the touches at their own amplitudes, `noise` the standard deviation of a residual's sample, white
+    and independent, ADC counts.
     """
     features = _features(field) @ whitener(acquisition, field.bins, field.taper)
     rows = features.reshape(len(features), 4, -1) / noise
@@ -169,15 +164,7 @@ def median_distance_mm(covariance: Floats) -> float:
 def recorded_field(recording: Recording, field: Atlas | Instrument, taper: float = HANN) -> TouchField:
     """Return the field of up to `MOST_TOUCHES` touches, spread evenly over a labelled recording.
 
-    Each touch gets the amplitude that fits its frame best.
-
-    Parameters
-    ----------
-    recording : Recording
-    field : Atlas or Instrument
-        Source of the field.
-    taper : float
-        Of the bins' window; an atlas has its own.
+    Each touch gets the amplitude that fits its frame best. `taper` is that of the bins' window; an atlas has its own.
 
     Raises
     ------

@@ -192,7 +192,7 @@ def labels(recording: Recording, least: int = MIN_TOUCHES) -> tuple[Array, NDArr
 
 def beyond(position_mm: Array, plate: Plate) -> str:
     """Return how many positions (n, 2) lie outside the plate, and where the first does; empty if none does."""
-    outside = ((position_mm < 0) | (position_mm > [plate.width_mm, plate.height_mm])).any(axis=1)
+    outside = ((position_mm < 0) | (position_mm > plate.size_mm)).any(axis=1)
     if not outside.any():
         return ""
     x_mm, y_mm = position_mm[outside][0]

@@ -31,17 +31,8 @@ def match(
 ) -> list[tuple[int, int]]:
     """Assign contacts to fingers with the least total distance, none beyond `reach_mm`.
 
-    A finger without a contact costs `reach_mm`. An infinite reach assigns as many pairs as possible.
-
-    Parameters
-    ----------
-    true_mm, position_mm : k and m points
-    reach_mm : float
-
-    Returns
-    -------
-    list of (int, int)
-        Index of finger and contact, ordered by finger.
+    A finger without a contact costs `reach_mm`. An infinite reach assigns as many pairs as possible. Return the index
+    of finger and contact of each pair, ordered by finger.
     """
     if not len(true_mm) or not len(position_mm):
         return []

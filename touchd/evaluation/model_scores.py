@@ -70,8 +70,7 @@ def classes(true_mm: NDArray[np.float32], description: Description) -> NDArray[n
     """Return the true class of each position (n, 2): zone of a grid, or key of a layout."""
     if description.head == "keypad" and description.layout is not None:
         return labels_of(true_mm, description.layout)
-    plate = description.plate
-    return zones_of(true_mm, description.grid, np.array([plate.width_mm, plate.height_mm]))
+    return zones_of(true_mm, description.grid, np.array(description.plate.size_mm))
 
 
 def zones_of(position_mm: NDArray[np.floating], grid: int, size_mm: NDArray[np.floating]) -> NDArray[np.int64]:

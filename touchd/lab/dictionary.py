@@ -38,14 +38,8 @@ class Correlation:
     All bins have equal weight (phase transform, PHAT: Knapp and Carter, IEEE Trans. ASSP 24(4), 1976). The correlations
     of the channels are summed, and their peak is sought within `LAGS_S`.
 
-    Parameters
-    ----------
-    features : array of shape (n, inputs)
-        Frequency-domain features: real and imaginary parts of the bins, channel by channel.
-    position_mm : array of shape (n, 2)
-    channels : int
-    f_hz : array of shape (bins,)
-        Frequencies of the bins.
+    `features`, of shape (n, inputs), are the real and imaginary parts of the bins, channel by channel, and `f_hz`, of
+    shape (bins,), the bins' frequencies.
     """
 
     def __init__(self, features: Rows, position_mm: Rows, channels: int, f_hz: NDArray[np.floating]) -> None:

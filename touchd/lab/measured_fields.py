@@ -28,15 +28,13 @@ from scipy.interpolate import CloughTocher2DInterpolator, NearestNDInterpolator
 from scipy.linalg import eigh
 
 from touchd.errors import RecordingError
-from touchd.training.field.kernel import covariance, distances
+from touchd.training.field.kernel import BAND_MARGIN, covariance, distances
 from touchd.training.report.template import Table, write_csv
 
 Floats = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 Covariance = Callable[[Floats], Floats]
 
-BAND_MARGIN = 1.15
-"""Power above this multiple of k counts as outside the band: `kernel.BAND_MARGIN`."""
 FREEDOM = 600.0
 """Degrees of freedom A k^2 / pi of the part of the plate that is predicted."""
 TOUCHES_PER_FREEDOM = (0.5, 1.0, 2.0, 3.0)

@@ -83,18 +83,9 @@ def train(
     """Train a model by a recipe and write it as an ONNX file.
 
     Equal recording, seed and number of threads give an equal network. The file is written only after a complete
-    training.
-
-    Parameters
-    ----------
-    share : float
-        Share of the training part to use, for a learning curve; validation and test stay unchanged.
-    field : Field, optional
-        Field to draw touches from, learned from the training part; by default it is learned here.
-    patience : int, optional
-        See `fit`.
-    warn : callable
-        Receives each warning as soon as it arises.
+    training. It uses this `share` of the training part, for a learning curve; validation and test stay unchanged. It
+    draws touches from `field`, by default learned here from the training part. For `patience` see `fit`. `warn`
+    receives each warning as soon as it arises.
 
     Raises
     ------
@@ -144,7 +135,7 @@ def train(
             note(fitted_note(plate))
         if field is None:
             field = learn_field(data, parts.train, lambda done, all_: progress("field", done, all_, float("nan")))
-        synthesiser = Synthesiser(field, (plate.width_mm, plate.height_mm), generator, description.layout)
+        synthesiser = Synthesiser(field, plate.size_mm, generator, description.layout)
         augmenter = Augmenter(data, torch.from_numpy(parts.train), synthesiser, generator)
         batches = _augmented_batches(augmenter, generator, others=network.wants_others)
         optimiser = torch.optim.AdamW(network.parameters(), lr=LEARNING_RATE, weight_decay=WEIGHT_DECAY)
@@ -190,8 +181,7 @@ def _guess_mm(known_mm: Positions, test_mm: Positions) -> float:
 
 def _positions(data: Dataset, indices: NDArray[np.int64]) -> Tensor:
     """Return positions relative to the plate's centre, in units of its size, shape (n, 2)."""
-    plate = data.meta.plate
-    return torch.from_numpy(data.position_mm[indices]) / torch.tensor([plate.width_mm, plate.height_mm]) - 0.5
+    return torch.from_numpy(data.position_mm[indices]) / torch.tensor(data.meta.plate.size_mm) - 0.5
 
 
 def _augmented_batches(augmenter: Augmenter, generator: torch.Generator, *, others: bool) -> Batches:

@@ -72,7 +72,7 @@ def test_plain_spectra_lose_no_digits_to_what_they_have_in_common(tmp_path: Path
 
     def rounding(common: float) -> float:
         torch.manual_seed(1)
-        network = PaperNetwork(392, (200.0, 150.0), dropout=0.0)
+        network = PaperNetwork(392, (200.0, 150.0))
         far = common * torch.randn(1, 392)
         for _ in range(100):
             network.raw(far + 10 * torch.randn(64, 392))

@@ -136,17 +136,11 @@ class Tapped(NamedTuple):
 
 
 class Tapper:
-    """Finds taps in a daemon's frames, and judges them by a fitted plate.
-
-    Parameters
-    ----------
-    atlas : Atlas
-    """
+    """Finds taps in a daemon's frames, and judges them by a fitted plate."""
 
     def __init__(self, atlas: Atlas) -> None:
         d = atlas.description
         self._atlas, self._acquisition = atlas, d.acquisition
-        self._size_mm = d.plate.width_mm, d.plate.height_mm
         self._to_bins = d.to_bins
         self._pipeline = Pipeline(d.acquisition, None, Settings())
         self._before: deque[NDArray[np.int16]] = deque(maxlen=BASELINE_FRAMES)
@@ -193,12 +187,13 @@ class Tapper:
             return made._replace(reason="unsteady")
         features = (mean @ self._to_bins).reshape(1, -1)
         taps = Taps(np.array([label_mm]), complex_bins(features, self._acquisition.channels))
+        size_mm = self._atlas.description.plate.size_mm
         likely = range(4) if self.orientation is None else (self.orientation,)
-        placed = [place(self._atlas, taps.values, turned(taps.label_mm, k, self._size_mm)) for k in likely]
+        placed = [place(self._atlas, taps.values, turned(taps.label_mm, k, size_mm)) for k in likely]
         least = min(float(each.misfit[0]) for each in placed)
         if least > FITS:
             return made._replace(reason="no_fit")
-        found = [turned(each.position_mm, k, self._size_mm)[0] for k, each in zip(likely, placed, strict=True)
+        found = [turned(each.position_mm, k, size_mm)[0] for k, each in zip(likely, placed, strict=True)
                  if each.misfit[0] < ALIKE * least]  # fmt: skip
         x_mm, y_mm = min(found, key=lambda place_mm: float(np.hypot(*(place_mm - label_mm)))).tolist()
         made = made._replace(found_mm=(round(x_mm, 2), round(y_mm, 2)))

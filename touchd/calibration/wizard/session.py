@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from touchd.calibration.error_map import ErrorMap
 from touchd.calibration.place_correction import Widths
 from touchd.calibration.taps import FITS, ORIENTATIONS, Taps, orientation_of, refine, scatter_of, taps_of, turned
 from touchd.calibration.walk import AGAIN_AFTER, next_number, target_mm
-from touchd.calibration.wizard.error_map import ErrorMap
 from touchd.calibration.wizard.frames import Stopped, Tapped, Tapper, meta_of, refuse_keypad
 from touchd.calibration.wizard.state import State
 from touchd.errors import BusError, TouchdError
@@ -27,12 +27,7 @@ LEAST_TO_TELL = 3
 
 
 class Session:
-    """Collects taps at targets.
-
-    Parameters
-    ----------
-    state : State
-    """
+    """Collects taps at targets."""
 
     def __init__(self, state: State) -> None:
         self._state = state
@@ -110,7 +105,10 @@ class Session:
     def _errors(self, atlas: Atlas) -> ErrorMap | None:
         """Return the map of a fit; None of one by a version that did not say how far its places may be off."""
         widths = self._state["result"].get("places")
-        return ErrorMap(atlas, self._state.model.with_suffix(".untouched.npz"), Widths(**widths)) if widths else None
+        if not widths:
+            return None
+        frames = read(self._state.model.with_suffix(".untouched.npz")).frames
+        return ErrorMap(atlas, np.sqrt(frames.var(axis=0, ddof=1, dtype=np.float64).mean()), Widths(**widths))
 
     def _tell(self, atlas: Atlas, errors: ErrorMap | None) -> None:
         """Tell what the taps do: the expected error, and, of three or more, their scatter and the drawing's turn."""
@@ -118,8 +116,7 @@ class Session:
         told, orientation = None, 0
         if taps is not None and len(self._state["taps"]) >= LEAST_TO_TELL:
             orientation = orientation_of(atlas, taps)
-            p = atlas.description.plate
-            label_mm = turned(taps.label_mm, orientation, (p.width_mm, p.height_mm))
+            label_mm = turned(taps.label_mm, orientation, atlas.description.plate.size_mm)
             placed = place(atlas, taps.values, label_mm)
             fits = placed.misfit < FITS
             scatter_mm, repeats = scatter_of(label_mm[fits], placed.position_mm[fits])

@@ -30,15 +30,10 @@ _LASTING = ("plate", "mapping", "training", "trained", "untrainable", "runs", "b
 class State:
     """The wizard's state; whoever changes it wakes those who watch.
 
-    Parameters
-    ----------
-    folder : Path
-        Made if it is not there.
-
     Raises
     ------
     OutputError
-        It cannot be made.
+        The folder is not there, and cannot be made.
     """
 
     def __init__(self, folder: Path) -> None:

@@ -15,17 +15,10 @@ from touchd.service.control import send
 
 
 class Trial:
-    """Changes the daemon's model.
+    """Changes the daemon's model, which is in use at `target`, through its control socket.
 
-    Parameters
-    ----------
-    state : State
-        Its `before` is the digest of the model from before the trial, empty if none ran, None without a trial; `runs`
-        is what runs: `fitted`, `trained`, `earlier` (a try before the last fit), `before`, or empty for none.
-    target : Path
-        The model in use.
-    control : Path
-        The daemon's control socket.
+    The state's `before` is the digest of the model from before the trial, empty if none ran, None without a trial;
+    `runs` is what runs: `fitted`, `trained`, `earlier` (a try before the last fit), `before`, or empty for none.
     """
 
     def __init__(self, state: State, target: Path, control: Path) -> None:

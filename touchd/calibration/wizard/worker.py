@@ -45,21 +45,9 @@ Job = Callable[[threading.Event], None]
 class Worker:
     """The wizard.
 
-    Parameters
-    ----------
-    state : State
-    control : Path
-        The daemon's control socket.
-    target : Path
-        The model in use, which `install` replaces.
-    seconds : float
-        How long the plate stays untouched.
-    config : Path
-        The configuration, which takes the mapping.
-    handed : Path
-        Where touches are left for a mapping that this process may not write.
-    bus : str, optional
-        Where the daemon publishes.
+    `control` is the daemon's control socket and `bus` where it publishes; `target` is the model in use, which `install`
+    replaces. The plate stays untouched for `seconds`. `config` takes the mapping; touches for a mapping that this
+    process may not write are left at `handed`.
     """
 
     def __init__(

@@ -35,10 +35,8 @@ def cells_of(position_mm: NDArray[np.float32], plate: Plate, touches: int) -> tu
     Cells are about square and hold `touches` touches on average.
     """
     side_mm = sqrt(plate.width_mm * plate.height_mm * touches / len(position_mm))
-    columns, rows = (
-        int(np.clip(round(length / side_mm), 3, MOST_CELLS)) for length in (plate.width_mm, plate.height_mm)
-    )
-    column, row = np.clip(position_mm / [plate.width_mm, plate.height_mm], 0, 1 - 1e-9).T * [[columns], [rows]]
+    columns, rows = (int(np.clip(round(length / side_mm), 3, MOST_CELLS)) for length in plate.size_mm)
+    column, row = np.clip(position_mm / np.array(plate.size_mm), 0, 1 - 1e-9).T * [[columns], [rows]]
     return row.astype(int) * columns + column.astype(int), (rows, columns)
 
 
@@ -55,16 +53,11 @@ def cell_bias(
 ) -> tuple[Floats, Floats, NDArray[np.bool_], float]:
     """Return the bias of a model in each of the c cells with three touches or more.
 
+    Return the cells' centres and biases (c, 2), mm, which biases are beyond chance (c,), and a cell's shorter side, mm.
+
     The bias is the median error per axis, which ignores gross errors. It is significant if a cell without bias exceeds
     it in 1 of 20 cases: the standard error of a median is 1.25 times that of a mean, estimated from the median absolute
     deviation.
-
-    Returns
-    -------
-    centre_mm, bias_mm : arrays of shape (c, 2)
-    beyond_chance : array of shape (c,)
-    side_mm : float
-        Shorter side of a cell.
     """
     cell, (rows, columns) = cells_of(position_mm, plate, BIAS_TOUCHES)
     size_mm = np.array([plate.width_mm / columns, plate.height_mm / rows])

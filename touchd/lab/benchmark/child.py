@@ -31,6 +31,7 @@ from touchd.sinks.zeromq import ZeromqSink
 from touchd.sources.recorder import describe
 
 WARM_UP_RUNS, BARE_RUNS = 50, 400
+PATIENCE_S = 30.0
 BURN_IN_S = 0.3
 """Frames of this time at the start are discarded."""
 
@@ -48,7 +49,6 @@ class Task:
     settings: dict[str, Any]
     cpus: tuple[int, ...]
     """Processors to run on; empty leaves it to the kernel."""
-    patience_s: float
     begun_ns: int
     """When the process was started."""
 
@@ -133,7 +133,7 @@ def run(task: Task) -> tuple[DaemonResult, dict[int, int]]:
     service = make_service(source, [bus], settings, model, preroll=preroll)
     realtime.freeze()
     ready_ns = time.monotonic_ns()
-    bus.wait_for_subscriber(task.patience_s)
+    bus.wait_for_subscriber(PATIENCE_S)
     service.run()
     cpu_s, wall_s = time.process_time() - at_start["cpu_s"], time.monotonic() - at_start["wall_s"]
     gc.callbacks.remove(pauses)

@@ -17,12 +17,11 @@ from typing import Any
 from touchd.client import Subscriber
 from touchd.errors import BusError, JobError
 from touchd.event import Event, HealthEvent, TouchEvent
-from touchd.lab.benchmark.child import Task, main
+from touchd.lab.benchmark.child import PATIENCE_S, Task, main
 from touchd.lab.benchmark.loop import Loop
 from touchd.lab.benchmark.results import DaemonResult, Day, percentiles, rounded
 from touchd.lab.benchmark.stopwatch import spread, undisturbed
 
-PATIENCE_S = 30.0
 DAY = {"idle": 0.98, "still": 0.01, "moving": 0.01}
 """Share of each scene in a typical day."""
 FOREVER_S = 86_400.0
@@ -34,25 +33,11 @@ def measure(
     scene: str, loop: Loop, rate_hz: float | None, seconds: float, *, model: Path, bare: Path, folder: Path,
     apart: bool = False, awake: bool = True,
 ) -> DaemonResult:  # fmt: skip
-    """Run the daemon through one scene at one rate.
+    """Run the daemon through one scene at one rate, None for full speed; `bare` is the bare network.
 
-    Parameters
-    ----------
-    scene : str
-    loop : Loop
-    rate_hz : float or None
-        None for full speed.
-    seconds : float
-    model : Path
-        The network, with or without an atlas beside it.
-    bare : Path
-        The bare network.
-    folder : Path
-        Folder for the sockets.
-    apart : bool
-        Whether the subscriber has its own processor at a steady rate too; at full speed it always has.
-    awake : bool
-        Whether the processors are kept awake while the plate is touched, as is the default at high rates.
+    With `apart` the subscriber has its own processor at a steady rate too; at full speed it always has. With `awake`
+    the processors are kept awake while the plate is touched, as is the default at high rates. The sockets are in
+    `folder`.
 
     Raises
     ------
@@ -66,7 +51,7 @@ def measure(
         "bus": bus, "model": {"path": str(model)}, "baseline": {"absorb_s": FOREVER_S},
         "preroll": {"folder": str(folder)}, "realtime": {} if awake else {"awake_from_hz": 0},
     }  # fmt: skip
-    task = Task(scene, loop, rate_hz, seconds, bare, settings, daemon_cpus(), PATIENCE_S, time.monotonic_ns())
+    task = Task(scene, loop, rate_hz, seconds, bare, settings, daemon_cpus(), time.monotonic_ns())
     with (
         subscribing(apart=apart or rate_hz is None),
         Subscriber(address, ("touch", "health"), PATIENCE_S, max_age_s=None) as events,

@@ -107,10 +107,8 @@ def atlases(model: Model, atlas: Atlas) -> Iterator[Estimator]:
         return best.x_mm, best.y_mm
 
     def rebase(block: Block) -> None:
-        # The mean of n frames contains a share of their noise; another frame differs from it by more.
-        n = len(block.untouched)
         np.copyto(baseline, block.baseline)
-        localizer.update(block.baseline, block.untouched * np.float32(math.sqrt((n + 1) / (n - 1))))
+        localizer.update(block.baseline, block.noise)
 
     def follow(before: Array) -> None:
         localizer.reset()

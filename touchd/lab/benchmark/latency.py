@@ -40,14 +40,8 @@ class Tails:
 def measure(cell: Callable[..., DaemonResult], seconds: float, folder: Path) -> Tails:
     """Measure a cell, its floors, and the cell in other circumstances, in turns.
 
-    Parameters
-    ----------
-    cell : callable
-        Runs the cell, with the options `apart` and `awake` of `daemon.measure`.
-    seconds : float
-        Duration of each other measurement.
-    folder : Path
-        Folder for the sockets.
+    `cell` runs the cell, with the options `apart` and `awake` of `daemon.measure`; each other measurement takes
+    `seconds`; the sockets are in `folder`.
     """
     here, floors, late, apart, floors_apart, asleep = [], [], [], [], [], []
     for _ in range(TURNS):

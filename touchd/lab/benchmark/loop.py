@@ -38,17 +38,8 @@ class Loop:
 class LoopSource:
     """A source that delivers the frames of a loop when due; the lead-in comes at once.
 
-    Parameters
-    ----------
-    loop : Loop
-    rate_hz : float
-        Frames per second; infinite for full speed.
-    seconds : float
-        Duration after the lead-in.
-    between : callable
-        Called every `BURST_EVERY` frames at full speed; its time is excluded.
-    begun : callable
-        Called before the first frame after the lead-in.
+    An infinite `rate_hz` is full speed; `seconds` count after the lead-in. `between` is called every `BURST_EVERY`
+    frames at full speed, and its time is excluded; `begun` is called before the first frame after the lead-in.
     """
 
     def __init__(

@@ -20,7 +20,7 @@ from touchd.lab.benchmark.loop import Loop
 from touchd.lab.benchmark.machine import this_machine
 from touchd.lab.benchmark.race import race
 from touchd.lab.benchmark.results import DaemonResult, Run, Touches, rounded
-from touchd.lab.benchmark.scenes import FINGER, SEED, UNTOUCHED, WANTED, Block, held_out, make_loop
+from touchd.lab.benchmark.scenes import FINGER, SEED, WANTED, Block, held_out, make_loop
 from touchd.lab.benchmark.stopwatch import middle, undisturbed
 from touchd.localization.model import Model
 from touchd.twin.instrument import Instrument
@@ -57,18 +57,10 @@ QUICK = Scale(
 
 
 def benchmark(models: Path, *, quick: bool, progress: Progress, also: Sequence[Path] = ()) -> Run:
-    """Measure estimators, daemon and skips.
+    """Measure estimators, daemon and skips; `quick` in about 20 s: fewer touches, the daemon at full speed only.
 
-    Parameters
-    ----------
-    models : Path
-        Folder of the networks, of which the default one may have an atlas beside it; or one model of the example plate,
-        by its own acquisition.
-    quick : bool
-        Measure in about 20 s: fewer touches, the daemon at full speed only.
-    progress : callable
-    also : sequence of Path
-        Further networks for the example rig.
+    `models` is the folder of the networks, of which the default one may have an atlas beside it; or one model of the
+    example plate, by its own acquisition. `also` are further networks for the example rig.
 
     Raises
     ------
@@ -168,9 +160,7 @@ def _cells(
 
 def _bound_mm(blocks: Sequence[Block], instrument: Instrument) -> float:
     """Return the Cramer-Rao bound of the median error, with the noise of these residuals."""
-    # The mean of n frames contains a share of their noise; another frame differs from it by more.
-    deviation = float(np.concatenate([block.untouched for block in blocks]).std())
-    noise = deviation * ((UNTOUCHED + 1) / (UNTOUCHED - 1)) ** 0.5
+    noise = float(np.concatenate([block.noise for block in blocks]).std())
     some = [contact for block in blocks for contact in block.contacts][:MOST_TOUCHES]
     return median_distance_mm(position_covariance(twin_field(instrument, some), instrument.acquisition, noise))
 

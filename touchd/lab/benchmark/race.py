@@ -36,18 +36,7 @@ def race(
 ) -> tuple[BareTimes, list[EstimatorResult]]:
     """Time and score every estimator: each takes a block of touches, in turns with a batch of the bare network.
 
-    Parameters
-    ----------
-    estimators : sequence of Estimator
-    bare : callable
-        Runs the bare network once.
-    blocks : sequence of Block
-    passes : int
-        Number of passes over the blocks.
-    limit_s : float
-        No pass starts after this time.
-    tick : callable
-        Called after each block.
+    No pass over the blocks starts after `limit_s`. `tick` is called after each block.
     """
     entries = [_Entry(one) for one in estimators]
     begun_s = time.monotonic()

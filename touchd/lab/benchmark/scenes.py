@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -72,6 +73,12 @@ class Block(NamedTuple):
     """The touches."""
 
     @property
+    def noise(self) -> Array:
+        """Untouched residuals, scaled to the noise of frames that the baseline is not made of."""
+        n = len(self.untouched)
+        return self.untouched * np.float32(math.sqrt((n + 1) / (n - 1)))
+
+    @property
     def true_mm(self) -> NDArray[np.float64]:
         """Positions of the touches, shape (BLOCK, 2)."""
         return np.array([contact[:2] for contact in self.contacts])
@@ -83,7 +90,7 @@ def held_out(count: int, instrument: Instrument) -> list[Block]:
     walk_k = np.cumsum(rng.standard_normal(count // BLOCK))
     walk_k *= WALK_K / max(np.abs(walk_k).max(), 1e-9)
     low_mm = MARGIN_MM[FINGER]
-    high_mm = np.array([instrument.plate.width_mm, instrument.plate.height_mm]) - low_mm
+    high_mm = np.array(instrument.plate.size_mm) - low_mm
     place_mm = rng.uniform(low_mm, high_mm, (count, 2))
     angle = rng.uniform(0, 2 * np.pi, count)
     before_mm = np.clip(place_mm + STEP_MM * np.stack([np.cos(angle), np.sin(angle)], axis=1), low_mm, high_mm)

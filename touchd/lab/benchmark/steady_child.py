@@ -150,7 +150,7 @@ def switches() -> dict[str, int]:
     for task in Path("/proc/self/task").iterdir():
         lines = dict(line.split(":", 1) for line in (task / "status").read_text().splitlines())
         count = int(lines["voluntary_ctxt_switches"]) + int(lines["nonvoluntary_ctxt_switches"])
-        name = f"{lines['Name'].strip()}" if int(task.name) != os.getpid() else "main"
+        name = lines["Name"].strip() if int(task.name) != os.getpid() else "main"
         found[name] = found.get(name, 0) + count
     return found
 

@@ -39,11 +39,10 @@ def calibrate(made: Made, seed: int = 0) -> Fitted:
     return fit_recording(recording, made.said)
 
 
-def touches_on(made: Made, finger: str, touches: int, seed: int, *, warmer_k: float = 0.0) -> TouchedFrames:
+def touches_on(made: Made, finger: str, touches: int, seed: int) -> TouchedFrames:
     """Simulate single touches all over the plate."""
     return touched_frames(simulate_touches(
         touches, seed=seed + 1, instrument=made.instrument, electronics=made.electronics, finger=finger,
-        warmer_k=warmer_k,
     ))  # fmt: skip
 
 
@@ -105,7 +104,7 @@ def tapped(
 
 def row(
     name: str, touches: int, seed: int = 0, fingers: Sequence[str] = FINGERS, labels_mm: Sequence[float] = (),
-    warmer_k: float = 0.0, sets: int = 1,
+    sets: int = 1,
 ) -> dict[str, Any]:  # fmt: skip
     """Return one plate's row of the table; without touches only the fit."""
     made = make(name, seed)
@@ -127,7 +126,7 @@ def row(
         with tempfile.TemporaryDirectory() as folder:
             model = make_model(fitted, Path(folder) / "plate.onnx").model
         result["model_s"] = time.process_time() - started_s
-        frames = {finger: touches_on(made, finger, touches, seed, warmer_k=warmer_k) for finger in fingers}
+        frames = {finger: touches_on(made, finger, touches, seed) for finger in fingers}
         result |= {finger: scores(model, model.atlas, each) for finger, each in frames.items()}
         if labels_mm:
             result["after_taps"] = tapped(made, fitted, model, frames, labels_mm, seed, sets)
@@ -143,11 +142,10 @@ def main() -> None:
     parser.add_argument("--fingers", nargs="+", default=FINGERS)
     parser.add_argument("--labels-mm", type=float, nargs="+", default=[], help="also after taps with these errors")
     parser.add_argument("--tap-sets", type=int, default=1, help="sets of taps of each error")
-    parser.add_argument("--warmer-k", type=float, default=0.0, help="the plate at the touches, over its calibration")
     asked = parser.parse_args()
     for name in asked.plates:
         for seed in asked.seed:
-            found = row(name, asked.touches, seed, asked.fingers, asked.labels_mm, asked.warmer_k, asked.tap_sets)
+            found = row(name, asked.touches, seed, asked.fingers, asked.labels_mm, asked.tap_sets)
             sys.stdout.write(json.dumps({"seed": seed} | found) + "\n")
             sys.stdout.flush()
 

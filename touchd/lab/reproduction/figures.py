@@ -77,7 +77,7 @@ def _learning(results: Results) -> Figure:
 
     contenders = (
         ("network", plan.keypad_name, COLOURS[0], "o"),
-        ("kNN (k = 1)", lambda share, seed: plan.lookup_name("kNN", share, seed), COLOURS[1], "s"),
+        ("kNN (k = 1)", plan.lookup_name, COLOURS[1], "s"),
     )
     for number, (label, name, colour, marker) in enumerate(contenders):
         accuracy = 100 * np.array([

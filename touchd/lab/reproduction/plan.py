@@ -38,7 +38,7 @@ def keypad_jobs(seed: int, epochs: int | None, layout: Layout) -> list[Job]:
             arguments = {"recipe": "paper-keypad", "layout": layout, "epochs": epochs, **chosen}
             jobs.append(Job(keypad_name(share, more), trained, arguments, ("recording",)))
             lookup = {"method": "kNN", "residual": False, **chosen}
-            jobs.append(Job(lookup_name("kNN", share, more), looked_up, lookup, ("recording",)))
+            jobs.append(Job(lookup_name(share, more), looked_up, lookup, ("recording",)))
     return jobs
 
 
@@ -72,9 +72,9 @@ def keypad_name(share: float, seed: int) -> str:
     return f"paper-keypad, {share:.0%}, seed {seed}"
 
 
-def lookup_name(method: str, share: float, seed: int) -> str:
-    """Return the name of a look-up on a share of the touches."""
-    return f"{method}, {share:.0%}, seed {seed}"
+def lookup_name(share: float, seed: int) -> str:
+    """Return the name of a kNN look-up on a share of the touches."""
+    return f"kNN, {share:.0%}, seed {seed}"
 
 
 def dictionary_name(method: str, residual: bool) -> str:

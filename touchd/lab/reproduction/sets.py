@@ -67,7 +67,7 @@ def central(recording: Recording, side_mm: float) -> Recording:
     """
     plate, truth = recording.meta.plate, recording.contacts_mm
     assert truth is not None  # checked by the caller
-    low_mm = np.array([plate.width_mm - side_mm, plate.height_mm - side_mm]) / 2
+    low_mm = (np.array(plate.size_mm) - side_mm) / 2
     place_mm = truth - low_mm
     down = np.isfinite(place_mm[:, :, 0])
     outside = down & ((place_mm < 0) | (place_mm > side_mm)).any(axis=2)

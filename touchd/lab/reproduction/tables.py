@@ -42,7 +42,7 @@ def figures(results: Results, command: str) -> Figures:
     }  # fmt: skip
     plate = results.recording.meta.plate
     tables = {
-        "full-plate": _heads(results.full, (plate.width_mm, plate.height_mm)),
+        "full-plate": _heads(results.full, plate.size_mm),
         "central": _heads(results.central, (paper.CENTRAL_MM, paper.CENTRAL_MM)),
         "shares": _shares(results),
         "dictionaries": _dictionaries(results),
@@ -98,7 +98,7 @@ def _shares(results: Results) -> Table:
     for share in plan.SHARES:
         network, knn = (
             [keypad_scores(results.full[name(share, seed)].judged, layout)["accuracy"] for seed in plan.KEYPAD_SEEDS]
-            for name in (plan.keypad_name, lambda share, seed: plan.lookup_name("kNN", share, seed))
+            for name in (plan.keypad_name, plan.lookup_name)
         )
         reported = paper.KEYPAD_LEARNING.get(share)
         rows.append([

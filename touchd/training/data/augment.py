@@ -26,16 +26,8 @@ OTHER_TURN = 0.6
 class Augmenter:
     """Draws batches of fingers and non-fingers from recorded touches, a synthesiser, noise and tones.
 
-    Parameters
-    ----------
-    dataset : Dataset
-        In the frequency domain.
-    indices : tensor of shape (n,)
-        Its touches to draw from.
-    synthesiser : Synthesiser
-    generator : torch.Generator
-    pool : int
-        Rows of noise and of tones to draw from.
+    It draws from the touches `indices` (n,) of a dataset in the frequency domain, and from `pool` rows of noise and of
+    tones.
     """
 
     def __init__(
@@ -46,7 +38,7 @@ class Augmenter:
         generator: torch.Generator,
         pool: int = 8192,
     ) -> None:
-        a, plate = dataset.acquisition, dataset.meta.plate
+        a = dataset.acquisition
         features = Features(dataset.domain, a, taper=dataset.taper)
         self.synthesiser = synthesiser
         self._generator = generator
@@ -56,7 +48,7 @@ class Augmenter:
         self._stretch = torch.from_numpy(dataset.stretch)[indices]
         self._delay = torch.from_numpy(dataset.delay)[indices]
         position_mm = torch.from_numpy(dataset.position_mm)[indices]
-        self.position = position_mm / torch.tensor([plate.width_mm, plate.height_mm]) - 0.5
+        self.position = position_mm / torch.tensor(dataset.meta.plate.size_mm) - 0.5
         """Relative to the plate's centre, in units of its size, shape (n, 2)."""
         nearest = torch.cdist(position_mm, position_mm).topk(min(24, len(indices)), largest=False)
         self.neighbours = nearest.indices

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from touchd.errors import TrainingError
 from touchd.recording.data import Act, Recording
+from touchd.recording.format import join as join_chunks
 
 APART_NS = 3_600_000_000_000
 """Gap of one hour between recordings, so that no touch is compared with another recording's untouched frames."""
@@ -17,7 +18,7 @@ APART_NS = 3_600_000_000_000
 def join(recordings: Sequence[Recording], names: Sequence[str]) -> Recording:
     """Concatenate recordings, an hour apart; `names` identify them in an error.
 
-    Arrays that a recording lacks, such as forces, are dropped.
+    Of the true contacts their places alone are kept.
 
     Raises
     ------
@@ -40,27 +41,19 @@ def join(recordings: Sequence[Recording], names: Sequence[str]) -> Recording:
         return first
     truth = [recording.contacts_mm for recording in recordings if recording.contacts_mm is not None]
     fingers = max(each.shape[1] for each in truth)
-    sequence: list[NDArray[np.int64]] = []
-    time_ns: list[NDArray[np.int64]] = []
+    parts: list[Recording] = []
     acts: list[Act] = []
-    last = offset_ns = 0
-    for recording in recordings:
-        before = sum(len(each) for each in sequence)
+    before = number = offset_ns = 0
+    for recording, labels in zip(recordings, truth, strict=True):
         acts += [
             act.model_copy(update={"begin": act.begin + before, "end": act.end + before}) for act in recording.meta.acts
         ]
-        sequence.append(recording.sequence - recording.sequence[0] + last)
-        time_ns.append(recording.timestamp_ns + offset_ns)
-        last, offset_ns = int(sequence[-1][-1]) + 1, int(time_ns[-1][-1]) + APART_NS
-    return Recording(
-        meta=first.meta.model_copy(update={"acts": tuple(acts)}),
-        frames=np.concatenate([recording.frames for recording in recordings]),
-        sequence=np.concatenate(sequence),
-        timestamp_ns=np.concatenate(time_ns),
-        contacts_mm=np.concatenate([
-            np.pad(each, ((0, 0), (0, fingers - each.shape[1]), (0, 0)), constant_values=np.nan) for each in truth
-        ]),
-    )  # fmt: skip
+        padding = ((0, 0), (0, fingers - labels.shape[1]), (0, 0))
+        sequence, t_ns = recording.sequence - recording.sequence[0] + number, recording.timestamp_ns + offset_ns
+        padded = np.pad(labels, padding, constant_values=np.nan)
+        parts.append(Recording(first.meta, recording.frames, sequence, t_ns, padded))
+        before, number, offset_ns = before + len(sequence), int(sequence[-1]) + 1, int(t_ns[-1]) + APART_NS
+    return replace(join_chunks(parts), meta=first.meta.model_copy(update={"acts": tuple(acts)}))
 
 
 def _settings(recording: Recording) -> dict[str, object]:

@@ -15,17 +15,7 @@ BORDER_MM = 2.0
 
 
 class Synthesiser:
-    """Draws noiseless residuals over the touched part of the plate.
-
-    Parameters
-    ----------
-    field : Field
-    size_mm : tuple of two floats
-        Width and height of the plate.
-    generator : torch.Generator
-    layout : Layout, optional
-        Keys whose borders receive `BORDER_SHARE` of the touches.
-    """
+    """Draws noiseless residuals over the touched part of the plate, `BORDER_SHARE` of them at a layout's keys."""
 
     def __init__(
         self, field: Field, size_mm: tuple[float, float], generator: torch.Generator, layout: Layout | None = None

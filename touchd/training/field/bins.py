@@ -41,11 +41,7 @@ kHz). The window of a single chirp blurs the resonances."""
 def weights(snr: Floats, acquisition: Acquisition) -> Floats:
     """Return the weight of each bin, 0 to 1, that noise and the field's error give it.
 
-    Parameters
-    ----------
-    snr : array of shape (bins,)
-        Power of fingers over that of noise.
-    acquisition : Acquisition
+    `snr`, of shape (bins,), is the power of fingers over that of noise.
     """
     if acquisition.chirp.period_s is None:
         return np.ones(len(snr))
@@ -54,14 +50,7 @@ def weights(snr: Floats, acquisition: Acquisition) -> Floats:
 
 
 def informative(snr: Floats, wavenumber: Floats, acquisition: Acquisition) -> NDArray[np.int64]:
-    """Return the bins that tell most of a finger's place, in order.
-
-    Parameters
-    ----------
-    snr, acquisition
-        As for `weights`.
-    wavenumber : array of shape (bins,)
-    """
+    """Return the bins that tell most of a finger's place, in order; `snr` and `wavenumber` have shape (bins,)."""
     power, channels = snr * weights(snr, acquisition) ** 2, acquisition.channels
     if not power.sum() > 0:
         return np.arange(len(power))

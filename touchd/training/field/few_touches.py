@@ -51,9 +51,7 @@ _NODE = 0.01  # rad
 _SEED = 0x3A7E5
 
 
-def learn_field(
-    dataset: Dataset, indices: NDArray[np.int64], progress: Step = lambda _done, _all: None
-) -> Field:  # fmt: skip
+def learn_field(dataset: Dataset, indices: NDArray[np.int64], progress: Step = lambda _done, _all: None) -> Field:
     """Learn the field from the touches of a dataset with these indices, in the frequency domain.
 
     The dispersion of an unknown material is fitted to the touches.

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.distance import cdist
 from scipy.special import j0, j1
 
 Array = NDArray[np.float32]
@@ -41,15 +42,7 @@ def covariance(
 
 
 class Kernel:
-    """A tabulated kernel, for matrices of distances in float32.
-
-    Parameters
-    ----------
-    wavenumber_per_mm : float
-    reach_mm : float
-        Longest distance to evaluate.
-    white_share : float
-    """
+    """A tabulated kernel, for matrices of distances up to `reach_mm`, in float32."""
 
     def __init__(self, wavenumber_per_mm: float, reach_mm: float, white_share: float = WHITE_SHARE) -> None:
         self._per_mm = 2 * wavenumber_per_mm * _NODES
@@ -81,9 +74,7 @@ class Kernel:
 
 def distances(one_mm: Floats, other_mm: Floats) -> Array:
     """Return the distances (n, m) between positions (n, 2) and (m, 2), mm."""
-    squared = np.square(one_mm[:, None, 0] - other_mm[None, :, 0])
-    squared += np.square(one_mm[:, None, 1] - other_mm[None, :, 1])
-    return np.sqrt(squared).astype(np.float32)
+    return cdist(one_mm, other_mm).astype(np.float32)
 
 
 def _line(table: Floats) -> tuple[Array, Array]:

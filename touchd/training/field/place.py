@@ -56,11 +56,7 @@ class Linearised(NamedTuple):
 def linearise(values: Complex, u: Complex, by_x: Complex, by_y: Complex, parts: int = 1) -> Linearised:
     """Fit the amplitudes of touches (n, m) to the field `u` at assumed positions, with derivatives `by_x`, `by_y`.
 
-    Parameters
-    ----------
-    values, u, by_x, by_y : array, shape (n, m)
-    parts : int
-        In how many equal parts of the values gradient and information are summed.
+    All have the shape (n, m). Gradient and information are summed in `parts` equal parts of the values.
     """
     power = np.maximum(np.square(np.abs(u)).sum(axis=1), 1e-30)
     amplitude = (u.conj() * values).sum(axis=1) / power

@@ -110,20 +110,10 @@ class PositionNetwork(Network):
     against a narrow Gaussian (HL-Gauss: Imani and White, ICML 2018), which is several times more precise than a squared
     error: the field is a product of two waves with many lobes, and the mean of two candidate lobes is never right.
 
-    Parameters
-    ----------
-    inputs : int
-        Length of the feature vector.
-    size_mm : tuple of two floats
-        Width and height of the plate.
-    drift : tensor of shape (k, inputs), optional
-        See `Normalise`.
-    area_mm : tensor of shape (2, 2), optional
-        Lower and upper corner of the area of interest, by default the whole plate. Positions outside are clamped to its
-        edge. A smaller area has finer bins.
-    noise_apart : bool
-        Whether to return the standard error due to noise separately, per noise-to-signal ratio. The network cannot see
-        the noise in a residual; the daemon measures it on the untouched plate.
+    `area_mm`, of shape (2, 2), are the lower and upper corner of the area of interest, by default the whole plate.
+    Positions outside are clamped to its edge; a smaller area has finer bins. With `noise_apart` the network returns the
+    standard error due to noise separately, per noise-to-signal ratio: it cannot see the noise in a residual; the daemon
+    measures it on the untouched plate. For `drift` see `Normalise`.
     """
 
     outputs: tuple[str, ...] = ("position_mm", "sigma_mm", "confidence", "noise_mm")
@@ -249,10 +239,8 @@ class PaperNetwork(Network):
     size_mm: Tensor
     sigma_mm: Tensor
 
-    def __init__(
-        self, inputs: int, size_mm: tuple[float, float], widths: tuple[int, ...] = TRUNK, dropout: float = DROPOUT
-    ) -> None:
-        super().__init__(inputs, widths, dropout)
+    def __init__(self, inputs: int, size_mm: tuple[float, float], widths: tuple[int, ...] = TRUNK) -> None:
+        super().__init__(inputs, widths, DROPOUT)
         self.head = nn.Linear(widths[-1], 2)
         self.register_buffer("size_mm", torch.tensor(size_mm))
         self.register_buffer("sigma_mm", torch.ones(1, 1))

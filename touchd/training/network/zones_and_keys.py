@@ -21,16 +21,9 @@ key."""
 class Classifier(Network):
     """Estimates probabilities of zones or keys: the paper's grid and keypad heads.
 
-    The position estimate is the centre of the most probable zone or key; beside the keys, the plate's centre.
-
-    Parameters
-    ----------
-    description : Description
-        Its grid or layout has the classes: zones row by row, or the keys and the zone beside them.
-    normalised : bool
-        Whether to normalise features to their direction; the paper uses them as measured.
-    drift : tensor of shape (k, inputs), optional
-        See `Normalise`.
+    Classes are the zones of the description's grid, row by row, or the keys of its layout and the zone beside them. The
+    position estimate is the centre of the most probable zone or key; beside the keys, the plate's centre. Without
+    `drift`, see `Normalise`, features count as measured, as in the paper.
     """
 
     outputs = ("probability",)
@@ -41,20 +34,19 @@ class Classifier(Network):
         description: Description,
         widths: tuple[int, ...] = TRUNK,
         dropout: float = 0.0,
-        normalised: bool = True,
         drift: Tensor | None = None,
     ) -> None:
         d = description
         super().__init__(d.inputs, widths, dropout)
         self._description = d
-        size_mm = np.array([d.plate.width_mm, d.plate.height_mm])
+        size_mm = np.array(d.plate.size_mm)
         if d.layout is None:
             rows, columns = np.divmod(np.arange(d.grid**2), d.grid)
             centres_mm = (np.stack([columns, rows], axis=1) + 0.5) * size_mm / d.grid
         else:
             centres_mm = np.array([*(key.centre_mm for key in d.layout.key), size_mm / 2])
         self.register_buffer("centres_mm", torch.from_numpy(centres_mm).float())
-        self.normalise = Normalise(drift) if normalised else None
+        self.normalise = None if drift is None else Normalise(drift)
         self.head = nn.Linear(widths[-1], len(centres_mm))
 
     def raw(self, features: Tensor) -> Tensor:
@@ -74,8 +66,7 @@ class Classifier(Network):
 
     def loss(self, batch: Batch) -> Tensor:
         """Return the cross-entropy of zone or key."""
-        plate = self._description.plate
-        position_mm = (batch.position.numpy() + 0.5) * np.array([plate.width_mm, plate.height_mm])
+        position_mm = (batch.position.numpy() + 0.5) * np.array(self._description.plate.size_mm)
         labels = torch.from_numpy(classes(position_mm, self._description))
         return nn.functional.cross_entropy(self.raw(batch.features), labels)
 
@@ -85,12 +76,7 @@ class KeypadNetwork(PositionNetwork):
 
     A key's probability is that of a Gaussian about the position to lie on the key. So any layout fits a network trained
     on the whole plate, and a touch near a key's border gets a low probability. The probabilities, including that of no
-    key, add up to the finger confidence.
-
-    Parameters
-    ----------
-    keys_mm : tensor of shape (keys, 4)
-        Left, upper, right and lower edges.
+    key, add up to the finger confidence. `keys_mm`, of shape (keys, 4), are left, upper, right and lower edges.
     """
 
     outputs = ("probability",)
@@ -126,12 +112,14 @@ class KeypadNetwork(PositionNetwork):
 
 def make_network(recipe: Recipe, d: Description, drift: Tensor) -> Network:
     """Return the untrained network of a recipe for a model's description; it projects out `drift` (k, inputs)."""
-    size_mm = (d.plate.width_mm, d.plate.height_mm)
+    size_mm = d.plate.size_mm
+    if d.head == "regression" and recipe.paper:
+        return PaperNetwork(d.inputs, size_mm, recipe.widths)
     if d.head == "regression":
-        if recipe.paper:
-            return PaperNetwork(d.inputs, size_mm, recipe.widths)
         return PositionNetwork(d.inputs, size_mm, recipe.widths, drift)
-    if d.layout is not None and not recipe.paper:
+    if recipe.paper:
+        return Classifier(d, recipe.widths, DROPOUT)
+    if d.layout is not None:
         keys_mm = torch.tensor([[k.x_mm, k.y_mm, k.x_mm + k.width_mm, k.y_mm + k.height_mm] for k in d.layout.key])
         return KeypadNetwork(d.inputs, size_mm, keys_mm, recipe.widths, drift)
-    return Classifier(d, recipe.widths, DROPOUT if recipe.paper else 0.0, not recipe.paper, drift)
+    return Classifier(d, recipe.widths, drift=drift)

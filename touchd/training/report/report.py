@@ -63,7 +63,11 @@ def write_report(result: Result, meta: Meta, names: list[str]) -> Path:
         pictures["confusion.png"] = draw_confusion(judged, d)
     else:
         pictures |= {"error-map.png": draw_error_map(judged, meta), "sigma.png": draw_sigma(judged)}
-    return write_folder(result.model.path, pictures, page(result, meta, names, list(pictures)))
+    text = _page(
+        result, names, list(pictures), name=result.model.path.name, d=d, findings=findings(result, meta.plate),
+        atlas=None,
+    )  # fmt: skip
+    return write_folder(result.model.path, pictures, text)
 
 
 def write_atlas_report(result: AtlasResult, meta: Meta, names: list[str]) -> Path:
@@ -110,14 +114,6 @@ def write_folder(model: Path, pictures: dict[str, Figure], text: str) -> Path:
 def remove_report(model: Path) -> None:
     """Remove the report of an older model of this name."""
     shutil.rmtree(report_folder(model), ignore_errors=True)
-
-
-def page(result: Result, meta: Meta, names: list[str], pictures: list[str]) -> str:
-    """Return the text of a model's report, in Markdown."""
-    return _page(
-        result, names, pictures, name=result.model.path.name, d=result.model.description,
-        findings=findings(result, meta.plate), atlas=None,
-    )  # fmt: skip
 
 
 def _page(result: Result | AtlasResult, names: Sequence[str], plots: Sequence[str], **values: object) -> str:

@@ -14,7 +14,7 @@ from touchd.evaluation.model_scores import Judgement
 from touchd.keypad import PHONE, load_layout
 from touchd.recording.data import Recording
 from touchd.training.network.recipe import RECIPES
-from touchd.training.report.report import findings, page, report_folder, write_folder, write_report
+from touchd.training.report.report import findings, report_folder, write_folder, write_report
 from touchd.training.train_network import Result, train
 
 
@@ -38,7 +38,7 @@ def test_a_report_lies_beside_its_model_and_shows_every_picture_it_has(result: R
 
 
 def test_the_page_says_scores_warnings_and_where_the_model_comes_from(result: Result, few: Recording) -> None:
-    text = page(result, few.meta, ["few.npz"], [])
+    text = (write_report(result, few.meta, ["few.npz"]) / "report.md").read_text()
     for name, value in result.scores.items():
         assert f"| `{name}` |" in text
         assert name == "n" or f"{value:.3f}" in text or f"{100 * value:.1f}" in text

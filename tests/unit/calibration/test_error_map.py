@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.unit.calibration.plates import PLATE, off_channels
+from touchd.calibration.error_map import GRID, ErrorMap
 from touchd.calibration.place_correction import PlaceCorrection, Widths, left_mm, with_places
 from touchd.calibration.taps import Taps, refine, taps_of
-from touchd.calibration.wizard.error_map import GRID, ErrorMap
 from touchd.localization.atlas import Atlas
-from touchd.recording.format import write
 from touchd.training.field.place import FieldMap, place
 from touchd.twin.instrument import Instrument
 from touchd.twin.simulate import simulate_touches
@@ -27,16 +23,12 @@ WIDTHS = st.builds(Widths, st.tuples(st.floats(0, 1), st.floats(0, 1)), st.float
 
 
 @pytest.fixture(scope="module")
-def reference(instrument: Instrument, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Untouched frames."""
-    path = tmp_path_factory.mktemp("reference") / "plate.untouched.npz"
+def noise_counts(instrument: Instrument) -> float:
+    """Of untouched frames."""
     made = simulate_touches(10, seed=3, instrument=instrument)
-    untouched = np.isnan(made.contacts_mm).all(axis=(1, 2)) if made.contacts_mm is not None else np.zeros(0, bool)
-    frames = made.frames[untouched][:50]
-    number = np.arange(len(frames))
-    write(path, replace(made, frames=frames, sequence=number, timestamp_ns=number * 10**7, contacts_mm=None,
-                        force_n=None, faces=None, temperature_c=None))  # fmt: skip
-    return path
+    assert made.contacts_mm is not None
+    untouched = np.isnan(made.contacts_mm).all(axis=(1, 2))
+    return float(made.frames[untouched].std(axis=0, ddof=1).mean())
 
 
 @pytest.fixture(scope="module")
@@ -50,17 +42,17 @@ def rms_mm(atlas: Atlas, taps: Taps) -> float:
     return float(np.sqrt(np.square(apart_mm).sum(axis=1).mean()))
 
 
-def test_right_field(atlas: Atlas, taps: Taps, reference: Path) -> None:
+def test_right_field(atlas: Atlas, taps: Taps, noise_counts: float) -> None:
     """With taps as without, the map of a right field says how far touches are placed from where they are."""
-    errors = ErrorMap(atlas, reference, RIGHT)
+    errors = ErrorMap(atlas, noise_counts, RIGHT)
     for known in (None, taps):
         assert 0.5 < float(np.median(errors.error_mm(known))) / rms_mm(atlas, taps) < 2.0
 
 
-def test_wrong_field(atlas: Atlas, taps: Taps, reference: Path) -> None:
+def test_wrong_field(atlas: Atlas, taps: Taps, noise_counts: float) -> None:
     """A field that is wrong does not know it; ten taps tell, and thirty tell better."""
     model = off_channels(atlas)
-    errors, real_mm = ErrorMap(model, reference, RIGHT), rms_mm(model, taps)
+    errors, real_mm = ErrorMap(model, noise_counts, RIGHT), rms_mm(model, taps)
     assert float(np.median(errors.error_mm(None))) < 0.3 * real_mm
     few, many = (
         float(np.median(errors.error_mm(Taps(taps.label_mm[:n], taps.values[:n])))) / real_mm for n in (10, 30)
@@ -68,10 +60,10 @@ def test_wrong_field(atlas: Atlas, taps: Taps, reference: Path) -> None:
     assert 0.6 < few < many < 1.4
 
 
-def test_near_and_far(atlas: Atlas, taps: Taps, reference: Path) -> None:
+def test_near_and_far(atlas: Atlas, taps: Taps, noise_counts: float) -> None:
     """A tap counts near its place, and hardly far from it."""
     model = off_channels(atlas)
-    errors = ErrorMap(model, reference, RIGHT)
+    errors = ErrorMap(model, noise_counts, RIGHT)
     grown = errors.error_mm(Taps(taps.label_mm[:1], taps.values[:1])) / errors.error_mm(None)
     p = model.description.plate
     column, row = (taps.label_mm[0] / (p.width_mm, p.height_mm) * GRID).astype(int)
@@ -80,11 +72,11 @@ def test_near_and_far(atlas: Atlas, taps: Taps, reference: Path) -> None:
     assert far < 1.1
 
 
-def test_nonsense(atlas: Atlas, taps: Taps, reference: Path) -> None:
+def test_nonsense(atlas: Atlas, taps: Taps, noise_counts: float) -> None:
     """A tap that no finger explains changes nothing."""
     random = np.random.default_rng(1)
     noise = np.abs(taps.values[:1]).mean() * random.standard_normal((1, *taps.values.shape[1:]))
-    errors = ErrorMap(atlas, reference, RIGHT)
+    errors = ErrorMap(atlas, noise_counts, RIGHT)
     assert errors.shown(Taps(taps.label_mm[:1], noise.astype(np.complex128))) == errors.shown(None)
 
 
@@ -98,10 +90,10 @@ def test_another_tap(seed: int, count: int, scatter_mm: float, widths: Widths) -
     assert (after <= before * (1 + 1e-9)).all()
 
 
-def test_more_taps(atlas: Atlas, reference: Path) -> None:
+def test_more_taps(atlas: Atlas, noise_counts: float) -> None:
     """Taps that leave what the fit expects make the map worse nowhere, and better in the median."""
     random = np.random.default_rng(5)
-    errors = ErrorMap(atlas, reference, CLAMPED)
+    errors = ErrorMap(atlas, noise_counts, CLAMPED)
     label_mm = random.uniform(10, np.array(SIZE_MM) - 10, (40, 2))
     values = FieldMap(atlas).look_up(label_mm)[0].reshape(40, atlas.description.acquisition.channels, -1)
     before = errors.error_mm(None)
@@ -113,14 +105,14 @@ def test_more_taps(atlas: Atlas, reference: Path) -> None:
     assert shown["median_mm"] < 0.5 * shown["fitted_mm"]
 
 
-def test_wrong_places(atlas: Atlas, taps: Taps, reference: Path) -> None:
+def test_wrong_places(atlas: Atlas, taps: Taps, noise_counts: float) -> None:
     """Of plates whose places are off, the map is within a factor of two of the error before and after taps."""
     random, rms = np.random.default_rng(11), {0: [], 24: []}  # type: ignore[var-annotated]
     expected: dict[int, list[float]] = {0: [], 24: []}
     for _ in range(6):
         wide = np.array([*CLAMPED.shift_mm, CLAMPED.scale, *[CLAMPED.bent_mm] * 9])
         model = with_places(atlas, PlaceCorrection(SIZE_MM, wide * random.standard_normal(12), 1.0))
-        errors = ErrorMap(model, reference, CLAMPED)
+        errors = ErrorMap(model, noise_counts, CLAMPED)
         rough = Taps(taps.label_mm + random.standard_normal(taps.label_mm.shape), taps.values)
         some = Taps(rough.label_mm[:24], rough.values[:24])
         for count, known, made in ((0, None, model), (24, some, refine(model, some, 0, CLAMPED).atlas)):

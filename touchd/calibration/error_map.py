@@ -14,7 +14,6 @@ little: its error then is that without taps. On simulated plates the median is 0
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,71 +24,69 @@ from touchd.calibration.plan import bound_mm
 from touchd.calibration.taps import FITS, Taps, hits
 from touchd.evaluation.dataset import BASELINE_NOISE
 from touchd.localization.atlas import Atlas
-from touchd.recording.format import read
 from touchd.training.field.place import FieldMap, place
 
 Floats = NDArray[np.float64]
 
 GRID = 20
-"""Places along each side of the map."""
+"""Places along each side of the wizard's map."""
 PRIOR_TAPS = 2.0
 """The model's own error counts as this many taps at each place."""
 REACH = 0.2
 """Distance at which a tap counts for 0.6, as a share of the longer side."""
+NOWHERE: Floats = np.empty((0, 2))
 _TOP = 98
 """Percentile of the map without taps at which the colours end."""
 
 
 class ErrorMap:
-    """Maps the expected error of a light touch.
+    """Maps the expected error of a light touch at `grid` places along each side of a fitted plate.
 
-    Parameters
-    ----------
-    atlas : Atlas
-        The fitted field.
-    reference : Path
-        Untouched frames, which tell the noise.
-    widths : Widths
-        How far the places of the fit may be off.
+    `noise_counts` is the standard deviation of a sample's noise, ADC counts.
     """
 
-    def __init__(self, atlas: Atlas, reference: Path, widths: Widths) -> None:
+    def __init__(self, atlas: Atlas, noise_counts: float, widths: Widths, grid: int = GRID) -> None:
         d = atlas.description
         self._atlas, self._widths = atlas, widths
-        self._size_mm = sides = d.plate.width_mm, d.plate.height_mm
-        x_mm, y_mm = ((np.arange(GRID) + 0.5) / GRID * side for side in sides)
+        self._size_mm = d.plate.size_mm
+        x_mm, y_mm = ((np.arange(grid) + 0.5) / grid * side for side in self._size_mm)
         self._places_mm = np.stack(np.meshgrid(x_mm, y_mm), axis=-1).reshape(-1, 2)
-        self._reach_mm = REACH * max(sides)
+        self._reach_mm = REACH * max(self._size_mm)
         self._bound_mm = bound_mm(*FieldMap(atlas).look_up(self._places_mm), 1.0)
-        noise2 = float(read(reference).frames.var(axis=0, ddof=1, dtype=np.float64).mean())
         window = float(np.square(d.to_bins).sum()) / (2 * len(d.bins))
-        self._noise = d.noise_scale * BASELINE_NOISE * noise2 * window
+        self._noise = d.noise_scale * BASELINE_NOISE * noise_counts**2 * window
         self._own = d.field_scale * float(atlas.error.mean()) / 2
+        self._shape = grid, grid
         fitted_mm = self.error_mm(None)
         self._fitted_mm, self._top_mm = float(np.median(fitted_mm)), float(np.percentile(fitted_mm, _TOP))
 
     def error_mm(self, taps: Taps | None) -> Floats:
-        """Return the expected error, shape (GRID, GRID), rows from the top."""
-        field, common_mm = np.full(len(self._places_mm), self._own), self._common_mm(np.empty((0, 2)), 1.0)
-        if taps is not None:
-            placed = place(self._atlas, taps.values, taps.label_mm)
-            fits = placed.misfit < FITS
-            placed_mm = placed.position_mm[fits]
-            energy = np.square(np.abs(taps.values[fits])).sum(axis=(1, 2))
-            left = placed.misfit[fits] * energy / (2 * taps.values[0].size * np.square(np.abs(placed.amplitude[fits])))
-            apart_mm = np.linalg.norm(self._places_mm[:, None] - placed_mm, axis=2)
-            near = np.exp(-np.square(apart_mm / self._reach_mm) / 2)
-            measured = near @ (self._atlas.description.field_scale * left)
-            field = (PRIOR_TAPS * self._own + measured) / (PRIOR_TAPS + near.sum(axis=1))
-            if fits.any():
-                hit, label_mm = hits(placed_mm, taps.label_mm[fits]), taps.label_mm[fits]
-                scatter_mm = label_scatter_mm(placed_mm[hit], label_mm[hit], self._size_mm, self._widths)
-                common_mm = self._common_mm(placed_mm[hit], scatter_mm)
-        own_mm = self._bound_mm * np.sqrt(self._noise + field)
-        return np.sqrt(own_mm**2 + common_mm**2 + self._widths.varying_mm**2).reshape(GRID, GRID)
+        """Return the expected error after taps, shape (grid, grid), rows from the top."""
+        if taps is None:
+            return self.after()
+        placed = place(self._atlas, taps.values, taps.label_mm)
+        fits = placed.misfit < FITS
+        if not fits.any():
+            return self.after()
+        placed_mm, label_mm = placed.position_mm[fits], taps.label_mm[fits]
+        energy = np.square(np.abs(taps.values[fits])).sum(axis=(1, 2))
+        left = placed.misfit[fits] * energy / (2 * taps.values[0].size * np.square(np.abs(placed.amplitude[fits])))
+        apart_mm = np.linalg.norm(self._places_mm[:, None] - placed_mm, axis=2)
+        near = np.exp(-np.square(apart_mm / self._reach_mm) / 2)
+        measured = near @ (self._atlas.description.field_scale * left)
+        field = (PRIOR_TAPS * self._own + measured) / (PRIOR_TAPS + near.sum(axis=1))
+        hit = hits(placed_mm, label_mm)
+        scatter_mm = label_scatter_mm(placed_mm[hit], label_mm[hit], self._size_mm, self._widths)
+        return self.after(placed_mm[hit], scatter_mm, field)
 
-    def _common_mm(self, placed_mm: Floats, scatter_mm: float) -> Floats:
-        return left_mm(self._places_mm, placed_mm, scatter_mm, self._size_mm, self._widths)
+    def after(self, placed_mm: Floats = NOWHERE, scatter_mm: float = 1.0, field: Floats | None = None) -> Floats:
+        """Return the expected error after taps at `placed_mm` (n, 2), whose labels err by `scatter_mm` per axis.
+
+        `field`, of shape (places,), is what the field has wrong at strength 1: by default what its atlas expects.
+        """
+        own_mm = self._bound_mm * np.sqrt(self._noise + (self._own if field is None else field))
+        common_mm = left_mm(self._places_mm, placed_mm, scatter_mm, self._size_mm, self._widths)
+        return np.sqrt(own_mm**2 + common_mm**2 + self._widths.varying_mm**2).reshape(self._shape)
 
     def shown(self, taps: Taps | None) -> dict[str, Any]:
         """Return the map for the page: rows of mm, its median, that without taps, and where the colours end."""
