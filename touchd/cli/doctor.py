@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from touchd.cli.options import config_option
 from touchd.doctor.checks import Finding, Sample
 from touchd.errors import BusError, CheckFailed, TouchdError
 
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 _COLOURS = {"ok": "green", "warning": "yellow", "failure": "red"}
 
 
-@click.command(name="doctor", short_help="Check the whole set-up.")
+@click.command()
 @click.option("--replay", type=click.Path(path_type=Path), help="Check the frames of a recording, not of the DAQ.")
 @click.option("--simulate", metavar="SCENE", help="Check the frames of a twin's scene, not of the DAQ.")
 @click.option("--ni", is_flag=True, help="Check the frames of NI hardware, not of the DAQ on USB.")
@@ -35,10 +36,8 @@ _COLOURS = {"ok": "green", "warning": "yellow", "failure": "red"}
               "[default: MODEL.untouched.npz beside the model]")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 @click.option("--lines", "as_lines", is_flag=True, help="Print one JSON object a line, as each check ends.")
-@click.option("--config", "config", type=click.Path(path_type=Path), help="Configuration file (TOML).")
-@click.pass_context
+@config_option
 def command(
-    ctx: click.Context,
     replay: Path | None,
     simulate: str | None,
     ni: bool,
@@ -59,7 +58,7 @@ def command(
     from touchd.service.log import configure
     from touchd.sources.open import SourceChoice
 
-    settings = load(config or (ctx.obj or {}).get("config"))
+    settings = load(config)
     choice = SourceChoice(replay, simulate, float("inf"), seed=seed, ni=ni, audio=audio)
     configure(settings.log.model_copy(update={"level": "error"}))
     findings = []
