@@ -49,7 +49,6 @@ class AlsaCard:
     ----------
     name : str
         As `arecord -L` lists it; `hw:CARD=...` does not resample.
-    rate_hz : int
     inputs : int
         How many are needed; the card may have more.
 

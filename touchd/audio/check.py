@@ -107,7 +107,6 @@ def check(card: Card, *, restarts: int, seconds: float, level_dbfs: float, progr
 
     Parameters
     ----------
-    card : Card
     restarts : int
         How many starts tell how stable the delay is.
     seconds : float

@@ -106,8 +106,6 @@ def by_reference(captured: Floats, reference: Floats, chirp: Chirp, rate_hz: flo
         The mean of some periods, ADC counts.
     reference : array of shape (channels, samples)
         With the chirp's start at sample 0.
-    chirp : Chirp
-    rate_hz : float
 
     Raises
     ------

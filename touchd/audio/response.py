@@ -29,7 +29,6 @@ def check_band(captured: Floats, loop: Floats, rate_hz: float) -> None:
     captured : array of shape (channels, period)
     loop : array of shape (period,)
         What is played.
-    rate_hz : float
     """
     played = np.abs(np.fft.rfft(loop)) ** 2
     heard = (np.abs(np.fft.rfft(captured)) ** 2).sum(axis=0)

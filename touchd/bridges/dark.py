@@ -39,7 +39,6 @@ class HoldOff:
 
     Parameters
     ----------
-    output : Output
     dark : callable
         Asked every 0.2 s.
     """

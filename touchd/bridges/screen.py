@@ -28,7 +28,6 @@ class Screen(Output):
     ----------
     area : Area
         Where the screen lies on the plate.
-    device : Writer
     """
 
     topics = ("touch", "health")

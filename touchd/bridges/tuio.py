@@ -112,12 +112,10 @@ class Tuio(Output):
 
     Parameters
     ----------
-    area : Area
     to : tuple
         Numeric host, and port.
     name : str
         Of the source.
-    now_ns : int
     """
 
     topics = ("touch", "health")

@@ -48,7 +48,6 @@ def run(
         objects, source code and libraries are the same.
     shared : mapping
         Large objects by name, sent to each worker once. A `Shared` brings its own digest; of others it is computed.
-    progress : callable, optional
 
     Raises
     ------

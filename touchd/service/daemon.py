@@ -70,7 +70,6 @@ def open_parts(settings: Settings, stack: ExitStack, step: Step = nullcontext) -
 
     Parameters
     ----------
-    settings : Settings
     stack : ExitStack
         Closes the parts.
     step : callable
@@ -208,8 +207,6 @@ def run(
 
     Parameters
     ----------
-    settings : Settings
-    choice : SourceChoice
     echo : bool
         Also print each event as a line of JSON on standard output.
     await_subscriber_s : float

@@ -28,9 +28,6 @@ class Health:
     ----------
     source : Source
         A live one counts the frames that never reached the pipeline.
-    pipeline : Pipeline
-    messages : Messages
-    settings : HealthSettings
     """
 
     def __init__(self, source: Source, pipeline: Pipeline, messages: Messages, settings: HealthSettings) -> None:
@@ -65,7 +62,6 @@ class Health:
             CLOCK_MONOTONIC, ns.
         stream_ns : int
             Time of the last frame, ns; 0 before the first one.
-        state : State
         reason : str or None
             Of the state, for a person.
         """

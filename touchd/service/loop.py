@@ -53,14 +53,12 @@ class Service:
         The service manager: gets readiness, state and heartbeats.
     awake : Awake, optional
         Keeps the processors awake while the plate is touched.
-    preroll : PreRoll, optional
     control : Control, optional
         Where commands come from.
     reloader : Reloader, optional
         Reloads the configuration.
     feed : FrameFeed, optional
         Hands frames to programs that ask for them through `control`, and describes the plate for its messages.
-    rate : ScanRate, optional
     """
 
     def __init__(

@@ -42,7 +42,6 @@ class PreRoll:
         Frames a second.
     meta : callable
         Returns the description of a recording, dated now.
-    settings : PreRollSettings
     clock : callable
         Monotonic time, ns.
     interval_s : float

@@ -27,7 +27,6 @@ class ScanRate:
     ----------
     source : Source
         One that is no AdjustableSource keeps its rate.
-    settings : DeviceSettings
     """
 
     def __init__(self, source: Source, settings: DeviceSettings) -> None:

@@ -76,7 +76,6 @@ class Awake:
     ----------
     from_hz : float
         The lowest frame rate at which it does so; 0 is never.
-    device : Path
     """
 
     def __init__(self, from_hz: float, device: Path = CPU_LATENCY) -> None:

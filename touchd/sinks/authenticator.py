@@ -28,7 +28,6 @@ class Authenticator:
     ----------
     context : zmq.Context
         That of the publisher. The authenticator must exist before the publisher is bound.
-    keys : ClientKeys
     """
 
     def __init__(self, context: zmq.Context[zmq.Socket[bytes]], keys: ClientKeys) -> None:

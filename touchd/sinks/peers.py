@@ -72,7 +72,6 @@ class Peers:
     ----------
     publisher : zmq.Socket
         An XPUB socket with XPUB_VERBOSER, before it is bound.
-    topics : sequence of str
     most : int
         Connections at once, and at most half of the process's descriptors. One more takes the place of one that has
         not subscribed, or of one of a peer that has several more; else it is refused.

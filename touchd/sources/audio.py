@@ -73,9 +73,6 @@ class AudioDaq:
 
     Parameters
     ----------
-    card : Card
-    settings : AudioSettings
-    acquisition : Acquisition
     reference : array of shape (channels, samples), optional
         The untouched response that the model was made from.
     clock : callable

@@ -19,8 +19,6 @@ class DeviceSearch:
 
     Parameters
     ----------
-    candidates : callable
-    settings : DeviceSettings
     check : callable
         Raises a TouchdError if a device with this acquisition must not be used.
     """

@@ -48,7 +48,6 @@ class DaqSource:
     ----------
     candidates : callable
         Lists the devices to choose from; the first that can be used is.
-    settings : DeviceSettings
     acquisition : Acquisition
         What the frames must look like.
     check : callable

@@ -36,7 +36,6 @@ class NiDaq:
 
     Parameters
     ----------
-    settings : NiSettings
     acquisition : Acquisition
         The chirp to play, and the frames to sample.
 

@@ -31,7 +31,6 @@ class SimulatedSource:
     ----------
     scene : str
         One of `touchd.twin.scenes.catalogue.SCENES`.
-    seed : int
     frames : int, optional
         Frames of one lap; by default as many as the scene needs.
     paced : bool

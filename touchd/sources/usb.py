@@ -143,7 +143,6 @@ def candidates(settings: DeviceSettings, backend: Any = None) -> Iterator[Callab
 
     Parameters
     ----------
-    settings : DeviceSettings
     backend : usb.backend.IBackend, optional
         Instead of libusb.
 
@@ -189,7 +188,6 @@ def open_usb(
 
     Parameters
     ----------
-    settings : DeviceSettings
     acquisition : Acquisition, optional
         What the frames must look like; the device may then be plugged in later, and `check` compares (see `DaqSource`).
         Without it the device must be plugged in, and decides.

@@ -219,7 +219,6 @@ class FrameReader:
 
         Parameters
         ----------
-        data : memoryview
         ended : bool
             A short packet has closed the transfer: no later byte belongs to a frame that has begun in it.
         """

@@ -106,14 +106,7 @@ class Access:
 
 
 class Guard:
-    """Refuses what `Access` refuses and bodies that are too large, and adds the security headers to every answer.
-
-    Parameters
-    ----------
-    app : ASGI application
-    access : Access
-    open_paths : collection of str
-    """
+    """Refuses what `Access` refuses and bodies that are too large, and adds the security headers to every answer."""
 
     def __init__(self, app: ASGIApp, access: Access, open_paths: Collection[str]) -> None:
         self._app, self._access, self._open_paths = app, access, open_paths
