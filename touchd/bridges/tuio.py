@@ -57,8 +57,6 @@ class Frames:
         `NAME@ADDRESS`.
     size_mm : tuple of float
         Width and height of the screen.
-    now_ns : int
-        CLOCK_MONOTONIC.
     """
 
     def __init__(self, source: str, size_mm: tuple[float, float], now_ns: int) -> None:

@@ -126,8 +126,6 @@ def make_service(
     ----------
     source, sinks, settings, model
         Without a model it is uncalibrated.
-    clock : callable
-        CLOCK_MONOTONIC, ns.
     manager, preroll, control, feed
         Optional parts of the service.
     read_settings : callable, optional

@@ -47,8 +47,6 @@ class Service:
     ----------
     source, pipeline, messages, sinks, health
         What it runs; source and sinks are closed at the end.
-    clock : callable
-        CLOCK_MONOTONIC, ns.
     manager : Notifier, optional
         The service manager: gets readiness, state and heartbeats.
     awake : Awake, optional

@@ -24,8 +24,6 @@ class JsonlSink:
     ----------
     stream : TextIO
         Where the lines go. It stays open.
-    clock : Callable
-        CLOCK_MONOTONIC in ns, for the latency.
     """
 
     def __init__(self, stream: TextIO, clock: Callable[[], int] = time.monotonic_ns) -> None:

@@ -75,8 +75,6 @@ class Peers:
     most : int
         Connections at once, and at most half of the process's descriptors. One more takes the place of one that has
         not subscribed, or of one of a peer that has several more; else it is refused.
-    clock : callable
-        Monotonic time, s.
     """
 
     def __init__(

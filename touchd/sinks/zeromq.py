@@ -40,8 +40,6 @@ class ZeromqSink:
     ----------
     settings : BusSettings
         Addresses, keys, permissions and the high-water mark.
-    clock : Callable
-        CLOCK_MONOTONIC in ns, for the latency.
 
     Raises
     ------

@@ -75,8 +75,6 @@ class AudioDaq:
     ----------
     reference : array of shape (channels, samples), optional
         The untouched response that the model was made from.
-    clock : callable
-        Monotonic time, ns.
     """
 
     corrupt = 0

@@ -54,8 +54,6 @@ class DaqSource:
         Raises a TouchdError if a device with another acquisition must not be used: it is skipped.
     device : Device, optional
         Serial number and firmware, if the device was open before.
-    clock : callable
-        Monotonic time, ns.
     direct : bool
         The caller of `read` may read the device, which can wait for it.
     """

@@ -62,10 +62,6 @@ class Recorder:
         File or folder to write; it must not exist yet.
     meta : Meta
         The recording's description, see `describe`.
-    chunk_frames : int
-        Frames in a chunk.
-    max_file_frames : int
-        Frames in a single file.
 
     Raises
     ------

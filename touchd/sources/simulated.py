@@ -39,10 +39,6 @@ class SimulatedSource:
         Restart at the end. Sequence and time continue.
     instrument : Instrument, optional
         By default that of the default plate.
-    clock : callable
-        Monotonic time, ns.
-    sleep : callable
-        Waits, s.
 
     Raises
     ------
