@@ -61,4 +61,4 @@ def command(
         )  # fmt: skip
         url = f"http://{shown}:{port}/#token={access.token}"
         debug = bool((settings or {}).get("debug"))
-        serve(site, [listening], lambda: click.echo(f"touchd: open {url}"), manager, debug=debug)
+        serve(site, listening, lambda: click.echo(f"touchd: open {url}"), manager, debug=debug)

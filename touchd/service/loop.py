@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 
 import structlog
 
@@ -11,7 +11,7 @@ from touchd import __version__
 from touchd.event import Event, State
 from touchd.frame import Frame
 from touchd.outcome import Outcome
-from touchd.pipeline import Pipeline
+from touchd.pipeline import Pipeline, Result
 from touchd.service.control import Control
 from touchd.service.frame_feed import FrameFeed
 from touchd.service.health import Health
@@ -137,7 +137,7 @@ class Service:
                     self._enter(self._flowing)
                 result = pipeline.process(frame)
                 if result.contacts or result.touches:
-                    self._publish(self._messages.make(result, pipeline.spectrum), frame.received_ns)
+                    self._publish(result, frame.received_ns)
                 if labelled is not None and (true := self._messages.truth(frame, labelled)) is not None:
                     self._hand(true, frame.received_ns)
                 if preroll is not None:
@@ -159,8 +159,7 @@ class Service:
         touched = self.pipeline.touched
         if now_ns - self._tick_ns >= (_TICK_NS if touched else _IDLE_TICK_NS):
             self._tick(now_ns)
-        if touched is not self._awake.held:
-            self._awake.update(touched, period_ns)
+        self._awake.update(touched, period_ns)
 
     def _wait(self) -> None:
         """Do what is due while no frame comes."""
@@ -182,8 +181,8 @@ class Service:
         self._withheld = withheld
         for name, count in withheld.items():
             if count != before.get(name, 0):
-                result = self.pipeline.withheld(now_ns, f"the DAQ measures nothing: {name.replace('_', ' ')}")
-                self._publish(self._messages.make(result, self.pipeline.spectrum), now_ns)
+                reason = f"the DAQ measures nothing: {name.replace('_', ' ')}"
+                self._publish(self.pipeline.withheld(now_ns, reason), now_ns)
 
     def _tick(self, now_ns: int) -> None:
         self._tick_ns = now_ns
@@ -225,8 +224,7 @@ class Service:
 
     def _set_screen(self, *, off: bool, now_ns: int) -> None:
         before = self.pipeline.screen_off
-        result = self.pipeline.set_screen(off=off)
-        self._publish(self._messages.make(result, self.pipeline.spectrum), now_ns)
+        self._publish(self.pipeline.set_screen(off=off), now_ns)
         if self.pipeline.screen_off != before:
             if self._rate is not None and before:
                 self._rate.wake()
@@ -235,12 +233,11 @@ class Service:
 
     def _release(self, now_ns: int) -> None:
         """Lift all contacts: without frames nobody knows where the fingers are."""
-        result = self.pipeline.release(self._stream_ns)
-        self._publish(self._messages.make(result, self.pipeline.spectrum), now_ns)
+        self._publish(self.pipeline.release(self._stream_ns), now_ns)
 
-    def _publish(self, events: Iterable[Event], received_ns: int) -> None:
+    def _publish(self, result: Result, received_ns: int) -> None:
         event = None
-        for event in events:
+        for event in self._messages.make(result, self.pipeline.spectrum):
             self._hand(event, received_ns)
         if event is not None:
             self._health.add_latency((self._clock() - received_ns) * 1e-3)

@@ -1,4 +1,4 @@
-"""The USB protocol, version 1, as bytes: build and parse GET_INFO, GET_STATUS and frames.
+"""The USB protocol, version 1, as bytes: build and parse GET_INFO and frames, build GET_STATUS.
 
 It touches no device and needs only the standard library, so that a device written in Python can use it too.
 docs/usb-protocol.md is the specification.
@@ -17,7 +17,6 @@ PROTOCOL: Final = 1
 INTERFACE_CLASS: Final = (0xFF, 0x54, 0x01)
 """Class, subclass and protocol of the interface descriptor."""
 INFO_BYTES: Final = 64
-STATUS_BYTES: Final = 32
 HEADER_BYTES: Final = 32
 UNKNOWN_TEMPERATURE: Final = -32768
 SEQUENCE_SPAN: Final = 1 << 32
@@ -31,7 +30,7 @@ _STATUS = struct.Struct("<QIIhB13x")
 _HEADER = struct.Struct("<4sBBHIBBHQhHI")
 _CRC_OFFSET = 28
 _NO_CRC = bytes(4)
-assert (_INFO.size, _STATUS.size, _HEADER.size) == (INFO_BYTES, STATUS_BYTES, HEADER_BYTES)
+assert (_INFO.size, _HEADER.size) == (INFO_BYTES, HEADER_BYTES)
 
 
 class Request(IntEnum):
@@ -161,14 +160,6 @@ def build_status(status: Status) -> bytes:
     )  # fmt: skip
 
 
-def parse_status(data: bytes) -> Status:
-    """Read the answer to GET_STATUS; raises ProtocolFault if it is too short."""
-    if len(data) < STATUS_BYTES:
-        raise ProtocolFault(f"GET_STATUS answers {len(data)} bytes, not {STATUS_BYTES}")
-    frames_sent, overruns, trigger_faults, temperature, running = _STATUS.unpack_from(data)
-    return Status(frames_sent, overruns, trigger_faults, temperature, bool(running))
-
-
 def build_frame(info: Info, header: Header, samples: bytes) -> bytes:
     """Return a frame: header with its CRC, then the samples, int16 and interleaved (s0c0 s0c1 ... s1c0 ...)."""
     if len(samples) != info.frame_bytes - HEADER_BYTES:
@@ -222,9 +213,6 @@ class FrameReader:
         ended : bool
             A short packet has closed the transfer: no later byte belongs to a frame that has begun in it.
         """
-        if (found := self.whole(data, len(data))) is not None:
-            yield found
-            return
         self._pending += data
         yield from self._search()
         if ended:
