@@ -92,8 +92,8 @@ def run(
             if store:
                 store.save(tasks[name].key, result)
             take(name, result)
-    for failure in failures[:1]:
-        raise failure
+    if failures:
+        raise failures[0]
     return {job.name: results[job.name] for job in jobs}
 
 

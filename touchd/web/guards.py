@@ -133,7 +133,7 @@ class Guard:
                     message["headers"].append((b"cache-control", b"no-store"))
             await send(message)
 
-        if refusal is None and _body_bytes(scope) > MOST_BODY_BYTES:
+        if refusal is None and not _body_fits(scope):
             refusal = 413, "too large"
         if refusal:
             await PlainTextResponse(refusal[1], refusal[0])(scope, receive, with_headers)
@@ -141,12 +141,12 @@ class Guard:
             await self._app(scope, receive, with_headers)
 
 
-def _body_bytes(scope: Scope) -> float:
-    """Return the announced size of a body; without one, 0, or infinity where it comes in unknown pieces."""
-    if _headers(scope, b"transfer-encoding"):
-        return float("inf")
+def _body_fits(scope: Scope) -> bool:
+    """Return whether a request has no body, or one whose size it announces, and not more than is taken."""
     sizes = _headers(scope, b"content-length")
-    return int(sizes[0]) if len(sizes) == 1 and sizes[0].isascii() and sizes[0].isdigit() else float(bool(sizes)) * 1e99
+    if _headers(scope, b"transfer-encoding") or len(sizes) > 1:
+        return False
+    return all(size.isascii() and size.isdigit() and int(size) <= MOST_BODY_BYTES for size in sizes)
 
 
 def _headers(scope: Scope, name: bytes) -> list[str]:
