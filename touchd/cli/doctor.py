@@ -89,14 +89,13 @@ def _examine(settings: Settings, choice: SourceChoice, seconds: float, reference
     from touchd.doctor import usb as doctorusb
     from touchd.doctor.screen import check_screen
     from touchd.doctor.start import check_start, failure
-    from touchd.service.control import SERVICE_PATH, path_of
-    from touchd.service.frame_feed import open_daemon
+    from touchd.service.frame_feed import open_running
     from touchd.service.models import settings_for
 
     yield doctorhost.check_clock()
     running = None
     try:
-        running = open_daemon(path_of(settings.control) or SERVICE_PATH) if choice.kind == "usb" else None
+        running = open_running(choice, settings)
     except BusError as error:
         yield Finding("daemon", "warning", f"{error.where}: {error.what}", error.fix)
     if running is None or running.description.source not in ("simulated", "replay"):

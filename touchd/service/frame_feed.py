@@ -166,7 +166,7 @@ def rate_of(source: Source, settings: DeviceSettings) -> float:
 
 def open_running(choice: SourceChoice, settings: Settings) -> DaemonSource | None:
     """Return the frames of the running daemon, unless another source than the DAQ was chosen; None without a daemon."""
-    return open_daemon(path_of(settings.control) or SERVICE_PATH) if choice == SourceChoice() else None
+    return open_daemon(path_of(settings.control) or SERVICE_PATH) if choice.kind == "usb" else None
 
 
 def open_daemon(control: Path) -> DaemonSource | None:

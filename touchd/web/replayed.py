@@ -13,10 +13,10 @@ from msgspec.json import encode
 
 from touchd.config.load import load
 from touchd.event import Contact
-from touchd.service.daemon import make_pipeline
-from touchd.service.frame_feed import FeedDescription
+from touchd.service.daemon import describer, make_pipeline
 from touchd.service.messages import Messages, all_but_spectra
 from touchd.service.runner import frames_of
+from touchd.sources.open import SourceChoice
 from touchd.sources.replay import ReplaySource
 
 _TOLD = 250
@@ -28,11 +28,7 @@ def main(recording: str, folder: str, config: str) -> None:
     settings = load(Path(config) if config else None)
     source = ReplaySource(Path(recording), speed=float("inf"))
     pipeline = make_pipeline(source, settings, notify=lambda _reason, _fields: None)
-    meta = source.meta
-    described = FeedDescription(
-        acquisition=source.acquisition, rate_hz=meta.frame_rate_hz, source=meta.source or "replay", plate=meta.plate,
-        emitter_mm=meta.emitter_mm, receivers_mm=meta.receivers_mm or (),
-    )  # fmt: skip
+    described = describer(source, settings, SourceChoice(replay=Path(recording)), pipeline)()
     plate = Messages(settings, all_but_spectra).plate(described, pipeline.layout, 0)
     alive: list[Contact] = []
     offsets, counts, first_ns = [0], [], None
