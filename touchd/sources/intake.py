@@ -31,10 +31,6 @@ class Numbering:
         corrupt : int
             Corrupt frames so far: those since the last frame are not lost.
         """
-        if self._sequence is not None and sequence == self._sequence + 1 and self._number is not None:
-            self._sequence, self._corrupt = sequence, corrupt
-            self._number += 1
-            return self._number, 0
         step, lost = 1, 0
         if self._number is None:
             self._number = sequence - 1

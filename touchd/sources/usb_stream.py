@@ -192,11 +192,7 @@ class UsbDaq:
     def _decode(self, header: Header, samples: memoryview) -> DaqFrame:
         """Return a frame whose counts are a view of the transfer."""
         counts = np.frombuffer(samples, "<i2").reshape(self._shape).T
-        sequence, _, flags, _ = header
-        if self._sequence is not None and sequence == self._sequence + 1:
-            self._sequence = sequence
-        else:
-            sequence = self._unwrap(sequence)
+        flags, sequence = header.flags, self._unwrap(header.sequence)
         if not flags:
             return DaqFrame(counts, sequence, header.timestamp_us)
         withheld = ""
