@@ -105,8 +105,6 @@ class Recorder:
 
         Raises
         ------
-        EndOfStream
-            The source has no further frame.
         OutputError
             A chunk could not be written, or a single file is full; `close` still saves what is in memory.
         """
