@@ -70,8 +70,6 @@ def open_parts(settings: Settings, stack: ExitStack, step: Step = nullcontext) -
 
     Parameters
     ----------
-    stack : ExitStack
-        Closes the parts.
     step : callable
         Returns the context in which the part of that name is opened. A context that suppresses an error has the other
         parts opened nevertheless.
@@ -126,8 +124,6 @@ def make_service(
     ----------
     source, sinks, settings, model
         Without a model it is uncalibrated.
-    manager, preroll, control, feed
-        Optional parts of the service.
     read_settings : callable, optional
         Reads the configuration, for `Service.reload`.
     pipeline : Pipeline, optional

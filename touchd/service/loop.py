@@ -47,14 +47,6 @@ class Service:
     ----------
     source, pipeline, messages, sinks, health
         What it runs; source and sinks are closed at the end.
-    manager : Notifier, optional
-        The service manager: gets readiness, state and heartbeats.
-    awake : Awake, optional
-        Keeps the processors awake while the plate is touched.
-    control : Control, optional
-        Where commands come from.
-    reloader : Reloader, optional
-        Reloads the configuration.
     feed : FrameFeed, optional
         Hands frames to programs that ask for them through `control`, and describes the plate for its messages.
     """

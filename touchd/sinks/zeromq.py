@@ -36,11 +36,6 @@ class ZeromqSink:
     subscriber gets the last message of its topic. XPUB cannot address one subscriber: all of that topic receive it
     again, byte for byte, with the same `seq`.
 
-    Parameters
-    ----------
-    settings : BusSettings
-        Addresses, keys, permissions and the high-water mark.
-
     Raises
     ------
     AddressInUse

@@ -32,12 +32,7 @@ _DRIVER_FIX = "install NI-DAQmx, which the package needs"
 
 
 class NiDaq:
-    """An open rig.
-
-    Parameters
-    ----------
-    acquisition : Acquisition
-        The chirp to play, and the frames to sample.
+    """An open rig, which plays the chirp of `acquisition` and samples its frames.
 
     Raises
     ------

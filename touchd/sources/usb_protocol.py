@@ -178,12 +178,8 @@ class FrameReader:
     """Find the valid frames in the transfers of a bulk endpoint.
 
     Normally a transfer is a frame. If it is not (a read timed out within a frame, a frame is cut short, rubbish comes),
-    the reader searches byte by byte for the next frame with a valid header and CRC.
-
-    Parameters
-    ----------
-    info : Info
-        The geometry of the frames; a frame of another size is corrupt.
+    the reader searches byte by byte for the next frame with a valid header and CRC. A frame of another geometry than
+    `info` says is corrupt.
     """
 
     def __init__(self, info: Info) -> None:
@@ -206,12 +202,8 @@ class FrameReader:
         """Take the data of one read, and yield the header and the samples of each valid frame.
 
         The samples are a view of bytes, valid while `data` does not change. At each frame `corrupt` holds the corrupt
-        frames before it.
-
-        Parameters
-        ----------
-        ended : bool
-            A short packet has closed the transfer: no later byte belongs to a frame that has begun in it.
+        frames before it. `ended` says that a short packet has closed the transfer: no later byte belongs to a frame
+        that has begun in it.
         """
         self._pending += data
         yield from self._search()
