@@ -36,15 +36,7 @@ def command(settings: dict[str, Path | None] | None, to: str | None, address: st
 
 
 def destination(to: str, *, insecure: bool) -> tuple[str, int]:
-    """Return host and port.
-
-    Raises
-    ------
-    ConfigError
-        The text names none.
-    InsecureBind
-        They are beyond loopback, and nobody allowed that.
-    """
+    """Return host and port; raise ConfigError for other texts, InsecureBind beyond loopback, unless that is allowed."""
     host, _, port = to.rpartition(":")
     host = host.strip("[]")
     try:
