@@ -190,13 +190,12 @@ class FrameReader:
         self._pending = bytearray()
         self._skipped = 0  # bytes since the last valid frame, or the last end of a transfer
 
-    def whole(self, data: memoryview, size: int) -> tuple[Header, memoryview] | None:
-        """Return the header and samples of data whose first `size` bytes are one valid frame and no more; else None."""
-        if size != self._frame_bytes or self._pending:
+    def whole(self, data: memoryview) -> tuple[Header, memoryview] | None:
+        """Return the header and samples of data that are one valid frame and no more; else None."""
+        if len(data) != self._frame_bytes or self._pending:
             return None
-        frame = data if len(data) == size else data[:size]
-        header = self._header(frame, 0)
-        return (header, frame[HEADER_BYTES:]) if header is not None and self._intact(frame) else None
+        header = self._header(data, 0)
+        return (header, data[HEADER_BYTES:]) if header is not None and self._intact(data) else None
 
     def feed(self, data: memoryview, *, ended: bool) -> Iterator[tuple[Header, memoryview]]:
         """Take the data of one read, and yield the header and the samples of each valid frame.

@@ -143,11 +143,11 @@ class UsbDaq:
             size = self._read_transfer(round(timeout_s * 1000))
             if size is None:
                 return None
-            # Nearly every transfer is one whole frame.
-            found = self._reader.whole(self._view, size)
+            data = self._view[:size]
+            found = self._reader.whole(data)  # as nearly every transfer is
             if found is None:
                 ended = size == 0 or size % self._connection.packet_bytes != 0
-                self._found = self._reader.feed(self._view[:size], ended=ended)
+                self._found = self._reader.feed(data, ended=ended)
                 found = next(self._found, None)
         return None if found is None else self._decode(*found)
 
