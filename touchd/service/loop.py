@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 import structlog
 
 from touchd import __version__
+from touchd.config.schema import DeviceSettings
 from touchd.event import Event, State
 from touchd.frame import Frame
 from touchd.outcome import Outcome
@@ -77,7 +78,8 @@ class Service:
         # A device reports its states; of any other source only the silence is known.
         self._live = source if isinstance(source, LiveSource) else None
         self._withheld: dict[str, int] = {}
-        self._feed, self._rate = feed, rate
+        self._feed = feed
+        self._rate = rate or ScanRate(source, DeviceSettings())
         self._state: State = "starting"
         self._flowing: State = "streaming" if pipeline.model else "uncalibrated"
         self._reason: str | None = None
@@ -136,7 +138,7 @@ class Service:
                     preroll.keep(frame, result.contacts)
                 if feed is not None and feed.listeners:
                     feed.send(frame)
-                if result.outcome is not Outcome.UNTOUCHED and rate is not None:
+                if result.outcome is not Outcome.UNTOUCHED:
                     rate.touched(frame.t_ns, result.outcome)
                 self._finish(frame)
             if self.stopped:
@@ -183,9 +185,8 @@ class Service:
         quiet_ns = now_ns - self._health_ns
         if quiet_ns >= self._health.period_ns and (quiet_ns >= _UNHEARD_NS or self._messages.wants("health")):
             self._publish_health()
-        if self._rate is not None:
-            self._rate.wanted = self._feed is not None and bool(self._feed.listeners)
-            self._rate.tick(self._stream_ns)
+        self._rate.wanted = self._feed is not None and bool(self._feed.listeners)
+        self._rate.tick(self._stream_ns)
         if self._control is not None and now_ns - self._control_ns >= _CONTROL_NS:
             self._control_ns = now_ns
             self._obey(self._control, now_ns)
@@ -218,7 +219,7 @@ class Service:
         before = self.pipeline.screen_off
         self._publish(self.pipeline.set_screen(off=off), now_ns)
         if self.pipeline.screen_off != before:
-            if self._rate is not None and before:
+            if before:
                 self._rate.wake()
             log.info("screen", state="off" if off else "on")
             self._publish_health()
