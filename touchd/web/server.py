@@ -26,7 +26,7 @@ from touchd.web.guards import Guard
 from touchd.web.site import Site
 
 VIEWS: tuple[ModuleType, ...] = (pages, live, replay, calibrate, check)
-"""Each with `routes(site)`; one with `begin(site)` runs that beside requests."""
+"""Each with `routes(site)`."""
 _END_S = 2
 """Open WebSockets may hold up the end for as long."""
 _BEAT_S = 0.25
@@ -72,10 +72,7 @@ def make_app(site: Site) -> Starlette:
     @contextlib.asynccontextmanager
     async def lifespan(_app: Starlette) -> AsyncIterator[None]:
         site.hub.start()
-        for view in VIEWS:
-            begin = getattr(view, "begin", None)
-            if begin is not None:
-                site.tasks.add(asyncio.create_task(begin(site)))
+        site.tasks.add(asyncio.create_task(calibrate.follow_wizard(site)))
         try:
             yield
         finally:
