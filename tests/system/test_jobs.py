@@ -27,7 +27,7 @@ from tests.processes import PATIENCE_S, ROOT, environment
 from tests.system.interrupts import interrupted
 from touchd.cli.main import main
 from touchd.errors import ClusterError, JobError, TrainingError
-from touchd.jobs import Job, run
+from touchd.jobs import Job, Shared, digest, run
 from touchd.jobs import cluster as on_cluster
 from touchd.jobs.local import SECRET_BYTES, connected_here
 from touchd.lab.reproduction.experiments import looked_up
@@ -89,7 +89,7 @@ def where(request: pytest.FixtureRequest) -> dict[str, Any]:
 def test_same_bits(cluster: Cluster, tmp_path: Path) -> None:
     """Results are the same to the bit, here, on processes and on a cluster, which is not needed to read them again."""
     jobs = [Job(f"spectrum {seed}", spectrum, {"seed": seed}, ("window",)) for seed in range(4)]
-    shared = {"window": WINDOW}
+    shared = {"window": Shared(WINDOW, digest(WINDOW))}
     here, processes = run(jobs, **HERE, shared=shared), run(jobs, **PROCESSES, shared=shared)
     there = run(jobs, dask=cluster.address, shared=shared, cache=tmp_path / "cache")
     again = run(jobs, dask="tcp://nowhere:1", shared=shared, cache=tmp_path / "cache")
@@ -115,7 +115,8 @@ def test_same_touches(cluster: Cluster, tmp_path: Path, capsys: pytest.CaptureFi
 
 def test_same_experiments(cluster: Cluster, instrument: Instrument) -> None:
     """A training and a look-up of `touchd reproduce` come out alike on a cluster and here."""
-    shared = {"recording": simulate_touches(150, seed=6, instrument=instrument, margin_mm=70.0)}
+    recording = simulate_touches(150, seed=6, instrument=instrument, margin_mm=70.0)
+    shared = {"recording": Shared(recording, digest(recording))}
     jobs = [job for job in head_jobs(0, 2) if job.name in ("R, frequency", "C-3, frequency")]
     jobs += [Job("look-up", looked_up, {"method": "GCC", "residual": True}, ("recording",))]
     there, here = run(jobs, dask=cluster.address, shared=shared), run(jobs, **HERE, shared=shared)

@@ -49,7 +49,6 @@ class AlsaCard:
     ----------
     name : str
         As `arecord -L` lists it; `hw:CARD=...` does not resample.
-    rate_hz : int
     inputs : int
         How many are needed; the card may have more.
 
@@ -76,7 +75,7 @@ class AlsaCard:
             self.close()
             raise
         captured, played = self._capture.info(), self._playback.info()
-        self.inputs: int = captured["channels"]
+        self._inputs: int = captured["channels"]
         self.ahead: int = played["buffer_size"] + captured["period_size"]
         self._bytes = _BYTES[captured["format"]]
         self._outputs, self._out_bytes = played["channels"], _BYTES[played["format"]]
@@ -112,7 +111,7 @@ class AlsaCard:
             self._top_up()
         except alsaaudio.ALSAAudioError as error:
             raise CardGone(_explain(str(error), self.name)) from error
-        return _upper(data, length, self.inputs, self._bytes) if length else None
+        return _upper(data, length, self._inputs, self._bytes) if length else None
 
     def close(self) -> None:
         """Close both streams."""

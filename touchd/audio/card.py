@@ -29,7 +29,6 @@ class Card(Protocol):
     name: str
     """Stable over replugging and restarts."""
     rate_hz: int
-    inputs: int
     ahead: int
     """Samples between the call of `play` and the first sample of it that is heard, at most."""
 

@@ -10,11 +10,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.audio.card import Card, CardXrun
+from touchd.audio.card import Card, CardXrun, Floats, Samples
 from touchd.audio.delay import Doubtful, by_loopback
 from touchd.audio.response import PASSED, check_band
-
-Floats = NDArray[np.float64]
 
 PERIOD_S = 0.25
 """Of what is played: longer than any delay."""
@@ -88,7 +86,7 @@ def hear(card: Card, loop: Floats) -> Floats:
     for _ in range(3):
         card.start(loop)
         skip = card.ahead + round(_SETTLE_S * card.rate_hz)
-        blocks: list[NDArray[np.int16]] = []
+        blocks: list[Samples] = []
         taken = 0
         try:
             while taken < skip + wanted:
@@ -109,7 +107,6 @@ def check(card: Card, *, restarts: int, seconds: float, level_dbfs: float, progr
 
     Parameters
     ----------
-    card : Card
     restarts : int
         How many starts tell how stable the delay is.
     seconds : float

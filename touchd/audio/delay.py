@@ -10,12 +10,10 @@ from itertools import permutations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from touchd.audio.card import Floats
 from touchd.audio.waveform import moved
 from touchd.frame import Chirp
-
-Floats = NDArray[np.float64]
 
 GOOD = 0.5
 """Share of the captured energy that the reference explains at the right delay, at least: a wrong one explains less."""
@@ -83,8 +81,6 @@ class Delay(NamedTuple):
     """Share of the energy that the reference explains."""
     channels: Floats
     """Correlation of each channel with its reference, -1..1."""
-    stretch: float = 0.0
-    """Relative rise of the plate's resonances since the reference: temperature."""
 
 
 def by_loopback(captured: Floats, loop: Floats) -> Delay:
@@ -110,8 +106,6 @@ def by_reference(captured: Floats, reference: Floats, chirp: Chirp, rate_hz: flo
         The mean of some periods, ADC counts.
     reference : array of shape (channels, samples)
         With the chirp's start at sample 0.
-    chirp : Chirp
-    rate_hz : float
 
     Raises
     ------
@@ -149,7 +143,7 @@ def _find(captured: Floats, reference: Floats, emission: _Emission | None, wrong
     own = table[range(channels), range(channels)].sum(axis=0)
     at = int(np.argmax(own))
     _check_order(table, float(np.square(captured).sum()))
-    samples, stretch, share, alike = _refine(captured, known, reference.shape[1], at / _FINER, emission)
+    samples, share, alike = _refine(captured, known, reference.shape[1], at / _FINER, emission)
     if share < GOOD:
         raise Doubtful(wrong[1].format(share))
     # Beyond the main lobe, whose width is that of the reference's own correlation.
@@ -161,7 +155,7 @@ def _find(captured: Floats, reference: Floats, emission: _Emission | None, wrong
         raise Doubtful(
             "two delays between playback and capture fit equally well: use a wider band, or wire a loopback channel"
         )
-    return Delay(samples % period, share, alike, stretch)
+    return Delay(samples % period, share, alike)
 
 
 def _explained(captured: Floats, known: Floats) -> Floats:
@@ -199,8 +193,8 @@ def _check_order(table: Floats, energy: float) -> None:
 
 def _refine(
     captured: Floats, known: Floats, samples: int, delay: float, emission: _Emission | None
-) -> tuple[float, float, float, Floats]:
-    """Return delay, stretch, explained share and correlations of the channels, by Gauss-Newton."""
+) -> tuple[float, float, Floats]:
+    """Return delay, explained share and correlations of the channels, by Gauss-Newton."""
     stretch = 0.0
     gains = np.ones(len(known))
     for _ in range(_ROUNDS):
@@ -224,7 +218,7 @@ def _refine(
             break
     share = 1 - float(np.square(error).sum() / max(np.square(aligned).sum(), 1e-30))
     size = np.sqrt(np.maximum(np.square(aligned).sum(axis=1) * norm, 1e-30))
-    return delay, stretch, share, np.asarray(gains * norm / size)
+    return delay, share, np.asarray(gains * norm / size)
 
 
 def _stretched(known: Floats, stretch: float, emission: _Emission | None) -> Floats:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.audio.card import Samples
+from touchd.audio.card import Floats, Samples
 
 _AVERAGES = 3
 _TOP = 2**15 - 1
@@ -65,7 +65,7 @@ class HighPass:
         filtered[counts <= -_TOP] = -_TOP - 1
         return True
 
-    def around(self, period: NDArray[np.float64]) -> NDArray[np.float64]:
+    def around(self, period: Floats) -> Floats:
         """Return filtered periodic signals, shape (..., period)."""
         kernel = np.zeros(period.shape[-1])
         np.add.at(kernel, np.arange(-self.margin, self.margin + 1) % len(kernel), self._kernel)

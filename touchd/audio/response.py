@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from touchd.audio.card import Floats
 from touchd.audio.delay import Doubtful
-
-Floats = NDArray[np.float64]
 
 LOWER_RATES_HZ = (44_100, 48_000, 88_200, 96_000, 176_400, 192_000, 352_800, 384_000)
 MISSING = 10**-3.5
@@ -30,7 +29,6 @@ def check_band(captured: Floats, loop: Floats, rate_hz: float) -> None:
     captured : array of shape (channels, period)
     loop : array of shape (period,)
         What is played.
-    rate_hz : float
     """
     played = np.abs(np.fft.rfft(loop)) ** 2
     heard = (np.abs(np.fft.rfft(captured)) ** 2).sum(axis=0)
@@ -58,7 +56,7 @@ class Watch:
         Which of them are heard at all: the others are not watched.
     """
 
-    def __init__(self, response: NDArray[np.float64], alive: NDArray[np.bool_]) -> None:
+    def __init__(self, response: Floats, alive: NDArray[np.bool_]) -> None:
         energy = np.maximum(np.square(response).sum(axis=1, keepdims=True), 1.0)
         self._template: NDArray[np.float32] = np.where(alive[:, None], response / energy, 0.0).astype(np.float32)
         self._unwatched = np.where(alive, 0.0, 1.0)

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from touchd.audio.card import Floats
 from touchd.chirp import waveform
 from touchd.errors import ConfigError
 from touchd.frame import Acquisition, Chirp
-
-Floats = NDArray[np.float64]
 
 
 def rates_of(acquisition: Acquisition) -> list[int]:

@@ -49,11 +49,8 @@ def run(
     ----------
     address : str, optional
         The bus; by default the installed service, or a `touchd` on this computer.
-    output : Output
     goes_on : callable
         Asked every 0.35 s or sooner, with the time, ns; False ends the bridge.
-    clock : callable
-        CLOCK_MONOTONIC, ns.
 
     Raises
     ------

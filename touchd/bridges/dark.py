@@ -12,6 +12,7 @@ from touchd.event import KeyEvent
 CONNECTORS = Path("/sys/class/drm")
 BACKLIGHTS = Path("/sys/class/backlight")
 _LOOK_NS = 200_000_000
+"""Whether it is dark is asked this often."""
 
 
 def read(file: Path) -> str:
@@ -35,14 +36,7 @@ def is_dark() -> bool:
 
 
 class HoldOff:
-    """An output that shows nothing while it is dark: what is down lifts, and what comes down then never counts.
-
-    Parameters
-    ----------
-    output : Output
-    dark : callable
-        Asked every 0.2 s.
-    """
+    """An output that shows nothing while it is dark: what is down lifts, and what comes down then never counts."""
 
     def __init__(self, output: Output, dark: Callable[[], bool] = is_dark) -> None:
         self._output, self._dark = output, dark

@@ -41,13 +41,7 @@ class Mapping(NamedTuple):
 
 
 class Crosses:
-    """Takes one touch at each cross.
-
-    Parameters
-    ----------
-    count : int
-        How many of `CROSSES`.
-    """
+    """Takes one touch at each of the first `count` of `CROSSES`."""
 
     def __init__(self, count: int = LEAST_TOUCHES) -> None:
         self.taken: list[Touched] = []

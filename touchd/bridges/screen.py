@@ -22,14 +22,7 @@ class Writer(Protocol):
 
 
 class Screen(Output):
-    """A touch screen: to the program below it a key is a touch, and the kernel keeps what was shown.
-
-    Parameters
-    ----------
-    area : Area
-        Where the screen lies on the plate.
-    device : Writer
-    """
+    """A touch screen: to the program below it a key is a touch, and the kernel keeps what was shown."""
 
     topics = ("touch", "health")
 

@@ -49,16 +49,7 @@ class Frames:
 
     Frames and sessions count from the clock's milliseconds, so that a client takes none of a restarted bridge for a
     late or an old one; an empty frame numbered -1 begins and ends the stream. A bundle is never split: ten fingers
-    take 1000 bytes.
-
-    Parameters
-    ----------
-    source : str
-        `NAME@ADDRESS`.
-    size_mm : tuple of float
-        Width and height of the screen.
-    now_ns : int
-        CLOCK_MONOTONIC.
+    take 1000 bytes. `source` is `NAME@ADDRESS`.
     """
 
     def __init__(self, source: str, size_mm: tuple[float, float], now_ns: int) -> None:
@@ -108,17 +99,7 @@ class Frames:
 
 
 class Tuio(Output):
-    """Sends the fingers on the screen to one address, which need not listen; TUIO has no keys.
-
-    Parameters
-    ----------
-    area : Area
-    to : tuple
-        Numeric host, and port.
-    name : str
-        Of the source.
-    now_ns : int
-    """
+    """Sends the fingers on the screen to a numeric host and a port, which need not listen; TUIO has no keys."""
 
     topics = ("touch", "health")
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from touchd.cli.options import config_option
 from touchd.errors import ConfigError, DeviceLost
 
 if TYPE_CHECKING:
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from touchd.config.rigs import AudioSettings
 
 
-@click.command(short_help="Measure an audio interface.")
+@click.command()
 @click.argument("device", required=False, default="")
 @click.option("--inputs", type=click.IntRange(1, 256), help="Inputs to measure.  [default: those configured]")
 @click.option("--level", type=click.FloatRange(-80, 0), default=-12.0, show_default=True, metavar="DBFS",
@@ -34,10 +35,8 @@ if TYPE_CHECKING:
 @click.option("-o", "--output", type=click.Path(path_type=Path), metavar="FILE.png",
               help="Draw response, noise and crosstalk, and the expected error.")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
-@click.option("--config", "config", type=click.Path(path_type=Path), help="Configuration file (TOML).")
-@click.pass_context
+@config_option
 def command(
-    ctx: click.Context,
     device: str,
     inputs: int | None,
     level: float,
@@ -60,7 +59,7 @@ def command(
     from touchd.calibration.plate_file import read_plate_file
     from touchd.config.load import load
 
-    audio = load(config or (ctx.obj or {}).get("config")).audio
+    audio = load(config).audio
     said = read_plate_file(plate_file) if plate_file else None
     name = device or audio.device
     if not name:

@@ -1,4 +1,4 @@
-"""What the verbs of bridges share: the option of the bus, signals, and the service manager."""
+"""What the verbs of bridges share: signals, and the service manager."""
 
 from __future__ import annotations
 
@@ -14,11 +14,6 @@ from touchd.service.systemd import Notifier
 
 if TYPE_CHECKING:  # a bridge does without pydantic's 20 MB
     from touchd.config.schema import InputSettings
-
-bus_option = click.option(
-    "--bus", "address", metavar="ADDRESS",
-    help="Where the daemon publishes.  [default: the installed service, or else a touchd on this computer]",
-)  # fmt: skip
 
 
 def serve(address: str | None, settings: InputSettings, output: Output, what: str) -> None:

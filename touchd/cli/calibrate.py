@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from touchd.cli.beforehand import check_model_output
+from touchd.cli.options import config_option
 from touchd.errors import DeviceLost, PlatePoor
 
 if TYPE_CHECKING:
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 _STEPS = 100
 
 
-@click.command(name="calibrate", short_help="Make a model of a plate that nobody touches.")
+@click.command()
 @click.argument("recording", type=click.Path(path_type=Path), required=False)
 @click.option("-o", "--output", type=click.Path(path_type=Path), required=True, help="The model to write (.onnx).")
 @click.option(
@@ -40,10 +41,8 @@ _STEPS = 100
 @click.option("--lines", "as_lines", is_flag=True, help="Print one JSON object a line: progress, then the result.")
 @click.option("--no-report", is_flag=True, help="Write no report.")
 @click.option("--force", is_flag=True, help="Write the model of a poor fit, too.")
-@click.option("--config", "config", type=click.Path(path_type=Path), help="Configuration file (TOML).")
-@click.pass_context
+@config_option
 def command(
-    ctx: click.Context,
     recording: Path | None,
     output: Path,
     plate_file: Path,
@@ -86,7 +85,7 @@ def command(
         frames = read(recording)
     else:
         choice = SourceChoice(simulate=simulate, speed=float("inf") if simulate else 1.0, ni=ni, audio=audio)
-        frames = _take(load(config or (ctx.obj or {}).get("config")), choice, said, seconds)
+        frames = _take(load(config), choice, said, seconds)
     given = recording.name if recording else ""
     line = f"touchd calibrate {given} -o {output.name} --plate {plate_file.name}".replace("  ", " ")
     with Bars() as bars:

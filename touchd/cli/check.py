@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from touchd.calibration.check import Checked
 
 
-@click.command(name="check", short_help="Judge a model on anybody's touches.")
+@click.command()
 @click.argument("model", type=click.Path(path_type=Path))
 @click.argument("recording", type=click.Path(path_type=Path))
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")

@@ -6,22 +6,22 @@ from pathlib import Path
 
 import click
 
+from touchd.cli.options import config_option
 from touchd.config.load import load
 from touchd.config.render import render
 from touchd.config.schema import Settings
 
 
-@click.command(name="config", short_help="Print the effective configuration.")
-@click.option("--config", "path", type=click.Path(path_type=Path), help="Configuration file (TOML).")
+@click.command()
+@config_option
 @click.option("--default", is_flag=True, help="Print the defaults, as a file to start from.")
-@click.pass_context
-def command(ctx: click.Context, path: Path | None, default: bool) -> None:
+def command(config: Path | None, default: bool) -> None:
     """Print the effective configuration as TOML: every key with its value, default, range and meaning.
 
     Environment variables override the configuration file, which overrides the defaults. An invalid file is reported
     with all its errors, and so is a layout of keys that does not fit the model's plate.
     """
-    settings = Settings() if default else load(path or (ctx.obj or {}).get("config"))
+    settings = Settings() if default else load(config)
     if settings.keypad.layout is not None:
         # Late: the keys must lie on the plate that the model knows, and a model takes a moment to load.
         from touchd.service.models import layout_of, load_model

@@ -17,7 +17,7 @@ import click
 import numpy as np
 
 from touchd.cli.listen import describe
-from touchd.cli.source import parse_speed
+from touchd.cli.options import parse_speed
 from touchd.client import Subscriber
 from touchd.errors import BusError, BusTimeout, RecordingValues
 from touchd.evaluation.metrics import position_scores

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from touchd.cli.options import config_option
 from touchd.doctor.checks import Finding, Sample
 from touchd.errors import BusError, CheckFailed, TouchdError
 
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 _COLOURS = {"ok": "green", "warning": "yellow", "failure": "red"}
 
 
-@click.command(name="doctor", short_help="Check the whole set-up.")
+@click.command()
 @click.option("--replay", type=click.Path(path_type=Path), help="Check the frames of a recording, not of the DAQ.")
 @click.option("--simulate", metavar="SCENE", help="Check the frames of a twin's scene, not of the DAQ.")
 @click.option("--ni", is_flag=True, help="Check the frames of NI hardware, not of the DAQ on USB.")
@@ -35,10 +36,8 @@ _COLOURS = {"ok": "green", "warning": "yellow", "failure": "red"}
               "[default: MODEL.untouched.npz beside the model]")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object.")
 @click.option("--lines", "as_lines", is_flag=True, help="Print one JSON object a line, as each check ends.")
-@click.option("--config", "config", type=click.Path(path_type=Path), help="Configuration file (TOML).")
-@click.pass_context
+@config_option
 def command(
-    ctx: click.Context,
     replay: Path | None,
     simulate: str | None,
     ni: bool,
@@ -59,7 +58,7 @@ def command(
     from touchd.service.log import configure
     from touchd.sources.open import SourceChoice
 
-    settings = load(config or (ctx.obj or {}).get("config"))
+    settings = load(config)
     choice = SourceChoice(replay, simulate, float("inf"), seed=seed, ni=ni, audio=audio)
     configure(settings.log.model_copy(update={"level": "error"}))
     findings = []
@@ -86,18 +85,16 @@ def _print(finding: Finding) -> None:
 def _examine(settings: Settings, choice: SourceChoice, seconds: float, reference: Path | None) -> Iterator[Finding]:
     """Run the checks and yield each finding; a failure omits the checks that depend on it."""
     from touchd.cli.main import missing_extra
-    from touchd.doctor import host as doctorhost
-    from touchd.doctor import usb as doctorusb
+    from touchd.doctor import host, usb
     from touchd.doctor.screen import check_screen
     from touchd.doctor.start import check_start, failure
-    from touchd.service.control import SERVICE_PATH, path_of
-    from touchd.service.frame_feed import open_daemon
+    from touchd.service.frame_feed import open_running
     from touchd.service.models import settings_for
 
-    yield doctorhost.check_clock()
+    yield host.check_clock()
     running = None
     try:
-        running = open_daemon(path_of(settings.control) or SERVICE_PATH) if choice.kind == "usb" else None
+        running = open_running(choice, settings)
     except BusError as error:
         yield Finding("daemon", "warning", f"{error.where}: {error.what}", error.fix)
     if running is None or running.description.source not in ("simulated", "replay"):
@@ -108,7 +105,7 @@ def _examine(settings: Settings, choice: SourceChoice, seconds: float, reference
     if any(finding.check in ("model", "keypad") and finding.level == "failure" for finding in findings):
         return
     if running is None and choice.kind == "usb":
-        device = doctorusb.examine(settings.device)
+        device = usb.examine(settings.device)
         yield from device
         if any(finding.level == "failure" for finding in device):
             return
@@ -128,8 +125,7 @@ def _examine_frames(
     model: Model | None,
     running: DaemonSource | None,
 ) -> Iterator[Finding]:
-    from touchd.doctor import checks as doctor
-    from touchd.doctor import host as doctorhost
+    from touchd.doctor import checks, host
     from touchd.service.daemon import make_pipeline
     from touchd.service.frame_feed import rate_of
     from touchd.sources.open import open_source
@@ -139,21 +135,20 @@ def _examine_frames(
         rate_hz = rate_of(source, settings.device)
         # Made before frames are taken: it refuses what the daemon would refuse.
         pipeline = make_pipeline(source, settings, model) if model is not None else None
-        sample = doctorhost.take(source, seconds)
-    yield doctor.check_rate(sample, rate_hz)
-    yield doctor.check_lost(sample)
-    yield doctor.check_dead(sample)
-    yield doctor.check_noise(sample)
-    yield doctor.check_clipping(sample, source.acquisition)
+        sample = host.take(source, seconds)
+    yield checks.check_rate(sample, rate_hz)
+    yield checks.check_lost(sample)
+    yield checks.check_dead(sample)
+    yield checks.check_noise(sample)
+    yield checks.check_clipping(sample, source.acquisition)
     if model is not None and pipeline is not None:
         yield _examine_baseline(sample, reference, model)
-        spent_us = doctorhost.time_frames(sample, pipeline, settings.baseline.learn_frames, rate_hz)
-        yield doctor.check_time(spent_us, 1 / rate_hz)
+        spent_us = host.time_frames(sample, pipeline, settings.baseline.learn_frames, rate_hz)
+        yield checks.check_time(spent_us, 1 / rate_hz)
 
 
 def _examine_baseline(sample: Sample, reference: Path | None, model: Model) -> Finding:
-    from touchd.doctor import checks as doctor
-    from touchd.doctor import host as doctorhost
+    from touchd.doctor import checks, host
 
     path = reference or model.path.with_suffix(".untouched.npz")
     if reference is None and not path.exists():
@@ -161,4 +156,4 @@ def _examine_baseline(sample: Sample, reference: Path | None, model: Model) -> F
             "baseline", "warning", "not compared: no reference recording of the untouched plate",
             f"give --reference TRAINING.npz; or keep one: touchd record -o {path.name} --seconds 1, beside the model",
         )  # fmt: skip
-    return doctor.check_baseline(sample, doctorhost.untouched(path, model))
+    return checks.check_baseline(sample, host.untouched(path, model))

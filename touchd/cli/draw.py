@@ -19,13 +19,12 @@ def command(recording: Path, output: Path, model: Path | None) -> None:
     from touchd.localization.model import default_model_path
     from touchd.recording.format import read
     from touchd.service.models import load_model
-    from touchd.service.replay import run_through
-    from touchd.sources.replay import ReplaySource
+    from touchd.service.replay import replay
 
     check_picture(output)
     settings = load(None, {"model": {"path": model or default_model_path()}})
     truth, loaded = read(recording), load_model(settings)
     warn_of_other_plate(loaded.description, truth.meta)
-    outcome = run_through(ReplaySource(recording, speed=float("inf")), settings, loaded)
+    outcome = replay(recording, settings, loaded)
     draw_session(truth, outcome.touches, output)
     click.echo(f"{output}: {len(outcome.touches)} messages drawn")

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 _LOOK_S = 0.2
 
 
-@click.command(name="gadget", short_help="Act as a DAQ on a USB cable.")
+@click.command()
 @click.option("--udc", metavar="NAME", help="USB device port, from /sys/class/udc.  [default: the first]")
 @click.option("--functionfs", type=click.Path(path_type=Path), metavar="DIR",
               help="Use the FunctionFS mounted here; do not set up the port.")  # fmt: skip

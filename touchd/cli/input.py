@@ -10,11 +10,12 @@ from touchd.bridges import uinput
 from touchd.bridges.area import Area
 from touchd.bridges.screen import KEY_CODES, Keypad, Screen
 from touchd.bridges.slots import BTN_TOUCH
-from touchd.cli.bridge import bus_option, serve
+from touchd.cli.bridge import serve
+from touchd.cli.options import bus_option
 from touchd.config.apart import load_apart
 
 
-@click.command(name="input", short_help="Be a touch screen for the desktop.")
+@click.command()
 @bus_option
 @click.pass_obj
 def command(settings: dict[str, Path | None] | None, address: str | None) -> None:

@@ -10,7 +10,7 @@ import click
 from touchd.sinks.curve import make_files
 
 
-@click.command(name="keygen", short_help="Make a CURVE key pair.")
+@click.command()
 @click.argument("folder", metavar="DIR", type=click.Path(file_okay=False, path_type=Path))
 @click.option("--name", default="touchd", show_default=True, help="Name of the key files.")
 def command(folder: Path, name: str) -> None:

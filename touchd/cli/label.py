@@ -70,13 +70,7 @@ def checklist(walk: Walk) -> str:
 
 
 class Lines:
-    """Lines that a person types, without waiting for any.
-
-    Parameters
-    ----------
-    handle : int, optional
-        File descriptor to read; at its end nothing more is typed.
-    """
+    """Lines that a person types, without waiting for any; at the end of the file descriptor nothing more is typed."""
 
     def __init__(self, handle: int | None) -> None:
         self._handle = handle

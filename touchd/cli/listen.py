@@ -16,7 +16,7 @@ from touchd.client import Subscriber
 from touchd.event import TOPICS, Contact, Event, HealthEvent, KeyEvent, PlateEvent, TouchEvent, TruthEvent, encode
 
 
-@click.command(name="listen", short_help="Print the events of a running touchd.")
+@click.command()
 @click.argument("address", required=False)
 @click.option(
     "--topic", "topics", type=click.Choice(TOPICS), multiple=True, default=("touch",), show_default=True,

@@ -13,7 +13,7 @@ import click
 from click.core import ParameterSource
 
 from touchd import __version__
-from touchd.cli.source import chosen, source_options
+from touchd.cli.options import chosen, source_options
 from touchd.errors import ConfigError, MissingExtra, ModelMissing, TouchdError
 from touchd.service.signals import deliver, held, unwound
 
@@ -65,7 +65,7 @@ class Verbs(click.Group):
         if cmd_name not in VERBS:
             return None
         command: click.Command = importlib.import_module(f"touchd.cli.{cmd_name.replace('-', '_')}").command
-        command.name = cmd_name
+        command.name, command.short_help = cmd_name, VERBS[cmd_name]
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:  # noqa: ARG002 - click's signature

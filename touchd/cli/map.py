@@ -11,7 +11,7 @@ from pathlib import Path
 import click
 
 from touchd.bridges.fit import CROSSES, LEAST_TOUCHES, Crosses, Touched, fit, keys_of
-from touchd.cli.bridge import bus_option
+from touchd.cli.options import bus_option
 from touchd.client import Subscriber
 from touchd.config.apart import load_apart
 from touchd.config.edit import set_keys
@@ -38,7 +38,7 @@ p {{ position: fixed; left: 20%; top: 25%; width: 60%; text-align: center }}
 """
 
 
-@click.command(name="map", short_help="Measure where the screen lies on the plate.")
+@click.command()
 @click.option("--touches", type=click.IntRange(LEAST_TOUCHES, len(CROSSES)), default=LEAST_TOUCHES, show_default=True,
               metavar="N", help="How many crosses to touch.")  # fmt: skip
 @click.option("--page", type=click.Path(dir_okay=False, path_type=Path), metavar="FILE",

@@ -6,14 +6,15 @@ from pathlib import Path
 
 import click
 
+from touchd.cli.options import config_option
 from touchd.config.load import load
 from touchd.config.schema import Settings
 from touchd.errors import BusError, OutputError
 from touchd.service.control import SERVICE_PATH, path_of, send
 
 
-@click.group(name="model", short_help="Install a model, or go back to the previous one.")
-@click.option("--config", "config", type=click.Path(path_type=Path), help="Configuration file (TOML).")
+@click.group()
+@config_option
 @click.option(
     "--socket", "socket_path", type=click.Path(path_type=Path), metavar="FILE",
     help=f"The daemon's control socket.  [default: control.socket, or {SERVICE_PATH}]",
@@ -25,7 +26,7 @@ def command(ctx: click.Context, config: Path | None, socket_path: Path | None) -
     The model is the file that model.path names, or else one in the service's state directory, or yours. A running
     daemon takes it without a restart.
     """
-    settings = load(config or (ctx.obj or {}).get("config"))
+    settings = load(config)
     ctx.obj = settings, socket_path or path_of(settings.control) or SERVICE_PATH
 
 

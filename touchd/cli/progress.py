@@ -25,11 +25,6 @@ class Bars:
     """Bars on standard error, one for each part of a job, with the time left.
 
     They appear with the first step, so that an earlier error prints one line.
-
-    Parameters
-    ----------
-    clock : callable
-        Monotonic time, s.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from touchd.cli.interrupt import stopping, until
-from touchd.cli.source import chosen, source_options
+from touchd.cli.options import chosen, config_option, source_options
 from touchd.errors import ConfigError, SourceError
 from touchd.frame import Plate, parse_plate
 
@@ -28,7 +28,7 @@ def _plate(_ctx: click.Context, _param: click.Parameter, value: str | None) -> P
         raise click.BadParameter("write WIDTHxHEIGHT or WIDTHxHEIGHTxTHICKNESS in mm, for example 400x300x5") from None
 
 
-@click.command(name="record", short_help="Write frames to a file.")
+@click.command()
 @click.option("-o", "--output", type=click.Path(path_type=Path), required=True,
               help="Output: one file if it ends in .npz, else a folder of chunks.")  # fmt: skip
 @source_options
@@ -39,11 +39,8 @@ def _plate(_ctx: click.Context, _param: click.Parameter, value: str | None) -> P
 @click.option("--plate", callback=_plate, metavar="WxH[xT]", help="Size of the plate in mm, if the source has none.")
 @click.option("--label", is_flag=True, help="Ask for touches, one after the other, and label them; -o ends in .npz.")
 @click.option("--notes", default="", help="Text to store in the recording.")
-@click.option("--config", "config", type=click.Path(path_type=Path), help="Configuration file (TOML).")
-@click.pass_context
+@config_option
 def command(
-    ctx: click.Context,
-    /,
     output: Path,
     frames: int | None,
     seconds: float | None,
@@ -77,7 +74,7 @@ def command(
     if label and (output.suffix != ".npz" or frames is not None or seconds is not None):
         raise click.UsageError("--label writes one file, -o NAME.npz, and ends with its last touch or with Ctrl-C")
     choice = chosen(named)
-    settings = load(config or (ctx.obj or {}).get("config"))
+    settings = load(config)
     source = open_running(choice, settings) or open_source(choice, settings)
     with ExitStack() as stack:
         stack.callback(source.close)

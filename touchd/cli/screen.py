@@ -10,7 +10,7 @@ from touchd.config.load import load
 from touchd.service.control import SERVICE_PATH, path_of, send
 
 
-@click.command(name="screen", short_help="Tell the daemon that the screen is off or on.")
+@click.command()
 @click.argument("state", type=click.Choice(["off", "on"]))
 @click.option(
     "--socket", "path", type=click.Path(path_type=Path), metavar="FILE",

@@ -28,6 +28,8 @@ from touchd.twin.scenes.robot import COUNT, MOST_FINGERS, TouchSet
 from touchd.twin.simulate import simulate_stage
 
 TOUCHES = "touches"
+MOST_TAIL_S = 0.05
+"""Ringing falls below -60 dB within this time, even at a loss factor of 1e-3."""
 _SCENE_LINES = "\n".join(f"  {name:13} {scene.what}" for name, scene in SCENES.items())
 
 
@@ -142,17 +144,9 @@ def command(
     if scene != "keypad" and not (keypad is None and code is None):
         raise click.UsageError("--keypad and --code apply to the scene keypad")
     touches = TouchSet(
-        count or COUNT,
-        finger or "silicone",
-        None,
-        stale_k,
-        fingers,
-        apart_mm,
-        edge_gap_mm,
-        warmer_k,
-        label_noise_mm,
-        even,
-    )
+        count or COUNT, finger or "silicone", stale_k=stale_k, fingers=fingers, apart_mm=apart_mm,
+        edge_gap_mm=edge_gap_mm, warmer_k=warmer_k, label_noise_mm=label_noise_mm, even=even,
+    )  # fmt: skip
     if scene != TOUCHES and (count is not None or replace(touches, finger="silicone") != TouchSet()):
         raise click.UsageError(
             "--count, --even, --stale-k, --temperature-k, --fingers, --apart-mm, --edge-gap-mm and --label-noise-mm "
@@ -202,7 +196,3 @@ def command(
             made = simulate(progress=bar.update)
         recording.write(output, made)
     click.echo(f"{output}: {len(made.frames)} frames, {output.stat().st_size / 1e6:.1f} MB")
-
-
-MOST_TAIL_S = 0.05
-"""Ringing falls below -60 dB within this time, even at a loss factor of 1e-3."""

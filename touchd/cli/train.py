@@ -8,8 +8,7 @@ from pathlib import Path
 
 import click
 
-from touchd.cli.beforehand import check_model_output
-from touchd.errors import OutputError
+from touchd.cli.beforehand import check_model_output, check_output
 from touchd.localization.atlas import atlas_path
 from touchd.training.network.recipe import RECIPES
 
@@ -143,5 +142,4 @@ def _check_free(output: Path, network: Path | None, *, force: bool) -> None:
     check_model_output(output)
     for file in (output, atlas_path(output)):
         given = network is not None and file.exists() and file.samefile(network)
-        if file.exists() and not force and not given:
-            raise OutputError("already there", str(file), "choose another name, or add --force")
+        check_output(file, replace=force or given)

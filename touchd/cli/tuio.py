@@ -11,12 +11,13 @@ import click
 
 from touchd.bridges.area import Area
 from touchd.bridges.tuio import Tuio
-from touchd.cli.bridge import bus_option, serve
+from touchd.cli.bridge import serve
+from touchd.cli.options import bus_option
 from touchd.config.apart import load_apart
 from touchd.errors import ConfigError, InsecureBind
 
 
-@click.command(name="tuio", short_help="Send touches as TUIO 1.1.")
+@click.command()
 @click.option("--to", metavar="HOST:PORT", help="Where to send them.  [default: tuio.to]")
 @bus_option
 @click.pass_obj
@@ -35,15 +36,7 @@ def command(settings: dict[str, Path | None] | None, to: str | None, address: st
 
 
 def destination(to: str, *, insecure: bool) -> tuple[str, int]:
-    """Return host and port.
-
-    Raises
-    ------
-    ConfigError
-        The text names none.
-    InsecureBind
-        They are beyond loopback, and nobody allowed that.
-    """
+    """Return host and port; raise ConfigError for other texts, InsecureBind beyond loopback, unless that is allowed."""
     host, _, port = to.rpartition(":")
     host = host.strip("[]")
     try:

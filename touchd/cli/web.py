@@ -7,13 +7,13 @@ from pathlib import Path
 
 import click
 
-from touchd.cli.bridge import bus_option
+from touchd.cli.options import bus_option
 from touchd.config.apart import load_apart
 from touchd.errors import RecordingMissing
 from touchd.service.systemd import Notifier
 
 
-@click.command(name="web", short_help="Look at the plate in a browser.")
+@click.command()
 @click.option("--bind", "where", default="127.0.0.1:8770", show_default=True, metavar="HOST:PORT",
               help="Where to serve, on loopback.")  # fmt: skip
 @click.option("--origin", "origins", multiple=True, metavar="URL",
@@ -61,4 +61,4 @@ def command(
         )  # fmt: skip
         url = f"http://{shown}:{port}/#token={access.token}"
         debug = bool((settings or {}).get("debug"))
-        serve(site, [listening], lambda: click.echo(f"touchd: open {url}"), manager, debug=debug)
+        serve(site, listening, lambda: click.echo(f"touchd: open {url}"), manager, debug=debug)

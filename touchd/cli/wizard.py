@@ -9,10 +9,10 @@ from pathlib import Path
 
 import click
 
-from touchd.cli.bridge import bus_option
+from touchd.cli.options import bus_option, config_option
 
 
-@click.command(name="wizard", short_help="Calibrate step by step, as touchd web asks.")
+@click.command()
 @click.option("--socket", "socket_path", type=click.Path(path_type=Path), metavar="FILE",
               help="Where to listen.  [default: the service's, or yours]")  # fmt: skip
 @click.option("--folder", type=click.Path(path_type=Path), metavar="DIR",
@@ -20,10 +20,8 @@ from touchd.cli.bridge import bus_option
 @click.option("--seconds", type=click.FloatRange(0.5), default=10.0, show_default=True, metavar="S",
               help="How long the plate stays untouched.")  # fmt: skip
 @bus_option
-@click.option("--config", "config", type=click.Path(path_type=Path), help="Configuration file (TOML).")
-@click.pass_context
+@config_option
 def command(
-    ctx: click.Context,
     socket_path: Path | None,
     folder: Path | None,
     seconds: float,
@@ -42,23 +40,21 @@ def command(
     from touchd.cli.main import missing_extra
     from touchd.config.load import DEFAULT_PATH, load
     from touchd.files import state_folder
-    from touchd.service.control import SERVICE_PATH, path_of
+    from touchd.service.control import SERVICE_PATH
     from touchd.service.log import configure
     from touchd.service.models import installed_path
     from touchd.service.systemd import Notifier
 
-    config = config or (ctx.obj or {}).get("config")
     settings = load(config)
     configure(settings.log)
     path = socket_path or default_socket()
     state = State(folder or state_folder("wizard"))
-    control = path_of(settings.control) if settings.control.socket else SERVICE_PATH
     trains = find_spec("torch") is not None
     untrainable = "" if trains else str(missing_extra(ModuleNotFoundError(name="torch")))
     state.set(mapping=shown(settings.input), untrainable=untrainable)
     worker = Worker(
-        state, control or SERVICE_PATH, settings.model.path or installed_path(), seconds, config or DEFAULT_PATH,
-        path.with_name(HANDED), address,
+        state, settings.control.socket or SERVICE_PATH, settings.model.path or installed_path(), seconds,
+        config or DEFAULT_PATH, path.with_name(HANDED), address,
     )  # fmt: skip
     with closing(Notifier.from_environment()) as manager:
         asyncio.run(serve(worker, state, path, manager, lambda: click.echo(f"touchd: {path}: ready")))

@@ -16,13 +16,7 @@ if TYPE_CHECKING:
 
 
 def load_apart(path: Path | None = None, overrides: Mapping[str, Any] | None = None) -> Settings:
-    """Return `load(path, overrides)` with its lists as lists and its paths as text, and no other way to use it.
-
-    Raises
-    ------
-    ConfigError
-        What `load` raises.
-    """
+    """Return `load(path, overrides)` with its lists as lists and its paths as text; raise what it raises."""
     reader, writer = os.pipe()
     child = os.fork()
     if not child:

@@ -64,8 +64,7 @@ class Sample:
     @property
     def untouched(self) -> Floats:
         """Median frame, shape (channels, samples): short touches do not move a median."""
-        middle: Floats = np.median(self.counts, axis=0)
-        return middle
+        return np.asarray(np.median(self.counts, axis=0))
 
 
 def grade(value: float, limits: tuple[float, float]) -> Level:
@@ -100,8 +99,7 @@ def noise_counts(sample: Sample) -> Floats:
     goes down.
     """
     squares = 0.5 * np.square(np.diff(sample.counts.astype(np.float64), axis=0)).mean(axis=2)
-    noise: Floats = np.sqrt(np.median(squares, axis=0))
-    return noise
+    return np.asarray(np.sqrt(np.median(squares, axis=0)))
 
 
 def check_noise(sample: Sample) -> Finding:
@@ -184,8 +182,7 @@ def check_time(spent_us: Sequence[float], period_s: float) -> Finding:
 
 def _rms(signal: Floats) -> Floats:
     """Return the RMS of each channel about its mean."""
-    rms: Floats = signal.std(axis=1)
-    return rms
+    return np.asarray(signal.std(axis=1))
 
 
 def _alive(sample: Sample) -> NDArray[np.bool_]:
@@ -202,8 +199,7 @@ def _changed_db(now: Floats, reference: Floats) -> Floats:
     energy = np.maximum(np.einsum("cs,cs->c", now, now), 1e-9)
     known = np.maximum(np.einsum("cs,cs->c", reference, reference), 1e-9)
     explained = np.square(np.einsum("cs,cs->c", now, reference)) / known
-    changed_db: Floats = 10 * np.log10(np.maximum(1.0 - explained / energy, 1e-9))
-    return changed_db
+    return np.asarray(10 * np.log10(np.maximum(1.0 - explained / energy, 1e-9)))
 
 
 def _found(check: str, level: Level, text: str, fix: str) -> Finding:

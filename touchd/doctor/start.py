@@ -26,7 +26,6 @@ def check_start(settings: Settings, listen_s: float = 2.5, *, running: bool = Fa
 
     Parameters
     ----------
-    settings : Settings
     listen_s : float
         How long to wait for a `health` message at an address in use; a daemon sends one each second.
     running : bool

@@ -18,15 +18,7 @@ _HIGH_SPEED_MBIT_S = 480.0
 
 
 def examine(settings: DeviceSettings, system: Path = SYSTEM) -> list[Finding]:
-    """Check the DAQ without opening it; the last finding is a failure if the DAQ is unusable.
-
-    Parameters
-    ----------
-    settings : DeviceSettings
-        Vendor and product id, and serial number of the DAQ.
-    system : Path
-        Root of the file system, with /sys and /dev.
-    """
+    """Check the DAQ by /sys and /dev below `system`, without opening it; the last finding fails if it is unusable."""
     ids = f"{settings.vendor_id:04x}:{settings.product_id:04x}"
     found = [device for device in _devices(system) if _ids(device) == ids]
     if not found:

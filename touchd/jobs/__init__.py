@@ -30,7 +30,7 @@ def run(
     workers: int | None = None,
     dask: str | None = None,
     cache: Path | None = None,
-    shared: Mapping[str, Any] = MappingProxyType({}),
+    shared: Mapping[str, Shared] = MappingProxyType({}),
     progress: Progress | None = None,
 ) -> dict[str, Any]:
     """Run jobs, and return their results by name, in the order of `jobs`.
@@ -47,8 +47,7 @@ def run(
         Folder that keeps results; without it none are kept. A kept result is used if function, arguments, shared
         objects, source code and libraries are the same.
     shared : mapping
-        Large objects by name, sent to each worker once. A `Shared` brings its own digest; of others it is computed.
-    progress : callable, optional
+        Large objects by name, sent to each worker once.
 
     Raises
     ------
@@ -63,10 +62,7 @@ def run(
     """
     if len({job.name for job in jobs}) < len(jobs):
         raise ValueError("two jobs have the same name")
-    objects = {
-        name: value if isinstance(value, Shared) else Shared(value, digest(value)) for name, value in shared.items()
-    }
-    digests = {name: each.sha256 for name, each in objects.items()}
+    digests = {name: each.sha256 for name, each in shared.items()}
     store = Store(cache) if cache is not None else None
     results: dict[str, Any] = {}
 
@@ -86,7 +82,7 @@ def run(
             take(job.name, data)
 
     used = {name for task in tasks.values() for name in task.job.shared}
-    pickled = {name: pickle.dumps(objects[name].value, protocol=pickle.HIGHEST_PROTOCOL) for name in used}
+    pickled = {name: pickle.dumps(shared[name].value, protocol=pickle.HIGHEST_PROTOCOL) for name in used}
     failures: list[TouchdError] = []
     with closing(_ended(list(tasks.values()), pickled, workers, dask)) as ended:
         for name, result in ended:
@@ -96,8 +92,8 @@ def run(
             if store:
                 store.save(tasks[name].key, result)
             take(name, result)
-    for failure in failures[:1]:
-        raise failure
+    if failures:
+        raise failures[0]
     return {job.name: results[job.name] for job in jobs}
 
 

@@ -97,7 +97,7 @@ def _one_thread() -> Iterator[None]:
         limited: Any = nullcontext()
     else:
         limited = threadpool_limits(1)  # of the libraries that are loaded; others read the environment
-    before = {name: os.environ.get(name) for name in ONE_THREAD}
+    before = {name: os.environ[name] for name in ONE_THREAD if name in os.environ}
     os.environ.update(ONE_THREAD)
     torch = sys.modules.get("torch")
     threads = torch.get_num_threads() if torch else 1
@@ -109,6 +109,6 @@ def _one_thread() -> Iterator[None]:
     finally:
         if torch:
             torch.set_num_threads(threads)
-        for name in before:
+        for name in ONE_THREAD:
             os.environ.pop(name)
-        os.environ.update({name: value for name, value in before.items() if value is not None})
+        os.environ.update(before)

@@ -25,10 +25,7 @@ ROOT_UID = 0
 class Store:
     """A folder of pickled results. To unpickle is to run what a file says, so nobody else may be able to write there.
 
-    Parameters
-    ----------
-    folder : Path
-        Made when the first result is written, closed to others. Symbolic links are resolved once, here.
+    It is made when the first result is written, closed to others. Symbolic links are resolved once, here.
 
     Raises
     ------

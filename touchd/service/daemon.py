@@ -70,9 +70,6 @@ def open_parts(settings: Settings, stack: ExitStack, step: Step = nullcontext) -
 
     Parameters
     ----------
-    settings : Settings
-    stack : ExitStack
-        Closes the parts.
     step : callable
         Returns the context in which the part of that name is opened. A context that suppresses an error has the other
         parts opened nevertheless.
@@ -127,10 +124,6 @@ def make_service(
     ----------
     source, sinks, settings, model
         Without a model it is uncalibrated.
-    clock : callable
-        CLOCK_MONOTONIC, ns.
-    manager, preroll, control, feed
-        Optional parts of the service.
     read_settings : callable, optional
         Reads the configuration, for `Service.reload`.
     pipeline : Pipeline, optional
@@ -208,8 +201,6 @@ def run(
 
     Parameters
     ----------
-    settings : Settings
-    choice : SourceChoice
     echo : bool
         Also print each event as a line of JSON on standard output.
     await_subscriber_s : float

@@ -51,13 +51,7 @@ class FeedDescription(Description):
 
 
 class FrameFeed:
-    """The daemon's end.
-
-    Parameters
-    ----------
-    describe : callable
-        Returns the description of the frames as they are now.
-    """
+    """The daemon's end; `describe` returns the description of the frames as they are now."""
 
     def __init__(self, describe: Callable[[], FeedDescription]) -> None:
         self.describe = describe
@@ -109,12 +103,7 @@ class FrameFeed:
 
 
 class DaemonSource:
-    """Frames of a running daemon, as a source.
-
-    Parameters
-    ----------
-    feed : socket
-        The program's end of the pair.
+    """Frames of a running daemon, as a source; `feed` is the program's end of the pair.
 
     Raises
     ------
@@ -166,7 +155,7 @@ def rate_of(source: Source, settings: DeviceSettings) -> float:
 
 def open_running(choice: SourceChoice, settings: Settings) -> DaemonSource | None:
     """Return the frames of the running daemon, unless another source than the DAQ was chosen; None without a daemon."""
-    return open_daemon(path_of(settings.control) or SERVICE_PATH) if choice == SourceChoice() else None
+    return open_daemon(path_of(settings.control) or SERVICE_PATH) if choice.kind == "usb" else None
 
 
 def open_daemon(control: Path) -> DaemonSource | None:

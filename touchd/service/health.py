@@ -22,16 +22,7 @@ log = structlog.get_logger()
 
 
 class Health:
-    """The health of one service.
-
-    Parameters
-    ----------
-    source : Source
-        A live one counts the frames that never reached the pipeline.
-    pipeline : Pipeline
-    messages : Messages
-    settings : HealthSettings
-    """
+    """The health of one service; a live source counts the frames that never reached the pipeline."""
 
     def __init__(self, source: Source, pipeline: Pipeline, messages: Messages, settings: HealthSettings) -> None:
         self._live = source if isinstance(source, LiveSource) else None
@@ -59,15 +50,7 @@ class Health:
     def message(self, now_ns: int, stream_ns: int, state: State, reason: str | None) -> HealthEvent:
         """Return the health message, and start the next latency window.
 
-        Parameters
-        ----------
-        now_ns : int
-            CLOCK_MONOTONIC, ns.
-        stream_ns : int
-            Time of the last frame, ns; 0 before the first one.
-        state : State
-        reason : str or None
-            Of the state, for a person.
+        `stream_ns` is the time of the last frame, 0 before the first one; `reason` is that of the state, for a person.
         """
         pipeline, unheard = self._pipeline, self._messages.unheard
         counters = pipeline.counters

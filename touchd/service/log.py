@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import logging
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -86,7 +85,7 @@ def configure(settings: LogSettings, stream: TextIO | None = None) -> None:
             redact,
             *render,
         ],
-        wrapper_class=structlog.make_filtering_bound_logger(getattr(logging, settings.level.upper())),
+        wrapper_class=structlog.make_filtering_bound_logger(settings.level),
         logger_factory=structlog.WriteLoggerFactory(cast(TextIO, _Unfailing(stream))),
         # Not cached: a logger made at import would keep the level and stream of a time before this call.
         cache_logger_on_first_use=False,

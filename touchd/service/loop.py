@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 
 import structlog
 
 from touchd import __version__
+from touchd.config.schema import DeviceSettings
 from touchd.event import Event, State
 from touchd.frame import Frame
 from touchd.outcome import Outcome
-from touchd.pipeline import Pipeline
+from touchd.pipeline import Pipeline, Result
 from touchd.service.control import Control
 from touchd.service.frame_feed import FrameFeed
 from touchd.service.health import Health
@@ -47,20 +48,8 @@ class Service:
     ----------
     source, pipeline, messages, sinks, health
         What it runs; source and sinks are closed at the end.
-    clock : callable
-        CLOCK_MONOTONIC, ns.
-    manager : Notifier, optional
-        The service manager: gets readiness, state and heartbeats.
-    awake : Awake, optional
-        Keeps the processors awake while the plate is touched.
-    preroll : PreRoll, optional
-    control : Control, optional
-        Where commands come from.
-    reloader : Reloader, optional
-        Reloads the configuration.
     feed : FrameFeed, optional
         Hands frames to programs that ask for them through `control`, and describes the plate for its messages.
-    rate : ScanRate, optional
     """
 
     def __init__(
@@ -89,7 +78,8 @@ class Service:
         # A device reports its states; of any other source only the silence is known.
         self._live = source if isinstance(source, LiveSource) else None
         self._withheld: dict[str, int] = {}
-        self._feed, self._rate = feed, rate
+        self._feed = feed
+        self._rate = rate or ScanRate(source, DeviceSettings())
         self._state: State = "starting"
         self._flowing: State = "streaming" if pipeline.model else "uncalibrated"
         self._reason: str | None = None
@@ -141,14 +131,14 @@ class Service:
                     self._enter(self._flowing)
                 result = pipeline.process(frame)
                 if result.contacts or result.touches:
-                    self._publish(self._messages.make(result, pipeline.spectrum), frame.received_ns)
+                    self._publish(result, frame.received_ns)
                 if labelled is not None and (true := self._messages.truth(frame, labelled)) is not None:
                     self._hand(true, frame.received_ns)
                 if preroll is not None:
                     preroll.keep(frame, result.contacts)
                 if feed is not None and feed.listeners:
                     feed.send(frame)
-                if result.outcome is not Outcome.UNTOUCHED and rate is not None:
+                if result.outcome is not Outcome.UNTOUCHED:
                     rate.touched(frame.t_ns, result.outcome)
                 self._finish(frame)
             if self.stopped:
@@ -163,8 +153,7 @@ class Service:
         touched = self.pipeline.touched
         if now_ns - self._tick_ns >= (_TICK_NS if touched else _IDLE_TICK_NS):
             self._tick(now_ns)
-        if touched is not self._awake.held:
-            self._awake.update(touched, period_ns)
+        self._awake.update(touched, period_ns)
 
     def _wait(self) -> None:
         """Do what is due while no frame comes."""
@@ -186,8 +175,8 @@ class Service:
         self._withheld = withheld
         for name, count in withheld.items():
             if count != before.get(name, 0):
-                result = self.pipeline.withheld(now_ns, f"the DAQ measures nothing: {name.replace('_', ' ')}")
-                self._publish(self._messages.make(result, self.pipeline.spectrum), now_ns)
+                reason = f"the DAQ measures nothing: {name.replace('_', ' ')}"
+                self._publish(self.pipeline.withheld(now_ns, reason), now_ns)
 
     def _tick(self, now_ns: int) -> None:
         self._tick_ns = now_ns
@@ -196,9 +185,8 @@ class Service:
         quiet_ns = now_ns - self._health_ns
         if quiet_ns >= self._health.period_ns and (quiet_ns >= _UNHEARD_NS or self._messages.wants("health")):
             self._publish_health()
-        if self._rate is not None:
-            self._rate.wanted = self._feed is not None and bool(self._feed.listeners)
-            self._rate.tick(self._stream_ns)
+        self._rate.wanted = self._feed is not None and bool(self._feed.listeners)
+        self._rate.tick(self._stream_ns)
         if self._control is not None and now_ns - self._control_ns >= _CONTROL_NS:
             self._control_ns = now_ns
             self._obey(self._control, now_ns)
@@ -229,22 +217,20 @@ class Service:
 
     def _set_screen(self, *, off: bool, now_ns: int) -> None:
         before = self.pipeline.screen_off
-        result = self.pipeline.set_screen(off=off)
-        self._publish(self._messages.make(result, self.pipeline.spectrum), now_ns)
+        self._publish(self.pipeline.set_screen(off=off), now_ns)
         if self.pipeline.screen_off != before:
-            if self._rate is not None and before:
+            if before:
                 self._rate.wake()
             log.info("screen", state="off" if off else "on")
             self._publish_health()
 
     def _release(self, now_ns: int) -> None:
         """Lift all contacts: without frames nobody knows where the fingers are."""
-        result = self.pipeline.release(self._stream_ns)
-        self._publish(self._messages.make(result, self.pipeline.spectrum), now_ns)
+        self._publish(self.pipeline.release(self._stream_ns), now_ns)
 
-    def _publish(self, events: Iterable[Event], received_ns: int) -> None:
+    def _publish(self, result: Result, received_ns: int) -> None:
         event = None
-        for event in events:
+        for event in self._messages.make(result, self.pipeline.spectrum):
             self._hand(event, received_ns)
         if event is not None:
             self._health.add_latency((self._clock() - received_ns) * 1e-3)

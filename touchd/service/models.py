@@ -13,7 +13,6 @@ from touchd.localization.model import Model, default_model_path
 from touchd.sources.open import SourceChoice
 
 _SERVICE_STATE = Path("/var/lib/touchd")
-Signature = tuple[object, ...]
 
 
 def installed_path() -> Path:
@@ -58,7 +57,7 @@ def layout_of(settings: Settings, model: Model | None) -> Layout | None:
     return load_layout(settings.keypad.layout, model.description.plate)
 
 
-def signature_of(settings: Settings) -> Signature:
+def signature_of(settings: Settings) -> tuple[object, ...]:
     """Return what tells the files of a model from others at the same path."""
     path = model_path(settings)
     found: list[object] = [path, settings.model.atlas]

@@ -36,15 +36,8 @@ class PreRoll:
 
     Parameters
     ----------
-    acquisition : Acquisition
-        The geometry of the frames.
-    rate_hz : float
-        Frames a second.
     meta : callable
         Returns the description of a recording, dated now.
-    settings : PreRollSettings
-    clock : callable
-        Monotonic time, ns.
     interval_s : float
         Least time between two files: a plate full of doubtful touches must not fill the disk.
     """

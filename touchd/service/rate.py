@@ -21,14 +21,7 @@ _SCREEN_OFF = Outcome.SCREEN_OFF
 
 
 class ScanRate:
-    """Decides the frame rate by what came of each frame.
-
-    Parameters
-    ----------
-    source : Source
-        One that is no AdjustableSource keeps its rate.
-    settings : DeviceSettings
-    """
+    """Decides the frame rate by what came of each frame; a source that is no AdjustableSource keeps its own."""
 
     def __init__(self, source: Source, settings: DeviceSettings) -> None:
         self._source = source if isinstance(source, AdjustableSource) else None

@@ -76,13 +76,8 @@ class Awake:
 
     An idle processor sleeps, and takes time to wake: some tenths of a millisecond on hardware, in a virtual machine as
     long as its host lets it wait. Linux takes requests for less (PM quality of service): a number of microseconds,
-    written to a device file, which holds while the file is open, so it ends with the process.
-
-    Parameters
-    ----------
-    from_hz : float
-        The lowest frame rate at which it does so; 0 is never.
-    device : Path
+    written to a device file, which holds while the file is open, so it ends with the process. `from_hz` is the lowest
+    frame rate at which one is made; 0 is never.
     """
 
     def __init__(self, from_hz: float, device: Path = CPU_LATENCY) -> None:

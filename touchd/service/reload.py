@@ -63,14 +63,10 @@ class Reloader:
 
     Parameters
     ----------
-    settings : Settings
-        Those in use.
     read : callable
         Returns the settings as they now are; raises ConfigError if they are wrong.
     model : Model, optional
         The one in use; None while the daemon is uncalibrated.
-    pipeline, messages, health, preroll
-        The parts that take them.
     """
 
     def __init__(

@@ -34,9 +34,9 @@ class Replayed:
         return [event for event in self.events if isinstance(event, TouchEvent)]
 
 
-def replay(path: Path, settings: Settings) -> Replayed:
-    """Run a recording through the pipeline as fast as possible, and return its events."""
-    return run_through(ReplaySource(path, speed=float("inf")), settings)
+def replay(path: Path, settings: Settings, model: Model | None = None) -> Replayed:
+    """Run a recording through the pipeline as fast as possible; see `run_through`."""
+    return run_through(ReplaySource(path, speed=float("inf")), settings, model)
 
 
 def run_through(source: Source, settings: Settings, model: Model | None = None) -> Replayed:

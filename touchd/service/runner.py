@@ -22,8 +22,6 @@ def frames_of(
     ----------
     source : Source
         Stays open at the end. A frame is valid until the next one is asked for.
-    timeout_s : float
-        The longest wait for a frame.
     on_change : callable
         Called with each change of a live source's state, before the None that follows it.
 

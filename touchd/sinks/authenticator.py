@@ -24,11 +24,7 @@ _MOST_PER_POLL = 16  # a flood must not delay a frame
 class Authenticator:
     """Admits the clients of a folder of public keys, and logs those it refuses.
 
-    Parameters
-    ----------
-    context : zmq.Context
-        That of the publisher. The authenticator must exist before the publisher is bound.
-    keys : ClientKeys
+    It must exist before the publisher, of the same `context`, is bound.
     """
 
     def __init__(self, context: zmq.Context[zmq.Socket[bytes]], keys: ClientKeys) -> None:

@@ -118,10 +118,6 @@ class ClientKeys:
     A file is read when it is new or has changed. One that holds no key is skipped, and logged once. While the folder
     cannot be looked at, for want of descriptors or permission, the keys known stay in force.
 
-    Parameters
-    ----------
-    folder : Path
-
     Raises
     ------
     BusError

@@ -18,14 +18,7 @@ class JsonlSink:
 
     It writes touches, keys and health. Key presses are secret: the stream must not end in a log. Unlike the bus it
     waits for a terminal or a pipe that is not read: it is for looking, not for production. When the reader is gone or
-    the disk is full, the sink stops writing and the daemon runs on.
-
-    Parameters
-    ----------
-    stream : TextIO
-        Where the lines go. It stays open.
-    clock : Callable
-        CLOCK_MONOTONIC in ns, for the latency.
+    the disk is full, the sink stops writing and the daemon runs on. The stream stays open.
     """
 
     def __init__(self, stream: TextIO, clock: Callable[[], int] = time.monotonic_ns) -> None:

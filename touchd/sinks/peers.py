@@ -72,12 +72,9 @@ class Peers:
     ----------
     publisher : zmq.Socket
         An XPUB socket with XPUB_VERBOSER, before it is bound.
-    topics : sequence of str
     most : int
         Connections at once, and at most half of the process's descriptors. One more takes the place of one that has
         not subscribed, or of one of a peer that has several more; else it is refused.
-    clock : callable
-        Monotonic time, s.
     """
 
     def __init__(
@@ -205,12 +202,11 @@ class Peers:
         elif not peer.subscribed:  # libzmq itself ends a connection that sends too long a message, or no ZMTP
             self._refused.warn(peer=peer.name, reason="it left before it subscribed, or sent what no subscriber does")
 
-    def _forget(self, descriptor: int) -> _Peer | None:
+    def _forget(self, descriptor: int) -> None:
         peer = self._peers.pop(descriptor, None)
         if peer is not None:
             for prefix in peer.prefixes:
                 self._count(self._matched(prefix), -1)
-        return peer
 
     def _choose(self, newcomer: _Peer) -> _Peer:
         """Return who must go for a newcomer: the newcomer, if all others have subscribed and it has as many."""

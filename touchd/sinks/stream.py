@@ -29,8 +29,6 @@ class Stream:
         Messages older than this are stale; infinity for none.
     lost, dropped : Counter
         Grow by the messages that never came, and by those that are stale, by topic.
-    clock, wall_clock : callable
-        CLOCK_MONOTONIC and UTC, ns.
     """
 
     def __init__(

@@ -13,15 +13,7 @@ PERIOD_S = 1.0
 
 
 class Throttle:
-    """Logs warnings of one kind at most once a second; `unlogged` counts those left out in between.
-
-    Parameters
-    ----------
-    event : str
-        What happened.
-    clock : callable
-        Monotonic time, s.
-    """
+    """Logs warnings of one kind at most once a second; `unlogged` counts those left out in between."""
 
     def __init__(self, event: str, clock: Callable[[], float] = time.monotonic) -> None:
         self._event, self._clock = event, clock

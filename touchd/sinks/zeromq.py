@@ -36,13 +36,6 @@ class ZeromqSink:
     subscriber gets the last message of its topic. XPUB cannot address one subscriber: all of that topic receive it
     again, byte for byte, with the same `seq`.
 
-    Parameters
-    ----------
-    settings : BusSettings
-        Addresses, keys, permissions and the high-water mark.
-    clock : Callable
-        CLOCK_MONOTONIC in ns, for the latency.
-
     Raises
     ------
     AddressInUse
@@ -121,14 +114,9 @@ class ZeromqSink:
     def wait_for_subscriber(
         self, timeout_s: float, topic: str = "touch", stopped: Callable[[], bool] = lambda: False
     ) -> None:
-        """Return once somebody is subscribed to the topic, or `stopped` returns true.
+        """Return once somebody is subscribed to the topic, or `stopped` returns true; else raise BusTimeout.
 
         For scripts that publish at full speed.
-
-        Raises
-        ------
-        BusTimeout
-            If nobody has subscribed after `timeout_s`.
         """
         deadline_s = time.monotonic() + timeout_s
         self.poll()

@@ -73,13 +73,8 @@ class AudioDaq:
 
     Parameters
     ----------
-    card : Card
-    settings : AudioSettings
-    acquisition : Acquisition
     reference : array of shape (channels, samples), optional
         The untouched response that the model was made from.
-    clock : callable
-        Monotonic time, ns.
     """
 
     corrupt = 0
@@ -224,7 +219,7 @@ class AudioDaq:
     def _alive(self, found: Delay) -> NDArray[np.bool_]:
         """Return which discs are heard, shape (channels,)."""
         assert self._own is not None
-        if len(found.channels) == self._discs and not self._settings.loopback:
+        if not self._settings.loopback:
             return found.channels > _ALIVE
         energy = np.square(self._own).sum(axis=1)
         return np.asarray(energy > _SILENT * energy.max())

@@ -17,12 +17,7 @@ log = structlog.get_logger()
 class DeviceSearch:
     """Opens the first device that fits. After a connection that brought no frame it begins with the next one.
 
-    Parameters
-    ----------
-    candidates : callable
-    settings : DeviceSettings
-    check : callable
-        Raises a TouchdError if a device with this acquisition must not be used.
+    `check` raises a TouchdError if a device with this acquisition must not be used.
     """
 
     def __init__(self, candidates: Candidates, settings: DeviceSettings, check: Callable[[Acquisition], None]) -> None:

@@ -22,19 +22,9 @@ class Numbering:
     def number(self, sequence: int, corrupt: int) -> tuple[int, int]:
         """Return a frame's number, and how many frames were lost before it.
 
-        A number that is not new is returned as it is: the pipeline tells a repetition from a device that restarts.
-
-        Parameters
-        ----------
-        sequence : int
-            The device's number of the frame.
-        corrupt : int
-            Corrupt frames so far: those since the last frame are not lost.
+        `sequence` is the device's number. One that is not new is returned as it is: the pipeline tells a repetition
+        from a device that restarts. Of the `corrupt` frames so far, those since the last frame are not lost.
         """
-        if self._sequence is not None and sequence == self._sequence + 1 and self._number is not None:
-            self._sequence, self._corrupt = sequence, corrupt
-            self._number += 1
-            return self._number, 0
         step, lost = 1, 0
         if self._number is None:
             self._number = sequence - 1
@@ -49,10 +39,7 @@ class Numbering:
 class Intake:
     """What one source knows of its frames, over all connections.
 
-    Parameters
-    ----------
-    rate_hz : int
-        The full rate: a frame that is later than its period is late.
+    A frame that is later than a period of the full rate `rate_hz` is late.
     """
 
     def __init__(self, rate_hz: int) -> None:

@@ -48,15 +48,12 @@ class DaqSource:
     ----------
     candidates : callable
         Lists the devices to choose from; the first that can be used is.
-    settings : DeviceSettings
     acquisition : Acquisition
         What the frames must look like.
     check : callable
         Raises a TouchdError if a device with another acquisition must not be used: it is skipped.
     device : Device, optional
         Serial number and firmware, if the device was open before.
-    clock : callable
-        Monotonic time, ns.
     direct : bool
         The caller of `read` may read the device, which can wait for it.
     """

@@ -32,13 +32,7 @@ _DRIVER_FIX = "install NI-DAQmx, which the package needs"
 
 
 class NiDaq:
-    """An open rig.
-
-    Parameters
-    ----------
-    settings : NiSettings
-    acquisition : Acquisition
-        The chirp to play, and the frames to sample.
+    """An open rig, which plays the chirp of `acquisition` and samples its frames.
 
     Raises
     ------
@@ -100,13 +94,10 @@ class NiDaq:
         timeout_s = max(timeout_s, 3 * self._period_s)
         try:
             every = self._every if self._frame else 0
-            if self._frame and self._rest.size:  # from the end of the last frame to the beginning of the next one
-                self._reader.read_int16(self._rest, self._rest.shape[1], timeout_s)
-            for _ in range(every - 1):
-                self._reader.read_int16(self._counts, self._counts.shape[1], timeout_s)
-                if self._rest.size:
+            for _ in range(max(every, 1)):
+                if self._frame and self._rest.size:  # from the end of the last frame to the beginning of the next one
                     self._reader.read_int16(self._rest, self._rest.shape[1], timeout_s)
-            self._reader.read_int16(self._counts, self._counts.shape[1], timeout_s)
+                self._reader.read_int16(self._counts, self._counts.shape[1], timeout_s)
         except DaqError as error:
             # A time-out, too, may come within a frame: only a new start finds the beginning of one.
             raise DaqGone(f"reading fails ({error.error_code})") from error

@@ -54,7 +54,6 @@ def open_source(
 
     Parameters
     ----------
-    choice : SourceChoice
     settings : Settings
         `device`, `ni` and `audio` configure a DAQ.
     model : Model, optional

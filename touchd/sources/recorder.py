@@ -62,10 +62,6 @@ class Recorder:
         File or folder to write; it must not exist yet.
     meta : Meta
         The recording's description, see `describe`.
-    chunk_frames : int
-        Frames in a chunk.
-    max_file_frames : int
-        Frames in a single file.
 
     Raises
     ------
@@ -109,8 +105,6 @@ class Recorder:
 
         Raises
         ------
-        EndOfStream
-            The source has no further frame.
         OutputError
             A chunk could not be written, or a single file is full; `close` still saves what is in memory.
         """

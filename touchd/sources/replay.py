@@ -31,10 +31,6 @@ class ReplaySource:
         1 takes as long as the recording, 2 half as long; infinity never waits.
     loop : bool
         Restart at the end. Sequence and time continue, with one frame period between the laps.
-    clock : callable
-        Monotonic time, ns.
-    sleep : callable
-        Waits, s.
 
     Raises
     ------

@@ -31,7 +31,6 @@ class SimulatedSource:
     ----------
     scene : str
         One of `touchd.twin.scenes.catalogue.SCENES`.
-    seed : int
     frames : int, optional
         Frames of one lap; by default as many as the scene needs.
     paced : bool
@@ -40,10 +39,6 @@ class SimulatedSource:
         Restart at the end. Sequence and time continue.
     instrument : Instrument, optional
         By default that of the default plate.
-    clock : callable
-        Monotonic time, ns.
-    sleep : callable
-        Waits, s.
 
     Raises
     ------

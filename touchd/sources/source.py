@@ -29,11 +29,9 @@ class Source(Protocol):
         EndOfStream
             The source has no further frame.
         """
-        ...
 
     def close(self) -> None:
         """Release what the source holds; further calls do nothing."""
-        ...
 
 
 class Change(NamedTuple):
@@ -79,7 +77,6 @@ class AdjustableSource(Protocol):
         bool
             Whether nothing is left to ask for; False if the device did not answer.
         """
-        ...
 
 
 @runtime_checkable
@@ -93,7 +90,6 @@ class LiveSource(Source, Protocol):
 
         While a change waits, `read` returns None at once: no frame overtakes it.
         """
-        ...
 
 
 @runtime_checkable
@@ -102,7 +98,6 @@ class Labelled(Protocol):
 
     def truth(self) -> list[tuple[float, float]]:
         """Return the places of the fingers in the frame that was read last, mm."""
-        ...
 
 
 def touching(contacts_mm: NDArray[np.float32] | None, frame: int) -> list[tuple[float, float]]:

@@ -138,22 +138,10 @@ class UsbDevice:
             raise _gone(error) from error
 
 
-def candidates(settings: DeviceSettings, backend: Any = None) -> Iterator[Callable[[], Daq]]:
-    """Yield calls that open a device with the ids, one for each device; see `Candidates`.
-
-    Parameters
-    ----------
-    settings : DeviceSettings
-    backend : usb.backend.IBackend, optional
-        Instead of libusb.
-
-    Raises
-    ------
-    SourceError
-        libusb is not installed.
-    """
+def candidates(settings: DeviceSettings, backend: Any) -> Iterator[Callable[[], Daq]]:
+    """Yield calls that open a device with the ids, one for each device; see `Candidates`."""
     found = False
-    for device in _devices(settings, backend or libusb()):
+    for device in _devices(settings, backend):
         found = True
         yield partial(_open_daq, device, settings)
     if not found:
@@ -189,7 +177,6 @@ def open_usb(
 
     Parameters
     ----------
-    settings : DeviceSettings
     acquisition : Acquisition, optional
         What the frames must look like; the device may then be plugged in later, and `check` compares (see `DaqSource`).
         Without it the device must be plugged in, and decides.

@@ -1,4 +1,4 @@
-"""The USB protocol, version 1, as bytes: build and parse GET_INFO, GET_STATUS and frames.
+"""The USB protocol, version 1, as bytes: build and parse GET_INFO and frames, build GET_STATUS.
 
 It touches no device and needs only the standard library, so that a device written in Python can use it too.
 docs/usb-protocol.md is the specification.
@@ -17,7 +17,6 @@ PROTOCOL: Final = 1
 INTERFACE_CLASS: Final = (0xFF, 0x54, 0x01)
 """Class, subclass and protocol of the interface descriptor."""
 INFO_BYTES: Final = 64
-STATUS_BYTES: Final = 32
 HEADER_BYTES: Final = 32
 UNKNOWN_TEMPERATURE: Final = -32768
 SEQUENCE_SPAN: Final = 1 << 32
@@ -31,7 +30,7 @@ _STATUS = struct.Struct("<QIIhB13x")
 _HEADER = struct.Struct("<4sBBHIBBHQhHI")
 _CRC_OFFSET = 28
 _NO_CRC = bytes(4)
-assert (_INFO.size, _STATUS.size, _HEADER.size) == (INFO_BYTES, STATUS_BYTES, HEADER_BYTES)
+assert (_INFO.size, _HEADER.size) == (INFO_BYTES, HEADER_BYTES)
 
 
 class Request(IntEnum):
@@ -161,14 +160,6 @@ def build_status(status: Status) -> bytes:
     )  # fmt: skip
 
 
-def parse_status(data: bytes) -> Status:
-    """Read the answer to GET_STATUS; raises ProtocolFault if it is too short."""
-    if len(data) < STATUS_BYTES:
-        raise ProtocolFault(f"GET_STATUS answers {len(data)} bytes, not {STATUS_BYTES}")
-    frames_sent, overruns, trigger_faults, temperature, running = _STATUS.unpack_from(data)
-    return Status(frames_sent, overruns, trigger_faults, temperature, bool(running))
-
-
 def build_frame(info: Info, header: Header, samples: bytes) -> bytes:
     """Return a frame: header with its CRC, then the samples, int16 and interleaved (s0c0 s0c1 ... s1c0 ...)."""
     if len(samples) != info.frame_bytes - HEADER_BYTES:
@@ -187,12 +178,8 @@ class FrameReader:
     """Find the valid frames in the transfers of a bulk endpoint.
 
     Normally a transfer is a frame. If it is not (a read timed out within a frame, a frame is cut short, rubbish comes),
-    the reader searches byte by byte for the next frame with a valid header and CRC.
-
-    Parameters
-    ----------
-    info : Info
-        The geometry of the frames; a frame of another size is corrupt.
+    the reader searches byte by byte for the next frame with a valid header and CRC. A frame of another geometry than
+    `info` says is corrupt.
     """
 
     def __init__(self, info: Info) -> None:
@@ -203,29 +190,20 @@ class FrameReader:
         self._pending = bytearray()
         self._skipped = 0  # bytes since the last valid frame, or the last end of a transfer
 
-    def whole(self, data: memoryview, size: int) -> tuple[Header, memoryview] | None:
-        """Return the header and samples of data whose first `size` bytes are one valid frame and no more; else None."""
-        if size != self._frame_bytes or self._pending:
+    def whole(self, data: memoryview) -> tuple[Header, memoryview] | None:
+        """Return the header and samples of data that are one valid frame and no more; else None."""
+        if len(data) != self._frame_bytes or self._pending:
             return None
-        frame = data if len(data) == size else data[:size]
-        header = self._header(frame, 0)
-        return (header, frame[HEADER_BYTES:]) if header is not None and self._intact(frame) else None
+        header = self._header(data, 0)
+        return (header, data[HEADER_BYTES:]) if header is not None and self._intact(data) else None
 
     def feed(self, data: memoryview, *, ended: bool) -> Iterator[tuple[Header, memoryview]]:
         """Take the data of one read, and yield the header and the samples of each valid frame.
 
         The samples are a view of bytes, valid while `data` does not change. At each frame `corrupt` holds the corrupt
-        frames before it.
-
-        Parameters
-        ----------
-        data : memoryview
-        ended : bool
-            A short packet has closed the transfer: no later byte belongs to a frame that has begun in it.
+        frames before it. `ended` says that a short packet has closed the transfer: no later byte belongs to a frame
+        that has begun in it.
         """
-        if (found := self.whole(data, len(data))) is not None:
-            yield found
-            return
         self._pending += data
         yield from self._search()
         if ended:

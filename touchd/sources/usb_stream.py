@@ -143,11 +143,11 @@ class UsbDaq:
             size = self._read_transfer(round(timeout_s * 1000))
             if size is None:
                 return None
-            # Nearly every transfer is one whole frame.
-            found = self._reader.whole(self._view, size)
+            data = self._view[:size]
+            found = self._reader.whole(data)  # as nearly every transfer is
             if found is None:
                 ended = size == 0 or size % self._connection.packet_bytes != 0
-                self._found = self._reader.feed(self._view[:size], ended=ended)
+                self._found = self._reader.feed(data, ended=ended)
                 found = next(self._found, None)
         return None if found is None else self._decode(*found)
 
@@ -192,11 +192,7 @@ class UsbDaq:
     def _decode(self, header: Header, samples: memoryview) -> DaqFrame:
         """Return a frame whose counts are a view of the transfer."""
         counts = np.frombuffer(samples, "<i2").reshape(self._shape).T
-        sequence, _, flags, _ = header
-        if self._sequence is not None and sequence == self._sequence + 1:
-            self._sequence = sequence
-        else:
-            sequence = self._unwrap(sequence)
+        flags, sequence = header.flags, self._unwrap(header.sequence)
         if not flags:
             return DaqFrame(counts, sequence, header.timestamp_us)
         withheld = ""

@@ -32,7 +32,7 @@ def routes(site: Site) -> list[BaseRoute]:
     ]
 
 
-async def begin(site: Site) -> None:
+async def follow_wizard(site: Site) -> None:
     """Publish the wizard's state until the server ends."""
     while True:
         with contextlib.suppress(OSError, ValueError):

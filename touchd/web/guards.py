@@ -9,9 +9,10 @@ from __future__ import annotations
 import hmac
 import secrets
 from collections.abc import Collection, Iterable
-from http.cookies import CookieError, SimpleCookie
 from urllib.parse import urlsplit
 
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.requests import HTTPConnection
 from starlette.responses import PlainTextResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -79,7 +80,8 @@ class Access:
             Paths that need no session: the page's files, and what gives a session.
         """
         socket = scope["type"] == "websocket"
-        hosts, origins = _headers(scope, b"host"), _headers(scope, b"origin")
+        headers = Headers(scope=scope)
+        hosts, origins = headers.getlist("host"), headers.getlist("origin")
         if len(hosts) != 1 or hosts[0].lower() not in self.hosts:
             return 421, "unknown host"
         acts = not socket and scope["method"] == "POST"
@@ -95,25 +97,11 @@ class Access:
 
     def has_session(self, scope: Scope) -> bool:
         """Return whether the request comes with the cookie of this start."""
-        for text in _headers(scope, b"cookie"):
-            try:
-                morsel = SimpleCookie(text).get(self.cookie)
-            except CookieError:
-                continue
-            if morsel is not None and _equal(morsel.value, self._session):
-                return True
-        return False
+        return _equal(HTTPConnection(scope).cookies.get(self.cookie, ""), self._session)
 
 
 class Guard:
-    """Refuses what `Access` refuses and bodies that are too large, and adds the security headers to every answer.
-
-    Parameters
-    ----------
-    app : ASGI application
-    access : Access
-    open_paths : collection of str
-    """
+    """Refuses what `Access` refuses and bodies that are too large, and adds the security headers to every answer."""
 
     def __init__(self, app: ASGIApp, access: Access, open_paths: Collection[str]) -> None:
         self._app, self._access, self._open_paths = app, access, open_paths
@@ -134,13 +122,13 @@ class Guard:
 
         async def with_headers(message: Message) -> None:
             if message["type"] == "http.response.start":
-                own = [(name.encode(), value.encode()) for name, value in HEADERS.items()]
-                message["headers"] = [*message.get("headers", []), *own]
+                headers = MutableHeaders(scope=message)
+                headers.update(HEADERS)
                 if scope["path"] not in self._open_paths:
-                    message["headers"].append((b"cache-control", b"no-store"))
+                    headers["cache-control"] = "no-store"
             await send(message)
 
-        if refusal is None and _body_bytes(scope) > MOST_BODY_BYTES:
+        if refusal is None and not _body_fits(scope):
             refusal = 413, "too large"
         if refusal:
             await PlainTextResponse(refusal[1], refusal[0])(scope, receive, with_headers)
@@ -148,16 +136,13 @@ class Guard:
             await self._app(scope, receive, with_headers)
 
 
-def _body_bytes(scope: Scope) -> float:
-    """Return the announced size of a body; without one, 0, or infinity where it comes in unknown pieces."""
-    if _headers(scope, b"transfer-encoding"):
-        return float("inf")
-    sizes = _headers(scope, b"content-length")
-    return int(sizes[0]) if len(sizes) == 1 and sizes[0].isascii() and sizes[0].isdigit() else float(bool(sizes)) * 1e99
-
-
-def _headers(scope: Scope, name: bytes) -> list[str]:
-    return [value.decode("latin-1") for key, value in scope["headers"] if key == name]
+def _body_fits(scope: Scope) -> bool:
+    """Return whether a request has no body, or one whose size it announces, and not more than is taken."""
+    headers = Headers(scope=scope)
+    sizes = headers.getlist("content-length")
+    if "transfer-encoding" in headers or len(sizes) > 1:
+        return False
+    return all(size.isascii() and size.isdigit() and int(size) <= MOST_BODY_BYTES for size in sizes)
 
 
 def _equal(given: str, own: str) -> bool:

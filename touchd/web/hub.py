@@ -42,14 +42,11 @@ class Client:
     def __init__(self) -> None:
         self.asked: frozenset[str] = frozenset()
         """Topics of `ASKED` that it wants."""
-        self.skipped = 0
-        """Messages replaced by newer ones since the last `take`."""
         self.wake = asyncio.Event()
         self._slots: dict[str, bytes] = {}
 
     def offer(self, topic: str, payload: bytes) -> None:
         """Put a message in its topic's slot."""
-        self.skipped += topic in self._slots
         self._slots[topic] = payload
         self.wake.set()
 

@@ -72,8 +72,7 @@ async def _send(site: Site, socket: WebSocket, client: Client) -> None:
 
 def batch(hub: Hub, client: Client) -> str:
     """Return all that waits for a page as one JSON object, with the time now and for how long the daemon is silent."""
-    skipped, client.skipped = client.skipped, 0
     silent_s = "null" if hub.silent_s is None else f"{hub.silent_s:.3f}"
     messages = b",".join(client.take()).decode()
     now = f'"now_ns":{time.monotonic_ns()},"wall_ms":{time.time_ns() // 1_000_000}'
-    return f'{{{now},"silent_s":{silent_s},"skipped":{skipped},"messages":[{messages}]}}'
+    return f'{{{now},"silent_s":{silent_s},"messages":[{messages}]}}'

@@ -13,31 +13,26 @@ from msgspec.json import encode
 
 from touchd.config.load import load
 from touchd.event import Contact
-from touchd.service.daemon import make_pipeline
-from touchd.service.frame_feed import FeedDescription
+from touchd.service.daemon import describer, make_pipeline
 from touchd.service.messages import Messages, all_but_spectra
 from touchd.service.runner import frames_of
+from touchd.sources.open import SourceChoice
 from touchd.sources.replay import ReplaySource
 
-FRAMES, OFFSETS, SUMMARY = "frames.jsonl", "offsets.npy", "summary.json"
 _TOLD = 250
 """Progress is printed after as many frames."""
 
 
-def main(recording: str, folder: str, config: str = "") -> None:
+def main(recording: str, folder: str, config: str) -> None:
     """Write a line of JSON for each frame, where each begins, and a summary; print the number of frames done."""
     settings = load(Path(config) if config else None)
     source = ReplaySource(Path(recording), speed=float("inf"))
     pipeline = make_pipeline(source, settings, notify=lambda _reason, _fields: None)
-    meta = source.meta
-    described = FeedDescription(
-        acquisition=source.acquisition, rate_hz=meta.frame_rate_hz, source=meta.source or "replay", plate=meta.plate,
-        emitter_mm=meta.emitter_mm, receivers_mm=meta.receivers_mm or (),
-    )  # fmt: skip
+    described = describer(source, settings, SourceChoice(replay=Path(recording)), pipeline)()
     plate = Messages(settings, all_but_spectra).plate(described, pipeline.layout, 0)
     alive: list[Contact] = []
     offsets, counts, first_ns = [0], [], None
-    with closing(source), (Path(folder) / FRAMES).open("wb") as out:
+    with closing(source), (Path(folder) / "frames.jsonl").open("wb") as out:
         for frame in frames_of(source):
             if frame is None:
                 continue
@@ -53,9 +48,9 @@ def main(recording: str, folder: str, config: str = "") -> None:
             counts.append(len(alive))
             if len(counts) % _TOLD == 0:
                 print(len(counts), flush=True)
-    np.save(Path(folder) / OFFSETS, np.array(offsets, np.int64))
+    np.save(Path(folder) / "offsets.npy", np.array(offsets, np.int64))
     summary = {"plate": plate, "frames": len(counts), "fingers": _runs(counts)}
-    (Path(folder) / SUMMARY).write_bytes(encode(summary))
+    (Path(folder) / "summary.json").write_bytes(encode(summary))
 
 
 def _runs(counts: list[int]) -> list[tuple[int, int]]:

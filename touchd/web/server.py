@@ -6,10 +6,11 @@ import asyncio
 import contextlib
 import ipaddress
 import logging
+import os
 import signal
 import socket
 import time
-from collections.abc import AsyncIterator, Callable, Iterable, Sequence
+from collections.abc import AsyncIterator, Callable, Iterable
 from types import FrameType, ModuleType
 from typing import Any
 
@@ -25,7 +26,7 @@ from touchd.web.guards import Guard
 from touchd.web.site import Site
 
 VIEWS: tuple[ModuleType, ...] = (pages, live, replay, calibrate, check)
-"""Each with `routes(site)`; one with `begin(site)` runs that beside requests."""
+"""Each with `routes(site)`."""
 _END_S = 2
 """Open WebSockets may hold up the end for as long."""
 _BEAT_S = 0.25
@@ -54,19 +55,15 @@ def bind(address: str) -> socket.socket:
             "is beyond loopback, and this server has no encryption", f"--bind {address}",
             "bind 127.0.0.1 and put a reverse proxy before it (--origin), or use ssh -L",
         )  # fmt: skip
-    listening = socket.socket(socket.AF_INET6 if reached.version == 6 else socket.AF_INET)
+    family = socket.AF_INET6 if reached.version == 6 else socket.AF_INET
     try:
-        listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        listening.bind((host, number))
-        listening.listen(64)
+        return socket.create_server((host, number), family=family, backlog=64)
     except OSError as error:
-        listening.close()
         raise AddressInUse(
-            f"cannot be listened at ({error.strerror})",
+            f"cannot be listened at ({os.strerror(error.errno or 0)})",
             f"--bind {address}",
             "stop what listens there, or choose another",
         ) from error
-    return listening
 
 
 def make_app(site: Site) -> Starlette:
@@ -75,10 +72,7 @@ def make_app(site: Site) -> Starlette:
     @contextlib.asynccontextmanager
     async def lifespan(_app: Starlette) -> AsyncIterator[None]:
         site.hub.start()
-        for view in VIEWS:
-            begin = getattr(view, "begin", None)
-            if begin is not None:
-                site.tasks.add(asyncio.create_task(begin(site)))
+        site.tasks.add(asyncio.create_task(calibrate.follow_wizard(site)))
         try:
             yield
         finally:
@@ -113,9 +107,7 @@ def _without_traceback(record: logging.LogRecord) -> bool:
     return True
 
 
-def serve(
-    site: Site, listening: Sequence[socket.socket], ready: Callable[[], object], manager: Notifier, *, debug: bool
-) -> None:
+def serve(site: Site, listening: socket.socket, ready: Callable[[], object], manager: Notifier, *, debug: bool) -> None:
     """Serve until SIGTERM or SIGINT; `ready` is called once browsers are answered; `debug` logs tracebacks."""
     config = uvicorn.Config(
         make_app(site), ws="websockets-sansio", http="h11", loop="asyncio", lifespan="on", log_config=None,
@@ -134,7 +126,7 @@ def serve(
         signal.signal(number, stop)
 
     async def run() -> None:
-        served = asyncio.create_task(server.serve(list(listening)))
+        served = asyncio.create_task(server.serve([listening]))
         told, since_ns = False, dict[Any, int]()
         while not served.done():
             if server.started and not told:

@@ -25,7 +25,7 @@ from touchd.gadget.device import Gadget
 from touchd.gadget.functionfs import ConfigFs, FunctionFs, descriptors, first_udc, strings
 from touchd.sources.simulated import SimulatedSource
 from touchd.sources.usb import candidates, open_usb
-from touchd.sources.usb_protocol import Info, build_info, parse_status
+from touchd.sources.usb_protocol import Info, Status, build_info, build_status
 from touchd.sources.usb_stream import acquisition_of
 from touchd.twin.instrument import Instrument
 
@@ -170,9 +170,7 @@ def test_requests(kernel: Kernel, monkeypatch: pytest.MonkeyPatch) -> None:
         running.append(gadget.running)
     assert answers == [build_info(INFO), b"", b"", errno.EPIPE, errno.EPIPE]
     assert running == [False, True, False, False, False]
-    status = kernel.setup(0xC0, 4, 0, 32)
-    assert isinstance(status, bytes)
-    assert parse_status(status).running is False
+    assert kernel.setup(0xC0, 4, 0, 32) == build_status(Status(running=False))
 
 
 def test_host_goes_away(kernel: Kernel, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -181,9 +179,7 @@ def test_host_goes_away(kernel: Kernel, monkeypatch: pytest.MonkeyPatch) -> None
     only_control(gadget, monkeypatch)
     assert kernel.setup(0x40, 2, 125, 0) == b""
     kernel.event(DISABLE)
-    status = kernel.setup(0xC0, 4, 0, 32)
-    assert isinstance(status, bytes)
-    assert parse_status(status).running is False
+    assert kernel.setup(0xC0, 4, 0, 32) == build_status(Status(running=False))
 
 
 def test_kernel_refuses(kernel: Kernel, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -49,7 +49,7 @@ class Cable:
             threading.Event().wait(wait_s)
         transfer = self.gadget.next_transfer()
         if self.flags and isinstance(transfer, bytes):
-            found = FrameReader(INFO).whole(memoryview(transfer), len(transfer))
+            found = FrameReader(INFO).whole(memoryview(transfer))
             assert found is not None
             header, samples = found
             return build_frame(INFO, header._replace(flags=self.flags), bytes(samples))

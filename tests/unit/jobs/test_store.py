@@ -11,7 +11,7 @@ import pytest
 from tests.jobs_to_run import lines, numbered, spectrum
 from tests.needs import need
 from touchd.errors import OutputError
-from touchd.jobs import Job, Shared, run
+from touchd.jobs import Job, Shared, digest, run
 
 WINDOW = np.hanning(300)
 SPECTRUM = [Job("spectrum", spectrum, {"seed": 1}, ("window",))]
@@ -40,8 +40,10 @@ def test_resumed(tmp_path: Path) -> None:
 
 def test_another_shared_object(tmp_path: Path) -> None:
     """Another shared object makes another job."""
-    window = run(SPECTRUM, workers=1, shared={"window": WINDOW}, cache=tmp_path / "cache")
-    other = run(SPECTRUM, workers=1, shared={"window": WINDOW**2}, cache=tmp_path / "cache")
+    window, other = (
+        run(SPECTRUM, workers=1, shared={"window": Shared(each, digest(each))}, cache=tmp_path / "cache")
+        for each in (WINDOW, WINDOW**2)
+    )
     assert not np.array_equal(window["spectrum"], other["spectrum"])
     assert len(list((tmp_path / "cache").iterdir())) == 2
 

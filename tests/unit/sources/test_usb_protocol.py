@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import json
 import struct
 import zlib
@@ -26,7 +27,6 @@ from touchd.sources.usb_protocol import (
     build_info,
     build_status,
     parse_info,
-    parse_status,
 )
 
 FILE = Path(__file__).resolve().parents[2] / "vectors.json"
@@ -113,7 +113,7 @@ def test_corrupt_vector(vector: dict[str, Any]) -> None:
 
 
 def test_info_and_status_vectors() -> None:
-    """The vectors of GET_INFO and GET_STATUS are read, and built to the byte."""
+    """The vectors of GET_INFO are read, and those of GET_INFO and GET_STATUS built to the byte."""
     small, full = (bytes.fromhex(vector["hex"]) for vector in VECTORS["info"])
     assert (GEOMETRY["small"].channels, GEOMETRY["small"].samples, GEOMETRY["small"].firmware) == (2, 3, (1, 2, 3))
     assert (GEOMETRY["full"].channels, GEOMETRY["full"].samples, GEOMETRY["full"].frame_bytes) == (4, 250, 2032)
@@ -121,7 +121,6 @@ def test_info_and_status_vectors() -> None:
     assert [build_info(info) for info in GEOMETRY.values()] == [small, full]
     (status,) = VECTORS["status"]
     data = bytes.fromhex(status.pop("hex"))
-    assert parse_status(data) == Status(**status)
     assert build_status(Status(**status)) == data
 
 
@@ -146,11 +145,9 @@ def test_info_round_trip(info: Info) -> None:
         st.booleans(),
     )
 )
-def test_status_round_trip(status: Status) -> None:
-    """What is built is parsed to the same value, in 32 bytes."""
-    data = build_status(status)
-    assert len(data) == 32
-    assert parse_status(data) == status
+def test_status_layout(status: Status) -> None:
+    """A status takes 32 bytes, its fields in the order of the specification."""
+    assert struct.unpack("<QIIhB13x", build_status(status)) == dataclasses.astuple(status)
 
 
 @given(geometries, headers, st.data())
@@ -323,9 +320,8 @@ def test_impossible_info(offset: int, change: bytes, what: str) -> None:
 @given(st.binary(max_size=80))
 def test_any_bytes(data: bytes) -> None:
     """Any bytes are parsed, or refused as ProtocolFault."""
-    for parse in (parse_info, parse_status):
-        with contextlib.suppress(ProtocolFault):
-            parse(data)
+    with contextlib.suppress(ProtocolFault):
+        parse_info(data)
 
 
 @given(st.binary(max_size=63))

@@ -13,7 +13,7 @@ export class Feed {
   constructor() {
     this.state = 'connecting';
     this.last = {}; // newest message of each type
-    this.stats = { batches: 0, skipped: 0 };
+    this.stats = { batches: 0 };
     this.dataAgeMs = null;
     this.handlers = new Map();
     this.topics = new Set();
@@ -89,10 +89,7 @@ export class Feed {
     const batch = JSON.parse(text);
     this.stats.batches += 1;
     this.batchAt = performance.now();
-    if (batch.skipped !== undefined) {
-      this.silentS = batch.silent_s;
-      this.stats.skipped += batch.skipped;
-    }
+    if (batch.silent_s !== undefined) this.silentS = batch.silent_s; // not in the first one, which says hello
     for (const message of batch.messages) {
       if (message.type === 'touch') this.dataAgeMs = age(batch, message);
       this.last[message.type] = message;

@@ -91,7 +91,7 @@ export const texts = {
       diameter_mm: 'Disc diameter, mm', emitter: 'Emitter, E', receiver: n => `Receiver ${n}`, x: 'x, mm', y: 'y, mm',
       materials: ['glass', 'pmma', 'aluminium', 'steel'], edges: { free: 'free', pads: 'pads', tape: 'tape', clamped: 'clamped' },
       each: 'each side its own', sides: { left: 'Left', right: 'Right', top: 'Top', bottom: 'Bottom' }, constants: 'by its constants',
-      more: 'One receiver more', less: 'One less', save: 'Save the measures', saved: 'Saved.',
+      more: 'One receiver more', less: 'One less', save: 'Save the measures',
     },
     untouched: {
       hint: 'Take everything off the plate. Its own sound tells what it is.',

@@ -1,4 +1,4 @@
-"""The options that name a source of frames, for every command that reads some."""
+"""Options that several commands have: the configuration, the bus, and the source of frames."""
 
 from __future__ import annotations
 
@@ -14,6 +14,20 @@ if TYPE_CHECKING:
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 
+def _or_above(ctx: click.Context, _param: click.Parameter, value: Path | None) -> Path | None:
+    """Return the file that stands behind the verb, else the one before it: `touchd --config FILE VERB`."""
+    return value or (ctx.obj or {}).get("config")
+
+
+config_option = click.option(
+    "--config", type=click.Path(path_type=Path), callback=_or_above, help="Configuration file (TOML)."
+)
+bus_option = click.option(
+    "--bus", "address", metavar="ADDRESS",
+    help="Where the daemon publishes.  [default: the installed service, or else a touchd on this computer]",
+)  # fmt: skip
+
+
 def parse_speed(_ctx: click.Context, _param: click.Parameter, value: str) -> float:
     """Convert a speed option to a number; `max` is infinite."""
     if value == "max":
@@ -27,7 +41,7 @@ def parse_speed(_ctx: click.Context, _param: click.Parameter, value: str) -> flo
     return speed
 
 
-OPTIONS = (
+SOURCE_OPTIONS = (
     click.option("--replay", type=click.Path(path_type=Path), help="Replay a recording: a file or a folder."),
     click.option("--simulate", metavar="SCENE", help="Simulate a scene of the digital twin, live."),
     click.option("--ni", is_flag=True, help="Read NI hardware: see [ni] in the configuration."),
@@ -46,7 +60,7 @@ OPTIONS = (
 
 def source_options(command: Command) -> Command:
     """Add the fields of `touchd.sources.open.SourceChoice` to a command, as options of their names."""
-    for add in reversed(OPTIONS):
+    for add in reversed(SOURCE_OPTIONS):
         command = add(command)
     return command
 
