@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from touchd.cli.beforehand import check_picture
 from touchd.cli.options import config_option
 from touchd.errors import ConfigError, DeviceLost
 
@@ -59,6 +60,8 @@ def command(
     from touchd.calibration.plate_file import read_plate_file
     from touchd.config.load import load
 
+    if output is not None:
+        check_picture(output)
     audio = load(config).audio
     said = read_plate_file(plate_file) if plate_file else None
     name = device or audio.device

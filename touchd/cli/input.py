@@ -11,20 +11,20 @@ from touchd.bridges.area import Area
 from touchd.bridges.screen import KEY_CODES, Keypad, Screen
 from touchd.bridges.slots import BTN_TOUCH
 from touchd.cli.bridge import serve
-from touchd.cli.options import bus_option
+from touchd.cli.options import bus_option, config_option
 from touchd.config.apart import load_apart
 
 
 @click.command()
 @bus_option
-@click.pass_obj
-def command(settings: dict[str, Path | None] | None, address: str | None) -> None:
+@config_option
+def command(address: str | None, config: Path | None) -> None:
     """Make a multi-touch screen of the kernel's, and show it the touches that a running daemon publishes.
 
     `[input]` in the configuration says where the screen lies on the plate: see `touchd map`. It takes the right to
     open /dev/uinput, which touchd-input.service has.
     """
-    found = load_apart((settings or {}).get("config"))
+    found = load_apart(config)
     phys = uinput.phys_of(found.device.name)
     if found.input.keypad:
         keypad = uinput.Device(uinput.KEYPAD_NAME, phys, sorted(set(KEY_CODES.values())))

@@ -11,7 +11,7 @@ from pathlib import Path
 import click
 
 from touchd.bridges.fit import CROSSES, LEAST_TOUCHES, Crosses, Touched, fit, keys_of
-from touchd.cli.options import bus_option
+from touchd.cli.options import bus_option, config_option
 from touchd.client import Subscriber
 from touchd.config.apart import load_apart
 from touchd.config.edit import set_keys
@@ -47,19 +47,19 @@ p {{ position: fixed; left: 20%; top: 25%; width: 60%; text-align: center }}
               help="Take no touches: fit those that touchd wizard has left in FILE.")  # fmt: skip
 @click.option("--dry-run", is_flag=True, help="Print the mapping, and write nothing.")
 @bus_option
-@click.pass_obj
+@config_option
 def command(
-    settings: dict[str, Path | None] | None,
     touches: int,
     page: Path | None,
     given: Path | None,
     dry_run: bool,
     address: str | None,
+    config: Path | None,
 ) -> None:
     """Take touches at crosses on the screen, fit where it lies on the plate, and write that to the configuration.
 
     Show the crosses in full screen on the screen below the plate: `touchd map --page crosses.html` makes a page for any
-    browser. The file that `touchd --config FILE map` names takes the mapping, or /etc/touchd/touchd.toml.
+    browser. The file that --config names takes the mapping, or /etc/touchd/touchd.toml.
     Restart `touchd input` then.
     """
     if page is not None:
@@ -67,7 +67,6 @@ def command(
             page.write_text(page_of(CROSSES[:touches]))
         click.echo(f"open {page} on the screen, in full screen, and run: touchd map --touches {touches}")
         return
-    config = (settings or {}).get("config")
     load_apart(config)  # what cannot be read is not written over
     mapping = fit(_read(given) if given else _take(address, touches))
     keys = keys_of(mapping)

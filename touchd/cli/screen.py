@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from touchd.cli.options import config_option
 from touchd.config.load import load
 from touchd.service.control import SERVICE_PATH, path_of, send
 
@@ -16,10 +17,10 @@ from touchd.service.control import SERVICE_PATH, path_of, send
     "--socket", "path", type=click.Path(path_type=Path), metavar="FILE",
     help=f"The daemon's control socket.  [default: control.socket, or {SERVICE_PATH}]",
 )  # fmt: skip
-@click.pass_obj
-def command(settings: dict[str, Path | None] | None, state: str, path: Path | None) -> None:
+@config_option
+def command(state: str, path: Path | None, config: Path | None) -> None:
     """Tell the running daemon that the screen went off or on.
 
     While it is off, the daemon locates no touches and only updates the baseline. A daemon starts with the screen on.
     """
-    send(path or path_of(load((settings or {}).get("config")).control) or SERVICE_PATH, f"screen {state}")
+    send(path or path_of(load(config).control) or SERVICE_PATH, f"screen {state}")

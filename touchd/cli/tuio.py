@@ -12,7 +12,7 @@ import click
 from touchd.bridges.area import Area
 from touchd.bridges.tuio import Tuio
 from touchd.cli.bridge import serve
-from touchd.cli.options import bus_option
+from touchd.cli.options import bus_option, config_option
 from touchd.config.apart import load_apart
 from touchd.errors import ConfigError, InsecureBind
 
@@ -20,8 +20,8 @@ from touchd.errors import ConfigError, InsecureBind
 @click.command()
 @click.option("--to", metavar="HOST:PORT", help="Where to send them.  [default: tuio.to]")
 @bus_option
-@click.pass_obj
-def command(settings: dict[str, Path | None] | None, to: str | None, address: str | None) -> None:
+@config_option
+def command(to: str | None, address: str | None, config: Path | None) -> None:
     """Send the touches that a running daemon publishes as TUIO 1.1 over UDP.
 
     /tuio/2Dcur, and /tuio/2Dblb for contacts with sizes. Coordinates are shares of the screen that `[input]` in the
@@ -29,7 +29,7 @@ def command(settings: dict[str, Path | None] | None, to: str | None, address: st
     encryption.
     """
     overrides = {"tuio": {"to": to}} if to else {}
-    found = load_apart((settings or {}).get("config"), overrides)
+    found = load_apart(config, overrides)
     area = Area(found.input)
     where = destination(found.tuio.to, insecure=found.tuio.insecure)
     serve(address, found.input, Tuio(area, where, found.device.name, time.monotonic_ns()), f"TUIO to {found.tuio.to}")

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import click
 
-from touchd.cli.options import bus_option
+from touchd.cli.options import bus_option, config_option
 from touchd.config.apart import load_apart
 from touchd.errors import RecordingMissing
 from touchd.service.systemd import Notifier
@@ -24,15 +25,17 @@ from touchd.service.systemd import Notifier
 @click.option("--replay", type=click.Path(path_type=Path), metavar="RECORDING",
               help="Also show a recording, frame by frame.")  # fmt: skip
 @bus_option
+@config_option
 @click.pass_obj
 def command(
-    settings: dict[str, Path | None] | None,
+    above: dict[str, Any] | None,
     where: str,
     origins: tuple[str, ...],
     keypad: bool,
     wizard: Path | None,
     replay: Path | None,
     address: str | None,
+    config: Path | None,
 ) -> None:
     """Serve a page that shows the plate live, and checks the set-up; print its address.
 
@@ -48,7 +51,6 @@ def command(
 
     if replay is not None and not replay.exists():
         raise RecordingMissing("no such recording", str(replay), "check the path")
-    config = (settings or {}).get("config")
     found = load_apart(config)
     configure(found.log)
     with closing(bind(where)) as listening, closing(Notifier.from_environment()) as manager:
@@ -60,5 +62,5 @@ def command(
             screen_mm=tuple(found.input.screen_mm), replay=replay, wizard=wizard or default_socket(),
         )  # fmt: skip
         url = f"http://{shown}:{port}/#token={access.token}"
-        debug = bool((settings or {}).get("debug"))
+        debug = bool((above or {}).get("debug"))
         serve(site, listening, lambda: click.echo(f"touchd: open {url}"), manager, debug=debug)

@@ -115,7 +115,7 @@ def save_atlas(atlas: Atlas, path: Path) -> None:
     Raises
     ------
     OutputError
-        If it cannot be written, or would be larger than 8 MB.
+        It cannot be written, or would be larger than `MAX_BYTES`.
     """
     scale = np.float32(np.abs(atlas.coefficients).max() or 1.0)
     with replacing(path) as file:

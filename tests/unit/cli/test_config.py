@@ -8,6 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 from touchd.cli.config import command
+from touchd.cli.main import main
 from touchd.config.load import load
 from touchd.config.render import render
 from touchd.config.schema import DeviceSettings, Settings
@@ -32,6 +33,15 @@ def test_effective(file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     printed.write_text(result.output)
     monkeypatch.delenv("TOUCHD_DEVICE__NAME")
     assert load(printed) == Settings(device=DeviceSettings(rate_hz=60, name="door"))
+
+
+@pytest.mark.parametrize("verb", ["input", "map", "screen off", "tuio", "web"])
+@pytest.mark.parametrize("order", ["{verb} --config {file}", "--config {file} {verb}"])
+def test_file_on_either_side(verb: str, order: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A verb takes the file before it or behind it."""
+    missing = tmp_path / "none.toml"
+    assert main(order.format(verb=verb, file=missing).split()) == ConfigError.exit_code
+    assert f"{missing}: no such file" in capsys.readouterr().err
 
 
 def test_file_before_verb(file: Path) -> None:

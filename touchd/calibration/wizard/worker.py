@@ -42,6 +42,13 @@ log = structlog.get_logger()
 Job = Callable[[threading.Event], None]
 
 
+class _Asked(dict[str, Any]):
+    """What a page asks; it may be anything."""
+
+    def __missing__(self, part: str) -> Any:
+        raise CalibrationError(f"{part} is missing", "the command", "load the page again")
+
+
 class Worker:
     """The wizard.
 
@@ -82,15 +89,16 @@ class Worker:
 
     def answer(self, asked: Any) -> dict[str, Any]:
         """Obey a command, and return what is to be said of it: at least `ok`."""
-        asked = asked if isinstance(asked, dict) else {}
+        asked = _Asked(asked if isinstance(asked, dict) else {})
         name = str(asked.get("do"))
+        command = self._commands().get(name)
+        if command is None:
+            return {"ok": False, "problem": f"no such command: {name[:20]}"}
         try:
             with self._one:
                 if name in (*ENDING, "try") and self._state["running"] in LONG:
                     raise CalibrationError("a fit or a training runs", "", "wait for its end, or stop it first")
-                found = self._commands()[name](asked)
-        except KeyError:
-            return {"ok": False, "problem": f"no such command, or a part of it is missing: {name[:20]}"}
+                found = command(asked)
         except TouchdError as error:
             return {"ok": False, "problem": f"{error.where}: {error.what}" if error.where else error.what,
                     "fix": error.fix}  # fmt: skip
@@ -255,6 +263,8 @@ async def serve(worker: Worker, state: State, path: Path, manager: Notifier, rea
         raise AddressInUse("another wizard listens there", str(path), "stop it, or name another place with --socket")
     umask = os.umask(0o177)
     try:
+        if path.exists() and not path.is_socket():
+            raise OutputError("there is something else than a socket", str(path), "name another place with --socket")
         path.unlink(missing_ok=True)
         server = await asyncio.start_unix_server(converse, path, limit=MOST_BYTES)
     except OSError as error:

@@ -91,10 +91,11 @@ def test_toml() -> None:
 
 
 def test_unknown_command(tmp_path: Path) -> None:
-    """What is no command is said so."""
+    """What is no command is said so, and what a command lacks."""
     worker, _ = made(tmp_path)
-    for asked in ({}, {"do": "format"}, {"do": 3}, {"do": "measures"}):
-        assert worker.answer(asked)["ok"] is False
+    for asked in ({}, {"do": "format"}, {"do": 3}):
+        assert worker.answer(asked)["problem"].startswith("no such command")
+    assert worker.answer({"do": "measures"})["problem"] == "the command: plate is missing"
 
 
 JSON = st.recursive(
@@ -451,6 +452,15 @@ def test_two_at_one_socket(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -
         assert main(["wizard", "--socket", str(path), "--folder", str(tmp_path / "state")]) == 41
         assert "another wizard listens there" in capsys.readouterr().err
         assert path.exists()
+
+
+def test_socket_is_a_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A file that lies where the socket belongs is left alone."""
+    path = tmp_path / "notes"
+    path.write_text("mine")
+    assert main(["wizard", "--socket", str(path), "--folder", str(tmp_path / "state")]) == 90
+    assert "something else than a socket" in capsys.readouterr().err
+    assert path.read_text() == "mine"
 
 
 def test_folder_is_a_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
