@@ -185,6 +185,11 @@ CASES: dict[str, tuple[type[TouchdError], Arguments, tuple[str, ...]]] = {
         lambda w: ("wizard", "--socket", w.folder / "nowhere" / "socket", "--folder", w.folder / "state"),
         ("nowhere/socket", "--socket"),
     ),
+    "picture of a card that cannot be written": (
+        errors.OutputError,
+        lambda w: ("audio-check", "-o", w.folder / "nowhere" / "card.png"),
+        ("nowhere",),
+    ),
     "no card to check": (errors.ConfigError, lambda _: ("audio-check",), ("audio.device", "arecord -L")),
     "a missing model": (errors.ModelMissing, bound("--model", "nowhere.onnx"), ("nowhere.onnx",)),
     "no model": (
