@@ -64,27 +64,26 @@ def stream(
         signal = instrument.untouched(temperature_c, late_s)
         touches = stage.touches(first, last)
         if any(touches):
-            signal += change_by(stage, instrument, (first, last), temperature_c, late_s)
+            signal += change_by(stage, instrument, first, touches, temperature_c, late_s)
         yield digitiser.counts(signal, time_s[first:last], np.array([bool(touch) for touch in touches]))
 
 
 def change_by(
-    stage: Stage, instrument: Instrument, frames: tuple[int, int], temperature_c: Floats, late_s: Floats
-) -> Floats:
-    """Return the change by a stage's contacts, which move during a frame, shape (frames, channels, samples).
+    stage: Stage, instrument: Instrument, start: int, touches: Sequence[list[Contact]], temperature_c: Floats,
+    late_s: Floats,
+) -> Floats:  # fmt: skip
+    """Return the change by a stage's `touches` of n frames from `start` on, shape (n, channels, samples).
 
-    A plate answers at once, relative to a hand: at 1 m/s a contact goes a millimetre in a frame, a wave a metre and
-    more. So the change goes over from that of the frame's first moment to that of its last. At 0.5 m/s that misses a
-    thousandth of the change, contacts at rest a twenty-fifth.
+    They move during a frame. A plate answers at once, relative to a hand: at 1 m/s a contact goes a millimetre in a
+    frame, a wave a metre and more. So the change goes over from that of the frame's first moment to that of its last.
+    At 0.5 m/s that misses a thousandth of the change, contacts at rest a twenty-fifth.
     """
-    a = instrument.acquisition
+    a, stop = instrument.acquisition, start + len(touches)
     half_s = a.samples / a.sample_rate_hz / 2
-    first, last = (stage.touches(*frames, off_s) for off_s in (-half_s, half_s))
+    first, last = (stage.touches(start, stop, off_s) for off_s in (-half_s, half_s))
     moved = np.array([any(map(_moved, *pair)) for pair in zip(first, last, strict=True)])
-    start = [
-        (early if moves else middle) for early, middle, moves in zip(first, stage.touches(*frames), moved, strict=True)
-    ]
-    change = instrument.change(start, temperature_c, late_s)
+    begin = [early if moves else middle for early, middle, moves in zip(first, touches, moved, strict=True)]
+    change = instrument.change(begin, temperature_c, late_s)
     if moved.any():
         at = np.flatnonzero(moved)
         end = instrument.change([last[i] for i in at], temperature_c[at], late_s[at])

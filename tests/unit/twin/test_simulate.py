@@ -239,7 +239,7 @@ def test_a_frame_of_a_moving_finger(instrument: Instrument) -> None:
     nodes_s = np.linspace(off_s[0], off_s[-1], 9)
     spline = CubicSpline(nodes_s, np.stack([changed(node_s) for node_s in nodes_s]))
     expected = np.stack([spline(when_s)[:, i] for i, when_s in enumerate(off_s)], axis=-1)
-    moving = change_by(stage, instrument, (at, at + 1), np.array([REFERENCE_C]), np.zeros(1))[0]
+    moving = change_by(stage, instrument, at, [[contact]], np.array([REFERENCE_C]), np.zeros(1))[0]
     size, resting, missed = (np.linalg.norm(each) for each in (expected, changed(0.0) - expected, moving - expected))
     print(f"of {size:.4f} a finger at rest misses {resting:.4f}, a moving one {missed:.4f}")
     assert resting > 0.03 * size
@@ -250,5 +250,5 @@ def test_a_frame_of_a_resting_finger(instrument: Instrument) -> None:
     """A robot's frame is one of rest, to the bit."""
     stage = stage_touches(TouchSet(20), instrument.plate, 4, None)
     touches, temperature_c = stage.touches(0, 40), stage.temperature_c
-    found = change_by(stage, instrument, (0, 40), temperature_c, np.zeros(40))
+    found = change_by(stage, instrument, 0, touches, temperature_c, np.zeros(40))
     np.testing.assert_array_equal(found, instrument.change(touches, temperature_c))

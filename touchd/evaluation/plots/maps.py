@@ -53,7 +53,7 @@ def cell_bias(
 ) -> tuple[Floats, Floats, NDArray[np.bool_], float]:
     """Return the bias of a model in each of the c cells with three touches or more.
 
-    Return the cells' centres and biases (c, 2), mm, which biases are beyond chance (c,), and a cell's shorter side, mm.
+    In order: centres and biases (c, 2), mm, which biases are beyond chance (c,), and a cell's shorter side, mm.
 
     The bias is the median error per axis, which ignores gross errors. It is significant if a cell without bias exceeds
     it in 1 of 20 cases: the standard error of a median is 1.25 times that of a mean, estimated from the median absolute

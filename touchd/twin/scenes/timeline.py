@@ -66,7 +66,7 @@ class Stage:
 
     @property
     def time_s(self) -> Floats:
-        """Start of each frame relative to the first, shape (n,)."""
+        """Time of each frame relative to the first, shape (n,); contacts and temperature are those of its middle."""
         return np.asarray((self.sequence - self.sequence[0]) / self.rate_hz)
 
     @property
@@ -141,25 +141,16 @@ class Stage:
     def touches(self, start: int, stop: int, off_s: float = 0.0) -> list[list[Contact]]:
         """Return the contacts `off_s` from the middle of each of the frames start .. stop - 1."""
         result: list[list[Contact]] = [[] for _ in range(start, stop)]
+        window = np.clip(np.arange(start - 1, stop + 1), 0, len(self.sequence) - 1)  # with a frame on either side
+        spent_s = np.diff(self.time_s[window])
         for kind, _, *columns in self.laid:
-            rows = np.stack([column[start:stop] for column in columns])
-            if off_s:
-                rows += off_s * self._per_s(np.stack(columns), start, stop)
-            x, y, area, _, ratio, angle = rows
+            rows = np.stack([column[window] for column in columns])
+            x, y, area, _, ratio, angle = rows[:, 1:-1] + off_s * _per_s(rows, spent_s)
             area, ratio = np.maximum(area, SMALLEST_MM2), np.maximum(ratio, 1.0)
             for i in np.flatnonzero(~np.isnan(x)):
                 shape = float(area[i]), kind, float(ratio[i]), float(angle[i])
                 result[i].append(Contact(float(x[i]), float(y[i]), *shape))
         return result
-
-    def _per_s(self, rows: Floats, start: int, stop: int) -> Floats:
-        """Return the rate of change of rows (k, n) in frames start .. stop - 1, by the frames beside each: 0 alone."""
-        beside = np.clip(np.arange(start - 1, stop + 1), 0, rows.shape[1] - 1)
-        spent_s = np.diff(self.time_s[beside])
-        steps = np.diff(rows[:, beside], axis=1) / np.where(spent_s > 0, spent_s, np.inf)
-        known = np.isfinite(steps) & (spent_s > 0)
-        steps[~known] = 0.0
-        return np.asarray((steps[:, :-1] + steps[:, 1:]) / np.maximum(known[:, :-1] + 1 * known[:, 1:], 1))
 
     def truth(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return the labels `contacts_mm` of shape (n, k, 2) and `force_n` of shape (n, k).
@@ -189,6 +180,13 @@ class Stage:
     def _labels(self, values: int) -> NDArray[np.float32]:
         columns = max((one.column + 1 for one in self.laid), default=1)
         return np.full((len(self.sequence), columns, values), np.nan, dtype=np.float32)
+
+
+def _per_s(rows: Floats, spent_s: Floats) -> Floats:
+    """Return the rate of change of rows (k, m + 2) at the inner m, by the neighbours that are known; 0 without one."""
+    steps = np.diff(rows, axis=1) / np.where(spent_s > 0, spent_s, np.nan)
+    both = np.stack([steps[:, :-1], steps[:, 1:]])
+    return np.asarray(np.nansum(both, axis=0) / np.maximum(np.isfinite(both).sum(axis=0), 1))
 
 
 def still(x_mm: float, y_mm: float) -> Path:
