@@ -107,15 +107,17 @@ class FingerCount:
     def prune(self, bins: Bins, fit: Fit, signal: float) -> tuple[Fit, list[int]]:
         """Return a fit without the fingers that explain next to nothing, and the indices of those, as they go.
 
-        Nor does a faint one explain anything if the plate's own movement explains it as well. Several go at once: all
-        fingers of a hand may lift in one frame.
+        One of two where there is room for one explains part of the other. Nor does a faint one explain anything if the
+        plate's own movement explains it as well. Several go at once: all fingers of a hand may lift in one frame.
         """
         dropped: list[int] = []
         noise_energy, energies = self._noise.noise_energy, fit.energies
         while len(energies) > 1:
             least = min(energies)
             weak = CRITERIA.weak * max(fit.residual_energy - noise_energy, CRITERIA.enough * signal)
-            if least <= weak:
+            if fit.shapes and are_merged(fit, followed=True):
+                gone = [energies.index(least)]
+            elif least <= weak:
                 most = max(energies)
                 gone = [k for k, energy in enumerate(energies) if energy <= weak and energy < most]
             elif least < CRITERIA.faint * noise_energy:

@@ -148,7 +148,15 @@ class Landing:
             ceiling = noise.ceiling
         else:
             ceiling = fit.residual_energy + CRITERIA.rival_noise * noise.variance
+        rivals = [
+            other for other in self._fit_candidates(bins) + self._fit_along_edge(bins, *fit.positions_mm[0])
+            if other.residual_energy < ceiling and math.dist(other.positions_mm[0], fit.positions_mm[0]) > AMBIGUOUS_MM
+        ]  # fmt: skip
+        if not poor or not fit.shapes:
+            return bool(rivals)
+        # Points leave so much of a wide face anywhere: whether a shape elsewhere explains it is what counts.
+        ceiling = noise.noise_energy + CRITERIA.rival * max(fit.residual_energy - noise.noise_energy, 0.0)
         return any(
-            other.residual_energy < ceiling and math.dist(other.positions_mm[0], fit.positions_mm[0]) > AMBIGUOUS_MM
-            for other in self._fit_candidates(bins) + self._fit_along_edge(bins, *fit.positions_mm[0])
+            shaped.residual_energy < ceiling and math.dist(shaped.positions_mm[0], fit.positions_mm[0]) > AMBIGUOUS_MM
+            for shaped in (self._solver.with_shapes(bins, other, noise.noise_energy) for other in rivals)
         )

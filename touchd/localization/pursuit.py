@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from itertools import combinations, starmap
-from operator import attrgetter
+from operator import attrgetter, itemgetter
 
 import numpy as np
 from msgspec.structs import replace
@@ -27,6 +27,12 @@ _WIDTHS = (1, 3)
 _SAME = 1e-4
 _OVERLAP = 0.8
 """Of two faces' radii their middles are farther apart: fingers side by side touch each other, and are oval."""
+_ROOM_MM = 25.0
+"""Contacts farther apart than this have room, however large they are."""
+_FAINT, _FAINT_OVERLAP = 0.04, 1.0
+"""The same where one has less than this share of both energies: it is about to land, and its face is small."""
+_FOLLOWED = 0.75
+"""Followed contacts are one from this share of that distance: no error of fingers' sizes is so large."""
 _MOVED = 0.9
 """A finger goes to another place if that leaves less than this share."""
 _FIRST_STEPS, _POINT_STEPS, _STEPS = 1, 2, 4
@@ -227,15 +233,24 @@ def _as_known(fit: Fit) -> Fit:
     return replace(fit, residual_energy=fit.points_energy) if fit.shapes else fit
 
 
-def are_merged(fit: Fit) -> bool:
+def are_merged(fit: Fit, *, followed: bool = False) -> bool:
     """Return whether two contacts of a fit are one: nearer than fingers can be, or than their faces have room."""
     if not fit.shapes:
         return apart_mm(fit) <= CRITERIA.merged_mm
-    if apart_mm(fit) <= CRITERIA.shapes_apart_mm:
+    share = _FOLLOWED if followed else 1.0
+    least_mm = apart_mm(fit)
+    if least_mm <= share * CRITERIA.shapes_apart_mm:
         return True
+    if least_mm > _ROOM_MM:
+        return False
     radii_mm = list(map(radius_mm, fit.amplitudes, fit.shapes))
-    pairs = combinations(zip(fit.positions_mm, radii_mm, strict=True), 2)
-    return any(math.dist(one, other) < _OVERLAP * (a + b) for (one, a), (other, b) in pairs)
+    for (one, a, energy), (other, b, least) in combinations(
+        sorted(zip(fit.positions_mm, radii_mm, fit.energies, strict=True), key=itemgetter(2), reverse=True), 2
+    ):
+        faint = least < _FAINT * (energy + least) and not followed
+        if math.dist(one, other) < share * (_FAINT_OVERLAP if faint else _OVERLAP) * (a + b):
+            return True
+    return False
 
 
 def apart_mm(fit: Fit) -> float:

@@ -49,7 +49,7 @@ class Raster:
 
     def __init__(self, atlas: Atlas, per_cell: int, orders: tuple[tuple[int, int], ...]) -> None:
         d, dtype = atlas.description, atlas.coefficients.dtype
-        self._of_rows, self._of_columns = map(list, spline_weights(d.step_mm, dtype, orders, per_cell))
+        self._of_rows, self._of_columns = spline_weights(d.step_mm, dtype, orders, per_cell)
         self._weights = np.zeros(16 * len(orders), dtype)
         self._by_order = self._weights.reshape(-1, 16)
         # In each node the real parts of all channels, then the imaginary parts: fetched so, not held so a second time.
@@ -213,11 +213,11 @@ def known_part_mm(atlas: Atlas) -> tuple[Position, Position]:
 @cache
 def spline_weights(
     step_mm: float, dtype: np.dtype[Any], orders: tuple[tuple[int, int], ...], per_cell: int
-) -> tuple[Array, Array]:
+) -> tuple[list[Array], list[Array]]:
     """Return the weights of 16 nodes for derivatives of the field, by a position's row and by its column.
 
-    Both have the shape (per_cell, 16 * derivatives), written out in full: the weights are their product, and the
-    product of two long rows is quicker than that of many short ones. `orders` are those along x and y, per mm.
+    Both have `per_cell` rows of 16 * derivatives, written out in full: the weights are their product, and the product
+    of two long rows is quicker than that of many short ones. `orders` are those along x and y, per mm.
     """
     t = np.arange(per_cell) / per_cell
     zero, one = np.zeros_like(t), np.ones_like(t)
@@ -227,4 +227,4 @@ def spline_weights(
     ]
     of_rows = np.concatenate([np.repeat(of_order[along_y], 4, axis=1) for _, along_y in orders], axis=1)
     of_columns = np.concatenate([np.tile(of_order[along_x], 4) for along_x, _ in orders], axis=1)
-    return of_rows, of_columns
+    return list(of_rows), list(of_columns)

@@ -83,3 +83,13 @@ def test_not_asked(count: FingerCount) -> None:
     for fit in (no_fit(bins.energy), fitted(bins, PLACES_MM[:1]), SOLVER.fit_several(bins, PLACES_MM[:2], 2)):
         assert finish(count.with_missing(bins, fit)) is fit
         assert not count.is_worth(bins, fitted(bins, PLACES_MM), SOLVER.fit_several(bins, PLACES_MM[:2], 2))
+
+
+def test_no_room(count: FingerCount) -> None:
+    """Of two that are followed within one face, the fainter one goes."""
+    bins = frame(PLACES_MM[:1])
+    x, y = PLACES_MM[0]
+    two = SOLVER.fit_several(bins, [(x, y), (x + 4.5, y)], 1, shapes=[TYPICAL] * 2)
+    fit, dropped = count.prune(bins, two, bins.energy)
+    assert dropped == [two.energies.index(min(two.energies))]
+    assert math.dist(fit.positions_mm[0], PLACES_MM[0]) < 0.5

@@ -12,7 +12,7 @@ from msgspec.structs import replace
 from tests.fields import BINS, Field, Finger, bins_of, in_double, make_atlas
 from touchd.localization.fit import Fit, finish, no_fit
 from touchd.localization.gauss_newton import GaussNewton
-from touchd.localization.pursuit import Pursuit, apart_mm, is_worth
+from touchd.localization.pursuit import Pursuit, apart_mm, are_merged, is_worth
 
 FIELD = Field()
 ATLAS = make_atlas(FIELD)
@@ -95,6 +95,27 @@ def test_merged_fingers(distance_mm: float) -> None:
 def test_least_distance() -> None:
     """No two fingers that are found are nearer than merged ones."""
     assert all(apart_mm(searched(fingers_of(3, seed, 6.0), seed)) > 4.0 for seed in range(10))
+
+
+@pytest.mark.parametrize(
+    ("apart", "share", "followed", "merged"),
+    [
+        (0.75, 0.5, False, True), (0.85, 0.5, False, False), (0.95, 0.03, False, True), (1.05, 0.03, False, False),
+        (0.65, 0.03, True, False), (0.55, 0.5, True, True),
+    ],
+)  # fmt: skip
+def test_room(apart: float, share: float, followed: bool, merged: bool) -> None:
+    """Two faces, `apart` in sums of their radii, are one where fingers have no room.
+
+    One that is about to land is small: `share` is what it has of the energy. Those that are followed have to be nearer.
+    """
+    moment_mm2 = 4.0
+    radius_mm = 3.7 * math.sqrt(moment_mm2)
+    fit = Fit(
+        [(50.0, 40.0), (50.0 + apart * 2 * radius_mm, 40.0)], [1 + 0j, 0.5 + 0j], [1.0 - share, share], (), 0.0,
+        [[0j, z * moment_mm2, z * moment_mm2, 0j] for z in (1 + 0j, 0.5 + 0j)],
+    )  # fmt: skip
+    assert are_merged(fit, followed=followed) is merged
 
 
 def test_noise_alone() -> None:
