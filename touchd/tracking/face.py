@@ -16,8 +16,9 @@ MOST_OVAL = 0.8
 """Largest (a^2 - b^2) / (a^2 + b^2) of an ellipse: three times as long as wide."""
 TOLD_SIGMAS = 3.0
 """The direction is told if the face is longer than wide by this many standard errors."""
-STEADY_S = 0.06
-"""A finger that lands or lifts has all sizes within 0.03 s."""
+STEADY_S, CHANGE_S = 0.06, 0.25
+"""For so long a kind is seen until it is told, and until it takes the place of another: a finger that lands or lifts
+has all sizes within 0.03 s, and one of 100 mm^2 that moves is now a finger, now a thumb."""
 
 
 class Ellipse(Struct, gc=False, frozen=True):
@@ -82,7 +83,7 @@ class FaceAverage:
 
 
 class SteadyKind:
-    """Tells the kind of a finger that was seen last for 0.06 s without another one."""
+    """Tells the kind of a finger that was seen for 0.06 s without another one; it changes after 0.25 s of one."""
 
     __slots__ = ("_candidate", "_for_s", "kind")
 
@@ -99,5 +100,5 @@ class SteadyKind:
             self._candidate, self._for_s = kind, 0.0
         else:
             self._for_s += elapsed_s
-            if self._for_s >= STEADY_S:
+            if self._for_s >= (STEADY_S if self.kind is None else CHANGE_S):
                 self.kind = kind

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from touchd.config.schema import TrackerSettings
-from touchd.touch import Face, Touch
-from touchd.tracking.face import AVERAGE_S, FORGET_S, STEADY_S, FaceAverage, SteadyKind
+from touchd.touch import Face, Kind, Touch
+from touchd.tracking.face import AVERAGE_S, CHANGE_S, FORGET_S, STEADY_S, FaceAverage, SteadyKind
 from touchd.tracking.one_euro import OneEuro
 from touchd.tracking.tracker import Tracker
 
@@ -44,13 +44,19 @@ def test_refresh(rate_hz: int) -> None:
 
 @RATES
 def test_kind(rate_hz: int) -> None:
-    """A kind is told once it has been the same for 0.06 s."""
-    kind, frames = SteadyKind(None), 0
-    while kind.kind is None:
-        kind.update("finger", 1 / rate_hz)
-        frames += 1
-    assert (frames - 1) / rate_hz >= STEADY_S - 1e-9
-    assert (frames - 2) / rate_hz < STEADY_S
+    """A kind is told once it has been the same for 0.06 s, and changes after 0.25 s of another one alone."""
+    kind = SteadyKind(None)
+    kinds: tuple[tuple[Kind, float], ...] = (("finger", STEADY_S), ("thumb", CHANGE_S))
+    for what, after_s in kinds:
+        frames = 0
+        while kind.kind != what:
+            kind.update(what, 1 / rate_hz)
+            frames += 1
+        assert (frames - 1) / rate_hz >= after_s - 1e-9
+        assert (frames - 2) / rate_hz < after_s
+    for i in range(rate_hz):
+        kind.update("finger" if i % 2 else "thumb", 1 / rate_hz)
+        assert kind.kind == "thumb"
 
 
 @RATES

@@ -29,5 +29,6 @@ def test_doubt() -> None:
 
 
 def test_change() -> None:
-    """A finger that stays larger becomes a thumb."""
-    assert kinds_of(("finger", 20), ("thumb", 20)) == [None, "finger", "thumb"]
+    """A finger that stays larger becomes a thumb; one that wavers stays what it was."""
+    assert kinds_of(("finger", 20), ("thumb", 40)) == [None, "finger", "thumb"]
+    assert kinds_of(("finger", 20), ("thumb", 20), ("finger", 1), ("thumb", 20)) == [None, "finger"]
