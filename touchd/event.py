@@ -50,7 +50,7 @@ class Contact(Struct, gc=False, omit_defaults=True):
     sigma_minor_mm: float | None = None
     sigma_angle_deg: float | None = None
     kind: str | None = None
-    """`finger`, `thumb` or `glove`; a later release may know more."""
+    """`finger`, `thumb` or `glove`; `palm` of one that goes up since it was a palm's. A later release may know more."""
 
 
 class Message(Struct, gc=False):

@@ -111,7 +111,7 @@ class Pipeline:
             elif found is None:
                 found = self._localizer.localize(detection, alive=tracker.alive)
             touches = found.touches
-            contacts = tracker.track(frame.t_ns, touches) if touches or tracker.tracks else _NO_CONTACTS
+            contacts = tracker.track(frame.t_ns, touches, found.palm) if touches or tracker.tracks else _NO_CONTACTS
             # Follow, freeze or relearn the baseline: the one feedback.
             self.detector.adapt(detection, bool(touches), found.departure, tracker.alive, found.plate_moved)
         counters, outcome = self.counters, found.outcome

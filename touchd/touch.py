@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Literal
 
 from msgspec import Struct
@@ -25,6 +26,18 @@ class Face(Struct, gc=False, frozen=True):
     """Standard error of `mean_mm2`."""
     oval_sigma_mm2: float
     """Standard error of `along_mm2` and of `diagonal_mm2`, each."""
+
+
+class PalmArea(Struct, gc=False, frozen=True):
+    """Where a palm lies: what is nearer to its middle than `reach_mm` is part of it."""
+
+    x_mm: float
+    y_mm: float
+    reach_mm: float
+
+    def has(self, x_mm: float, y_mm: float) -> bool:
+        """Return whether a position is within reach."""
+        return math.hypot(x_mm - self.x_mm, y_mm - self.y_mm) < self.reach_mm
 
 
 class Touch(Struct, gc=False, frozen=True):

@@ -72,7 +72,10 @@ def test_neither_drops_nor_palms_are_fingers(name: str, seed: int, instrument: I
 
 
 def test_a_palm_of_six_soft_patches_once_known_brings_no_contact() -> None:
-    """Of 8 s with a hand that rolls on and rests; its patches were five fingers once, for most of the time it lay."""
+    """Of 8 s with a hand that rolls on and rests; its patches were five fingers once, for most of the time it lay.
+
+    What had come as a finger goes up as the palm's.
+    """
     stage = piece("resting", 5003, 8.0)
     events = play(stage, Interpolated(DEFAULT_PLATE), 5003).touches
     lies = np.isfinite([one.x_mm for one in stage.laid]).sum(axis=0) >= 5
@@ -80,6 +83,8 @@ def test_a_palm_of_six_soft_patches_once_known_brings_no_contact() -> None:
     print(f"{placed} contacts in messages of {lies.sum()} frames")
     assert lies.sum() > 100
     assert placed < 0.1 * lies.sum()
+    ends = [contact.kind for event in events for contact in event.contacts if contact.phase == "up"]
+    assert ends.count("palm") > 0.8 * len(ends) > 0
 
 
 def test_a_thumb_that_slows_is_no_two_fingers(instrument: Instrument) -> None:

@@ -28,6 +28,8 @@ class FoundContact:
     position_mm: list[Position] = field(default_factory=list)
     downs: int = 0
     ups: int = 0
+    palm: bool = False
+    """Whether it went up as a palm's."""
     followed: list[int | None] = field(default_factory=list)
     """Index of the touch that each message matches, by `match`; None if none."""
     touch: int | None = None
@@ -100,6 +102,7 @@ def found_contacts(events: Iterable[TouchEvent]) -> list[FoundContact]:
             found = contacts.setdefault(contact.id, FoundContact())
             found.downs += contact.phase == "down"
             found.ups += contact.phase == "up"
+            found.palm |= contact.kind == "palm"
             if contact.phase != "up":
                 found.frames.append(event.frame)
                 found.position_mm.append((contact.x_mm, contact.y_mm))

@@ -71,10 +71,8 @@ class AtlasLocalizer:
 
     def configure(self, settings: Settings, layout: Layout | None) -> None:
         """Take other thresholds and keys; fingers are found again in the next frame."""
-        self._min_confidence, self._keep_confidence = settings.model.min_confidence, settings.model.keep_confidence
-        self._max_sigma_mm = settings.model.max_sigma_mm
+        self._settings = settings
         self._touch_maker = TouchMaker(settings, layout)
-        self._skips_still = settings.skip.still
         self.reset()
 
     def reset(self) -> None:
@@ -155,10 +153,11 @@ class AtlasLocalizer:
         self, detection: Detection, begun: Fitted | None, *, alive: bool = True, complete: bool = False
     ) -> Localization:
         """Place the fingers of a frame; `begun` is what `follow` fitted in it."""
-        least, tracked = self._keep_confidence if alive else self._min_confidence, bool(self._prediction.positions_mm)
+        limits, tracked = self._settings.model, bool(self._prediction.positions_mm)
+        least = limits.keep_confidence if alive else limits.min_confidence
         self._touches, inferred = self._place(detection, least, complete, begun)
         outcome = Outcome.INFERRED if inferred else Outcome.TRACKED if tracked else Outcome.FAINT
-        return Localization(outcome, self._touches, self._departure, self._plate_moved)
+        return Localization(outcome, self._touches, self._departure, self._plate_moved, self._classifier.palm.covers)
 
     def _place(
         self, detection: Detection, min_confidence: float, complete: bool, begun: Fitted | None
@@ -240,6 +239,7 @@ class AtlasLocalizer:
         by_palms = excess > CRITERIA.fair and signal > CRITERIA.most_poor * self._drift.signal_energy and not tracked
         unlikely = by_plate or by_palms or not confidence >= min_confidence or not fit.positions_mm
         if unlikely or (not tracked and self._landing.is_implausible(bins, fit, signal, excess)):
+            self._classifier.palm.miss(fit, excess, signal, t_ns)
             return self._lose(), inferred
         return self._accept(bins, fit, confidence, excess, t_ns, alone=complete), inferred
 
@@ -262,12 +262,12 @@ class AtlasLocalizer:
             self._faces = self._size.faces(fit) if fit.shapes else [None] * len(fit.positions_mm)
         doubt = self._follower.is_in_doubt(t_ns)
         fingers = self._classifier.fingers(bins, fit, t_ns, alone=alone, lacking=self._search.explains)
-        if self._skips_still:  # not what may be water that a finger has left: each frame must tell
+        if self._settings.skip.still:  # not what may be water that a finger has left: each frame must tell
             moved_mm = self._prediction.moved_mm if self._classifier.sure and not doubt else math.inf
             self._still.update(bins, fit, moved_mm, self._noise.variance)
         self._departure = self._classifier.departure
         change = math.sqrt(self._pursuit.mean_energy) / self._plate.signal_rms  # of the signal, by one of amplitude 1
-        sure = [finger for finger in fingers if finger[1] <= self._max_sigma_mm]
+        sure = [finger for finger in fingers if finger[1] <= self._settings.model.max_sigma_mm]
         at, sure = self._refinement.place(bins, fit, sure, self._noise.variance, new=new, alone=alone)
         self._search.look(bins, fit, self._refinement.misfit)
         confidence = min(confidence, self._classifier.likelihood)

@@ -18,13 +18,13 @@ import math
 from operator import mul
 
 from touchd.localization.atlas import Atlas
-from touchd.localization.contact_model import mean_moment_mm2
 from touchd.localization.estimator import Finger
 from touchd.localization.fit import Bins, Fit
 from touchd.localization.fit_criteria import CRITERIA
 from touchd.localization.following import LONGEST_STEP_MM
 from touchd.localization.gauss_newton import GaussNewton
 from touchd.localization.noise import NoiseModel
+from touchd.localization.palm import Palm
 from touchd.localization.position_error import PositionError
 from touchd.localization.spline import Position
 from touchd.localization.water import (
@@ -57,52 +57,6 @@ LACKING = 0.5
 EDGE_MM, WAVE_MM = 12.0, 30.0
 """A faint finger this near to an edge, with another within a wavelength, is not placed: the field is badly known there,
 and one finger looks like two on either side of it, or with a second one beside it."""
-PALM_CONTACTS = 3
-PALM_MM2, PALM_SIZE = 4.2, 2.0
-"""Mean second moment over z: contacts of more than 175 mm^2. Thumbs of 160 mm^2 have 4.0 (twin). The amplitude of such
-a contact is above 2.6 (twin); of faint ones, as of dry glass where a drop was learned, the shape is noise."""
-PALM_REACH_MM = 60.0
-"""From a palm's heel to the balls of the fingers."""
-PALM_GONE_NS = 300_000_000
-"""A palm is forgotten when no contact has been within its reach for so long."""
-
-
-class Palm:
-    """Tells which contacts are a palm's, and remembers where it lies.
-
-    One of several contacts is larger than a thumb, and the others are within a hand's reach of it. A palm that rolls
-    onto the plate comes as one patch after the other, each like a finger. Once it is known, what lies within its reach
-    is the palm's, until nothing has been there for a while. Fingers farther away stay.
-    """
-
-    def __init__(self) -> None:
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget the palm."""
-        self._place_mm: Position | None = None
-        self._until_ns = 0
-
-    def contacts(self, fit: Fit, t_ns: int) -> set[int]:
-        """Return the indices of a fit's contacts that are a palm's, or water that lies within its reach."""
-        if len(fit.shapes) >= PALM_CONTACTS:
-            moments_mm2 = [
-                mean_moment_mm2(amplitude, shape) if abs(amplitude) > PALM_SIZE else 0.0
-                for amplitude, shape in zip(fit.amplitudes, fit.shapes, strict=True)
-            ]
-            largest_mm2 = max(moments_mm2)
-            if largest_mm2 > PALM_MM2:
-                self._place_mm, self._until_ns = fit.positions_mm[moments_mm2.index(largest_mm2)], t_ns + PALM_GONE_NS
-        if self._place_mm is None:
-            return set()
-        if t_ns > self._until_ns:
-            self.reset()
-            return set()
-        return {k for k, place in enumerate(fit.positions_mm) if math.dist(place, self._place_mm) < PALM_REACH_MM}
-
-    def see(self, t_ns: int) -> None:
-        """Take a frame that shows a contact of the palm's which is not water: it lies there."""
-        self._until_ns = t_ns + PALM_GONE_NS
 
 
 class Classifier:
@@ -118,7 +72,7 @@ class Classifier:
     def __init__(self, atlas: Atlas, noise: NoiseModel, solver: GaussNewton) -> None:
         self._noise, self._phase = noise, MassPhase(atlas, solver, noise)
         d = atlas.description
-        self._errors, self._palm = PositionError(atlas, noise), Palm()
+        self._errors, self.palm = PositionError(atlas, noise), Palm()
         self._low_mm, self._high_mm = d.low_mm, d.high_mm
         self._frequency_ratio = mean_hz(d) / USUAL_HZ
         self._clear_rad = CLEAR_RAD * self._frequency_ratio
@@ -135,7 +89,7 @@ class Classifier:
 
     def reset(self) -> None:
         """Forget water, fingers and the palm."""
-        self._palm.reset()
+        self.palm.reset()
         self._known: list[Evidence] = []
         self._fingers: list[Position] = []
 
@@ -158,7 +112,8 @@ class Classifier:
         variance = self._errors.variance(fit, sizes)
         errors_mm = self._errors.sigmas_mm(fit, variance)
         self.sure, self.likelihood = True, 1.0
-        of_palm = self._palm.contacts(fit, t_ns)
+        signal = bins.energy - noise_energy
+        of_palm = self.palm.contacts(fit, self._noise.excess(fit.residual_energy, signal), signal, t_ns)
         doubtful = of_palm | self._cornered(fit.positions_mm) | self._edged(fit) if several else of_palm
         fingers: list[Finger] = []
         for k, lead in enumerate(leads):
@@ -190,7 +145,7 @@ class Classifier:
             if k not in doubtful:
                 fingers.append((k, errors_mm[k], size))
             elif k in of_palm:
-                self._palm.see(t_ns)
+                self.palm.see(t_ns)
         self._fingers = [fit.positions_mm[k] for k, _, _ in fingers]
         return fingers
 

@@ -11,7 +11,7 @@ from touchd.detection.baseline import Signal
 from touchd.detection.detection import Detection
 from touchd.keypad import Layout
 from touchd.outcome import Outcome
-from touchd.touch import Touch
+from touchd.touch import PalmArea, Touch
 
 
 class Localization(Struct, gc=False, frozen=True):
@@ -24,6 +24,8 @@ class Localization(Struct, gc=False, frozen=True):
     """Whether the negative of the residual is a finger: one that the baseline held has lifted."""
     plate_moved: bool = False
     """Whether the residual is the plate's own movement, of temperature, delay or gains, and no finger."""
+    palm: PalmArea | None = None
+    """Where a palm lies, if one does."""
 
 
 UNTOUCHED = Localization(Outcome.UNTOUCHED)

@@ -9,7 +9,7 @@ from msgspec.structs import replace
 
 from touchd.config.schema import TrackerSettings
 from touchd.event import Contact
-from touchd.touch import Touch
+from touchd.touch import PalmArea, Touch
 from touchd.tracking.assignment import assign
 from touchd.tracking.face import FaceAverage, SteadyKind, ellipse_of
 from touchd.tracking.one_euro import OneEuro
@@ -34,13 +34,14 @@ _DEAD_SIGMAS = 1.5
 class Track:
     """One finger from its first frame to its last."""
 
-    __slots__ = ("contact", "face", "filter", "kind", "missing", "seen")
+    __slots__ = ("contact", "face", "filter", "kind", "missing", "of_palm", "seen")
 
     def __init__(self, touch: Touch, settings: TrackerSettings) -> None:
         self.filter = OneEuro(touch.x_mm, touch.y_mm, settings.min_cutoff_hz, settings.beta)
         self.face, self.kind = FaceAverage(touch.face), SteadyKind(touch.kind)
         self.seen = 1
         self.missing = 0
+        self.of_palm = False
         self.contact: Contact | None = None  # until it is confirmed
 
     def has_settled(self, touch: Touch) -> bool:
@@ -84,8 +85,8 @@ class Tracker:
         self._settings = settings
         self._reach_mm, self._dead_band_mm = settings.reach_mm, settings.dead_band_mm
 
-    def track(self, t_ns: int, touches: Sequence[Touch]) -> list[Contact]:
-        """Assign the touches of a frame to contacts.
+    def track(self, t_ns: int, touches: Sequence[Touch], palm: PalmArea | None = None) -> list[Contact]:
+        """Assign the touches of a frame to contacts; one that is missing where a palm lies was the palm's.
 
         Returns
         -------
@@ -107,7 +108,7 @@ class Tracker:
         self._settled = due = False
         matched = self._match(touches)
         for track, touch in zip(self.tracks, matched, strict=True):
-            due |= self._miss(track) if touch is None else self._advance(track, touch, elapsed_s)
+            due |= self._miss(track, palm) if touch is None else self._advance(track, touch, elapsed_s)
         for touch in touches:
             if touch not in matched and len(self.tracks) < _MOST_CONTACTS:
                 self.tracks.append(Track(touch, self._settings))
@@ -189,14 +190,15 @@ class Tracker:
         self.alive = True
         return True
 
-    def _miss(self, track: Track) -> bool:
+    def _miss(self, track: Track, palm: PalmArea | None = None) -> bool:
         track.missing += 1
         self._missed = True
         contact = track.contact
         if contact is None:
             return False
         contact.phase = "hold"
-        if track.missing < _RELEASE_FRAMES:
+        track.of_palm = palm is not None and palm.has(contact.x_mm, contact.y_mm)
+        if track.missing < _RELEASE_FRAMES and not track.of_palm:
             return False
         contact.phase = "up"
         contact.vx_mm_s = contact.vy_mm_s = 0.0
@@ -221,7 +223,7 @@ class Tracker:
 
 def _copy(contact: Contact, track: Track) -> Contact:
     """Return a contact with the size and direction of its face where known; a message must not change once made."""
-    c, kind, face = contact, track.kind.kind, track.face.face
+    c, kind, face = contact, "palm" if track.of_palm else track.kind.kind, track.face.face
     if face is None:
         return replace(c, kind=kind)
     e = ellipse_of(face)

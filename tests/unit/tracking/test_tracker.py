@@ -13,7 +13,7 @@ from scipy.optimize import linear_sum_assignment
 
 from touchd.config.schema import TrackerSettings
 from touchd.event import Contact
-from touchd.touch import Face, Touch
+from touchd.touch import Face, PalmArea, Touch
 from touchd.tracking.one_euro import OneEuro
 from touchd.tracking.tracker import Tracker
 
@@ -209,6 +209,17 @@ def test_far_away() -> None:
     stroke.feed(at(150, 150), frames=5)
     assert stroke.phases(1)[-1] == "up"
     assert stroke.phases(2)[0] == "down"
+
+
+def test_palm() -> None:
+    """Contacts that were a palm's end at once, and say so; those out of its reach do neither."""
+    stroke = Stroke()
+    stroke.feed(at(20, 20), at(50, 30), at(150, 150), frames=5)
+    palm = PalmArea(30.0, 20.0, 60.0)
+    report = stroke.tracker.track(stroke.t_ns + PERIOD_NS, [], palm)
+    assert [(c.phase, c.kind) for c in report] == [("up", "palm"), ("up", "palm"), ("hold", None)]
+    report = stroke.tracker.track(stroke.t_ns + 2 * PERIOD_NS, [], palm)
+    assert [(c.phase, c.kind) for c in report] == [("up", None)]
 
 
 def test_release_all() -> None:
