@@ -197,7 +197,8 @@ class Tracker:
         if contact is None:
             return False
         contact.phase = "hold"
-        track.of_palm = palm is not None and palm.has(contact.x_mm, contact.y_mm)
+        # Its first frame tells: what a finger that has lifted leaves there may look like a palm in the next one.
+        track.of_palm = track.missing == 1 and palm is not None and palm.has(contact.x_mm, contact.y_mm)
         if track.missing < _RELEASE_FRAMES and not track.of_palm:
             return False
         contact.phase = "up"

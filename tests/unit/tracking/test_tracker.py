@@ -212,13 +212,21 @@ def test_far_away() -> None:
 
 
 def test_palm() -> None:
-    """Contacts that were a palm's end at once, and say so; those out of its reach do neither."""
+    """Contacts that were a palm's end at once, and say so; those out of its reach do neither.
+
+    Nor do those that were missing before the palm was there: they had lifted.
+    """
     stroke = Stroke()
     stroke.feed(at(20, 20), at(50, 30), at(150, 150), frames=5)
     palm = PalmArea(30.0, 20.0, 60.0)
     report = stroke.tracker.track(stroke.t_ns + PERIOD_NS, [], palm)
     assert [(c.phase, c.kind) for c in report] == [("up", "palm"), ("up", "palm"), ("hold", None)]
     report = stroke.tracker.track(stroke.t_ns + 2 * PERIOD_NS, [], palm)
+    assert [(c.phase, c.kind) for c in report] == [("up", None)]
+    lifted = Stroke()
+    lifted.feed(at(20, 20), frames=5)
+    lifted.feed(frames=1)
+    report = lifted.tracker.track(lifted.t_ns + PERIOD_NS, [], palm)
     assert [(c.phase, c.kind) for c in report] == [("up", None)]
 
 
