@@ -12,6 +12,7 @@ from touchd.detection.baseline import Signal
 from touchd.detection.detection import Detection
 from touchd.keypad import Layout
 from touchd.localization.atlas import Atlas
+from touchd.localization.beside_palm import BesidePalm
 from touchd.localization.classify import Classifier
 from touchd.localization.contact_size import ContactSize
 from touchd.localization.estimator import Estimator, TouchMaker
@@ -56,6 +57,7 @@ class AtlasLocalizer:
         weighted = WeightedFit(atlas)
         self._search = MultitouchSearch(self._solver, self._pursuit, self._noise, weighted)
         self._classifier = Classifier(atlas, self._noise, self._solver)
+        self._beside = BesidePalm(atlas, self._plate, self._pursuit)
         self._size = ContactSize(atlas, self._noise)
         self._prediction = Prediction()
         self._refinement = Refinement(weighted)
@@ -78,7 +80,7 @@ class AtlasLocalizer:
     def reset(self) -> None:
         """Forget all fingers, and water."""
         self._touches = self._lose()
-        for part in (self._still, self._classifier, self._search, self._drift):
+        for part in (self._still, self._classifier, self._beside, self._search, self._drift):
             part.reset()
 
     def update(self, baseline: Signal, residuals: Signal | None = None) -> None:
@@ -114,7 +116,7 @@ class AtlasLocalizer:
         if not signal > self._noise.noise_energy + self._drift.energy:
             return None
         fit = self._follower.follow(bins, detection.t_ns, signal)
-        self._begun = bins, fit = self._settle(detection, bins, fit, shaped=True)
+        self._begun = bins, fit = self._follower.settle(self._plate, detection.hits, bins, fit, shaped=True)
         signal = bins.energy - self._noise.noise_energy
         if not self._follower.explains(fit, self._noise.excess(fit.residual_energy, signal), signal):
             return None
@@ -157,7 +159,8 @@ class AtlasLocalizer:
         least = limits.keep_confidence if alive else limits.min_confidence
         self._touches, inferred = self._place(detection, least, complete, begun)
         outcome = Outcome.INFERRED if inferred else Outcome.TRACKED if tracked else Outcome.FAINT
-        return Localization(outcome, self._touches, self._departure, self._plate_moved, self._classifier.palm.covers)
+        touches = self._beside.add(detection, self._touches, self._classifier.palm.area, self._touch_maker)
+        return Localization(outcome, touches, self._departure, self._plate_moved, self._classifier.palm.covers)
 
     def _place(
         self, detection: Detection, min_confidence: float, complete: bool, begun: Fitted | None
@@ -184,7 +187,7 @@ class AtlasLocalizer:
             else:
                 inferred = True
                 fit = self._landing.fit(detection, bins, signal)
-            bins, fit = self._settle(detection, bins, fit, shaped=not held)
+            bins, fit = self._follower.settle(self._plate, detection.hits, bins, fit, shaped=not held)
         self._follower.drop()
         signal, excess, confidence = noise.judge(bins, fit)
         if tracked and excess > CRITERIA.fair and (gone := self._landing.elsewhere(
@@ -208,7 +211,7 @@ class AtlasLocalizer:
                 self._follower.drop()
             else:
                 fit = self._solver.fit_one(bins, *fit.positions_mm[0], FIRST_STEPS)
-            bins, fit = self._settle(detection, bins, fit, shaped=not tracked)
+            bins, fit = self._follower.settle(self._plate, detection.hits, bins, fit, shaped=not tracked)
             signal, excess, confidence = noise.judge(bins, fit)
         # From the next frame on a search begins for what may be beside one well explained finger that has just landed.
         waits = not (tracked or complete) and len(fit.positions_mm) == 1 and excess < CRITERIA.fair
@@ -226,7 +229,7 @@ class AtlasLocalizer:
                 if held and found is fit:
                     found = self._follower.follow(bins, t_ns, signal)
                     self._follower.drop()
-                bins, fit = self._settle(detection, bins, found)
+                bins, fit = self._follower.settle(self._plate, detection.hits, bins, found)
                 if not known:
                     self._prediction.forget_velocities()
             signal, excess, confidence = noise.judge(bins, fit)
@@ -266,7 +269,7 @@ class AtlasLocalizer:
             moved_mm = self._prediction.moved_mm if self._classifier.sure and not doubt else math.inf
             self._still.update(bins, fit, moved_mm, self._noise.variance)
         self._departure = self._classifier.departure
-        change = math.sqrt(self._pursuit.mean_energy) / self._plate.signal_rms  # of the signal, by one of amplitude 1
+        change = self._plate.change(self._pursuit.mean_energy)
         sure = [finger for finger in fingers if finger[1] <= self._settings.model.max_sigma_mm]
         at, sure = self._refinement.place(bins, fit, sure, self._noise.variance, new=new, alone=alone)
         self._search.look(bins, fit, self._refinement.misfit)
@@ -283,15 +286,6 @@ class AtlasLocalizer:
             return False
         self._prediction.rest(detection.t_ns)
         return True
-
-    def _settle(self, detection: Detection, bins: Bins, fit: Fit, *, shaped: bool = False) -> Fitted:
-        """Give fingers back what the frame's delay and hits took from them, and if `shaped` the shapes they ask for."""
-        bins, fit = self._plate.settle(bins, fit, self._solver, detection.hits)
-        signal = bins.energy - self._noise.noise_energy
-        excess = self._noise.excess(fit.residual_energy, signal)
-        if not shaped or fit.shapes or not self._follower.asks_shapes(excess, signal):
-            return bins, fit
-        return self._settle(detection, bins, self._solver.with_shapes(bins, fit, self._noise.noise_energy))
 
     def _lose(self) -> tuple[Touch, ...]:
         self._plate.nuisance.forget_fingers()

@@ -12,6 +12,7 @@ from touchd.localization.gauss_newton import STILL_MM, GaussNewton
 from touchd.localization.landing import FIRST_STEPS
 from touchd.localization.multitouch import MultitouchSearch
 from touchd.localization.noise import NoiseModel
+from touchd.localization.plate_model import PlateModel
 from touchd.localization.spline import Position, Shape
 
 FOLLOW_STEPS, _SHAPE_STEPS = 3, 2
@@ -174,6 +175,17 @@ class Follower:
             return True
         before, signal_then = self._points
         return excess > _worn(before) or signal > _STRONGER * signal_then
+
+    def settle(
+        self, plate: PlateModel, hits: tuple[int, ...], bins: Bins, fit: Fit, *, shaped: bool = False
+    ) -> tuple[Bins, Fit]:
+        """Give fingers back what the frame's delay and hits took from them, and if `shaped` the shapes they ask for."""
+        bins, fit = plate.settle(bins, fit, self._solver, hits)
+        signal = bins.energy - self._noise.noise_energy
+        excess = self._noise.excess(fit.residual_energy, signal)
+        if not shaped or fit.shapes or not self.asks_shapes(excess, signal):
+            return bins, fit
+        return self.settle(plate, hits, bins, self._solver.with_shapes(bins, fit, self._noise.noise_energy))
 
     def shapes_of(self, fit: Fit) -> Sequence[Shape]:
         """Return the shapes of the fingers followed, if they are a fit's."""

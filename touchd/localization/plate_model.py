@@ -163,6 +163,10 @@ class PlateModel:
         """Root of the energy of the untouched plate's bins, counts."""
         self._select()
 
+    def change(self, field_energy: float) -> float:
+        """Return by what share a contact of amplitude 1 changes the signal, whose field has this energy on average."""
+        return math.sqrt(field_energy) / self.signal_rms
+
     def drop_silent(self, detection: Detection) -> bool:
         """Leave out channels that have died since the baseline was learned; return whether there are any."""
         silent = self.drift.silent(detection.residual, detection.baseline)

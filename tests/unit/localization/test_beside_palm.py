@@ -1,0 +1,104 @@
+"""A finger is found beside a palm that nothing explains, by what has changed, and nothing else is."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from tests.fields import Finger
+from tests.unit.localization.rig import Rig
+from touchd.localization.beside_palm import BEFORE_NS, REACH_MM
+from touchd.touch import PalmArea, Touch
+
+PALM = PalmArea(30.0, 45.0, 45.0)
+PATCHES: list[Finger] = [
+    (18.0, 30.0, 3 + 0.4j), (38.0, 25.0, 3 - 0.3j), (28.0, 45.0, 2.5 + 0j), (15.0, 60.0, 4 + 0.5j),
+    (45.0, 62.0, 3.5 + 0j),
+]  # fmt: skip
+"""More than are searched for, beside a finger."""
+FINGER: Finger = (95.0, 50.0, 1 + 0.05j)
+SETTLED = 2 * BEFORE_NS // 4_000_000
+
+
+class Beside:
+    """Shows frames of a palm, which moves by 0.2 mm a second, and what else there is."""
+
+    def __init__(self) -> None:
+        self.rig = Rig()
+        self.rig.lift(20)
+        self._moved_mm = 0.0
+
+    def see(self, *fingers: Finger, palm: PalmArea | None = PALM, patches: bool = True) -> tuple[Touch, ...]:
+        self._moved_mm += 0.2 * self.rig.frame_ns * 1e-9
+        moved = [(x + self._moved_mm, y, z) for x, y, z in PATCHES] if patches else []
+        detection = self.rig.detection(self.rig.residual(*moved, *fingers))
+        localizer = self.rig.localizer
+        touches: tuple[Touch, ...] = localizer._beside.add(detection, (), palm, localizer._touch_maker)
+        return touches
+
+    def rest(self, *fingers: Finger, frames: int = SETTLED) -> list[tuple[Touch, ...]]:
+        return [self.see(*fingers) for _ in range(frames)]
+
+
+@pytest.fixture
+def beside() -> Beside:
+    return Beside()
+
+
+def test_it_lands_and_lifts(beside: Beside) -> None:
+    """Within 20 ms of landing it is placed to 0.2 mm, for as long as it stays."""
+    assert not any(beside.rest())
+    assert any(beside.rest(FINGER, frames=5))
+    for touches in beside.rest(FINGER, frames=50):
+        (touch,) = touches
+        assert math.dist((touch.x_mm, touch.y_mm), FINGER[:2]) < 0.2
+        assert touch.sigma_mm < 1
+    assert not any(beside.rest()[1:])
+    assert any(beside.rest(FINGER, frames=5)), "and again"
+
+
+def test_it_moves(beside: Beside) -> None:
+    """It is followed."""
+    beside.rest()
+    beside.rest(FINGER, frames=8)
+    for step in range(40):
+        x, y, z = FINGER
+        (touch,) = beside.see((x - 0.4 * step, y, z))
+        assert math.dist((touch.x_mm, touch.y_mm), (x - 0.4 * step, y)) < 0.3
+
+
+def test_what_lies_within_reach(beside: Beside) -> None:
+    """The palm's own changes are none, nor is one that lands within its reach."""
+    beside.rest()
+    assert not any(beside.rest((50.0, 45.0, 1 + 0j), frames=30))
+
+
+def test_one_that_lifts(beside: Beside) -> None:
+    """A finger that the frame before had is none as it goes."""
+    beside.rest(FINGER)
+    assert not any(beside.rest())
+
+
+def test_no_palm(beside: Beside) -> None:
+    """Without a palm nothing is compared, and frames of before are forgotten."""
+    beside.rest()
+    assert not beside.see(FINGER, palm=None, patches=False)
+    assert not beside.see(FINGER)
+    assert not any(beside.rest(FINGER)), "there is nothing to compare it with"
+
+
+def test_it_jumps(beside: Beside) -> None:
+    """What was a finger and is another place's in the next frame ends; the other one is found anew."""
+    beside.rest()
+    beside.rest(FINGER, frames=8)
+    other: Finger = (95.0, 50.0 - 3 * REACH_MM, 1 + 0j)
+    touches = beside.see(other)
+    assert all(math.dist((touch.x_mm, touch.y_mm), other[:2]) < 0.5 for touch in touches)
+
+
+def test_clock(beside: Beside) -> None:
+    """A clock that goes back brings no finger."""
+    beside.rest()
+    beside.rig.t_ns = 0
+    assert not beside.see(FINGER)
