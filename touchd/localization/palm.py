@@ -64,6 +64,9 @@ class Palm:
 
         The fit leaves the share `excess` of the signal, whose energy is `signal`.
         """
+        if self.area is None and excess <= UNLIKE and len(fit.shapes) < CONTACTS:  # the usual case
+            self._since_ns, self._signal, self.covers = None, signal, None
+            return set()
         self._look(fit, excess, t_ns)
         if self.area is not None and t_ns > self._until_ns:
             self.reset()
@@ -88,9 +91,6 @@ class Palm:
         self.covers = EVERYWHERE if doubtful and not lifts else self.area
 
     def _look(self, fit: Fit, excess: float, t_ns: int) -> None:
-        if excess <= UNLIKE and len(fit.shapes) < CONTACTS:  # the usual case
-            self._since_ns = None
-            return
         sizes = list(map(abs, fit.amplitudes))
         moments_mm2 = [
             mean_moment_mm2(z, shape) if size > SIZE else 0.0
