@@ -27,12 +27,12 @@ _WIDTHS = (1, 3)
 _SAME = 1e-4
 _OVERLAP = 0.8
 """Of two faces' radii their middles are farther apart: fingers side by side touch each other, and are oval."""
-_ROOM_MM = 25.0
-"""Contacts farther apart than this have room, however large they are."""
 _FAINT, _FAINT_OVERLAP = 0.04, 1.0
 """The same where one has less than this share of both energies: it is about to land, and its face is small."""
+_ROOM_MM = 25.0
+"""Contacts farther apart than this have room, however large they are."""
 _FOLLOWED = 0.75
-"""Followed contacts are one from this share of that distance: no error of fingers' sizes is so large."""
+"""Followed contacts are one from this share of those distances: no error of fingers' sizes is so large."""
 _MOVED = 0.9
 """A finger goes to another place if that leaves less than this share."""
 _FIRST_STEPS, _POINT_STEPS, _STEPS = 1, 2, 4

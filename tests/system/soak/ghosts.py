@@ -111,13 +111,13 @@ def resting(stage: Stage) -> None:
     while at_s < stage.end_s - 6:
         length_s = rng.uniform(1.0, 4.0)
         place = anywhere(stage, 55.0)
-        _hand(stage, at_s, at_s + length_s, place)
+        rest(stage, at_s, at_s + length_s, place)
         if rng.uniform() < 0.5:
             _taps_beside(stage, at_s, at_s + length_s, place)
         at_s += length_s + rng.uniform(1.0, 3.0)
 
 
-def _hand(stage: Stage, start_s: float, stop_s: float, place: Position) -> None:
+def rest(stage: Stage, start_s: float, stop_s: float, place: Position) -> None:
     """Lay a palm's two heels and the balls of four fingers, one after the other across the hand."""
     rng = stage.rng
     turn, side, scale = rng.uniform(0, 2 * np.pi), rng.choice([-1, 1]), rng.uniform(0.85, 1.1)
