@@ -54,7 +54,7 @@ class Palm:
         self.area: PalmArea | None = None
         """Where it lies."""
         self.covers: PalmArea | None = None
-        """Where a contact that ends in this frame has not lifted: on the palm, or anywhere while there may be one."""
+        """Where a contact that ends in this frame has not lifted: on the palm, or anywhere until it is known."""
         self._until_ns = 0
         self._since_ns: int | None = None  # of what may be a hand
         self._signal = 0.0
@@ -88,7 +88,7 @@ class Palm:
 
     def _cover(self, signal: float, *, doubtful: bool) -> None:
         lifts, self._signal = signal < LIFTS * self._signal, signal
-        self.covers = EVERYWHERE if doubtful and not lifts else self.area
+        self.covers = EVERYWHERE if self.area is None and doubtful and not lifts else self.area
 
     def _look(self, fit: Fit, excess: float, t_ns: int) -> None:
         sizes = list(map(abs, fit.amplitudes))

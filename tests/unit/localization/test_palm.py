@@ -96,6 +96,23 @@ def test_reach() -> None:
     assert not palm.area.has(*FAR)
 
 
+def test_covers() -> None:
+    """Until it is known a palm may be anywhere, but not where the signal falls; then it covers its own reach alone."""
+    palm = Palm()
+    palm.contacts(point(1.1 * POOR_SIZE), 0.0, 1.0, 0)
+    assert palm.covers is None
+    palm.contacts(THUMBS, BADLY, 2.0, FRAME_NS)
+    assert palm.covers is not None
+    assert palm.covers.has(*FAR)
+    palm.contacts(THUMBS, BADLY, 1.0, 2 * FRAME_NS)
+    assert palm.covers is None, "they lift"
+    for frame in range(3, 20):
+        palm.contacts(THUMBS, BADLY, 1.0, frame * FRAME_NS)
+    palm.miss(no_fit(1.0), 1.0, 1.0, 20 * FRAME_NS)
+    assert palm.area is not None
+    assert palm.covers == palm.area
+
+
 def test_it_lifts() -> None:
     """Once it has lifted it is forgotten within 0.3 s, though drops stay where it lay."""
     palm, t_ns = seen(HUGE, 0.0)
