@@ -7,6 +7,7 @@ from msgspec.structs import replace
 
 from touchd.localization.fit import Fit, no_fit
 from touchd.localization.palm import (
+    EVERYWHERE,
     GONE_NS,
     LARGE_MM2,
     LARGE_SIZE,
@@ -21,6 +22,7 @@ from touchd.localization.palm import (
     Palm,
 )
 from touchd.localization.spline import Position
+from touchd.touch import PalmArea
 
 HEEL, BALL, NEAR, FAR = (100.0, 100.0), (110.0, 70.0), (60.0, 90.0), (90.0 + 1.2 * REACH_MM, 90.0)
 FRAME_NS = 8_000_000
@@ -96,18 +98,20 @@ def test_reach() -> None:
     assert not palm.area.has(*FAR)
 
 
+def covered(palm: Palm, fit: Fit, excess: float, signal: float, frame: int) -> PalmArea | None:
+    """What the palm covers in the next frame."""
+    palm.contacts(fit, excess, signal, frame * FRAME_NS)
+    return palm.covers
+
+
 def test_covers() -> None:
     """Until it is known a palm may be anywhere, but not where the signal falls; then it covers its own reach alone."""
     palm = Palm()
-    palm.contacts(point(1.1 * POOR_SIZE), 0.0, 1.0, 0)
-    assert palm.covers is None
-    palm.contacts(THUMBS, BADLY, 2.0, FRAME_NS)
-    assert palm.covers is not None
-    assert palm.covers.has(*FAR)
-    palm.contacts(THUMBS, BADLY, 1.0, 2 * FRAME_NS)
-    assert palm.covers is None, "they lift"
+    assert covered(palm, point(1.1 * POOR_SIZE), 0.0, 1.0, 0) is None
+    assert covered(palm, THUMBS, BADLY, 2.0, 1) == EVERYWHERE
+    assert covered(palm, THUMBS, BADLY, 1.0, 2) is None, "they lift"
     for frame in range(3, 20):
-        palm.contacts(THUMBS, BADLY, 1.0, frame * FRAME_NS)
+        covered(palm, THUMBS, BADLY, 1.0, frame)
     palm.miss(no_fit(1.0), 1.0, 1.0, 20 * FRAME_NS)
     assert palm.area is not None
     assert palm.covers == palm.area
