@@ -159,7 +159,7 @@ class AtlasLocalizer:
         least = limits.keep_confidence if alive else limits.min_confidence
         self._touches, inferred = self._place(detection, least, complete, begun)
         outcome = Outcome.INFERRED if inferred else Outcome.TRACKED if tracked else Outcome.FAINT
-        touches = self._beside.add(detection, self._touches, self._classifier.palm.area, self._touch_maker)
+        touches = self._beside.add(detection, self._touches, self._classifier.palm.area, self._touch_maker, limits)
         return Localization(outcome, touches, self._departure, self._plate_moved, self._classifier.palm.covers)
 
     def _place(

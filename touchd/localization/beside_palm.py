@@ -2,7 +2,7 @@
 
 The hand's contacts are wider than the model reaches: what they leave of the frame is more than a finger changes. But in
 the time in which a finger lands a hand moves little, and the difference of two frames is the finger's alone. Of taps
-beside hands of six patches 8 in 10 are found so, by the frame itself 1 in 10 (twin).
+beside hands of six patches it finds three in four; the frame itself shows one in twenty (twin).
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from touchd.config.schema import ModelSettings
 from touchd.detection.detection import Detection
 from touchd.localization.atlas import Array, Atlas
 from touchd.localization.estimator import TouchMaker
@@ -30,9 +31,7 @@ BEFORE_NS = 44_000_000
 SCAN_NS = 16_000_000
 """A finger that lands is looked for this often."""
 LEAST = 4.0
-"""The difference has more energy than its noise by this factor, ..."""
-LANDS, STAYS = 0.3, 0.5
-"""... and leaves at most this share where a finger explains it: as it lands, and later, when the hand has moved on."""
+"""The difference has more energy than its noise by this factor."""
 LAG_RAD, LEAD_RAD = -1.2, 0.5
 """Between these phases is a finger: -0.6 to 0.4 rad (twin); one that lifts is at pi."""
 LIFTED = 0.25
@@ -85,9 +84,13 @@ class BesidePalm:
         self._largest, self._scanned_ns = 0.0, 0
 
     def add(
-        self, detection: Detection, touches: tuple[Touch, ...], palm: PalmArea | None, maker: TouchMaker
-    ) -> tuple[Touch, ...]:
-        """Return the touches of a frame with the finger beside a palm, if there is one and it is none of them."""
+        self, detection: Detection, touches: tuple[Touch, ...], palm: PalmArea | None, maker: TouchMaker,
+        limits: ModelSettings,
+    ) -> tuple[Touch, ...]:  # fmt: skip
+        """Add the finger beside a palm to the touches of a frame, unless the whole frame shows it too.
+
+        `limits` are the least confidences and the largest standard error, as for other fingers.
+        """
         if palm is None:
             if self._frames:
                 self.reset()
@@ -98,7 +101,7 @@ class BesidePalm:
         self._frames.append(_Before(t_ns, bins.vector.copy(), bins.mask))
         while len(self._frames) > 1 and self._frames[1].t_ns <= t_ns - BEFORE_NS:
             self._frames.popleft()
-        self._finger = self._follow(bins) if self._finger else self._land(bins, t_ns, palm)
+        self._finger = self._follow(bins, limits) if self._finger else self._land(bins, t_ns, palm, limits)
         if self._finger is None:
             return touches
         fit, excess = self._finger
@@ -106,11 +109,13 @@ class BesidePalm:
         if any(math.dist(place_mm, (touch.x_mm, touch.y_mm)) < SAME_MM for touch in touches):
             return touches
         variance = self._noise.variance + self._errors.variance(fit, sizes)
-        finger = 0, self._errors.sigmas_mm(fit, variance)[0], sizes[0]
-        change = self._plate.change(self._pursuit.mean_energy)
+        (sigma_mm,) = self._errors.sigmas_mm(fit, variance)
+        if not sigma_mm <= limits.max_sigma_mm:
+            return touches
+        finger, change = (0, sigma_mm, sizes[0]), self._plate.change(self._pursuit.mean_energy)
         return touches + maker.touches([place_mm], [finger], None, CRITERIA.confidence(excess), change)
 
-    def _land(self, bins: Bins, t_ns: int, palm: PalmArea) -> _Found | None:
+    def _land(self, bins: Bins, t_ns: int, palm: PalmArea, limits: ModelSettings) -> _Found | None:
         before = self._frames[0]
         if t_ns - before.t_ns < BEFORE_NS or 0 <= t_ns - self._scanned_ns < SCAN_NS:
             return None
@@ -124,13 +129,13 @@ class BesidePalm:
         if not starts:
             return None
         fit = self._solver.with_shapes(change, min(starts, key=lambda one: one.residual_energy), noise)
-        found = self._found(change, fit, LANDS)
+        found = self._found(change, fit, limits.min_confidence)
         if found is None or palm.has(*fit.positions_mm[0]):
             return None
         self._before, self._largest = before, abs(fit.amplitudes[0])
         return found
 
-    def _follow(self, bins: Bins) -> _Found | None:
+    def _follow(self, bins: Bins, limits: ModelSettings) -> _Found | None:
         assert self._before is not None  # a finger is followed
         assert self._finger is not None
         change = _change(bins, self._before)
@@ -139,17 +144,17 @@ class BesidePalm:
         fit = self._solver.with_shapes(change, fit, 2 * self._noise.noise_energy)
         size = abs(fit.amplitudes[0])
         self._largest = max(self._largest, size)
-        found = self._found(change, fit, STAYS)
+        found = self._found(change, fit, limits.keep_confidence)
         if found and size > LIFTED * self._largest and math.dist(fit.positions_mm[0], place_mm) < REACH_MM:
             return found
         self.reset()
         return None
 
-    def _found(self, change: Bins, fit: Fit, most: float) -> _Found | None:
+    def _found(self, change: Bins, fit: Fit, least: float) -> _Found | None:
         noise = 2 * self._noise.noise_energy
         signal = change.energy - noise
         excess = (fit.residual_energy - noise) / signal if signal > 0 else math.inf
-        is_finger = excess <= most and LAG_RAD < cmath.phase(fit.amplitudes[0]) < LEAD_RAD
+        is_finger = CRITERIA.confidence(excess) >= least and LAG_RAD < cmath.phase(fit.amplitudes[0]) < LEAD_RAD
         return _Found(fit, excess) if is_finger else None
 
 

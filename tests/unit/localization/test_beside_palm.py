@@ -8,6 +8,7 @@ import pytest
 
 from tests.fields import Finger
 from tests.unit.localization.rig import Rig
+from touchd.config.schema import ModelSettings
 from touchd.localization.beside_palm import BEFORE_NS, REACH_MM
 from touchd.touch import PalmArea, Touch
 
@@ -27,6 +28,7 @@ class Beside:
     def __init__(self) -> None:
         self.rig = Rig()
         self.rig.lift(20)
+        self.limits = ModelSettings()
         self._moved_mm = 0.0
 
     def see(self, *fingers: Finger, palm: PalmArea | None = PALM, patches: bool = True) -> tuple[Touch, ...]:
@@ -34,7 +36,7 @@ class Beside:
         moved = [(x + self._moved_mm, y, z) for x, y, z in PATCHES] if patches else []
         detection = self.rig.detection(self.rig.residual(*moved, *fingers))
         localizer = self.rig.localizer
-        touches: tuple[Touch, ...] = localizer._beside.add(detection, (), palm, localizer._touch_maker)
+        touches: tuple[Touch, ...] = localizer._beside.add(detection, (), palm, localizer._touch_maker, self.limits)
         return touches
 
     def rest(self, *fingers: Finger, frames: int = SETTLED) -> list[tuple[Touch, ...]]:
@@ -75,7 +77,7 @@ def test_what_lies_within_reach(beside: Beside) -> None:
 
 
 def test_one_that_lifts(beside: Beside) -> None:
-    """A finger that the frame before had is none as it goes."""
+    """A finger that lifts brings no touch: its change is a negative finger."""
     beside.rest(FINGER)
     assert not any(beside.rest())
 
@@ -89,12 +91,20 @@ def test_no_palm(beside: Beside) -> None:
 
 
 def test_it_jumps(beside: Beside) -> None:
-    """What was a finger and is another place's in the next frame ends; the other one is found anew."""
+    """A finger that jumps farther than any finger moves in a frame ends; another touch is at the new place alone."""
     beside.rest()
     beside.rest(FINGER, frames=8)
     other: Finger = (95.0, 50.0 - 3 * REACH_MM, 1 + 0j)
     touches = beside.see(other)
     assert all(math.dist((touch.x_mm, touch.y_mm), other[:2]) < 0.5 for touch in touches)
+
+
+@pytest.mark.parametrize("limit", [{"max_sigma_mm": 0.001}, {"min_confidence": 1.0}])
+def test_limits(beside: Beside, limit: dict[str, float]) -> None:
+    """The settings' least confidence and largest standard error hold here, too."""
+    beside.limits = ModelSettings.model_validate(limit)
+    beside.rest()
+    assert not any(beside.rest(FINGER, frames=20))
 
 
 def test_clock(beside: Beside) -> None:

@@ -54,7 +54,7 @@ def test_wide_face(rig: Rig) -> None:
 
 
 def test_wrong_valley(rig: Rig) -> None:
-    """What is fitted a decimetre away is refused, whatever shape it has there."""
+    """Landing refuses a fit a decimetre away, with any shape."""
     wrong = refused = 0
     for seed, (x, y) in enumerate(PLACES_MM):
         fit, ambiguous = begun(rig, wide((x, y), seed), (120 - x, 90 - y))

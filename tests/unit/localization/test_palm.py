@@ -81,7 +81,7 @@ def test_hand(fit: Fit, excess: float, is_palm: bool) -> None:
 
 
 def test_in_between() -> None:
-    """Frames without a fit, while a search goes on, change nothing; one that fingers explain begins anew."""
+    """Frames without a fit, during a search, change nothing; a frame that fingers explain restarts the 50 ms."""
     assert seen(THUMBS, BADLY, ((no_fit(1.0), 1.0),))[1] is not None
     assert seen(THUMBS, BADLY, ((THUMBS, WELL),))[1] is None
 
