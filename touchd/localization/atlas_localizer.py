@@ -264,7 +264,7 @@ class AtlasLocalizer:
         if new := self._follower.update(bins, fit, excess):
             self._faces = self._size.faces(fit) if fit.shapes else [None] * len(fit.positions_mm)
         doubt = self._follower.is_in_doubt(t_ns)
-        fingers = self._classifier.fingers(bins, fit, t_ns, alone=alone, lacking=self._search.explains)
+        fingers = self._classifier.fingers(bins, fit, excess, t_ns, alone=alone, lacking=self._search.explains)
         if self._settings.skip.still:  # not what may be water that a finger has left: each frame must tell
             moved_mm = self._prediction.moved_mm if self._classifier.sure and not doubt else math.inf
             self._still.update(bins, fit, moved_mm, self._noise.variance)

@@ -97,11 +97,13 @@ class Classifier:
         """Forget water: the plate is untouched."""
         self._known = []
 
-    def fingers(self, bins: Bins, fit: Fit, t_ns: int, *, alone: bool = False, lacking: bool = False) -> list[Finger]:
+    def fingers(
+        self, bins: Bins, fit: Fit, excess: float, t_ns: int, *, alone: bool = False, lacking: bool = False
+    ) -> list[Finger]:
         """Return the fingers among the contacts of a frame's fit, with their standard errors.
 
-        `alone` says that no further frame will be judged, `lacking` that the fit lacks a finger. That turns the others'
-        phases: they stay what they are.
+        The fit leaves the share `excess` of the signal. `alone` says that no further frame will be judged, `lacking`
+        that the fit lacks a finger: that turns the others' phases, and they stay what they are.
         """
         if self._known:
             self._known = [one for one in self._known if one.until_ns >= t_ns]
@@ -112,8 +114,7 @@ class Classifier:
         variance = self._errors.variance(fit, sizes)
         errors_mm = self._errors.sigmas_mm(fit, variance)
         self.sure, self.likelihood = True, 1.0
-        signal = bins.energy - noise_energy
-        of_palm = self.palm.contacts(fit, self._noise.excess(fit.residual_energy, signal), signal, t_ns)
+        of_palm = self.palm.contacts(fit, excess, bins.energy - noise_energy, t_ns)
         doubtful = of_palm | self._cornered(fit.positions_mm) | self._edged(fit) if several else of_palm
         fingers: list[Finger] = []
         for k, lead in enumerate(leads):
