@@ -1,12 +1,11 @@
 """The expected error over the plate of the model that a fit with the taps so far makes.
 
-It is the root of three variances:
+It is the root of two variances:
 
 - what all places have in common (ruler, clamped edge, wrong physics): as wide as the fit leaves it, less what the taps
   tell in the error of their own labels. It falls with each tap from the eighth on
-- what wrong physics add within a wavelength, as the energy tells it that the fit leaves; no tap mends it
-- a touch's own: the Cramer-Rao bound in the plate's noise with the field's error. The fit takes that to be alike
-  everywhere; a tap measures it, near its place: it grows where the field is worse than the fit has it
+- a touch's own: the Cramer-Rao bound in the plate's noise with the field's error, wrong physics included. The fit takes
+  that to be alike everywhere; a tap measures it, near its place: it grows where the field is worse than the fit has it
 
 It does not contain another temperature. A fit that may be good leaves its places as they are while taps tell them
 little: its error then is that without taps. On simulated plates the median is 0.8 to 2.5 times that of touches.
@@ -21,10 +20,11 @@ from numpy.typing import NDArray
 
 from touchd.calibration.place_correction import Widths, label_scatter_mm, left_mm
 from touchd.calibration.plan import bound_mm
+from touchd.calibration.tap_fit import fit_taps
 from touchd.calibration.taps import FITS, Taps, hits
 from touchd.evaluation.dataset import BASELINE_NOISE
 from touchd.localization.atlas import Atlas
-from touchd.training.field.place import FieldMap, place
+from touchd.training.field.place import FieldMap
 
 Floats = NDArray[np.float64]
 
@@ -64,13 +64,13 @@ class ErrorMap:
         """Return the expected error after taps, shape (grid, grid), rows from the top."""
         if taps is None:
             return self.after()
-        placed = place(self._atlas, taps.values, taps.label_mm)
+        placed = fit_taps(self._atlas, taps.values, taps.label_mm)
         fits = placed.misfit < FITS
         if not fits.any():
             return self.after()
         placed_mm, label_mm = placed.position_mm[fits], taps.label_mm[fits]
         energy = np.square(np.abs(taps.values[fits])).sum(axis=(1, 2))
-        left = placed.misfit[fits] * energy / (2 * taps.values[0].size * np.square(np.abs(placed.amplitude[fits])))
+        left = placed.misfit[fits] * energy / (2 * taps.values[0].size * np.square(placed.size[fits]))
         apart_mm = np.linalg.norm(self._places_mm[:, None] - placed_mm, axis=2)
         near = np.exp(-np.square(apart_mm / self._reach_mm) / 2)
         measured = near @ (self._atlas.description.field_scale * left)
@@ -86,7 +86,7 @@ class ErrorMap:
         """
         own_mm = self._bound_mm * np.sqrt(self._noise + (self._own if field is None else field))
         common_mm = left_mm(self._places_mm, placed_mm, scatter_mm, self._size_mm, self._widths)
-        return np.sqrt(own_mm**2 + common_mm**2 + self._widths.varying_mm**2).reshape(self._shape)
+        return np.hypot(own_mm, common_mm).reshape(self._shape)
 
     def shown(self, taps: Taps | None) -> dict[str, Any]:
         """Return the map for the page: rows of mm, its median, that without taps, and where the colours end."""

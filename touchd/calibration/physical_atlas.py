@@ -22,6 +22,7 @@ from touchd.evaluation.dataset import BASELINE_NOISE, complex_bins
 from touchd.frame import Acquisition, Plate
 from touchd.localization.atlas import Atlas, AtlasDescription
 from touchd.localization.features import band_bins, windowed_dft
+from touchd.localization.position_error import UNUSUAL
 from touchd.training.field.bins import TAPER, informative, weights
 from touchd.training.field.error_scale import LEVELS_DB, Level, calibrate, field_error, level_of
 from touchd.training.field.place import FieldMap, place
@@ -133,6 +134,15 @@ def grid_of(length_mm: float, step_mm: float) -> Grid:
     return Grid(*(np.asarray(array, np.float64) for array in (nodes, samples, solve)))
 
 
+def coefficients_of(values: Complex, x: Grid, y: Grid) -> NDArray[np.float32]:
+    """Return an atlas' coefficients from the field at all samples of its grid, row by row: (samples, R, bins)."""
+    rows = values.reshape(len(y.samples_mm), len(x.samples_mm), -1)
+    nodes = np.tensordot(y.solve, np.tensordot(x.solve, rows, (1, 1)), (1, 1))  # (rows, columns, R * bins)
+    nodes = nodes.reshape(*nodes.shape[:2], *values.shape[1:])
+    coefficients = np.stack([nodes.real, nodes.imag], axis=3).reshape(*nodes.shape[:2], -1)
+    return np.ascontiguousarray(coefficients, np.float32)
+
+
 def make_physical_atlas(
     fit: PlateFit,
     noise_counts: float,
@@ -199,17 +209,21 @@ def draw(field: PhysicalField, size_mm: Floats) -> tuple[Floats, Complex]:
 def calibrated(plain: Atlas, fit: PlateFit, position_mm: Floats, values: Complex, noise_counts: float) -> Atlas:
     """Return the atlas with the field's error, and with scales so that 68 % of the errors are within sigma.
 
-    What the fit leaves of the untouched response it leaves of a wave; the field is a product of two.
+    What the fit leaves of the untouched response it leaves of a wave; the field is a product of two. That error is
+    alike in many bins, as is that of an unusual touch.
     """
     placed = place(plain, values, position_mm)
     predicted = FieldMap(plain).look_up(placed.position_mm)[0].reshape(values.shape)
     excess = max(fit.unexplained - fit.noise_share, 0.0)
-    power = np.square(np.abs(predicted)).mean(axis=0)
-    error = field_error(values, predicted, placed.amplitude, 0.0) + 2 * excess * power
-    levels, mean = noisy_levels(plain, fit, position_mm, values, noise_counts), float(error.mean())
-    noise_scale, field_scale = calibrate(levels, mean)
+    lacking = 2 * excess * np.square(np.abs(predicted)).mean(axis=0)
+    error = field_error(values, predicted, placed.amplitude, 0.0)
+    noise_scale, drawn_scale = calibrate(
+        noisy_levels(plain, fit, position_mm, values, noise_counts), float(error.mean())
+    )
+    # The touches drawn lack nothing of the fit's physics: they scale their own error alone.
+    field_scale = float(np.average((drawn_scale, UNUSUAL), weights=(error.mean(), lacking.mean())))
     description = plain.description.model_copy(update={"noise_scale": noise_scale, "field_scale": field_scale})
-    return Atlas(description, plain.coefficients, plain.baseline, error.astype(np.float32))
+    return Atlas(description, plain.coefficients, plain.baseline, (error + lacking).astype(np.float32))
 
 
 def noisy_levels(atlas: Atlas, fit: PlateFit, position_mm: Floats, values: Complex, noise_counts: float) -> list[Level]:

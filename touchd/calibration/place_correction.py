@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from touchd.calibration.loads import SIDES
 from touchd.calibration.parameters import wavelength_mm
-from touchd.calibration.physical_atlas import grid_of
+from touchd.calibration.physical_atlas import coefficients_of, grid_of
 from touchd.calibration.plate_fit import PlateFit
 from touchd.calibration.verdict import CLAMPED_MM, GOOD_MM, MODEL
 from touchd.localization.atlas import Atlas
@@ -48,8 +48,8 @@ class Widths(NamedTuple):
     """Of the factor that all places share."""
     bent_mm: float
     """Of each other term, at the plate's corners."""
-    varying_mm: float = 0.0
-    """Of what varies within a wavelength: no tap tells it for another place."""
+    lacking: float = 0.0
+    """Share of the untouched response's energy that the fit leaves beside noise."""
 
 
 class PlaceCorrection(NamedTuple):
@@ -75,7 +75,7 @@ def widths_of(fit: PlateFit) -> Widths:
     if clamped:
         common_mm = float(np.hypot(common_mm, BESIDE * CLAMPED_MM))
     x_mm, y_mm = (CLAMPED_MM if {*sides} & {*clamped} else common_mm for sides in (SIDES[:2], SIDES[2:]))
-    return Widths((x_mm, y_mm), fit.scale_error, common_mm, varying_mm)
+    return Widths((x_mm, y_mm), fit.scale_error, common_mm, left)
 
 
 def correction_of(placed_mm: Floats, label_mm: Floats, size_mm: tuple[float, float], widths: Widths) -> PlaceCorrection:
@@ -162,13 +162,10 @@ def with_places(atlas: Atlas, correction: PlaceCorrection) -> Atlas:
         before = places - correction.at(before)
     field = FieldMap(atlas)
     values = np.concatenate([field.look_up(part)[0] for part in np.array_split(before, max(1, len(before) // 512))])
-    values = values.reshape(len(y.samples_mm), len(x.samples_mm), -1)
-    nodes = np.tensordot(y.solve, np.tensordot(x.solve, values, (1, 1)), (1, 1))  # (rows, columns, channels * bins)
-    nodes = nodes.reshape(*nodes.shape[:2], d.acquisition.channels, -1)
-    coefficients = np.stack([nodes.real, nodes.imag], axis=3).reshape(*nodes.shape[:2], -1)
+    values = values.reshape(len(values), d.acquisition.channels, -1)
     description = d.model_copy(update={
         "plate": d.plate.model_copy(update={"width_mm": float(size[0]), "height_mm": float(size[1])}),
         "origin_mm": (float(x.nodes_mm[0]), float(y.nodes_mm[0])),
         "high_mm": (float(size[0]), float(size[1])),
     })  # fmt: skip
-    return replace(atlas, description=description, coefficients=np.ascontiguousarray(coefficients, np.float32))
+    return replace(atlas, description=description, coefficients=coefficients_of(values, x, y))

@@ -1,8 +1,9 @@
 """What taps at roughly known places tell of a fitted plate: orientation, labels' scatter, common errors of places.
 
 The physical field places a tap ten times as exactly as a person hits a target, so that labels only choose among the
-rectangle's four symmetries, which sound the same untouched, and tell what all places have in common. The field itself
-stays: a gain in each bin, learned from fingertips, explains them better and places every tip worse (twin).
+rectangle's four symmetries, which sound the same untouched, and tell what all places have in common. Where physics
+lack something, the taps themselves tell its waves (`wave_correction`). Else the field stays: a gain in each bin,
+learned from fingertips, explains them better and places every tip worse (twin).
 """
 
 from __future__ import annotations
@@ -12,8 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.calibration.place_correction import Widths, correction_of, with_places
+from touchd.calibration.place_correction import LABELS_MM, Widths, correction_of, with_places
 from touchd.calibration.plate_fit import PlateFit
+from touchd.calibration.tap_fit import fit_taps
+from touchd.calibration.wave_correction import LEAST_LACKING, with_waves
 from touchd.errors import CalibrationError, TrainingError
 from touchd.evaluation.dataset import baseline_frames, complex_bins, labels
 from touchd.localization.atlas import Atlas
@@ -137,19 +140,23 @@ def turned_fit(fit: PlateFit, orientation: int) -> PlateFit:
 
 
 def refine(atlas: Atlas, taps: Taps, orientation: int = 0, widths: Widths | None = None) -> Refined:
-    """Correct the places of a rightly turned drawing as far as taps tell it.
+    """Correct the field and the places of a rightly turned drawing as far as taps tell both.
 
-    Without `widths` all places stay.
+    Without `widths` both stay.
     """
-    placed = place(atlas, taps.values, taps.label_mm)
+    placed = fit_taps(atlas, taps.values, taps.label_mm)
     fits = placed.misfit < FITS
     if fits.mean() < LEAST_FIT:
         raise CalibrationError(
             f"{fits.sum()} of {len(fits)} taps fit the calibrated plate", "--taps", "check the labels' places, in mm"
         )
-    placed_mm, label_mm = placed.position_mm[fits], taps.label_mm[fits]
-    hit = hits(placed_mm, label_mm)
-    placed_mm, label_mm = placed_mm[hit], label_mm[hit]
+    used = np.flatnonzero(fits)
+    used = used[hits(placed.position_mm[used], taps.label_mm[used])]
+    values, label_mm = taps.values[used], taps.label_mm[used]
+    placed_mm, misfit = placed.position_mm[used], placed.misfit[used]
+    if widths is not None and widths.lacking > LEAST_LACKING:
+        atlas = with_waves(atlas, values, placed_mm, widths.lacking).atlas
+        placed_mm, _, misfit, _ = fit_taps(atlas, values, placed_mm)
     scatter_mm, moved_mm = float(np.sqrt(np.square(placed_mm - label_mm).mean())), 0.0
     if widths is not None:
         correction = correction_of(placed_mm, label_mm, atlas.description.plate.size_mm, widths)
@@ -158,7 +165,7 @@ def refine(atlas: Atlas, taps: Taps, orientation: int = 0, widths: Widths | None
             atlas, scatter_mm, moved_mm = with_places(atlas, correction), correction.label_mm, added_mm
     return Refined(
         ORIENTATIONS[orientation], atlas, len(fits), int(fits.sum()), placed_mm, scatter_mm, moved_mm,
-        float(np.median(placed.misfit[fits])),
+        float(np.median(misfit)),
     )  # fmt: skip
 
 
@@ -180,4 +187,4 @@ def scatter_of(label_mm: Floats, placed_mm: Floats) -> tuple[float | None, int]:
 def hits(placed_mm: Floats, label_mm: Floats) -> NDArray[np.bool_]:
     """Return which taps, at `placed_mm` (n, 2), did not miss their labels."""
     apart = np.linalg.norm(placed_mm - label_mm, axis=1)
-    return np.asarray(apart <= MISSED * np.median(apart))
+    return np.asarray(apart <= MISSED * max(float(np.median(apart)), LABELS_MM[0]))

@@ -149,6 +149,11 @@ class Product:
         """Return the field (n, channels) at the touches, ADC counts."""
         return self._of(self.basis.at_touches)
 
+    def waves_at(self, positions_mm: Floats) -> tuple[Wave, Wave]:
+        """Evaluate the emitter's wave (k,) and the receivers' (k, channels) at positions (k, 2)."""
+        functions = self.basis.at(positions_mm)
+        return _sum(functions, self.emitter)[:, 0], _sum(functions, self.receivers)
+
     def _of(self, functions: Floats) -> Complex:
         return np.asarray(_sum(functions, self.emitter) * _sum(functions, self.receivers), np.complex64)
 

@@ -1,0 +1,169 @@
+"""What taps tell of a field whose physics lack something: the waves that it adds to the emitter's and the receivers'.
+
+A hole, a button or an edge that is held in another way scatters waves that the fitted plate has not. The field of a
+touch is the product of two waves (`touchd.training.field.few_touches`), and what a fit leaves of the untouched response
+it leaves of either. Each is corrected by the posterior mean of a random wave of that power, given what taps show beside
+the physical field; they are placed again on the corrected one. Taps left out say how much of the lack stays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from touchd.calibration.physical_atlas import coefficients_of, grid_of
+from touchd.calibration.tap_fit import FittedTaps, fit_taps
+from touchd.localization.atlas import Atlas
+from touchd.localization.features import band_bins
+from touchd.training.field.few_touches import Product, basis_of, covariance, product_of
+from touchd.training.field.kernel import distances
+from touchd.training.field.place import FieldMap
+
+Floats = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+LEAST_LACKING = 5e-3
+"""Below this share of the untouched energy that a fit leaves, physics err less than fingertips differ (twin)."""
+MOST_STAYS = 0.8
+"""The correction must explain so much of taps left out that no more than this share of the lack stays."""
+NO_PRODUCT = 0.3
+"""Share of what physics lack that is no product of two waves: the window cuts reverberation off (twin)."""
+FAINT = 1e-3
+"""A tap's amplitude in a bin counts as this share of the taps' at least."""
+ROUNDS = 3
+"""Of fitting the taps, and the waves to what they leave."""
+_DRAWN, _PRODUCT_NOISE, _SEED = 500, 1e-4, 0x3A7E5
+_BLOCK = 512
+
+
+class Corrected(NamedTuple):
+    """An atlas with the waves that taps tell."""
+
+    atlas: Atlas
+    stays: float
+    """Share of what the physical field lacks that stays, by taps left out."""
+
+
+def with_waves(atlas: Atlas, values: Complex, position_mm: Floats, lacking: float) -> Corrected:
+    """Add to a physical atlas the waves that taps tell.
+
+    Parameters
+    ----------
+    atlas : Atlas
+    values : array of shape (n, channels, bins)
+        Of taps that the field explains, ADC counts.
+    position_mm : array of shape (n, 2)
+        Where the field places them.
+    lacking : float
+        Share of the untouched response's energy that the fit leaves beside noise.
+
+    Returns
+    -------
+    Corrected
+        The same atlas, of which all stays, where the waves explain too little of taps left out.
+    """
+    d = atlas.description
+    x, y = (grid_of(side, d.step_mm) for side in d.plate.size_mm)
+    grid_mm = np.stack(np.meshgrid(x.samples_mm, y.samples_mm), axis=-1).reshape(-1, 2)
+    physical = FieldMap(atlas)
+    on_grid = _in_blocks(lambda part: _field(physical, part, atlas), grid_mm)
+    wavenumbers = _wavenumbers_per_mm(atlas)
+    products = _products(physical, wavenumbers, atlas)
+    waves = [product.waves_at(grid_mm) for product in products]
+    corrected, stays = atlas, 1.0
+    for _ in range(ROUNDS):
+        fitted = fit_taps(corrected, values, position_mm)
+        missing, weight = _beside(corrected, values, fitted, physical)
+        position_mm, field = fitted.position_mm, on_grid.copy()
+        lack, left = 0.0, 0.0
+        for b, (product, k) in enumerate(zip(products, wavenumbers.tolist(), strict=True)):
+            near = _covariance(position_mm, position_mm, k)
+            emitter, receivers = product.waves_at(position_mm)
+            sent, received, left_out = _missing_waves(missing[:, :, b], weight[:, b], emitter, receivers, near, lacking)
+            far = _covariance(grid_mm, position_mm, k)
+            sent, received = far @ sent, far @ received
+            field[:, :, b] += waves[b][0][:, None] * received + sent[:, None] * (waves[b][1] + received)
+            lack += float(weight[:, b] @ np.square(np.abs(missing[:, :, b])).sum(axis=1))
+            left += float(weight[:, b] @ np.square(np.abs(left_out)).sum(axis=1))
+        stays = left / max(lack, 1e-30)
+        description = d.model_copy(update={"origin_mm": (float(x.nodes_mm[0]), float(y.nodes_mm[0]))})
+        corrected = replace(atlas, description=description, coefficients=coefficients_of(field, x, y))
+    if not stays < MOST_STAYS:
+        return Corrected(atlas, 1.0)
+    return Corrected(replace(corrected, error=(stays * atlas.error).astype(np.float32)), stays)
+
+
+def _missing_waves(
+    missing: Complex, weight: Floats, emitter: Complex, receivers: Complex, near: Floats, lacking: float
+) -> tuple[Complex, Complex, Complex]:
+    """Return the weights of the covariance about n taps that make the missing waves of a bin, and taps left out.
+
+    Those of the emitter's wave have the shape (n,), those of the receivers' (n, channels), as has what stays of each
+    tap when all others tell the waves. `missing` is what the taps show beside the field (n, channels), `weight` the
+    power of their amplitudes, `emitter` and `receivers` the physical waves at them, `near` their covariance (n, n).
+    """
+    count, channels = receivers.shape
+    sent = lacking * np.square(np.abs(emitter)).mean()
+    received = lacking * np.square(np.abs(receivers)).mean(axis=0)
+    by_emitter = sent * near[:, None, :, None] * receivers[:, :, None, None] * receivers.conj()
+    by_receiver = near * (emitter[:, None] * emitter.conj())
+    for j, power in enumerate(received.tolist()):
+        by_emitter[:, j, :, j] += power * by_receiver
+    typical = float(np.median(weight))
+    noise = NO_PRODUCT * np.square(np.abs(missing)).mean() * typical / np.maximum(weight, FAINT * typical)
+    system = by_emitter.reshape(count * channels, -1)
+    system[np.diag_indices(len(system))] += np.repeat(noise, channels)
+    inverse = np.linalg.inv(system)
+    solved = (inverse @ missing.reshape(-1)).reshape(count, channels)
+    own = inverse.reshape(count, channels, count, channels)[np.arange(count), :, np.arange(count)]
+    left_out = np.linalg.solve(own, solved[..., None])[..., 0]
+    of_emitter: Complex = sent * (receivers.conj() * solved).sum(axis=1)
+    of_receivers: Complex = received * (emitter.conj()[:, None] * solved)
+    return of_emitter, of_receivers, np.asarray(left_out, np.complex128)
+
+
+def _beside(atlas: Atlas, values: Complex, fitted: FittedTaps, physical: FieldMap) -> tuple[Complex, Floats]:
+    """Return what taps show beside the physical field, as contacts of amplitude 1, and the power of their amplitudes.
+
+    The shapes are (n, channels, bins) and (n, bins).
+    """
+    field = _field(FieldMap(atlas), fitted.position_mm, atlas)
+    # Of a contact of any size: its part over the field, on average over the channels.
+    amplitude = (field.conj() * (values - fitted.left)).sum(axis=1) / np.square(np.abs(field)).sum(axis=1)
+    missing = fitted.left / amplitude[:, None] + field - _field(physical, fitted.position_mm, atlas)
+    return missing, np.square(np.abs(amplitude))
+
+
+def _products(field: FieldMap, wavenumbers_per_mm: Floats, atlas: Atlas) -> list[Product]:
+    """Return the two waves of each bin of a field, fitted all over the plate."""
+    rng = np.random.default_rng(_SEED)
+    places = rng.uniform(atlas.description.low_mm, atlas.description.high_mm, (_DRAWN, 2))
+    values, one = _field(field, places, atlas).astype(np.complex64), np.ones(_DRAWN, np.complex64)
+    return [
+        product_of(basis_of(places, k), part, one, _PRODUCT_NOISE * float(np.square(np.abs(part)).mean()))
+        for k, part in zip(wavenumbers_per_mm.tolist(), np.moveaxis(values, 2, 0), strict=True)
+    ]
+
+
+def _covariance(one_mm: Floats, other_mm: Floats, wavenumber_per_mm: float) -> Floats:
+    return covariance(distances(one_mm, other_mm).astype(np.float64), wavenumber_per_mm)
+
+
+def _wavenumbers_per_mm(atlas: Atlas) -> Floats:
+    d = atlas.description
+    of_band = dict(zip(band_bins(d.acquisition).tolist(), d.wavenumber_rad_m, strict=True))
+    return 1e-3 * np.array([of_band[b] for b in d.bins])
+
+
+def _field(field: FieldMap, position_mm: Floats, atlas: Atlas) -> Complex:
+    """Return the field at positions (n, 2), shape (n, channels, bins)."""
+    values = field.look_up(position_mm)[0]
+    return values.reshape(len(values), atlas.description.acquisition.channels, -1)
+
+
+def _in_blocks(at: Callable[[Floats], Complex], position_mm: Floats) -> Complex:
+    return np.concatenate([at(part) for part in np.array_split(position_mm, max(1, len(position_mm) // _BLOCK))])
