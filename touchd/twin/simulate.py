@@ -1,21 +1,26 @@
-"""Simulate a scene: at once as a recording, or block by block for a live source."""
+"""Simulate a scene: at once as a recording, block by block for a live source, or a robot's session in parallel."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from touchd.errors import SimulationError
-from touchd.frame import Acquisition, Plate
+from touchd.frame import ACQUISITIONS, Acquisition, Plate
+from touchd.jobs import Job, run
 from touchd.recording.data import Device, Meta, Recording
-from touchd.twin.electronics import Digitiser, Electronics
+from touchd.twin.electronics import Digitiser, Electronics, noise_states
 from touchd.twin.instrument import REFERENCE_C, Instrument
 from touchd.twin.physics.finger import Contact
+from touchd.twin.rig import IDEAL, Rig
 from touchd.twin.scenes.catalogue import stage_scene
 from touchd.twin.scenes.robot import COUNT, TouchSet, stage_touches
 from touchd.twin.scenes.timeline import Stage
@@ -26,6 +31,10 @@ Progress = Callable[[int], object]
 
 BLOCK = 64
 """Frames per block, counted from the scene's first frame, so that results do not depend on the caller."""
+CHUNK = 16 * BLOCK
+"""Frames per part, some tenths of a second's work; a multiple of `BLOCK`, so that sums round alike."""
+FEW = 4 * CHUNK
+"""Up to this number of frames, one process finishes before others would start."""
 
 MOVES_MM, GROWS = 0.01, 0.02
 """Way of a contact during a frame, and change of its area, from which the frame differs from one of rest: 10 mm/s."""
@@ -133,50 +142,20 @@ def simulate_touches(
     seed: int = 0,
     instrument: Instrument | None = None,
     electronics: Electronics | None = None,
-    finger: str = "silicone",
-    margin_mm: float | None = None,
-    stale_k: float = 0.0,
-    fingers: int = 1,
-    apart_mm: float = 0.0,
-    warmer_k: float = 0.0,
-    label_noise_mm: float = 0.0,
-    even: bool = False,
+    **asked: Any,
 ) -> Recording:
-    """Simulate a robot's training set: untouched frame, touch, untouched frame, touch, ...
+    """Simulate a robot's training set of `count` touches: untouched frame, touch, untouched frame, touch, ...
 
-    Parameters
-    ----------
-    count : int
-        Number of touches; the recording has twice as many frames.
-    seed : int
-        Equal seeds give equal recordings, bit for bit.
-    instrument, electronics
-        As for `simulate_scene`.
-    finger : a kind of `touchd.twin.physics.finger.TISSUES`
-        Areas and ratios of the axes are drawn from `touchd.twin.scenes.robot.AREAS_MM2` and `timeline.RATIOS`.
-    margin_mm : float, optional
-        Least distance of a touch's centre from the edge; by default such that the contact fits.
-    stale_k : float
-        Warming of the plate between an untouched frame and the touch after it, K.
-    fingers : int
-        Contacts of each touch, 1 .. 5, each with its own area, without overlap.
-    apart_mm : float
-        Least distance between centres.
-    warmer_k : float
-        Temperature of the session above the reference, K; may be negative.
-    label_noise_mm : float
-        Standard deviation of the labels per axis.
-    even : bool
-        Leave no gaps, and touch up to the edges; else places are drawn at random.
+    `asked` are fields of `TouchSet`; the others are as for `simulate_scene`.
 
     Raises
     ------
     SimulationError
         Count, margin, finger or distances are impossible.
     """
-    asked = TouchSet(count, finger, margin_mm, stale_k, fingers, apart_mm, None, warmer_k, label_noise_mm, even)
     instrument = instrument or Instrument(DEFAULT_PLATE)
-    return simulate_stage(stage_touches(asked, instrument.plate, seed, electronics), instrument, seed)
+    stage = stage_touches(TouchSet(count, **asked), instrument.plate, seed, electronics)
+    return simulate_stage(stage, instrument, seed)
 
 
 def meta_of(instrument: Instrument, rate_hz: float, notes: str) -> Meta:
@@ -229,3 +208,78 @@ def recording_of(stage: Stage, instrument: Instrument, frames: NDArray[np.int16]
         faces=stage.faces(),
         temperature_c=stage.temperature_c.astype(np.float32),
     )
+
+
+@dataclass(frozen=True)
+class Session:
+    """Everything that the frames of a robot's session depend on; see `simulate_touches`."""
+
+    touches: TouchSet
+    seed: int
+    plate: Plate
+    loss: float
+    tail_period_s: float | None
+    rig: Rig = IDEAL
+    acquisition: Acquisition = ACQUISITIONS["usb"]
+
+    def prepare(self) -> tuple[Stage, Instrument]:
+        """Write the session's timeline, and create its instrument; SimulationError if one is impossible."""
+        instrument = self.rig.instrument(
+            self.plate, loss=self.loss, tail_period_s=self.tail_period_s, acquisition=self.acquisition
+        )
+        return stage_touches(self.touches, self.plate, self.seed, self.rig.electronics), instrument
+
+
+def simulate_session(
+    session: Session,
+    *,
+    workers: int | None = None,
+    dask: str | None = None,
+    kept: Path | None = None,
+    progress: Progress | None = None,
+    chunk: int = CHUNK,
+) -> Recording:
+    """Simulate a session as `simulate_touches` does, to the bit, on several processes or a cluster.
+
+    For `workers` and `dask` see `touchd.jobs.run`; without both, few frames are computed in this process. `kept` is the
+    folder of finished parts, see `touchd.twin.cache.parts_kept`; `chunk` the frames of each, a multiple of `BLOCK`.
+
+    Raises
+    ------
+    SimulationError
+        Count, margin, finger or plate is impossible.
+    JobError
+    """
+    stage, instrument = session.prepare()
+    total = len(stage.sequence)
+    starts = range(0, total, chunk)
+    a = instrument.acquisition
+    frames = no_frames(total, a)
+    states = noise_states(session.seed, a.channels * a.samples, starts)
+    places = {f"frames from {start}": slice(start, min(start + chunk, total)) for start in starts}
+    jobs = [
+        Job(name, part, {"session": session, "start": place.start, "stop": place.stop, "noise": noise})
+        for (name, place), noise in zip(places.items(), states, strict=True)
+    ]
+    if workers is None and dask is None and total <= FEW:
+        workers = 1
+
+    def advance(name: str, _done: int, _total: int) -> None:
+        if progress is not None:
+            progress(places[name].stop - places[name].start)
+
+    for name, counts in run(jobs, workers=workers, dask=dask, cache=kept, progress=advance).items():
+        frames[places[name]] = counts
+    return recording_of(stage, instrument, frames)
+
+
+def part(session: Session, start: int, stop: int, noise: dict[str, Any]) -> NDArray[np.int16]:
+    """Compute frames start .. stop - 1, as a job; `noise` is the state of the noise generator at `start`."""
+    stage, instrument = _prepared(session)
+    return np.concatenate(list(stream(stage, instrument, session.seed, start=start, stop=stop, noise=noise)))
+
+
+@lru_cache(maxsize=1)
+def _prepared(session: Session) -> tuple[Stage, Instrument]:
+    """Prepare a session once per process."""
+    return session.prepare()
