@@ -60,9 +60,7 @@ def stream(
     jitter_seed, digitiser_seed = np.random.SeedSequence(seed).spawn(3)[1:]  # each with its own generator
     jitter = np.random.default_rng(jitter_seed)
     reference = instrument.untouched([REFERENCE_C])[0]
-    digitiser = Digitiser(stage.electronics, instrument.acquisition, reference, digitiser_seed)
-    if noise is not None:
-        digitiser.resume(noise)
+    digitiser = Digitiser(stage.electronics, instrument.acquisition, reference, digitiser_seed, noise)
     jitter.standard_normal(start)  # skip the jitter of earlier frames
     time_s = stage.time_s
     end = len(time_s) if stop is None else stop
@@ -115,16 +113,9 @@ def simulate_scene(
     electronics: Electronics | None = None,
     finger: str | None = None,
 ) -> Recording:
-    """Simulate a named scene.
+    """Simulate a named scene; `frames`, `electronics` and `finger` are as for `stage_scene`.
 
-    Parameters
-    ----------
-    name, frames, electronics, finger
-        See `touchd.twin.scenes.catalogue.stage_scene`.
-    seed : int
-        Equal seeds give equal recordings, bit for bit.
-    instrument : Instrument, optional
-        By default that of the default plate.
+    Equal seeds give equal recordings, bit for bit.
 
     Raises
     ------

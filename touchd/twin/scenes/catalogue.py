@@ -45,23 +45,10 @@ def stage_scene(
     keys: Sequence[Key] | None = None,
     code: str | None = None,
 ) -> Stage:
-    """Write the timeline of a named scene.
+    """Write the timeline of a named scene, by default with the scene's number of frames, rate and finger.
 
-    Parameters
-    ----------
-    name : str
-        One of `SCENES`.
-    plate : Plate
-    seed : int
-    frames, finger : optional
-        Number of frames, and a kind of `touchd.twin.physics.finger.TISSUES`; by default the scene's.
-    rate_hz : float, optional
-        Frames per second; by default 125, for the demo 100.
-    electronics : Electronics, optional
-    keys : sequence of (name, x_mm, y_mm), optional
-        Keys of the scene `keypad` with their centres; by default 3 x 4 around the plate's centre.
-    code : str, optional
-        Keys to type, one character each.
+    `keys`, (name, x_mm, y_mm) of each centre, are those of the scene `keypad`, by default 3 x 4 around the plate's
+    centre; it types `code`, one character a key.
 
     Raises
     ------
