@@ -27,7 +27,7 @@ from touchd.training.field.dispersion import fitted_note, is_known
 from touchd.training.field.few_touches import learn_field
 from touchd.training.field.learn import Field
 from touchd.training.network.export import TOLERANCE, check_export, describe, make_graph, write_model
-from touchd.training.network.loop import Batches, Curve, Progress, fit
+from touchd.training.network.loop import Curve, Epoch, Progress, fit
 from touchd.training.network.network import Batch, PaperNetwork, PositionNetwork, Positions
 from touchd.training.network.recipe import RECIPES, Recipe
 from touchd.training.network.sigma_calibration import calibrate_sigma
@@ -126,9 +126,9 @@ def train(
     for text in inspect(recording, len(parts.train) / len(data)):
         note(text)
     if recipe.paper:
-        batches = _paper_batches(data, parts, generator)
+        batches, steps = _paper_batches(data, parts, generator)
         optimiser = torch.optim.Adam(network.parameters(), lr=PAPER_LEARNING_RATE)
-        curve = fit(network, batches, optimiser, epochs or recipe.epochs, validate, progress, patience=patience)
+        curve = fit(network, batches, steps, optimiser, epochs or recipe.epochs, validate, progress, patience=patience)
     else:
         plate = data.meta.plate
         if not is_known(plate):
@@ -137,10 +137,10 @@ def train(
             field = learn_field(data, parts.train, lambda done, all_: progress("field", done, all_, float("nan")))
         synthesiser = Synthesiser(field, plate.size_mm, generator, description.layout)
         augmenter = Augmenter(data, torch.from_numpy(parts.train), synthesiser, generator)
-        batches = _augmented_batches(augmenter, generator, others=network.wants_others)
+        batches, steps = _augmented_batches(augmenter, generator, others=isinstance(network, PositionNetwork))
         optimiser = torch.optim.AdamW(network.parameters(), lr=LEARNING_RATE, weight_decay=WEIGHT_DECAY)
         curve = fit(
-            network, batches, optimiser, epochs or recipe.epochs, validate, progress, peak=LEARNING_RATE,
+            network, batches, steps, optimiser, epochs or recipe.epochs, validate, progress, peak=LEARNING_RATE,
             patience=patience,
         )  # fmt: skip
         if isinstance(network, PositionNetwork) and network.noise_apart:
@@ -184,8 +184,8 @@ def _positions(data: Dataset, indices: NDArray[np.int64]) -> Tensor:
     return torch.from_numpy(data.position_mm[indices]) / torch.tensor(data.meta.plate.size_mm) - 0.5
 
 
-def _augmented_batches(augmenter: Augmenter, generator: torch.Generator, *, others: bool) -> Batches:
-    """Return batches of synthetic and recorded touches with all disturbances, and of non-fingers if `others`."""
+def _augmented_batches(augmenter: Augmenter, generator: torch.Generator, *, others: bool) -> tuple[Epoch, int]:
+    """Return epochs of synthetic and recorded touches with all disturbances, and of non-fingers if `others`."""
     count = len(augmenter.residual)
     recorded = round(BATCH * (1 - SYNTHETIC))
     steps = max(STEPS, 2 * -(-count // BATCH))
@@ -200,11 +200,11 @@ def _augmented_batches(augmenter: Augmenter, generator: torch.Generator, *, othe
             features = torch.cat([fingers, augmenter.others(OTHERS)]) if others else fingers
             yield Batch(features, torch.cat([augmenter.position[some], place]), noise)
 
-    return Batches(steps, epoch)
+    return epoch, steps
 
 
-def _paper_batches(data: Dataset, parts: Split, generator: torch.Generator) -> Batches:
-    """Return batches of the recorded touches, each touch once per epoch, as in the paper."""
+def _paper_batches(data: Dataset, parts: Split, generator: torch.Generator) -> tuple[Epoch, int]:
+    """Return epochs of the recorded touches, each touch once, as in the paper."""
     features = torch.from_numpy(data.signal[parts.train])
     position = _positions(data, parts.train)
     steps = max(1, len(features) // PAPER_BATCH)  # drop the incomplete batch; the order changes each epoch
@@ -214,4 +214,4 @@ def _paper_batches(data: Dataset, parts: Split, generator: torch.Generator) -> B
         for some in torch.split(order[: steps * PAPER_BATCH], PAPER_BATCH):
             yield Batch(features[some], position[some], torch.zeros((len(some), 1)))
 
-    return Batches(steps, epoch)
+    return epoch, steps

@@ -21,11 +21,10 @@ from scipy.linalg import cho_factor, cho_solve, lapack, solve_triangular
 
 from touchd.evaluation.dataset import Dataset
 from touchd.training.data.inspection import degrees_of_freedom
-from touchd.training.field import kernel
+from touchd.training.field import regression
 from touchd.training.field.dispersion import dispersion_of
-from touchd.training.field.kernel import distances
 from touchd.training.field.learn import OUTER_ROUNDS, Field, Learner, Steps, along_band, fit_amplitudes
-from touchd.training.field.regression import Array, Complex, Floats, Prior, Touches, each, touches_of
+from touchd.training.field.regression import Array, Complex, Floats, Prior, Touches, distances, each, touches_of
 
 Wave = NDArray[np.complex128]
 Step = Callable[[int, int], None]
@@ -57,7 +56,7 @@ def learn_field(dataset: Dataset, indices: NDArray[np.int64], progress: Step = l
     The dispersion of an unknown material is fitted to the touches.
     """
     touches = touches_of(dataset, indices)
-    prior = Prior(dispersion_of(dataset, touches).wavenumber_per_mm)
+    prior = Prior(dispersion_of(dataset, touches))
     if len(touches.position_mm) < FEW * degrees_of_freedom(touches.position_mm, float(prior.wavenumber_per_mm[-1])):
         return learn_by_waves(touches, prior, progress)
     steps = Steps(progress)
@@ -158,7 +157,7 @@ def covariance(distance_mm: Floats, wavenumber_per_mm: float) -> Floats:
     at = np.asarray(distance_mm * (wavenumber_per_mm / _NODE), np.float64)
     below = at.astype(np.intp)  # by its index: to search for each distance took half of a training on few touches
     nodes_mm = np.arange(below.max(initial=0) + 2) * (_NODE / wavenumber_per_mm)
-    table = kernel.covariance(nodes_mm, wavenumber_per_mm, WHITE_SHARE, waves=1, margin=BAND_MARGIN)
+    table = regression.covariance(nodes_mm, wavenumber_per_mm, WHITE_SHARE, waves=1, margin=BAND_MARGIN)
     at -= below
     return np.asarray(table[below] + at * np.diff(table)[below])
 

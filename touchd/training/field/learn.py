@@ -2,7 +2,7 @@
 
 In a bin of frequency f the residual of a touch at (x, y) is a complex amplitude z times the product of two waves of the
 plate. The product has no spatial frequency above 2 k(f), k from the plate's dispersion. So kernel ridge regression
-interpolates the field between the recorded touches; see `touchd.training.field.kernel` for the prior.
+interpolates the field between the recorded touches; see `touchd.training.field.regression` for the prior.
 
 Only the product of amplitude and field is observable, so the two are fitted in turn. An amplitude fits the field of all
 touches best, in a few bins, because it changes slowly along the band. Amplitude errors are common to all bins and move
