@@ -61,16 +61,8 @@ def strings() -> bytes:
 class FunctionFs:
     """Serve a gadget's endpoints in a folder where FunctionFS is mounted, by two threads, until the process ends.
 
-    Parameters
-    ----------
-    folder : Path
-        Holds `ep0`, and `ep1` once the descriptors are written to `ep0`.
-    gadget : Gadget
-
-    Raises
-    ------
-    GadgetError
-        FunctionFS is not mounted there, or the kernel does not take the descriptors.
+    `folder` holds `ep0`, and `ep1` once the descriptors are written to `ep0`. Raises GadgetError if FunctionFS is not
+    mounted there, or the kernel does not take the descriptors.
     """
 
     def __init__(self, folder: Path, gadget: Gadget) -> None:
@@ -150,12 +142,7 @@ class FunctionFs:
 class ConfigFs:
     """A USB device with one function in ConfigFS; needs root.
 
-    Parameters
-    ----------
-    serial : str
-    vendor_id, product_id : int
-    root, mounts : Path
-        Folders in which to make the gadget, and to mount its FunctionFS.
+    `root` and `mounts` are the folders in which to make the gadget, and to mount its FunctionFS.
     """
 
     def __init__(
@@ -181,10 +168,7 @@ class ConfigFs:
     def create(self) -> None:
         """Make the device, replace one that an earlier process left behind, and mount its FunctionFS.
 
-        Raises
-        ------
-        GadgetError
-            The process is not root, or the kernel has no support.
+        Raises GadgetError if the process is not root, or the kernel has no support.
         """
         for module in ("libcomposite", "usb_f_fs"):  # may be built in
             subprocess.run(["modprobe", "-q", module], check=False)  # noqa: S603, S607 - fixed names

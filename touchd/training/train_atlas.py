@@ -75,13 +75,8 @@ def train_atlas(
     """Train a field atlas and its starting network, and write both: `plate.onnx`, `plate.atlas.npz`.
 
     `network` is one trained on this recording, instead of training one; its split replaces that of `seed`. For the
-    other parameters see `touchd.training.train_network.train`.
-
-    Raises
-    ------
-    ModelMismatch
-        The network was trained on another recording, or is no regression.
-    TrainingError, OutputError
+    other parameters see `touchd.training.train_network.train`. Raises ModelMismatch if the network was trained on
+    another recording, or is no regression; TrainingError and OutputError.
     """
     started_s = time.monotonic()
     notes: list[str] = []
@@ -146,10 +141,7 @@ def train_atlas(
 def check_density(position_mm: Floats, wavenumber_per_mm: float) -> Iterator[str]:
     """Warn if the training touches (n, 2) are too few for the atlas' finest bin.
 
-    Raises
-    ------
-    TrainingError
-        They are so few that the atlas could not locate a touch.
+    Raises TrainingError if they are so few that the atlas could not locate a touch.
     """
     least = degrees_of_freedom(position_mm, wavenumber_per_mm)
     have = len(position_mm)

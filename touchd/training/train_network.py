@@ -85,11 +85,7 @@ def train(
     Equal recording, seed and number of threads give an equal network. The file is written only after a complete
     training. It uses this `share` of the training part, for a learning curve; validation and test stay unchanged. It
     draws touches from `field`, by default learned here from the training part. For `patience` see `fit`. `warn`
-    receives each warning as soon as it arises.
-
-    Raises
-    ------
-    TrainingError, OutputError
+    receives each warning as soon as it arises. Raises TrainingError and OutputError.
     """
     started_s = time.monotonic()
     torch.manual_seed(seed)

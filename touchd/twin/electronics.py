@@ -77,12 +77,7 @@ class Digitiser:
 
     One generator draws the noise frame by frame, so results do not depend on the block size; it goes on from `noise`, a
     state returned by `noise_states`. `untouched`, of shape (R, S), is the signal of the untouched plate at the
-    reference temperature, peak 1.
-
-    Raises
-    ------
-    SimulationError
-        A setting does not fit the channels.
+    reference temperature, peak 1. Raises SimulationError if a setting does not fit the channels.
     """
 
     def __init__(

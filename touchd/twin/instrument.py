@@ -52,12 +52,8 @@ class Instrument:
     `loss` is the loss factor, 2e-3 .. 1e-2 for a mounted plate with bonded discs. With `tail_period_s` the ringing of
     all previous chirps, one per period, is included, though the acquisition does not say so. `tilts` are those of each
     receiver's phase and gain, (deg, dB), along the chirp's band, from its middle to its upper end. `modes` are those of
-    plate and discs by other physics than the twin's; real ones take `loss`, complex ones have theirs.
-
-    Raises
-    ------
-    SimulationError
-        The twin cannot simulate this instrument.
+    plate and discs by other physics than the twin's; real ones take `loss`, complex ones have theirs. Raises
+    SimulationError if the twin cannot simulate this instrument.
     """
 
     def __init__(
@@ -100,10 +96,7 @@ class Instrument:
     def scale(self, temperature_c: ArrayLike) -> Floats:
         """Return the factor of all modes' frequencies at a temperature.
 
-        Raises
-        ------
-        SimulationError
-            The temperature is outside `SPAN_K`.
+        Raises SimulationError if the temperature is outside `SPAN_K`.
         """
         off = np.asarray(temperature_c, dtype=float) - REFERENCE_C
         if not np.all(np.abs(off) <= SPAN_K):
@@ -125,12 +118,8 @@ class Instrument:
     def change(self, touches: Sequence[Sequence[Contact]], temperature_c: ArrayLike, late_s: ArrayLike = 0.0) -> Floats:
         """Return the change (n, R, S) of the signals due to n sequences of contacts, each possibly empty.
 
-        It is to be added to the untouched plate's signals; temperatures and delays as in `untouched`.
-
-        Raises
-        ------
-        SimulationError
-            A contact reaches over the edge.
+        It is to be added to the untouched plate's signals; temperatures and delays as in `untouched`. Raises
+        SimulationError if a contact reaches over the edge.
         """
         scale = self.scale(temperature_c)
         late = _late(late_s, len(scale))

@@ -115,12 +115,8 @@ def simulate_scene(
 ) -> Recording:
     """Simulate a named scene; `frames`, `electronics` and `finger` are as for `stage_scene`.
 
-    Equal seeds give equal recordings, bit for bit.
-
-    Raises
-    ------
-    SimulationError
-        The scene is unknown, too short, or does not fit the plate.
+    Equal seeds give equal recordings, bit for bit. Raises SimulationError if the scene is unknown, too short, or does
+    not fit the plate.
     """
     instrument = instrument or Instrument(DEFAULT_PLATE)
     stage = stage_scene(name, instrument.plate, seed=seed, frames=frames, electronics=electronics, finger=finger)
@@ -137,12 +133,8 @@ def simulate_touches(
 ) -> Recording:
     """Simulate a robot's training set of `count` touches: untouched frame, touch, untouched frame, touch, ...
 
-    `asked` are fields of `TouchSet`; the others are as for `simulate_scene`.
-
-    Raises
-    ------
-    SimulationError
-        Count, margin, finger or distances are impossible.
+    `asked` are fields of `TouchSet`; the others are as for `simulate_scene`. Raises SimulationError if count, margin,
+    finger or distances are impossible.
     """
     instrument = instrument or Instrument(DEFAULT_PLATE)
     stage = stage_touches(TouchSet(count, **asked), instrument.plate, seed, electronics)
@@ -175,10 +167,7 @@ def simulate_stage(stage: Stage, instrument: Instrument, seed: int, progress: Pr
 def no_frames(count: int, acquisition: Acquisition) -> NDArray[np.int16]:
     """Reserve memory for frames, shape (count, channels, samples).
 
-    Raises
-    ------
-    SimulationError
-        The memory is too small.
+    Raises SimulationError if the memory is too small.
     """
     try:
         return np.empty((count, *acquisition.shape), dtype=np.int16)
@@ -234,12 +223,7 @@ def simulate_session(
 
     For `workers` and `dask` see `touchd.jobs.run`; without both, few frames are computed in this process. `kept` is the
     folder of finished parts, see `touchd.twin.cache.parts_kept`; `chunk` the frames of each, a multiple of `BLOCK`.
-
-    Raises
-    ------
-    SimulationError
-        Count, margin, finger or plate is impossible.
-    JobError
+    Raises SimulationError if count, margin, finger or plate is impossible; JobError if a part fails.
     """
     stage, instrument = session.prepare()
     total = len(stage.sequence)

@@ -51,10 +51,7 @@ def describe(graph: onnx.ModelProto, description: Description) -> None:
 def write_model(graph: onnx.ModelProto, path: Path) -> Model:
     """Write a graph with metadata to `path` atomically, and load it.
 
-    Raises
-    ------
-    OutputError
-        The file cannot be written.
+    Raises OutputError if the file cannot be written.
     """
     return put_model(graph.SerializeToString(), path)
 
@@ -63,11 +60,7 @@ def check_export(network: Network, model: Model, features: NDArray[np.float32]) 
     """Return the largest difference between a trained network and its exported model, mm or probability.
 
     The network computes in float64, the model as in the daemon, so the difference is the rounding error of float32.
-
-    Raises
-    ------
-    TrainingError
-        The difference is more than rounding.
+    Raises TrainingError if the difference is more than rounding.
     """
     with torch.inference_mode():
         said = copy.deepcopy(network).double().eval()(torch.from_numpy(features).double())

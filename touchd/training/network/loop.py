@@ -51,12 +51,8 @@ def fit(
 
     With `peak`, the learning rate follows one cycle (Smith and Topin 2019) up to it and down to zero. A one-cycle
     training is best at its end, so it runs all epochs and keeps the last weights. Without `peak`, training stops after
-    `patience` consecutive epochs without a better validation RMSE and keeps the best epoch's weights.
-
-    Raises
-    ------
-    TrainingError
-        Both `peak` and `patience` are given, or the loss or RMSE is not finite.
+    `patience` consecutive epochs without a better validation RMSE and keeps the best epoch's weights. Raises
+    TrainingError if both `peak` and `patience` are given, or the loss or RMSE is not finite.
     """
     if peak is not None and patience is not None:
         raise TrainingError(

@@ -28,12 +28,8 @@ def quantise(model: Model, recording: Recording, path: Path) -> Model:
 
     Each weight column has a scale; activations are scaled per frame at run time, so no calibration touches are needed
     and weak touches lose no more precision than strong ones. The predicted standard errors grow as much as the errors
-    of the validation part. The model's metadata receive its scores on the recording's test part.
-
-    Raises
-    ------
-    TrainingError
-        The model was trained on another recording, so its test part is unknown; or it is quantised already.
+    of the validation part. The model's metadata receive its scores on the recording's test part. Raises TrainingError
+    if the model was trained on another recording, so its test part is unknown; or it is quantised already.
     """
     description = model.description
     data = make_dataset(recording, description.domain, taper=description.taper)

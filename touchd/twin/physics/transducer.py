@@ -98,10 +98,7 @@ class LoadedModes(NamedTuple):
 def loaded_modes(plate: Plate, layout: Layout, frequency_hz: float = 125e3) -> LoadedModes:
     """Return the modes of a plate with discs, for use up to a frequency; cached on disk.
 
-    Raises
-    ------
-    SimulationError
-        A disc reaches over the edge, the plate is too large, or its material is unknown.
+    Raises SimulationError if a disc reaches over the edge, the plate is too large, or its material is unknown.
     """
     width, height = plate.width_mm, plate.height_mm
     edge = np.minimum(layout.centres_mm, np.array([width, height]) - layout.centres_mm).min()

@@ -48,12 +48,8 @@ def stage_scene(
     """Write the timeline of a named scene, by default with the scene's number of frames, rate and finger.
 
     `keys`, (name, x_mm, y_mm) of each centre, are those of the scene `keypad`, by default 3 x 4 around the plate's
-    centre; it types `code`, one character a key.
-
-    Raises
-    ------
-    SimulationError
-        The scene is unknown, too short, or does not fit the plate.
+    centre; it types `code`, one character a key. Raises SimulationError if the scene is unknown, too short, or does not
+    fit the plate.
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed).spawn(3)[0])
     scene = SCENES.get(name)

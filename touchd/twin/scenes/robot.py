@@ -72,10 +72,7 @@ class TouchSet:
 def stage_touches(asked: TouchSet, plate: Plate, seed: int, electronics: Electronics | None = None) -> Stage:
     """Write the timeline of a session.
 
-    Raises
-    ------
-    SimulationError
-        Count, margin, finger or distances are impossible.
+    Raises SimulationError if count, margin, finger or distances are impossible.
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed).spawn(3)[0])
     count, finger = asked.count, asked.finger
