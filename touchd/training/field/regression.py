@@ -170,10 +170,6 @@ class Regression:
         inverse, _ = lapack.spotri(factor, lower=1, overwrite_c=1)
         return np.asarray(inverse)
 
-    def apply(self, inverse: Array, targets: Array) -> Array:
-        """Return the weights (n, 2 * channels) of targets."""
-        return np.ascontiguousarray(blas.ssymm(1.0, inverse, targets, lower=1))
-
     def weights(self, b: int, amplitude: Complex) -> Array:
         """Return each touch's weight, shape (n, 2 * channels)."""
         factor = cho_factor(self._system(b, amplitude).T, lower=True, overwrite_a=True, check_finite=False)
@@ -207,9 +203,14 @@ class Regression:
         return system
 
 
+def weigh(inverse: Array, targets: Array) -> Array:
+    """Return the weights (n, 2 * channels) that an inverse, lower triangle, gives to targets."""
+    return np.ascontiguousarray(blas.ssymm(1.0, inverse, targets, lower=1))
+
+
 def smooth(inverse: Array, penalty: Array, targets: Array) -> Array:
     """Return the field (n, 2 * channels) at the touches' positions, for targets and an inverse's weights."""
-    return np.asarray(targets - penalty[:, None] * blas.ssymm(1.0, inverse, targets, lower=1))
+    return np.asarray(targets - penalty[:, None] * weigh(inverse, targets))
 
 
 def each(work: Callable[[int], T], bins: Iterable[int], advance: Callable[[], None] = lambda: None) -> list[T]:

@@ -15,7 +15,6 @@ from torch import Tensor, nn
 
 from touchd.errors import TrainingError
 from touchd.localization.model import METADATA_KEY, Description, Model
-from touchd.localization.model_file import put_model
 from touchd.training.network.network import Network
 
 OPSET = 17
@@ -46,14 +45,6 @@ def describe(graph: onnx.ModelProto, description: Description) -> None:
     """Replace a graph's metadata."""
     del graph.metadata_props[:]
     graph.metadata_props.add(key=METADATA_KEY, value=description.model_dump_json())
-
-
-def write_model(graph: onnx.ModelProto, path: Path) -> Model:
-    """Write a graph with metadata to `path` atomically, and load it.
-
-    Raises OutputError if the file cannot be written.
-    """
-    return put_model(graph.SerializeToString(), path)
 
 
 def check_export(network: Network, model: Model, features: NDArray[np.float32]) -> float:

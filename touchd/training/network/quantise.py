@@ -15,9 +15,10 @@ from touchd.errors import TrainingError
 from touchd.evaluation.dataset import make_dataset, split
 from touchd.evaluation.model_scores import Judgement, judge, scores
 from touchd.localization.model import Model
+from touchd.localization.model_file import put_model
 from touchd.recording.data import Recording
 from touchd.training.field.error_scale import WITHIN
-from touchd.training.network.export import describe, write_model
+from touchd.training.network.export import describe
 
 ERROR_BIAS = "log_error.bias"
 """Bias of the log-sigma layer of `touchd.training.network.network.PositionNetwork`, by its name in the export."""
@@ -58,12 +59,14 @@ def quantise(model: Model, recording: Recording, path: Path) -> Model:
         stated = description.model_copy(update={"precision": "int8"})
         describe(graph, stated)
         if "noise_mm" in model.outputs:
-            spreads = [_spread(judged(one, parts.validation)) for one in (write_model(graph, small), model)]
+            spreads = [
+                _spread(judged(one, parts.validation)) for one in (put_model(graph.SerializeToString(), small), model)
+            ]
             _widen(graph, spreads[0] / spreads[1])
-        found = scores(judged(write_model(graph, small), parts.test))
+        found = scores(judged(put_model(graph.SerializeToString(), small), parts.test))
     rounded = {name: round(value, 4) for name, value in found.items()}
     describe(graph, stated.model_copy(update={"scores": rounded}))
-    return write_model(graph, path)
+    return put_model(graph.SerializeToString(), path)
 
 
 def _spread(judged: Judgement) -> float:
