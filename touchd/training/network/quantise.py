@@ -59,10 +59,8 @@ def quantise(model: Model, recording: Recording, path: Path) -> Model:
         stated = description.model_copy(update={"precision": "int8"})
         describe(graph, stated)
         if "noise_mm" in model.outputs:
-            spreads = [
-                _spread(judged(one, parts.validation)) for one in (put_model(graph.SerializeToString(), small), model)
-            ]
-            _widen(graph, spreads[0] / spreads[1])
+            narrow = put_model(graph.SerializeToString(), small)
+            _widen(graph, _spread(judged(narrow, parts.validation)) / _spread(judged(model, parts.validation)))
         found = scores(judged(put_model(graph.SerializeToString(), small), parts.test))
     rounded = {name: round(value, 4) for name, value in found.items()}
     describe(graph, stated.model_copy(update={"scores": rounded}))
