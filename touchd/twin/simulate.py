@@ -202,12 +202,13 @@ class Session:
     rig: Rig = IDEAL
     acquisition: Acquisition = ACQUISITIONS["usb"]
 
-    def prepare(self) -> tuple[Stage, Instrument]:
-        """Write the session's timeline, and create its instrument; SimulationError if one is impossible."""
-        instrument = self.rig.instrument(
-            self.plate, loss=self.loss, tail_period_s=self.tail_period_s, acquisition=self.acquisition
-        )
-        return stage_touches(self.touches, self.plate, self.seed, self.rig.electronics), instrument
+
+@lru_cache(maxsize=1)
+def _prepared(session: Session) -> tuple[Stage, Instrument]:
+    """Write a session's timeline, and create its instrument, once per process; SimulationError if one is impossible."""
+    s = session
+    settings = {"loss": s.loss, "tail_period_s": s.tail_period_s, "acquisition": s.acquisition}
+    return stage_touches(s.touches, s.plate, s.seed, s.rig.electronics), s.rig.instrument(s.plate, **settings)
 
 
 def simulate_session(
@@ -225,7 +226,7 @@ def simulate_session(
     folder of finished parts, see `touchd.twin.cache.parts_kept`; `chunk` the frames of each, a multiple of `BLOCK`.
     Raises SimulationError if count, margin, finger or plate is impossible; JobError if a part fails.
     """
-    stage, instrument = session.prepare()
+    stage, instrument = _prepared(session)
     total = len(stage.sequence)
     starts = range(0, total, chunk)
     a = instrument.acquisition
@@ -252,9 +253,3 @@ def part(session: Session, start: int, stop: int, noise: dict[str, Any]) -> NDAr
     """Compute frames start .. stop - 1, as a job; `noise` is the state of the noise generator at `start`."""
     stage, instrument = _prepared(session)
     return np.concatenate(list(stream(stage, instrument, session.seed, start=start, stop=stop, noise=noise)))
-
-
-@lru_cache(maxsize=1)
-def _prepared(session: Session) -> tuple[Stage, Instrument]:
-    """Prepare a session once per process."""
-    return session.prepare()
