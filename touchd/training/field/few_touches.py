@@ -72,32 +72,20 @@ def learn_by_waves(touches: Touches, prior: Prior, progress: Step = lambda _done
     steps.all = (TURNS + 1) * len(learner.chosen) + 2 * bins
     waves: dict[int, Product] = {}
     amplitude = learner.converge(1)
-    for _ in range(TURNS):
-        waves |= _products(touches, prior, amplitude, learner.chosen, waves, steps)
-        amplitude = _amplitudes(touches, waves, bins)
-    waves |= _products(touches, prior, amplitude, np.arange(bins), waves, steps)
-    explained = np.stack([waves[b].at_touches() for b in range(bins)], axis=-1) * amplitude[:, None, :]
-    left = replace(touches, values=touches.values - explained)
-    rest = Learner(left, replace(prior, ridge=LEFT_RIDGE), steps)
-    return rest.draw(amplitude, lambda b, positions_mm: waves[b].at(positions_mm))
-
-
-def _products(
-    touches: Touches,
-    prior: Prior,
-    amplitude: Complex,
-    bins: NDArray[np.int64],
-    before: dict[int, Product],
-    advance: Callable[[], None],
-) -> dict[int, Product]:
-    """Fit the waves of the given bins, starting from earlier ones."""
 
     def one(b: int) -> Product:
-        start = before.get(b)
-        basis = start.basis if start else basis_of(touches.position_mm, float(prior.wavenumber_per_mm[b]))
-        return product_of(basis, touches.values[:, :, b], amplitude[:, b], touches.noise, start)
+        before = waves.get(b)
+        basis = before.basis if before else basis_of(touches.position_mm, float(prior.wavenumber_per_mm[b]))
+        return product_of(basis, touches.values[:, :, b], amplitude[:, b], touches.noise, before)
 
-    return dict(zip(bins.tolist(), each(one, bins, advance), strict=True))
+    for _ in range(TURNS):
+        waves.update(zip(learner.chosen.tolist(), each(one, learner.chosen, steps), strict=True))
+        amplitude = _amplitudes(touches, waves, bins)
+    products = each(one, range(bins), steps)
+    explained = np.stack([product.at_touches() for product in products], axis=-1) * amplitude[:, None, :]
+    left = replace(touches, values=touches.values - explained)
+    rest = Learner(left, replace(prior, ridge=LEFT_RIDGE), steps)
+    return rest.draw(amplitude, lambda b, positions_mm: products[b].at(positions_mm))
 
 
 def _amplitudes(touches: Touches, waves: dict[int, Product], bins: int) -> Complex:
