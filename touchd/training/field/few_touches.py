@@ -12,7 +12,7 @@ rest.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -40,9 +40,8 @@ LEFT_RIDGE = 0.05
 WHITE_SHARE = 0.05
 """Share of a wave's power in near fields of edges and discs, white up to `BAND_MARGIN` times the wavenumber."""
 BAND_MARGIN = 1.2
-LEFT_SHARE = (0.2, 0.1, 0.05, 0.03)
-"""Share of the signal's power assumed to be no product; decreasing steps avoid narrow valleys."""
-ROUNDS = (20, 8, 6, 6)
+ROUNDS = ((0.2, 20), (0.1, 8), (0.05, 6), (0.03, 6))
+"""Shares of the signal assumed to be no product, and how often each is used; decreasing steps avoid narrow valleys."""
 STARTS = 2
 CUT = 1e-3
 """Share of a wave's variance that its basis may miss at a touch."""
@@ -173,31 +172,26 @@ def product_of(
     scale = float(np.sqrt(np.mean(np.square(np.abs(unit)))))
     unit /= scale
     noise /= scale**2
-    if start is not None:
-        return _alternate(basis, unit, weight, noise, scale, start.emitter, slice(-1, None))
-    random = np.random.default_rng(_SEED)
-    size = (STARTS, basis.at_touches.shape[1], 1)
-    starts = random.normal(size=size) + 1j * random.normal(size=size)
-    tried = [_alternate(basis, unit, weight, noise, scale, one, slice(None)) for one in starts]
-    return min(tried, key=lambda product: product.left)
-
-
-def _alternate(
-    basis: Basis, unit: Wave, weight: Floats, noise: float, scale: float, emitter: Wave, steps: slice
-) -> Product:
     functions = basis.at_touches.astype(np.float32)
-    shares = [share for share, rounds in list(zip(LEFT_SHARE, ROUNDS, strict=True))[steps] for _ in range(rounds)]
-    for share in shares:
-        ridge = noise + share
-        sent = _sum(functions, emitter)
-        sent /= np.sqrt(np.mean(np.square(np.abs(sent))))
-        right = weight[:, None] * sent.conj() * unit
-        receivers = _solve(functions, weight * np.square(np.abs(sent[:, 0])), right, ridge)
-        received = _sum(functions, receivers)
-        right = weight[:, None] * (received.conj() * unit).sum(axis=1, keepdims=True)
-        emitter = _solve(functions, weight * np.square(np.abs(received)).sum(axis=1), right, ridge)
-    left = np.square(np.abs(unit - _sum(functions, emitter) * received))
-    return Product(basis, emitter, scale * receivers, float(left.sum() / np.square(np.abs(unit)).sum()))
+
+    def alternate(emitter: Wave, rounds: Sequence[tuple[float, int]]) -> Product:
+        for ridge in [noise + share for share, count in rounds for _ in range(count)]:
+            sent = _sum(functions, emitter)
+            sent /= np.sqrt(np.mean(np.square(np.abs(sent))))
+            right = weight[:, None] * sent.conj() * unit
+            receivers = _solve(functions, weight * np.square(np.abs(sent[:, 0])), right, ridge)
+            received = _sum(functions, receivers)
+            right = weight[:, None] * (received.conj() * unit).sum(axis=1, keepdims=True)
+            emitter = _solve(functions, weight * np.square(np.abs(received)).sum(axis=1), right, ridge)
+        left = np.square(np.abs(unit - _sum(functions, emitter) * received))
+        return Product(basis, emitter, scale * receivers, float(left.sum() / np.square(np.abs(unit)).sum()))
+
+    if start is not None:
+        return alternate(start.emitter, ROUNDS[-1:])
+    random = np.random.default_rng(_SEED)
+    size = (STARTS, functions.shape[1], 1)
+    starts = random.normal(size=size) + 1j * random.normal(size=size)
+    return min((alternate(one, ROUNDS) for one in starts), key=lambda product: product.left)
 
 
 def _solve(functions: Array, weight: Floats, right: Wave, ridge: float) -> Wave:
