@@ -95,27 +95,23 @@ class FunctionFs:
                 self._asked.set()
 
     def serve_frames(self) -> None:
-        """Send frames when they are due, until the process ends."""
+        """Send each frame when it is due, until the process ends."""
         while True:
-            self._send_next()
-
-    def _send_next(self) -> None:
-        """Send what is due, or wait up to 20 ms for it."""
-        transfer = self._gadget.next_transfer()
-        try:
-            if transfer is None:
-                self._asked.wait(min(self._gadget.wait_s(), _IDLE_S))
-                self._asked.clear()
-            elif isinstance(transfer, int):
-                os.read(self._ep1, 1)  # in the wrong direction: halts the endpoint
-            else:
-                os.write(self._ep1, transfer)
-        except OSError as error:
-            if error.errno == errno.EBADMSG:  # how the kernel confirms a halt
-                return
-            if error.errno not in _AWAY:
-                raise
-            time.sleep(_IDLE_S)
+            transfer = self._gadget.next_transfer()
+            try:
+                if transfer is None:
+                    self._asked.wait(min(self._gadget.wait_s(), _IDLE_S))
+                    self._asked.clear()
+                elif isinstance(transfer, int):
+                    os.read(self._ep1, 1)  # in the wrong direction: halts the endpoint
+                else:
+                    os.write(self._ep1, transfer)
+            except OSError as error:
+                if error.errno == errno.EBADMSG:  # how the kernel confirms a halt
+                    continue
+                if error.errno not in _AWAY:
+                    raise
+                time.sleep(_IDLE_S)
 
     def _answer(self, answer: bytes | None, *, to_host: bool) -> None:
         """Send an answer, acknowledge, or stall: FunctionFS stalls after a transfer in the wrong direction."""
