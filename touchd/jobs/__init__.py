@@ -40,21 +40,12 @@ def run(
     shared: Mapping[str, Shared] = MappingProxyType({}),
     progress: Progress | None = None,
 ) -> dict[str, Any]:
-    """Run jobs, and return their results by name, in the order of `jobs`.
+    """Run jobs, whose names are unique, and return their results by name, in the order of `jobs`.
 
-    Parameters
-    ----------
-    jobs : sequence of Job
-        Names must be unique.
-    workers : int, optional
-        Worker processes on this computer; by default one per core. With 1, jobs run in this process.
-    dask : str, optional
-        Address of a Dask scheduler, such as "tcp://127.0.0.1:8786", whose workers run the jobs.
-    cache : Path, optional
-        Folder that keeps results; without it none are kept. A kept result is used if function, arguments, shared
-        objects, source code and libraries are the same.
-    shared : mapping
-        Large objects by name, sent to each worker once.
+    `workers` is the number of processes on this computer, by default one per core; with 1, jobs run in this process.
+    `dask` is the address of a Dask scheduler, such as "tcp://127.0.0.1:8786", whose workers run the jobs instead.
+    `cache` is the folder that keeps results, by default none: a kept one is used if function, arguments, shared
+    objects, source code and libraries are the same. `shared` are large objects by name, sent to each worker once.
 
     Raises
     ------

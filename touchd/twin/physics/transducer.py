@@ -39,14 +39,12 @@ them, as it is soft and lossy."""
 
 
 class Layout(BaseModel):
-    """Positions and size of the discs."""
+    """Centres and size of the discs."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     emitter_mm: tuple[float, float]
-    """Centre of the emitter, mm."""
     receivers_mm: tuple[tuple[float, float], ...] = Field(min_length=1)
-    """Centres of the receivers, mm."""
     diameter_mm: float = Field(default=6.0, gt=0)
     mass_g: float = Field(default=0.43, ge=0)
     """Mass of each disc: 6 mm by 2 mm of PZT."""

@@ -57,7 +57,6 @@ class Stage:
     temperature_c: Floats
     """Shape (n,)."""
     rng: np.random.Generator
-    """Generator for the scene's random choices."""
     electronics: Electronics
     notes: str = ""
     laid: list[Laid] = field(default_factory=list)
