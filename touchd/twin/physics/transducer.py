@@ -62,11 +62,6 @@ class Layout(BaseModel):
         """Centres of emitter and receivers, shape (1 + receivers, 2)."""
         return np.array([self.emitter_mm, *self.receivers_mm])
 
-    @property
-    def masses_mm(self) -> Floats:
-        """Centres of their masses, same shape."""
-        return np.asarray(self.centres_mm + np.array(self.offsets_mm or 0.0))
-
 
 def default_layout(plate: Plate) -> Layout:
     """Place an emitter and four receivers without any symmetry.
@@ -156,7 +151,8 @@ Sums = Callable[[int, Floats], Floats]
 
 def vectors_of(layout: Layout, size_m: tuple[float, float], counts: tuple[int, int], sums: Sums) -> Floats:
     """Return the means over a layout's discs, as `vectors_at` does."""
-    centres_m, masses_m = layout.centres_mm * 1e-3, layout.masses_mm * 1e-3
+    centres_mm = layout.centres_mm
+    centres_m, masses_m = centres_mm * 1e-3, (centres_mm + np.array(layout.offsets_mm or 0.0)) * 1e-3
     return vectors_at(centres_m, masses_m, layout.diameter_mm / 2e3, size_m, counts, sums)
 
 
