@@ -166,7 +166,7 @@ def learning(bench: Bench) -> None:
     recording = simulate_touches(6404, seed=1, even=True, instrument=bench.instrument)
     steady, reference = at_one_temperature(recording, make_dataset(recording, taper=bench.atlas.description.taper))
     parts = split(len(steady), 0)
-    wavenumber = dispersion_of(steady, touches_of(steady, parts.train)).wavenumber_per_mm
+    wavenumber = dispersion_of(steady, touches_of(steady, parts.train))
     snr = signal_over_noise(touches_of(steady, parts.validation))
     kept = informative(snr, wavenumber, bench.atlas.description.acquisition)
     test = bench.touches(TOUCHES, 60.0)

@@ -13,9 +13,8 @@ from touchd.twin.cache import parts_kept
 from touchd.twin.electronics import Electronics, Impulses
 from touchd.twin.instrument import Instrument
 from touchd.twin.rig import Rig
-from touchd.twin.robot_session import Session, simulate_session
 from touchd.twin.scenes.robot import TouchSet
-from touchd.twin.simulate import BLOCK, simulate_touches
+from touchd.twin.simulate import BLOCK, Session, simulate_session, simulate_touches
 
 PLATE = Plate(width_mm=90, height_mm=60, thickness_mm=5)
 ELECTRONICS = Electronics(jitter_s=5e-9, impulses=Impulses(share=0.3))

@@ -29,7 +29,7 @@ from touchd.cli.main import main
 from touchd.errors import ClusterError, JobError, TrainingError
 from touchd.jobs import Job, Shared, digest, run
 from touchd.jobs import cluster as on_cluster
-from touchd.jobs.local import SECRET_BYTES, connected_here
+from touchd.jobs.cluster import SECRET_BYTES, connected_here
 from touchd.lab.reproduction.experiments import looked_up
 from touchd.lab.reproduction.plan import head_jobs
 from touchd.recording.format import read

@@ -21,7 +21,7 @@ def command(model: Path, recording: Path, output: Path, force: bool) -> None:
     """
     from touchd.localization.model import Model
     from touchd.recording.format import read
-    from touchd.training.network.quantise import quantise
+    from touchd.training.network.export import quantise
 
     check_model_output(output, replace=force)
     original = Model(model)

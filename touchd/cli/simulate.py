@@ -22,10 +22,9 @@ from touchd.twin.cache import parts_kept
 from touchd.twin.physics.finger import TISSUES
 from touchd.twin.physics.material import MATERIALS
 from touchd.twin.rig import IDEAL, load_rig
-from touchd.twin.robot_session import Session, simulate_session
 from touchd.twin.scenes.catalogue import SCENES, stage_scene
 from touchd.twin.scenes.robot import COUNT, MOST_FINGERS, TouchSet
-from touchd.twin.simulate import simulate_stage
+from touchd.twin.simulate import Session, simulate_session, simulate_stage
 
 TOUCHES = "touches"
 MOST_TAIL_S = 0.05

@@ -34,20 +34,9 @@ _PAUSE_NS = 1_000_000_000
 class Gadget:
     """Answer vendor requests, and build the frames that are due.
 
-    Parameters
-    ----------
-    info : Info
-        What GET_INFO answers.
-    samples : iterator of bytes
-        The interleaved samples of one frame after the other, at the rate that START asks for: at a lower one some
-        are left out, so that a scene keeps its speed. The stream ends with them.
-    clock : callable
-        Monotonic time, ns.
-
-    Raises
-    ------
-    GadgetError
-        A number of `info` has no room in GET_INFO.
+    GET_INFO answers `info`. `samples` are the interleaved samples of one frame after the other, at the rate that START
+    asks for: at a lower one some are left out, so that a scene keeps its speed. The stream ends with them. `clock` is
+    monotonic, ns. Raises GadgetError if a number of `info` has no room in GET_INFO.
     """
 
     def __init__(self, info: Info, samples: Iterator[bytes], clock: Callable[[], int] = time.monotonic_ns) -> None:
@@ -76,10 +65,7 @@ class Gadget:
     def control(self, kind: int, request: int, value: int, length: int) -> bytes | None:
         """Return the answer to a request, empty for one without data; None stalls it.
 
-        Parameters
-        ----------
-        kind, request, value, length : int
-            bmRequestType, bRequest, wValue and wLength.
+        The parameters are bmRequestType, bRequest, wValue and wLength.
         """
         if kind == _VENDOR_IN and request == Request.GET_INFO:
             return self._answer[:length]

@@ -61,16 +61,8 @@ def strings() -> bytes:
 class FunctionFs:
     """Serve a gadget's endpoints in a folder where FunctionFS is mounted, by two threads, until the process ends.
 
-    Parameters
-    ----------
-    folder : Path
-        Holds `ep0`, and `ep1` once the descriptors are written to `ep0`.
-    gadget : Gadget
-
-    Raises
-    ------
-    GadgetError
-        FunctionFS is not mounted there, or the kernel does not take the descriptors.
+    `folder` holds `ep0`, and `ep1` once the descriptors are written to `ep0`. Raises GadgetError if FunctionFS is not
+    mounted there, or the kernel does not take the descriptors.
     """
 
     def __init__(self, folder: Path, gadget: Gadget) -> None:
@@ -103,27 +95,23 @@ class FunctionFs:
                 self._asked.set()
 
     def serve_frames(self) -> None:
-        """Send frames when they are due, until the process ends."""
+        """Send each frame when it is due, until the process ends."""
         while True:
-            self._send_next()
-
-    def _send_next(self) -> None:
-        """Send what is due, or wait up to 20 ms for it."""
-        transfer = self._gadget.next_transfer()
-        try:
-            if transfer is None:
-                self._asked.wait(min(self._gadget.wait_s(), _IDLE_S))
-                self._asked.clear()
-            elif isinstance(transfer, int):
-                os.read(self._ep1, 1)  # in the wrong direction: halts the endpoint
-            else:
-                os.write(self._ep1, transfer)
-        except OSError as error:
-            if error.errno == errno.EBADMSG:  # how the kernel confirms a halt
-                return
-            if error.errno not in _AWAY:
-                raise
-            time.sleep(_IDLE_S)
+            transfer = self._gadget.next_transfer()
+            try:
+                if transfer is None:
+                    self._asked.wait(min(self._gadget.wait_s(), _IDLE_S))
+                    self._asked.clear()
+                elif isinstance(transfer, int):
+                    os.read(self._ep1, 1)  # in the wrong direction: halts the endpoint
+                else:
+                    os.write(self._ep1, transfer)
+            except OSError as error:
+                if error.errno == errno.EBADMSG:  # how the kernel confirms a halt
+                    continue
+                if error.errno not in _AWAY:
+                    raise
+                time.sleep(_IDLE_S)
 
     def _answer(self, answer: bytes | None, *, to_host: bool) -> None:
         """Send an answer, acknowledge, or stall: FunctionFS stalls after a transfer in the wrong direction."""
@@ -150,12 +138,7 @@ class FunctionFs:
 class ConfigFs:
     """A USB device with one function in ConfigFS; needs root.
 
-    Parameters
-    ----------
-    serial : str
-    vendor_id, product_id : int
-    root, mounts : Path
-        Folders in which to make the gadget, and to mount its FunctionFS.
+    `root` and `mounts` are the folders in which to make the gadget, and to mount its FunctionFS.
     """
 
     def __init__(
@@ -181,10 +164,7 @@ class ConfigFs:
     def create(self) -> None:
         """Make the device, replace one that an earlier process left behind, and mount its FunctionFS.
 
-        Raises
-        ------
-        GadgetError
-            The process is not root, or the kernel has no support.
+        Raises GadgetError if the process is not root, or the kernel has no support.
         """
         for module in ("libcomposite", "usb_f_fs"):  # may be built in
             subprocess.run(["modprobe", "-q", module], check=False)  # noqa: S603, S607 - fixed names

@@ -25,12 +25,8 @@ ROOT_UID = 0
 class Store:
     """A folder of pickled results. To unpickle is to run what a file says, so nobody else may be able to write there.
 
-    It is made when the first result is written, closed to others. Symbolic links are resolved once, here.
-
-    Raises
-    ------
-    OutputError
-        When another user could write results there, or exchange the folder or one that it lies in.
+    It is made when the first result is written, closed to others. Symbolic links are resolved once, here. Raises
+    OutputError if another user could write results there, or exchange the folder or one that it lies in.
     """
 
     def __init__(self, folder: Path) -> None:

@@ -24,7 +24,7 @@ from touchd.sources.source import EndOfStream
 from touchd.twin.electronics import Electronics
 from touchd.twin.instrument import REFERENCE_C, Instrument
 from touchd.twin.physics.finger import area_of
-from touchd.twin.scenes.one_finger import FORCES_N
+from touchd.twin.scenes.fingers import FORCES_N
 from touchd.twin.scenes.timeline import Stage, anywhere, still
 from touchd.twin.simulate import DEFAULT_PLATE, stream
 

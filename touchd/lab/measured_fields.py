@@ -1,7 +1,7 @@
 """Hold the field atlas' claims against wave fields that were measured on a real plate.
 
 The claims: a plate's wave has no spatial frequencies above its wavenumber k; the field of a bin, a product of two
-waves, none above 2 k; and `training.field.kernel` predicts the field between labelled touches better than a kernel
+waves, none above 2 k; and `training.field.regression` predicts the field between labelled touches better than a kernel
 that does not know k. The data are scans of a reverberant plate of aluminium and carbon fibre, 225 x 247 mm in steps of
 0.8 mm: https://github.com/BAMresearch/WavenumberAnalysis (GPL-3), of Lugovtsova et al., Damage Quantification in
 Aluminium-CFRP Composite Structures using Guided Wave Wavenumber Mapping, 2019. No finger touches that plate: the
@@ -28,7 +28,7 @@ from scipy.interpolate import CloughTocher2DInterpolator, NearestNDInterpolator
 from scipy.linalg import eigh
 
 from touchd.errors import RecordingError
-from touchd.training.field.kernel import BAND_MARGIN, covariance, distances
+from touchd.training.field.regression import BAND_MARGIN, covariance, distances
 from touchd.training.report.template import Table, write_csv
 
 Floats = NDArray[np.float64]

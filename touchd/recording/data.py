@@ -117,12 +117,8 @@ class Recording:
 def check(recording: Recording, where: str = "recording") -> None:
     """Raise if a recording breaks the format. `where` names it in the error.
 
-    Raises
-    ------
-    RecordingShape
-        An array has the wrong type or shape.
-    RecordingValues
-        Counters or times do not increase, or a number is NaN or infinite where it must not be.
+    Raises RecordingShape if an array has the wrong type or shape; RecordingValues if counters or times do not increase,
+    or a number is NaN or infinite where it must not be.
     """
     _check_shapes(recording, where)
     for name in ("sequence", "timestamp_ns"):

@@ -24,12 +24,8 @@ _CHUNK_NAME = re.compile(r"(?!\.)(?:.*[^0-9])?([0-9]+)\.npz", re.DOTALL)
 def write(path: Path, recording: Recording, *, compress: bool = True) -> None:
     """Write one file, readable by its owner alone, and replace an existing one. A power cut leaves all or nothing.
 
-    Raises
-    ------
-    RecordingShape, RecordingValues
-        The recording breaks the format. Nothing is written.
-    OutputError
-        The file cannot be written. Nothing is left behind.
+    Raises RecordingShape or RecordingValues if the recording breaks the format (nothing is written); OutputError if the
+    file cannot be written (nothing is left behind).
     """
     check(recording, str(path))
     arrays: dict[str, Any] = {name: getattr(recording, name) for name in ARRAYS}
@@ -42,10 +38,7 @@ def write(path: Path, recording: Recording, *, compress: bool = True) -> None:
 def read(path: Path) -> Recording:
     """Read a whole recording, a file or a folder of chunks, into memory.
 
-    Raises
-    ------
-    RecordingError
-        A subclass, see `touchd.errors`.
+    Raises a subclass of RecordingError, see `touchd.errors`.
     """
     chunks, size_bytes = [], 0
     for chunk in Reader(path):
@@ -71,19 +64,9 @@ def join(chunks: Sequence[Recording]) -> Recording:
 class Reader:
     """Iterates over the chunks of a recording, one in memory at a time. A file is one chunk.
 
-    Each iteration starts at the first chunk, which stays in memory: a single file is read once.
-
-    Parameters
-    ----------
-    path : Path
-        A `.npz` file, or a folder of files whose names end in a number.
-    files : sequence of Path, optional
-        Some of these files that follow each other, instead of all.
-
-    Raises
-    ------
-    RecordingError
-        A subclass: on construction for the first chunk, during iteration for the others.
+    Each iteration starts at the first chunk, which stays in memory: a single file is read once. `path` is a `.npz`
+    file, or a folder of files whose names end in a number; `files` are some of these that follow each other, instead of
+    all. Raises a subclass of RecordingError: on construction for the first chunk, during iteration for the others.
     """
 
     def __init__(self, path: Path, files: Sequence[Path] = ()) -> None:

@@ -20,7 +20,7 @@ from touchd.recording.data import Recording
 from touchd.training.data.inspection import degrees_of_freedom, inspect
 from touchd.training.data.temperature import at_one_temperature
 from touchd.training.field.bins import TAPER, informative
-from touchd.training.field.dispersion import dispersion_of, fitted_note
+from touchd.training.field.dispersion import dispersion_of, fitted_note, is_known
 from touchd.training.field.learn import Learned, learn_thoroughly
 from touchd.training.field.make_atlas import Calibration, make_atlas, signal_over_noise, try_atlas, with_field
 from touchd.training.field.regression import Floats, touches_of
@@ -74,21 +74,9 @@ def train_atlas(
 ) -> AtlasResult:
     """Train a field atlas and its starting network, and write both: `plate.onnx`, `plate.atlas.npz`.
 
-    Parameters
-    ----------
-    recording : Recording
-    path : Path
-        Network file to write.
-    network : Path, optional
-        Network trained on this recording, instead of training one; its split replaces that of `seed`.
-    seed, epochs, command, progress, warn
-        See `touchd.training.train_network.train`.
-
-    Raises
-    ------
-    ModelMismatch
-        The network was trained on another recording, or is no regression.
-    TrainingError, OutputError
+    `network` is one trained on this recording, instead of training one; its split replaces that of `seed`. For the
+    other parameters see `touchd.training.train_network.train`. Raises ModelMismatch if the network was trained on
+    another recording, or is no regression; TrainingError and OutputError.
     """
     started_s = time.monotonic()
     notes: list[str] = []
@@ -103,15 +91,15 @@ def train_atlas(
     parts = split(len(plain), seed)
     steady, reference = at_one_temperature(recording, make_dataset(recording, taper=TAPER))
     touches = touches_of(steady, parts.train)
-    dispersion = dispersion_of(steady, touches)
+    wavenumber_per_mm, fitted = dispersion_of(steady, touches), not is_known(plain.meta.plate)
     snr = signal_over_noise(touches_of(steady, parts.validation))
-    kept = informative(snr, dispersion.wavenumber_per_mm, plain.acquisition)
-    for text in check_density(touches.position_mm, float(dispersion.wavenumber_per_mm[kept[-1]])):
+    kept = informative(snr, wavenumber_per_mm, plain.acquisition)
+    for text in check_density(touches.position_mm, float(wavenumber_per_mm[kept[-1]])):
         note(text)
 
     def learn(what: str, part: NDArray[np.int64]) -> Learned:
         return learn_thoroughly(
-            touches_of(steady, part), dispersion.wavenumber_per_mm,
+            touches_of(steady, part), wavenumber_per_mm,
             lambda done, steps: progress(what, done, steps, float("nan")),
         )  # fmt: skip
 
@@ -125,7 +113,7 @@ def train_atlas(
         )
         model = trained.model
     else:
-        if dispersion.fitted:
+        if fitted:
             note(fitted_note(plain.meta.plate))
         for text in inspect(recording, len(parts.train) / len(plain)):
             note(text)
@@ -134,8 +122,8 @@ def train_atlas(
     said = {
         "seed": seed,
         "command": command,
-        "fitted": dispersion.fitted,
-        "wavenumber_rad_m": tuple((dispersion.wavenumber_per_mm * 1e3).round(3).tolist()),
+        "fitted": fitted,
+        "wavenumber_rad_m": tuple((wavenumber_per_mm * 1e3).round(3).tolist()),
     }
     calibrated, calibration = make_atlas(steady, reference, parts, learned, kept, said)
     atlas = with_field(calibrated, steady, parts, learned, again)
@@ -153,10 +141,7 @@ def train_atlas(
 def check_density(position_mm: Floats, wavenumber_per_mm: float) -> Iterator[str]:
     """Warn if the training touches (n, 2) are too few for the atlas' finest bin.
 
-    Raises
-    ------
-    TrainingError
-        They are so few that the atlas could not locate a touch.
+    Raises TrainingError if they are so few that the atlas could not locate a touch.
     """
     least = degrees_of_freedom(position_mm, wavenumber_per_mm)
     have = len(position_mm)

@@ -18,19 +18,21 @@ from touchd.evaluation.dataset import BASELINE_NOISE, Dataset, Split, make_datas
 from touchd.evaluation.model_scores import Judgement, judge, scores
 from touchd.keypad import Layout
 from touchd.localization.model import Description, Model
+from touchd.localization.model_file import put_model
 from touchd.recording.data import Recording
 from touchd.training.data.augment import Augmenter
 from touchd.training.data.inspection import inspect
 from touchd.training.data.synthetic import Synthesiser
 from touchd.training.data.temperature import drift_directions
 from touchd.training.field.dispersion import fitted_note, is_known
+from touchd.training.field.error_scale import fit_scales
 from touchd.training.field.few_touches import learn_field
 from touchd.training.field.learn import Field
-from touchd.training.network.export import TOLERANCE, check_export, describe, make_graph, write_model
-from touchd.training.network.loop import Batches, Curve, Progress, fit
+from touchd.training.field.regression import Floats
+from touchd.training.network.export import TOLERANCE, check_export, describe, make_graph
+from touchd.training.network.loop import Curve, Epoch, Progress, fit
 from touchd.training.network.network import Batch, PaperNetwork, PositionNetwork, Positions
 from touchd.training.network.recipe import RECIPES, Recipe
-from touchd.training.network.sigma_calibration import calibrate_sigma
 from touchd.training.network.zones_and_keys import make_network
 
 BATCH = 512  # fingers per step
@@ -42,6 +44,9 @@ WEIGHT_DECAY = 0.01
 PAPER_BATCH = 64
 PAPER_LEARNING_RATE = 1e-3  # Adam's default; the paper states neither batch nor rate
 GUESSED = 0.95  # warn if the RMSE exceeds this share of a constant answer's RMSE
+LOUDER = (0.2, 0.6)
+"""Noise relative to the median touch, by feature norms, at which sigma is calibrated beside the touches' own noise. On
+the reference plate this is 50 and 40 dB below the untouched signal."""
 
 Warn = Callable[[str], None]
 
@@ -85,11 +90,7 @@ def train(
     Equal recording, seed and number of threads give an equal network. The file is written only after a complete
     training. It uses this `share` of the training part, for a learning curve; validation and test stay unchanged. It
     draws touches from `field`, by default learned here from the training part. For `patience` see `fit`. `warn`
-    receives each warning as soon as it arises.
-
-    Raises
-    ------
-    TrainingError, OutputError
+    receives each warning as soon as it arises. Raises TrainingError and OutputError.
     """
     started_s = time.monotonic()
     torch.manual_seed(seed)
@@ -126,9 +127,9 @@ def train(
     for text in inspect(recording, len(parts.train) / len(data)):
         note(text)
     if recipe.paper:
-        batches = _paper_batches(data, parts, generator)
+        batches, steps = _paper_batches(data, parts, generator)
         optimiser = torch.optim.Adam(network.parameters(), lr=PAPER_LEARNING_RATE)
-        curve = fit(network, batches, optimiser, epochs or recipe.epochs, validate, progress, patience=patience)
+        curve = fit(network, batches, steps, optimiser, epochs or recipe.epochs, validate, progress, patience=patience)
     else:
         plate = data.meta.plate
         if not is_known(plate):
@@ -137,10 +138,10 @@ def train(
             field = learn_field(data, parts.train, lambda done, all_: progress("field", done, all_, float("nan")))
         synthesiser = Synthesiser(field, plate.size_mm, generator, description.layout)
         augmenter = Augmenter(data, torch.from_numpy(parts.train), synthesiser, generator)
-        batches = _augmented_batches(augmenter, generator, others=network.wants_others)
+        batches, steps = _augmented_batches(augmenter, generator, others=isinstance(network, PositionNetwork))
         optimiser = torch.optim.AdamW(network.parameters(), lr=LEARNING_RATE, weight_decay=WEIGHT_DECAY)
         curve = fit(
-            network, batches, optimiser, epochs or recipe.epochs, validate, progress, peak=LEARNING_RATE,
+            network, batches, steps, optimiser, epochs or recipe.epochs, validate, progress, peak=LEARNING_RATE,
             patience=patience,
         )  # fmt: skip
         if isinstance(network, PositionNetwork) and network.noise_apart:
@@ -153,7 +154,7 @@ def train(
     graph = make_graph(network, description)
     # The model's metadata contain its scores, so score a first export before writing the final one.
     with tempfile.TemporaryDirectory() as folder:
-        model = write_model(graph, Path(folder) / "model.onnx")
+        model = put_model(graph.SerializeToString(), Path(folder) / "model.onnx")
         rounding = check_export(network, model, features[parts.test])
         judged = judge(model, features[parts.test], test_mm, data.noise_energy)
     if rounding > TOLERANCE:
@@ -163,7 +164,7 @@ def train(
         note("the model is no better than a constant position: it has learned nothing")
     describe(graph, description.model_copy(update={"scores": {name: round(value, 4) for name, value in found.items()}}))
     seconds = time.monotonic() - started_s
-    return Result(write_model(graph, path), found, curve, notes, rounding, judged, parts, seconds)
+    return Result(put_model(graph.SerializeToString(), path), found, curve, notes, rounding, judged, parts, seconds)
 
 
 def _check_classes(recipe: Recipe, grid: int, layout: Layout | None) -> None:
@@ -184,8 +185,8 @@ def _positions(data: Dataset, indices: NDArray[np.int64]) -> Tensor:
     return torch.from_numpy(data.position_mm[indices]) / torch.tensor(data.meta.plate.size_mm) - 0.5
 
 
-def _augmented_batches(augmenter: Augmenter, generator: torch.Generator, *, others: bool) -> Batches:
-    """Return batches of synthetic and recorded touches with all disturbances, and of non-fingers if `others`."""
+def _augmented_batches(augmenter: Augmenter, generator: torch.Generator, *, others: bool) -> tuple[Epoch, int]:
+    """Return epochs of synthetic and recorded touches with all disturbances, and of non-fingers if `others`."""
     count = len(augmenter.residual)
     recorded = round(BATCH * (1 - SYNTHETIC))
     steps = max(STEPS, 2 * -(-count // BATCH))
@@ -200,11 +201,11 @@ def _augmented_batches(augmenter: Augmenter, generator: torch.Generator, *, othe
             features = torch.cat([fingers, augmenter.others(OTHERS)]) if others else fingers
             yield Batch(features, torch.cat([augmenter.position[some], place]), noise)
 
-    return Batches(steps, epoch)
+    return epoch, steps
 
 
-def _paper_batches(data: Dataset, parts: Split, generator: torch.Generator) -> Batches:
-    """Return batches of the recorded touches, each touch once per epoch, as in the paper."""
+def _paper_batches(data: Dataset, parts: Split, generator: torch.Generator) -> tuple[Epoch, int]:
+    """Return epochs of the recorded touches, each touch once, as in the paper."""
     features = torch.from_numpy(data.signal[parts.train])
     position = _positions(data, parts.train)
     steps = max(1, len(features) // PAPER_BATCH)  # drop the incomplete batch; the order changes each epoch
@@ -214,4 +215,35 @@ def _paper_batches(data: Dataset, parts: Split, generator: torch.Generator) -> B
         for some in torch.split(order[: steps * PAPER_BATCH], PAPER_BATCH):
             yield Batch(features[some], position[some], torch.zeros((len(some), 1)))
 
-    return Batches(steps, epoch)
+    return epoch, steps
+
+
+def calibrate_sigma(network: PositionNetwork, augmenter: Augmenter, residual: Tensor, position: Tensor) -> None:
+    """Scale a network's two sigma outputs so that 68 % of the errors per axis lie within sigma.
+
+    Training shows the network more disturbances than most plates have, so its sigma is too large. The two scales are
+    fitted on held-out touches, at their own noise and at higher noise, half of them with another finger's amplitude:
+    residuals (n, inputs) at positions (n, 2) relative to the plate's centre, in units of its size.
+    """
+    own = augmenter.own_noise(residual)
+    levels = [1.0, *(louder / own for louder in LOUDER if 0 < own < louder / 1.1)]
+    predictions = [_predict(network, *augmenter.held_out(residual, level), position) for level in levels]
+    error_mm, sigma_mm, noise_mm = predictions[-1]
+    # Relative to the errors, so that the search does not depend on what the outputs were before.
+    units = [np.median(error_mm) / (np.median(part) or 1.0) for part in (sigma_mm, noise_mm)]
+
+    def ratios(sigma_scale: float, noise_scale: float) -> list[Floats]:
+        a, b = sigma_scale * units[0], noise_scale * units[1]
+        return [error_mm / np.hypot(a * sigma_mm, b * noise_mm) for error_mm, sigma_mm, noise_mm in predictions]
+
+    scales = np.array(fit_scales(ratios)) * units
+    with torch.no_grad():
+        network.log_error.bias.add_(torch.from_numpy(np.log(scales)))
+
+
+def _predict(network: PositionNetwork, features: Tensor, noise: Tensor, position: Tensor) -> tuple[Floats, ...]:
+    """Return the absolute error per axis (n, 2), and sigma (n, 1) without noise and due to the noise present, mm."""
+    with torch.inference_mode():
+        position_mm, sigma_mm, _, noise_mm = network.eval()(features)
+        error_mm = (position_mm - network.truth_mm(position)).abs()
+    return tuple(part.double().numpy() for part in (error_mm, sigma_mm, noise_mm * noise))

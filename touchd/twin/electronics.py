@@ -75,20 +75,9 @@ class Electronics(NamedTuple):
 class Digitiser:
     """Converts signals to counts, frame by frame: R channels, S samples.
 
-    One generator draws the noise frame by frame, so results do not depend on the block size.
-
-    Parameters
-    ----------
-    electronics : Electronics
-    acquisition : Acquisition
-    untouched : array of shape (R, S)
-        Signal of the untouched plate at the reference temperature, peak 1.
-    seed : SeedSequence
-
-    Raises
-    ------
-    SimulationError
-        A setting does not fit the channels.
+    One generator draws the noise frame by frame, so results do not depend on the block size; it goes on from `noise`, a
+    state returned by `noise_states`. `untouched`, of shape (R, S), is the signal of the untouched plate at the
+    reference temperature, peak 1. Raises SimulationError if a setting does not fit the channels.
     """
 
     def __init__(
@@ -97,6 +86,7 @@ class Digitiser:
         acquisition: Acquisition,
         untouched: Floats,
         seed: np.random.SeedSequence,
+        noise: Mapping[str, Any] | None = None,
     ) -> None:
         channels = acquisition.channels
         for name in ("gains", "gain_drift_per_s"):
@@ -110,16 +100,14 @@ class Digitiser:
         self._e = electronics
         self._a = acquisition
         self._rms = float(np.sqrt(np.mean(untouched**2)))
-        noise, fixed = seed.spawn(2)
+        varying, fixed = seed.spawn(2)
         self._impulse_key = int(seed.generate_state(1)[0])
-        self._noise = np.random.default_rng(noise)
+        self._noise = np.random.default_rng(varying)
+        if noise is not None:
+            self._noise.bit_generator.state = noise
         rng = np.random.default_rng(fixed)
         self._phases = rng.uniform(0, 2 * np.pi, len(electronics.tones))
         self._image = _image(acquisition, electronics.image_db, self._rms, rng)
-
-    def resume(self, noise: Mapping[str, Any]) -> None:
-        """Continue the noise from a state returned by `noise_states`."""
-        self._noise.bit_generator.state = noise
 
     def counts(self, signal: Floats, time_s: Floats, touched: NDArray[np.bool_] | None = None) -> NDArray[np.int16]:
         """Digitise the next frames: `signal` (n, R, S) in units of the untouched signal's peak, which is overwritten.

@@ -46,30 +46,14 @@ MOST_LATE_S = 1e-6
 class Instrument:
     """Plate, discs and chirp: maps touches to signals. R receivers, S samples.
 
-    Signals are in units of the peak of the untouched plate at the reference temperature.
+    Signals are in units of the peak of the untouched plate at the reference temperature. By default there are an
+    emitter and four receivers, and frames of 250 samples at 250 kHz.
 
-    Parameters
-    ----------
-    plate : Plate
-    layout : Layout, optional
-        Positions of the discs; by default one emitter and four receivers.
-    acquisition : Acquisition, optional
-        As many channels as receivers; by default 250 samples at 250 kHz.
-    loss : float
-        Loss factor: 2e-3 .. 1e-2 for a mounted plate with bonded discs.
-    tail_period_s : float, optional
-        Include the ringing of all previous chirps, one per `tail_period_s`, though the acquisition does not say so.
-    mounting : Mounting
-        What holds the plate.
-    tilts : sequence of (deg, dB), optional
-        Tilt of each receiver's phase and gain along the chirp's band, from its middle to its upper end.
-    modes : LoadedModes, optional
-        Modes of plate and discs, by other physics than the twin's; real ones take `loss`, complex ones have theirs.
-
-    Raises
-    ------
-    SimulationError
-        The twin cannot simulate this instrument.
+    `loss` is the loss factor, 2e-3 .. 1e-2 for a mounted plate with bonded discs. With `tail_period_s` the ringing of
+    all previous chirps, one per period, is included, though the acquisition does not say so. `tilts` are those of each
+    receiver's phase and gain, (deg, dB), along the chirp's band, from its middle to its upper end. `modes` are those of
+    plate and discs by other physics than the twin's; real ones take `loss`, complex ones have theirs. Raises
+    SimulationError if the twin cannot simulate this instrument.
     """
 
     def __init__(
@@ -112,10 +96,7 @@ class Instrument:
     def scale(self, temperature_c: ArrayLike) -> Floats:
         """Return the factor of all modes' frequencies at a temperature.
 
-        Raises
-        ------
-        SimulationError
-            The temperature is outside `SPAN_K`.
+        Raises SimulationError if the temperature is outside `SPAN_K`.
         """
         off = np.asarray(temperature_c, dtype=float) - REFERENCE_C
         if not np.all(np.abs(off) <= SPAN_K):
@@ -137,12 +118,8 @@ class Instrument:
     def change(self, touches: Sequence[Sequence[Contact]], temperature_c: ArrayLike, late_s: ArrayLike = 0.0) -> Floats:
         """Return the change (n, R, S) of the signals due to n sequences of contacts, each possibly empty.
 
-        It is to be added to the untouched plate's signals; temperatures and delays as in `untouched`.
-
-        Raises
-        ------
-        SimulationError
-            A contact reaches over the edge.
+        It is to be added to the untouched plate's signals; temperatures and delays as in `untouched`. Raises
+        SimulationError if a contact reaches over the edge.
         """
         scale = self.scale(temperature_c)
         late = _late(late_s, len(scale))
@@ -210,9 +187,8 @@ class Instrument:
             for k in range(self._orders(MOST_LATE_S))
         ]
         self._untouched = np.stack(orders)
-        self.peak = 1.0
-        """Peak of the untouched plate at the reference temperature, from which signals are counted."""
         self.peak = float(np.abs(self.untouched([REFERENCE_C])).max())
+        """Peak of the untouched plate at the reference temperature, from which signals are counted."""
         self._untouched /= self.peak
 
     def _orders(self, shift_s: float) -> int:

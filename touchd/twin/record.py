@@ -24,17 +24,8 @@ _LEAST_DECAY_PER_S = 1e-3
 class Record:
     """The frequencies of a frame's record, and the way back to its samples: F frequencies, S samples.
 
-    Parameters
-    ----------
-    acquisition : Acquisition
-        Its chirp's `period_s` tells steady state.
-    period_s : float, optional
-        Replaces that of the chirp.
-
-    Raises
-    ------
-    SimulationError
-        The chirp does not fit into the frame, or the frame not into the period.
+    The period of the acquisition's chirp tells steady state; `period_s` replaces it. Raises SimulationError if the
+    chirp does not fit into the frame, or the frame not into the period.
     """
 
     def __init__(self, acquisition: Acquisition, period_s: float | None = None) -> None:

@@ -39,10 +39,7 @@ IDEAL = Rig()
 def load_rig(path: Path) -> Rig:
     """Return the rig of a TOML file.
 
-    Raises
-    ------
-    SimulationError
-        The file cannot be read, is not TOML, or has a key or value that no rig has.
+    Raises SimulationError if the file cannot be read, is not TOML, or has a key or value that no rig has.
     """
     try:
         return Rig.model_validate(tomllib.loads(path.read_text("utf-8")))

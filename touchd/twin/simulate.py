@@ -1,21 +1,26 @@
-"""Simulate a scene: at once as a recording, or block by block for a live source."""
+"""Simulate a scene: at once as a recording, block by block for a live source, or a robot's session in parallel."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from touchd.errors import SimulationError
-from touchd.frame import Acquisition, Plate
+from touchd.frame import ACQUISITIONS, Acquisition, Plate
+from touchd.jobs import Job, run
 from touchd.recording.data import Device, Meta, Recording
-from touchd.twin.electronics import Digitiser, Electronics
+from touchd.twin.electronics import Digitiser, Electronics, noise_states
 from touchd.twin.instrument import REFERENCE_C, Instrument
 from touchd.twin.physics.finger import Contact
+from touchd.twin.rig import IDEAL, Rig
 from touchd.twin.scenes.catalogue import stage_scene
 from touchd.twin.scenes.robot import COUNT, TouchSet, stage_touches
 from touchd.twin.scenes.timeline import Stage
@@ -26,6 +31,10 @@ Progress = Callable[[int], object]
 
 BLOCK = 64
 """Frames per block, counted from the scene's first frame, so that results do not depend on the caller."""
+CHUNK = 16 * BLOCK
+"""Frames per part, some tenths of a second's work; a multiple of `BLOCK`, so that sums round alike."""
+FEW = 4 * CHUNK
+"""Up to this number of frames, one process finishes before others would start."""
 
 MOVES_MM, GROWS = 0.01, 0.02
 """Way of a contact during a frame, and change of its area, from which the frame differs from one of rest: 10 mm/s."""
@@ -51,9 +60,7 @@ def stream(
     jitter_seed, digitiser_seed = np.random.SeedSequence(seed).spawn(3)[1:]  # each with its own generator
     jitter = np.random.default_rng(jitter_seed)
     reference = instrument.untouched([REFERENCE_C])[0]
-    digitiser = Digitiser(stage.electronics, instrument.acquisition, reference, digitiser_seed)
-    if noise is not None:
-        digitiser.resume(noise)
+    digitiser = Digitiser(stage.electronics, instrument.acquisition, reference, digitiser_seed, noise)
     jitter.standard_normal(start)  # skip the jitter of earlier frames
     time_s = stage.time_s
     end = len(time_s) if stop is None else stop
@@ -106,21 +113,10 @@ def simulate_scene(
     electronics: Electronics | None = None,
     finger: str | None = None,
 ) -> Recording:
-    """Simulate a named scene.
+    """Simulate a named scene; `frames`, `electronics` and `finger` are as for `stage_scene`.
 
-    Parameters
-    ----------
-    name, frames, electronics, finger
-        See `touchd.twin.scenes.catalogue.stage_scene`.
-    seed : int
-        Equal seeds give equal recordings, bit for bit.
-    instrument : Instrument, optional
-        By default that of the default plate.
-
-    Raises
-    ------
-    SimulationError
-        The scene is unknown, too short, or does not fit the plate.
+    Equal seeds give equal recordings, bit for bit. Raises SimulationError if the scene is unknown, too short, or does
+    not fit the plate.
     """
     instrument = instrument or Instrument(DEFAULT_PLATE)
     stage = stage_scene(name, instrument.plate, seed=seed, frames=frames, electronics=electronics, finger=finger)
@@ -133,50 +129,16 @@ def simulate_touches(
     seed: int = 0,
     instrument: Instrument | None = None,
     electronics: Electronics | None = None,
-    finger: str = "silicone",
-    margin_mm: float | None = None,
-    stale_k: float = 0.0,
-    fingers: int = 1,
-    apart_mm: float = 0.0,
-    warmer_k: float = 0.0,
-    label_noise_mm: float = 0.0,
-    even: bool = False,
+    **asked: Any,
 ) -> Recording:
-    """Simulate a robot's training set: untouched frame, touch, untouched frame, touch, ...
+    """Simulate a robot's training set of `count` touches: untouched frame, touch, untouched frame, touch, ...
 
-    Parameters
-    ----------
-    count : int
-        Number of touches; the recording has twice as many frames.
-    seed : int
-        Equal seeds give equal recordings, bit for bit.
-    instrument, electronics
-        As for `simulate_scene`.
-    finger : a kind of `touchd.twin.physics.finger.TISSUES`
-        Areas and ratios of the axes are drawn from `touchd.twin.scenes.robot.AREAS_MM2` and `timeline.RATIOS`.
-    margin_mm : float, optional
-        Least distance of a touch's centre from the edge; by default such that the contact fits.
-    stale_k : float
-        Warming of the plate between an untouched frame and the touch after it, K.
-    fingers : int
-        Contacts of each touch, 1 .. 5, each with its own area, without overlap.
-    apart_mm : float
-        Least distance between centres.
-    warmer_k : float
-        Temperature of the session above the reference, K; may be negative.
-    label_noise_mm : float
-        Standard deviation of the labels per axis.
-    even : bool
-        Leave no gaps, and touch up to the edges; else places are drawn at random.
-
-    Raises
-    ------
-    SimulationError
-        Count, margin, finger or distances are impossible.
+    `asked` are fields of `TouchSet`; the others are as for `simulate_scene`. Raises SimulationError if count, margin,
+    finger or distances are impossible.
     """
-    asked = TouchSet(count, finger, margin_mm, stale_k, fingers, apart_mm, None, warmer_k, label_noise_mm, even)
     instrument = instrument or Instrument(DEFAULT_PLATE)
-    return simulate_stage(stage_touches(asked, instrument.plate, seed, electronics), instrument, seed)
+    stage = stage_touches(TouchSet(count, **asked), instrument.plate, seed, electronics)
+    return simulate_stage(stage, instrument, seed)
 
 
 def meta_of(instrument: Instrument, rate_hz: float, notes: str) -> Meta:
@@ -205,10 +167,7 @@ def simulate_stage(stage: Stage, instrument: Instrument, seed: int, progress: Pr
 def no_frames(count: int, acquisition: Acquisition) -> NDArray[np.int16]:
     """Reserve memory for frames, shape (count, channels, samples).
 
-    Raises
-    ------
-    SimulationError
-        The memory is too small.
+    Raises SimulationError if the memory is too small.
     """
     try:
         return np.empty((count, *acquisition.shape), dtype=np.int16)
@@ -229,3 +188,68 @@ def recording_of(stage: Stage, instrument: Instrument, frames: NDArray[np.int16]
         faces=stage.faces(),
         temperature_c=stage.temperature_c.astype(np.float32),
     )
+
+
+@dataclass(frozen=True)
+class Session:
+    """Everything that the frames of a robot's session depend on; see `simulate_touches`."""
+
+    touches: TouchSet
+    seed: int
+    plate: Plate
+    loss: float
+    tail_period_s: float | None
+    rig: Rig = IDEAL
+    acquisition: Acquisition = ACQUISITIONS["usb"]
+
+
+@lru_cache(maxsize=1)
+def _prepared(session: Session) -> tuple[Stage, Instrument]:
+    """Write a session's timeline, and create its instrument, once per process; SimulationError if one is impossible."""
+    s = session
+    settings = {"loss": s.loss, "tail_period_s": s.tail_period_s, "acquisition": s.acquisition}
+    return stage_touches(s.touches, s.plate, s.seed, s.rig.electronics), s.rig.instrument(s.plate, **settings)
+
+
+def simulate_session(
+    session: Session,
+    *,
+    workers: int | None = None,
+    dask: str | None = None,
+    kept: Path | None = None,
+    progress: Progress | None = None,
+    chunk: int = CHUNK,
+) -> Recording:
+    """Simulate a session as `simulate_touches` does, to the bit, on several processes or a cluster.
+
+    For `workers` and `dask` see `touchd.jobs.run`; without both, few frames are computed in this process. `kept` is the
+    folder of finished parts, see `touchd.twin.cache.parts_kept`; `chunk` the frames of each, a multiple of `BLOCK`.
+    Raises SimulationError if count, margin, finger or plate is impossible; JobError if a part fails.
+    """
+    stage, instrument = _prepared(session)
+    total = len(stage.sequence)
+    starts = range(0, total, chunk)
+    a = instrument.acquisition
+    frames = no_frames(total, a)
+    states = noise_states(session.seed, a.channels * a.samples, starts)
+    places = {f"frames from {start}": slice(start, min(start + chunk, total)) for start in starts}
+    jobs = [
+        Job(name, part, {"session": session, "start": place.start, "stop": place.stop, "noise": noise})
+        for (name, place), noise in zip(places.items(), states, strict=True)
+    ]
+    if workers is None and dask is None and total <= FEW:
+        workers = 1
+
+    def advance(name: str, _done: int, _total: int) -> None:
+        if progress is not None:
+            progress(places[name].stop - places[name].start)
+
+    for name, counts in run(jobs, workers=workers, dask=dask, cache=kept, progress=advance).items():
+        frames[places[name]] = counts
+    return recording_of(stage, instrument, frames)
+
+
+def part(session: Session, start: int, stop: int, noise: dict[str, Any]) -> NDArray[np.int16]:
+    """Compute frames start .. stop - 1, as a job; `noise` is the state of the noise generator at `start`."""
+    stage, instrument = _prepared(session)
+    return np.concatenate(list(stream(stage, instrument, session.seed, start=start, stop=stop, noise=noise)))

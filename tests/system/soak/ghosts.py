@@ -29,7 +29,7 @@ from touchd.evaluation.matching import Position
 from touchd.evaluation.replay_scores import found_contacts
 from touchd.twin.electronics import Electronics, Tone
 from touchd.twin.instrument import Instrument
-from touchd.twin.scenes.one_finger import END_S, FORCES_N, IDLE_S, press_warming
+from touchd.twin.scenes.fingers import END_S, FORCES_N, IDLE_S, press_warming
 from touchd.twin.scenes.timeline import Stage, anywhere, line, still
 
 PIECE_S = 60.0

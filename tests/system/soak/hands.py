@@ -28,7 +28,7 @@ from touchd.keypad import PHONE, load_layout
 from touchd.service.replay import Replayed
 from touchd.twin.instrument import Instrument
 from touchd.twin.scenes.catalogue import stage_scene
-from touchd.twin.scenes.one_finger import END_S, FORCES_N, IDLE_S, KEY_S
+from touchd.twin.scenes.fingers import END_S, FORCES_N, IDLE_S, KEY_S
 from touchd.twin.scenes.timeline import Path, Stage, anywhere, line, still
 from touchd.twin.simulate import DEFAULT_PLATE
 

@@ -31,7 +31,7 @@ def missed(field: Field, dataset: Dataset) -> float:
 def test_few_touches_of_the_twin_tell_more_by_their_waves(dataset: Dataset) -> None:
     """Though of the twin they are no exact product: its window cuts the reverberation off."""
     touches = touches_of(dataset, np.arange(FEW))
-    learner = Learner(touches, Prior(dispersion_of(dataset, touches).wavenumber_per_mm))
+    learner = Learner(touches, Prior(dispersion_of(dataset, touches)))
     plain = missed(learner.draw(learner.converge(OUTER_ROUNDS)), dataset)
     waves = missed(learn_field(dataset, np.arange(FEW)), dataset)
     print(f"unexplained energy of {len(dataset) - FEW} other touches: {plain:.3f} as it stands, {waves:.3f} by waves")
@@ -41,7 +41,7 @@ def test_few_touches_of_the_twin_tell_more_by_their_waves(dataset: Dataset) -> N
 def test_same(dataset: Dataset) -> None:
     """The same touches give the same field, to the bit, although threads share the work: in a tenth of the bins."""
     touches = touches_of(dataset, np.arange(FEW))
-    k = dispersion_of(dataset, touches).wavenumber_per_mm
+    k = dispersion_of(dataset, touches)
     some = replace(touches, values=np.ascontiguousarray(touches.values[:, :, ::10]))
     one, two = (learn_by_waves(some, Prior(k[::10])) for _ in range(2))
     np.testing.assert_array_equal(one.coefficients, two.coefficients)

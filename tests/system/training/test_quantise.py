@@ -17,7 +17,7 @@ from touchd.localization.model import Model
 from touchd.recording import format as recording
 from touchd.recording.data import Recording
 from touchd.training.field.learn import Field
-from touchd.training.network.quantise import quantise
+from touchd.training.network.export import quantise
 from touchd.training.network.recipe import RECIPES
 from touchd.training.train_network import train
 

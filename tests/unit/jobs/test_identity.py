@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from touchd.jobs import Job, digest, run
-from touchd.jobs.identity import code_digest
+from touchd.jobs.job import code_digest
 
 plain = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | st.text() | st.binary(),
@@ -68,7 +68,7 @@ def test_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert now("there") == before
     (tmp_path / "there" / "somebody" / "deep.py").write_text("X = 2")
     assert now("there") != before == now("here")
-    assert code_digest("touchd.jobs.identity") != before
+    assert code_digest("touchd.jobs.job") != before
 
 
 def test_functions() -> None:

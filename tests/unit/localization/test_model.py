@@ -17,7 +17,8 @@ from touchd.frame import Acquisition, Chirp, Plate
 from touchd.keypad import PHONE, load_layout
 from touchd.localization.atlas import atlas_path
 from touchd.localization.model import METADATA_KEY, Description, Model
-from touchd.training.network.export import TOLERANCE, check_export, fold, make_graph, write_model
+from touchd.localization.model_file import put_model
+from touchd.training.network.export import TOLERANCE, check_export, fold, make_graph
 from touchd.training.network.network import PaperNetwork, PositionNetwork
 from touchd.training.network.zones_and_keys import Classifier
 
@@ -34,7 +35,7 @@ def description(**changes: object) -> Description:
 
 
 def export(network: PositionNetwork | PaperNetwork | Classifier, about: Description, path: Path) -> Model:
-    return write_model(make_graph(network, about), path)
+    return put_model(make_graph(network, about).SerializeToString(), path)
 
 
 GRID = description(head="grid", grid=5)

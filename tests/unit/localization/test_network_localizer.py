@@ -17,9 +17,10 @@ from touchd.detection.detection import Detection
 from touchd.frame import Acquisition, Plate
 from touchd.localization.features import windowed_dft
 from touchd.localization.model import Description, Estimate, Model
+from touchd.localization.model_file import put_model
 from touchd.localization.network_localizer import NetworkLocalizer
 from touchd.outcome import Outcome
-from touchd.training.network.export import make_graph, write_model
+from touchd.training.network.export import make_graph
 from touchd.training.network.network import PaperNetwork, PositionNetwork
 
 RIG = Acquisition(channels=4, samples=250, sample_rate_hz=250e3)
@@ -33,7 +34,7 @@ def model_of(network: PositionNetwork | PaperNetwork, folder: Path) -> Model:
         name="test", head="regression", domain="frequency", input="residual", acquisition=RIG,
         plate=Plate(width_mm=200, height_mm=200),
     )  # fmt: skip
-    return write_model(make_graph(network, about), folder / "a.onnx")
+    return put_model(make_graph(network, about).SerializeToString(), folder / "a.onnx")
 
 
 def placed(model: Model, residual: np.ndarray, deviation: float, settings: Settings = SETTINGS) -> list[float]:

@@ -17,8 +17,8 @@ from touchd.twin.electronics import Electronics
 from touchd.twin.instrument import REFERENCE_C, Instrument
 from touchd.twin.physics.finger import force_of
 from touchd.twin.scenes.catalogue import stage_scene
+from touchd.twin.scenes.fingers import FIVE_APART_MM, PASS_MM, TWO_APART_MM
 from touchd.twin.scenes.robot import AREAS_MM2, MARGIN_MM, TouchSet, stage_touches
-from touchd.twin.scenes.several_fingers import FIVE_APART_MM, PASS_MM, TWO_APART_MM
 from touchd.twin.scenes.timeline import Stage
 from touchd.twin.simulate import DEFAULT_PLATE, simulate_touches
 

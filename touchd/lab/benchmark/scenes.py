@@ -14,7 +14,7 @@ from touchd.lab.benchmark.loop import Loop
 from touchd.twin.electronics import Digitiser, Electronics
 from touchd.twin.instrument import REFERENCE_C, Instrument
 from touchd.twin.physics.finger import Contact
-from touchd.twin.scenes.one_finger import FORCES_N
+from touchd.twin.scenes.fingers import FORCES_N
 from touchd.twin.scenes.robot import AREAS_MM2, MARGIN_MM
 from touchd.twin.scenes.timeline import Stage, anywhere, line, still
 from touchd.twin.simulate import DEFAULT_PLATE, simulate_scene, simulate_stage

@@ -52,10 +52,7 @@ class Session:
 def inspect(recording: Recording, training_share: float = 0.7) -> list[str]:
     """Return a warning for each likely fault of a recording.
 
-    Raises
-    ------
-    TrainingError
-        No channel receives the chirp; also see `touchd.evaluation.dataset.labels`.
+    Raises TrainingError if no channel receives the chirp; also see `touchd.evaluation.dataset.labels`.
     """
     session = Session(recording, *labels(recording))
     plate = recording.meta.plate

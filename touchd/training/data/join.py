@@ -18,12 +18,8 @@ APART_NS = 3_600_000_000_000
 def join(recordings: Sequence[Recording], names: Sequence[str]) -> Recording:
     """Concatenate recordings, an hour apart; `names` identify them in an error.
 
-    Of the true contacts their places alone are kept.
-
-    Raises
-    ------
-    TrainingError
-        Acquisitions, plates or transducers differ, or a recording has no labels.
+    Of the true contacts their places alone are kept. Raises TrainingError if acquisitions, plates or transducers
+    differ, or a recording has no labels.
     """
     first = recordings[0]
     for recording, name in zip(recordings, names, strict=True):

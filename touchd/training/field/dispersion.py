@@ -10,7 +10,7 @@ thick.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,22 +35,12 @@ SCAN_RIDGE = 0.1
 """Ridge while the amplitudes are unknown: their scatter acts as noise."""
 
 
-@dataclass(frozen=True, slots=True)
-class Dispersion:
-    """Wavenumber of each bin."""
-
-    wavenumber_per_mm: Floats
-    """Rad/mm, shape (bins,)."""
-    fitted: bool = False
-    """Whether the wavenumber was fitted to touches."""
-
-
-def dispersion_of(dataset: Dataset, touches: Touches) -> Dispersion:
-    """Return the dispersion by the plate's material, or fitted to the touches if the material is unknown."""
+def dispersion_of(dataset: Dataset, touches: Touches) -> Floats:
+    """Return the wavenumber of each bin, rad/mm: by the plate's material, or fitted to the touches if it is unknown."""
     f_hz = frequencies(dataset)
     if is_known(dataset.meta.plate):
-        return Dispersion(mindlin_wavenumber(dataset.meta.plate, f_hz) * 1e-3)
-    return Dispersion(fit_wavenumber(f_hz, touches), fitted=True)
+        return mindlin_wavenumber(dataset.meta.plate, f_hz) * 1e-3
+    return fit_wavenumber(f_hz, touches)
 
 
 def is_known(plate: Plate) -> bool:

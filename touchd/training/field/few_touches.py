@@ -12,7 +12,7 @@ rest.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,11 +21,10 @@ from scipy.linalg import cho_factor, cho_solve, lapack, solve_triangular
 
 from touchd.evaluation.dataset import Dataset
 from touchd.training.data.inspection import degrees_of_freedom
-from touchd.training.field import kernel
+from touchd.training.field import regression
 from touchd.training.field.dispersion import dispersion_of
-from touchd.training.field.kernel import distances
 from touchd.training.field.learn import OUTER_ROUNDS, Field, Learner, Steps, along_band, fit_amplitudes
-from touchd.training.field.regression import Array, Complex, Floats, Prior, Touches, each, touches_of
+from touchd.training.field.regression import Array, Complex, Floats, Prior, Touches, distances, each, touches_of
 
 Wave = NDArray[np.complex128]
 Step = Callable[[int, int], None]
@@ -41,9 +40,8 @@ LEFT_RIDGE = 0.05
 WHITE_SHARE = 0.05
 """Share of a wave's power in near fields of edges and discs, white up to `BAND_MARGIN` times the wavenumber."""
 BAND_MARGIN = 1.2
-LEFT_SHARE = (0.2, 0.1, 0.05, 0.03)
-"""Share of the signal's power assumed to be no product; decreasing steps avoid narrow valleys."""
-ROUNDS = (20, 8, 6, 6)
+ROUNDS = ((0.2, 20), (0.1, 8), (0.05, 6), (0.03, 6))
+"""Shares of the signal assumed to be no product, and how often each is used; decreasing steps avoid narrow valleys."""
 STARTS = 2
 CUT = 1e-3
 """Share of a wave's variance that its basis may miss at a touch."""
@@ -57,7 +55,7 @@ def learn_field(dataset: Dataset, indices: NDArray[np.int64], progress: Step = l
     The dispersion of an unknown material is fitted to the touches.
     """
     touches = touches_of(dataset, indices)
-    prior = Prior(dispersion_of(dataset, touches).wavenumber_per_mm)
+    prior = Prior(dispersion_of(dataset, touches))
     if len(touches.position_mm) < FEW * degrees_of_freedom(touches.position_mm, float(prior.wavenumber_per_mm[-1])):
         return learn_by_waves(touches, prior, progress)
     steps = Steps(progress)
@@ -73,32 +71,20 @@ def learn_by_waves(touches: Touches, prior: Prior, progress: Step = lambda _done
     steps.all = (TURNS + 1) * len(learner.chosen) + 2 * bins
     waves: dict[int, Product] = {}
     amplitude = learner.converge(1)
-    for _ in range(TURNS):
-        waves |= _products(touches, prior, amplitude, learner.chosen, waves, steps)
-        amplitude = _amplitudes(touches, waves, bins)
-    waves |= _products(touches, prior, amplitude, np.arange(bins), waves, steps)
-    explained = np.stack([waves[b].at_touches() for b in range(bins)], axis=-1) * amplitude[:, None, :]
-    left = replace(touches, values=touches.values - explained)
-    rest = Learner(left, replace(prior, ridge=LEFT_RIDGE), steps)
-    return rest.draw(amplitude, lambda b, positions_mm: waves[b].at(positions_mm))
-
-
-def _products(
-    touches: Touches,
-    prior: Prior,
-    amplitude: Complex,
-    bins: NDArray[np.int64],
-    before: dict[int, Product],
-    advance: Callable[[], None],
-) -> dict[int, Product]:
-    """Fit the waves of the given bins, starting from earlier ones."""
 
     def one(b: int) -> Product:
-        start = before.get(b)
-        basis = start.basis if start else basis_of(touches.position_mm, float(prior.wavenumber_per_mm[b]))
-        return product_of(basis, touches.values[:, :, b], amplitude[:, b], touches.noise, start)
+        before = waves.get(b)
+        basis = before.basis if before else basis_of(touches.position_mm, float(prior.wavenumber_per_mm[b]))
+        return product_of(basis, touches.values[:, :, b], amplitude[:, b], touches.noise, before)
 
-    return dict(zip(bins.tolist(), each(one, bins, advance), strict=True))
+    for _ in range(TURNS):
+        waves.update(zip(learner.chosen.tolist(), each(one, learner.chosen, steps), strict=True))
+        amplitude = _amplitudes(touches, waves, bins)
+    products = each(one, range(bins), steps)
+    explained = np.stack([product.at_touches() for product in products], axis=-1) * amplitude[:, None, :]
+    left = replace(touches, values=touches.values - explained)
+    rest = Learner(left, replace(prior, ridge=LEFT_RIDGE), steps)
+    return rest.draw(amplitude, lambda b, positions_mm: products[b].at(positions_mm))
 
 
 def _amplitudes(touches: Touches, waves: dict[int, Product], bins: int) -> Complex:
@@ -163,7 +149,7 @@ def covariance(distance_mm: Floats, wavenumber_per_mm: float) -> Floats:
     at = np.asarray(distance_mm * (wavenumber_per_mm / _NODE), np.float64)
     below = at.astype(np.intp)  # by its index: to search for each distance took half of a training on few touches
     nodes_mm = np.arange(below.max(initial=0) + 2) * (_NODE / wavenumber_per_mm)
-    table = kernel.covariance(nodes_mm, wavenumber_per_mm, WHITE_SHARE, waves=1, margin=BAND_MARGIN)
+    table = regression.covariance(nodes_mm, wavenumber_per_mm, WHITE_SHARE, waves=1, margin=BAND_MARGIN)
     at -= below
     return np.asarray(table[below] + at * np.diff(table)[below])
 
@@ -191,31 +177,26 @@ def product_of(
     scale = float(np.sqrt(np.mean(np.square(np.abs(unit)))))
     unit /= scale
     noise /= scale**2
-    if start is not None:
-        return _alternate(basis, unit, weight, noise, scale, start.emitter, slice(-1, None))
-    random = np.random.default_rng(_SEED)
-    size = (STARTS, basis.at_touches.shape[1], 1)
-    starts = random.normal(size=size) + 1j * random.normal(size=size)
-    tried = [_alternate(basis, unit, weight, noise, scale, one, slice(None)) for one in starts]
-    return min(tried, key=lambda product: product.left)
-
-
-def _alternate(
-    basis: Basis, unit: Wave, weight: Floats, noise: float, scale: float, emitter: Wave, steps: slice
-) -> Product:
     functions = basis.at_touches.astype(np.float32)
-    shares = [share for share, rounds in list(zip(LEFT_SHARE, ROUNDS, strict=True))[steps] for _ in range(rounds)]
-    for share in shares:
-        ridge = noise + share
-        sent = _sum(functions, emitter)
-        sent /= np.sqrt(np.mean(np.square(np.abs(sent))))
-        right = weight[:, None] * sent.conj() * unit
-        receivers = _solve(functions, weight * np.square(np.abs(sent[:, 0])), right, ridge)
-        received = _sum(functions, receivers)
-        right = weight[:, None] * (received.conj() * unit).sum(axis=1, keepdims=True)
-        emitter = _solve(functions, weight * np.square(np.abs(received)).sum(axis=1), right, ridge)
-    left = np.square(np.abs(unit - _sum(functions, emitter) * received))
-    return Product(basis, emitter, scale * receivers, float(left.sum() / np.square(np.abs(unit)).sum()))
+
+    def alternate(emitter: Wave, rounds: Sequence[tuple[float, int]]) -> Product:
+        for ridge in [noise + share for share, count in rounds for _ in range(count)]:
+            sent = _sum(functions, emitter)
+            sent /= np.sqrt(np.mean(np.square(np.abs(sent))))
+            right = weight[:, None] * sent.conj() * unit
+            receivers = _solve(functions, weight * np.square(np.abs(sent[:, 0])), right, ridge)
+            received = _sum(functions, receivers)
+            right = weight[:, None] * (received.conj() * unit).sum(axis=1, keepdims=True)
+            emitter = _solve(functions, weight * np.square(np.abs(received)).sum(axis=1), right, ridge)
+        left = np.square(np.abs(unit - _sum(functions, emitter) * received))
+        return Product(basis, emitter, scale * receivers, float(left.sum() / np.square(np.abs(unit)).sum()))
+
+    if start is not None:
+        return alternate(start.emitter, ROUNDS[-1:])
+    random = np.random.default_rng(_SEED)
+    size = (STARTS, functions.shape[1], 1)
+    starts = random.normal(size=size) + 1j * random.normal(size=size)
+    return min((alternate(one, ROUNDS) for one in starts), key=lambda product: product.left)
 
 
 def _solve(functions: Array, weight: Floats, right: Wave, ridge: float) -> Wave:

@@ -2,7 +2,7 @@
 
 In a bin of frequency f the residual of a touch at (x, y) is a complex amplitude z times the product of two waves of the
 plate. The product has no spatial frequency above 2 k(f), k from the plate's dispersion. So kernel ridge regression
-interpolates the field between the recorded touches; see `touchd.training.field.kernel` for the prior.
+interpolates the field between the recorded touches; see `touchd.training.field.regression` for the prior.
 
 Only the product of amplitude and field is observable, so the two are fitted in turn. An amplitude fits the field of all
 touches best, in a few bins, because it changes slowly along the band. Amplitude errors are common to all bins and move
@@ -96,16 +96,17 @@ def learn_thoroughly(touches: Touches, wavenumber_per_mm: Floats, progress: Step
     amplitude = learner.converge(1, amplitude)
     displaced = learner.displacements(amplitude)
     noise_mm = label_noise_mm(displaced)
-    if noise_mm < LEAST_LABEL_NOISE_MM:
-        return learner.result(amplitude, 0.0)
-    steps.all += RELABEL_ROUNDS * len(learner.chosen)
-    for _ in range(RELABEL_ROUNDS):
+    rounds = RELABEL_ROUNDS if noise_mm >= LEAST_LABEL_NOISE_MM else 0
+    steps.all += rounds * len(learner.chosen)
+    for _ in range(rounds):
         position_mm = replaced(touches.position_mm, learner.touches.position_mm, displaced, noise_mm)
         better = replace(touches, position_mm=position_mm)
         learner.take(better, choose(better, learner.prior, amplitude, learner.chosen))
         amplitude = learner.converge(1, amplitude)
         displaced = learner.displacements(amplitude)
-    return learner.result(amplitude, noise_mm)
+    mean = np.asarray(amplitude.mean(axis=1), np.complex64)
+    known_mm = learner.touches.position_mm
+    return Learned(learner.draw(amplitude), known_mm, mean, learner.prior, noise_mm if rounds else 0.0)
 
 
 class Steps:
@@ -155,11 +156,6 @@ class Learner:
     def displacements(self, amplitude: Complex) -> Displaced:
         """Return the touches' displacements from their assumed positions; call after `converge`."""
         return displacements(self._regression, amplitude, self.chosen, [inverse for inverse, _ in self._hats])
-
-    def result(self, amplitude: Complex, label_noise_mm: float) -> Learned:
-        """Return the field with its by-products."""
-        mean = np.asarray(amplitude.mean(axis=1), np.complex64)
-        return Learned(self.draw(amplitude), self.touches.position_mm, mean, self.prior, label_noise_mm)
 
     def draw(self, amplitude: Complex, known: Known | None = None) -> Field:
         """Evaluate the field on its grid; `known` adds a part that was subtracted from the touches."""

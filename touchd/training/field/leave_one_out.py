@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from touchd.training.field.place import Linearised, linearise
-from touchd.training.field.regression import Array, Complex, Floats, Prior, Regression, Touches, each
+from touchd.training.field.regression import Array, Complex, Floats, Prior, Regression, Touches, each, weigh
 
 LEAST_LABEL_NOISE_MM = 0.05
 """Label errors below this deviation are not corrected: the field's own error is of that size."""
@@ -39,7 +39,7 @@ _ROWS = 256
 def left_out(regression: Regression, b: int, amplitude: Complex) -> Complex:
     """Return the error of predicting each touch of a bin, of amplitudes (n,), from all others, shape (n, channels)."""
     inverse = regression.inverse(b, amplitude)
-    weights = regression.apply(inverse, regression.targets(b, amplitude)).view(np.complex64)
+    weights = weigh(inverse, regression.targets(b, amplitude)).view(np.complex64)
     unit = weights / np.diag(inverse)[:, None]
     error: Complex = unit * amplitude[:, None] * np.float32(regression.scale[b])
     return error
@@ -112,7 +112,7 @@ def predicted_by_others(regression: Regression, b: int, amplitude: Complex, inve
     At amplitude 1, in units of the bin's scale, shape (3, n, channels).
     """
     targets = regression.targets(b, amplitude)
-    weights = regression.apply(inverse, targets)
+    weights = weigh(inverse, targets)
     diagonal = np.diag(inverse)
     own = weights / diagonal[:, None]
     full = np.tril(inverse) + np.tril(inverse, -1).T

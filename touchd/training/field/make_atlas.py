@@ -40,18 +40,8 @@ def make_atlas(
 ) -> tuple[Atlas, Calibration]:
     """Make and calibrate the atlas of a field learned from the training part of touches at one temperature.
 
-    Parameters
-    ----------
-    steady : Dataset
-        Touches at one temperature.
-    reference : array, shape (channels, samples)
-        Untouched plate at that temperature.
-    parts : Split
-    learned : Learned
-    kept : array of int
-        The bins to hold.
-    said : dict
-        Further fields of the atlas' description.
+    `reference`, shape (channels, samples), is the untouched plate at that temperature, `kept` the bins to hold, `said`
+    further fields of the atlas' description.
     """
     true_mm = steady.position_mm[parts.validation].astype(np.float64)
     touches = touches_of(steady, parts.validation)

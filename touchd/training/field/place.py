@@ -22,7 +22,6 @@ LONGEST_STEP_MM = 3.0
 BEYOND_MM = 3.0
 """Margin around the touched part in which a touch may be located."""
 _DAMPING = 1e-3
-_BLOCK = 256
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,22 +102,17 @@ class FieldMap:
 def place(atlas: Atlas, values: NDArray[np.complexfloating], start_mm: Floats, steps: int = 6) -> Placed:
     """Locate touches of shape (n, channels, bins), ADC counts, by Gauss-Newton steps from nearby positions (n, 2)."""
     field = FieldMap(atlas)
-    blocks = range(0, len(values), _BLOCK)
-    flat = values.reshape(len(values), -1).astype(np.complex128)
-    done = [_place(field, flat[i : i + _BLOCK], start_mm[i : i + _BLOCK].astype(np.float64), steps) for i in blocks]
-    return Placed(*(np.concatenate(parts) for parts in zip(*done, strict=True)))
-
-
-def _place(field: FieldMap, values: Complex, position_mm: Floats, steps: int) -> tuple[Floats, Complex, Floats, Floats]:
+    flat: Complex = values.reshape(len(values), -1).astype(np.complex128)
+    position_mm = start_mm.astype(np.float64)
     for _ in range(steps):
-        _, _, gradient, fisher_information = linearise(values, *field.look_up(position_mm))
+        _, _, gradient, fisher_information = linearise(flat, *field.look_up(position_mm))
         damped = fisher_information[:, 0] * (1 + _DAMPING * np.eye(2)) + 1e-30 * np.eye(2)
         move_mm = np.linalg.solve(damped, gradient[:, 0, :, None])[:, :, 0]
         length_mm = np.linalg.norm(move_mm, axis=1, keepdims=True)
         move_mm *= np.minimum(1.0, LONGEST_STEP_MM / np.maximum(length_mm, 1e-12))
         position_mm = np.clip(position_mm + move_mm, field.low_mm, field.high_mm)
-    amplitude, residual_energy, _, fisher_information = linearise(values, *field.look_up(position_mm))
-    energy = np.square(np.abs(values)).sum(axis=1)
+    amplitude, residual_energy, _, fisher_information = linearise(flat, *field.look_up(position_mm))
+    energy = np.square(np.abs(flat)).sum(axis=1)
     # Of a frame without a signal nothing is explained.
     misfit = np.where(energy > 0, residual_energy / np.maximum(energy, 1e-30), 1.0)
-    return position_mm, amplitude, fisher_information[:, 0], misfit
+    return Placed(position_mm, amplitude, fisher_information[:, 0], misfit)

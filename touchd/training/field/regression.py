@@ -1,4 +1,10 @@
-"""Kernel ridge regression of each bin's field from noisy touches."""
+"""Kernel ridge regression of each bin's field from noisy touches, and its prior, the field's covariance.
+
+The field of a bin is the product of two waves of the plate. Far from the edges each wave is a random sum of plane waves
+from all directions, with covariance J0(k r) over a distance r (Berry, J. Phys. A 10:2083, 1977). Their product has the
+covariance J0(k r)^2, without spatial frequencies above 2 k. A small white share within that band, 2 J1(K r) / (K r),
+covers near fields of edges and discs.
+"""
 
 from __future__ import annotations
 
@@ -11,16 +17,24 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import blas, cho_factor, cho_solve, lapack, solve_triangular
+from scipy.spatial.distance import cdist
+from scipy.special import j0, j1
 from threadpoolctl import threadpool_limits
 
 from touchd.evaluation.dataset import BASELINE_NOISE, Dataset, complex_bins
-from touchd.training.field.kernel import WHITE_SHARE, Kernel, distances
 
 Array = NDArray[np.float32]
 Complex = NDArray[np.complex64]
 Floats = NDArray[np.float64]
 T = TypeVar("T")
 
+BAND_MARGIN = 1.15
+"""Factor by which the white share's band exceeds that of the waves."""
+WHITE_SHARE = 0.05
+SPREAD = 0.02
+"""Relative spread of the wavenumber: the dispersion is inexact, and a bin has a bandwidth."""
+_NODES = 200  # per unit of 2 k r: linear interpolation to 1e-6, else the matrix is not positive definite
+_ROWS = 64  # a block of this many rows fits the cache
 RIDGE = 1e-4
 """Share of a bin's signal added to its noise, for what no field of this band explains."""
 LEAST_SIGNAL = 1e-3
@@ -33,6 +47,62 @@ MOST_THREADS = 8
 """Limit of threads; each needs a few n x n matrices."""
 BEYOND_MM = 40.0
 """Largest distance beyond the touches at which the field is evaluated."""
+
+
+def covariance(
+    distance_mm: Floats,
+    wavenumber_per_mm: float,
+    white_share: float = WHITE_SHARE,
+    *,
+    waves: int = 2,
+    margin: float = BAND_MARGIN,
+) -> Floats:
+    """Return the covariance of a product of `waves` waves at distances (mm) of any shape, 1 at 0."""
+    r = np.asarray(distance_mm, dtype=np.float64)
+    near = wavenumber_per_mm * np.linspace(1 - SPREAD, 1 + SPREAD, 5)
+    free = sum(j0(k * r) ** waves for k in near) / len(near)
+    at = np.maximum(waves * margin * wavenumber_per_mm * r, 1e-9)
+    return np.asarray((1 - white_share) * free + white_share * 2 * j1(at) / at)
+
+
+class Kernel:
+    """A tabulated kernel, for matrices of distances up to `reach_mm`, in float32."""
+
+    def __init__(self, wavenumber_per_mm: float, reach_mm: float, white_share: float = WHITE_SHARE) -> None:
+        self._per_mm = 2 * wavenumber_per_mm * _NODES
+        nodes_mm = np.arange(np.ceil(reach_mm * self._per_mm) + 3) / self._per_mm
+        table = covariance(nodes_mm, wavenumber_per_mm, white_share)
+        self._value, self._step = _line(table)
+        # Derivative with respect to r, over r: times a component of the distance it is a partial derivative.
+        slope = np.gradient(table, nodes_mm) / np.maximum(nodes_mm, 1e-9)
+        slope[0] = slope[1]
+        self._slope, self._slope_step = _line(slope)
+
+    def __call__(self, distance_mm: Array) -> Array:
+        """Return the kernel at a matrix of distances (mm)."""
+        return self._look_up(distance_mm, self._value, self._step)
+
+    def slope(self, distance_mm: Array) -> Array:
+        """Return the kernel's derivative with respect to distance, divided by distance (1/mm^2)."""
+        return self._look_up(distance_mm, self._slope, self._slope_step)
+
+    def _look_up(self, distance_mm: Array, value: Array, step: Array) -> Array:
+        found = np.empty_like(distance_mm)
+        for start in range(0, len(found), _ROWS):
+            at = distance_mm[start : start + _ROWS] * np.float32(self._per_mm)
+            below = at.astype(np.int32)
+            at -= below
+            found[start : start + _ROWS] = value[below] + at * step[below]
+        return found
+
+
+def distances(one_mm: Floats, other_mm: Floats) -> Array:
+    """Return the distances (n, m) between positions (n, 2) and (m, 2), mm."""
+    return cdist(one_mm, other_mm).astype(np.float32)
+
+
+def _line(table: Floats) -> tuple[Array, Array]:
+    return table.astype(np.float32), np.diff(table, append=table[-1]).astype(np.float32)
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,10 +170,6 @@ class Regression:
         inverse, _ = lapack.spotri(factor, lower=1, overwrite_c=1)
         return np.asarray(inverse)
 
-    def apply(self, inverse: Array, targets: Array) -> Array:
-        """Return the weights (n, 2 * channels) of targets."""
-        return np.ascontiguousarray(blas.ssymm(1.0, inverse, targets, lower=1))
-
     def weights(self, b: int, amplitude: Complex) -> Array:
         """Return each touch's weight, shape (n, 2 * channels)."""
         factor = cho_factor(self._system(b, amplitude).T, lower=True, overwrite_a=True, check_finite=False)
@@ -137,9 +203,14 @@ class Regression:
         return system
 
 
+def weigh(inverse: Array, targets: Array) -> Array:
+    """Return the weights (n, 2 * channels) that an inverse, lower triangle, gives to targets."""
+    return np.ascontiguousarray(blas.ssymm(1.0, inverse, targets, lower=1))
+
+
 def smooth(inverse: Array, penalty: Array, targets: Array) -> Array:
     """Return the field (n, 2 * channels) at the touches' positions, for targets and an inverse's weights."""
-    return np.asarray(targets - penalty[:, None] * blas.ssymm(1.0, inverse, targets, lower=1))
+    return np.asarray(targets - penalty[:, None] * weigh(inverse, targets))
 
 
 def each(work: Callable[[int], T], bins: Iterable[int], advance: Callable[[], None] = lambda: None) -> list[T]:

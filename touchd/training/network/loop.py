@@ -19,13 +19,8 @@ PATIENCE = 30
 Progress = Callable[[str, int, int, float], None]
 """Receives each step: stage, steps done, steps in all, validation RMSE in mm (NaN before the first)."""
 
-
-@dataclass(frozen=True, slots=True)
-class Batches:
-    """Batches of one epoch."""
-
-    steps: int
-    epoch: Callable[[], Iterator[Batch]]
+Epoch = Callable[[], Iterator[Batch]]
+"""Returns the batches of one epoch."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +37,8 @@ class Curve:
 
 def fit(
     network: Network,
-    batches: Batches,
+    batches: Epoch,
+    steps: int,
     optimiser: torch.optim.Optimizer,
     epochs: int,
     validate: Callable[[], float],
@@ -51,16 +47,12 @@ def fit(
     peak: float | None = None,
     patience: int | None = None,
 ) -> Curve:
-    """Train a network in place.
+    """Train a network in place, by epochs of `steps` batches.
 
     With `peak`, the learning rate follows one cycle (Smith and Topin 2019) up to it and down to zero. A one-cycle
     training is best at its end, so it runs all epochs and keeps the last weights. Without `peak`, training stops after
-    `patience` consecutive epochs without a better validation RMSE and keeps the best epoch's weights.
-
-    Raises
-    ------
-    TrainingError
-        Both `peak` and `patience` are given, or the loss or RMSE is not finite.
+    `patience` consecutive epochs without a better validation RMSE and keeps the best epoch's weights. Raises
+    TrainingError if both `peak` and `patience` are given, or the loss or RMSE is not finite.
     """
     if peak is not None and patience is not None:
         raise TrainingError(
@@ -68,13 +60,13 @@ def fit(
             "patience",
             "omit --patience; use fewer epochs to shorten the training",
         )
-    schedule = None if peak is None else OneCycleLR(optimiser, peak, total_steps=epochs * batches.steps)
+    schedule = None if peak is None else OneCycleLR(optimiser, peak, total_steps=epochs * steps)
     curve, best = Curve([], [], 0), copy.deepcopy(network.state_dict())
     kept = 0
     for epoch in range(1, epochs + 1):
         network.train()
         total = torch.zeros(())
-        for batch in batches.epoch():
+        for batch in batches():
             optimiser.zero_grad()
             loss = network.loss(batch)
             loss.backward()  # type: ignore[no-untyped-call]  # torch leaves it unannotated
@@ -82,7 +74,7 @@ def fit(
             total += loss.detach()
             if schedule is not None:
                 schedule.step()
-        curve.loss.append(float(total) / batches.steps)
+        curve.loss.append(float(total) / steps)
         curve.validation_mm.append(validate())
         if not (math.isfinite(curve.loss[-1]) and math.isfinite(curve.validation_mm[-1])):
             raise TrainingError(

@@ -64,8 +64,6 @@ class Network(nn.Module, ABC):
     head: nn.Linear
     outputs: tuple[str, ...]
     """Names of what `forward` returns."""
-    wants_others = False
-    """Whether batches contain non-fingers."""
 
     def __init__(self, inputs: int, widths: tuple[int, ...], dropout: float = 0.0, more: int = 0) -> None:
         super().__init__()
@@ -117,7 +115,6 @@ class PositionNetwork(Network):
     """
 
     outputs: tuple[str, ...] = ("position_mm", "sigma_mm", "confidence", "noise_mm")
-    wants_others = True
     size_mm: Tensor
     corner_mm: Tensor
     span_mm: Tensor

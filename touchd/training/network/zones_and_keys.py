@@ -9,6 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from touchd.evaluation.model_scores import classes
+from touchd.keypad import Layout
 from touchd.localization.model import Description
 from touchd.training.network.network import DROPOUT, Batch, Network, Normalise, PaperNetwork, PositionNetwork
 from touchd.training.network.recipe import TRUNK, Recipe
@@ -76,24 +77,18 @@ class KeypadNetwork(PositionNetwork):
 
     A key's probability is that of a Gaussian about the position to lie on the key. So any layout fits a network trained
     on the whole plate, and a touch near a key's border gets a low probability. The probabilities, including that of no
-    key, add up to the finger confidence. `keys_mm`, of shape (keys, 4), are left, upper, right and lower edges.
+    key, add up to the finger confidence.
     """
 
     outputs = ("probability",)
     low_mm: Tensor
     high_mm: Tensor
 
-    def __init__(
-        self,
-        inputs: int,
-        size_mm: tuple[float, float],
-        keys_mm: Tensor,
-        widths: tuple[int, ...] = TRUNK,
-        drift: Tensor | None = None,
-    ) -> None:
+    def __init__(self, d: Description, layout: Layout, widths: tuple[int, ...], drift: Tensor) -> None:
+        keys_mm = torch.tensor([[k.x_mm, k.y_mm, k.x_mm + k.width_mm, k.y_mm + k.height_mm] for k in layout.key])
         area_mm = torch.stack([keys_mm[:, :2].amin(dim=0) - BESIDE_MM, keys_mm[:, 2:].amax(dim=0) + BESIDE_MM])
         # One probability cannot separate noise, so typical noise is part of sigma.
-        super().__init__(inputs, size_mm, widths, drift, area_mm, noise_apart=False)
+        super().__init__(d.inputs, d.plate.size_mm, widths, drift, area_mm, noise_apart=False)
         self.register_buffer("low_mm", keys_mm[:, :2])
         self.register_buffer("high_mm", keys_mm[:, 2:])
 
@@ -120,6 +115,5 @@ def make_network(recipe: Recipe, d: Description, drift: Tensor) -> Network:
     if recipe.paper:
         return Classifier(d, recipe.widths, DROPOUT)
     if d.layout is not None:
-        keys_mm = torch.tensor([[k.x_mm, k.y_mm, k.x_mm + k.width_mm, k.y_mm + k.height_mm] for k in d.layout.key])
-        return KeypadNetwork(d.inputs, size_mm, keys_mm, recipe.widths, drift)
+        return KeypadNetwork(d, d.layout, recipe.widths, drift)
     return Classifier(d, recipe.widths, drift=drift)

@@ -86,10 +86,7 @@ def write_atlas_report(result: AtlasResult, meta: Meta, names: list[str]) -> Pat
 def write_folder(model: Path, pictures: dict[str, Figure], text: str) -> Path:
     """Write plots and a page into a model's report folder, replacing an older report, and return the folder.
 
-    Raises
-    ------
-    OutputError
-        The report cannot be written; an older report stays unchanged.
+    Raises OutputError if the report cannot be written; an older report stays unchanged.
     """
     folder = report_folder(model)
     try:

@@ -37,10 +37,7 @@ class Table(NamedTuple):
 def render(template: Path, **values: object) -> str:
     """Fill a template; the filter `as` formats a number by Python's format specification.
 
-    Raises
-    ------
-    jinja2.UndefinedError
-        The template names a value that is not given.
+    Raises jinja2.UndefinedError if the template names a value that is not given.
     """
     environment = Environment(  # noqa: S701 - Markdown has no entities to escape
         loader=FileSystemLoader(template.parent), undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True,

@@ -58,19 +58,10 @@ def size_of(contact: Contact) -> int:
     return (degree + 1) * (degree + 2) // 2
 
 
-def frequencies_of(contact: Contact) -> int:
-    """Return the number of Chebyshev's points at which a contact's impedance tells it everywhere."""
-    return COMPLIANT_FREQUENCIES if is_compliant(contact.kind) else RIGID_FREQUENCIES
-
-
 def impedance_of(contact: Contact, omega_rad_s: Complex) -> Complex:
-    """Return the impedance of a contact between its forces, N s/m, shape (F, K, K).
+    """Return the impedance of a contact between its forces, N s/m, shape (F, K, K), at angular frequencies (F,).
 
-    Parameters
-    ----------
-    contact : Contact
-    omega_rad_s : complex array of shape (F,)
-        Angular frequencies; time goes as exp(i omega t).
+    Time goes as exp(i omega t).
     """
     if not is_compliant(contact.kind):
         return np.asarray(impedance(contact.kind, omega_rad_s, contact.area_mm2))[:, None, None]

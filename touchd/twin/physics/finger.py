@@ -73,10 +73,7 @@ def drop_mass_mg(area_mm2: ArrayLike) -> Floats:
 def impedance(kind: str, omega_rad_s: ArrayLike, area_mm2: ArrayLike) -> Complex:
     """Impedance of a "silicone" or "human" finger or a "drop", N s/m: a piston on tissue, or a mass i omega m.
 
-    Raises
-    ------
-    SimulationError
-        The kind is unknown.
+    Raises SimulationError if the kind is unknown.
     """
     if kind == "drop":
         return np.asarray(1j * np.asarray(omega_rad_s) * drop_mass_mg(area_mm2) * 1e-6)
@@ -86,10 +83,7 @@ def impedance(kind: str, omega_rad_s: ArrayLike, area_mm2: ArrayLike) -> Complex
 def tissue_of(kind: str) -> Tissue:
     """Return the tissue of a kind of finger.
 
-    Raises
-    ------
-    SimulationError
-        The kind is unknown.
+    Raises SimulationError if the kind is unknown.
     """
     try:
         return TISSUES[kind]

@@ -59,10 +59,7 @@ class Stiffness(NamedTuple):
 def material_of(plate: Plate) -> Material:
     """Return a plate's own elastic constants, or look them up by the material's name.
 
-    Raises
-    ------
-    SimulationError
-        The twin does not know the material.
+    Raises SimulationError if the twin does not know the material.
     """
     if isinstance(plate, ElasticPlate):
         return plate.elastic

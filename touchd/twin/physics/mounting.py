@@ -121,12 +121,8 @@ def mounted_modes(
 ) -> LoadedModes:
     """Return the complex modes of a plate with discs and attachments, for use up to a frequency; cached on disk.
 
-    The plate's loss factor is in them: use them with a loss of 0.
-
-    Raises
-    ------
-    SimulationError
-        An attachment reaches over the edge, or as `loaded_modes`.
+    The plate's loss factor is in them: use them with a loss of 0. Raises SimulationError if an attachment reaches over
+    the edge, or as `loaded_modes`.
     """
     attachments = mounting.on(plate)
     key = parameters_of(plate, layout, frequency_hz) | {

@@ -61,12 +61,7 @@ def polynomials_for(plate: Plate, frequency_hz: float, margin: int = MARGIN) -> 
     """Return the polynomials along x and y that resolve the plate's waves up to a frequency.
 
     A polynomial basis needs pi per wavelength and a margin that hardly grows; 48 at 100 kHz on 200 mm of 5 mm glass. A
-    plate that needs many gets the least margin.
-
-    Raises
-    ------
-    SimulationError
-        The plate is too many wavelengths wide.
+    plate that needs many gets the least margin. Raises SimulationError if the plate is too many wavelengths wide.
     """
     k = float(mindlin_wavenumber(plate, frequency_hz))
     counts = [2 * int(np.ceil((k * length / 2 + margin) / 2)) for length in size_m(plate)]
@@ -85,10 +80,7 @@ def polynomials_for(plate: Plate, frequency_hz: float, margin: int = MARGIN) -> 
 def solve(plate: Plate, counts: tuple[int, int], below_hz: float = np.inf) -> Modes:
     """Solve for the modes of a plate with free edges under a frequency, with `counts` polynomials along x and y.
 
-    Raises
-    ------
-    SimulationError
-        The material is unknown.
+    Raises SimulationError if the material is unknown.
     """
     classes = solve_classes(plate, counts, below_hz)
     omega = np.concatenate([each.omega_rad_s for each in classes])

@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 from touchd.errors import SimulationError
 from touchd.frame import Plate
 from touchd.twin.physics import chebyshev, legendre
-from touchd.twin.physics.contact import face_of, frequencies_of, impedance_of
-from touchd.twin.physics.finger import Contact
+from touchd.twin.physics.contact import COMPLIANT_FREQUENCIES, RIGID_FREQUENCIES, face_of, impedance_of
+from touchd.twin.physics.finger import Contact, is_compliant
 from touchd.twin.physics.plate import size_m
 from touchd.twin.physics.transducer import LoadedModes
 
@@ -33,16 +33,9 @@ SMOOTH = 0.02
 class Response:
     """Receptances of a plate with its discs: F frequencies, R receivers, M modes.
 
-    A mode answers a force of frequency nu with 1 / (omega^2 (1 + i loss) - nu^2).
-
-    Parameters
-    ----------
-    plate : Plate
-    modes : LoadedModes
-    nu_rad_s : array_like of shape (F,)
-        Angular frequencies, real or complex; a negative imaginary part damps the time signal.
-    loss : array_like of shape () or (F,)
-        Loss factor of the mounted plate; 0 with complex modes, which have it.
+    A mode answers a force of frequency nu with 1 / (omega^2 (1 + i loss) - nu^2). A negative imaginary part of the
+    angular frequencies `nu_rad_s`, shape (F,), damps the time signal. `loss`, of shape () or (F,), is the mounted
+    plate's loss factor; 0 with complex modes, which have it.
     """
 
     def __init__(self, plate: Plate, modes: LoadedModes, nu_rad_s: ArrayLike, loss: ArrayLike) -> None:
@@ -51,7 +44,6 @@ class Response:
         self.nu_rad_s = np.asarray(nu_rad_s, dtype=np.complex128)
         # Where shapes are real, stacking the parts makes one real product of what would be two.
         self._parts = 1 if np.iscomplexobj(modes.w) else 2
-        self._few: dict[int, tuple[Complex, Floats]] = {}
         self._near = self._count_near()
         self._kernel = self._kernel_of(slice(self._near), self.nu_rad_s)
         if self._near < len(modes.omega_rad_s):
@@ -73,17 +65,16 @@ class Response:
 
     def _frequencies(self, count: int) -> tuple[Complex, Floats]:
         """Return up to `count` frequencies, and the weights (F, count) by which smooth functions follow from them."""
-        if count not in self._few:
-            self._few[count] = _few_frequencies(self.nu_rad_s, count)
-        return self._few[count]
+        real, damping = self.nu_rad_s.real, self.nu_rad_s.imag
+        if len(real) <= count or np.ptp(damping) > 0:
+            return self.nu_rad_s, np.eye(len(real))
+        nodes = chebyshev.points((real.max() + real.min()) / 2, (real.max() - real.min()) / 2, count)
+        return nodes + 1j * damping[0], chebyshev.weights(real, nodes)
 
     def shape_at(self, x_mm: Floats, y_mm: Floats, area_mm2: Floats) -> Floats | Complex:
         """Deflection of each mode averaged over discs; all of shape (n,), result (M, n).
 
-        Raises
-        ------
-        SimulationError
-            When a disc is not wholly on the plate.
+        Raises SimulationError if a disc is not wholly on the plate.
         """
         shapes: Floats | Complex = self._w @ self._disc_average(x_mm, y_mm, area_mm2).T
         return shapes
@@ -94,11 +85,8 @@ class Response:
         edge = np.minimum(np.minimum(x_mm, self.plate.width_mm - x_mm), np.minimum(y_mm, self.plate.height_mm - y_mm))
         if np.any(edge < radius) or not np.all(np.isfinite(edge)):
             i = int(np.argmin(edge - radius))
-            raise SimulationError(
-                f"a contact of {radius[i]:.1f} mm radius at ({x_mm[i]:.1f}, {y_mm[i]:.1f}) mm reaches over the edge",
-                "contact",
-                "move it inwards",
-            )
+            what = f"a contact of {radius[i]:.1f} mm radius at ({x_mm[i]:.1f}, {y_mm[i]:.1f}) mm reaches over the edge"
+            raise SimulationError(what, "contact", "move it inwards")
         _, nx, ny = self.modes.w.shape
         centre = np.stack([x_mm, y_mm], axis=1) * 1e-3
         return legendre.disc_average(centre, radius * 1e-3, size_m(self.plate), (nx, ny), rule).reshape(len(x_mm), -1)
@@ -196,7 +184,8 @@ class Response:
         known: dict[tuple[Contact, float], Complex] = {}
         loads: list[Complex] = []
         for column in zip(*touches, strict=True):
-            nodes, weights = self._frequencies(frequencies_of(column[0]))
+            compliant = is_compliant(column[0].kind)
+            nodes, weights = self._frequencies(COMPLIANT_FREQUENCIES if compliant else RIGID_FREQUENCIES)
             rows = []
             for contact, s in zip(column, scale.tolist(), strict=True):
                 key = contact._replace(x_mm=0.0, y_mm=0.0), s
@@ -206,15 +195,6 @@ class Response:
             few = np.stack(rows, axis=1)  # (nodes, n, K, K)
             loads.append((weights @ few.reshape(len(nodes), -1)).reshape(-1, *few.shape[1:]) * factor)
         return loads
-
-
-def _few_frequencies(nu_rad_s: Complex, count: int) -> tuple[Complex, Floats]:
-    """Return up to `count` frequencies, and the weights (F, count) by which smooth functions follow from them."""
-    real, damping = nu_rad_s.real, nu_rad_s.imag
-    if len(nu_rad_s) <= count or np.ptp(damping) > 0:
-        return nu_rad_s, np.eye(len(nu_rad_s))
-    nodes = chebyshev.points((real.max() + real.min()) / 2, (real.max() - real.min()) / 2, count)
-    return nodes + 1j * damping[0], chebyshev.weights(real, nodes)
 
 
 def _few_scales(scale: Floats) -> Floats:

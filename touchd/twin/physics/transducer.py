@@ -39,14 +39,12 @@ them, as it is soft and lossy."""
 
 
 class Layout(BaseModel):
-    """Positions and size of the discs."""
+    """Centres and size of the discs."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     emitter_mm: tuple[float, float]
-    """Centre of the emitter, mm."""
     receivers_mm: tuple[tuple[float, float], ...] = Field(min_length=1)
-    """Centres of the receivers, mm."""
     diameter_mm: float = Field(default=6.0, gt=0)
     mass_g: float = Field(default=0.43, ge=0)
     """Mass of each disc: 6 mm by 2 mm of PZT."""
@@ -63,11 +61,6 @@ class Layout(BaseModel):
     def centres_mm(self) -> Floats:
         """Centres of emitter and receivers, shape (1 + receivers, 2)."""
         return np.array([self.emitter_mm, *self.receivers_mm])
-
-    @property
-    def masses_mm(self) -> Floats:
-        """Centres of their masses, same shape."""
-        return np.asarray(self.centres_mm + np.array(self.offsets_mm or 0.0))
 
 
 def default_layout(plate: Plate) -> Layout:
@@ -98,10 +91,7 @@ class LoadedModes(NamedTuple):
 def loaded_modes(plate: Plate, layout: Layout, frequency_hz: float = 125e3) -> LoadedModes:
     """Return the modes of a plate with discs, for use up to a frequency; cached on disk.
 
-    Raises
-    ------
-    SimulationError
-        A disc reaches over the edge, the plate is too large, or its material is unknown.
+    Raises SimulationError if a disc reaches over the edge, the plate is too large, or its material is unknown.
     """
     width, height = plate.width_mm, plate.height_mm
     edge = np.minimum(layout.centres_mm, np.array([width, height]) - layout.centres_mm).min()
@@ -161,7 +151,8 @@ Sums = Callable[[int, Floats], Floats]
 
 def vectors_of(layout: Layout, size_m: tuple[float, float], counts: tuple[int, int], sums: Sums) -> Floats:
     """Return the means over a layout's discs, as `vectors_at` does."""
-    centres_m, masses_m = layout.centres_mm * 1e-3, layout.masses_mm * 1e-3
+    centres_mm = layout.centres_mm
+    centres_m, masses_m = centres_mm * 1e-3, (centres_mm + np.array(layout.offsets_mm or 0.0)) * 1e-3
     return vectors_at(centres_m, masses_m, layout.diameter_mm / 2e3, size_m, counts, sums)
 
 

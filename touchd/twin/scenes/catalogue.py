@@ -14,8 +14,8 @@ from touchd.frame import Plate
 from touchd.twin.electronics import Electronics
 from touchd.twin.instrument import REFERENCE_C
 from touchd.twin.physics.finger import tissue_of
-from touchd.twin.scenes import one_finger, several_fingers
-from touchd.twin.scenes.one_finger import END_S, IDLE_S, KEY_S, Cast, Key
+from touchd.twin.scenes import fingers
+from touchd.twin.scenes.fingers import END_S, IDLE_S, KEY_S, Cast, Key
 from touchd.twin.scenes.timeline import Stage
 
 
@@ -45,28 +45,11 @@ def stage_scene(
     keys: Sequence[Key] | None = None,
     code: str | None = None,
 ) -> Stage:
-    """Write the timeline of a named scene.
+    """Write the timeline of a named scene, by default with the scene's number of frames, rate and finger.
 
-    Parameters
-    ----------
-    name : str
-        One of `SCENES`.
-    plate : Plate
-    seed : int
-    frames, finger : optional
-        Number of frames, and a kind of `touchd.twin.physics.finger.TISSUES`; by default the scene's.
-    rate_hz : float, optional
-        Frames per second; by default 125, for the demo 100.
-    electronics : Electronics, optional
-    keys : sequence of (name, x_mm, y_mm), optional
-        Keys of the scene `keypad` with their centres; by default 3 x 4 around the plate's centre.
-    code : str, optional
-        Keys to type, one character each.
-
-    Raises
-    ------
-    SimulationError
-        The scene is unknown, too short, or does not fit the plate.
+    `keys`, (name, x_mm, y_mm) of each centre, are those of the scene `keypad`, by default 3 x 4 around the plate's
+    centre; it types `code`, one character a key. Raises SimulationError if the scene is unknown, too short, or does not
+    fit the plate.
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed).spawn(3)[0])
     scene = SCENES.get(name)
@@ -118,25 +101,25 @@ def _with_gaps(n: int, rng: np.random.Generator, rate_hz: float) -> NDArray[np.i
 
 
 SCENES: dict[str, Scene] = {
-    "idle": Scene(one_finger.idle, 5.0, "nothing touches the plate"),
-    "tap": Scene(one_finger.tap, 6.0, "taps at random places", "silicone"),
-    "circle": Scene(one_finger.circle, 5.0, "a finger draws a circle of 60 mm radius"),
-    "hold": Scene(one_finger.hold, 12.0, "a finger rests while its contact keeps growing"),
-    "longhold": Scene(one_finger.longhold, 35.0, "the same for 34 s, while the plate warms by 1 K"),
-    "swipe": Scene(one_finger.swipe, 4.0, "swipes across the plate"),
-    "pinch": Scene(several_fingers.pinch, 4.0, "two fingers move together"),
-    "two": Scene(several_fingers.two, 8.0, "two fingers press, slide and lift independently", least_mm=80.0),
-    "five": Scene(several_fingers.five, 8.0, "five fingers press, slide and lift independently", least_mm=150.0),
-    "cross": Scene(several_fingers.cross, 8.2, "two fingers' strokes cross, 15 mm from each other", least_mm=80.0),
-    "keypad": Scene(one_finger.keypad, 4.1, "a code is typed"),
-    "drift": Scene(one_finger.drift, 60.0, "the plate warms by 3 K and cools again; a tap now and then", "silicone"),
-    "warming": Scene(one_finger.warming, 15.0, "presses during which the plate warms or cools; a tap right after each"),
-    "palm": Scene(one_finger.palm, 4.0, "a palm lies on the plate", least_mm=80.0),
-    "drop": Scene(one_finger.drop, 5.0, "a drop of water falls on the plate and stays; taps beside it"),
-    "interference": Scene(one_finger.interference, 6.0, "tones from elsewhere; taps", "silicone"),
-    "deadchannel": Scene(one_finger.deadchannel, 6.0, "a receiver's wire breaks half-way; taps", "silicone"),
-    "clipping": Scene(one_finger.clipping, 5.0, "the gain is too high; taps", "silicone"),
-    "lostframes": Scene(one_finger.tap, 6.0, "frames are lost; taps", "silicone"),
-    "demo": Scene(one_finger.demo, 9.0, "four taps, a swipe and most of a circle", "silicone", 100.0),
+    "idle": Scene(fingers.idle, 5.0, "nothing touches the plate"),
+    "tap": Scene(fingers.tap, 6.0, "taps at random places", "silicone"),
+    "circle": Scene(fingers.circle, 5.0, "a finger draws a circle of 60 mm radius"),
+    "hold": Scene(fingers.hold, 12.0, "a finger rests while its contact keeps growing"),
+    "longhold": Scene(fingers.longhold, 35.0, "the same for 34 s, while the plate warms by 1 K"),
+    "swipe": Scene(fingers.swipe, 4.0, "swipes across the plate"),
+    "pinch": Scene(fingers.pinch, 4.0, "two fingers move together"),
+    "two": Scene(fingers.two, 8.0, "two fingers press, slide and lift independently", least_mm=80.0),
+    "five": Scene(fingers.five, 8.0, "five fingers press, slide and lift independently", least_mm=150.0),
+    "cross": Scene(fingers.cross, 8.2, "two fingers' strokes cross, 15 mm from each other", least_mm=80.0),
+    "keypad": Scene(fingers.keypad, 4.1, "a code is typed"),
+    "drift": Scene(fingers.drift, 60.0, "the plate warms by 3 K and cools again; a tap now and then", "silicone"),
+    "warming": Scene(fingers.warming, 15.0, "presses during which the plate warms or cools; a tap right after each"),
+    "palm": Scene(fingers.palm, 4.0, "a palm lies on the plate", least_mm=80.0),
+    "drop": Scene(fingers.drop, 5.0, "a drop of water falls on the plate and stays; taps beside it"),
+    "interference": Scene(fingers.interference, 6.0, "tones from elsewhere; taps", "silicone"),
+    "deadchannel": Scene(fingers.deadchannel, 6.0, "a receiver's wire breaks half-way; taps", "silicone"),
+    "clipping": Scene(fingers.clipping, 5.0, "the gain is too high; taps", "silicone"),
+    "lostframes": Scene(fingers.tap, 6.0, "frames are lost; taps", "silicone"),
+    "demo": Scene(fingers.demo, 9.0, "four taps, a swipe and most of a circle", "silicone", 100.0),
 }
 """All scenes by name."""

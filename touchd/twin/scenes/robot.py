@@ -44,18 +44,27 @@ TRIES = 2000
 
 @dataclass(frozen=True, slots=True)
 class TouchSet:
-    """Parameters of a session; see `touchd.twin.simulate.simulate_touches`."""
+    """Parameters of a session."""
 
     count: int = COUNT
+    """Touches; the recording has twice as many frames."""
     finger: str = "silicone"
+    """A kind of `touchd.twin.physics.finger.TISSUES`. Areas are drawn from `AREAS_MM2`, ratios of the axes from
+    `timeline.RATIOS`."""
     margin_mm: float | None = None
+    """Least distance of a touch's centre from the edge; by default such that the contact fits."""
     stale_k: float = 0.0
+    """Warming of the plate between an untouched frame and the touch after it, K."""
     fingers: int = 1
+    """Contacts of each touch, 1 .. 5, each with its own area, without overlap."""
     apart_mm: float = 0.0
+    """Least distance between their centres."""
     edge_gap_mm: float | None = None
     """Exact gap between two round contacts, edge to edge, in any direction."""
     warmer_k: float = 0.0
+    """Temperature of the session above the reference, K; may be negative."""
     label_noise_mm: float = 0.0
+    """Standard deviation of the labels per axis."""
     even: bool = False
     """Whether single touches leave no gaps, lie closer near the edges, and reach up to them; else they are random."""
 
@@ -63,10 +72,7 @@ class TouchSet:
 def stage_touches(asked: TouchSet, plate: Plate, seed: int, electronics: Electronics | None = None) -> Stage:
     """Write the timeline of a session.
 
-    Raises
-    ------
-    SimulationError
-        Count, margin, finger or distances are impossible.
+    Raises SimulationError if count, margin, finger or distances are impossible.
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed).spawn(3)[0])
     count, finger = asked.count, asked.finger

@@ -57,7 +57,6 @@ class Stage:
     temperature_c: Floats
     """Shape (n,)."""
     rng: np.random.Generator
-    """Generator for the scene's random choices."""
     electronics: Electronics
     notes: str = ""
     laid: list[Laid] = field(default_factory=list)
@@ -89,24 +88,10 @@ class Stage:
     ) -> None:
         """Add a contact that comes down at `start_s` and lifts at `stop_s`.
 
-        The area grows for 10-30 ms at the start and shrinks for as long at the end.
-
-        Parameters
-        ----------
-        kind : a kind of `touchd.twin.physics.finger.TISSUES`, "palm" or "drop"
-            A compliant one lands on its tip, round, rolls to its pad and becomes an oval as it spreads.
-        start_s, stop_s : float
-        path : Path
-        force_n : float, optional
-            Settled force of a finger; left out for a patch of a palm.
-        area_mm2 : float, optional
-            Settled area of a palm, a drop, or a palm's patch.
-        creep : float
-            Share by which the area keeps growing over tens of seconds.
-        column : int
-            Label column of the contact.
-        land_s : float, optional
-            Time in which the area grows.
+        The area grows for `land_s`, by default 10-30 ms, at the start, and shrinks for 10-30 ms at the end; `creep` is
+        the share by which it keeps growing over tens of seconds. A compliant contact lands on its tip, round, rolls to
+        its pad and becomes an oval as it spreads. A finger settles at a force; a palm, a drop, and a palm's patch,
+        which has no force, at an area. `column` is that of the contact's labels.
         """
         rise_s, fall_s = self.rng.uniform(0.010, 0.030, 2)
         rise_s = rise_s if land_s is None else land_s

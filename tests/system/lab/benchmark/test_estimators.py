@@ -16,7 +16,8 @@ from touchd.lab.benchmark.estimators import cost_of, network
 from touchd.lab.benchmark.scenes import Block
 from touchd.localization.features import Domain
 from touchd.localization.model import Description, Model, default_model_path
-from touchd.training.network.export import make_graph, write_model
+from touchd.localization.model_file import put_model
+from touchd.training.network.export import make_graph
 from touchd.training.network.network import PaperNetwork
 
 RIG = Acquisition(channels=4, samples=250, sample_rate_hz=250e3)
@@ -33,7 +34,7 @@ def made(domain: Domain, kind: Kind, path: Path) -> Model:
         name="test", head="regression", domain=domain, input=kind, acquisition=RIG,
         plate=Plate(width_mm=200, height_mm=150), scores={"rmse_mm": 1.0},
     )  # fmt: skip
-    return write_model(make_graph(untrained, about), path)
+    return put_model(make_graph(untrained, about).SerializeToString(), path)
 
 
 @pytest.mark.parametrize("kind", ["residual", "signal"])

@@ -8,9 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tests.unit.training.waves import Waves, touch
-from touchd.training.field.kernel import covariance
 from touchd.training.field.leave_one_out import RIDGES, WHITE_SHARES, choose, log_errors, region_of
-from touchd.training.field.regression import Prior, Regression, Touches, each, smooth
+from touchd.training.field.regression import Prior, Regression, Touches, covariance, each, smooth
 
 K = np.linspace(0.2, 0.3, 3)
 

@@ -8,9 +8,8 @@ import pytest
 from tests.unit.training.waves import Waves, touch
 from touchd.training.data.inspection import degrees_of_freedom
 from touchd.training.field.few_touches import CUT, FEW, basis_of, covariance, learn_by_waves, product_of
-from touchd.training.field.kernel import distances
 from touchd.training.field.learn import OUTER_ROUNDS, Field, Learner
-from touchd.training.field.regression import Prior, Touches
+from touchd.training.field.regression import Prior, Touches, distances
 
 SIZE_MM = 80.0
 K = np.linspace(0.26, 0.3, 5)

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from touchd.errors import TrainingError
-from touchd.training.network.loop import Batches, Curve, fit
+from touchd.training.network.loop import Curve, fit
 from touchd.training.network.network import Batch, PaperNetwork
 
 
@@ -28,7 +28,7 @@ def run(errors_mm: list[float], *, spoilt: bool = False, **how: float | int | No
         return errors_mm[len(weights) - 1]
 
     optimiser = torch.optim.Adam(network.parameters())
-    curve = fit(network, Batches(1, epoch), optimiser, len(errors_mm), validate, lambda *_step: None, **how)  # type: ignore[arg-type]  # options of mixed types
+    curve = fit(network, epoch, 1, optimiser, len(errors_mm), validate, lambda *_step: None, **how)  # type: ignore[arg-type]  # options of mixed types
     return curve, [*weights, network.head.weight.detach()]
 
 

@@ -14,7 +14,7 @@ from touchd.training.data.augment import Augmenter
 from touchd.training.data.synthetic import Synthesiser
 from touchd.training.field.learn import Field
 from touchd.training.network.network import PositionNetwork
-from touchd.training.network.sigma_calibration import LOUDER, calibrate_sigma
+from touchd.training.train_network import LOUDER, calibrate_sigma
 
 
 @pytest.fixture(scope="module")

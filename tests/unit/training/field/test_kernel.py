@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from touchd.training.field.kernel import BAND_MARGIN, Kernel, covariance, distances
+from touchd.training.field.regression import BAND_MARGIN, Kernel, covariance, distances
 
 WAVENUMBER = st.floats(0.05, 0.5)
 SHARE = st.floats(0.0, 1.0)

@@ -8,8 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.unit.training.waves import Waves, touch
-from touchd.training.field.kernel import covariance
-from touchd.training.field.regression import Prior, Regression, Touches
+from touchd.training.field.regression import Prior, Regression, Touches, covariance
 
 WAVENUMBER_PER_MM = np.array([0.25, 0.35])
 SIZE_MM = 60.0
