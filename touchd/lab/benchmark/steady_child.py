@@ -16,7 +16,7 @@ import sys
 import threading
 import time
 from array import array
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from itertools import chain, cycle
 from pathlib import Path
 from statistics import median
@@ -54,10 +54,7 @@ class Device:
 
     def __init__(self, frames: np.ndarray, lead: int, full_hz: int = 0) -> None:
         channels, samples = frames.shape[1:]
-        try:
-            self.info = Info(channels, samples, 250_000, capabilities=1)
-        except TypeError:  # a tree of before
-            self.info = Info(channels, samples, 250_000)
+        self.info = Info(channels, samples, 250_000, capabilities=1)
         bodies: list[bytes] = [frame.T.astype("<i2").tobytes() for frame in frames]
         self._lead, self._there, self._full_hz = bodies[:lead], bodies[lead:], full_hz
         self._bodies: Iterator[bytes] = chain(self._lead, cycle([*self._there, *self._there[-2:0:-1]]))
@@ -224,7 +221,7 @@ def run(task: dict[str, Any]) -> dict[str, Any]:
             "energy_uj": energy_uj(),
         }  # fmt: skip
 
-    perf: list[subprocess.Popen[str]] = []
+    counting: list[subprocess.Popen[str]] = []
     clock, keep, steps = time.monotonic, preroll.keep, calls_of_frames()
     counted: dict[str, float] = {}
     since_s = clock()
@@ -235,7 +232,7 @@ def run(task: dict[str, Any]) -> dict[str, Any]:
         now_s = clock()
         if not begin and now_s - since_s >= task["warm_s"]:
             if task["events"]:
-                perf.append(counting(task["events"]))
+                counting.append(perf(task["events"], "-p", str(os.getpid())))
             begin.update(sample())
         elif begin and now_s - begin["wall_s"] >= task["seconds"]:
             ended.update({} if ended else sample())
@@ -254,15 +251,15 @@ def run(task: dict[str, Any]) -> dict[str, Any]:
     service._release = left  # type: ignore[method-assign]
     service.run()
     found = _result(begin, ended, preroll.done, device.due_ns)
-    for process in perf:
+    for process in counting:
         process.send_signal(signal.SIGINT)
         found["events"] = process.communicate()[1]
     return found | counted
 
 
-def counting(events: list[str]) -> subprocess.Popen[str]:
-    """Let perf count events in all threads of this process until it is interrupted."""
-    asked = ["perf", "stat", "-x", ",", *(part for event in events for part in ("-e", event)), "-p", str(os.getpid())]
+def perf(events: Iterable[str], *what: str) -> subprocess.Popen[str]:
+    """Let perf count events of a command, or in all threads of a process until it is interrupted."""
+    asked = ["perf", "stat", "-x", ",", *(part for event in events for part in ("-e", event)), *what]
     return subprocess.Popen(asked, stderr=subprocess.PIPE, text=True)  # noqa: S603 - as written
 
 

@@ -28,6 +28,11 @@ class Spread(NamedTuple):
     most: float
 
 
+def percentiles(times: Spread) -> dict[str, float]:
+    """Return the fields `p50_us` to `max_us` of a result."""
+    return dict(zip(("p50_us", "p99_us", "p999_us", "max_us"), times, strict=True))
+
+
 def spread(times_us: ArrayLike) -> Spread:
     """Return median, 99th and 99.9th percentile and maximum of times (n,)."""
     return Spread(*np.percentile(np.asarray(times_us, float), (50, 99, 99.9, 100)).tolist())
