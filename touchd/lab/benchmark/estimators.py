@@ -7,6 +7,7 @@ import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 import onnx
@@ -15,6 +16,7 @@ from onnx import numpy_helper
 
 from touchd.config.schema import Settings
 from touchd.detection.detection import Detection
+from touchd.errors import ModelMissing
 from touchd.evaluation.metrics import position_scores
 from touchd.lab.benchmark.loop import PERIOD_NS
 from touchd.lab.benchmark.results import BareTimes, EstimatorResult
@@ -189,6 +191,14 @@ def atlases(model: Model, atlas: Atlas) -> Iterator[Estimator]:
         own + FOLLOW_STEPS * step_macs, table + FOLLOW_STEPS * step_bytes,
         rebase, follow, remark="Gauss-Newton from 0.8 mm away, no network",
     )  # fmt: skip
+
+
+def shipped(models: Path, name: str) -> Path:
+    """Return the file of a network in a folder of models; ModelMissing if there is none."""
+    path = models / f"{name}.onnx"
+    if not path.is_file():
+        raise ModelMissing("no such model", str(path), "train it, or name the folder of the models: --models")
+    return path
 
 
 def cost_of(graph: onnx.ModelProto) -> tuple[int, int]:

@@ -15,7 +15,7 @@ import numpy as np
 from touchd.errors import ModelMissing
 from touchd.evaluation.cramer_rao import MOST_TOUCHES, median_distance_mm, position_covariance, twin_field
 from touchd.lab.benchmark import daemon, skips
-from touchd.lab.benchmark.estimators import NETWORKS, Estimator, atlases, network, race
+from touchd.lab.benchmark.estimators import NETWORKS, Estimator, atlases, network, race, shipped
 from touchd.lab.benchmark.loop import BareNetwork, Loop, write_bare
 from touchd.lab.benchmark.results import DaemonResult, Run, Touches, rounded, this_machine
 from touchd.lab.benchmark.scenes import FINGER, SEED, WANTED, Block, held_out, make_loop
@@ -103,14 +103,6 @@ def benchmark(models: Path, *, quick: bool, progress: Progress, also: Sequence[P
         left_out=("the daemon at steady rates, in a quick run",) if quick else (),
         daemon=tuple(cells), skips=tuple(saved), day=daemon.day(cells), **beside,
     )  # fmt: skip
-
-
-def shipped(models: Path, name: str) -> Path:
-    """Return the file of a network in a folder of models; ModelMissing if there is none."""
-    path = models / f"{name}.onnx"
-    if not path.is_file():
-        raise ModelMissing("no such model", str(path), "train it, or name the folder of the models: --models")
-    return path
 
 
 def _estimators(networks: Sequence[Path], also: Sequence[Path], instrument: Instrument) -> list[Estimator]:
