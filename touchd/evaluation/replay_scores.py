@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, is_dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from touchd.evaluation.matching import Matches, Position, Seen, join_matches, match, match_frames, seen_in
+from touchd.evaluation.matching import Matches, Position, Seen, match, match_frames, seen_in
+from touchd.evaluation.model_scores import Judgement
 from touchd.evaluation.truth import TrueTouch, fingers_only, rough_frames, true_touches
 from touchd.event import Contact, TouchEvent
 from touchd.recording.data import Recording
@@ -78,20 +79,23 @@ class StreamScores:
         return float(np.median(self.latency_ms)) if len(self.latency_ms) else None
 
 
-def joined(parts: Sequence[StreamScores]) -> StreamScores:
-    """Return the scores of recordings that follow each other as those of one."""
+Part = TypeVar("Part", StreamScores, Matches, Judgement)
 
-    def total(name: str) -> int:
-        return sum(getattr(part, name) for part in parts)
 
-    def every(name: str) -> NDArray[Any]:
-        return np.concatenate([getattr(part, name) for part in parts])
+def joined(parts: Sequence[Part]) -> Part:
+    """Return the scores of recordings that follow each other as those of one: numbers added, arrays joined."""
 
-    return StreamScores(
-        total("touches"), total("found"), total("ghosts"), total("split"), total("switches"),
-        all(part.clean for part in parts), every("error_mm"), every("moving"), every("wander_mm2"),
-        every("latency_ms"), join_matches([part.settled for part in parts]),
-    )  # fmt: skip
+    def of(name: str) -> Any:
+        values = [getattr(part, name) for part in parts]
+        if isinstance(values[0], np.ndarray):
+            return np.concatenate(values)
+        if isinstance(values[0], bool):
+            return all(values)
+        if isinstance(values[0], int):
+            return sum(values)
+        return joined(values) if is_dataclass(values[0]) else values[0]
+
+    return type(parts[0])(**{each.name: of(each.name) for each in fields(parts[0])})
 
 
 def found_contacts(events: Iterable[TouchEvent]) -> list[FoundContact]:
