@@ -17,7 +17,7 @@ import threading
 import time
 from array import array
 from collections.abc import Callable, Iterable, Iterator
-from itertools import chain, cycle
+from itertools import cycle
 from pathlib import Path
 from statistics import median
 from types import FrameType
@@ -55,9 +55,7 @@ class Device:
     def __init__(self, frames: np.ndarray, lead: int, full_hz: int = 0) -> None:
         channels, samples = frames.shape[1:]
         self.info = Info(channels, samples, 250_000, capabilities=1)
-        bodies: list[bytes] = [frame.T.astype("<i2").tobytes() for frame in frames]
-        self._lead, self._there, self._full_hz = bodies[:lead], bodies[lead:], full_hz
-        self._bodies: Iterator[bytes] = chain(self._lead, cycle([*self._there, *self._there[-2:0:-1]]))
+        self._bodies = self._play([frame.T.astype("<i2").tobytes() for frame in frames], lead, full_hz)
         self._rate_hz, self._chirp_ns, self._sequence = 0, 0, 0
         self.own_cpu_s = 0.0
         self.due_ns: list[int] = []
@@ -78,7 +76,7 @@ class Device:
             self.go.wait()
             self._first_ns = self._chirp_ns = time.monotonic_ns()
         header = Header(self._sequence, self._chirp_ns // 1000)
-        transfer = build_frame(self.info, header, self._body())
+        transfer = build_frame(self.info, header, next(self._bodies))
         buffer[: len(transfer)] = array("B", transfer)
         due_ns = self._chirp_ns + 1_000_000
         self.due_ns.append(due_ns)
@@ -89,12 +87,14 @@ class Device:
             time.sleep(left_ns * 1e-9)
         return len(transfer)
 
-    def _body(self) -> bytes:
-        if not self._full_hz or self._sequence < len(self._lead):
-            return next(self._bodies)
-        # Rounded down: to the nearest, half a frame off, every other one would come twice, as from a device that hangs.
-        at = (self._chirp_ns - self._first_ns) * self._full_hz // 1_000_000_000 - len(self._lead)
-        return self._there[at % len(self._there)]
+    def _play(self, bodies: list[bytes], lead: int, full_hz: int) -> Iterator[bytes]:
+        yield from bodies[:lead]
+        there = bodies[lead:]
+        if not full_hz:
+            yield from cycle([*there, *there[-2:0:-1]])
+        while True:
+            # Rounded down: to the nearest, half a frame off, every other one would come twice, as from a hung device.
+            yield there[((self._chirp_ns - self._first_ns) * full_hz // 1_000_000_000 - lead) % len(there)]
 
     def clear_halt(self) -> None:
         """Nothing is halted, nor to be reset."""
@@ -212,6 +212,7 @@ def run(task: dict[str, Any]) -> dict[str, Any]:
     if task["subscriber"]:
         bus.wait_for_subscriber(20.0)
     begin: dict[str, Any] = {}
+    ended: dict[str, Any] = {}
 
     def sample() -> dict[str, Any]:
         usage = resource.getrusage(resource.RUSAGE_SELF)
@@ -241,14 +242,6 @@ def run(task: dict[str, Any]) -> dict[str, Any]:
                 service.stop()
 
     preroll.keep = watched  # type: ignore[method-assign]
-    ended: dict[str, Any] = {}
-    leave = service._release  # called first at the end, before threads and sockets are closed
-
-    def left(now_ns: int) -> None:
-        ended.update({} if ended else sample())
-        leave(now_ns)
-
-    service._release = left  # type: ignore[method-assign]
     service.run()
     found = _result(begin, ended, preroll.done, device.due_ns)
     for process in counting:
