@@ -139,12 +139,13 @@ def score_stream(recording: Recording, events: Sequence[TouchEvent]) -> StreamSc
     # The scatter of a still finger about its own mean is jitter.
     wander = [np.square(error - error.mean(axis=0)).sum(axis=1) for error in still]
     found = sum(map(bool, owned))
+    matched = [[index for index in contact.followed if index is not None] for contact in contacts]
     return StreamScores(
         touches=len(touches),
         found=found,
         ghosts=sum(contact.touch is None for contact in contacts),
         split=sum(map(len, owned)) - found,
-        switches=sum(map(_switches, contacts)),
+        switches=sum(before != after for indices in matched for before, after in pairwise(indices)),
         clean=all(contact.downs == 1 and contact.ups == 1 for contact in contacts),
         error_mm=error_mm,
         moving=np.concatenate([moving for _, moving in parts]) if parts else np.empty(0, bool),
@@ -221,11 +222,6 @@ def _touch_of(contact: FoundContact, touches: list[TrueTouch], down: Down) -> in
         if frames[0] <= contact.frames[0] <= frames[-1] + SLACK_FRAMES:
             return index
     return None
-
-
-def _switches(contact: FoundContact) -> int:
-    seen = [index for index in contact.followed if index is not None]
-    return sum(before != after for before, after in pairwise(seen))
 
 
 def _errors(contacts: list[FoundContact], down: Down, rough: set[int]) -> Errors:

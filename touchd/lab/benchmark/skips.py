@@ -9,7 +9,7 @@ from itertools import islice
 from pathlib import Path
 
 from touchd.config.schema import Settings
-from touchd.event import Contact, Event, TouchEvent
+from touchd.event import Event, TouchEvent
 from touchd.frame import Frame
 from touchd.lab.benchmark.daemon import FOREVER_S
 from touchd.lab.benchmark.loop import PERIOD_NS, Loop, LoopSource
@@ -98,7 +98,10 @@ def _compared(some: list[Event], all_of_them: list[Event]) -> str:
         {(e.frame, contact.id): contact for e in events if isinstance(e, TouchEvent) for contact in e.contacts}
         for events in (some, all_of_them)
     )
-    changes, their_changes = (_changes(contacts) for contacts in (found, others))
+    changes, their_changes = (
+        [(key, contact.phase) for key, contact in contacts.items() if contact.phase in ("down", "up")]
+        for contacts in (found, others)
+    )
     if changes != their_changes:
         return f"{len(changes)} contacts come or go, without it {len(their_changes)}"
     common = [(found[key], others[key]) for key in found.keys() & others.keys()]
@@ -106,7 +109,3 @@ def _compared(some: list[Event], all_of_them: list[Event]) -> str:
         return "the same: no touches"
     most = max(math.dist((a.x_mm, a.y_mm), (b.x_mm, b.y_mm)) / b.sigma_mm for a, b in common)
     return "the same" if most == 0 else f"the same contacts, places within {most:.1f} sigma"
-
-
-def _changes(contacts: Mapping[tuple[int, int], Contact]) -> list[tuple[tuple[int, int], str]]:
-    return [(key, contact.phase) for key, contact in contacts.items() if contact.phase in ("down", "up")]
