@@ -41,10 +41,6 @@ _PRODUCTS = ("Gemm", "MatMul", "MatMulInteger")
 _REMARKS = {"grid": "answers with the middle of a zone", "keypad": "answers with the middle of a key"}
 
 
-def _nothing(*_: object) -> None:
-    pass
-
-
 @dataclass(slots=True)
 class Estimator:
     """One way to a position, with its cost, and what it did in a race."""
@@ -58,9 +54,9 @@ class Estimator:
     """Upper limit of the multiply-adds."""
     bytes: int
     """Bytes of weights or tables read for one position."""
-    rebase: Callable[[Block], object] = _nothing
+    rebase: Callable[[Block], object] = lambda _: None
     """Sets another untouched plate; not timed, because the daemon does it once a second."""
-    prepare: Callable[[Array], object] = _nothing
+    prepare: Callable[[Array], object] = lambda _: None
     """Receives the residual of the preceding frame; not timed."""
     remark: str = ""
     watch: Stopwatch = field(default_factory=Stopwatch)
@@ -96,7 +92,7 @@ class Estimator:
 
 def race(
     estimators: Sequence[Estimator], bare: Callable[[], object], blocks: Sequence[Block], passes: int, limit_s: float,
-    tick: Callable[[], object] = _nothing,
+    tick: Callable[[], object] = lambda: None,
 ) -> tuple[BareTimes, list[EstimatorResult]]:  # fmt: skip
     """Time and score every estimator: each takes a block of touches, in turns with a batch of the bare network.
 
@@ -128,13 +124,10 @@ def network(model: Model, name: str, group: str = "network") -> Estimator:
     into = model.features.reshape(features.shape)
     baseline, signal = np.zeros(a.shape, np.float32), np.zeros(a.shape, np.float32)
 
-    def locate(residual: Array) -> Place:
-        features.extract(residual, into)
-        return model.estimate()[:2]
+    by_signal = d.input == "signal"
 
-    def locate_by_signal(residual: Array) -> Place:
-        np.add(residual, baseline, out=signal)
-        features.extract(signal, into)
+    def locate(residual: Array) -> Place:
+        features.extract(np.add(residual, baseline, out=signal) if by_signal else residual, into)
         return model.estimate()[:2]
 
     def rebase(block: Block) -> None:
@@ -144,8 +137,7 @@ def network(model: Model, name: str, group: str = "network") -> Estimator:
     macs, weight_bytes = cost_of(onnx.load(model.path))
     table = 0 if in_time else windowed_dft(a).size
     return Estimator(
-        name, group, locate if d.input == "residual" else locate_by_signal,
-        macs + a.channels * table, weight_bytes + 4 * table, rebase,
+        name, group, locate, macs + a.channels * table, weight_bytes + 4 * table, rebase,
         remark=_REMARKS.get(d.head, "takes samples, not a spectrum" if in_time else ""),
     )  # fmt: skip
 
@@ -170,9 +162,6 @@ def atlases(model: Model, atlas: Atlas) -> Iterator[Estimator]:
         np.copyto(baseline, block.baseline)
         localizer.update(block.baseline, block.noise)
 
-    def forget(_before: Array) -> None:
-        localizer.reset()
-
     def follow(before: Array) -> None:
         localizer.reset()
         find(before)
@@ -184,7 +173,7 @@ def atlases(model: Model, atlas: Atlas) -> Iterator[Estimator]:
     yield Estimator(
         "atlas, touch-down", "atlas", find,
         own + first.macs + FIRST_STEPS * step_macs, table + first.bytes + FIRST_STEPS * step_bytes,
-        rebase, forget, remark="network, then Gauss-Newton",
+        rebase, lambda _before: localizer.reset(), remark="network, then Gauss-Newton",
     )  # fmt: skip
     yield Estimator(
         "atlas, tracking", "atlas", find,
