@@ -132,7 +132,7 @@ def write_bare(path: Path) -> Path:
 
     Batch normalisations are folded into the linear layers, as in every exported network.
     """
-    from onnx import TensorProto, helper, numpy_helper  # would count as memory of the measured daemon
+    from onnx import numpy_helper, parser  # would count as memory of the measured daemon
 
     rng = np.random.default_rng(0)
     nodes, weights, name = [], [], "features"
@@ -142,17 +142,15 @@ def write_bare(path: Path) -> Path:
             numpy_helper.from_array(weight.astype(np.float32), f"weight{stage}"),
             numpy_helper.from_array(np.full(outputs, 0.1, np.float32), f"bias{stage}"),
         ]
-        last = stage == len(WIDTHS) - 2
-        product = "position_mm" if last else f"product{stage}"
-        nodes.append(helper.make_node("Gemm", [name, f"weight{stage}", f"bias{stage}"], [product], transB=1))
+        product = f"product{stage}" if stage < len(WIDTHS) - 2 else "position_mm"
+        nodes.append(f"{product} = Gemm <transB = 1> ({name}, weight{stage}, bias{stage})")
         name = f"stage{stage}"
-        if not last:
-            nodes.append(helper.make_node("Relu", [product], [name]))
-    features, position_mm = (
-        helper.make_tensor_value_info(name, TensorProto.FLOAT, ("n", width))
-        for name, width in (("features", WIDTHS[0]), ("position_mm", WIDTHS[-1]))
+        if product != "position_mm":
+            nodes.append(f"{name} = Relu ({product})")
+    model = parser.parse_model(
+        f'<ir_version: {IR_VERSION}, opset_import: ["": {OPSET}]> bare (float[n, {WIDTHS[0]}] features) => '
+        f"(float[n, {WIDTHS[-1]}] position_mm) {{ {' '.join(nodes)} }}"
     )
-    graph = helper.make_graph(nodes, "bare", [features], [position_mm], weights)
-    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR_VERSION)
+    model.graph.initializer.extend(weights)
     path.write_bytes(model.SerializeToString())
     return path
