@@ -80,7 +80,10 @@ def score(
     jobs = [
         Job(f"frames {part.first} to {part.last}", score_part, {
             "part": part, "settings": chosen,
-            "versions": [_version(file) for file in (model, atlas_path(model), *map(Path, part.files))],
+            "versions": [
+                (str(file), file.stat().st_size, file.stat().st_mtime_ns)
+                for file in (model, atlas_path(model), *map(Path, part.files)) if file.exists()
+            ],
         })
         for part in parts
     ]  # fmt: skip
@@ -182,12 +185,3 @@ def _labels(path: Path) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[n
     if arrays["contacts_mm"].shape[:1] != arrays["sequence"].shape or arrays["contacts_mm"].ndim != 3:
         raise RecordingShape("contacts_mm does not fit the frames", str(path), "see docs/formats.md")
     return arrays["sequence"], arrays["timestamp_ns"], np.isfinite(arrays["contacts_mm"]).any(axis=(1, 2))
-
-
-def _version(path: Path) -> list[Any]:
-    """Return what tells one content of a file from another; of a file that is not there, nothing but its name."""
-    try:
-        status = path.stat()
-    except FileNotFoundError:
-        return [str(path)]
-    return [str(path), status.st_size, status.st_mtime_ns]

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from touchd.frame import Plate
-from touchd.lab.plates.disc_functions import DiscFunctions
+from touchd.lab.plates.disc_functions import COUNT, DiscFunctions
 from touchd.twin.cache import remember
 from touchd.twin.physics import legendre
 from touchd.twin.physics.material import material_of, stiffness_of
@@ -154,7 +154,7 @@ class _Basis:
         self._modes, self._size = modes, size_m(plate)
         self.discs = discs
         n = len(modes.omega_rad_s)
-        each = 3 * DiscFunctions.count()
+        each = 3 * COUNT
         self._rows = [np.arange(n + each * k, n + each * (k + 1)) for k in range(len(discs))]
         self.count = n + each * len(discs)
 
@@ -176,7 +176,7 @@ class _Basis:
 
         parts = [np.array([of_modes(field) for field in modes[1:]])]
         for k in some:
-            around = np.zeros((3, 3, 3, DiscFunctions.count(), len(x_m)))
+            around = np.zeros((3, 3, 3, COUNT, len(x_m)))
             for kind in range(3):  # each function is one of the three fields
                 around[kind, :, kind] = self.discs[k].at(x_m, y_m)
             parts.append(around.reshape(3, 3, -1, len(x_m)))
